@@ -50,6 +50,7 @@ sphinx_gallery_conf = {
     "minigallery_sort_order": place_in_gallery,
     "backreferences_dir": "gen_modules",  # galleries of a section need one
     "abort_on_example_error": True,
+    "capture_repr": ("_repr_html_",),  # not the text of what a plot function returns
     "show_memory": False,
     "min_reported_time": 1,
     "remove_config_comments": True,

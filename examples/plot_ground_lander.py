@@ -17,7 +17,7 @@ import tenscontrol as tc
 LENGTH, BAR, PAYLOAD = 1.0, 0.5, 5.0  # m, kg, kg
 GRAVITY, PRESTRESS = 9.81, 10.0  # m/s², N/m
 HEIGHTS = (1.0, 3.0, 10.0)  # m
-STIFFNESS = np.geomspace(500.0, 5e4, 9)  # N/m
+STIFFNESS = np.geomspace(500.0, 5e4, 8)  # N/m
 RATIO = 0.5  # force density of the strings of the payload over that of the shell
 
 # %%

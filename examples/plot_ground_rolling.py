@@ -100,7 +100,7 @@ tc.plot.history(
 )
 
 # %%
-# Up the slope.
+# Up the slope, at twice the speed.
 
 
 class Animation:
@@ -109,7 +109,7 @@ class Animation:
     def __init__(self, run):
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "ball.gif"
-            tc.plot.animate(run, path, fps=8, dpi=60, view=(6.0, -80.0))
+            tc.plot.animate(run, path, duration=7.5, fps=8, dpi=60, view=(6.0, -80.0))
             self.picture = path.read_bytes()
 
     def _repr_html_(self):

@@ -61,10 +61,11 @@ def read_file(path: Path, most: int) -> bytes:
     may never end) or has more bytes than ``most``.
     """
     try:
-        if not stat.S_ISREG(path.stat().st_mode):
+        found = path.stat()
+        if not stat.S_ISREG(found.st_mode):
             raise OSError(errno.EINVAL, "it is a folder, a pipe or a device")
-        with path.open("rb") as stream:
-            content = stream.read(most + 1)
+        with path.open("rb") as stream:  # room is taken for as many bytes as are asked for
+            content = stream.read(min(most, found.st_size) + 1)
     except OSError as error:
         number = error.errno or errno.EIO
         said = f"cannot be read: {error.strerror or error}"

@@ -60,7 +60,8 @@
 
   function update() {
     const at = positions();
-    const change = { strings: null, "slack strings": null };
+    const change = {};
+    let color = {};
     let index = spec.index.strings;
     if (gamma !== null) {
       const own = gamma.subarray(now.frame * strings, (now.frame + 1) * strings);
@@ -70,13 +71,12 @@
       const chosen = byId("color").value;
       if (chosen) {
         const values = chosen.startsWith("tension") ? tensions(at, own) : own;
-        change.strings = { "line.color": Float32Array.from(index, (node, i) => values[stringOf(i)]) };
+        color = { color: Float32Array.from(index, (node, i) => values[stringOf(i)]) };
       }
     }
-    change.strings = { ...change.strings, ...gathered(at, index) };
+    change.strings = { ...gathered(at, index), ...color };
     for (const name of ["bars", "nodes", "supports"]) change[name] = gathered(at, spec.index[name]);
     if (spec.pressed !== null) change["on the ground"] = gathered(at, spec.pressed[now.frame]);
-    for (const name of Object.keys(change)) if (change[name] === null) delete change[name];
     return change;
   }
 
@@ -86,7 +86,7 @@
     const moved = Object.keys(change);
     const wanted = { x: [], y: [], z: [] };
     moved.forEach((name) => ["x", "y", "z"].forEach((axis) => wanted[axis].push(change[name][axis])));
-    const color = change.strings["line.color"];
+    const color = change.strings.color;
     if (color !== undefined) plot.data[names.indexOf("strings")].line.color = color;
     tell();
     return Plotly.restyle(plot, wanted, moved.map((name) => names.indexOf(name)));
@@ -117,13 +117,15 @@
   }
 
   let before = 0;
-  async function step(moment) {
-    if (!now.playing) return;
+  let started = 0;
+  async function step(moment, start) {
+    if (!now.playing || start !== started) return;
+    const again = () => requestAnimationFrame((next) => step(next, start));
     // Drawing puts the eye where the layout has it, and plotly tells the layout when the mouse is let
     // go: the motion waits while the view is turned.
     if (now.turning) {
       before = moment;
-      requestAnimationFrame(step);
+      again();
       return;
     }
     now.clock += (Number(byId("speed").value) * (moment - before)) / 1000;
@@ -133,7 +135,7 @@
       now.frame = frameAt(now.clock);
     }
     await draw();
-    requestAnimationFrame(step);
+    again();
   }
 
   function play(on) {
@@ -141,9 +143,10 @@
     byId("play").textContent = on ? "Pause" : "Play";
     if (!on) return;
     if (real === null && now.frame === frames - 1) now.clock = first;
+    const start = ++started;
     requestAnimationFrame((moment) => {
       before = moment;
-      step(moment);
+      step(moment, start);
     });
   }
 
@@ -179,6 +182,8 @@
     Plotly.restyle(plot, { mode }, [names.indexOf("nodes")]);
   });
 
+  const plain = spec.figure.data[names.indexOf("strings")].line;
+
   // Our own legend and colour bar: plotly would draw its own anew in every state.
   const gradient = `linear-gradient(to right, ${spec.scale.map((step) => step[1]).join(", ")})`;
   function explain(colored) {
@@ -186,7 +191,7 @@
     byId("keys").replaceChildren(
       ...rows.map((trace) => {
         const row = document.createElement("div");
-        const line = trace.line;
+        const line = trace.name === "strings" ? plain : trace.line;
         const sample = document.createElement(line ? "i" : "b");
         if (line) {
           sample.style.borderTop = `${Math.max(line.width / 2, 2)}px ${line.dash ? "dotted" : "solid"} ${line.color}`;
@@ -205,7 +210,6 @@
     );
   }
 
-  const plain = spec.figure.data[names.indexOf("strings")].line;
   function choose() {
     const name = byId("color").value;
     const most = spec.colors[name] || 1;

@@ -20,7 +20,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from tenscontrol.files import write_file
-from tenscontrol.validation import FloatArray, IntArray, file_path
+from tenscontrol.validation import FloatArray, IntArray, file_path, float_array
 
 # What a page holds at most: states of a motion, and numbers, of 4 bytes each. A notebook holds
 # fewer, as text: some 8 bytes a number.
@@ -36,8 +36,11 @@ _BEHIND = 0.01
 # Room around the nodes and the least extent of the box, as parts of its largest extent.
 _MARGIN, _THINNEST = 0.06, 0.2
 
+# Most height of the box, in units of plotly, for the eye to see all of it.
+_TALLEST = 1.3
+
 # Modes: the largest displacement at first, and the most of the slider, as parts of the size.
-AMPLITUDE, _MOST_AMPLITUDE = 0.1, 0.2
+_AMPLITUDE, _MOST_AMPLITUDE = 0.1, 0.2
 
 # Much is dark, in grey print too: cividis without its lightest colours.
 _COLORS = ["#d3c164", "#b3a772", "#948e77", "#7c7b78", "#666970", "#4e576c", "#2a406c", "#00224e"]
@@ -85,7 +88,7 @@ class View:
 
     The page is one HTML file of some 5 MB, most of it plotly.js, and needs no network. A long
     motion is thinned out to 600 states, one of a large structure to as many as make 3 million
-    numbers.
+    numbers. Modes are the first, as many as make as many.
 
     Attributes
     ----------
@@ -118,6 +121,12 @@ class View:
     labels: tuple[str, ...] = ()
     ground: tuple[FloatArray, ...] = ()
     pressed: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what is not finite: a motion that ran away."""
+        float_array("nodes", self.nodes)
+        if self.force_density is not None:
+            float_array("force_density", self.force_density)
 
     # ---- what users call ----
 
@@ -217,11 +226,8 @@ class View:
     @cached_property
     def _least(self) -> float:
         """The force density up to which a string is slack, N/m."""
-        return (
-            0.0
-            if self.force_density is None
-            else _SLACK * float(self.force_density.max(initial=0.0))
-        )
+        gamma = self.force_density
+        return _SLACK * (0.0 if gamma is None else float(gamma.max(initial=0.0)))
 
     @cached_property
     def _is_slack(self) -> np.ndarray:
@@ -244,6 +250,7 @@ class View:
     def _spec(self) -> dict[str, Any]:
         """Return all that the page is made of, as JSON has it."""
         gamma, tension = self.force_density, self._tension
+        modes = max(1, _MOST_NUMBERS // (2 * self.nodes[:, :, 0].size))
         colors = {}
         if gamma is not None and tension is not None and gamma.size:
             colors["tension, N"] = float(tension.max())
@@ -262,10 +269,10 @@ class View:
             "segmentString": self.members.segment_string.tolist(),
             "colors": colors,
             "pressed": self._pressed_nodes,
-            "labels": list(self.labels),
-            "real": None if self.shapes is None else _packed(self._at_largest.real),
-            "imaginary": None if self.shapes is None else _packed(self._at_largest.imag),
-            "amplitude": AMPLITUDE,
+            "labels": list(self.labels[:modes]),
+            "real": None if self.shapes is None else _packed(self._at_largest[:modes].real),
+            "imaginary": None if self.shapes is None else _packed(self._at_largest[:modes].imag),
+            "amplitude": _AMPLITUDE,
             "mostAmplitude": _MOST_AMPLITUDE,
         }
 
@@ -303,9 +310,9 @@ class View:
         return nodes
 
     def _traces(self) -> list[dict[str, Any]]:
-        """Return the traces of the first state; those that the script moves have a name."""
-        few = len(self.members.bars) + len(self.members.segments)
-        share = min(1.0, max(_LEAST_SHARE, (_FEW / max(few, 1)) ** 0.5))
+        """Return the traces of the first state; the script finds them by name."""
+        count = len(self.members.bars) + len(self.members.segments)
+        share = min(1.0, max(_LEAST_SHARE, (_FEW / count) ** 0.5))
         width, nodes = share * _STRING_WIDTH, self._shape(0)
         taut, slack = self._strings(0)
         base: dict[str, Any] = {"type": "scatter3d", "mode": "lines", "hoverinfo": "skip"}
@@ -326,12 +333,14 @@ class View:
                 "name": "bars",
                 **_at(nodes, self._index["bars"]),
                 "line": {"color": _INK, "width": share * _BAR_WIDTH},
+                "showlegend": len(self.members.bars) > 0,
             },
             dots
             | {
                 "name": "nodes",
                 **_at(nodes, self._index["nodes"]),
                 "text": [str(node) for node in self._index["nodes"]],
+                "textfont": {"size": 14, "color": _PRESSED},
                 "hovertemplate": f"node %{{text}}<br>{place}<extra></extra>",
                 "marker": {"color": _INK, "size": share * _NODE_SIZE},
             },
@@ -377,9 +386,13 @@ class View:
             line = {"color": "#9a9a9a", "width": 4}
             look: dict[str, Any] = {"type": "scatter3d", "mode": "lines", "line": line}
         else:
-            points = grid
-            scale = [[0, "#bdbdbd"], [1, "#bdbdbd"]]
-            look = {"type": "surface", "showscale": False, "opacity": 0.45, "colorscale": scale}
+            points = grid.reshape(3, -1)
+            place = np.arange(points.shape[1]).reshape(grid.shape[1:])
+            corners = [place[:-1, :-1], place[1:, :-1], place[:-1, 1:], place[1:, 1:]]
+            low, right, up, high = (each.ravel() for each in corners)
+            triangles = np.hstack([[low, right, up], [right, high, up]]).tolist()
+            look = {"type": "mesh3d", "color": "#bdbdbd", "opacity": 0.45}
+            look |= dict(zip("ijk", triangles, strict=True))
         values = {axis: row.tolist() for axis, row in zip("xyz", points, strict=True)}
         return look | values | {"name": "ground", "hoverinfo": "skip", "showlegend": True}
 
@@ -407,8 +420,8 @@ class View:
         box = self._box()
         extent = np.ptp(box, axis=1)
         is_flat = self._dimension == 2
-        # A box with the diagonal of a unit cube: one distance of the eye suits all.
-        aspect = extent * np.sqrt(3.0) / np.linalg.norm(extent)
+        # Nearly as large as the eye sees from where it is, in the middle of a window.
+        aspect = extent * min(np.sqrt(3.0) / np.linalg.norm(extent), _TALLEST / extent[2])
         camera: dict[str, Any] = {
             "eye": {"x": 0.95, "y": -1.7, "z": 0.65},
             "center": {"x": 0.0, "y": 0.0, "z": -0.05},
@@ -437,7 +450,6 @@ class View:
             "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
             "legend": {"x": 0.01, "y": 0.99, "bgcolor": "rgba(255,255,255,0.7)"},
             "paper_bgcolor": "white",
-            "uirevision": "kept",
         }
 
     # ---- notebooks ----
@@ -445,7 +457,7 @@ class View:
     def figure(self) -> dict[str, Any]:
         """Return the figure as plotly's JSON, for Jupyter: of a motion at most 60 states.
 
-        Of modes, a slider chooses one; it is drawn at its largest displacement.
+        Of modes, a slider chooses one; its largest displacement is a tenth of the size.
 
         Returns
         -------
@@ -453,7 +465,7 @@ class View:
             ``data``, ``layout`` and ``frames``, of lists and numbers.
         """
         layout = self._layout() | {"height": _HEIGHT, "title": {"text": self.title}}
-        layout["margin"] |= {"t": 40}
+        layout["margin"] |= {"t": 40, "b": 40}
         figure: dict[str, Any] = {"data": self._traces(), "layout": layout}
         most = _MOST_NOTEBOOK_NUMBERS // (9 * (len(self.members.bars) + len(self.members.segments)))
         if self.shapes is not None:
@@ -501,7 +513,7 @@ class View:
 
     def _displaced(self, mode: int) -> list[dict[str, Any]]:
         nodes = self._shape(0)
-        moved = AMPLITUDE * self._size * self._at_largest[mode].real.T
+        moved = _AMPLITUDE * self._size * self._at_largest[mode].real.T
         nodes[: self._dimension, :-1] += moved
         lines = [
             _at(nodes, self._index["strings"]),

@@ -274,6 +274,19 @@ def test_nmpc_step(printed, nothing_compiled):
     assert abs(cost["MPC, linear"] - 1.0) > 1e-2
 
 
+def test_nmpc_large(printed, nothing_compiled):
+    text = printed("nmpc_large", "--starts 1 --samples 4 --horizon 4 --stages 2")
+    assert "tower, 2 stages: 6 bars, 30 winches" in text
+    for structure in (0, 1):
+        found = {name: row(text, name, structure) for name in (
+            "compiled  ", "compiled, all anew", "no compiler",
+        )}  # fmt: skip
+        assert found["compiled, all anew"][3:5] == [4.0, 1.0]
+        for name in ("compiled  ", "no compiler"):
+            assert 1 <= found[name][3] < 4
+            assert found[name][4] == pytest.approx(1.0, abs=1e-3)
+
+
 def test_nmpc_commits(printed):
     text = printed("nmpc_commits", "--old . --starts 1 --back_ends interpreted")
     assert "interpreted: virtual machine and virtual machine, 24 samples each" in text

@@ -123,6 +123,21 @@ def test_structures():
     assert ran("structures")["arm"].structure_class == 3
 
 
+def test_files(tmp_path, monkeypatch):
+    pytest.importorskip("xarray", reason="the extra tenscontrol[xarray] is not installed")
+    monkeypatch.chdir(tmp_path)
+    names = ran("files")
+    assert names["more"].time[0] == names["run"].time[-1] == 0.2
+    assert {path.name for path in tmp_path.iterdir()} == {"ball.toml", "run.npz", "run.csv"}
+
+
+def test_figures(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    run = ran("figures")["run"]
+    assert np.abs(run.nodes - run.nodes[:, :, :1]).max() > 0.01
+    assert {path.name for path in tmp_path.iterdir()} == {"tower.pdf", "tower.gif"}
+
+
 def test_limits_are_refused_in_these_words():
     names = ran("limits")
     assert "did you mean 0.02 (20 ms)?" in names["unit"]

@@ -158,6 +158,26 @@ def test_damped_modes_are_turned_to_the_phase_of_their_largest_real_part():
     assert np.abs(imaginary).max() > 1e-3
 
 
+def test_a_page_of_many_modes_holds_the_first_of_them(ball, monkeypatch):
+    monkeypatch.setattr("tenscontrol.web_page._MOST_NUMBERS", 3 * 2 * 36)
+    modes = tc.modes(tc.linearize(tc.Model(ball), tc.prestress(ball, 20.0)))
+    spec = held(modes.view().html())
+    assert len(modes) > 3
+    assert spec["labels"] == list(modes.view().labels[:3])
+    np.testing.assert_allclose(
+        np.abs(numbers(spec["real"], 3, 12, 3)),
+        np.abs(modes.shape[..., :3].transpose(2, 1, 0)),
+        atol=1e-6,
+    )
+
+
+def test_a_motion_that_is_not_finite_is_refused(ball):
+    nodes = ball.nodes[:, :, None].copy()
+    nodes[0, 3, 0] = np.nan
+    with pytest.raises(ValueError, match=r"nodes\[0, 3, 0\] is nan"):
+        View("run", ball, nodes)
+
+
 def test_modes_know_their_structure_and_place(ball):
     plant = tc.linearize(tc.Model(ball), tc.prestress(ball, 20.0))
     few = tc.modes(plant, 3)

@@ -201,7 +201,7 @@ _MEANINGS: Keys = {
         (NUMBER, "1/m", "penalty"),
         (NUMBER, "kg", "node_mass"),
         (NUMBER, "", "tolerance regularization string_penalty load_gain drop_rate outlier_rate"),
-        (NUMBER, "", "process_noise load_noise gate start_spread"),
+        (NUMBER, "", "process_noise load_noise gate start_spread linearization_tolerance"),
         (NUMBERS, "kg", "bar_mass string_node_mass point_mass panel_mass"),
         (NUMBERS, "kg/m²", "areal_density"),
         (NUMBERS, "m", "node_position string_length"),

@@ -8,7 +8,14 @@ from time import perf_counter
 import numpy as np
 
 from tenscontrol.actuation import MotorRecord, Winches, WinchMove
-from tenscontrol.control import BaseController, Command, Controller
+from tenscontrol.control import (
+    BaseController,
+    Command,
+    Controller,
+    FeedbackLinearizationStatistics,
+    MPCStatistics,
+    NMPCStatistics,
+)
 from tenscontrol.estimation import KalmanFilter, Sensors
 from tenscontrol.interrupt import check
 from tenscontrol.simulation.actuators import Actuators
@@ -24,6 +31,8 @@ from tenscontrol.validation import (
     positive_number,
     refuse_memory,
 )
+
+_STATISTICS = MPCStatistics, NMPCStatistics, FeedbackLinearizationStatistics
 
 # A command so close to a bound, relative to the largest, is at it.
 _CLOSE = 1e-7
@@ -168,12 +177,19 @@ def _control_record(
         at_bound=_at_bound(controller, command),
         controller=repr(controller),
         sample_time=sample_time,
+        statistics=_statistics(controller),
         settings=Given(controller.made_with),
         size=float(np.ptp(controller.structure.nodes, axis=1).max()),
         slowest_vibration=(
             controller.plant.slowest_vibration if isinstance(controller, Controller) else None
         ),
     )
+
+
+def _statistics(controller: BaseController) -> object:
+    """Return the statistics of a controller that has them."""
+    found = getattr(controller, "statistics", None)
+    return found if isinstance(found, _STATISTICS) else None
 
 
 def _tracking_error(

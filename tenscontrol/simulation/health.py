@@ -176,6 +176,14 @@ class Unsaved:
     place: str
     what: str
 
+    @classmethod
+    def of(cls, place: str, value: object) -> Unsaved:
+        """Return what is left of a value: the name of a function or class, or of its class."""
+        is_named = hasattr(value, "__qualname__")
+        named: Any = value if is_named else type(value)
+        what = f"{named.__qualname__} of {named.__module__}"
+        return cls(place, f"the function or class {what}" if is_named else f"a {what}")
+
     def __str__(self) -> str:
         return (
             f"{self.place} was {self.what}, which a file of a run does not hold: give it again "
@@ -207,6 +215,14 @@ class Given(Mapping[str, Any]):
 
     def __len__(self) -> int:
         return len(self._values)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle as a file does: a function may be one that no other process can find."""
+        left = {
+            name: Unsaved.of(name, value) if callable(value) else value
+            for name, value in self._values.items()
+        }
+        return Given, (left,)
 
     def __repr__(self) -> str:
         return f"Given({', '.join(self._values)})"
@@ -262,12 +278,14 @@ class ControlRecord:
         What it was.
     sample_time : float or None
         s.
-    settings : Given
-        Kind and settings of the controller by name.
     size : float or None
         Largest extent of the structure, m.
     slowest_vibration : float or None
         Of the controller's plant, 1/s.
+    statistics : MPCStatistics, NMPCStatistics, FeedbackLinearizationStatistics or None
+        Of the controller at the end of the run; None for other controllers.
+    settings : Given
+        Kind and settings of the controller by name.
     """
 
     time: FloatArray
@@ -289,6 +307,7 @@ class ControlRecord:
     sample_time: float | None = None
     size: float | None = None
     slowest_vibration: float | None = None
+    statistics: object = None
     settings: Given = field(default_factory=Given)
 
     @property

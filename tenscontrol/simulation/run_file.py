@@ -13,6 +13,7 @@ from enum import StrEnum
 from io import BytesIO, StringIO
 from math import isfinite
 from pathlib import Path
+from types import NoneType
 from typing import Any
 
 import casadi as ca
@@ -20,7 +21,14 @@ import numpy as np
 
 from tenscontrol._version import __version__
 from tenscontrol.actuation import Motor, MotorRecord, Winches
-from tenscontrol.control import Fallback, OutputLimit, Status
+from tenscontrol.control import (
+    Fallback,
+    FeedbackLinearizationStatistics,
+    MPCStatistics,
+    NMPCStatistics,
+    OutputLimit,
+    Status,
+)
 from tenscontrol.dynamics import (
     ElasticStrings,
     Ground,
@@ -56,8 +64,9 @@ _RECORDS = {
     kind.__name__: kind
     for kind in (
         Choice, ContactRecord, ControlRecord, CutString, ElasticStrings, EstimateRecord,
-        FilterStatistics, Ground, HertzGround, LinearStrings, LostMeasurement, Motor, MotorRecord,
-        OutputLimit, Profile, Reference, SmoothGround, Structure, StuckWinch, Winches, Work,
+        FeedbackLinearizationStatistics, FilterStatistics, Ground, HertzGround, LinearStrings,
+        LostMeasurement, Motor, MotorRecord, MPCStatistics, NMPCStatistics, OutputLimit, Profile,
+        Reference, SmoothGround, Structure, StuckWinch, Winches, Work,
     )
 }  # fmt: skip
 _WORDS: dict[str, type[StrEnum]] = {"Status": Status, "Fallback": Fallback}
@@ -70,6 +79,18 @@ _OPERATIONS = (
     "FMAX", "INV", "SINH", "COSH", "TANH", "ASINH", "ACOSH", "ATANH", "ATAN2", "CONST", "INPUT",
     "OUTPUT", "ERFINV", "LOG1P", "EXPM1", "HYPOT", "REMAINDER",
 )  # fmt: skip
+
+# The parts of a run; what is None or not there is so for a reason that the run says.
+_ARRAY = np.ndarray
+_PARTS: dict[str, type | tuple[type, ...]] = {
+    "structure": Structure, "choice": Choice, "work": Work, "faults": tuple, "given": Given,
+    "conserves_energy": bool, "conserves_momentum": bool, "falls": bool, "moved": bool,
+    "stopped": (str, NoneType), "note": (str, NoneType), "position_error": (float, NoneType),
+    "control": (ControlRecord, NoneType), "contacts": (ContactRecord, NoneType),
+    "ground": (tuple, Unsaved), "model": (dict, Unsaved, NoneType), "load": (_ARRAY, NoneType),
+    "rest_length": (_ARRAY, NoneType), "time": _ARRAY, "nodes": _ARRAY, "velocities": _ARRAY,
+    "released_energy": _ARRAY, **dict.fromkeys(EVALUATED, _ARRAY),
+}  # fmt: skip
 
 # Arrays by the name of the attribute, with the letters of their dimensions: one letter, one length.
 _SHAPES = {
@@ -91,10 +112,13 @@ _SHAPES = {
     "contacts_impulse": "dcT", "contacts_deepest": "c", "contacts_touch": "k",
     "contacts_begin": "k", "contacts_end": "k",
 }  # fmt: skip
-# Of these, NaN says that there was none.
-_MAY_BE_NAN = ("control_prediction_error", "control_estimate_measurement")
+# Of these, NaN says that there was none, and deviations may be infinite.
+_MAY_BE_NAN = ("control_prediction_error", "control_estimate_")
 # Of a run that ended early the rest may have overflowed.
 _MOTION = ("time", "nodes", "velocities", "rest_length")
+
+# Where what a file cannot hold may be: the rest of the run does not depend on it.
+_MAY_BE_UNSAVED = ("control.settings.", "given.", "ground.", "model")
 
 # Kinds of arrays: truths, whole numbers, floats, text.
 _KINDS = ("b1", "i4", "i8", "f8")
@@ -116,6 +140,9 @@ def write_run(path: object, values: Mapping[str, Any]) -> Path:
     file = file_path("path", path, (".npz",))
     out = _Writer()
     run = {name: out.node(value, (name,)) for name, value in values.items()}
+    for place, what in out.unsaved.items():
+        if not place.startswith(_MAY_BE_UNSAVED):
+            raise TypeError(f"{place} of the run is {what}, which no file of a run can hold")
     header = {
         "format": _FORMAT, "version": VERSION, "tenscontrol": __version__,
         "not_saved": out.unsaved, "run": run,
@@ -142,8 +169,8 @@ class _Writer:
         """Return a value as JSON; ``path`` leads to it."""
         if isinstance(value, np.generic):
             value = value.item()
-        if value is None or type(value) in (bool, int, str):
-            return value
+        if value is None or isinstance(value, bool | int | str):
+            return str(value) if isinstance(value, str) else value
         if isinstance(value, float):
             return value if isfinite(value) else {"float": repr(value)}
         if isinstance(value, np.ndarray) and value.dtype.str[1:] in _KINDS:
@@ -158,20 +185,22 @@ class _Writer:
         if isinstance(value, dict | Given):
             raw = value if isinstance(value, dict) else value.raw
             items = {str(key): self.node(each, (*path, str(key))) for key, each in raw.items()}
-            return {"dict" if raw is value else "given": items}
+            if raw is not value:
+                return {"given": items}
+            of = next((type(key).__name__ for key in raw), "str")
+            return {"dict": items} if of == "str" else {"dict": items, "keys": of}
         if isinstance(value, ca.Function) and (lines := _instructions(value)) is not None:
             names = [value.name(), *map(value.name_in, range(value.n_in()))]
             return {"function": names, "lines": self.node(lines, path)}
         if type(value) in _RECORDS.values():
-            inside = {
-                field.name: self.node(getattr(value, field.name), (*path, field.name))
-                for field in fields(value)
-                if not field.name.startswith("_")
-            }
+            found = {field.name: getattr(value, field.name) for field in fields(value)}
+            if isinstance(value, OutputLimit):  # no bound is infinite in it, and None to make it
+                found |= {name: None for name in ("low", "high") if np.isinf(found[name]).all()}
+            inside = {name: self.node(each, (*path, name)) for name, each in found.items()}
             return {"record": type(value).__name__, "fields": inside}
-        found = value if isinstance(value, Unsaved) else Unsaved(".".join(path), _described(value))
-        self.unsaved[found.place] = found.what
-        return {"unsaved": found.place, "what": found.what}
+        left = value if isinstance(value, Unsaved) else Unsaved.of(".".join(path), value)
+        self.unsaved[left.place] = left.what
+        return {"unsaved": left.place, "what": left.what}
 
     def _array(self, value: np.ndarray, path: tuple[str, ...]) -> dict[str, str]:
         name = "_".join(path)
@@ -179,15 +208,6 @@ class _Writer:
             name += "_"
         self.arrays[name] = value
         return {"array": name}
-
-
-def _described(value: object) -> str:
-    """Return in a few words what cannot be written."""
-    if isinstance(value, ca.Function):
-        return f"the casadi.Function {value.name()!r}"
-    named = value if hasattr(value, "__qualname__") else type(value)
-    place = f"{named.__qualname__} of {named.__module__}"
-    return f"the function or class {place}" if named is value else f"an object of the class {place}"
 
 
 def _instructions(function: ca.Function) -> list[list[Any]] | None:
@@ -265,6 +285,9 @@ def _read_archive(archive: zipfile.ZipFile) -> dict[str, Any]:
     found = {name: reader.value(node, name) for name, node in header["run"].items()}
     if reader.left:
         raise ValueError(f"it has an array that the header does not name: {min(reader.left)}")
+    for name in sorted(_PARTS.keys() | found.keys()):
+        if name not in _PARTS or not isinstance(found.get(name, found), _PARTS[name]):
+            raise TypeError(f"{name} is not what a run has there")
     _check_shapes(found["structure"], arrays, found["stopped"] is None)
     return found
 
@@ -316,6 +339,8 @@ class _Reader:
                 return _function(name, names, self.value(lines, place))
             case {"given": dict(items)}:
                 return Given(self._inside(items, place))
+            case {"dict": dict(items), "keys": str(of)}:
+                return {_WORDS[of](key): each for key, each in self._inside(items, place).items()}
             case {"dict": dict(items)}:
                 return _whole(found := self._inside(items, place), found)
             case {"list": list(items)}:
@@ -380,7 +405,7 @@ def _check_shapes(
         if len(expected) != array.ndim or any(want not in (have, -1) for want, have in pairs):
             raise ValueError(f"{name} has shape {array.shape}, expected {expected}")
         size |= dict(zip(letters, array.shape, strict=True))
-        checked = name in _MOTION or (is_complete and name not in _MAY_BE_NAN)
+        checked = name in _MOTION or (is_complete and not name.startswith(_MAY_BE_NAN))
         if checked and array.dtype.kind == "f" and not np.isfinite(array).all():
             raise ValueError(f"{name} holds what is not finite")
 

@@ -63,6 +63,8 @@ def controller():
 
 WRITERS = {
     "run.npz": lambda path: run().save(path),
+    "run.csv": lambda path: run().to_csv(path),
+    "prism.toml": lambda path: tc.prism().save(path),
     "accuracy.csv": lambda path: measured().to_csv(path),
     "figure.png": lambda path: tc.plot.save_figure(figure(), path),
     "figure.pdf": lambda path: tc.plot.save_figure(figure(), path),

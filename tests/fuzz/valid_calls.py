@@ -981,7 +981,17 @@ call(
     },
     share=0.3,
 )
-call("NMPC", lambda: dict(plant=plant(), iterations=1, machine_code=False, **SETTINGS), share=0.1)
+call(
+    "NMPC",
+    lambda: dict(
+        plant=plant(),
+        iterations=1,
+        machine_code=False,
+        linearization_tolerance=0.01,
+        **SETTINGS,
+    ),
+    share=0.1,
+)
 call(
     "FeedbackLinearization",
     lambda: {
@@ -1698,7 +1708,6 @@ call(
         "fps": 20.0,
         "duration": 0.1,
         "target": nodes(),
-        "ground": tc.Ground(stiffness=1e3),
         "view": (20.0, -60.0),
         "dpi": 20,
     },

@@ -335,13 +335,14 @@ class RealTimeIterate:
     def prepare(self) -> None:
         """Move the plan on where due, and linearize along it where the dynamics have values."""
         self.shift()
-        inputs, fresh = self._planned(), np.ones(len(self._at), bool)
+        inputs = self._planned()
+        fresh: BoolArray = np.ones(len(self._at), bool)
         if self._tolerance:
             parts = np.hstack([self._states[:-1], inputs[1:], inputs[:-1]]) / self._reach
             off = np.abs(parts - self._at)
             if not self._discretization.ramp:
                 off = off[:, : -inputs.shape[1]]
-            fresh = ~(off <= self._tolerance).all(axis=1)
+            fresh = np.asarray(~(off <= self._tolerance).all(axis=1))
             self._at[fresh] = parts[fresh]
         self.fresh += int(fresh.sum())
         motion, rows = self._model.linearize(self._states, inputs, self._stages, fresh)

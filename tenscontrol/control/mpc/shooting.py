@@ -491,7 +491,7 @@ class RadauIIA(Discretization):
         slots = (samples + self.start) % N
         self._differentiate(self._along, entries, samples, plan, slots)
         share = self._share[None, :, :]
-        for slot in slots:
+        for slot in slots.tolist():
             plan.find_ends(slot)
             by_stages, by_input = plan.to_end[slot].T, plan.by_input[slot]
             np.matmul(plan.by_state[slot], by_stages, out=self._slopes[0][slot])
@@ -566,7 +566,7 @@ class RadauIIA(Discretization):
             by_state[at, 0] = by_q
             by_state[at, 1] = by_v + self._sample_time * _NODES[:, None] * by_q
             equations.by_input[at] = by_u.reshape(len(at), 3, -1, r).swapaxes(1, 2)
-            for slot, matrix in zip(at, system, strict=True):
+            for slot, matrix in zip(at.tolist(), system, strict=True):
                 equations.factorize(slot, matrix)
 
 

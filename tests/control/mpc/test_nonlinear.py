@@ -232,6 +232,8 @@ def test_unsolved_programs_continue_the_plan(monkeypatch):
 
 @pytest.mark.parametrize(("arguments", "error", "message"), [
     ({"iterations": 0}, ValueError, "iterations"),
+    ({"linearization_tolerance": -0.1}, ValueError, "linearization_tolerance is -0.1, expected"),
+    ({"linearization_tolerance": "all"}, TypeError, "linearization_tolerance"),
     ({"winches": 3.0}, TypeError, "winches"),
     ({"winches": tc.Winches(rate=1.0)}, ValueError, "input='rest_length'"),
 ])  # fmt: skip

@@ -1,5 +1,6 @@
 """NMPC of stiff strings and of winches that wind: its programs, and closed loops."""
 
+import pickle
 from functools import cache
 
 import numpy as np
@@ -211,3 +212,58 @@ def test_a_plan_begins_along_the_reference_where_the_law_leads_astray(monkeypatc
         assert nmpc.command(0.0, *nodes_of(plant, z)).status == "ok"
         plans.append(nmpc.plan.T - plant.rest_length)
     assert np.abs(plans[1] - plans[0]).max() < 0.2 * np.abs(plans[0]).max()
+
+
+# ---- derivatives that are kept ----
+
+
+@cache
+def ball():
+    structure = tc.library.six_bar_ball()
+    model = tc.Model(structure, tc.LinearStrings(1e3))
+    return tc.linearize(model, tc.prestress(structure, 20.0), input="rest_length")
+
+
+def pushed(nmpc, count=8):
+    """Closed-loop cost from a push, with a smaller one in each sample, and samples found anew."""
+    plant, rng, cost = nmpc.plant, np.random.default_rng(0), 0.0
+    r, (Q, R, _) = plant.degrees_of_freedom, nmpc.weights
+    z = plant.measure(plant.nodes, 0.3 * rng.normal(size=plant.nodes.shape))
+    for k in range(count):
+        command = nmpc.command(k * SAMPLE, plant.to_nodes(z[:r]), plant.to_velocities(z[:r], z[r:]))
+        assert command.status == "ok"
+        z, _ = nmpc.law.model.discretization.advance(z, command.value, command.value)
+        off = command.value - plant.equilibrium_input
+        cost += z @ Q @ z + off @ R @ off
+        z[r:] += 0.01 * rng.normal(size=r)
+    return cost, nmpc.statistics.linearized
+
+
+UNREACHED = pytest.mark.filterwarnings("ignore:no string reaches:RuntimeWarning")
+
+
+@UNREACHED
+@pytest.mark.parametrize("solver", ["auto", "osqp"])
+def test_most_samples_of_a_plan_keep_their_derivatives(solver):
+    given = {"horizon": 8, "sample_time": SAMPLE, "winches": tc.Winches(rate=1.0), "solver": solver}
+    quick = tc.NMPC(ball(), **given)
+    cost, linearized = pushed(quick)
+    exact, every = pushed(tc.NMPC(ball(), linearization_tolerance=0.0, **given))
+    assert cost == pytest.approx(exact, rel=1e-3)
+    assert np.all(every == 8)
+    assert linearized[0] == 8
+    assert linearized[1:].min() == 1
+    assert linearized.mean() < 5
+    # A copy knows nothing of what was kept in compiled memory, and goes on as its original.
+    other = pickle.loads(pickle.dumps(quick))
+    nodes, still = ball().nodes, np.zeros_like(ball().nodes)
+    commands = [each.command(1.0, nodes, still).value for each in (quick, other)]
+    np.testing.assert_allclose(*commands, rtol=0, atol=1e-4)
+    assert other.statistics.linearized[-1] == 8
+
+
+@UNREACHED
+def test_programs_of_a_sample_converge_with_derivatives_found_anew():
+    nmpc = tc.NMPC(ball(), horizon=3, sample_time=SAMPLE, iterations=3)
+    assert nmpc.command(0.0, ball().nodes + 1e-3, np.zeros((3, 12))).status == "ok"
+    assert nmpc.statistics.linearized[0] == 3 * nmpc.statistics.programs[0]

@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import tenscontrol as tc
-from tenscontrol.control.mpc.shooting import RadauIIA
+from tenscontrol.control.mpc.shooting import RK4, RadauIIA
 from tenscontrol.demo import tour as demo
 from tenscontrol.dynamics import Evaluator
 from tenscontrol.plant import (
@@ -185,3 +185,59 @@ def test_a_step_that_is_not_solved_is_no_number():
     assert np.isnan(stages).any()
     by_casadi = motion.sampled(np.full(18, 3.0), plant.rest_length, plant.rest_length)
     assert np.isnan(by_casadi.full()).all()
+
+
+@pytest.mark.parametrize("kind", ["RK4", "held", "ramp"])
+def test_samples_keep_their_slopes_in_slots_and_have_exact_values(kind):
+    """A plan of three samples moves on by one: the first two slopes are those of before."""
+    if kind == "RK4":
+        ball = tc.library.six_bar_ball()
+        plant = tc.linearize(tc.Model(ball), tc.prestress(ball, force_density=20.0))
+        kept, anew = (RK4(plant, SAMPLE, 3, False) for _ in range(2))
+    else:
+        plant = plant_of(1e3)
+        kept, anew = (RadauIIA(plant, SAMPLE, 3, kind == "ramp", False) for _ in range(2))
+    rng, (s, a) = np.random.default_rng(4), plant.B.shape
+    states = 1e-3 * rng.normal(size=(4, s))
+    inputs = plant.equilibrium_input + 1e-4 * rng.normal(size=(5, a))
+    stages = rng.normal(size=(4, 3, s // 2))
+    all_three, last = np.ones(3, bool), np.array([False, False, True])
+    before = kept.linearize(states[:3], inputs[:4], stages[:3], all_three)
+    slopes = [part.copy() for part in before.slopes]
+    kept.start = 1
+    states[1] += 1e-6
+    now = kept.linearize(states[1:], inputs[1:], stages[1:], last)
+    exact = anew.linearize(states[1:], inputs[1:], stages[1:], all_three)
+    assert now.start == 1
+    assert now.fresh is last
+    for part, old, new in zip(now.in_order().slopes, slopes, exact.slopes, strict=True):
+        assert np.array_equal(part[:2], old[1:])
+        np.testing.assert_allclose(part[2], new[2], rtol=0, atol=1e-12)
+        assert 0 < np.abs(part[0] - new[0]).max() < 1e-3
+    if kind == "RK4":
+        assert np.array_equal(now.values, exact.values)
+        return
+    # Stages take a step of Newton's method, from what is left of the equations.
+    found, wanted = (
+        each.corrected(stages[1:], (0 * states[1:], 0 * inputs[1:]), None) for each in (kept, anew)
+    )
+    scale = np.abs(wanted - stages[1:]).max()
+    np.testing.assert_allclose(found[2], wanted[2], rtol=0, atol=1e-9 * scale)
+    assert 0 < np.abs(found - wanted).max() < 1e-3 * scale
+    np.testing.assert_allclose(now.values, exact.values, rtol=0, atol=1e-3 * scale * SAMPLE)
+
+
+def test_a_step_from_the_stages_of_the_last_sample_is_the_same_step(monkeypatch):
+    """And is found without derivatives of its own."""
+    plant = plant_of(1e4)
+    motion = RadauIIA(plant, SAMPLE, 2, False, False)
+    z, acting = moved(plant, 1e4)
+    _, stages = motion.advance(z, *acting)
+    motion.linearize(np.array([z, z]), acting[[0, 1, 1]], np.array([stages, stages]), ALL)
+    near = z + 1e-6
+    exact, _ = motion.advance(near, *acting)
+    factorized = []
+    monkeypatch.setattr(motion._single, "factorize", lambda *_: factorized.append(1))
+    found, _ = motion.advance(near, acting[1], acting[1], stages)
+    assert not factorized
+    np.testing.assert_allclose(found, exact, rtol=0, atol=1e-12 * motion._size)

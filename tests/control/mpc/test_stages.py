@@ -20,12 +20,8 @@ from tenscontrol.control.mpc.stages import LeastDistance, LeastDistanceArrays
 from tenscontrol.dynamics.machine_code import compiler
 
 SAMPLE = 0.02
-KINDS = [
-    pytest.param(
-        LeastDistance, marks=pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
-    ),
-    LeastDistanceArrays,
-]
+needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
+KINDS = [pytest.param(LeastDistance, marks=needs_compiler), LeastDistanceArrays]
 both = pytest.mark.parametrize("kind", KINDS)
 
 
@@ -201,6 +197,34 @@ def test_random_programs(kind, N, ramp, limited, changes, hard):
     program.linearize(*plan, motion, rows)
     if found.plan is not None and kind is LeastDistance:
         assert program.solve(*at, np.inf).iterations == 0
+
+
+@needs_compiler
+@pytest.mark.parametrize("ramp", [False, True])
+def test_stages_of_a_plan_that_moved_on_stay_in_their_places(ramp):
+    """Kept are matrices, and costs within the tolerance; with none, all is as in a new one."""
+    N = 6
+    problem, bounds, row_bounds, plan, motion, rows, given = random_program(
+        1, N, ramp, True, True, False
+    )
+    exact, kept, near = (
+        LeastDistance(problem, row_bounds, 500, bounds, tolerance=tolerance)
+        for tolerance in (0.0, 0.0, 1e-3)
+    )
+    for program in (kept, near):
+        assert program.linearize(*plan, motion, rows)
+    rng, found = np.random.default_rng(5), []
+    for slope in motion.slopes:  # slot 0 takes the new sample
+        slope[0] = 0.4 * rng.normal(size=slope[0].shape)
+    fresh = np.arange(N) == N - 1
+    moved = StageJacobians(motion.values, motion.slopes, 1, fresh)
+    for program, data in ((exact, moved.in_order()), (kept, moved), (near, moved)):
+        assert program.linearize(*plan, data, rows)
+        answer = program.solve(*given, np.inf)
+        assert answer.status is Status.OK
+        found.append(answer.plan[1])
+    np.testing.assert_allclose(found[1], found[0], rtol=0, atol=1e-12)
+    assert np.abs(found[2] - found[0]).max() < 1e-2
 
 
 @both

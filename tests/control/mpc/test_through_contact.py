@@ -189,6 +189,12 @@ def test_places_that_the_coordinates_leave_out_are_refused():
         tc.KalmanFilter(plant, sensors, sample_time=SAMPLE, prediction="nonlinear")
 
 
+def test_derivatives_that_are_kept_are_refused():
+    plant = STRUCTURES["x"](height=0.05)
+    with pytest.raises(ValueError, match=r"linearization_tolerance is 0.1, and plant has ground"):
+        tc.NMPC(plant, horizon=3, sample_time=SAMPLE, linearization_tolerance=0.1)
+
+
 def test_ramps_are_refused():
     plant = STRUCTURES["x"](height=0.1)
     with pytest.raises(ValueError, match="winches ramp through a sample, and NMPC"):
