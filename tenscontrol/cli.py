@@ -229,13 +229,15 @@ def _modes(options: argparse.Namespace) -> None:
 
 def _view(options: argparse.Namespace) -> None:
     from tenscontrol.scene import load_scene
+    from tenscontrol.simulation import Trajectory, load_run
     from tenscontrol.web_page import plotly_js
 
     plotly_js()  # where it is missing, say so before the simulation
-    scene = load_scene(options.scene)
+    is_run = options.scene.suffix == ".npz"
+    source = load_run(options.scene) if is_run else load_scene(options.scene)
     folder = make_folder(options.output or Path(f"tenscontrol-{options.scene.stem}"))
     try:
-        run = scene.simulate(progress=True)
+        run = source if isinstance(source, Trajectory) else source.simulate(progress=True)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{options.scene}: {error}") from error
     page = run.to_html(folder / "view.html")

@@ -42,9 +42,11 @@ def _command(
     return parser
 
 
-def _add_scene(parser: argparse.ArgumentParser) -> None:
+def _add_scene(
+    parser: argparse.ArgumentParser, name: str = "SCENE", what: str = "scene file (TOML)"
+) -> None:
     """Add what all commands that read a scene have."""
-    parser.add_argument("scene", metavar="SCENE", type=Path, help="scene file (TOML)")
+    parser.add_argument("scene", metavar=name, type=Path, help=what)
     parser.add_argument(
         "--output",
         metavar="FOLDER",
@@ -153,12 +155,13 @@ def _add_view(commands: Any) -> None:
     view = _command(
         commands,
         "view",
-        "show the motion of a scene in the browser",
-        "Simulate a scene and write view.html, a page on which the motion is turned and\n"
-        "played. The page needs no network. Writing it needs the package plotly.",
+        "show the motion of a scene or a saved run in the browser",
+        "Simulate a scene, or load a run, and write view.html, a page on which the motion is\n"
+        "turned and played. The page needs no network. Writing it needs the package plotly.",
         "tenscontrol view six_bar_ball.toml",
+        "tenscontrol view tenscontrol-six_bar_ball/trajectory.npz",
     )
-    _add_scene(view)
+    _add_scene(view, "SCENE|RUN", "scene file (TOML), or saved run (npz)")
     view.add_argument(
         "--browser",
         action=argparse.BooleanOptionalAction,

@@ -123,14 +123,6 @@ def test_structures():
     assert ran("structures")["arm"].structure_class == 3
 
 
-def test_files(tmp_path, monkeypatch):
-    pytest.importorskip("xarray", reason="the extra tenscontrol[xarray] is not installed")
-    monkeypatch.chdir(tmp_path)
-    names = ran("files")
-    assert names["more"].time[0] == names["run"].time[-1] == 0.2
-    assert {path.name for path in tmp_path.iterdir()} == {"ball.toml", "run.npz", "run.csv"}
-
-
 def test_figures(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     run = ran("figures")["run"]

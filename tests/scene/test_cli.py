@@ -369,6 +369,17 @@ def test_view_writes_a_page_and_opens_it_only_when_asked(tmp_path, capsys, scene
     assert shown == [page.as_uri()]
 
 
+def test_view_shows_a_saved_run(tmp_path, capsys, scene):
+    run = tc.load_scene(scene).simulate()
+    file = run.save(tmp_path / "motion.npz")
+    assert main(["view", str(file), "--output", str(tmp_path)]) == 0
+    assert capsys.readouterr().out == f"{tmp_path / 'view.html'}\n"
+    assert (tmp_path / "view.html").read_text("utf-8") == run.to_html(
+        tmp_path / "b.html"
+    ).read_text("utf-8")
+    assert "none.npz" in refused(capsys, "view", tmp_path / "none.npz")
+
+
 def test_view_without_plotly_says_how_to_get_it(tmp_path, capsys, scene, monkeypatch):
     monkeypatch.setitem(sys.modules, "plotly.offline", None)
     said = refused(capsys, "view", scene, "--output", tmp_path)
