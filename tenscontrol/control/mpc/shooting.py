@@ -51,7 +51,8 @@ _IN_CACHE = 60_000
 _SOLVED = 1e-12
 _MOST_ROUNDS = 20
 
-# Derivatives from elsewhere are kept while each round moves by less than this part of the last.
+# Derivatives from elsewhere are kept while each round moves by less than this part of the last;
+# else the method begins again from no stages, with its own.
 _QUICK = 0.1
 
 # Then no equation is off by more than this, as accelerations that move places in a sample.
@@ -420,11 +421,13 @@ class RadauIIA(Discretization):
                 equations, slot = self._single, 0
                 self._differentiate(self._once, entries, np.arange(1), equations, np.arange(1))
             change = equations.solved(slot, np.tile(load, 3) - left[0]).reshape(found.shape)
-            found, last = found + change, moved
-            moved = np.abs(self._to_place @ change).max()
+            last, moved = moved, np.abs(self._to_place @ change).max()
+            if quick and not moved < max(_QUICK * last, _SOLVED * self._size):
+                quick, found = False, np.zeros_like(found)
+                continue
+            found = found + change
             if moved <= _SOLVED * self._size:
                 return self._ends(states, found)[0], found[0]
-            quick = quick and moved < _QUICK * last
         found = np.full_like(found, np.nan)
         return self._ends(states, found)[0], found[0]
 
@@ -525,7 +528,7 @@ class _StageEquations:
         self.by_state = np.zeros((count, s, size))  # Z, by places and speeds at the start
         self.by_input = np.zeros((count, a, 3, s // 2))  # U, of each stage
         self.to_end = np.zeros((count, s, size))  # what right-hand sides do to the end
-        self._factors = np.zeros((count, size, size))  # of M, with rows exchanged
+        self._factors = np.full((count, size, size), np.nan)  # of M, with rows exchanged
         self._rows = np.zeros((count, size), np.intc)
         self._combined = np.asfortranarray(to_end)
 

@@ -240,4 +240,17 @@ def test_a_step_from_the_stages_of_the_last_sample_is_the_same_step(monkeypatch)
     monkeypatch.setattr(motion._single, "factorize", lambda *_: factorized.append(1))
     found, _ = motion.advance(near, acting[1], acting[1], stages)
     assert not factorized
-    np.testing.assert_allclose(found, exact, rtol=0, atol=1e-12 * motion._size)
+    np.testing.assert_allclose(found, exact, rtol=0, atol=1e-10 * motion._size)
+
+
+def test_a_step_from_stages_that_are_far_off_takes_derivatives_of_its_own():
+    """Also where nothing was linearized, so that the equations of the plan have no solution."""
+    plant = plant_of(1e4)
+    z, acting = moved(plant, 1e4)
+    motion = RadauIIA(plant, SAMPLE, 2, False, False)
+    exact, stages = motion.advance(z, *acting)
+    far = stages + 10 * np.abs(stages).max()
+    for _ in range(2):
+        found, _ = motion.advance(z, *acting, far)
+        np.testing.assert_allclose(found, exact, rtol=0, atol=1e-10 * motion._size)
+        motion.linearize(np.array([0 * z, z]), acting[[0, 1, 1]], np.array([stages, far]), ALL)
