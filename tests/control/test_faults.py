@@ -324,7 +324,7 @@ def test_nmpc_begins_anew_where_its_plan_has_no_value(monkeypatch):
 
     def spoilt(*plan):
         motion, rows = linearize(*plan)
-        return (replace(motion, offset=np.nan * motion.offset) if failing[0] else motion), rows
+        return (replace(motion, values=np.nan * motion.values) if failing[0] else motion), rows
 
     monkeypatch.setattr(model, "linearize", spoilt)
     first = made.command(0.0, at.nodes, STILL)

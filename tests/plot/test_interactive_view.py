@@ -25,7 +25,7 @@ def test_what_cannot_be_viewed_is_refused(prism, free_run):
         tc.plot.view(3)
     with pytest.raises(ValueError, match=r"force_density is given, but shown is Trajectory"):
         tc.plot.view(free_run, force_density=5.0)
-    with pytest.raises(ValueError, match=r"force_density .* a string can only pull"):
+    with pytest.raises(ValueError, match=r"force_density.* a string can only pull"):
         tc.plot.view(prism, force_density=-1.0)
 
 

@@ -211,12 +211,15 @@ def test_a_run_is_played_scrubbed_turned_and_coloured(browser, tmp_path):
     before = browser.run(eye)
     browser.mouse("mouseMoved", 400, 400)
     browser.mouse("mousePressed", 400, 400, button="left", buttons=1, clickCount=1)
-    for k in range(1, 5):
-        browser.mouse("mouseMoved", 400 + 20 * k, 400, button="left", buttons=1)
+    seen = "plot._fullLayout.scene._scene.getCamera().eye.x"
+    for k in range(1, 40):  # a slow machine draws fewer frames between two moves
+        browser.mouse("mouseMoved", 400 + 5 * k, 400, button="left", buttons=1)
         browser.run(FRAMES)
-    browser.mouse("mouseReleased", 480, 400, button="left", clickCount=1)
+        if abs(browser.run(seen) - before) > 0.1:
+            break
+    browser.mouse("mouseReleased", 400 + 5 * k, 400, button="left", clickCount=1)
+    browser.wait(f"Math.abs({eye} - {before}) > 0.1")
     turned = browser.run(eye)
-    assert abs(turned - before) > 0.1
     state = browser.run("scrub.value")
     browser.wait(f"scrub.value !== {state!r}")  # the motion goes on, and the eye stays
     np.testing.assert_allclose(browser.run(eye), turned, rtol=1e-9)
