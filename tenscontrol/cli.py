@@ -299,7 +299,7 @@ def _accuracy(options: argparse.Namespace) -> None:
 
 
 def _growth(scene: Scene, options: argparse.Namespace) -> None:
-    """Measure the stops of the road on towers of growing size, and on the structure of a scene."""
+    """Measure each stage on towers of growing size, and on the structure of a scene."""
     from tenscontrol import plot
     from tenscontrol.accuracy import growth
 

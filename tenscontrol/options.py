@@ -208,7 +208,7 @@ def _add_accuracy(commands: Any) -> None:
     accuracy.add_argument(
         "--growth",
         action="store_true",
-        help="measure time and memory of each step from structure to control instead, on the "
+        help="measure time and memory of each stage from structure to control instead, on the "
         "structure of the scene and on towers of 12 to 100,788 members: growth.csv, growth.png",
     )
     accuracy.add_argument(
@@ -216,14 +216,14 @@ def _add_accuracy(commands: Any) -> None:
         metavar="S",
         type=float,
         default=60.0,
-        help="with --growth: largest processor time of a step, s (default: %(default)s)",
+        help="with --growth: largest processor time of a stage, s (default: %(default)s)",
     )
     accuracy.add_argument(
         "--memory",
         metavar="GB",
         type=float,
         default=4.0,
-        help="with --growth: largest memory of a step, GB (default: %(default)s)",
+        help="with --growth: largest memory of a stage, GB (default: %(default)s)",
     )
     printed = accuracy.add_mutually_exclusive_group()
     printed.add_argument("--csv", action="store_true", help="print CSV instead of the table")

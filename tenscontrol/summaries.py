@@ -92,7 +92,7 @@ def of_comparison(found: WorkPrecision) -> dict[str, Any]:
 
 
 def of_growth(own: Growth, towers: Growth) -> dict[str, Any]:
-    """Return time and memory of each stop, of a structure and of towers."""
+    """Return time and memory of each stage, of a structure and of towers."""
     return {
         "structure": [asdict(row) for row in own.rows],
         "towers": [asdict(row) for row in towers.rows],

@@ -1,4 +1,4 @@
-"""Processor time and memory of each step from structure to control, by number of members."""
+"""Processor time and memory of each stage from structure to control, by number of members."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _EXPONENTS, _FITTED = (1.0, 3.0), 4
 
 @dataclass(frozen=True)
 class StopCost:
-    """Processor time and memory of one step at one size. One of :attr:`Growth.rows`.
+    """Processor time and memory of one stage at one size. One of :attr:`Growth.rows`.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class StopCost:
     seconds : float
         Processor time of all threads, s; NaN if it was not run.
     memory : float
-        Largest memory of the process while it ran, less that before the first stop, bytes. NaN
+        Largest memory of the process while it ran, less that before the first stage, bytes. NaN
         where the system does not tell.
     note : str
         Why it was not run, or failed; else empty.
@@ -69,12 +69,12 @@ class StopCost:
 
 @dataclass(frozen=True, eq=False)
 class Growth:
-    """Processor time and memory of each step, by size. Made by :func:`growth`.
+    """Processor time and memory of each stage, by size. Made by :func:`growth`.
 
     Attributes
     ----------
     rows : tuple of StopCost
-        One for each stop and size.
+        One for each stage and size.
     """
 
     rows: tuple[StopCost, ...]
@@ -86,11 +86,11 @@ class Growth:
 
     @property
     def stops(self) -> tuple[str, ...]:
-        """The stops, in the order of the road."""
+        """The stages, from structure to control."""
         return tuple(dict.fromkeys(row.stop for row in self.rows))
 
     def of(self, stop: str) -> tuple[StopCost, ...]:
-        """Return what a stop costs, where it was run, in order of size.
+        """Return what a stage costs, where it was run, in order of size.
 
         Parameters
         ----------
@@ -115,7 +115,7 @@ class Growth:
         return _fitted([pair for pair in found if pair[1] >= least][-_FITTED:])
 
     def table(self) -> str:
-        """Return time and memory as text, one stop a line, and the exponents.
+        """Return time and memory as text, one stage a line, and the exponents.
 
         Returns
         -------
@@ -156,19 +156,19 @@ def growth(
     last: str = "MPC step",
     progress: bool = False,
 ) -> Growth:
-    """Return time and memory of each step: structure, prestress, plant, simulation, control.
+    """Return time and memory of each stage: structure, prestress, plant, simulation, control.
 
     Parameters
     ----------
     structures : sequence of Structure, or of functions that return one, optional
-        In order of size; functions are timed as the stop ``"structure"``. Towers of prisms of 12
+        In order of size; functions are timed as the stage ``"structure"``. Towers of prisms of 12
         to 100,788 members if not given.
     seconds : float
-        A stop is not run at a size where more processor time is foretold from smaller ones, s.
+        A stage is not run at a size where more processor time is foretold from smaller ones, s.
     memory : float
         The same for memory, bytes.
     last : str
-        The stop at which the road ends: ``"structure"``, ``"prestress search"``, ``"prestress
+        The last stage that is run: ``"structure"``, ``"prestress search"``, ``"prestress
         check"``, ``"stability"``, ``"linearize"``, ``"20 modes"``, ``"simulate"``, ``"reduce"``,
         ``"LQR"``, ``"LQR step"``, ``"MPC"`` or ``"MPC step"``.
     progress : bool
@@ -225,14 +225,14 @@ def growth(
 
 
 class _Road:
-    """One structure on its way: each stop keeps what later ones need."""
+    """One structure from stage to stage: each keeps what later ones need."""
 
     def __init__(self, maker: Structure | Callable[[], Structure]) -> None:
         self._maker = maker
         self._made: dict[str, Any] = {}
 
     def warm_up(self, stops: Sequence[str]) -> None:
-        """Import what some stops import."""
+        """Import what some stages import."""
         self._made["rest"] = prestress(prism_tower(2), _LEVEL)
         for stop in ("linearize", "reduce", "20 modes", "simulate", "LQR", "LQR step"):
             if stop in stops:
@@ -245,7 +245,7 @@ class _Road:
         return len(made.bars) + len(made.strings)
 
     def lacks(self, what: str) -> bool:
-        """Return whether an earlier stop has not made something, where there is something."""
+        """Return whether an earlier stage has not made something, where there is something."""
         return bool(what) and what not in self._made
 
     def structure(self) -> None:
@@ -297,7 +297,7 @@ class _Road:
 
 class _Stop(NamedTuple):
     run: Callable[[_Road], None]
-    needs: str = ""  # what an earlier stop makes
+    needs: str = ""  # what an earlier stage makes
 
 
 # What is done, in order.
@@ -322,7 +322,7 @@ _STOPS = MappingProxyType(
 def _measured(
     road: _Road, stop: str, rows: Sequence[StopCost], base: float, budget: tuple[float, float]
 ) -> StopCost:
-    """Run a stop and return what it costs, or why it is not run."""
+    """Run a stage and return what it costs, or why it is not run."""
     run, needs = _STOPS[stop]
     if road.lacks(needs):
         return StopCost(stop, road.members, NOT_KNOWN, NOT_KNOWN, "needs an earlier stop")
@@ -348,7 +348,7 @@ def _measured(
 
 
 def _beyond(before: Sequence[StopCost], members: int, budget: tuple[float, float]) -> str:
-    """Return why a stop is not run at a size, foretold from smaller ones, or nothing."""
+    """Return why a stage is not run at a size, foretold from smaller ones, or nothing."""
     run = [row for row in before if not np.isnan(row.seconds)]
     if not run:
         return ""
@@ -400,7 +400,7 @@ def _told(name: str) -> float | None:
 
 
 def _forget_peak() -> None:
-    """Let Linux count the largest memory anew; elsewhere it is that of all stops so far."""
+    """Let Linux count the largest memory anew; elsewhere it is that of all stages so far."""
     gc.collect()
     if sys.platform == "linux":
         with contextlib.suppress(AttributeError):  # musl has none

@@ -284,7 +284,7 @@ def long_run(result: LongRun, *, ax: Axes | None = None) -> Curves:
 
 
 def growth(result: Growth, quantity: str = "seconds", *, ax: Axes | None = None) -> Curves:
-    """Draw processor time or memory of each stop of the road over the number of members.
+    """Draw processor time or memory of each stage over the number of members.
 
     The legend has the exponent of each, and the grey dashed line is in proportion to the members.
 
