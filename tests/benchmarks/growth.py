@@ -1,4 +1,4 @@
-"""Processor time and memory of each stop from structure to control, from 12 members to 240,000.
+"""Processor time and memory of each stage from structure to control, from 12 members to 240,000.
 
 Run: ``python -m tests.benchmarks.growth``. Towers of prisms, 24 members a stage. A stop ends where
 more than the budget is foretold from smaller sizes. Then what the sparse ways of statics and modes
