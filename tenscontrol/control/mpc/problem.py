@@ -422,9 +422,9 @@ class Subproblem(ABC):
 
     solver_name: str
 
-    @abstractmethod
     def reset(self) -> None:
         """Forget the last solution, and all that was adapted to it."""
+        self.forget()
 
     @abstractmethod
     def forget(self) -> None:

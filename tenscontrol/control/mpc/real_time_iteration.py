@@ -208,13 +208,7 @@ def limited_rows(plant: LinearPlant, constraints: Constraints, at_end: bool = Fa
     z, u, later = ca.SX.sym("z", s), ca.SX.sym("u", a), ca.SX.sym("later", s)
     near, ahead = near_symbol(plant), near_symbol(plant)
     at = reduced_motion(plant, later, ahead) if at_end else reduced_motion(plant, z, near)
-    forces = string_forces(plant, plant.input, *at, model_input(plant, u))
-    kinds = {"force_density": forces[0], "tension": forces[1]}
-    shape = ca.vec(reduced_motion(plant, later, ahead)[0])
-    y = ca.vertcat(*(
-        kinds[block.quantity] if block.quantity else ca.mtimes(ca.DM(block.on_nodes), shape)
-        for block in constraints.blocks
-    ))  # fmt: skip
+    y = _row_values(plant, constraints, at, u, reduced_motion(plant, later, ahead)[0])
     parts = [y, *(ca.jacobian(y, by) for by in (z, u, later))]
     parts = settled(plant, later, ahead, settled(plant, z, near, parts))
     return ca.Function("rows", [z, u, later], ca.cse(parts))
@@ -232,13 +226,7 @@ def linked_rows(
     sizes = {"n": m, "rates": m, "u": a, "later": m, "faster": m}
     n, rates, u, later, faster = given = [ca.SX.sym(name, k) for name, k in sizes.items()]
     N, V, L = (ca.SX.sym(name, *plant.nodes.shape) for name in "NVL")
-    forces = string_forces(plant, plant.input, N, V, model_input(plant, u))
-    kinds = {"force_density": forces[0], "tension": forces[1]}
-    values = ca.vertcat(*(
-        kinds[block.quantity] if block.quantity
-        else ca.mtimes(ca.sparsify(ca.DM(block.on_nodes)), ca.vec(L))
-        for block in constraints.blocks
-    ))  # fmt: skip
+    values = _row_values(plant, constraints, (N, V), u, L)
     end = exact_motion(plant, later, faster)
     at = end if at_end else exact_motion(plant, n, rates)
     y, by_all = with_jacobian(values, N, V, u, L)(*at[:2], u, end[0])
@@ -252,6 +240,19 @@ def linked_rows(
     entries = [ca.densify(part.nz[:]) for part in transposed]
     function = ca.Function("rows", given, ca.cse([y, *entries]))
     return function, tuple(part.sparsity() for part in transposed)
+
+
+def _row_values(
+    plant: LinearPlant, constraints: Constraints, at: tuple[ca.SX, ca.SX], u: ca.SX, end: ca.SX
+) -> ca.SX:
+    """Return the limited rows: of strings at a motion, of nodes at the end of a sample."""
+    forces = string_forces(plant, plant.input, *at, model_input(plant, u))
+    kinds = {"force_density": forces[0], "tension": forces[1]}
+    return ca.vertcat(*(
+        kinds[block.quantity] if block.quantity
+        else ca.mtimes(ca.sparsify(ca.DM(block.on_nodes)), ca.vec(end))
+        for block in constraints.blocks
+    ))  # fmt: skip
 
 
 class RowSlopes:

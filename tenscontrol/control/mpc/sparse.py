@@ -299,7 +299,7 @@ class SparseSubproblem(Subproblem):
 
     def reset(self) -> None:
         """See :meth:`Subproblem.reset`."""
-        self.forget()
+        super().reset()
         self.solver.reset()
 
     def forget(self) -> None:

@@ -180,10 +180,6 @@ class LeastDistance(Subproblem):
         """Take the active limits of another one."""
         self._multipliers[:] = multipliers
 
-    def reset(self) -> None:
-        """See :meth:`Subproblem.reset`."""
-        self.forget()
-
     def forget(self) -> None:
         """See :meth:`Subproblem.forget`."""
         self._multipliers[:] = 0.0
@@ -261,10 +257,6 @@ class LeastDistanceArrays(Subproblem):
     def _of_all(self, matrices: FloatArray) -> FloatArray:
         """Return the matrices of all stages."""
         return np.broadcast_to(matrices, (self._problem.length, *matrices.shape[1:]))
-
-    def reset(self) -> None:
-        """See :meth:`Subproblem.reset`."""
-        self.forget()
 
     def forget(self) -> None:
         """See :meth:`Subproblem.forget`."""
