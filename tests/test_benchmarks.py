@@ -150,15 +150,15 @@ def test_batch(printed, monkeypatch):
 
 
 def test_ground_drop(printed):
-    text = printed("ground_drop", "--duration 0.4 --settings 3 --repeats 1 --plain")
-    errors = [row(text, "dop853 ", which)[1] for which in range(3)]
+    text = printed("ground_drop", "--duration 0.3 --settings 2 --repeats 1 --plain")
+    errors = [row(text, "dop853 ", which)[1] for which in range(2)]
     assert errors == sorted(errors, reverse=True)
     assert errors[-1] < 1e-4
     if find_spec("mujoco") is None:
         assert "mujoco rk4 does not take part: mujoco is not installed" in text
     else:
         assert "mujoco rk4 has a law of its own, contacts with linear damping" in text
-        own = [row(text, "mujoco rk4  ", which)[1] for which in range(3)]
+        own = [row(text, "mujoco rk4  ", which)[1] for which in range(2)]
         assert own[-1] < own[0] < 0.1
         assert float(re.search(r"the laws are (\S+) m apart", text)[1]) > own[-1]
 
@@ -311,8 +311,8 @@ def test_robustness(printed):
 
 
 def test_rolling(printed):
-    text = printed("rolling", "--count 1 --steps 1")
-    assert row(text, "steps") == row(text, "steps", 1) == [1, 1, 1, 1, 1]
+    text = printed("rolling", "--count 1 --steps 1 --slopes 5")
+    assert row(text, "steps") == [1, 1, 1, 1, 1]
     assert row(text, "slope of 5°: a command takes")[0] > 0
 
 
@@ -349,7 +349,7 @@ def test_error_against_time(printed):
 
 @needs("jax", "jax")
 def test_thrown_ball(printed):
-    text = printed("thrown_ball", "--plain --all --duration 0.5 --settings 2 --repeats 1")
+    text = printed("thrown_ball", "--plain --all --duration 0.3 --settings 2 --repeats 1")
     assert "order 8, tolerance 1e-13" in text
     for name, most in (("dop853", 1e-5), ("jax rk4", 1e-3), ("rattle6", 1e-2)):
         first, last = (row(text, f"{name} ", k)[1] for k in range(2))
