@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from math import ceil
 from time import perf_counter
 
@@ -56,10 +57,6 @@ def run_closed_loop(
     sample = _sample_time(controller, sample_time, loop.step)
     kept = 1500 + 48 * len(controller.commanded.strings)  # bytes of objects and numbers
     refuse_memory(f"sample_time is {sample:g} s", duration / sample, "samples", kept)
-    # In samples; whole, so that the same numbers are multiplied as in a run of one part.
-    begin = round(loop.now / sample)
-    if abs(loop.now / sample - begin) > 1e-9:
-        begin = loop.now / sample  # type: ignore[assignment]
     actuators = Actuators(loop, controller, winches, rest_length, sample, start)
     if start is None:
         controller.reset()
@@ -77,7 +74,7 @@ def run_closed_loop(
         )  # fmt: skip
         if start is not None:
             earlier = None if start.control is None else start.control.estimate
-            observation.go_on(earlier, start.held, round(begin))
+            observation.go_on(earlier, start.held, round(loop.now / sample))
     rows: list[tuple[float, Command, WinchMove, float, float | None, FloatArray]] = []
 
     def record() -> ControlRecord:
@@ -93,10 +90,8 @@ def run_closed_loop(
     # Of a subdivision, the nodes of its parent come first.
     seen = controller.structure.nodes.shape[1]
     loop.record = record
-    # The allowance keeps round-off from adding a last sample of no length.
-    until = loop.now + duration
-    for k in range(max(1, ceil(duration / sample - 1e-9))):
-        loop.now = (begin + k) * sample
+    for number, begin, end in samples(sample, duration, loop.now):
+        loop.now = begin
         if np.abs(state).max() > LARGEST:
             raise loop.stopped(f"the motion has run away, beyond {LARGEST:g} in m and m/s")
         N, V = loop.motion(state)
@@ -120,12 +115,11 @@ def run_closed_loop(
         check()  # a command that was interrupted is not applied
         move = actuators.begin(command, N, loop.faults.stuck(moment))
         rows.append((loop.now, command, move, taken, controller.prediction_error, N[:, :seen]))
-        end = min(loop.now + sample, until)
-        whole = end - loop.now
+        whole = end - begin
         try:
             for i in range(1, actuators.ticks + 1):
                 held = actuators.tick(i, state, loop.now)
-                until_tick = (begin + k + i / actuators.ticks) * sample
+                until_tick = (number + i / actuators.ticks) * sample
                 span = (end if i == actuators.ticks else min(until_tick, end)) - loop.now
                 if span > 1e-9 * whole:  # not round-off
                     state = loop.run(state, held, span)
@@ -134,6 +128,20 @@ def run_closed_loop(
             controller.applied(actuators.applied_input(N))
             if observation is not None:
                 observation.predict(actuators.reached, actuators.held)
+
+
+def samples(
+    sample: float, duration: float, now: float = 0.0
+) -> Iterator[tuple[float, float, float]]:
+    """Yield number, start and end of each sample, s, of a run that goes on for a duration."""
+    # Whole, so that the same numbers are multiplied as in a run of one part.
+    first: float = round(now / sample)
+    if abs(now / sample - first) > 1e-9:
+        first = now / sample
+    # The allowance keeps round-off from adding a last sample of no length.
+    for k in range(max(1, ceil(duration / sample - 1e-9))):
+        start = (first + k) * sample
+        yield first + k, start, min(start + sample, now + duration)
 
 
 def _control_record(

@@ -12,6 +12,7 @@ import numpy as np
 
 from tenscontrol.dynamics import Model, Pieces, weights
 from tenscontrol.plant import held_value
+from tenscontrol.simulation.closed_loop import samples
 from tenscontrol.simulation.simulate import (
     changes_in_time,
     checked_inputs,
@@ -268,12 +269,10 @@ class BatchInputs:
             parts.append(Pieces.constant(np.zeros(self.given["load"].shape[1])))
         return Pieces.stacked(parts)
 
-    def spans(
-        self, output_step: float | None, samples: list[tuple[float, float]] | None = None
-    ) -> list[InputSpan]:
+    def spans(self, output_step: float | None, sample_time: float | None = None) -> list[InputSpan]:
         """Return the parts of the run in which inputs are one polynomial, as a single run has.
 
-        Under a controller these are its samples: start and length of each.
+        Under a controller these are its samples.
         """
         pieces, now, left = self.pieces, 0.0, self.duration
         close = 1e-9 * self.duration
@@ -282,14 +281,17 @@ class BatchInputs:
         def outputs_of(length: float) -> int:
             return 1 if output_step is None else max(1, ceil(length / output_step - 1e-9))
 
-        if samples is not None:
+        if sample_time is not None:
             if pieces.degree or pieces.breaks(close, self.duration - close):
                 raise ValueError(
                     "external_force changes in time, which many runs under a controller do not "
                     "follow: simulate does"
                 )
             held = pieces.piece(close)[1]
-            return [InputSpan(*part, outputs_of(part[1]), held, None) for part in samples]
+            return [
+                InputSpan(start, end - start, outputs_of(end - start), held, None)
+                for _, start, end in samples(sample_time, self.duration)
+            ]
         for end in [*pieces.breaks(close, self.duration - close), None]:
             length = left if end is None else end - now
             origin, coefficients = pieces.piece(now + close)

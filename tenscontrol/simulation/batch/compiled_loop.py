@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-from math import ceil
 from typing import Protocol, cast, runtime_checkable
 
 import numpy as np
@@ -49,13 +48,6 @@ def checked_controller(controller: object, model: Model) -> Controller:
     return controller
 
 
-def samples(controller: Controller, duration: float) -> list[tuple[float, float]]:
-    """Return the start and the length of each sample, s, as in a single run."""
-    sample = cast(float, controller.sample_time)
-    count = max(1, ceil(duration / sample - 1e-9))
-    return [(k * sample, min(k * sample + sample, duration) - k * sample) for k in range(count)]
-
-
 class CompiledLoops:
     """The controllers of the runs of a block: one each, for one thread."""
 
@@ -91,10 +83,8 @@ class CompiledLoops:
         motion[:, 0] = self._nodes
         motion[:, 0, self._free], motion[:, 1, self._free] = states[:, :half], states[:, half:]
         found, failed = np.zeros((runs, self._count)), np.zeros(runs, dtype=bool)
-        start, row, end, width = motion.ctypes.data, motion[0].nbytes, found.ctypes.data, 8
         for i, place in enumerate(places.tolist()):
-            at = start + i * row
-            failed[i] = self._commands[place](
-                time, at, at + row // 2, end + i * width * self._count
-            )
+            at = motion.ctypes.data + i * motion.strides[0]
+            to = found.ctypes.data + i * found.strides[0]
+            failed[i] = self._commands[place](time, at, at + motion.strides[1], to)
         return found, failed

@@ -38,7 +38,6 @@ from tenscontrol.simulation.batch.compiled_loop import (
     MOST_CONTROLLERS,
     CompiledLoops,
     checked_controller,
-    samples,
 )
 from tenscontrol.structure import Structure
 from tenscontrol.validation import (
@@ -284,8 +283,9 @@ class _Runner:
     ) -> None:  # fmt: skip
         structure = scene.model.structure
         self.scene, self.how, self.kept, self._controller = scene, how, kept, controller
-        within = None if controller is None else samples(controller, scene.duration)
-        self.spans, self.done, self._stop = scene.spans(output_step, within), 0, ctypes.c_int(0)
+        sample_time = None if controller is None else controller.sample_time
+        self.spans = scene.spans(output_step, sample_time)
+        self.done, self._stop = 0, ctypes.c_int(0)
         self._ends_alone = output_step is None
         ends = [span.times for span in self.spans]
         times = [self.spans[-1].times[-1:]] if self._ends_alone else ends
