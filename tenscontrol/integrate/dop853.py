@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
+from math import factorial
 from typing import Any, final
 
 import casadi as ca
@@ -13,11 +15,12 @@ from tenscontrol.integrate.dop853_loop import loop_source
 from tenscontrol.integrate.events import (
     POLISHES,
     SAMPLES,
+    approached,
     crossing,
     distance,
     interpolant,
-    landing,
     room_inside,
+    search,
     switch_on_interpolant,
     switching,
     taut_strings,
@@ -61,8 +64,14 @@ _STABLE = 4.0
 # What ending late at a switch may change of velocities, as part of what a step may err.
 _LATE = 0.003
 
+# Steps end at a switch on their interpolant where it errs less than this part of what they may err.
+_SMOOTH = 0.3
+
 # Switches in a row without any time between them, at most.
 _MOST_STALLS = 50
+
+# What is known of a switch that was found; see search().
+_SWITCH = 6
 
 # What a turn carries beside x, its slope and taut.
 _CARRIED: tuple[str, ...] = ("time", "step", "stuck", "stalls", "tries", "rejections")
@@ -201,15 +210,15 @@ def _compiled_turns(
     n = equation.states
     sizes = {
         "STATES": n, "INPUTS": equation.inputs, "SWITCHES": equation.switches,
-        "DEGREE": equation.layout.degree, "TURNS": count, "RECORD": 2 + n * (1 + _POWERS),
+        "DEGREE": equation.layout.degree, "TURNS": count, "RECORD": 3 + n * (1 + _POWERS),
         "POLISHES": POLISHES, "MOST_STALLS": _MOST_STALLS,
         "SAMPLES": SAMPLES, "ZOOMS": zooms(equation),
     }  # fmt: skip
     numbers = {
         "SAFETY": _SAFETY, "LEAST": _LEAST, "MOST": _MOST, "ORDER": _ORDER, "STABLE": _STABLE,
-        "SHORTEST": _SHORTEST, "TWICE_LATE": 2 * _LATE, "MORE": 1 + 1e-14,
+        "SHORTEST": _SHORTEST, "TWICE_LATE": 2 * _LATE, "MORE": 1 + 1e-14, "SMOOTH": _SMOOTH,
     }  # fmt: skip
-    source = loop_source(functions, sizes, numbers, _CARRIED, _coefficients())
+    source = loop_source(functions, sizes, numbers, _CARRIED, _coefficients(), _interpolant_error())
     return compiled_source(source, ("turns", "largest", "exact")), "machine code"
 
 
@@ -217,6 +226,31 @@ def _coefficients() -> Any:
     from scipy.integrate import DOP853
 
     return DOP853
+
+
+@cache
+def _interpolant_error() -> FloatArray:
+    """Return what the interpolant errs at a part of a step, as part of the error estimate.
+
+    Of an equation that is linear, at the leading order: both are then the same multiple of h⁸.
+    Coefficients of the polynomial in the part, from the lowest on.
+    """
+    method, count = _coefficients(), _STAGES + 1 + _MORE_STAGES
+    A = np.zeros((count, count))
+    A[:_STAGES, :_STAGES], A[_STAGES, :_STAGES] = method.A, method.B
+    A[_STAGES + 1 :] = method.A_EXTRA
+    # Slopes of the stages at each order of h, from 0 to 7.
+    slopes = [np.linalg.matrix_power(A, order) @ np.ones(count) for order in range(_ORDER)]
+    last, s = slopes[-1], np.polynomial.Polynomial([0.0, 1.0])
+    step = method.B @ last[:_STAGES]
+    found = np.polynomial.Polynomial([0.0])
+    made = [step, last[0] - step, 2 * step - last[0] - last[_STAGES], *(method.D @ last)]
+    for k in reversed(range(_POWERS)):
+        found = (found + made[k]) * (1 - s if k % 2 else s)
+    third, fifth = (e @ slopes[k][: _STAGES + 1] for e, k in ((method.E3, 3), (method.E5, 5)))
+    true = s**_ORDER / factorial(_ORDER)
+    error: FloatArray = ((true - found) * 0.1 * abs(third) / fifth**2).coef
+    return error
 
 
 def _work(told: dict[str, float]) -> Work:
@@ -240,7 +274,7 @@ def _interpolate(recorded: FloatArray, times: FloatArray, states: FloatArray, do
     if not made.size:
         return done
     # A step that reaches a time but for round-off, as one to a switch may, was recorded for it.
-    ends = recorded[made, :2].sum(axis=1) * (1 + 2e-14)
+    ends = (recorded[made, 0] + recorded[made, 2]) * (1 + 2e-14)
     reached = int(np.searchsorted(times, ends[-1], side="right"))
     now = times[done:reached]
     within = recorded[made[np.minimum(np.searchsorted(ends, now), len(ends) - 1)]]
@@ -249,7 +283,7 @@ def _interpolate(recorded: FloatArray, times: FloatArray, states: FloatArray, do
     for i in range(_POWERS):
         end = within.shape[1] - i * n
         value = (value + within[:, end - n : end]) * (part if i % 2 == 0 else 1 - part)
-    states[:, done:reached] = (value + within[:, 2 : 2 + n]).T
+    states[:, done:reached] = (value + within[:, 3 : 3 + n]).T
     return reached
 
 
@@ -279,13 +313,13 @@ class _Turn:
         self._h, self._x1, self._f1, self._error = _symbols(("h", "x1", "f1", "e"), (1, n, n, 1))
         self._K = ca.MX.sym("K", n, _STAGES + 1)
         self._step = [self._h, self._x1, self._f1, self._error, self._K]
-        self._nothing = ca.DM.zeros(2 + n * (1 + _POWERS))
+        self._nothing = ca.DM.zeros(3 + n * (1 + _POWERS))
 
     def function(self) -> ca.Function:
         """Return ``(z, given) -> (z, record)``, for ``mapaccum``.
 
-        The record is the time at which the step began, its length, x there, and
-        the coefficients of its interpolant; zeros where no output lies in it.
+        The record is the time at which the step began, the length of its interpolant, how much
+        of that was taken, x there, and the coefficients; zeros where no output lies in it.
         """
         z, given = ca.MX.sym("z", sum(self._sizes)), ca.MX.sym("given", sum(self._given_sizes))
         carried = ca.vertsplit(z, _ends(self._sizes))
@@ -336,32 +370,66 @@ class _Turn:
 
     def _cut(self) -> ca.Function:
         x, f, taut = self._carried[:3]
-        n, u = self._equation.states, self._input
-        land = landing(self._method.trial(), self._equation)
+        u, h, equation = self._input, self._h, self._equation
         # What ending late may change of velocities, as part of what a step may err; see landing().
-        allowed = 2 * _LATE * self._scale[n - 1] * (self._longest / _STABLE) ** 2
-        y, y1 = ca.vertcat(x, f), ca.vertcat(self._x1, self._f1, ca.vec(self._K))
-        y2, taut2, taken, switched, tries = land(y, taut, u, self._h, y1, f, self._f1, allowed)
-        x2, f2, K2 = y2[:n], y2[n : 2 * n], ca.reshape(y2[2 * n :], n, _STAGES + 1)
+        speed = self._scale[equation.states - 1]
+        allowed = 2 * _LATE * speed * (self._longest / _STABLE) ** 2
+        found = search(equation)(x, taut, u, h, self._x1, f, self._f1, allowed)
+        switch = [ca.MX.sym("switch", each.sparsity()) for each in found]
+        inputs = [*self._inputs, *self._step, *switch]
+        errs = self._error * ca.fabs(ca.polyval(ca.DM(_interpolant_error()[::-1]), found[1]))
+        choose = ca.Function.if_else("where", self._cut_inside(inputs), self._cut_by_steps(inputs))
+        is_inside = ca.logic_and(found[0], errs < _SMOOTH)
+        outputs = choose(is_inside, *inputs[: -len(switch)], *found)
+        return ca.Function("cut", inputs[: -len(switch)], list(outputs))
+
+    def _cut_inside(self, inputs: list[Any]) -> ca.Function:
+        """Return the branch of a step that ends at a switch on its interpolant."""
+        x, f, taut = self._carried[:3]
+        u, h, switch = self._input, self._h, inputs[-_SWITCH:]
+        made = ca.vec(self._interpolant(x, self._x1, f, self._f1, self._K, u, taut, h))
+        approach = approached(self._method.inside(), self._equation)
+        y = ca.vertcat(x, made, h)
+        x2, taut2, taken, switched, _ = approach(y, taut, u, h, self._x1, *switch)
         time = self._after(taken)
+        needed = self._needed(time)
+        record = ca.vertcat(self._numbers[0], h * needed, taken, x, made)
+        return self._landed(inputs, x2, taut2, taken, switched, record, interpolants=1)
+
+    def _cut_by_steps(self, inputs: list[Any]) -> ca.Function:
+        """Return the branch of a step that ends at a switch, found by true steps."""
+        x, f, taut = self._carried[:3]
+        n, u, switch = self._equation.states, self._input, inputs[-_SWITCH:]
+        approach = approached(self._method.trial(), self._equation)
+        y, y1 = ca.vertcat(x, f), ca.vertcat(self._x1, self._f1, ca.vec(self._K))
+        y2, taut2, taken, switched, tries = approach(y, taut, u, self._h, y1, *switch)
+        x2, f2, K2 = y2[:n], y2[n : 2 * n], ca.reshape(y2[2 * n :], n, _STAGES + 1)
+        record, made = self._recorded(x, x2, f, f2, K2, self._after(taken), taken)
+        return self._landed(
+            inputs, x2, taut2, taken, switched, record, interpolants=made, approaches=tries
+        )
+
+    def _landed(
+        self, inputs: list[Any], x: Any, taut: Any, taken: Any, switched: Any, record: Any,
+        **counted: Any,
+    ) -> ca.Function:  # fmt: skip
+        """Return the branch of a step cut at a switch, where it ends in x."""
         # Strings that switch again and again while no time passes.
         stalled = taken < _SHORTEST * self._duration
         stalls = ca.if_else(stalled, self._numbers[_CARRIED.index("stalls")] + 1, 0)
-        record, made = self._recorded(x, x2, f, f2, K2, time, taken)
         numbers = self._counted(
-            time=time,
+            time=self._after(taken),
             step=self._h * ca.fmin(self._factor(), 1),
             tries=1,
             landings=1,
-            approaches=tries,
             switches=switched,
-            interpolants=made,
             stalls=stalls,
             stuck=stalls > _MOST_STALLS,
+            **counted,
         )
         # The slope jumps with the strings.
-        f2 = self._equation.slope(x2, self._equation.ahead(u, taken), taut2)
-        return self._branch("cut", [x2, f2, taut2, *numbers], record)
+        f = self._equation.slope(x, self._equation.ahead(self._input, taken), taut)
+        return self._branch("landed", [x, f, taut, *numbers], record, inputs)
 
     def _branch(
         self, name: str, state: list[Any], record: Any, inputs: list[Any] | None = None
@@ -389,11 +457,16 @@ class _Turn:
         left_out = ca.Function("left_out", inputs, [ca.DM.zeros(made.shape)])
         made = ca.Function("made", inputs, [made])
         choose = ca.Function.if_else("interpolant_or_not", made, left_out)
-        # The end of the span needs no interpolant.
+        needed = self._needed(after)
+        return ca.vertcat(time, h * needed, h, choose(needed, *values)), needed
+
+    def _needed(self, after: Any) -> Any:
+        """Return whether an output lies in a step that ends at a time."""
+        time = self._numbers[0]
         until, since = (ca.floor(t / self._spacing * (1 + 1e-14)) for t in (after, time))
+        # The end of the span needs no interpolant.
         inside = ca.logic_or(after < self._duration, time + self._spacing < after)
-        needed = ca.logic_and(until > since, inside)
-        return ca.vertcat(time, h * needed, choose(needed, *values)), needed
+        return ca.logic_and(until > since, inside)
 
     def _counted(self, **changes: Any) -> list[Any]:
         """Return the numbers carried: those given replaced, the counts added to."""
@@ -445,6 +518,20 @@ class _DormandPrince:
         y = ca.MX.sym("y", 2 * x.shape[0])
         end = stages(*ca.vertsplit(y, x.shape[0]), u, taut, h)
         return ca.Function("trial", [y, u, taut, h], [end])
+
+    def inside(self) -> ca.Function:
+        """Return ``([x; coefficients; h], u, taut, taken) -> x1`` on the interpolant of a step."""
+        x, _, u, taut, taken = self._inputs
+        n = x.shape[0]
+        y = ca.MX.sym("y", (1 + _POWERS) * n + 1)
+        *made, h = ca.vertsplit(y, [*range(0, (2 + _POWERS) * n, n), y.shape[0]])
+        value, part = ca.MX.zeros(n), taken / h
+        for k in range(_POWERS, 0, -1):
+            value = (value + made[k]) * (part if k % 2 else 1 - part)
+        end = made[0] + value
+        return ca.Function(
+            "inside", [y, u, taut, taken], [end if self._project is None else self._project(end)]
+        )
 
     def tried(self) -> ca.Function:
         """Return ``(x, f, u, taut, h, scale) -> (x1, f1, error, K)``.

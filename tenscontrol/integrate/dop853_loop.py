@@ -23,13 +23,15 @@ def loop_source(
     numbers: Mapping[str, float],
     carried: Sequence[str],
     method: Any,
+    share: Sequence[float],
 ) -> str:
     """Return the C text of ``turns(z, given) -> (z, records)``, of ``largest`` and of ``exact``.
 
     The first is many turns of :class:`DOP853`, the second is the last of ``functions``, by which
     the largest frequency is found, the third makes bars rigid, if one of them does. ``functions``
     are called by name, ``sizes`` and ``numbers`` are constants of the text, ``carried``
-    names the numbers in z, and ``method`` has the coefficients.
+    names the numbers in z, ``method`` has the coefficients, and ``share`` is the polynomial of what
+    the interpolant errs.
     """
     n, switches, inputs = (sizes[name] for name in ("STATES", "SWITCHES", "INPUTS"))
     kernels = ca.CodeGenerator("kernels", {"with_header": False})
@@ -50,10 +52,12 @@ def loop_source(
         **{f"{name.upper()}_SIZE": size for name, size in memory.items()},
         "END_SLOPE": f"({first - 1} * STATES)",
         "SLOPES": f"({slopes} * STATES)",
-        "WORK": memory["w"] + (2 * slopes + 5) * n + 2 * inputs + 5 * switches,
+        "COEFFICIENTS": len(method.D) + 3,
+        "WORK": memory["w"] + (2 * slopes + 8 + len(method.D)) * n + 2 * inputs + 5 * switches,
         **{f"HAS_{each.name().upper()}": 1 for each in functions},
     }
     parts = {
+        "share": _horner(share, "wanted"),
         "stages": _stages(method.A[1:], method.C[1:], 1),
         "end": _sum(method.B),
         "fifth": _sum(method.E5),
@@ -84,6 +88,14 @@ def _sum(weights: Any) -> str:
     return " + ".join(f"K[{k} * STATES + i] * {a!r}" for k, a in used)
 
 
+def _horner(coefficients: Sequence[float], variable: str) -> str:
+    """Return the C expression of a polynomial, given by its coefficients from the lowest on."""
+    *lower, text = (repr(float(a)) for a in coefficients)
+    for each in reversed(lower):
+        text = f"({each} + {variable} * {text})"
+    return text
+
+
 def _stages(weights: Any, times: Any, first: int) -> str:
     """Return the C lines of stages, each a state within the step and its slope."""
     return "\n".join(
@@ -94,6 +106,10 @@ def _stages(weights: Any, times: Any, first: int) -> str:
 
 
 _TEXT = """\
+#ifndef HAS_PROJECT
+#define project(arg, res, iw, w, mem) (memcpy(res[0], arg[0], STATES * sizeof(double)), 0)
+#endif
+
 typedef struct {
   casadi_int *iw;
   double *w, *y, *later;
@@ -114,21 +130,20 @@ static void of_slope(const double *x, const double *u, const double *taut, doubl
   slope(arg, res, m->iw, m->w, 0);
 }
 
+/* A state of bars that keep their lengths. */
+static void of_rigid(const double *y, double *to, const Memory *m) {
+  const double *arg[ARG_SIZE] = {y};
+  double *res[RES_SIZE] = {to};
+  project(arg, res, m->iw, m->w, 0);
+}
+
 /* A step from x with slope K[0]: its end, and the slopes of all stages in K. */
 static void step_of(const double *x, const double *u, const double *taut, double h,
                     double *restrict x1, double *restrict K, const Memory *m) {
   double *restrict y = m->y;
 %(stages)s
-  for (int i = 0; i < STATES; ++i) x1[i] = x[i] + h * (%(end)s);
-#ifdef HAS_PROJECT
-  {
-    const double *arg[ARG_SIZE];
-    double *res[RES_SIZE];
-    memcpy(y, x1, STATES * sizeof(double));
-    arg[0] = y; res[0] = x1;
-    project(arg, res, m->iw, m->w, 0);
-  }
-#endif
+  for (int i = 0; i < STATES; ++i) y[i] = x[i] + h * (%(end)s);
+  of_rigid(y, x1, m);
 }
 
 static double error_of(const double *K, const double *scale, double h) {
@@ -146,20 +161,17 @@ static double factor_of(double error) {
   return fmin(fmax(SAFETY * pow(fmax(error, 1e-16), -1 / ORDER), LEAST), MOST);
 }
 
-/* The record of a step, zero long if no output lies in it; whether one does. K has no slope at the
-   end of a step that was cut. */
-static int record(const double *x, const double *x1, double *restrict K, const double *u,
-                  const double *taut, double h, double time, double after, int cut,
-                  const double *span, double *restrict to, const Memory *m) {
-  const double duration = span[0], spacing = span[1], *f = K, *f1 = K + END_SLOPE;
+/* Whether an output lies in a step. */
+static int is_asked(double time, double after, double duration, double spacing) {
   const double until = floor(after / spacing * MORE), since = floor(time / spacing * MORE);
-  const int needed = until > since && (after < duration || time + spacing < after);
-  double *restrict y = m->y, *restrict made = to + 2 + STATES;
-  to[0] = time;
-  to[1] = h * needed;
-  if (!needed) return 0;
-  if (cut) of_slope(x1, ahead(u, 1.0 * h, m), taut, K + END_SLOPE, m);
-  memcpy(to + 2, x, STATES * sizeof(double));
+  return until > since && (after < duration || time + spacing < after);
+}
+
+/* The coefficients of the interpolant of a step. */
+static void interpolate(const double *x, const double *x1, double *restrict K, const double *u,
+                        const double *taut, double h, double *restrict made, const Memory *m) {
+  const double *f = K, *f1 = K + END_SLOPE;
+  double *restrict y = m->y;
 %(extra)s
   for (int i = 0; i < STATES; ++i) {
     const double step = x1[i] - x[i];
@@ -168,7 +180,20 @@ static int record(const double *x, const double *x1, double *restrict K, const d
     made[2 * STATES + i] = 2 * step - h * (f1[i] + f[i]);
   }
 %(dense)s
-  return 1;
+}
+
+/* The state on the interpolant of a step of length h. */
+static void inside(const double *x, const double *made, double h, double taken, double *to,
+                   const Memory *m) {
+  const double part = taken / h;
+  double *y = m->y;
+  for (int i = 0; i < STATES; ++i) {
+    double value = 0;
+    for (int k = COEFFICIENTS - 1; k >= 0; --k)
+      value = (value + made[k * STATES + i]) * (k %% 2 ? 1 - part : part);
+    y[i] = x[i] + value;
+  }
+  of_rigid(y, to, m);
 }
 
 #ifdef HAS_CROSSING
@@ -203,9 +228,11 @@ static int zoom(const double **arg, double *low, double *high, double *rooms, co
   return least < 0;
 }
 
-/* Ends a step at its first switch: its part, and x1 and K there; taut goes over to what follows. */
+/* Ends a step at its first switch: its part, and x1 there; taut goes over to what follows. It ends
+   on the interpolant where that is good enough, else by steps to the switch. */
 static double land(const double *x, double *taut, const double *u, double h, double *x1, double *K,
-                   double *K1, double allowed, double *strings, double *now, const Memory *m) {
+                   double *made, int *is_inside, double error, double allowed, double *strings,
+                   double *now, const Memory *m) {
   const double *arg[ARG_SIZE], *end;
   double *res[RES_SIZE], found = 0, wanted = 0, speed = 0, aim = 0, switched = 0;
   double part = 0, gap_before = 0, low = 0, high = 1, *chosen = strings;
@@ -219,13 +246,20 @@ static double land(const double *x, double *taut, const double *u, double h, dou
   arg[4] = &low; arg[5] = &high; arg[6] = &found; arg[7] = &allowed;
   res[0] = &wanted; res[1] = &speed; res[2] = &aim; res[3] = chosen; res[4] = leaving;
   first_out(arg, res, m->iw, m->w, 0);
-  memcpy(K1, K, STATES * sizeof(double));
+  *is_inside = error * fabs(%(share)s) < SMOOTH;
+  if (*is_inside) {
+    interpolate(x, x1, K, u, taut, h, made, m);
+    now[INTERPOLANTS] += 1;
+  }
   for (int tried = 0; tried < POLISHES; ++tried) {
     double gap = 0, secant, before = part;
     int apart;
     if (taken && !(fabs(gap_before - aim) > fabs(aim))) break;
     part = fmin(fmax(speed < 0 ? wanted : 0, 0), 1);
-    step_of(x, u, taut, part * h, x1, K1, m);
+    if (*is_inside)
+      inside(x, made, h, part * h, x1, m);
+    else
+      step_of(x, u, taut, part * h, x1, K, m);
     end = ahead(u, part * h, m);
     arg[0] = x1; arg[1] = end; arg[2] = taut; arg[3] = chosen; res[0] = &gap;
     distance(arg, res, m->iw, m->w, 0);
@@ -236,12 +270,11 @@ static double land(const double *x, double *taut, const double *u, double h, dou
     gap_before = gap;
     ++taken;
   }
-  memcpy(K, K1, END_SLOPE * sizeof(double));
   arg[0] = x1; arg[1] = ahead(u, part * h, m); arg[2] = taut; arg[3] = leaving;
   res[0] = strings + 2 * SWITCHES; res[1] = &switched;
   switching(arg, res, m->iw, m->w, 0);
   memcpy(taut, strings + 2 * SWITCHES, SWITCHES * sizeof(double));
-  now[APPROACHES] += taken;
+  if (!*is_inside) now[APPROACHES] += taken;
   now[SWITCHED] += switched;
   return part * h;
 }
@@ -257,9 +290,6 @@ EXPORTED int largest(const double **arg, double **res, casadi_int *iw, double *w
   return frequency(given, to, own, w, mem);
 }
 
-#ifndef HAS_PROJECT
-#define project(arg, res, iw, w, mem) (memcpy(res[0], arg[0], STATES * sizeof(double)), 0)
-#endif
 EXPORTED int exact(const double **arg, double **res, casadi_int *iw, double *w, int mem) {
   const double *given[ARG_SIZE] = {arg[0]};
   double *to[RES_SIZE] = {res[0]};
@@ -272,22 +302,22 @@ EXPORTED int turns(const double **arg, double **res, casadi_int *iw, double *w, 
   const double *input = arg[1], *span = input + INPUTS, longest = span[2], *scale = span + 3;
   const double duration = span[0];
   double *z = res[0], *x = z, *f = z + STATES, *taut = f + STATES, *now = taut + SWITCHES;
-  double *x1, *K, *K1, *started, *begun, *strings;
+  double *x1, *K, *made, *started, *begun, *strings;
   casadi_int own[IW_SIZE];
   int kept = 0;
   Memory memory = {own, w, w + W_SIZE, 0}, *m = &memory;
   (void)iw;
   (void)mem;
-  K = m->y + STATES; K1 = K + SLOPES; x1 = K1 + SLOPES; begun = x1 + STATES;
+  K = m->y + STATES; made = K + SLOPES; x1 = made + COEFFICIENTS * STATES; begun = x1 + STATES;
   m->later = begun + SWITCHES; started = m->later + INPUTS; strings = started + INPUTS;
-  (void)K1; (void)strings;
+  (void)strings;
   memcpy(z, arg[0], (2 * STATES + SWITCHES + NUMBERS) * sizeof(double));
   for (int turn = 0; turn < TURNS && now[TIME] < duration && !now[STUCK]; ++turn) {
     const double time = now[TIME];
     const double h = fmin(fmin(now[STEP], longest), duration - time);
     const double *u = input;
     double taken = h, after, error;
-    int made, crossed = 0;
+    int crossed = 0, is_inside = 0;
     if (DEGREE) {
       memcpy(started, ahead(input, time, m), INPUTS * sizeof(double));
       u = started;
@@ -310,14 +340,21 @@ EXPORTED int turns(const double **arg, double **res, casadi_int *iw, double *w, 
     if (crossed) {
       const double reach = longest / STABLE;
       const double allowed = TWICE_LATE * scale[STATES - 1] * (reach * reach);
-      taken = land(x, taut, u, h, x1, K, K1, allowed, strings, now, m);
+      taken = land(x, taut, u, h, x1, K, made, &is_inside, error, allowed, strings, now, m);
     }
 #endif
     after = taken >= duration - time ? duration : time + taken;
-    made = record(x, x1, K, u, begun, taken, time, after, crossed, span,
-                  res[1] + kept * RECORD, m);
-    kept += made;
-    now[INTERPOLANTS] += made;
+    if (is_asked(time, after, duration, span[1])) {
+      double *to = res[1] + kept++ * RECORD;
+      if (!is_inside) {
+        if (crossed) of_slope(x1, ahead(u, 1.0 * taken, m), begun, K + END_SLOPE, m);
+        interpolate(x, x1, K, u, begun, taken, made, m);
+        now[INTERPOLANTS] += 1;
+      }
+      to[0] = time; to[1] = is_inside ? h : taken; to[2] = taken;
+      memcpy(to + 3, x, STATES * sizeof(double));
+      memcpy(to + 3 + STATES, made, COEFFICIENTS * STATES * sizeof(double));
+    }
     now[TIME] = after;
     now[STEP] = h * (crossed ? fmin(factor_of(error), 1) : factor_of(error));
     memcpy(x, x1, STATES * sizeof(double));

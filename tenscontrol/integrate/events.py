@@ -141,25 +141,37 @@ def landing(step: ca.Function, equation: Equation, least: float = 0.0) -> ca.Fun
     _, taut, u, h, _ = _symbols(equation)
     sizes = {"y": step.size1_in(0), "y1": step.size1_out(0), "xd": n, "xd1": n, "allowed": 1}
     y, y1, xd, xd1, allowed = (ca.MX.sym(name, size) for name, size in sizes.items())
-    found, part, speed, aim, chosen, leaving = search(equation, least)(
-        y[:n], taut, u, h, y1[:n], xd, xd1, allowed
-    )
+    found = search(equation, least)(y[:n], taut, u, h, y1[:n], xd, xd1, allowed)
+    outputs = approached(step, equation)(y, taut, u, h, y1, *found)
+    return ca.Function("landing", [y, taut, u, h, y1, xd, xd1, allowed], list(outputs))
+
+
+def approached(step: ca.Function, equation: Equation) -> ca.Function:
+    """Return ``(y, taut, u, h, y1, …) -> (y2, taut2, taken, switched, tries)`` of :func:`landing`.
+
+    After y1 comes what :func:`search` returns.
+    """
+    n = equation.states
+    _, taut, u, h, _ = _symbols(equation)
+    y, y1 = ca.MX.sym("y", step.size1_in(0)), ca.MX.sym("y1", step.size1_out(0))
+    found, part, speed, aim = switch = [ca.MX.sym(name) for name in ("found", "p", "v", "aim")]
+    chosen, leaving = (ca.MX.sym(name, equation.switches) for name in ("chosen", "leaving"))
     # Where there is none, no step is taken.
     begin = ca.vertcat(part, 0, ca.if_else(found, 0, aim), speed, ca.logic_not(found), y1)
     given = (y, taut, u, h, chosen, aim)
     reached = _approach(step, equation).fold(POLISHES)(
         begin, *(ca.repmat(each, 1, POLISHES) for each in given)
     )
-    part, steps, end = reached[1], reached[4], reached[5:]
-    taut2, switched = switching(equation)(end[:n], equation.ahead(u, part * h), taut, leaving)
+    taken, steps, end = reached[1], reached[4], reached[5:]
+    taut2, switched = switching(equation)(end[:n], equation.ahead(u, taken * h), taut, leaving)
     outputs = [
         end,
         ca.if_else(found, taut2, taut),
-        ca.if_else(found, part * h, h),
+        ca.if_else(found, taken * h, h),
         ca.if_else(found, switched, 0),
         ca.if_else(found, steps, 0),
     ]
-    return ca.Function("landing", [y, taut, u, h, y1, xd, xd1, allowed], outputs)
+    return ca.Function("approached", [y, taut, u, h, y1, *switch, chosen, leaving], outputs)
 
 
 def search(equation: Equation, least: float = 0.0) -> ca.Function:
