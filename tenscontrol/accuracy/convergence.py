@@ -159,9 +159,9 @@ def convergence_order(
     with kept, progress_bar(total, progress, "fitting the order", "runs") as report:
         reference = reference or converged_motion(case, count)
         report(1)
-        bench = Bench(case, reference, repeats=0)
+        bench = Bench(case, reference)
         for setting in settings:
-            rows.append(bench.own(chosen, setting))
+            rows.append(bench.own(chosen, setting).measurement())
             report(1 + len(rows))
     taken = np.array([np.nan if row.failure else float(row.steps or 0) for row in rows])
     error = np.array([row.error for row in rows])

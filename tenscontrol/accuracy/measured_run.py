@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from statistics import median
 from time import process_time
-from typing import Any, TypeVar
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -37,9 +37,6 @@ _PATIENCE = 3.0
 FINER = 8.0
 
 NOT_KNOWN = float("nan")
-
-Result = TypeVar("Result")
-
 
 # ---- methods and their settings ----
 
@@ -232,20 +229,48 @@ class Measurement:
     failure: str = ""
 
 
-class Bench:
-    """Measures runs of a case against its reference; ``repeats`` as in :func:`work_precision`."""
+class TimedRun:
+    """A run that was done once, with its row; it is done again for its time."""
 
     def __init__(
-        self, case: Case, reference: ConvergedMotion, repeats: int, machine_code: bool = False
+        self,
+        row: Measurement,
+        again: Callable[[], object] | None = None,
+        first: float = NOT_KNOWN,
+        built: float = 0.0,
     ) -> None:
-        self._case, self._reference, self._repeats = case, reference, repeats
-        self._machine_code = machine_code
+        self._row, self._again, self._first, self._built = row, again, first, built
+        self._times: list[float] = []
+
+    def repeat(self, count: int) -> None:
+        """Do the run again, up to so many times in all; fewer where it takes seconds."""
+        if self._again is None:
+            return
+        while len(self._times) < count and self._first + sum(self._times) < _PATIENCE:
+            began = process_time()
+            self._again()
+            self._times.append(process_time() - began)
+
+    def measurement(self) -> Measurement:
+        """Return the row, with the median of the times if there is a motion."""
+        if self._again is None:
+            return self._row
+        typical = median(self._times) if self._times else self._first
+        build = self._built + max(self._first - typical, 0.0)  # the first fills what is filled once
+        return replace(self._row, time=typical, build_time=build, repeats=max(len(self._times), 1))
+
+
+class Bench:
+    """Does runs of a case and judges them by its reference."""
+
+    def __init__(self, case: Case, reference: ConvergedMotion, machine_code: bool = False) -> None:
+        self._case, self._reference, self._machine_code = case, reference, machine_code
         self._start = invariants(case, case.state[:, None])
         self._true = invariants(case, reference.states)
         self._own: dict[Peer, FloatArray] = {}
 
-    def own(self, method: Method, setting: float) -> Measurement:
-        """Return what one of our methods gives at a setting."""
+    def own(self, method: Method, setting: float) -> TimedRun:
+        """Return a run of one of our methods at a setting."""
         case = self._case
         row = Measurement(method.name, False, method.setting, setting)
         options: dict[str, Any] = {method.setting: setting, case.input: case.value}
@@ -259,54 +284,47 @@ class Bench:
                     machine_code=self._machine_code, **options,
                 )  # fmt: skip
 
-        try:
-            found, timing = self._timed(run, 0.0)
-        except SimulationError as error:
-            return replace(row, **_counts(error.trajectory.work), failure=str(error))
-        except (ValueError, ArithmeticError) as error:
-            return replace(row, failure=str(error))
-        row = replace(row, **timing, **_counts(found.work), back_end=found.choice.back_end)
-        nodes, velocities = (part[:, :, 1:] for part in (found.nodes, found.velocities))
-        return self._judged(row, nodes, velocities, self._reference.nodes)
-
-    def peer(self, peer: Peer, setting: float, finest: float) -> Measurement:
-        """Return what another package gives at a setting, of which ``finest`` is the finest run."""
-        row = Measurement(peer.name, True, "setting", setting)
         began = process_time()
         try:
-            run = peer.prepare(self._case, setting, self._reference.time)
-            solution, timing = self._timed(run, process_time() - began)
-        except (ValueError, ArithmeticError, RuntimeError) as error:
-            return replace(row, failure=str(error))
-        row = replace(row, **timing, evaluations=solution.evaluations or None)
-        if peer.own_law(self._case) is None:
-            return self._judged(row, solution.nodes, solution.velocities, self._reference.nodes)
+            found = run()
+        except SimulationError as error:
+            return TimedRun(replace(row, **_counts(error.trajectory.work), failure=str(error)))
+        except (ValueError, ArithmeticError) as error:
+            return TimedRun(replace(row, failure=str(error)))
+        first = process_time() - began
+        row = replace(row, **_counts(found.work), back_end=found.choice.back_end)
+        nodes, velocities = (part[:, :, 1:] for part in (found.nodes, found.velocities))
+        return TimedRun(self._judged(row, nodes, velocities, self._reference.nodes), run, first)
+
+    def peer(self, peer: Peer, setting: float, finest: float) -> TimedRun:
+        """Return a run of another package at a setting, of which ``finest`` is the finest run."""
+        row = Measurement(peer.name, True, "setting", setting)
+        times = [process_time()]
         try:
-            own = self._own_motion(peer, finest / FINER)
+            run = peer.prepare(self._case, setting, self._reference.time)
+            times.append(process_time())
+            solution = run()
+            times.append(process_time())
         except (ValueError, ArithmeticError, RuntimeError) as error:
-            return replace(row, failure=f"no reference of its own law: {error}")
-        # What it conserves is not what the case conserves.
-        return self._judged(row, solution.nodes, None, own)
+            return TimedRun(replace(row, failure=str(error)))
+        built, first = np.diff(times).tolist()
+        row = replace(row, evaluations=solution.evaluations or None)
+        true, velocities = self._reference.nodes, solution.velocities
+        if peer.own_law(self._case) is not None:
+            try:
+                true = self._own_motion(peer, finest / FINER)
+            except (ValueError, ArithmeticError, RuntimeError) as error:
+                failure = f"no reference of its own law: {error}"
+                return TimedRun(replace(row, failure=failure), run, first, built)
+            velocities = None  # what it conserves is not what the case conserves
+        row = self._judged(row, solution.nodes, velocities, true)
+        return TimedRun(row, run, first, built)
 
     def _own_motion(self, peer: Peer, setting: float) -> FloatArray:
         """Return the motion of a peer under its own law, found once."""
         if peer not in self._own:
             self._own[peer] = peer.prepare(self._case, setting, self._reference.time)().nodes
         return self._own[peer]
-
-    def _timed(self, run: Callable[[], Result], built: float) -> tuple[Result, dict[str, Any]]:
-        """Return what a run returns, with its median time and what came before the first."""
-        began = process_time()
-        result = run()
-        first = process_time() - began
-        times: list[float] = []
-        while len(times) < self._repeats and first + sum(times) < _PATIENCE:
-            began = process_time()
-            run()
-            times.append(process_time() - began)
-        typical = median(times) if times else first
-        build = built + max(first - typical, 0.0)  # the first run fills what is filled once
-        return result, {"time": typical, "build_time": build, "repeats": max(len(times), 1)}
 
     def _judged(
         self, row: Measurement, nodes: FloatArray, velocities: FloatArray | None, true: FloatArray

@@ -16,6 +16,7 @@ from tenscontrol.accuracy.measured_run import (
     NOT_KNOWN,
     Bench,
     Measurement,
+    TimedRun,
     as_taken,
     checked_settings,
     default_settings,
@@ -42,6 +43,9 @@ from tenscontrol.validation import (
 
 # An error below so many times that of the reference is not resolved.
 _RESOLVED = 3.0
+
+# How often a run is repeated before the next one is.
+_IN_A_ROW = 3
 
 _HEAD = (
     "method", "setting", "error m", "of size", "at end m", "time s", "building s", "evals", "steps",
@@ -405,9 +409,9 @@ def work_precision(
     wanted = {m: given.get(m.name) or default_settings(m, case) for m in chosen}
     theirs = {p: given.get(p.name) or p.settings for p in peers}
     other = [(p, x) for p in peers for x in theirs[p]]
-    total = 2 + sum(map(len, wanted.values())) + len(other)
-    rows: list[Measurement] = []
-    kept = keeping("runs are measured", rows.__len__)
+    total = 2 + 2 * (sum(map(len, wanted.values())) + len(other))
+    done: list[TimedRun] = []
+    kept = keeping("runs are measured", done.__len__)
     with kept, progress_bar(total, progress, "measuring", "runs") as report:
         growth: Predictability | None = None
         if reference is None:
@@ -418,20 +422,27 @@ def work_precision(
             reference = converged_motion(case, outputs, lambda time: report(1 + time / cut))
         _refuse_other_times(reference, case)
         refusals = {peer.name: peer.refuse(case) for peer in peers}
-        bench = Bench(case, reference, repeats, machine_code)
+        bench = Bench(case, reference, machine_code)
         spacing = case.duration / len(reference.time)
         runs = [partial(bench.own, m, x) for m in chosen for x in as_taken(m, wanted[m], spacing)]
         runs += [
             partial(bench.peer, p, x, min(theirs[p])) for p, x in other if refusals[p.name] is None
         ]
         for run in runs:
-            rows.append(run())
-            report(2 + len(rows))
+            done.append(run())
+            report(2 + len(done))
+        # In turns: a machine that slows down does so for all.
+        for count in range(_IN_A_ROW, repeats + _IN_A_ROW, _IN_A_ROW):
+            for i, each in enumerate(done):
+                each.repeat(min(count, repeats))
+                share = (count - _IN_A_ROW + _IN_A_ROW * i / len(done)) / repeats
+                report(2 + len(done) * (1 + min(share, 1)))
         report(total)
+    rows = tuple(each.measurement() for each in done)
     refused = tuple((name, why) for name, why in refusals.items() if why is not None)
     laws = {peer.name: peer.own_law(case) for peer in peers if refusals[peer.name] is None}
     own = tuple((name, law) for name, law in laws.items() if law is not None)
-    return WorkPrecision(case, tuple(rows), reference, growth, refused, own)
+    return WorkPrecision(case, rows, reference, growth, refused, own)
 
 
 def _checked_settings(

@@ -229,7 +229,7 @@ def _coefficients() -> Any:
 
 
 @cache
-def _interpolant_error() -> FloatArray:
+def _interpolant_error() -> tuple[float, ...]:
     """Return what the interpolant errs at a part of a step, as part of the error estimate.
 
     Of an equation that is linear, at the leading order: both are then the same multiple of h⁸.
@@ -249,8 +249,7 @@ def _interpolant_error() -> FloatArray:
         found = (found + made[k]) * (1 - s if k % 2 else s)
     third, fifth = (e @ slopes[k][: _STAGES + 1] for e, k in ((method.E3, 3), (method.E5, 5)))
     true = s**_ORDER / factorial(_ORDER)
-    error: FloatArray = ((true - found) * 0.1 * abs(third) / fifth**2).coef
-    return error
+    return tuple(((true - found) * 0.1 * abs(third) / fifth**2).coef.tolist())
 
 
 def _work(told: dict[str, float]) -> Work:
