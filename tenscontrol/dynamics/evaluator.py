@@ -302,13 +302,15 @@ class ColumnEvaluator:
         count = columns[0].shape[1]
         results: list[FloatArray] = [np.empty((rows, count)) for rows in self._rows]
         for start in range(0, count, _CHUNK):
+            end = min(start + _CHUNK, count)
             width = 1 if start + 1 == count else _CHUNK
             if width == 1:
                 parts = self._one(*(column[:, start] for column in columns))
             else:
-                places = np.minimum(np.arange(start, start + width), count - 1)
-                parts = self._chunk(*(column[:, places] for column in columns))
-            end = min(start + width, count)
+                some: Any = slice(start, end)
+                if end - start < width:
+                    some = np.minimum(np.arange(start, start + width), count - 1)
+                parts = self._chunk(*(column[:, some] for column in columns))
             for result, part in zip(results, parts, strict=True):
                 result[:, start:end] = part.reshape(len(result), width, order="F")[:, : end - start]
         return results

@@ -52,8 +52,8 @@ _POWERS = 7
 _TURNS, _COMPILED_TURNS = 32, 1024
 _MOST_RECORDED = 4e6
 
-# How the step follows the error: by a factor 0.9 error^(-1/8) within these bounds.
-_SAFETY, _LEAST, _MOST, _ORDER = 0.9, 0.2, 10.0, 8
+# How the step follows the error: by a factor 0.8 error^(-1/8) within these bounds.
+_SAFETY, _LEAST, _MOST, _ORDER = 0.8, 0.2, 10.0, 8
 
 # A step shorter than this part of the span is lost in round-off.
 _SHORTEST = 10 * np.finfo(float).eps
@@ -69,9 +69,6 @@ _SMOOTH = 0.3
 
 # Switches in a row without any time between them, at most.
 _MOST_STALLS = 50
-
-# What is known of a switch that was found; see search().
-_SWITCH = 6
 
 # What a turn carries beside x, its slope and taut.
 _CARRIED: tuple[str, ...] = ("time", "step", "stuck", "stalls", "tries", "rejections")
@@ -232,8 +229,8 @@ def _coefficients() -> Any:
 def _interpolant_error() -> tuple[float, ...]:
     """Return what the interpolant errs at a part of a step, as part of the error estimate.
 
-    Of an equation that is linear, at the leading order: both are then the same multiple of h⁸.
-    Coefficients of the polynomial in the part, from the lowest on.
+    Of an equation that is linear, at the leading order: both are then multiples of the same term in
+    h⁸. Coefficients of the polynomial in the part, from the lowest on.
     """
     method, count = _coefficients(), _STAGES + 1 + _MORE_STAGES
     A = np.zeros((count, count))
@@ -249,6 +246,7 @@ def _interpolant_error() -> tuple[float, ...]:
         found = (found + made[k]) * (1 - s if k % 2 else s)
     third, fifth = (e @ slopes[k][: _STAGES + 1] for e, k in ((method.E3, 3), (method.E5, 5)))
     true = s**_ORDER / factorial(_ORDER)
+    # The estimate is the fifth by the root of its square and of a hundredth of that of the third.
     return tuple(((true - found) * 0.1 * abs(third) / fifth**2).coef.tolist())
 
 
@@ -278,11 +276,11 @@ def _interpolate(recorded: FloatArray, times: FloatArray, states: FloatArray, do
     now = times[done:reached]
     within = recorded[made[np.minimum(np.searchsorted(ends, now), len(ends) - 1)]]
     part = (now[:, None] - within[:, :1]) / within[:, 1:2]
-    value = np.zeros((len(now), n))
-    for i in range(_POWERS):
-        end = within.shape[1] - i * n
-        value = (value + within[:, end - n : end]) * (part if i % 2 == 0 else 1 - part)
-    states[:, done:reached] = (value + within[:, 3 : 3 + n]).T
+    # Coefficient k counts by k factors: the part, what is left of the step, and so on in turns.
+    factors = np.ones((len(now), 1 + _POWERS))
+    factors[:, 1::2], factors[:, 2::2] = part, 1 - part
+    made_of = within[:, 3:].reshape(len(now), -1, n)
+    states[:, done:reached] = np.einsum("tk,tkn->nt", np.cumprod(factors, axis=1), made_of)
     return reached
 
 
@@ -375,41 +373,39 @@ class _Turn:
         allowed = 2 * _LATE * speed * (self._longest / _STABLE) ** 2
         found = search(equation)(x, taut, u, h, self._x1, f, self._f1, allowed)
         switch = [ca.MX.sym("switch", each.sparsity()) for each in found]
-        inputs = [*self._inputs, *self._step, *switch]
         errs = self._error * ca.fabs(ca.polyval(ca.DM(_interpolant_error()[::-1]), found[1]))
-        choose = ca.Function.if_else("where", self._cut_inside(inputs), self._cut_by_steps(inputs))
+        choose = ca.Function.if_else("where", self._cut_inside(switch), self._cut_by_steps(switch))
         is_inside = ca.logic_and(found[0], errs < _SMOOTH)
-        outputs = choose(is_inside, *inputs[: -len(switch)], *found)
-        return ca.Function("cut", inputs[: -len(switch)], list(outputs))
+        inputs = [*self._inputs, *self._step]
+        return ca.Function("cut", inputs, list(choose(is_inside, *inputs, *found)))
 
-    def _cut_inside(self, inputs: list[Any]) -> ca.Function:
+    def _cut_inside(self, switch: list[Any]) -> ca.Function:
         """Return the branch of a step that ends at a switch on its interpolant."""
         x, f, taut = self._carried[:3]
-        u, h, switch = self._input, self._h, inputs[-_SWITCH:]
+        u, h = self._input, self._h
         made = ca.vec(self._interpolant(x, self._x1, f, self._f1, self._K, u, taut, h))
         approach = approached(self._method.inside(), self._equation)
         y = ca.vertcat(x, made, h)
         x2, taut2, taken, switched, _ = approach(y, taut, u, h, self._x1, *switch)
-        time = self._after(taken)
-        needed = self._needed(time)
+        needed = self._needed(self._after(taken))
         record = ca.vertcat(self._numbers[0], h * needed, taken, x, made)
-        return self._landed(inputs, x2, taut2, taken, switched, record, interpolants=1)
+        return self._landed(switch, x2, taut2, taken, switched, record, interpolants=1)
 
-    def _cut_by_steps(self, inputs: list[Any]) -> ca.Function:
+    def _cut_by_steps(self, switch: list[Any]) -> ca.Function:
         """Return the branch of a step that ends at a switch, found by true steps."""
         x, f, taut = self._carried[:3]
-        n, u, switch = self._equation.states, self._input, inputs[-_SWITCH:]
+        n, u = self._equation.states, self._input
         approach = approached(self._method.trial(), self._equation)
         y, y1 = ca.vertcat(x, f), ca.vertcat(self._x1, self._f1, ca.vec(self._K))
         y2, taut2, taken, switched, tries = approach(y, taut, u, self._h, y1, *switch)
         x2, f2, K2 = y2[:n], y2[n : 2 * n], ca.reshape(y2[2 * n :], n, _STAGES + 1)
         record, made = self._recorded(x, x2, f, f2, K2, self._after(taken), taken)
         return self._landed(
-            inputs, x2, taut2, taken, switched, record, interpolants=made, approaches=tries
+            switch, x2, taut2, taken, switched, record, interpolants=made, approaches=tries
         )
 
     def _landed(
-        self, inputs: list[Any], x: Any, taut: Any, taken: Any, switched: Any, record: Any,
+        self, switch: list[Any], x: Any, taut: Any, taken: Any, switched: Any, record: Any,
         **counted: Any,
     ) -> ca.Function:  # fmt: skip
         """Return the branch of a step cut at a switch, where it ends in x."""
@@ -428,6 +424,7 @@ class _Turn:
         )
         # The slope jumps with the strings.
         f = self._equation.slope(x, self._equation.ahead(self._input, taken), taut)
+        inputs = [*self._inputs, *self._step, *switch]
         return self._branch("landed", [x, f, taut, *numbers], record, inputs)
 
     def _branch(

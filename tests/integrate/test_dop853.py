@@ -7,7 +7,7 @@ import pytest
 import tenscontrol as tc
 from tenscontrol.dynamics import Evaluator, smooth_equation
 from tenscontrol.integrate import CVODES, DOP853, EnergyMomentum, IntegrationError, Rattle
-from tenscontrol.integrate.dop853 import _DormandPrince
+from tenscontrol.integrate.dop853 import _DormandPrince, _interpolant_error
 from tests.dynamics.scenes import paper_force_density, rest_lengths
 from tests.integrate.test_rk4 import explosion, oscillator
 from tests.oracle import HeldRestLength, RigidBars
@@ -63,6 +63,24 @@ def test_interpolated_states_are_as_good_as_stepped_ones():
     )
     times = np.linspace(1e-3, 5.0, 5000)
     assert np.abs(states[0] - (1 - np.cos(times))).max() < 1e-9
+
+
+@pytest.mark.parametrize("h", [0.3, 0.5, 0.8])
+def test_what_the_interpolant_errs_is_known(h):
+    """On ``ẍ = 1 - x``, at parts of a step where the error is not next to zero."""
+    equation = smooth_equation(oscillator())
+    method, x, u, taut = _DormandPrince(equation), np.array([0.3, 1.0]), np.ones(1), np.zeros(0)
+    f = Evaluator(equation.slope)(x, u, taut)[0]
+    x1, f1, estimate, K = Evaluator(method.tried())(x, f, u, taut, h, np.ones(2))
+    (made,) = Evaluator(method.interpolant())(x, x1, f, f1, K, u, taut, h)
+    inside = Evaluator(method.inside())
+    for part in (0.4, 0.5, 0.6, 0.8, 0.9):
+        t = part * h
+        (found,) = inside(np.concatenate([x, made.ravel(order="F"), [h]]), u, taut, t)
+        turn = np.array([[np.cos(t), np.sin(t)], [-np.sin(t), np.cos(t)]])
+        off = found - [1, 0] - turn @ (x - [1, 0])
+        share = abs(np.polynomial.polynomial.polyval(part, _interpolant_error()))
+        assert np.sqrt(np.mean(off**2)) == pytest.approx(share * estimate.item(), rel=0.03)
 
 
 def test_a_tolerance_below_round_off_is_refused():

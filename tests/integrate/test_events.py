@@ -67,6 +67,14 @@ def test_strings_that_switch_together_are_taken_together(example, name, setting)
     assert work.unlocated == 0
 
 
+def test_steps_of_dop853_end_at_switches_on_their_interpolant(example):
+    """A step taken again up to the switch is twelve evaluations, the interpolant three."""
+    _, work = run(*example[:2], "dop853", 1e-6)
+    tries = work.steps + work.rejections
+    assert work.switches == 6 * 55
+    assert work.evaluations < 12 * tries + 55 * 11  # 55 * 14 by steps alone
+
+
 @pytest.mark.parametrize(("name", "setting"), [("rk4", 2e-3), ("rattle4", 1e-2), ("dop853", 1e-8)])
 def test_machine_code_gives_the_same_numbers(example, name, setting):
     there = METHODS[name].integrator(example[0].equation("rest_length"), setting, machine_code=True)
