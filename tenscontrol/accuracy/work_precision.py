@@ -45,7 +45,7 @@ from tenscontrol.validation import (
 _RESOLVED = 3.0
 
 # How often a run is repeated before the next one is.
-_IN_A_ROW = 3
+_IN_A_ROW = 5
 
 _HEAD = (
     "method", "setting", "error m", "of size", "at end m", "time s", "building s", "evals", "steps",
