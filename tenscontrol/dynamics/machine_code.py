@@ -9,6 +9,7 @@ from __future__ import annotations
 import atexit
 import os
 import platform
+import re
 import shlex
 import shutil
 import stat
@@ -24,6 +25,7 @@ from pathlib import Path
 from time import perf_counter, time
 
 import casadi as ca
+import numpy as np
 
 from tenscontrol import processes
 from tenscontrol.dynamics.evaluator import builds, paused
@@ -384,10 +386,9 @@ def compiled(function: ca.Function, timeout: float = 600.0) -> Compiled | None:
 
     Notes
     -----
-    One long straight piece of code (SX) compiles slowly: about half a
-    millisecond an instruction, more than in proportion beyond some ten
-    thousand. A graph (MX) that calls a small function many times runs as fast
-    and compiles in the time of the small one.
+    Long straight code (SX) is compiled in parts, so that the time grows in proportion to its
+    length: about a quarter of a millisecond an instruction. A graph (MX) that calls a small
+    function many times runs as fast and compiles in the time of the small one.
 
     Examples
     --------
@@ -481,7 +482,88 @@ def _source(function: ca.Function) -> str:
     # One prefix for all internal names: they are of no concern outside of the library.
     code = ca.CodeGenerator("lib", {"with_header": False})
     code.add(function)
-    return str(code.dump())
+    return _STRAIGHT.sub(_in_parts, str(code.dump()))
+
+
+# CasADi writes a function of SX as one piece of straight code with a branch at each result, and
+# compilers take more than in proportion to its length. Functions from so many lines on are cut
+# into parts of so many lines.
+_LONG, _PART = 2000, 250
+_STRAIGHT = re.compile(
+    r"^(static int (casadi_f\d+)\(.*\n)(?:  casadi_real a\d+(?:, a\d+)*;\n)++"
+    r"((?:  (?:if \(res\[\d+\]!=0\) res\[\d+\]\[\d+\]=a\d+"
+    r"|a\d+=(?:arg\[\d+\]\? arg\[\d+\]\[\d+\] : 0|[^\[\n]*));\n)++)  return 0;\n}\n",
+    re.MULTILINE,
+)
+_GIVEN = re.compile(r"arg\[(\d+)\]\? arg\[\1\]\[(\d+)\] : 0")
+_FOUND = re.compile(r"if \(res\[(\d+)\]!=0\) res\[\1\]\[(\d+)\]")
+_VARIABLE = re.compile(r"\ba(\d+)\b")
+
+_PART_TEXT = """\
+static __attribute__((noinline))
+void %(name)s_%(number)d(const casadi_real** arg, casadi_real** res, casadi_real* a) {
+%(declared)s
+%(lines)s
+%(kept)s
+}
+"""
+
+# Each result is written: what nobody wants goes to memory that is freed. Arguments not given are 0.
+_WHOLE_TEXT = """\
+#include <stdlib.h>
+%(head)s  static const casadi_real zeros[%(longest_given)d] = {0};
+  const casadi_real *given[%(given)d];
+  casadi_real a[%(variables)d], *unused = 0, *found[%(found)d];
+  int k;
+  for (k = 0; k < %(given)d; ++k) given[k] = arg[k] ? arg[k] : zeros;
+  for (k = 0; k < %(found)d; ++k) {
+    if (!res[k] && !unused && !(unused = malloc(%(longest_found)d * sizeof(*unused)))) return 1;
+    found[k] = res[k] ? res[k] : unused;
+  }
+%(calls)s
+  free(unused);
+  return 0;
+}
+"""
+
+
+def _in_parts(match: re.Match[str]) -> str:
+    """Return the text of a straight function in parts, each with variables of its own.
+
+    The array ``a`` holds what a part has to hand on. The operations and their order stay.
+    """
+    head, name, body = match.groups()
+    if body.count("\n") < _LONG:
+        return match[0]
+    places = [np.array(each.findall(body), int).reshape(-1, 2) for each in (_GIVEN, _FOUND)]
+    sizes = [part.max(axis=0, initial=0) + 1 for part in places]
+    lines = _FOUND.sub(r"res[\1][\2]", _GIVEN.sub(r"arg[\1][\2]", body)).splitlines()
+    count = -(-len(lines) // _PART)
+    texts: list[str] = []
+    needed: dict[str, None] = {}  # by later parts, in an order that does not change
+    for number in reversed(range(count)):
+        part = lines[number * _PART : (number + 1) * _PART]
+        read: dict[str, None] = {}
+        written: dict[str, None] = {}
+        for left, _, right in (line.partition("=") for line in part):
+            read |= dict.fromkeys(v for v in _VARIABLE.findall(right) if v not in written)
+            written |= dict.fromkeys(_VARIABLE.findall(left))
+        starts = (f"  casadi_real a{v}{f'=a[{int(v)}]' * (v in read)};" for v in read | written)
+        ends = (f"  a[{int(v)}]=a{v};" for v in written if v in needed)
+        inside = {"declared": starts, "lines": part, "kept": ends}
+        joined = {key: "\n".join(each) for key, each in inside.items()}
+        texts.append(_PART_TEXT % {"name": name, "number": number, **joined})
+        needed = read | {v: None for v in needed if v not in written}
+    whole = _WHOLE_TEXT % {
+        "head": head,
+        "given": sizes[0][0],
+        "longest_given": sizes[0][1],
+        "found": sizes[1][0],
+        "longest_found": sizes[1][1],
+        "variables": 1 + max(map(int, _VARIABLE.findall(body))),
+        "calls": "\n".join(f"  {name}_{k}(given, found, a);" for k in range(count)),
+    }
+    return "".join([*texts, whole])
 
 
 def _load(name: str, library: Path) -> ca.Function:

@@ -132,6 +132,46 @@ def test_constants_have_the_same_bits():
     assert same_bits(Evaluator(function)(1.0), Evaluator(compiled(function).function)(1.0))
 
 
+def long_function():
+    """A function with every operation, of which the last half needs results of the first."""
+    x, y = ca.SX.sym("x", 2), ca.SX.sym("y", 2)
+    first = one_of_each(x)
+    second = first * ca.sumsqr(y)
+    return ca.Function("lengthy", [x, y], [first, ca.vec(first) - ca.vec(second)[::-1], second])
+
+
+@needs_compiler
+def test_long_functions_are_cut_into_parts_with_the_same_bits(monkeypatch):
+    function = long_function()
+    whole = machine_code._source(function)
+    monkeypatch.setattr(machine_code, "_LONG", 100)
+    monkeypatch.setattr(machine_code, "_PART", 30)
+    text = machine_code._source(function)
+    lines = [part.count("\n") for part in text.split("\n}\n")]
+    assert max(lines) < 100 < 300 < max(part.count("\n") for part in whole.split("\n}\n"))
+    assert text == machine_code._source(function)
+    fast = compiled(function).function
+    for y in (1.5, -0.25), (np.nan, 3.0):
+        assert same_bits(Evaluator(function)(SPECIAL[2:4], y), Evaluator(fast)(SPECIAL[2:4], y))
+
+
+@needs_compiler
+def test_parts_do_without_arguments_and_results_that_nobody_gave(monkeypatch):
+    monkeypatch.setattr(machine_code, "_LONG", 100)
+    function = long_function()
+    results = []
+    for each in function, compiled(function).function:
+        buffer, run = each.buffer()
+        wanted = np.zeros(function.nnz_out(1))
+        buffer.set_arg(0, memoryview(np.array(SPECIAL[2:4])))
+        buffer.set_res(1, memoryview(wanted))
+        run()
+        results.append(wanted)
+    assert buffer.ret() == 0
+    assert np.isfinite(results[0]).any()
+    assert same_bits(results[:1], results[1:])
+
+
 def branching():
     """A graph with short-circuit branches, a loop, a fold, a map and matrix products."""
     x, n = ca.MX.sym("x", 3), ca.MX.sym("n")
