@@ -279,6 +279,10 @@ class RowSlopes:
         # By places and rates at the start, by the input, by places and rates at the end.
         self._jacobians = [transposed_jacobians(pattern, length, 0) for pattern in patterns]
         self._rows, self._length = patterns[0].size2(), length
+        r, p, by_u = len(self._basis), patterns[0].size2(), self._jacobians[2]
+        self._slopes = tuple(np.zeros((length, k, p)) for k in (2 * r, patterns[2].size1(), 2 * r))
+        sample, row = np.divmod(np.repeat(np.arange(length * p), np.diff(by_u.indptr)), p)
+        self._by_input = sample, by_u.indices, row
 
     @property
     def patterns(self) -> tuple[FloatArray, ...]:
@@ -306,14 +310,13 @@ class RowSlopes:
         values, *entries = self._evaluate(*(x.T if N > 1 else x[0] for x in given))
         for jacobian, data in zip(self._jacobians, entries, strict=True):
             jacobian.data = data.ravel(order="K")
-        by_u = self._jacobians[2].toarray().reshape(N, p, -1).swapaxes(1, 2)
-        slopes = [np.zeros((N, 2 * r, p)), np.ascontiguousarray(by_u), np.zeros((N, 2 * r, p))]
+        self._slopes[1][self._by_input] = self._jacobians[2].data
         for i, (at, half) in zip((0, 1, 3, 4), ((0, 0), (0, r), (2, 0), (2, r)), strict=True):
             jacobian = self._jacobians[i]
             if jacobian.nnz:
                 by_q = (jacobian @ self._basis.T).reshape(N, p, r)
-                slopes[at][:, half : half + r] = by_q.swapaxes(1, 2)
-        return StageJacobians(values.reshape(-1, N, order="F").T, tuple(slopes))
+                self._slopes[at][:, half : half + r] = by_q.swapaxes(1, 2)
+        return StageJacobians(values.reshape(-1, N, order="F").T, self._slopes)
 
 
 class RealTimeIterate:
@@ -417,18 +420,16 @@ class RealTimeIterate:
             return np.full_like(samples, -1)
         before = inputs[:-1] if self._discretization.ramp else inputs[:-1, :0]
         parts = np.hstack([self._states[:-1], inputs[1:], before]) / self._reach
-        # Comparisons with NaN are false.
-        kept = (np.abs(parts - self._at) <= self._tolerance).all(axis=1)
-        self._at[~kept] = np.nan
-        first, source = samples.copy(), samples.copy()  # first of those with the same derivatives
-        for k in samples[~kept]:
-            off = np.nan_to_num(np.abs(parts[k] - self._at).max(axis=1), nan=np.inf)
-            nearest = int(off.argmin())
-            if off[nearest] <= self._tolerance:
-                first[k] = source[k] = first[nearest]
-                self._at[k] = self._at[nearest]
-            else:
-                source[k], self._at[k] = -1, parts[k]
+        off = np.abs(parts[:, None] - self._at).max(axis=2)  # of samples from places; NaN: none
+        stale = ~(np.diagonal(off) <= self._tolerance)
+        off[:, stale] = np.inf
+        source = np.where(stale, -1, samples)
+        # Those farthest from where derivatives are known are found first.
+        while (far := np.where(stale, off.min(axis=1), 0.0)).max() > self._tolerance:
+            k = int(far.argmax())
+            stale[k], self._at[k], off[:, k] = False, parts[k], np.abs(parts - parts[k]).max(axis=1)
+        source[stale] = off[stale].argmin(axis=1)
+        self._at[stale] = self._at[source[stale]]
         return source
 
     def shift(self) -> None:

@@ -436,7 +436,7 @@ class RadauIIA(Discretization):
         states, inputs = state[None], np.array([previous, held])
         found = np.zeros((1, 3, self._r)) if stages is None else stages[None]
         equations, slot = near or (self._single, 0)
-        quick, moved = stages is not None, np.inf
+        quick, moved, keep = stages is not None, np.inf, solved > _SOLVED
         for _ in range(_MOST_ROUNDS):
             left, entries = self._left(self._once, states, inputs, found)
             if not quick:
@@ -445,9 +445,9 @@ class RadauIIA(Discretization):
             change = equations.solved(slot, np.tile(load, 3) - left[0]).reshape(found.shape)
             last, moved = moved, np.abs(self._to_place @ change).max()
             if quick and not moved < max(_QUICK * last, solved * self._size):
-                quick, found = False, np.zeros_like(found)
+                quick, keep, found = False, False, np.zeros_like(found)
                 continue
-            found = found + change
+            found, quick = found + change, quick or keep
             if moved <= solved * self._size:
                 return self._ends(states, found)[0], found[0]
         found = np.full_like(found, np.nan)
