@@ -123,9 +123,7 @@ def test_limited_rows_are_those_of_the_whole_expression(name, ramp):
     model = TrajectoryModel(plant, settings, constraints, False)
     states, inputs = points(plant, 3)
     held = np.vstack([inputs[:1], inputs[:2]])
-    _, found = model.linearize(
-        states, held, np.zeros((2, 3, states.shape[1] // 2)), np.full(2, -1)
-    )
+    _, found = model.linearize(states, held, np.zeros((2, 3, states.shape[1] // 2)), np.full(2, -1))
     whole = limited_rows(plant, constraints, ramp)
     patterns = model._rows.patterns
     for k in range(2):
