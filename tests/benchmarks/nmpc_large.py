@@ -5,9 +5,10 @@ of five stages (15 bars, 93 strings, 138 states), horizon 20, 0.02 s samples, li
 1e3 N/m with winches that hold rest lengths. Each starts with a push and is pushed again in every
 sample. A step is preparation and feedback, by the processor. The first of a start has no plan, and
 is told apart, as "reset". "Found anew" is how many of the samples of a plan were linearized in a
-later step; the cost of the closed loop is told beside that with all found anew (``linearization_tolerance=0``). Building is from
-linearizing the plant to the controller, by the clock, with an empty cache of compiled libraries;
-memory is the most that the process had so far. ``--stages`` takes other towers.
+later step; the cost of the closed loop is told beside that with all found anew
+(``linearization_tolerance=0``). Building is from linearizing the plant to the controller, by the
+clock, with an empty cache of compiled libraries; memory is the most that the process had so far.
+``--stages`` takes other towers.
 """
 
 from __future__ import annotations
