@@ -44,7 +44,7 @@ from tenscontrol.plant import (
     string_forces,
     with_jacobian,
 )
-from tenscontrol.validation import BoolArray, FloatArray
+from tenscontrol.validation import FloatArray, IntArray
 
 # At a shape that changes its stiffness by a tenth these leave 1e-5 of what was off.
 NEWTON_STEPS = 5
@@ -162,7 +162,9 @@ class TrajectoryModel:
         return reference, inputs
 
     def reach(self, level: float) -> FloatArray:
-        """Return the moves of a state and two inputs, (s + 2α,), that change slopes by their size.
+        """Return the moves of a state and inputs that change slopes by their size, (s + α,).
+
+        Ramps have two inputs, (s + 2α,).
 
         Places move by the size of the structure, or where rest lengths are held by ``level``, of an
         input, as strings then are as much longer.
@@ -172,17 +174,23 @@ class TrajectoryModel:
         size = float(np.ptp(plant.nodes, axis=1).max())
         place = min(size, level) if plant.input == "rest_length" else size
         speed = size / self._sample_time
-        return np.concatenate([np.full(r, place), np.full(r, speed), np.full(2 * a, level)])
+        return np.concatenate(
+            [
+                np.full(r, place),
+                np.full(r, speed),
+                np.full(a * (1 + self.discretization.ramp), level),
+            ]
+        )
 
     def linearize(
-        self, states: FloatArray, inputs: FloatArray, stages: FloatArray, fresh: BoolArray
+        self, states: FloatArray, inputs: FloatArray, stages: FloatArray, source: IntArray
     ) -> tuple[StageJacobians, StageJacobians | None]:
         """Return the motion along a plan, and the limited rows or None, to first order.
 
-        Samples that are not fresh, (N,), keep their slopes: see :class:`Discretization`.
+        The source of each sample, (N,), is that of :meth:`Discretization.linearize`.
         """
         here, later = np.ascontiguousarray(states[:-1]), np.ascontiguousarray(states[1:])
-        motion = self.discretization.linearize(here, inputs, stages, fresh)
+        motion = self.discretization.linearize(here, inputs, stages, source)
         rows = None if self._rows is None else self._rows(here, inputs[1:], later)
         return motion, rows
 
@@ -271,6 +279,10 @@ class RowSlopes:
         # By places and rates at the start, by the input, by places and rates at the end.
         self._jacobians = [transposed_jacobians(pattern, length, 0) for pattern in patterns]
         self._rows, self._length = patterns[0].size2(), length
+        r, p, by_u = len(self._basis), patterns[0].size2(), self._jacobians[2]
+        self._slopes = tuple(np.zeros((length, k, p)) for k in (2 * r, patterns[2].size1(), 2 * r))
+        sample, row = np.divmod(np.repeat(np.arange(length * p), np.diff(by_u.indptr)), p)
+        self._by_input = sample, by_u.indices, row
 
     @property
     def patterns(self) -> tuple[FloatArray, ...]:
@@ -298,14 +310,13 @@ class RowSlopes:
         values, *entries = self._evaluate(*(x.T if N > 1 else x[0] for x in given))
         for jacobian, data in zip(self._jacobians, entries, strict=True):
             jacobian.data = data.ravel(order="K")
-        by_u = self._jacobians[2].toarray().reshape(N, p, -1).swapaxes(1, 2)
-        slopes = [np.zeros((N, 2 * r, p)), np.ascontiguousarray(by_u), np.zeros((N, 2 * r, p))]
+        self._slopes[1][self._by_input] = self._jacobians[2].data
         for i, (at, half) in zip((0, 1, 3, 4), ((0, 0), (0, r), (2, 0), (2, r)), strict=True):
             jacobian = self._jacobians[i]
             if jacobian.nnz:
                 by_q = (jacobian @ self._basis.T).reshape(N, p, r)
-                slopes[at][:, half : half + r] = by_q.swapaxes(1, 2)
-        return StageJacobians(values.reshape(-1, N, order="F").T, tuple(slopes))
+                self._slopes[at][:, half : half + r] = by_q.swapaxes(1, 2)
+        return StageJacobians(values.reshape(-1, N, order="F").T, self._slopes)
 
 
 class RealTimeIterate:
@@ -316,7 +327,8 @@ class RealTimeIterate:
     the program is linearized along the plan, and ``fresh`` how many samples were for that.
 
     A sample keeps its derivatives until its state or an input has moved, since they were found, by
-    more than a part, the tolerance, of what changes them by their size.
+    more than a part, the tolerance, of what changes them by their size. Then it takes those of
+    another sample, if they were found as near to it.
     """
 
     def __init__(
@@ -366,7 +378,8 @@ class RealTimeIterate:
         solved. Then the plan is the reference itself, whose stages the programs find.
         """
         reference, origin = data.reference, data.input_reference
-        start, states, inputs, stages = state, [state], [previous_input], []
+        start, states, inputs = state, [state], [previous_input]
+        stages: list[FloatArray] = []
         aims, previous_aim = np.vstack([reference[:1], reference[:-1]]), origin[0]
         for aim, held in zip(aims, origin, strict=True):
             off = states[-1] - aim
@@ -374,7 +387,9 @@ class RealTimeIterate:
                 off, previous_aim = np.concatenate([off, inputs[-1] - previous_aim]), held
             desired_input = held - self._problem.feedback @ off
             inputs.append(np.clip(desired_input, self._low, self._high))
-            state, within = self._discretization.advance(states[-1], inputs[-2], inputs[-1])
+            state, within = self._discretization.advance(
+                states[-1], inputs[-2], inputs[-1], stages[-1] if stages else None, planned=False
+            )
             states.append(state)
             stages.append(within)
         self._states, self._inputs = np.array(states), np.array(inputs)
@@ -390,20 +405,32 @@ class RealTimeIterate:
         """Move the plan on where due, and linearize along it where the dynamics have values."""
         self.shift()
         inputs = self._planned()
-        fresh: BoolArray = np.ones(len(self._at), bool)
-        if self._tolerance:
-            parts = np.hstack([self._states[:-1], inputs[1:], inputs[:-1]]) / self._reach
-            off = np.abs(parts - self._at)
-            if not self._discretization.ramp:
-                off = off[:, : -inputs.shape[1]]
-            fresh = np.asarray(~(off <= self._tolerance).all(axis=1))
-            self._at[fresh] = parts[fresh]
-        self.fresh += int(fresh.sum())
-        motion, rows = self._model.linearize(self._states, inputs, self._stages, fresh)
+        source = self._sources(inputs)
+        self.fresh += int((source < 0).sum())
+        motion, rows = self._model.linearize(self._states, inputs, self._stages, source)
         # A plan may lead where the dynamics have no value: there is nothing to prepare then.
         self.linearized = self.program.linearize(self._states, inputs, motion, rows)
         if not self.linearized:
             self._at[:] = np.nan
+
+    def _sources(self, inputs: FloatArray) -> IntArray:
+        """Return where samples take their derivatives: see :meth:`Discretization.linearize`."""
+        samples = np.arange(len(self._at))
+        if not self._tolerance:
+            return np.full_like(samples, -1)
+        before = inputs[:-1] if self._discretization.ramp else inputs[:-1, :0]
+        parts = np.hstack([self._states[:-1], inputs[1:], before]) / self._reach
+        off = np.abs(parts[:, None] - self._at).max(axis=2)  # of samples from places; NaN: none
+        stale = ~(np.diagonal(off) <= self._tolerance)
+        off[:, stale] = np.inf
+        source = np.where(stale, -1, samples)
+        # Those farthest from where derivatives are known are found first.
+        while (far := np.where(stale, off.min(axis=1), 0.0)).max() > self._tolerance:
+            k = int(far.argmax())
+            stale[k], self._at[k], off[:, k] = False, parts[k], np.abs(parts - parts[k]).max(axis=1)
+        source[stale] = off[stale].argmin(axis=1)
+        self._at[stale] = self._at[source[stale]]
+        return source
 
     def shift(self) -> None:
         """Move the plan on by a sample, once."""

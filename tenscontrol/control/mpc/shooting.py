@@ -28,7 +28,7 @@ from tenscontrol.plant import (
     sampled_motion,
     string_forces,
 )
-from tenscontrol.validation import BoolArray, FloatArray, IntArray
+from tenscontrol.validation import FloatArray, IntArray
 
 # Radau IIA with three stages: Hairer & Wanner, Solving Ordinary Differential Equations II, IV.5.
 _ROOT = 6**0.5
@@ -50,6 +50,9 @@ _IN_CACHE = 60_000
 # this part of the size of the structure.
 _SOLVED = 1e-12
 _MOST_ROUNDS = 20
+
+# The same where a plan begins: the first program takes a Newton step on the stages of all samples.
+_BEGUN = 1e-6
 
 # Derivatives from elsewhere are kept while each round moves by less than this part of the last;
 # else the method begins again from no stages, with its own.
@@ -176,11 +179,12 @@ class Discretization(ABC):
     @abstractmethod
     def advance(
         self, state: FloatArray, previous: FloatArray, held: FloatArray,
-        stages: FloatArray | None = None,
+        stages: FloatArray | None = None, planned: bool = True,
     ) -> Pair:  # fmt: skip
         """Return the state a sample later, and the stages; NaN where a step has no solution.
 
-        Stages are sought from others, (stages, r), or from none.
+        Stages are sought from none, or from others, (stages, r): those of the last sample of the
+        plan, or else of the call before.
         """
 
     @abstractmethod
@@ -191,12 +195,20 @@ class Discretization(ABC):
 
     @abstractmethod
     def linearize(
-        self, states: FloatArray, inputs: FloatArray, stages: FloatArray, fresh: BoolArray
+        self, states: FloatArray, inputs: FloatArray, stages: FloatArray, source: IntArray
     ) -> StageJacobians:
         """Return z_{k+1} to first order in z_k, u_k and, for ramps, u_{k−1}, along a plan.
 
-        Samples that are not fresh, (N,), keep the slopes that are in their slots.
+        Of each sample, (N,), the source is another one whose slopes it takes, or the sample itself,
+        which keeps those in its slot, or −1: they are found, where others may take them as well.
         """
+
+    def _slots(self, source: IntArray) -> tuple[IntArray, list[tuple[int, int]]]:
+        """Return the slots where slopes are found, and pairs of those that take and that give."""
+        samples = np.arange(len(source))
+        slots, taking = (samples + self.start) % len(source), (source >= 0) & (source != samples)
+        pairs = zip(slots[taking].tolist(), slots[source[taking]].tolist(), strict=True)
+        return slots[source < 0], list(pairs)
 
     @abstractmethod
     def load_response(self, load: FloatArray) -> FloatArray:
@@ -249,7 +261,7 @@ class RK4(Discretization):
 
     def advance(
         self, state: FloatArray, previous: FloatArray, held: FloatArray,
-        stages: FloatArray | None = None,
+        stages: FloatArray | None = None, planned: bool = True,
     ) -> Pair:  # fmt: skip
         """See :meth:`Discretization.advance`."""
         return self._advance(state, held)[0].copy(), self._no_stages
@@ -261,13 +273,14 @@ class RK4(Discretization):
         return self._response @ load + self._advance(state, held)[0], None
 
     def linearize(
-        self, states: FloatArray, inputs: FloatArray, stages: FloatArray, fresh: BoolArray
+        self, states: FloatArray, inputs: FloatArray, stages: FloatArray, source: IntArray
     ) -> StageJacobians:
         """See :meth:`Discretization.linearize`."""
         held = inputs[1:]
         if self._written is not None:
             return stage_jacobians(self._written, states, held)
-        r, h, s, samples = self._r, self._step, states.shape[1], np.flatnonzero(fresh)
+        r, h, s, samples = self._r, self._step, states.shape[1], np.flatnonzero(source < 0)
+        slots, taking = self._slots(source)
         end, entries = states, []
         for _ in range(self._count):
             z, slope = end, np.zeros_like(end)
@@ -279,9 +292,13 @@ class RK4(Discretization):
                 end = end + h / 6 * weight * slope
         for first in range(0, len(samples), self._slopes.together):
             points = np.arange(first, min(first + self._slopes.together, len(samples)))
-            slots = (samples[points] + self.start) % len(states)
             by_all = self._chained(entries, points)
-            self._by_all[0][slots], self._by_all[1][slots] = by_all[:, :s], by_all[:, s:]
+            self._by_all[0][slots[points]] = by_all[:, :s]
+            self._by_all[1][slots[points]] = by_all[:, s:]
+        for to, giving in taking:
+            for part in self._by_all:
+                part[to] = part[giving]
+        fresh = source != np.arange(len(source))
         return StageJacobians(end, self._by_all, self.start, fresh)
 
     def _chained(self, entries: list[list[FloatArray]], points: IntArray) -> FloatArray:
@@ -388,10 +405,12 @@ class RadauIIA(Discretization):
 
     def advance(
         self, state: FloatArray, previous: FloatArray, held: FloatArray,
-        stages: FloatArray | None = None,
+        stages: FloatArray | None = None, planned: bool = True,
     ) -> Pair:  # fmt: skip
         """See :meth:`Discretization.advance`."""
-        return self._step(state, previous, held, np.zeros(self._r), stages)
+        near = (self._plan, self.start - 1) if planned else (self._single, 0)
+        solved = _SOLVED if planned else _BEGUN
+        return self._step(state, previous, held, np.zeros(self._r), stages, near, solved)
 
     def predict(
         self, state: FloatArray, previous: FloatArray, held: FloatArray, load: FloatArray
@@ -407,14 +426,17 @@ class RadauIIA(Discretization):
 
     def _step(
         self, state: FloatArray, previous: FloatArray, held: FloatArray, load: FloatArray,
-        stages: FloatArray | None = None,
+        stages: FloatArray | None = None, near: tuple[_StageEquations, int] | None = None,
+        solved: float = _SOLVED,
     ) -> Pair:  # fmt: skip
-        """Return end and stages of a step; no numbers where Newton's method fails."""
+        """Return end and stages of a step; no numbers where Newton's method fails.
+
+        From stages that are given, the derivatives of equations in a slot near them may do.
+        """
         states, inputs = state[None], np.array([previous, held])
         found = np.zeros((1, 3, self._r)) if stages is None else stages[None]
-        # From stages of the last sample of the plan, the derivatives there may do.
-        equations, slot = self._plan, self.start - 1
-        quick, moved = stages is not None, np.inf
+        equations, slot = near or (self._single, 0)
+        quick, moved, keep = stages is not None, np.inf, solved > _SOLVED
         for _ in range(_MOST_ROUNDS):
             left, entries = self._left(self._once, states, inputs, found)
             if not quick:
@@ -422,24 +444,23 @@ class RadauIIA(Discretization):
                 self._differentiate(self._once, entries, np.arange(1), equations, np.arange(1))
             change = equations.solved(slot, np.tile(load, 3) - left[0]).reshape(found.shape)
             last, moved = moved, np.abs(self._to_place @ change).max()
-            if quick and not moved < max(_QUICK * last, _SOLVED * self._size):
-                quick, found = False, np.zeros_like(found)
+            if quick and not moved < max(_QUICK * last, solved * self._size):
+                quick, keep, found = False, False, np.zeros_like(found)
                 continue
-            found = found + change
-            if moved <= _SOLVED * self._size:
+            found, quick = found + change, quick or keep
+            if moved <= solved * self._size:
                 return self._ends(states, found)[0], found[0]
         found = np.full_like(found, np.nan)
         return self._ends(states, found)[0], found[0]
 
     def linearize(
-        self, states: FloatArray, inputs: FloatArray, stages: FloatArray, fresh: BoolArray
+        self, states: FloatArray, inputs: FloatArray, stages: FloatArray, source: IntArray
     ) -> StageJacobians:
         """See :meth:`Discretization.linearize`."""
         N, r, h, plan = len(states), self._r, self._sample_time, self._plan
         self._remaining, entries = self._left(self._along, states, inputs, stages)
-        samples = np.flatnonzero(fresh)
-        slots = (samples + self.start) % N
-        self._differentiate(self._along, entries, samples, plan, slots)
+        slots, taking = self._slots(source)
+        self._differentiate(self._along, entries, np.flatnonzero(source < 0), plan, slots)
         share = self._share[None, :, :]
         for slot in slots.tolist():
             plan.find_ends(slot)
@@ -452,9 +473,13 @@ class RadauIIA(Discretization):
         places = np.arange(r)
         for part, row, size in ((0, 0, 1.0), (0, r, h), (r, r, 1.0)):
             self._slopes[0][slots[:, None], row + places, part + places] += size
+        for to, giving in taking:
+            for array in (*self._slopes, *plan.arrays):
+                array[to] = array[giving]
         gap = rolled(self._remaining, self.start)
         corrected = rolled((plan.to_end @ gap[:, :, None])[:, :, 0], -self.start)
         ends = self._ends(states, stages) - corrected
+        fresh = source != np.arange(N)
         return StageJacobians(ends, tuple(self._slopes), self.start, fresh)
 
     def load_response(self, load: FloatArray) -> FloatArray:
@@ -531,6 +556,7 @@ class _StageEquations:
         self._factors = np.full((count, size, size), np.nan)  # of M, with rows exchanged
         self._rows = np.zeros((count, size), np.intc)
         self._combined = np.asfortranarray(to_end)
+        self.arrays = self.by_state, self.by_input, self.to_end, self._factors, self._rows
 
     def factorize(self, slot: int, matrix: FloatArray) -> None:
         """Take M, shape (3r, 3r), where unknowns are rows, which is overwritten."""

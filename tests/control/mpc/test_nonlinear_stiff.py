@@ -207,7 +207,7 @@ def test_a_plan_begins_along_the_reference_where_the_law_leads_astray(monkeypatc
         if astray:
             none = np.full(18, np.nan), np.full((3, 9), np.nan)
             monkeypatch.setattr(
-                nmpc.law.model.discretization, "advance", lambda *_, none=none: none
+                nmpc.law.model.discretization, "advance", lambda *_, none=none, **__: none
             )
         assert nmpc.command(0.0, *nodes_of(plant, z)).status == "ok"
         plans.append(nmpc.plan.T - plant.rest_length)
@@ -251,15 +251,15 @@ def test_most_samples_of_a_plan_keep_their_derivatives(solver):
     exact, every = pushed(tc.NMPC(ball(), linearization_tolerance=0.0, **given))
     assert cost == pytest.approx(exact, rel=1e-3)
     assert np.all(every == 8)
-    assert linearized[0] == 8
-    assert linearized[1:].min() == 1
-    assert linearized.mean() < 5
+    assert 4 <= linearized[0] < 8  # the last ones take those of others
+    assert linearized[1:].min() == 0
+    assert linearized.mean() < 3
     # A copy knows nothing of what was kept in compiled memory, and goes on as its original.
     other = pickle.loads(pickle.dumps(quick))
     nodes, still = ball().nodes, np.zeros_like(ball().nodes)
     commands = [each.command(1.0, nodes, still).value for each in (quick, other)]
     np.testing.assert_allclose(*commands, rtol=0, atol=1e-4)
-    assert other.statistics.linearized[-1] == 8
+    assert other.statistics.linearized[-1] > quick.statistics.linearized[-1]
 
 
 @UNREACHED

@@ -29,7 +29,7 @@ def plant_of(stiffness, damping=0.02):
     return tc.linearize(model, rest, input="rest_length")
 
 
-ALL = np.ones(2, bool)
+ALL = np.full(2, -1)  # derivatives of both samples are found
 
 
 def moved(plant, stiffness):
@@ -189,7 +189,10 @@ def test_a_step_that_is_not_solved_is_no_number():
 
 @pytest.mark.parametrize("kind", ["RK4", "held", "ramp"])
 def test_samples_keep_their_slopes_in_slots_and_have_exact_values(kind):
-    """A plan of three samples moves on by one: the first two slopes are those of before."""
+    """A plan of three samples moves on by one: the first two slopes are those of before.
+
+    Then the last one takes those of the first.
+    """
     if kind == "RK4":
         ball = tc.library.six_bar_ball()
         plant = tc.linearize(tc.Model(ball), tc.prestress(ball, force_density=20.0))
@@ -201,7 +204,7 @@ def test_samples_keep_their_slopes_in_slots_and_have_exact_values(kind):
     states = 1e-3 * rng.normal(size=(4, s))
     inputs = plant.equilibrium_input + 1e-4 * rng.normal(size=(5, a))
     stages = rng.normal(size=(4, 3, s // 2))
-    all_three, last = np.ones(3, bool), np.array([False, False, True])
+    all_three, last = np.full(3, -1), np.array([0, 1, -1])
     before = kept.linearize(states[:3], inputs[:4], stages[:3], all_three)
     slopes = [part.copy() for part in before.slopes]
     kept.start = 1
@@ -209,13 +212,16 @@ def test_samples_keep_their_slopes_in_slots_and_have_exact_values(kind):
     now = kept.linearize(states[1:], inputs[1:], stages[1:], last)
     exact = anew.linearize(states[1:], inputs[1:], stages[1:], all_three)
     assert now.start == 1
-    assert now.fresh is last
+    assert now.fresh.tolist() == [False, False, True]
     for part, old, new in zip(now.in_order().slopes, slopes, exact.slopes, strict=True):
         assert np.array_equal(part[:2], old[1:])
         np.testing.assert_allclose(part[2], new[2], rtol=0, atol=1e-12)
         assert 0 < np.abs(part[0] - new[0]).max() < 1e-3
     if kind == "RK4":
         assert np.array_equal(now.values, exact.values)
+        assert_slopes_of_the_first(
+            kept.linearize(states[1:], inputs[1:], stages[1:], np.array([0, 1, 0]))
+        )
         return
     # Stages take a step of Newton's method, from what is left of the equations.
     found, wanted = (
@@ -225,6 +231,18 @@ def test_samples_keep_their_slopes_in_slots_and_have_exact_values(kind):
     np.testing.assert_allclose(found[2], wanted[2], rtol=0, atol=1e-9 * scale)
     assert 0 < np.abs(found - wanted).max() < 1e-3 * scale
     np.testing.assert_allclose(now.values, exact.values, rtol=0, atol=1e-3 * scale * SAMPLE)
+    assert_slopes_of_the_first(
+        kept.linearize(states[1:], inputs[1:], stages[1:], np.array([0, 1, 0]))
+    )
+    found = kept.corrected(stages[1:], (0 * states[1:], 0 * inputs[1:]), None)
+    assert 0 < np.abs(found - wanted).max() < 1e-2 * scale
+
+
+def assert_slopes_of_the_first(jacobians):
+    assert jacobians.fresh.tolist() == [False, False, True]
+    for part in jacobians.in_order().slopes:
+        assert np.array_equal(part[2], part[0])
+        assert not np.array_equal(part[2], part[1])
 
 
 def test_a_step_from_the_stages_of_the_last_sample_is_the_same_step(monkeypatch):

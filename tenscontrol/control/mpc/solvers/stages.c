@@ -34,6 +34,9 @@
 /* Blocks from this size on are multiplied by the BLAS, where there is one. */
 #define STAGES_LARGE 32
 
+/* Rows that are factorized together. */
+#define STAGES_BLOCK 32
+
 typedef void (*StagesMultiply)(char *, char *, int *, int *, int *, double *, double *, int *,
                                double *, int *, double *, double *, int *);
 
@@ -162,12 +165,15 @@ STAGES_WIDE static void stages_add(int rows, int columns, double factor, const d
     }
 }
 
-static void stages_transpose(int rows, int columns, const double *A, double *to)
+/* to = A' of (rows, columns), with `width` numbers from row to row: in tiles that stay in cache. */
+static void stages_transpose(int rows, int columns, const double *A, int lda, double *to, int width)
 {
-    int i, j;
-    for (i = 0; i < rows; i++)
-        for (j = 0; j < columns; j++)
-            to[(size_t)j * rows + i] = A[(size_t)i * columns + j];
+    int i, j, r, c;
+    for (i = 0; i < rows; i += 8)
+        for (j = 0; j < columns; j += 8)
+            for (c = j; c < columns && c < j + 8; c++)
+                for (r = i; r < rows && r < i + 8; r++)
+                    to[(size_t)c * width + r] = A[(size_t)r * lda + c];
 }
 
 /*
@@ -199,7 +205,7 @@ static void stages_set_motion(Stages *s, int k, int fresh, const double *end, co
         for (j = 0; j < m; j++)
             memcpy(motion + (size_t)(a + j) * n, A + (size_t)j * m, (size_t)m * sizeof *motion);
     }
-    stages_transpose(a + n, n, motion, s->motion_t + stages_at(s, k) * (a + n) * n);
+    stages_transpose(a + n, n, motion, n, s->motion_t + stages_at(s, k) * (a + n) * n, a + n);
 }
 
 /* out = S h, or S'h, which must not be h. */
@@ -237,17 +243,18 @@ static void stages_set_rows(Stages *s, int k, const double *values, const double
     int n = s->states, a = s->inputs, p = s->limited, m = s->ramp ? n - a : n, i, j;
     double *value = s->values + (size_t)k * p, *e = s->E + stages_at(s, k) * p * n,
            *g = s->G + stages_at(s, k) * p * a, *f = s->F + stages_at(s, k) * p * n;
+    stages_transpose(m, p, E, p, e, n);
+    stages_transpose(a, p, G, p, g, a);
+    stages_transpose(m, p, F, p, f, n);
     for (i = 0; i < p; i++) {
         double unit = 1.0 / s->scale[i];
         value[i] = unit * values[i];
-        for (j = 0; j < m; j++) {
-            e[(size_t)i * n + j] = unit * E[(size_t)j * p + i];
-            f[(size_t)i * n + j] = unit * F[(size_t)j * p + i];
+        for (j = 0; j < n; j++) {
+            e[(size_t)i * n + j] = j < m ? unit * e[(size_t)i * n + j] : 0.0;
+            f[(size_t)i * n + j] = j < m ? unit * f[(size_t)i * n + j] : 0.0;
         }
-        for (; j < n; j++)
-            e[(size_t)i * n + j] = f[(size_t)i * n + j] = 0.0;
         for (j = 0; j < a; j++)
-            g[(size_t)i * a + j] = unit * G[(size_t)j * p + i];
+            g[(size_t)i * a + j] *= unit;
     }
 }
 
@@ -269,11 +276,11 @@ static void stages_find_spans(Stages *s)
     }
 }
 
-/* Factorize X = U'U in place, from what is right of its diagonal; whether X is definite. */
-STAGES_WIDE static int stages_factorize(int a, int width, double *X)
+/* Factorize rows of X = U'U in place, from what is right of the diagonal; whether X is definite. */
+STAGES_WIDE static int stages_factorize_rows(int first, int a, int width, double *X)
 {
     int i, j, k;
-    for (i = 0; i < a; i++) {
+    for (i = first; i < a; i++) {
         double *row = X + (size_t)i * width, root;
         if (!(row[i] > 0.0) || !isfinite(row[i]))
             return 0;
@@ -289,13 +296,34 @@ STAGES_WIDE static int stages_factorize(int a, int width, double *X)
     return 1;
 }
 
+/* Factorize X = U'U in place, a block of rows at a time; the work is as large as X. */
+static int stages_factorize(const Stages *s, int a, int width, double *X, double *work)
+{
+    int first, i, j;
+    for (first = 0; first < a; first += STAGES_BLOCK) {
+        int rows = a - first < STAGES_BLOCK ? a - first : STAGES_BLOCK, columns = width - first;
+        double *block = X + (size_t)first * width + first, *above = X + first;
+        double *sums = work + (size_t)rows * first;
+        if (first) {
+            stages_transpose(first, rows, above, width, work, first);
+            stages_product(s, rows, first, columns, work, first, above, width, sums, columns, 1);
+            for (i = 0; i < rows; i++)
+                for (j = i; j < columns; j++)
+                    block[(size_t)i * width + j] -= sums[(size_t)i * columns + j];
+        }
+        if (!stages_factorize_rows(first, first + rows, width, X))
+            return 0;
+    }
+    return 1;
+}
+
 /* W = S'B'P A of alike stages with few states: all that their recursion has to find. */
 static void stages_prepare_thin(Stages *s)
 {
     int n = s->states, a = s->inputs, i, j;
     double *PA = s->work, *T = PA + (size_t)n * n, *off = T + (size_t)n * n;
-    stages_transpose(a, n, s->Y, s->S_t);
-    stages_transpose(n, n, s->motion + (size_t)a * n, T); /* A */
+    stages_transpose(a, n, s->Y, n, s->S_t, a);
+    stages_transpose(n, n, s->motion + (size_t)a * n, n, T, n); /* A */
     stages_product(s, n, n, n, s->costs, n, T, n, PA, n, 0);
     stages_product(s, a, n, n, s->motion, n, PA, n, s->W, n, 0);
     for (i = 0; i < a; i++)
@@ -305,7 +333,7 @@ static void stages_prepare_thin(Stages *s)
     stages_product(s, a, n, n, s->Y, n, T, n, off, n, 0);
     for (i = 0; i < a * n; i++)
         s->W[i] -= off[i];
-    stages_transpose(a, n, s->W, s->W_t);
+    stages_transpose(a, n, s->W, n, s->W_t, a);
 }
 
 /* Whether costs differ from P right of the diagonal by no more than a part of their diagonal. */
@@ -347,11 +375,11 @@ static int stages_prepare(Stages *s, const int *fresh, double tolerance)
             for (j = i; j < a; j++)
                 X[(size_t)i * w + j] += s->R[i * a + j];
         /* With the columns of the states behind it, the factor is [U W]. */
-        if (!stages_factorize(a, w, X))
+        if (!stages_factorize(s, a, w, X, Y))
             return 0;
         for (i = 0; i < a; i++)
             memcpy(W + (size_t)i * n, X + (size_t)i * w + a, (size_t)n * sizeof *W);
-        stages_transpose(a, n, W, s->W_t + stages_at(s, k) * a * n);
+        stages_transpose(a, n, W, n, s->W_t + stages_at(s, k) * a * n, a);
         memset(S, 0, (size_t)a * a * sizeof *S);
         for (i = a - 1; i >= 0; i--) {
             double unit = 1.0 / X[(size_t)i * w + i];
@@ -359,7 +387,7 @@ static int stages_prepare(Stages *s, const int *fresh, double tolerance)
                        S + (size_t)i * a);
             S[(size_t)i * a + i] += unit;
         }
-        stages_transpose(a, a, S, s->S_t + stages_at(s, k) * a * a);
+        stages_transpose(a, a, S, a, s->S_t + stages_at(s, k) * a * a, a);
         if (k) {
             double *cost = s->costs + stages_at(s, k - 1) * n * n;
             stages_product(s, n, a, n, s->W_t + stages_at(s, k) * a * n, a, W, n, Y, n, 1);
