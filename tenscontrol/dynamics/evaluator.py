@@ -306,7 +306,9 @@ class ColumnEvaluator:
             if width == 1:
                 parts = self._one(*(column[:, start] for column in columns))
             else:
-                places = np.minimum(np.arange(start, start + width), count - 1)
+                places: Any = slice(start, start + width)
+                if start + width > count:
+                    places = np.minimum(np.arange(start, start + width), count - 1)
                 parts = self._chunk(*(column[:, places] for column in columns))
             end = min(start + width, count)
             for result, part in zip(results, parts, strict=True):

@@ -183,6 +183,12 @@ class Model:
         return self._load
 
     @property
+    def is_small(self) -> bool:
+        """Whether every member is written out in its equations, by what members cost."""
+        structure = self._structure
+        return self._prepared.get("small", lambda: _is_small(structure))
+
+    @property
     def prepared(self) -> Prepared:
         """What was built for this model once, for every later call; not for users."""
         return self._prepared
@@ -326,8 +332,7 @@ class Model:
         sizes = self._parameter_sizes(parameters, law)
         form = "flat" if sizes else form
         if form == "auto":
-            small = self._prepared.get("small", lambda: _is_small(self._structure))
-            form = "flat" if small else "mapped" if compiler() is None else "loops"
+            form = "flat" if self.is_small else "mapped" if compiler() is None else "loops"
         degree = whole_number("degree", degree, 0, _MOST_DEGREE)
         truth("load_input", load_input, "whether the load is an input")
         truth("offset_input", offset_input, "whether supports move")
@@ -452,6 +457,25 @@ class Model:
         key = "of all nodes", name
         return self._prepared.get(key, lambda: build(self._symbols(every=True)))
 
+    def with_parameters(self, name: str, parameters: Sequence[str]) -> ca.Function:
+        """Return γ or the elastic energy with parameters of the string law as further inputs.
+
+        Parameters
+        ----------
+        name : {"string_force_density", "elastic_energy"}
+        parameters : sequence of str
+        """
+        count, law = len(self._structure.strings), self._needed_strings()
+
+        def build() -> ca.Function:
+            s = self._symbols() | {each: ca.SX.sym(each, count) for each in parameters}
+            own = {each.name: s.get(each.name, getattr(law, each.name)) for each in fields(law)}
+            s |= {"law": law.with_parameters(own), "parameters": parameters}
+            found: ca.Function = getattr(self, f"_{name}")(s)
+            return found
+
+        return self._prepared.get((name, *parameters), build)
+
     # ---- expressions ----
 
     def _string_force_density(self, s: dict[str, Any]) -> ca.Function:
@@ -473,7 +497,7 @@ class Model:
         return self._function("potential_energy", s, "x gamma", energy=energy)
 
     def _elastic_energy(self, s: dict[str, Any]) -> ca.Function:
-        law = self._needed_strings()
+        law = s.get("law") or self._needed_strings()
         length = kernel.string_lengths(self._structure, s["nodes"]).T
         stored = law.as_expressions().stored_energy(length, s["rest_length"])
         energy = ca.densify(ca.sum1(stored))
@@ -554,6 +578,7 @@ class Model:
     def _function(self, name: str, s: dict[str, Any], inputs: str, **outputs: Any) -> ca.Function:
         """Return a function of symbols by name; W is an input only if the model takes a load."""
         names = [each for each in inputs.split() if each != "W" or self._external_force]
+        names += s.get("parameters", ())
         given = [s[each] for each in names]
         return ca.Function(name, given, list(outputs.values()), names, list(outputs))
 
@@ -580,7 +605,7 @@ class Model:
         return kernel.bar_force_density(self._structure, s["nodes"], s["velocities"], forces)
 
     def _law_force_density(self, s: dict[str, Any]) -> Any:
-        law = self._needed_strings()
+        law = s.get("law") or self._needed_strings()
         length, rate = kernel.string_motion(self._structure, s["nodes"], s["velocities"])
         return law.symbolic_force_density(length.T, s["rest_length"], rate.T)
 
