@@ -175,7 +175,6 @@ class Lanes:
         )  # fmt: skip
         return kept, good, counts
 
-
     def advance_one(
         self, state: FloatArray, held: FloatArray, duration: float, outputs: int
     ) -> Span:

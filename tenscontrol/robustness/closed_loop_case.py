@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from typing import Any, final
 
 import numpy as np
@@ -13,10 +14,18 @@ from tenscontrol.actuation import Winches
 from tenscontrol.control import Controller, ControlWarning, Status, as_controller
 from tenscontrol.dynamics import ContactLaw, Coordinates, Model, StringLaw, coordinates
 from tenscontrol.estimation import KINDS, KalmanFilter, Sensors
-from tenscontrol.plant import LinearPlant, checked_reference
+from tenscontrol.plant import LinearPlant, checked_reference, held_value
 from tenscontrol.robustness.distributions import one_number
 from tenscontrol.robustness.sweep_report import SweepError
-from tenscontrol.simulation import Fault, Faults, HealthLimits, Trajectory, simulate
+from tenscontrol.simulation import (
+    Fault,
+    Faults,
+    HealthLimits,
+    Trajectory,
+    checked_controller,
+    simulate,
+    simulate_many,
+)
 from tenscontrol.structure import Structure, refuse_moved_supports, refuse_wrong_bar_lengths
 from tenscontrol.validation import (
     FloatArray,
@@ -41,6 +50,11 @@ _GROUND = {"ground_stiffness": "stiffness", "ground_damping": "damping", "fricti
 
 # What a factor on the stiffness acts on, by the law.
 _STIFFNESS = ("stiffness", "axial_rigidity")
+
+_MASSES = {"bar_mass", "point_mass", "string_node_mass"}
+
+# Runs that go through the compiled loops together, and numbers of their motions.
+_MOST_TOGETHER, _MOST_NUMBERS = 64, 4_000_000
 
 # The part of the run, at its end, in which the structure is to be at its place.
 _SETTLED = 0.1
@@ -98,7 +112,13 @@ class Outcome:
 class ClosedLoopCase:
     """A closed loop whose plant varies, while the controller keeps its nominal design.
 
-    For :func:`sweep`. These parameters can vary:
+    For :func:`sweep`. With ``controller=None`` the input is held: an open loop. Runs whose
+    controller is compiled code (:meth:`GeneratedController.compile`), and open loops, go through
+    the compiled loops of :func:`simulate_many`, some at a time; the numbers are the same. For that
+    there must be no winches, estimator, faults or ground. ``report.back_end`` says which way was
+    taken, and why.
+
+    These parameters can vary:
 
     - ``"bar_mass"``, ``"string_node_mass"``, ``"point_mass"``, ``"stiffness"``, ``"damping"``:
       factors on the nominal values, one for all or one for each member (point masses: one for
@@ -116,8 +136,8 @@ class ClosedLoopCase:
     The figures of a run are ``final_error``, m: the largest distance of a node from its target in
     the last tenth of the run, without rigid-body motion; ``least_force_density`` and
     ``largest_force_density`` of all strings, N/m; ``largest_command``, N/m or m; and
-    ``commands_not_ok``, the number of commands with a status other than ``Status.OK``. A motion
-    that is not accurate counts as a failure.
+    ``commands_not_ok``, the number of commands with a status other than ``Status.OK``; open loops
+    have no commands. A motion that is not accurate counts as a failure.
 
     Parameters
     ----------
@@ -125,7 +145,7 @@ class ClosedLoopCase:
         Nominal; the one that the controller was designed on, or its subdivision.
     strings : StringLaw or None
         Nominal; None where γ is held.
-    controller : Controller, or function or object as for :func:`simulate`
+    controller : Controller, or function or object as for :func:`simulate`; or None
         Its plant says where the nodes are to be; for a function ``target`` does, or the shape of
         the structure. Workers get it pickled: a function at the top of a module, not a lambda.
     duration : float
@@ -141,9 +161,11 @@ class ClosedLoopCase:
     gravity : float or array_like, shape (d,), optional
         As in :class:`Model`. Weights go with the masses.
     rest_length, input, winches, sample_time, estimator, sensors, faults : optional
-        As in :func:`simulate`.
+        As in :func:`simulate`. In open loop ``rest_length`` or ``force_density`` is held.
     ground : ContactLaw or sequence of ContactLaw, optional
         As in :class:`Model`; nominal.
+    force_density : array_like, shape (α,), optional
+        N/m, in open loop.
 
     Raises
     ------
@@ -184,6 +206,7 @@ class ClosedLoopCase:
     sensors: Sensors | None = None
     faults: Sequence[Fault] = ()
     ground: ContactLaw | Sequence[ContactLaw] | None = None
+    force_density: Any = None
     # In which the nodes are to be at their place.
     _coordinates: Coordinates = field(init=False, repr=False)
 
@@ -203,8 +226,13 @@ class ClosedLoopCase:
         if self.input is not None:
             choice("input", self.input, ("rest_length", "force_density"))
         held = self.input or ("force_density" if self.strings is None else "rest_length")
-        law = as_controller(self.controller, self.structure, held, self.sample_time)
-        put(self, "controller", law)
+        law, known = None, self.structure
+        if self.controller is None:
+            held = self._held_in_open_loop()
+        else:
+            law = as_controller(self.controller, self.structure, held, self.sample_time)
+            put(self, "controller", law)
+            known = law.structure
         if isinstance(law, Controller):
             put(self, "_coordinates", law.plant.coordinates)
             if self.target is not None:
@@ -212,14 +240,14 @@ class ClosedLoopCase:
                 put(self, "target", frozen(found.nodes[:, :, 0]))
         else:
             if self.target is not None:
-                shape = law.structure.checked_nodes("target", self.target)
-                refuse_wrong_bar_lengths("target", law.structure, shape)
-                refuse_moved_supports("target", law.structure, shape)
+                shape = known.checked_nodes("target", self.target)
+                refuse_wrong_bar_lengths("target", known, shape)
+                refuse_moved_supports("target", known, shape)
                 put(self, "target", frozen(shape))
-            put(self, "_coordinates", coordinates(Model(law.structure), self.target))
+            put(self, "_coordinates", coordinates(Model(known), self.target))
         if self.gravity is not None:
             put(self, "gravity", frozen(float_array("gravity", self.gravity)))
-        if self.rest_length is not None:
+        if self.rest_length is not None and law is not None:
             count = len(law.commanded.strings)
             lengths = per_member("rest_length", self.rest_length, count, "string of the controller")
             put(self, "rest_length", frozen(positive("rest_length", lengths, "length in m")))
@@ -230,12 +258,30 @@ class ClosedLoopCase:
             if self.estimator is None:
                 raise ValueError("sensors go with an estimator; KalmanFilter(...) makes one")
         size = float(np.ptp(self.structure.nodes, axis=1).max())
-        winches = len(law.commanded.strings)
+        winches = None if law is None else len(law.commanded.strings)
         faults = Faults(self.faults, size, held)
         faults.refuse_unknown(len(self.structure.strings), winches)
         put(self, "faults", tuple(self.faults))
         model = self._model({})  # refuses strings, gravity and ground that do not fit
         put(self, "ground", model.ground)
+
+    def _held_in_open_loop(self) -> str:
+        """Return what is held, after checking it."""
+        names = "input", "winches", "sample_time", "estimator", "sensors"
+        for name in names:
+            if getattr(self, name) is not None:
+                raise ValueError(f"{name} goes with a controller, but controller is None")
+        given = [
+            each for each in ("rest_length", "force_density") if getattr(self, each) is not None
+        ]
+        if len(given) != 1:
+            found = " and ".join(given) or "neither"
+            raise ValueError(
+                f"expected one of rest_length and force_density without a controller, found {found}"
+            )
+        value = held_value(self._model({}), self.rest_length, self.force_density)
+        object.__setattr__(self, given[0], frozen(value))
+        return given[0]
 
     def __call__(self, parameters: Mapping[str, object], rng: np.random.Generator) -> Outcome:
         """Return what becomes of the closed loop with these factors and start; noise by ``rng``.
@@ -259,6 +305,7 @@ class ClosedLoopCase:
                 self._start(parameters),
                 controller=self.controller,
                 rest_length=self.rest_length,
+                force_density=self.force_density,
                 input=self.input,
                 winches=self.winches,
                 sample_time=self.sample_time,
@@ -271,7 +318,95 @@ class ClosedLoopCase:
             )
         if run.stopped is not None:
             raise SweepError(f"a simulation {run.stopped}")
-        return self._judged(run)
+        record = run.control
+        if record is None:
+            return self._judged(run)
+        not_ok = sum(status is not Status.OK for status in record.status)
+        return self._judged(run, record.command, not_ok)
+
+    def alone(self, names: Collection[str]) -> str | None:
+        """Return why runs that vary in these parameters go one by one; None if they do not."""
+        law = self.controller
+        if law is not None:
+            try:
+                checked_controller(law, self._model({}))
+            except (TypeError, ValueError):
+                return "the controller is not compiled code that commands all strings"
+            if self.input not in (None, law.input) or self.rest_length is not None:
+                return "the controller is told rest lengths at the start, or has another input"
+        parts = {"winches": self.winches, "an estimator": self.estimator, "ground": self.ground}
+        for what, part in (parts | {"faults": self.faults}).items():
+            if part:
+                return f"there is {what}" if what != "faults" else "there are faults"
+        varied = set(names) - {"start"}
+        if not varied <= {*_MASSES, "stiffness", "damping"}:
+            return "the ground or the readings vary"
+        if varied and not self._model({}).is_small:
+            return "equations of so many members take no parameters"
+        if varied & _MASSES and self.structure.blocks:
+            return "masses of bars that share nodes vary"
+        return None
+
+    @property
+    def at_a_time(self) -> int:
+        """Number of runs whose motions are held in memory together."""
+        numbers = 2 * self.structure.nodes.size * self.duration / self.step
+        return int(np.clip(_MOST_NUMBERS / numbers, 1, _MOST_TOGETHER))
+
+    def together(self, drawn: Sequence[Mapping[str, object]]) -> list[Callable[[], Outcome] | None]:
+        """Return what each of some runs comes to, to be called; None where a call alone says it.
+
+        Parameters
+        ----------
+        drawn : sequence of mapping
+            Parameters of each run.
+        """
+        models, starts, good = [], [], []
+        found: list[Callable[[], Outcome] | None] = [None] * len(drawn)
+        nominal = self._model({})
+        for i, parameters in enumerate(drawn):
+            try:
+                model, start = self._model(parameters), self._start(parameters)
+            except (TypeError, ValueError, SweepError):
+                continue
+            models.append(model)
+            starts.append(self.structure.nodes if start is None else start)
+            good.append(i)
+        if not good:
+            return found
+        vary = {}
+        if {"bar_mass"} & drawn[0].keys():
+            vary["bar_mass"] = [model.structure.bar_mass for model in models]
+        if {"point_mass", "string_node_mass"} & drawn[0].keys():
+            vary["point_mass"] = [model.structure.point_mass for model in models]
+        for name in ("stiffness", "damping"):
+            if name in drawn[0]:
+                own = _scaled_field(nominal.strings, name)
+                vary[own] = [getattr(model.strings, own) for model in models]
+        batch = simulate_many(
+            nominal,
+            self.duration,
+            np.array(starts),
+            controller=self.controller,
+            rest_length=self.rest_length,
+            force_density=self.force_density,
+            vary={name: np.array(values) for name, values in vary.items()},
+            method="rk4",  # which simulate takes for a step
+            step=self.step,
+            output_step=self.step,
+            threads=1,
+        )
+
+        def outcome(run: int) -> Outcome:
+            motion = batch.trajectory(run, HealthLimits(action="raise"))
+            if batch.command is None or batch.commands_not_ok is None:
+                return self._judged(motion)
+            return self._judged(motion, batch.command[run], int(batch.commands_not_ok[run]))
+
+        for run, i in enumerate(good):
+            if batch.completed[run]:
+                found[i] = partial(outcome, run)
+        return found
 
     def _model(self, parameters: Mapping[str, object]) -> Model:
         structure, strings = self.structure, self.strings
@@ -289,11 +424,9 @@ class ClosedLoopCase:
             mass[points] *= per_member("string_node_mass", given, len(points), "string node")
         if (mass != structure.point_mass).any():
             structure = replace(structure, point_mass=mass)
-        for name, of_law in (("stiffness", _STIFFNESS), ("damping", ("damping",))):
+        for name in ("stiffness", "damping"):
             if name in parameters:
-                strings = _varied_strings(
-                    strings, name, of_law, parameters[name], len(structure.strings)
-                )
+                strings = _varied_strings(strings, name, parameters[name], len(structure.strings))
         ground = self.ground
         for name in (each for each in _GROUND if each in parameters):
             ground = _varied_ground(ground, name, parameters[name])
@@ -312,9 +445,9 @@ class ClosedLoopCase:
             )
         return known.to_nodes(parameters["start"])
 
-    def _judged(self, run: Trajectory) -> Outcome:
-        record = run.control
-        assert record is not None  # a controller was given
+    def _judged(
+        self, run: Trajectory, commands: FloatArray | None = None, not_ok: int = 0
+    ) -> Outcome:
         known = self._coordinates
         late = run.time >= (1 - _SETTLED) * run.time[-1]
         # Of a subdivision, the nodes of its parent come first.
@@ -324,22 +457,28 @@ class ClosedLoopCase:
             "final_error": error,
             "least_force_density": float(run.force_density.min()),
             "largest_force_density": float(run.force_density.max()),
-            "largest_command": float(record.command.max()),
-            "commands_not_ok": float(sum(status is not Status.OK for status in record.status)),
         }
+        if commands is not None:
+            figures["largest_command"] = float(commands.max())
+            figures["commands_not_ok"] = float(not_ok)
         return Outcome(success=error <= self.tolerance, figures=figures)
 
 
-def _varied_strings(
-    strings: StringLaw | None, name: str, of_law: tuple[str, ...], factor: object, count: int
-) -> StringLaw:
-    """Return the law with a parameter multiplied: the first of these that it has."""
+def _scaled_field(strings: StringLaw | None, name: str) -> str:
+    """Return the field of the law that a factor acts on."""
     found = [] if strings is None else [each.name for each in fields(strings)]
-    scaled = [each for each in of_law if each in found]
-    if strings is None or not scaled:
+    scaled = [each for each in (_STIFFNESS if name == "stiffness" else (name,)) if each in found]
+    if not scaled:
         raise SweepError(f"{name} is drawn, but the strings have none: {strings!r}")
+    return scaled[0]
+
+
+def _varied_strings(strings: StringLaw | None, name: str, factor: object, count: int) -> StringLaw:
+    """Return the law with a parameter multiplied."""
+    scaled = _scaled_field(strings, name)
+    assert strings is not None  # else it is refused above
     value = per_member(name, factor, count, "string")
-    return replace(strings, **{scaled[0]: value * getattr(strings, scaled[0])})
+    return replace(strings, **{scaled: value * getattr(strings, scaled)})
 
 
 def _varied_ground(ground: Any, name: str, factor: object) -> tuple[ContactLaw, ...]:
@@ -409,10 +548,14 @@ def farthest_node(plant: LinearPlant | Coordinates, nodes: FloatArray, target: F
     nodes = float_array("nodes", nodes)
     if nodes.ndim != 3 or nodes.shape[:2] != target.shape:
         raise ValueError(f"nodes has shape {nodes.shape}, expected {(*target.shape, 'T')}")
-    r, at_rest = known.count, np.zeros_like(known.nodes)
-    # Both are measured in the coordinates, which leave out what they do not know.
-    wanted, *found = (
-        known.to_nodes(known.measure(shape, at_rest)[:r])
-        for shape in (target, *np.moveaxis(nodes, 2, 0))
-    )
+    at_rest = np.zeros_like(known.nodes)
+
+    def seen(shape: FloatArray) -> FloatArray:
+        if known.kind in ("nodes", "minimal") and known.is_complete:
+            return shape
+        if known.is_complete:  # but for motions as one body
+            return known.laid_over(shape, at_rest)[0]
+        return known.to_nodes(known.measure(shape, at_rest)[: known.count])
+
+    wanted, *found = (seen(shape) for shape in (target, *np.moveaxis(nodes, 2, 0)))
     return max((float(np.linalg.norm(N - wanted, axis=0).max()) for N in found), default=0.0)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 from collections import deque
 from typing import Protocol, cast, runtime_checkable
-
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -17,6 +16,7 @@ from tenscontrol.validation import FloatArray, IntArray, wrong_kind
 
 # Runs of a block: each has a controller of its own.
 MOST_CONTROLLERS = 64
+
 
 @runtime_checkable
 class CompiledCode(Protocol):

@@ -408,7 +408,12 @@ class Runner:
             advance = self._of_run(run).advance if self._lanes is None else self._lanes.advance_one
             states = np.vstack([by_node(N)[structure.free_rows] for N in (nodes, velocities)])
             error = step_doubling_error(
-                advance, choice.value, structure, self.time, states, partial(self._interval, run, states)
+                advance,
+                choice.value,
+                structure,
+                self.time,
+                states,
+                partial(self._interval, run, states),
             )
         loaded, free = load is not None and bool(load.any()), not len(structure.fixed_rows)
         damped = model.strings is not None and model.strings.is_damped

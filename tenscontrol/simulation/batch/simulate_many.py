@@ -262,7 +262,7 @@ def simulate_many(
         runner = Runner(scene, how, output_step, kept, law)
         with progress_bar(scene.count, progress, label="simulating", unit="runs") as report:
             runner.run(threads, report)
-    messages = {run: _INTERRUPTED for run in np.flatnonzero(~runner.completed).tolist()}
+    messages = dict.fromkeys(np.flatnonzero(~runner.completed).tolist(), _INTERRUPTED)
     messages = dict(sorted((messages | runner.messages).items()))
     return Batch(
         model.structure, runner.time, runner.nodes, runner.velocities, kept, runner.completed,
