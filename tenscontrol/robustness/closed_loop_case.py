@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from typing import Any, final
@@ -209,6 +210,8 @@ class ClosedLoopCase:
     force_density: Any = None
     # In which the nodes are to be at their place.
     _coordinates: Coordinates = field(init=False, repr=False)
+    # Without a draw; it keeps what is built for runs that go together.
+    _nominal: Model = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         instance("structure", self.structure, Structure, "for example prism()")
@@ -262,26 +265,21 @@ class ClosedLoopCase:
         faults = Faults(self.faults, size, held)
         faults.refuse_unknown(len(self.structure.strings), winches)
         put(self, "faults", tuple(self.faults))
-        model = self._model({})  # refuses strings, gravity and ground that do not fit
-        put(self, "ground", model.ground)
+        put(self, "_nominal", self._model({}))  # refuses strings and so on that do not fit
+        put(self, "ground", self._nominal.ground)
 
     def _held_in_open_loop(self) -> str:
         """Return what is held, after checking it."""
-        names = "input", "winches", "sample_time", "estimator", "sensors"
-        for name in names:
+        for name in ("input", "winches", "sample_time", "estimator", "sensors"):
             if getattr(self, name) is not None:
                 raise ValueError(f"{name} goes with a controller, but controller is None")
-        given = [
-            each for each in ("rest_length", "force_density") if getattr(self, each) is not None
-        ]
-        if len(given) != 1:
-            found = " and ".join(given) or "neither"
-            raise ValueError(
-                f"expected one of rest_length and force_density without a controller, found {found}"
-            )
+        held = "rest_length" if self.force_density is None else "force_density"
+        if (self.rest_length is None) == (self.force_density is None):
+            found = "neither" if self.rest_length is None else "both"
+            raise ValueError(f"expected one of rest_length and force_density, found {found}")
         value = held_value(self._model({}), self.rest_length, self.force_density)
-        object.__setattr__(self, given[0], frozen(value))
-        return given[0]
+        object.__setattr__(self, held, frozen(value))
+        return held
 
     def __call__(self, parameters: Mapping[str, object], rng: np.random.Generator) -> Outcome:
         """Return what becomes of the closed loop with these factors and start; noise by ``rng``.
@@ -325,23 +323,21 @@ class ClosedLoopCase:
         return self._judged(run, record.command, not_ok)
 
     def alone(self, names: Collection[str]) -> str | None:
-        """Return why runs that vary in these parameters go one by one; None if they do not."""
-        law = self.controller
+        """Return why runs that vary in these parameters go one by one; None if they need not."""
+        law, nominal, varied = self.controller, self._nominal, {*names} - {"start"}
         if law is not None:
             try:
-                checked_controller(law, self._model({}))
+                checked_controller(law, nominal)
             except (TypeError, ValueError):
-                return "the controller is not compiled code that commands all strings"
+                return "the controller is not compiled code for these strings"
             if self.input not in (None, law.input) or self.rest_length is not None:
                 return "the controller is told rest lengths at the start, or has another input"
-        parts = {"winches": self.winches, "an estimator": self.estimator, "ground": self.ground}
-        for what, part in (parts | {"faults": self.faults}).items():
-            if part:
-                return f"there is {what}" if what != "faults" else "there are faults"
-        varied = set(names) - {"start"}
+        for part in ("winches", "estimator", "ground", "faults"):
+            if getattr(self, part):
+                return f"{part} given"
         if not varied <= {*_MASSES, "stiffness", "damping"}:
-            return "the ground or the readings vary"
-        if varied and not self._model({}).is_small:
+            return "more than masses and strings vary"
+        if varied and not nominal.is_small:
             return "equations of so many members take no parameters"
         if varied & _MASSES and self.structure.blocks:
             return "masses of bars that share nodes vary"
@@ -354,56 +350,45 @@ class ClosedLoopCase:
         return int(np.clip(_MOST_NUMBERS / numbers, 1, _MOST_TOGETHER))
 
     def together(self, drawn: Sequence[Mapping[str, object]]) -> list[Callable[[], Outcome] | None]:
-        """Return what each of some runs comes to, to be called; None where a call alone says it.
+        """Return what gives the outcome of each run; None for a run that has to go by itself.
 
         Parameters
         ----------
         drawn : sequence of mapping
             Parameters of each run.
         """
-        models, starts, good = [], [], []
         found: list[Callable[[], Outcome] | None] = [None] * len(drawn)
-        nominal = self._model({})
+        made, nominal = {}, self._nominal
         for i, parameters in enumerate(drawn):
-            try:
-                model, start = self._model(parameters), self._start(parameters)
-            except (TypeError, ValueError, SweepError):
-                continue
-            models.append(model)
-            starts.append(self.structure.nodes if start is None else start)
-            good.append(i)
-        if not good:
+            # By itself, a run says what is wrong with its parameters.
+            with suppress(TypeError, ValueError, SweepError):
+                made[i] = self._model(parameters), self._start(parameters)
+        if not made:
             return found
+        models, starts = zip(*made.values(), strict=True)
+        of_law = [each.name for each in fields(self.strings)] if self.strings is not None else []
         vary = {}
-        if {"bar_mass"} & drawn[0].keys():
-            vary["bar_mass"] = [model.structure.bar_mass for model in models]
-        if {"point_mass", "string_node_mass"} & drawn[0].keys():
-            vary["point_mass"] = [model.structure.point_mass for model in models]
-        for name in ("stiffness", "damping"):
-            if name in drawn[0]:
-                own = _scaled_field(nominal.strings, name)
-                vary[own] = [getattr(model.strings, own) for model in models]
+        for part, names in (("structure", ("bar_mass", "point_mass")), ("strings", of_law)):
+            for name in names:
+                usual, *own = (getattr(getattr(each, part), name) for each in (nominal, *models))
+                if (np.array(own) != usual).any():
+                    vary[name] = np.array(own)
         batch = simulate_many(
-            nominal,
-            self.duration,
-            np.array(starts),
-            controller=self.controller,
-            rest_length=self.rest_length,
-            force_density=self.force_density,
-            vary={name: np.array(values) for name, values in vary.items()},
-            method="rk4",  # which simulate takes for a step
-            step=self.step,
-            output_step=self.step,
-            threads=1,
-        )
+            nominal, self.duration,
+            np.array([self.structure.nodes if start is None else start for start in starts]),
+            rest_length=self.rest_length, force_density=self.force_density,
+            controller=self.controller, vary=vary, threads=1,
+            method="rk4", step=self.step, output_step=self.step,  # as simulate takes for a step
+        )  # fmt: skip
 
         def outcome(run: int) -> Outcome:
             motion = batch.trajectory(run, HealthLimits(action="raise"))
-            if batch.command is None or batch.commands_not_ok is None:
+            commands, not_ok = batch.command, batch.commands_not_ok
+            if commands is None or not_ok is None:
                 return self._judged(motion)
-            return self._judged(motion, batch.command[run], int(batch.commands_not_ok[run]))
+            return self._judged(motion, commands[run], int(not_ok[run]))
 
-        for run, i in enumerate(good):
+        for run, i in enumerate(made):
             if batch.completed[run]:
                 found[i] = partial(outcome, run)
         return found
@@ -424,9 +409,11 @@ class ClosedLoopCase:
             mass[points] *= per_member("string_node_mass", given, len(points), "string node")
         if (mass != structure.point_mass).any():
             structure = replace(structure, point_mass=mass)
-        for name in ("stiffness", "damping"):
+        for name, of_law in (("stiffness", _STIFFNESS), ("damping", ("damping",))):
             if name in parameters:
-                strings = _varied_strings(strings, name, parameters[name], len(structure.strings))
+                strings = _varied_strings(
+                    strings, name, of_law, parameters[name], len(structure.strings)
+                )
         ground = self.ground
         for name in (each for each in _GROUND if each in parameters):
             ground = _varied_ground(ground, name, parameters[name])
@@ -464,21 +451,16 @@ class ClosedLoopCase:
         return Outcome(success=error <= self.tolerance, figures=figures)
 
 
-def _scaled_field(strings: StringLaw | None, name: str) -> str:
-    """Return the field of the law that a factor acts on."""
+def _varied_strings(
+    strings: StringLaw | None, name: str, of_law: tuple[str, ...], factor: object, count: int
+) -> StringLaw:
+    """Return the law with a parameter multiplied: the first of these that it has."""
     found = [] if strings is None else [each.name for each in fields(strings)]
-    scaled = [each for each in (_STIFFNESS if name == "stiffness" else (name,)) if each in found]
-    if not scaled:
+    scaled = [each for each in of_law if each in found]
+    if strings is None or not scaled:
         raise SweepError(f"{name} is drawn, but the strings have none: {strings!r}")
-    return scaled[0]
-
-
-def _varied_strings(strings: StringLaw | None, name: str, factor: object, count: int) -> StringLaw:
-    """Return the law with a parameter multiplied."""
-    scaled = _scaled_field(strings, name)
-    assert strings is not None  # else it is refused above
     value = per_member(name, factor, count, "string")
-    return replace(strings, **{scaled: value * getattr(strings, scaled)})
+    return replace(strings, **{scaled[0]: value * getattr(strings, scaled[0])})
 
 
 def _varied_ground(ground: Any, name: str, factor: object) -> tuple[ContactLaw, ...]:

@@ -28,6 +28,9 @@ from tenscontrol.validation import (
     wrong_kind,
 )
 
+# Runs from which they go together: what is compiled for that takes seconds the first time.
+_WORTHWHILE = 48
+
 
 def sweep(
     case: Callable[..., Outcome],
@@ -52,8 +55,8 @@ def sweep(
         ``case(parameters, rng) -> Outcome``, once a run: ``parameters`` is a dict
         of what was drawn, floats or read-only arrays (size,); ``rng`` is the run's
         own :class:`numpy.random.Generator`, for noise. It is pickled, and loaded
-        anew for each run; some :class:`ClosedLoopCase` do several runs together. A run in which it raises is a failure and is kept as
-        such; :class:`SweepError` stops the sweep. See :class:`ClosedLoopCase`.
+        anew for each run, or for the runs that a :class:`ClosedLoopCase` does together. A run in
+        which it raises is a failure and is kept as such; :class:`SweepError` stops the sweep.
     parameters : mapping of str to Distribution
         What to draw for each run: :class:`Uniform`, :class:`Normal`, :class:`OneOf`.
     count : int
@@ -67,8 +70,8 @@ def sweep(
     processes : int, optional
         Number of new processes, where no executor is given; all processors if not given.
     in_flight : int, optional
-        How many runs are handed out at a time, at least the number of workers. Two
-        a process if not given, 64 on an executor that is given.
+        How many runs, or groups of runs that go together, are handed out at a time, at least the
+        number of workers. Two a process if not given, 64 on an executor that is given.
     file : path, optional
         Each run is written to it as soon as it is done. If the file exists, the sweep continues it:
         all parameters and one of its runs must be reproduced. ``count`` may differ from that of
@@ -148,8 +151,10 @@ def sweep(
     if isinstance(case, ClosedLoopCase):
         why, at_a_time = case.alone(distributions), case.at_a_time
         back_end = f"up to {at_a_time} together, in compiled loops"
-        if why is not None or at_a_time == 1:
-            at_a_time, back_end = 1, f"one by one: {why or 'a run fills the memory for several'}"
+        if why is None and (count < _WORTHWHILE or at_a_time == 1):
+            why = "too few runs" if at_a_time > 1 else "a run fills the memory for several"
+        if why is not None:
+            at_a_time, back_end = 1, f"one by one: {why}"
 
     with store.opened(path, header, distributions) as (known_count, records, write):
         beyond = sum(run >= count for run in records)  # the file may be that of a longer sweep

@@ -44,6 +44,9 @@ _PER_PROCESS = 2
 # Runs in flight on an executor whose width is not known, unless the user says otherwise.
 _IN_FLIGHT = 64
 
+# Runs that are handed out together, where there are so many: each call costs some of a run.
+_FEWEST = 16
+
 _POLL = 0.05  # s until an interrupt is looked for
 
 _here = local()  # the last case that a thread of a worker did several runs of
@@ -138,8 +141,8 @@ def spread(
 
     Runs are handed out one by one, or up to ``at_a_time`` together so that all workers have some.
     """
-    size = min(at_a_time, -(-len(runs) // pool.in_flight))
-    todo = iter(runs[i : i + size] for i in range(0, len(runs), size or 1))
+    size = min(at_a_time, max(_FEWEST, -(-len(runs) // pool.in_flight)))
+    todo = iter(runs[i : i + size] for i in range(0, len(runs), size))
     pending: dict[Future[list[Record]], list[int]] = {}
     over = False
     try:

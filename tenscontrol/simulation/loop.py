@@ -555,13 +555,14 @@ def step_doubling_error(
     """Estimate the error of the nodes at the end by step doubling, as part of the size.
 
     Some intervals of the motion are integrated again in half the steps by ``advance``, as that of
-    an integrator, each from the state and with the input that ``interval`` tells; the difference
-    is about the error made there. Errors where velocities change most are added, those of velocities by how
-    far they lead in the time left, or in the time in which the motion covers its own size; the
-    mean of the rest stands for all others. The estimate is twice that: right if errors add up, far
-    too high for symplectic methods, whose errors mostly cancel. It detects too long a step where
-    energy and bar lengths do not: under damping, under a controller, in conserving methods. None
-    where too few states were kept, or the user interrupts; infinite where the motion runs away.
+    an integrator, each from the state and with the input that ``interval`` tells. The difference is
+    about the error made there. Errors where velocities change most are added, those of velocities
+    by how far they lead in the time left, or in the time in which the motion covers its own size;
+    the mean of the rest stands for all others. The estimate is twice that: right if errors add up,
+    far too high for symplectic methods, whose errors mostly cancel. It detects too long a step
+    where energy and bar lengths do not: under damping, under a controller, in conserving methods.
+    None where too few states were kept, or the user interrupts; infinite where the motion runs
+    away.
     """
     intervals = len(time) - 1
     most = int(_SHARE * intervals)
