@@ -3,7 +3,6 @@
 from tenscontrol.integrate.cvodes import CVODES, is_expandable, jacobian_weight, state_jacobian
 from tenscontrol.integrate.dop853 import DOP853
 from tenscontrol.integrate.energy_momentum import EnergyMomentum
-from tenscontrol.integrate.events import COUNTS
 from tenscontrol.integrate.fixed_step import RK4, FixedStep, not_finite
 from tenscontrol.integrate.integrator import (
     IntegrationError,
@@ -22,7 +21,6 @@ from tenscontrol.integrate.projection import Projector
 from tenscontrol.integrate.rattle import Rattle, Rattle4, Rattle6, splitting
 
 __all__ = [
-    "COUNTS",
     "CVODES",
     "DOP853",
     "METHODS",

@@ -124,6 +124,8 @@ class Lanes:
     :meth:`of` makes them. Any number of threads may call :meth:`advance`.
     """
 
+    counts = len(COUNTS)
+
     def __init__(self, integrator: FixedStep, equation: Equation, library: Path) -> None:
         self._integrator, self._equation = integrator, equation
         self._run = ctypes.CDLL(str(library)).run_lanes

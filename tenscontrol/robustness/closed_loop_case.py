@@ -323,7 +323,13 @@ class ClosedLoopCase:
         return self._judged(run, record.command, not_ok)
 
     def alone(self, names: Collection[str]) -> str | None:
-        """Return why runs that vary in these parameters go one by one; None if they need not."""
+        """Return why runs go one by one; None if some of them can go together.
+
+        Parameters
+        ----------
+        names : collection of str
+            Parameters that vary.
+        """
         law, nominal, varied = self.controller, self._nominal, {*names} - {"start"}
         if law is not None:
             try:

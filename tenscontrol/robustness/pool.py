@@ -70,7 +70,7 @@ class Workers:
         with _interrupts_blocked():
             return self._executor.submit(function, *arguments)
 
-    def give_up(self, pending: Iterable[Future[Record]]) -> None:
+    def give_up(self, pending: Iterable[Future[list[Record]]]) -> None:
         """See that runs which are not done do not hold up the end."""
         if self._own is None:
             for future in pending:

@@ -22,7 +22,6 @@ from tenscontrol.dynamics import (
     polynomial_at,
 )
 from tenscontrol.integrate import (
-    COUNTS,
     METHODS,
     Choice,
     FixedStep,
@@ -102,7 +101,7 @@ class Runner:
             refuse_memory(f"{asked} and commands", 2.0 * np.prod(size), "numbers", 8, hint)
             self.command, self.commands_not_ok = np.full(size, np.nan), np.zeros(size[0], int)
         # Of each run: what lanes counted, and the work of integrators.
-        self._counts, self._work = np.zeros((scene.count, len(COUNTS))), dict[int, Work]()
+        self._counts, self._work = np.zeros((scene.count, Lanes.counts)), dict[int, Work]()
         self._threads, self._has_no_memory = local(), False
         self._loops_made: list[CompiledLoops] = []
         self._prepare()
@@ -218,7 +217,7 @@ class Runner:
                         last = min(first + block, self.scene.count)
                         pending.add(pool.submit(self._block, first, last))
                     if not pending:
-                        return
+                        break
                     ended, pending = wait(pending, _POLL, FIRST_COMPLETED)
                     self.done += sum(future.result() for future in ended)
                     report(self.done)
@@ -464,7 +463,7 @@ class Runner:
     def _inputs(self, run: int) -> FloatArray:
         """Return the inputs of the strings at all times kept, shape (α, T)."""
         if self.command is not None:
-            return self.command[run][:, self._span_of]
+            return np.asarray(self.command[run][:, self._span_of])
         if self.scene.held is None:
             held = self._own(self.scene.input, run)
             return np.broadcast_to(held[:, None], (len(held), len(self.time)))
