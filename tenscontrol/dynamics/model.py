@@ -24,15 +24,7 @@ from tenscontrol.dynamics.forms import loops_functions, mapped_functions, member
 from tenscontrol.dynamics.machine_code import compiler
 from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.structure import Structure, node_mass
-from tenscontrol.validation import (
-    FloatArray,
-    choice,
-    frozen,
-    instance,
-    shaped,
-    truth,
-    whole_number,
-)
+from tenscontrol.validation import FloatArray, choice, frozen, instance, shaped, truth, whole_number
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -183,12 +175,6 @@ class Model:
         return self._load
 
     @property
-    def is_small(self) -> bool:
-        """Whether every member is written out in its equations, by what members cost."""
-        structure = self._structure
-        return self._prepared.get("small", lambda: _is_small(structure))
-
-    @property
     def prepared(self) -> Prepared:
         """What was built for this model once, for every later call; not for users."""
         return self._prepared
@@ -332,7 +318,8 @@ class Model:
         sizes = self._parameter_sizes(parameters, law)
         form = "flat" if sizes else form
         if form == "auto":
-            form = "flat" if self.is_small else "mapped" if compiler() is None else "loops"
+            small = self._prepared.get("small", lambda: _is_small(self._structure))
+            form = "flat" if small else "mapped" if compiler() is None else "loops"
         degree = whole_number("degree", degree, 0, _MOST_DEGREE)
         truth("load_input", load_input, "whether the load is an input")
         truth("offset_input", offset_input, "whether supports move")
@@ -388,7 +375,7 @@ class Model:
         if own:
             given, s["masses"] = ca.vertcat(given, *own.values()), kernel.Masses.of(structure, own)
             if law is not None:
-                law = law.with_parameters({f.name: getattr(law, f.name) for f in fields(law)} | own)
+                law = law.with_parameters(own)
         if layout.offset:
             # Strings see where nodes are; bars only where they are beside their supports.
             offsets = [ca.SX.sym(name, *structure.nodes.shape) for name in ("offset", "rate")]
@@ -457,24 +444,13 @@ class Model:
         key = "of all nodes", name
         return self._prepared.get(key, lambda: build(self._symbols(every=True)))
 
-    def with_parameters(self, name: str, parameters: Sequence[str]) -> ca.Function:
-        """Return γ or the elastic energy with parameters of the string law as further inputs.
-
-        Parameters
-        ----------
-        name : {"string_force_density", "elastic_energy"}
-        parameters : sequence of str
-        """
-        count, law = len(self._structure.strings), self._needed_strings()
-
-        def build() -> ca.Function:
-            s = self._symbols() | {each: ca.SX.sym(each, count) for each in parameters}
-            own = {each.name: s.get(each.name, getattr(law, each.name)) for each in fields(law)}
-            s |= {"law": law.with_parameters(own), "parameters": parameters}
-            found: ca.Function = getattr(self, f"_{name}")(s)
-            return found
-
-        return self._prepared.get((name, *parameters), build)
+    def of_parameters(self, name: str, names: Sequence[str]) -> ca.Function:
+        """Return γ or the elastic energy with parameters of the string law as further inputs."""
+        own = {each: ca.SX.sym(each, len(self._structure.strings)) for each in names}
+        law = self._needed_strings().with_parameters(own)
+        s = self._symbols() | own | {"law": law, "parameters": names}
+        made: ca.Function = getattr(self, f"_{name}")(s)
+        return made
 
     # ---- expressions ----
 

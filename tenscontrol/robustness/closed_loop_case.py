@@ -343,7 +343,8 @@ class ClosedLoopCase:
                 return f"{part} given"
         if not varied <= {*_MASSES, "stiffness", "damping"}:
             return "more than masses and strings vary"
-        if varied and not nominal.is_small:
+        held = "rest_length" if nominal.strings is not None else "force_density"
+        if varied and nominal.equation(held).form != "flat":
             return "equations of so many members take no parameters"
         if varied & _MASSES and self.structure.blocks:
             return "masses of bars that share nodes vary"

@@ -145,3 +145,7 @@ def test_copies_of_a_controller_serve_the_next_batch(tower, tmp_path, monkeypatc
     )
     assert 0 < len(made) <= RUNS
     assert np.array_equal(first.nodes, second.nodes)
+    # The start and the end alone are kept.
+    run = second.trajectory(1)
+    assert np.array_equal(run.rest_length, second.command[1][:, [0, -1]])
+    assert (run.conserves_energy, run.position_error, run.steps) == (False, None, 6)

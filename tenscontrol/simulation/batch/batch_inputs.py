@@ -101,8 +101,6 @@ class BatchInputs:
     ) -> None:  # fmt: skip
         self.model, self.duration, self.given = model, duration, given
         self.count = max(map(len, given.values()))
-        strings = {"rest_length": rest_length, "force_density": force_density}
-        self.arguments = {name: value for name, value in strings.items() if value is not None}
         self.input = "force_density" if rest_length is None else "rest_length"
         self.varied = [name for name in given if name not in _ARRAYS]
         self.held: Pieces | None = None
@@ -231,15 +229,12 @@ class BatchInputs:
             fine &= (along > _NO_LENGTH * longest).all(axis=1)
         return fine
 
-    def held_inputs(
-        self, first: int, last: int, span: InputSpan, parameters: bool, now: float | None = None
-    ) -> FloatArray:
+    def held_inputs(self, first: int, last: int, span: InputSpan, parameters: bool) -> FloatArray:
         """Return u of some runs, shape (1 or runs, inputs), from what all have in common.
 
-        ``parameters`` says whether those that vary are among them; ``now`` is a time in the span,
-        s: its start if None.
+        ``parameters`` says whether those that vary are among them.
         """
-        coefficients = span.coefficients
+        coefficients, time = span.coefficients, span.time
         own = [] if self.held is not None else [(0, self.input)]
         if "load" in self.given:
             own.append((len(self.model.structure.strings), "load"))
@@ -254,10 +249,7 @@ class BatchInputs:
         for start, part in parts:
             u[:, 0, start : start + part.shape[1]] = part
         held = u.reshape(count, -1)
-        if span.origin is None:
-            return held
-        time = (span.start if now is None else now) - span.origin
-        return np.column_stack([held, np.full(count, time)])
+        return held if time is None else np.column_stack([held, np.full(count, time)])
 
     @property
     def parameters(self) -> list[str]:
@@ -304,8 +296,8 @@ class BatchInputs:
             length = left if end is None else end - now
             origin, coefficients = pieces.piece(now + close)
             outputs = outputs_of(length)
-            since = origin if pieces.degree else None
-            found.append(InputSpan(now, length, outputs, coefficients, since))
+            time = now - origin if pieces.degree else None
+            found.append(InputSpan(now, length, outputs, coefficients, time))
             now = now + length
             left = self.duration if end is None else self.duration - end
         return found
@@ -319,7 +311,7 @@ class InputSpan:
     length: float
     outputs: int
     coefficients: FloatArray
-    origin: float | None  # of the polynomials, s; None where inputs are held
+    time: float | None  # within the polynomials; None where inputs are held
 
     @property
     def times(self) -> FloatArray:

@@ -6,7 +6,7 @@ import ctypes
 from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from threading import local
 
 import casadi as ca
@@ -19,7 +19,6 @@ from tenscontrol.dynamics import (
     Pieces,
     compiled,
     compiler,
-    polynomial_at,
 )
 from tenscontrol.integrate import (
     METHODS,
@@ -38,7 +37,6 @@ from tenscontrol.simulation.batch.batch_inputs import MASSES, BatchInputs, Input
 from tenscontrol.simulation.batch.compiled_loop import MOST_CONTROLLERS, CompiledLoops
 from tenscontrol.simulation.health import Given, Quantities, by_node
 from tenscontrol.simulation.loop import step_doubling_error
-from tenscontrol.simulation.simulate import changes_in_time
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.validation import LARGEST, FloatArray, IntArray, refuse_memory
 
@@ -186,7 +184,8 @@ class Runner:
     def _can_share(self) -> bool:
         """Whether one compiled function takes the parameters of all runs as inputs."""
         given, structure = self.scene.given, self.scene.model.structure
-        if not self.scene.model.is_small or (structure.blocks and set(MASSES) & set(given)):
+        form = self._equation(self.scene.model, "auto", ()).form
+        if form != "flat" or (structure.blocks and set(MASSES) & set(given)):
             return False
         damping = given.get("damping")
         # Strings without any damping have simpler equations.
@@ -386,117 +385,80 @@ class Runner:
     # ---- single runs ----
 
     def trajectory(self, run: int) -> Trajectory:
-        """Return a run that was completed, of a model without ground and with all nodes kept."""
+        """Return a run that was completed, of a model without ground, under inputs that are held.
+
+        All nodes were kept.
+        """
         scene, choice, model = self.scene, self.choice, self.scene.model_of(run)
-        structure, controlled = model.structure, self.command is not None
+        structure, held = model.structure, scene.entry(scene.input, run)
+        assert held is not None  # refused where it changes in time
         nodes, velocities = self.nodes[run], self.velocities[run]
-        inputs, load = self._inputs(run), self._load(run)
-        function = partial(self._function, run, model) if self._shares else None
+        # The span of each state kept: the start belongs to the first.
+        of = np.array([0, len(self.spans) - 1])
+        if not self._ends_alone:
+            outputs = np.repeat(np.arange(len(self.spans)), [span.outputs for span in self.spans])
+            of = np.concatenate([outputs[:1], outputs])
+        inputs: FloatArray = np.broadcast_to(held[:, None], (len(held), len(of)))
+        if self.command is not None:
+            inputs = self.command[run][:, of]
         work, error = self._work.get(run), None
+        load = scene.entry("load", run)
+        if load is None:
+            assert not isinstance(scene.load, Pieces)  # refused where it changes
+            load = scene.load
+        load = load.reshape(structure.nodes.shape, order="F")
+        loaded, free = bool(load.any()), not len(structure.fixed_rows)
         if work is None:
-            assert isinstance(self._plain, FixedStep)  # of which the lanes were made
-            assert self._lanes is not None  # else the run has its work
-            steps = sum(
-                span.outputs * self._lanes.steps_between(span.length, span.outputs)
-                for span in self.spans
-            )
-            work = self._plain.work_of(steps, self._counts[run])
+            plain = self._plain
+            assert isinstance(plain, FixedStep)  # of which the lanes were made
+            steps = (s.outputs * plain.steps_between(s.length, s.outputs) for s in self.spans)
+            work = plain.work_of(sum(steps), self._counts[run])
         if choice.setting == "tolerance":
             error = choice.value * work.steps
         else:
-            advance = self._of_run(run).advance if self._lanes is None else self._lanes.advance_one
-            states = np.vstack([by_node(N)[structure.free_rows] for N in (nodes, velocities)])
+            lanes = self._lanes
+            advance = self._of_run(run).advance if lanes is None else lanes.advance_one
+            states = np.vstack([by_node(part)[structure.free_rows] for part in (nodes, velocities)])
+
+            def interval(k: int) -> tuple[FloatArray, FloatArray]:
+                span = self.spans[of[k + 1]]
+                u = scene.held_inputs(run, run + 1, span, self._shares)[0]
+                u[: len(inputs)] = inputs[:, k + 1]
+                return states[:, k], u
+
             error = step_doubling_error(
-                advance,
-                choice.value,
-                structure,
-                self.time,
-                states,
-                partial(self._interval, run, states),
+                advance, choice.value, structure, self.time, states, interval
             )
-        loaded, free = load is not None and bool(load.any()), not len(structure.fixed_rows)
         damped = model.strings is not None and model.strings.is_damped
-        given = {} if controlled else scene.arguments
         return Trajectory(
             structure, self.time, nodes, velocities,
-            rest_length=inputs if scene.input == "rest_length" else None,
-            choice=choice,
-            work=work,
-            conserves_energy=not controlled and scene.pieces.is_constant
-            and (scene.input == "force_density" or not damped),
-            conserves_momentum=not loaded and free,
-            control=None,
-            released_energy=np.zeros(len(self.time)),
-            position_error=error,
+            inputs if scene.input == "rest_length" else None, choice, work,
+            conserves_energy=self.command is None
+            and not (scene.input == "rest_length" and damped),
+            conserves_momentum=not loaded and free, control=None,
+            released_energy=np.zeros(len(of)), position_error=error,
             falls=free and float(model.constant_force[-1].sum()) < 0,
-            given=Given({
-                name: value if changes_in_time(value) else self._own(name, run)
-                for name, value in given.items()
-            }),
+            given=Given({scene.input: held} if self.command is None else {}),
             _quantities=Quantities(
-                model, False, inputs, load if loaded else None, shared=function
+                model, False, inputs, load if loaded else None,
+                shared=partial(self._function, run, model) if self._shares else None,
             ),
         )  # fmt: skip
 
-    def _own(self, name: str, run: int) -> FloatArray:
-        held = self.scene.entry(name, run)
-        assert held is not None  # all that is held was given by run
-        return held
-
-    @cached_property
-    def _span_of(self) -> IntArray:
-        """The span of each state kept; the start belongs to the first."""
-        count = len(self.spans)
-        if self._ends_alone:
-            return np.array([0, count - 1])
-        outputs = np.repeat(np.arange(count), [span.outputs for span in self.spans])
-        return np.concatenate([outputs[:1], outputs])
-
-    def _common(self, rows: slice) -> FloatArray:
-        """Return some of the inputs that all runs have in common, at all times kept."""
-        parts = []
-        for i, span in enumerate(self.spans):
-            times = self.time[self._span_of == i]
-            parts.append(polynomial_at(span.coefficients[rows], times - (span.origin or 0.0)))
-        return np.hstack(parts)
-
-    def _inputs(self, run: int) -> FloatArray:
-        """Return the inputs of the strings at all times kept, shape (α, T)."""
-        if self.command is not None:
-            return np.asarray(self.command[run][:, self._span_of])
-        if self.scene.held is None:
-            held = self._own(self.scene.input, run)
-            return np.broadcast_to(held[:, None], (len(held), len(self.time)))
-        return self._common(slice(len(self.scene.model.structure.strings)))
-
-    def _load(self, run: int) -> FloatArray:
-        """Return the load, shape (d, n), or (d n, T) where it changes."""
-        scene, strings = self.scene, len(self.scene.model.structure.strings)
-        if "load" in scene.given:
-            return self._own("load", run).reshape(scene.model.structure.nodes.shape, order="F")
-        return self._common(slice(strings, None)) if isinstance(scene.load, Pieces) else scene.load
-
-    def _interval(self, run: int, states: FloatArray, k: int) -> tuple[FloatArray, FloatArray]:
-        """Return the state and the input at the beginning of an interval between states kept."""
-        at = int(self._span_of[k + 1])
-        span, now = self.spans[at], float(self.time[k])
-        held = self.scene.held_inputs(run, run + 1, span, self._shares, now)[0]
-        if self.command is not None:
-            held[: self.command.shape[1]] = self.command[run, :, at]
-        return states[:, k], held
-
     def _function(self, run: int, model: Model, name: str) -> tuple[ca.Function, list[FloatArray]]:
         """Return a function of the model of a run, compiled where all runs share it, and inputs."""
-        scene, of_law = self.scene, name in ("string_force_density", "elastic_energy")
-        if not of_law and set(MASSES) & set(scene.varied):
-            return getattr(model, name), []
-        names = [each for each in scene.parameters if each not in MASSES] if of_law else []
+        scene, shared = self.scene, self.scene.model
+        names = [each for each in scene.parameters if each not in MASSES]
+        if name not in ("string_force_density", "elastic_energy"):
+            if set(MASSES) & set(scene.varied):
+                return getattr(model, name), []
+            names = []
 
         def build() -> ca.Function:
-            shared = scene.model
-            function = shared.with_parameters(name, names) if names else getattr(shared, name)
+            function = shared.of_parameters(name, names) if names else getattr(shared, name)
             code = compiled(function) if self.how.machine_code else None
             return function if code is None else code.function
 
         key = "shared", name, tuple(names), self.how.machine_code and compiler()
-        return scene.model.prepared.get(key, build), [self._own(each, run) for each in names]
+        found = shared.prepared.get(key, build)
+        return found, [scene.some(each, run, run + 1)[0] for each in names]

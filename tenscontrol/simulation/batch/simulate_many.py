@@ -100,17 +100,20 @@ class Batch:
         Raises
         ------
         ValueError
-            If the run did not reach the end, not all nodes were kept, or there is ground.
+            If the run did not reach the end, not all nodes were kept, there is ground, or inputs
+            change in time other than by a controller.
         SimulationError
             If the motion passes a limit with ``action="raise"``.
         """
         run = whole_number("run", run, 0, len(self.completed) - 1)
-        why = None if self.completed[run] else f"ended early: {self.messages[run]}"
-        if len(self.kept_nodes) < self.structure.nodes.shape[1]:
-            why = "has some of its nodes only: leave keep_nodes out"
         assert self._runner is not None  # made by simulate_many
-        if self._runner.scene.model.ground:
-            why = "has contacts, which simulate records"
+        scene, why = self._runner.scene, None
+        if not self.completed[run]:
+            why = f"ended early: {self.messages[run]}"
+        elif len(self.kept_nodes) < self.structure.nodes.shape[1]:
+            why = "has some of its nodes only: leave keep_nodes out"
+        elif scene.model.ground or not scene.pieces.is_constant:
+            why = "has ground, or inputs that change in time: simulate gives its trajectory"
         if why is not None:
             raise ValueError(f"run {run} {why}")
         found = self._runner.trajectory(run)
