@@ -30,12 +30,10 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 #: Bars and strings up to which every member is written out. Without a compiler, operations on all
-#: members at once are as fast from 36 members on (towers of prisms, force densities or rest
-#: lengths held), five times as fast from 180 on, and built in no time where 1500 written out take
-#: 0.3 s. With a compiler, loops are as fast as members written out even for 12, and compile in
-#: 0.3 s where 84 members written out take 4 to 13 s, 756 minutes. Below, a flat expression is
-#: kept: it can be put into the expressions of a step, compiled with them, and differentiated.
-#: Bars that are joined count for more, by the instructions that they take.
+#: members at once are as fast from 36 members on, five times as fast from 180 on, and built in no
+#: time where 1500 written out take 0.3 s. With one, loops are as fast even for 12, and compile in
+#: 0.3 s where 84 members written out take 4 to 13 s. Below, a flat expression is kept: it can be
+#: put into those of a step, and differentiated. Joined bars count by their instructions.
 LARGEST_FLAT = 40
 
 # Of inputs that are polynomials in time.
@@ -235,10 +233,7 @@ class Model:
     def rest_length_dynamics(self) -> ca.Function:
         """``(x, rest_length[, W]) -> xdot``: the state equation with the rest length as the input.
 
-        Raises
-        ------
-        ValueError
-            If the model has no string law.
+        Raises ValueError if the model has no string law.
         """
         s = self._symbols()
         gamma = self._law_force_density(s)
@@ -445,12 +440,17 @@ class Model:
         return self._prepared.get(key, lambda: build(self._symbols(every=True)))
 
     def of_parameters(self, name: str, names: Sequence[str]) -> ca.Function:
-        """Return γ or the elastic energy with parameters of the string law as further inputs."""
+        """Return γ or the elastic energy with parameters of the string law as further inputs.
+
+        Parameters
+        ----------
+        name : {"string_force_density", "elastic_energy"}
+        names : sequence of str
+        """
         own = {each: ca.SX.sym(each, len(self._structure.strings)) for each in names}
         law = self._needed_strings().with_parameters(own)
         s = self._symbols() | own | {"law": law, "parameters": names}
-        made: ca.Function = getattr(self, f"_{name}")(s)
-        return made
+        return getattr(self, f"_{name}")(s)
 
     # ---- expressions ----
 

@@ -232,6 +232,8 @@ class ClosedLoopCase:
         law, known = None, self.structure
         if self.controller is None:
             held = self._held_in_open_loop()
+        elif self.force_density is not None:
+            raise ValueError("force_density is commanded by the controller; leave it out")
         else:
             law = as_controller(self.controller, self.structure, held, self.sample_time)
             put(self, "controller", law)
@@ -298,22 +300,14 @@ class ClosedLoopCase:
         # Where the loop ends is what a sweep asks.
         with warnings.catch_warnings(action="ignore", category=ControlWarning):
             run = simulate(
-                self._model(parameters),
-                self.duration,
-                self._start(parameters),
-                controller=self.controller,
-                rest_length=self.rest_length,
-                force_density=self.force_density,
-                input=self.input,
-                winches=self.winches,
-                sample_time=self.sample_time,
-                step=self.step,
-                limits=HealthLimits(action="raise"),
-                estimator=self.estimator,
+                self._model(parameters), self.duration, self._start(parameters),
+                controller=self.controller, input=self.input, winches=self.winches,
+                rest_length=self.rest_length, force_density=self.force_density,
+                sample_time=self.sample_time, step=self.step, faults=self.faults,
+                limits=HealthLimits(action="raise"), estimator=self.estimator,
                 sensors=_varied_sensors(sensors, parameters),
                 seed=None if self.estimator is None else int(rng.integers(2**63)),
-                faults=self.faults,
-            )
+            )  # fmt: skip
         if run.stopped is not None:
             raise SweepError(f"a simulation {run.stopped}")
         record = run.control
