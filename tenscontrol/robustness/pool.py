@@ -27,13 +27,7 @@ import numpy as np
 from tenscontrol.interrupt import check, finishing
 from tenscontrol.processes import begin_work
 from tenscontrol.robustness.closed_loop_case import Outcome
-from tenscontrol.robustness.distributions import (
-    CASE,
-    Distribution,
-    Drawn,
-    draw_run,
-    generator,
-)
+from tenscontrol.robustness.distributions import CASE, Distribution, Drawn, draw_run, generator
 from tenscontrol.robustness.store import Record
 from tenscontrol.robustness.sweep_report import SweepError
 from tenscontrol.validation import frozen

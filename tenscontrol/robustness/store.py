@@ -141,9 +141,7 @@ def read(
         records[run] = record
     if torn:
         warnings.warn(
-            f"{file} ends in an incomplete line, which is ignored",
-            RuntimeWarning,
-            stacklevel=3,
+            f"{file} ends in an incomplete line, which is ignored", RuntimeWarning, stacklevel=3
         )
     return header, dict(sorted(records.items())), sum(len(line) + 1 for line in lines)
 

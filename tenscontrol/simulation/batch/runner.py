@@ -13,13 +13,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.control import Controller
-from tenscontrol.dynamics import (
-    Equation,
-    Model,
-    Pieces,
-    compiled,
-    compiler,
-)
+from tenscontrol.dynamics import Equation, Model, Pieces, compiled, compiler
 from tenscontrol.integrate import (
     METHODS,
     Choice,
