@@ -337,7 +337,10 @@ class ClosedLoopCase:
                 return f"{part} given"
         if not varied <= {*_MASSES, "stiffness", "damping"}:
             return "more than masses and strings vary"
-        held = "rest_length" if nominal.strings is not None else "force_density"
+        no_law = nominal.strings is None or self.force_density is not None
+        if no_law and varied - _MASSES:
+            return "strings vary whose rest lengths are not held"
+        held = "force_density" if no_law else "rest_length"
         if varied and nominal.equation(held).form != "flat":
             return "equations of so many members take no parameters"
         if varied & _MASSES and self.structure.blocks:

@@ -153,3 +153,4 @@ def test_force_densities_are_held(no_compiler):
     case = thrown(structure, rest_length=None, force_density=gamma, gravity=None)
     assert case({}, np.random.default_rng(0)).figures["final_error"] < 1e-9
     assert replace(case, tolerance=1.0).alone({"bar_mass"}) is None
+    assert case.alone({"stiffness"}) == "strings vary whose rest lengths are not held"
