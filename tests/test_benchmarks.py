@@ -1,6 +1,7 @@
 """Every benchmark runs, cut short, and figures of its table are what they must be."""
 
 import re
+import sys
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -323,6 +324,16 @@ def test_robustness(printed):
     text = printed("robustness", "--count 2 --duration 0.2")
     assert text.count("2 of 2 runs done") == 2
     assert text.count("equal to 1 process to the last bit: yes") == 2
+
+
+def test_robustness_together(printed, monkeypatch):
+    monkeypatch.setenv("TENSCONTROL_COMPILER", "none")
+    module = import_module("tests.benchmarks.robustness")
+    monkeypatch.setattr(module, "MANY", 2)
+    monkeypatch.setattr(sys.modules["tenscontrol.robustness.monte_carlo"], "_WORTHWHILE", 2)
+    text = printed("robustness", "--scenes ball --count 2 --alone 1 --duration 0.05")
+    assert re.search(r"\n +2 .* up to 64 together, in compiled loops", text)
+    assert "equal to the last bit: True" in text
 
 
 def test_rolling(printed):

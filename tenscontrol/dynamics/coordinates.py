@@ -122,6 +122,11 @@ class Coordinates:
         return dense if self._inside is None else self._inside.transposed(dense)
 
     @property
+    def is_complete(self) -> bool:
+        """Whether a shape follows from its coordinates, but for its motion as one body."""
+        return self._feet is None and not isinstance(self._inside, np.ndarray)
+
+    @property
     def is_sparse(self) -> bool:
         """Whether they are all of the minimal coordinates y but for rigid-body motions."""
         return self.kind != "nodes" and not isinstance(self._inside, np.ndarray)

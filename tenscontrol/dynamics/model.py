@@ -24,26 +24,16 @@ from tenscontrol.dynamics.forms import loops_functions, mapped_functions, member
 from tenscontrol.dynamics.machine_code import compiler
 from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.structure import Structure, node_mass
-from tenscontrol.validation import (
-    FloatArray,
-    choice,
-    frozen,
-    instance,
-    shaped,
-    truth,
-    whole_number,
-)
+from tenscontrol.validation import FloatArray, choice, frozen, instance, shaped, truth, whole_number
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 #: Bars and strings up to which every member is written out. Without a compiler, operations on all
-#: members at once are as fast from 36 members on (towers of prisms, force densities or rest
-#: lengths held), five times as fast from 180 on, and built in no time where 1500 written out take
-#: 0.3 s. With a compiler, loops are as fast as members written out even for 12, and compile in
-#: 0.3 s where 84 members written out take 4 to 13 s, 756 minutes. Below, a flat expression is
-#: kept: it can be put into the expressions of a step, compiled with them, and differentiated.
-#: Bars that are joined count for more, by the instructions that they take.
+#: members at once are as fast from 36 members on, five times as fast from 180 on, and built in no
+#: time where 1500 written out take 0.3 s. With one, loops are as fast even for 12, and compile in
+#: 0.3 s where 84 members written out take 4 to 13 s. Below, a flat expression is kept: it can be
+#: put into those of a step, and differentiated. Joined bars count by their instructions.
 LARGEST_FLAT = 40
 
 # Of inputs that are polynomials in time.
@@ -243,10 +233,7 @@ class Model:
     def rest_length_dynamics(self) -> ca.Function:
         """``(x, rest_length[, W]) -> xdot``: the state equation with the rest length as the input.
 
-        Raises
-        ------
-        ValueError
-            If the model has no string law.
+        Raises ValueError if the model has no string law.
         """
         s = self._symbols()
         gamma = self._law_force_density(s)
@@ -383,7 +370,7 @@ class Model:
         if own:
             given, s["masses"] = ca.vertcat(given, *own.values()), kernel.Masses.of(structure, own)
             if law is not None:
-                law = law.with_parameters({f.name: getattr(law, f.name) for f in fields(law)} | own)
+                law = law.with_parameters(own)
         if layout.offset:
             # Strings see where nodes are; bars only where they are beside their supports.
             offsets = [ca.SX.sym(name, *structure.nodes.shape) for name in ("offset", "rate")]
@@ -452,6 +439,19 @@ class Model:
         key = "of all nodes", name
         return self._prepared.get(key, lambda: build(self._symbols(every=True)))
 
+    def of_parameters(self, name: str, names: Sequence[str]) -> ca.Function:
+        """Return γ or the elastic energy with parameters of the string law as further inputs.
+
+        Parameters
+        ----------
+        name : {"string_force_density", "elastic_energy"}
+        names : sequence of str
+        """
+        own = {each: ca.SX.sym(each, len(self._structure.strings)) for each in names}
+        law = self._needed_strings().with_parameters(own)
+        s = self._symbols() | own | {"law": law, "parameters": names}
+        return getattr(self, f"_{name}")(s)
+
     # ---- expressions ----
 
     def _string_force_density(self, s: dict[str, Any]) -> ca.Function:
@@ -473,7 +473,7 @@ class Model:
         return self._function("potential_energy", s, "x gamma", energy=energy)
 
     def _elastic_energy(self, s: dict[str, Any]) -> ca.Function:
-        law = self._needed_strings()
+        law = s.get("law") or self._needed_strings()
         length = kernel.string_lengths(self._structure, s["nodes"]).T
         stored = law.as_expressions().stored_energy(length, s["rest_length"])
         energy = ca.densify(ca.sum1(stored))
@@ -554,6 +554,7 @@ class Model:
     def _function(self, name: str, s: dict[str, Any], inputs: str, **outputs: Any) -> ca.Function:
         """Return a function of symbols by name; W is an input only if the model takes a load."""
         names = [each for each in inputs.split() if each != "W" or self._external_force]
+        names += s.get("parameters", ())
         given = [s[each] for each in names]
         return ca.Function(name, given, list(outputs.values()), names, list(outputs))
 
@@ -580,7 +581,7 @@ class Model:
         return kernel.bar_force_density(self._structure, s["nodes"], s["velocities"], forces)
 
     def _law_force_density(self, s: dict[str, Any]) -> Any:
-        law = self._needed_strings()
+        law = s.get("law") or self._needed_strings()
         length, rate = kernel.string_motion(self._structure, s["nodes"], s["velocities"])
         return law.symbolic_force_density(length.T, s["rest_length"], rate.T)
 

@@ -177,12 +177,12 @@ class StringLaw(ABC):
         Parameters
         ----------
         parameters : dict of str to float, casadi.DM or casadi.SX
-            A number, a column of them, or a symbol for each parameter by name.
+            A number, a column of them, or a symbol by name; others stay as they are.
             A symbol for the damping means that there is some.
         """
         law = object.__new__(type(self))
         for name in self._names():
-            object.__setattr__(law, name, parameters[name])
+            object.__setattr__(law, name, parameters.get(name, getattr(self, name)))
         return law
 
     def as_expressions(self) -> Self:

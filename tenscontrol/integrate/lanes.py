@@ -34,7 +34,8 @@ from tenscontrol.integrate.events import (
     zoom_in,
     zooms,
 )
-from tenscontrol.integrate.fixed_step import FixedStep
+from tenscontrol.integrate.fixed_step import FixedStep, not_finite
+from tenscontrol.integrate.integrator import IntegrationError, Span, Work
 from tenscontrol.validation import FloatArray, IntArray
 
 # Operations of a step up to which it is written out: compilers take half a millisecond for each.
@@ -123,6 +124,8 @@ class Lanes:
     :meth:`of` makes them. Any number of threads may call :meth:`advance`.
     """
 
+    counts = len(COUNTS)
+
     def __init__(self, integrator: FixedStep, equation: Equation, library: Path) -> None:
         self._integrator, self._equation = integrator, equation
         self._run = ctypes.CDLL(str(library)).run_lanes
@@ -173,6 +176,19 @@ class Lanes:
             _place(counts), ctypes.byref(stop),
         )  # fmt: skip
         return kept, good, counts
+
+    def advance_one(
+        self, state: FloatArray, held: FloatArray, duration: float, outputs: int
+    ) -> Span:
+        """Return the states of one run, without its work; see :meth:`Integrator.advance`."""
+        go_on = ctypes.c_int(0)
+        kept, good, _ = self.advance(state[None], held[None], duration, outputs, go_on)
+        inner, (done,) = self.steps_between(duration, outputs), good.tolist()
+        if done < outputs * inner:
+            step = duration / (outputs * inner)
+            span = Span(kept[0, : done // inner].T, Work())
+            raise IntegrationError(not_finite(done, step), step * done, span)
+        return Span(kept[0].T, Work())
 
 
 def _place(array: Any) -> ctypes.c_void_p:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from typing import Any, final
 
 import numpy as np
@@ -13,10 +15,18 @@ from tenscontrol.actuation import Winches
 from tenscontrol.control import Controller, ControlWarning, Status, as_controller
 from tenscontrol.dynamics import ContactLaw, Coordinates, Model, StringLaw, coordinates
 from tenscontrol.estimation import KINDS, KalmanFilter, Sensors
-from tenscontrol.plant import LinearPlant, checked_reference
+from tenscontrol.plant import LinearPlant, checked_reference, held_value
 from tenscontrol.robustness.distributions import one_number
 from tenscontrol.robustness.sweep_report import SweepError
-from tenscontrol.simulation import Fault, Faults, HealthLimits, Trajectory, simulate
+from tenscontrol.simulation import (
+    Fault,
+    Faults,
+    HealthLimits,
+    Trajectory,
+    checked_controller,
+    simulate,
+    simulate_many,
+)
 from tenscontrol.structure import Structure, refuse_moved_supports, refuse_wrong_bar_lengths
 from tenscontrol.validation import (
     FloatArray,
@@ -41,6 +51,11 @@ _GROUND = {"ground_stiffness": "stiffness", "ground_damping": "damping", "fricti
 
 # What a factor on the stiffness acts on, by the law.
 _STIFFNESS = ("stiffness", "axial_rigidity")
+
+_MASSES = {"bar_mass", "point_mass", "string_node_mass"}
+
+# Runs that go through the compiled loops together, and numbers of their motions.
+_MOST_TOGETHER, _MOST_NUMBERS = 64, 4_000_000
 
 # The part of the run, at its end, in which the structure is to be at its place.
 _SETTLED = 0.1
@@ -98,7 +113,13 @@ class Outcome:
 class ClosedLoopCase:
     """A closed loop whose plant varies, while the controller keeps its nominal design.
 
-    For :func:`sweep`. These parameters can vary:
+    For :func:`sweep`. With ``controller=None`` the input is held: an open loop. Runs whose
+    controller is compiled code (:meth:`GeneratedController.compile`), and open loops, go through
+    the compiled loops of :func:`simulate_many`, some at a time; the numbers are the same. For that
+    there must be no winches, estimator, faults or ground. ``report.back_end`` says which way was
+    taken, and why.
+
+    These parameters can vary:
 
     - ``"bar_mass"``, ``"string_node_mass"``, ``"point_mass"``, ``"stiffness"``, ``"damping"``:
       factors on the nominal values, one for all or one for each member (point masses: one for
@@ -116,8 +137,8 @@ class ClosedLoopCase:
     The figures of a run are ``final_error``, m: the largest distance of a node from its target in
     the last tenth of the run, without rigid-body motion; ``least_force_density`` and
     ``largest_force_density`` of all strings, N/m; ``largest_command``, N/m or m; and
-    ``commands_not_ok``, the number of commands with a status other than ``Status.OK``. A motion
-    that is not accurate counts as a failure.
+    ``commands_not_ok``, the number of commands with a status other than ``Status.OK``; open loops
+    have no commands. A motion that is not accurate counts as a failure.
 
     Parameters
     ----------
@@ -125,7 +146,7 @@ class ClosedLoopCase:
         Nominal; the one that the controller was designed on, or its subdivision.
     strings : StringLaw or None
         Nominal; None where γ is held.
-    controller : Controller, or function or object as for :func:`simulate`
+    controller : Controller, or function or object as for :func:`simulate`; or None
         Its plant says where the nodes are to be; for a function ``target`` does, or the shape of
         the structure. Workers get it pickled: a function at the top of a module, not a lambda.
     duration : float
@@ -141,9 +162,11 @@ class ClosedLoopCase:
     gravity : float or array_like, shape (d,), optional
         As in :class:`Model`. Weights go with the masses.
     rest_length, input, winches, sample_time, estimator, sensors, faults : optional
-        As in :func:`simulate`.
+        As in :func:`simulate`. In open loop ``rest_length`` or ``force_density`` is held.
     ground : ContactLaw or sequence of ContactLaw, optional
         As in :class:`Model`; nominal.
+    force_density : array_like, shape (α,), optional
+        N/m, in open loop.
 
     Raises
     ------
@@ -184,8 +207,11 @@ class ClosedLoopCase:
     sensors: Sensors | None = None
     faults: Sequence[Fault] = ()
     ground: ContactLaw | Sequence[ContactLaw] | None = None
+    force_density: Any = None
     # In which the nodes are to be at their place.
     _coordinates: Coordinates = field(init=False, repr=False)
+    # Without a draw; it keeps what is built for runs that go together.
+    _nominal: Model = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         instance("structure", self.structure, Structure, "for example prism()")
@@ -203,8 +229,15 @@ class ClosedLoopCase:
         if self.input is not None:
             choice("input", self.input, ("rest_length", "force_density"))
         held = self.input or ("force_density" if self.strings is None else "rest_length")
-        law = as_controller(self.controller, self.structure, held, self.sample_time)
-        put(self, "controller", law)
+        law, known = None, self.structure
+        if self.controller is None:
+            held = self._held_in_open_loop()
+        elif self.force_density is not None:
+            raise ValueError("force_density is commanded by the controller; leave it out")
+        else:
+            law = as_controller(self.controller, self.structure, held, self.sample_time)
+            put(self, "controller", law)
+            known = law.structure
         if isinstance(law, Controller):
             put(self, "_coordinates", law.plant.coordinates)
             if self.target is not None:
@@ -212,14 +245,14 @@ class ClosedLoopCase:
                 put(self, "target", frozen(found.nodes[:, :, 0]))
         else:
             if self.target is not None:
-                shape = law.structure.checked_nodes("target", self.target)
-                refuse_wrong_bar_lengths("target", law.structure, shape)
-                refuse_moved_supports("target", law.structure, shape)
+                shape = known.checked_nodes("target", self.target)
+                refuse_wrong_bar_lengths("target", known, shape)
+                refuse_moved_supports("target", known, shape)
                 put(self, "target", frozen(shape))
-            put(self, "_coordinates", coordinates(Model(law.structure), self.target))
+            put(self, "_coordinates", coordinates(Model(known), self.target))
         if self.gravity is not None:
             put(self, "gravity", frozen(float_array("gravity", self.gravity)))
-        if self.rest_length is not None:
+        if self.rest_length is not None and law is not None:
             count = len(law.commanded.strings)
             lengths = per_member("rest_length", self.rest_length, count, "string of the controller")
             put(self, "rest_length", frozen(positive("rest_length", lengths, "length in m")))
@@ -230,12 +263,25 @@ class ClosedLoopCase:
             if self.estimator is None:
                 raise ValueError("sensors go with an estimator; KalmanFilter(...) makes one")
         size = float(np.ptp(self.structure.nodes, axis=1).max())
-        winches = len(law.commanded.strings)
+        winches = None if law is None else len(law.commanded.strings)
         faults = Faults(self.faults, size, held)
         faults.refuse_unknown(len(self.structure.strings), winches)
         put(self, "faults", tuple(self.faults))
-        model = self._model({})  # refuses strings, gravity and ground that do not fit
-        put(self, "ground", model.ground)
+        put(self, "_nominal", self._model({}))  # refuses strings and so on that do not fit
+        put(self, "ground", self._nominal.ground)
+
+    def _held_in_open_loop(self) -> str:
+        """Return what is held, after checking it."""
+        for name in ("input", "winches", "sample_time", "estimator", "sensors"):
+            if getattr(self, name) is not None:
+                raise ValueError(f"{name} goes with a controller, but controller is None")
+        held = "rest_length" if self.force_density is None else "force_density"
+        if (self.rest_length is None) == (self.force_density is None):
+            found = "neither" if self.rest_length is None else "both"
+            raise ValueError(f"expected one of rest_length and force_density, found {found}")
+        value = held_value(self._model({}), self.rest_length, self.force_density)
+        object.__setattr__(self, held, frozen(value))
+        return held
 
     def __call__(self, parameters: Mapping[str, object], rng: np.random.Generator) -> Outcome:
         """Return what becomes of the closed loop with these factors and start; noise by ``rng``.
@@ -254,24 +300,102 @@ class ClosedLoopCase:
         # Where the loop ends is what a sweep asks.
         with warnings.catch_warnings(action="ignore", category=ControlWarning):
             run = simulate(
-                self._model(parameters),
-                self.duration,
-                self._start(parameters),
-                controller=self.controller,
-                rest_length=self.rest_length,
-                input=self.input,
-                winches=self.winches,
-                sample_time=self.sample_time,
-                step=self.step,
-                limits=HealthLimits(action="raise"),
-                estimator=self.estimator,
+                self._model(parameters), self.duration, self._start(parameters),
+                controller=self.controller, input=self.input, winches=self.winches,
+                rest_length=self.rest_length, force_density=self.force_density,
+                sample_time=self.sample_time, step=self.step, faults=self.faults,
+                limits=HealthLimits(action="raise"), estimator=self.estimator,
                 sensors=_varied_sensors(sensors, parameters),
                 seed=None if self.estimator is None else int(rng.integers(2**63)),
-                faults=self.faults,
-            )
+            )  # fmt: skip
         if run.stopped is not None:
             raise SweepError(f"a simulation {run.stopped}")
-        return self._judged(run)
+        record = run.control
+        if record is None:
+            return self._judged(run)
+        not_ok = sum(status is not Status.OK for status in record.status)
+        return self._judged(run, record.command, not_ok)
+
+    def alone(self, names: Collection[str]) -> str | None:
+        """Return why runs go one by one; None if some of them can go together.
+
+        Parameters
+        ----------
+        names : collection of str
+            Parameters that vary.
+        """
+        law, nominal, varied = self.controller, self._nominal, {*names} - {"start"}
+        if law is not None:
+            try:
+                checked_controller(law, nominal)
+            except (TypeError, ValueError):
+                return "the controller is not compiled code for these strings"
+            if self.input not in (None, law.input) or self.rest_length is not None:
+                return "the controller is told rest lengths at the start, or has another input"
+        for part in ("winches", "estimator", "ground", "faults"):
+            if getattr(self, part):
+                return f"{part} given"
+        if not varied <= {*_MASSES, "stiffness", "damping"}:
+            return "more than masses and strings vary"
+        no_law = nominal.strings is None or self.force_density is not None
+        if no_law and varied - _MASSES:
+            return "strings vary whose rest lengths are not held"
+        held = "force_density" if no_law else "rest_length"
+        if varied and nominal.equation(held).form != "flat":
+            return "equations of so many members take no parameters"
+        if varied & _MASSES and self.structure.blocks:
+            return "masses of bars that share nodes vary"
+        return None
+
+    @property
+    def at_a_time(self) -> int:
+        """Number of runs whose motions are held in memory together."""
+        numbers = 2 * self.structure.nodes.size * self.duration / self.step
+        return int(np.clip(_MOST_NUMBERS / numbers, 1, _MOST_TOGETHER))
+
+    def together(self, drawn: Sequence[Mapping[str, object]]) -> list[Callable[[], Outcome] | None]:
+        """Return what gives the outcome of each run; None for a run that has to go by itself.
+
+        Parameters
+        ----------
+        drawn : sequence of mapping
+            Parameters of each run.
+        """
+        found: list[Callable[[], Outcome] | None] = [None] * len(drawn)
+        made, nominal = {}, self._nominal
+        for i, parameters in enumerate(drawn):
+            # By itself, a run says what is wrong with its parameters.
+            with suppress(TypeError, ValueError, SweepError):
+                made[i] = self._model(parameters), self._start(parameters)
+        if not made:
+            return found
+        models, starts = zip(*made.values(), strict=True)
+        of_law = [each.name for each in fields(self.strings)] if self.strings is not None else []
+        vary = {}
+        for part, names in (("structure", ("bar_mass", "point_mass")), ("strings", of_law)):
+            for name in names:
+                usual, *own = (getattr(getattr(each, part), name) for each in (nominal, *models))
+                if (np.array(own) != usual).any():
+                    vary[name] = np.array(own)
+        batch = simulate_many(
+            nominal, self.duration,
+            np.array([self.structure.nodes if start is None else start for start in starts]),
+            rest_length=self.rest_length, force_density=self.force_density,
+            controller=self.controller, vary=vary, threads=1,
+            method="rk4", step=self.step, output_step=self.step,  # as simulate takes for a step
+        )  # fmt: skip
+
+        def outcome(run: int) -> Outcome:
+            motion = batch.trajectory(run, HealthLimits(action="raise"))
+            commands, not_ok = batch.command, batch.commands_not_ok
+            if commands is None or not_ok is None:
+                return self._judged(motion)
+            return self._judged(motion, commands[run], int(not_ok[run]))
+
+        for run, i in enumerate(made):
+            if batch.completed[run]:
+                found[i] = partial(outcome, run)
+        return found
 
     def _model(self, parameters: Mapping[str, object]) -> Model:
         structure, strings = self.structure, self.strings
@@ -312,9 +436,9 @@ class ClosedLoopCase:
             )
         return known.to_nodes(parameters["start"])
 
-    def _judged(self, run: Trajectory) -> Outcome:
-        record = run.control
-        assert record is not None  # a controller was given
+    def _judged(
+        self, run: Trajectory, commands: FloatArray | None = None, not_ok: int = 0
+    ) -> Outcome:
         known = self._coordinates
         late = run.time >= (1 - _SETTLED) * run.time[-1]
         # Of a subdivision, the nodes of its parent come first.
@@ -324,9 +448,10 @@ class ClosedLoopCase:
             "final_error": error,
             "least_force_density": float(run.force_density.min()),
             "largest_force_density": float(run.force_density.max()),
-            "largest_command": float(record.command.max()),
-            "commands_not_ok": float(sum(status is not Status.OK for status in record.status)),
         }
+        if commands is not None:
+            figures["largest_command"] = float(commands.max())
+            figures["commands_not_ok"] = float(not_ok)
         return Outcome(success=error <= self.tolerance, figures=figures)
 
 
@@ -409,10 +534,14 @@ def farthest_node(plant: LinearPlant | Coordinates, nodes: FloatArray, target: F
     nodes = float_array("nodes", nodes)
     if nodes.ndim != 3 or nodes.shape[:2] != target.shape:
         raise ValueError(f"nodes has shape {nodes.shape}, expected {(*target.shape, 'T')}")
-    r, at_rest = known.count, np.zeros_like(known.nodes)
-    # Both are measured in the coordinates, which leave out what they do not know.
-    wanted, *found = (
-        known.to_nodes(known.measure(shape, at_rest)[:r])
-        for shape in (target, *np.moveaxis(nodes, 2, 0))
-    )
+    at_rest = np.zeros_like(known.nodes)
+
+    def seen(shape: FloatArray) -> FloatArray:
+        if known.kind in ("nodes", "minimal") and known.is_complete:
+            return shape
+        if known.is_complete:  # but for motions as one body
+            return known.laid_over(shape, at_rest)[0]
+        return known.to_nodes(known.measure(shape, at_rest)[: known.count])
+
+    wanted, *found = (seen(shape) for shape in (target, *np.moveaxis(nodes, 2, 0)))
     return max((float(np.linalg.norm(N - wanted, axis=0).max()) for N in found), default=0.0)

@@ -13,9 +13,9 @@ from tenscontrol._version import __version__
 from tenscontrol.interrupt import interruptible
 from tenscontrol.progress import progress_bar
 from tenscontrol.robustness import store
-from tenscontrol.robustness.closed_loop_case import Outcome
+from tenscontrol.robustness.closed_loop_case import ClosedLoopCase, Outcome
 from tenscontrol.robustness.distributions import Distribution
-from tenscontrol.robustness.pool import run_one, spread, workers
+from tenscontrol.robustness.pool import do_runs, spread, workers
 from tenscontrol.robustness.store import Record
 from tenscontrol.robustness.sweep_report import SweepError, SweepReport, collected
 from tenscontrol.validation import (
@@ -27,6 +27,9 @@ from tenscontrol.validation import (
     whole_number,
     wrong_kind,
 )
+
+# Runs from which they go together: what is compiled for that takes seconds the first time.
+_WORTHWHILE = 48
 
 
 def sweep(
@@ -52,8 +55,8 @@ def sweep(
         ``case(parameters, rng) -> Outcome``, once a run: ``parameters`` is a dict
         of what was drawn, floats or read-only arrays (size,); ``rng`` is the run's
         own :class:`numpy.random.Generator`, for noise. It is pickled, and loaded
-        anew for each run. A run in which it raises is a failure and is kept as
-        such; :class:`SweepError` stops the sweep. See :class:`ClosedLoopCase`.
+        anew for each run, or for the runs that a :class:`ClosedLoopCase` does together. A run in
+        which it raises is a failure and is kept as such; :class:`SweepError` stops the sweep.
     parameters : mapping of str to Distribution
         What to draw for each run: :class:`Uniform`, :class:`Normal`, :class:`OneOf`.
     count : int
@@ -67,8 +70,8 @@ def sweep(
     processes : int, optional
         Number of new processes, where no executor is given; all processors if not given.
     in_flight : int, optional
-        How many runs are handed out at a time, at least the number of workers. Two
-        a process if not given, 64 on an executor that is given.
+        How many runs, or groups of runs that go together, are handed out at a time, at least the
+        number of workers. Two a process if not given, 64 on an executor that is given.
     file : path, optional
         Each run is written to it as soon as it is done. If the file exists, the sweep continues it:
         all parameters and one of its runs must be reproduced. ``count`` may differ from that of
@@ -144,6 +147,14 @@ def sweep(
     settings = {name: each.settings() for name, each in distributions.items()}
     header = store.Header(__version__, name, seed, count, settings)
     path = None if file is None else file_path("file", file)
+    at_a_time, back_end = 1, "one by one: the case is a function"
+    if isinstance(case, ClosedLoopCase):
+        why, at_a_time = case.alone(distributions), case.at_a_time
+        back_end = f"up to {at_a_time} together, in compiled loops"
+        if why is None and (count < _WORTHWHILE or at_a_time == 1):
+            why = "too few runs" if at_a_time > 1 else "a run fills the memory for several"
+        if why is not None:
+            at_a_time, back_end = 1, f"one by one: {why}"
 
     with store.opened(path, header, distributions) as (known_count, records, write):
         beyond = sum(run >= count for run in records)  # the file may be that of a longer sweep
@@ -154,36 +165,39 @@ def sweep(
                 workers(executor, processes, in_flight) as pool,
             ):
 
-                def keep(record: Record) -> None:
-                    if record.run in records:
-                        _refuse_other_numbers(record, records[record.run])
-                        return
-                    try:
-                        store.refuse_other_figures(record, records)
-                    except ValueError as error:
-                        raise SweepError(str(error)) from None
-                    write(record)
-                    records[record.run] = record
+                def keep(done: list[Record]) -> None:
+                    for record in done:
+                        if record.run in records:
+                            _refuse_other_numbers(record, records[record.run])
+                            return
+                        try:
+                            store.refuse_other_figures(record, records)
+                        except ValueError as error:
+                            raise SweepError(str(error)) from None
+                    write(*done)
+                    records.update({record.run: record for record in done})
                     report(len(records) - beyond)
 
-                def start(run: int) -> tuple[Any, ...]:
-                    return run_one, pickled, distributions, seed, run
+                def start(runs: list[int]) -> tuple[Any, ...]:
+                    return do_runs, pickled, distributions, seed, runs
 
                 # One run of the file is done again: it tells whether the case is still the same,
                 # before anything is added to the file.
                 spread(pool, start, list(records)[:1], keep)
                 if count > known_count:
                     write(store.Longer(count))
-                spread(pool, start, (run for run in range(count) if run not in records), keep)
+                left = [run for run in range(count) if run not in records]
+                spread(pool, start, left, keep, at_a_time)
         except SweepError as error:
-            raise SweepError(str(error), collected(header, records)) from error.__cause__
+            found = collected(header, records, back_end)
+            raise SweepError(str(error), found) from error.__cause__
         except KeyboardInterrupt:
             warnings.warn(
                 f"the sweep was interrupted with {len(records) - beyond} of {count} runs done",
                 RuntimeWarning,
                 stacklevel=2,
             )
-    return collected(header, records)
+    return collected(header, records, back_end)
 
 
 def _pickled(case: object) -> bytes:

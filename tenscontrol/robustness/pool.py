@@ -16,8 +16,10 @@ from concurrent.futures import (
     wait,
 )
 from contextlib import contextmanager
+from functools import partial
 from multiprocessing.context import SpawnContext
 from multiprocessing.process import BaseProcess
+from threading import local
 from typing import Any, final
 
 import numpy as np
@@ -25,7 +27,7 @@ import numpy as np
 from tenscontrol.interrupt import check, finishing
 from tenscontrol.processes import begin_work
 from tenscontrol.robustness.closed_loop_case import Outcome
-from tenscontrol.robustness.distributions import CASE, Distribution, draw_run, generator
+from tenscontrol.robustness.distributions import CASE, Distribution, Drawn, draw_run, generator
 from tenscontrol.robustness.store import Record
 from tenscontrol.robustness.sweep_report import SweepError
 from tenscontrol.validation import frozen
@@ -36,7 +38,12 @@ _PER_PROCESS = 2
 # Runs in flight on an executor whose width is not known, unless the user says otherwise.
 _IN_FLIGHT = 64
 
+# Runs that are handed out together, where there are so many: each call costs some of a run.
+_FEWEST = 16
+
 _POLL = 0.05  # s until an interrupt is looked for
+
+_here = local()  # the last case that a thread of a worker did several runs of
 
 
 @final
@@ -46,8 +53,10 @@ class Workers:
     def __init__(self, executor: Executor, in_flight: int, own: _Remembering | None = None) -> None:
         self._executor, self.in_flight, self._own = executor, in_flight, own
 
-    def submit(self, function: Callable[..., Record], *arguments: object) -> Future[Record]:
-        """Hand out a run."""
+    def submit(
+        self, function: Callable[..., list[Record]], *arguments: object
+    ) -> Future[list[Record]]:
+        """Hand out some runs."""
         if self._own is None:
             return self._executor.submit(function, *arguments)
         # This may start a process. It inherits the mask: Ctrl-C, which the terminal sends to all
@@ -55,7 +64,7 @@ class Workers:
         with _interrupts_blocked():
             return self._executor.submit(function, *arguments)
 
-    def give_up(self, pending: Iterable[Future[Record]]) -> None:
+    def give_up(self, pending: Iterable[Future[list[Record]]]) -> None:
         """See that runs which are not done do not hold up the end."""
         if self._own is None:
             for future in pending:
@@ -117,13 +126,18 @@ def workers(
 
 def spread(
     pool: Workers,
-    start: Callable[[int], tuple[Any, ...]],
-    runs: Iterable[int],
-    keep: Callable[[Record], None],
+    start: Callable[[list[int]], tuple[Any, ...]],
+    runs: list[int],
+    keep: Callable[[list[Record]], None],
+    at_a_time: int = 1,
 ) -> None:
-    """Do all runs, and keep the record of each as it comes; if stopped, give up the others."""
-    todo = iter(runs)
-    pending: dict[Future[Record], int] = {}
+    """Do all runs, and keep their records as they come; if stopped, give up the others.
+
+    Runs are handed out one by one, or up to ``at_a_time`` together so that all workers have some.
+    """
+    size = min(at_a_time, max(_FEWEST, -(-len(runs) // pool.in_flight)))
+    todo = iter(runs[i : i + size] for i in range(0, len(runs), size))
+    pending: dict[Future[list[Record]], list[int]] = {}
     over = False
     try:
         while True:
@@ -154,55 +168,73 @@ def spread(
 
 def _fill(
     pool: Workers,
-    start: Callable[[int], tuple[Any, ...]],
-    todo: Iterator[int],
-    pending: dict[Future[Record], int],
+    start: Callable[[list[int]], tuple[Any, ...]],
+    todo: Iterator[list[int]],
+    pending: dict[Future[list[Record]], list[int]],
 ) -> None:
     while len(pending) < pool.in_flight:
-        run = next(todo, None)
-        if run is None:
+        runs = next(todo, None)
+        if runs is None:
             return
         try:
-            pending[pool.submit(*start(run))] = run
+            pending[pool.submit(*start(runs))] = runs
         except BrokenExecutor as error:
-            raise _stopped(error, run, [run, *pending.values()]) from error
+            raise _stopped(error, runs, [runs, *pending.values()]) from error
 
 
-def _error(future: Future[Record]) -> BaseException | None:
+def _error(future: Future[list[Record]]) -> BaseException | None:
     """Return why there is no record; None where there is one."""
     return CancelledError("cancelled by others") if future.cancelled() else future.exception()
 
 
-def _stopped(error: BaseException, run: int, in_flight: Iterable[int]) -> SweepError:
+def _stopped(error: BaseException, runs: list[int], in_flight: Iterable[list[int]]) -> SweepError:
     """Return the error that says which run, or runs, ended the sweep."""
-    if isinstance(error, BrokenExecutor):
-        suspects = sorted(in_flight)
-        which = f"run {suspects[0]}" if len(suspects) == 1 else f"one of the runs {suspects}"
+    died = isinstance(error, BrokenExecutor)
+    suspects = sorted(run for some in in_flight for run in some) if died else runs
+    which = f"run {suspects[0]}" if len(suspects) == 1 else f"one of the runs {suspects}"
+    if died:
         return SweepError(
             f"a worker process died in {which}. Either the case ends the process or runs out of "
             "memory, or the script that calls sweep does so outside of "
             "`if __name__ == '__main__':`, which the start of processes needs"
         )
-    return SweepError(f"run {run} stopped the sweep: {type(error).__name__}: {error}")
+    return SweepError(f"{which} stopped the sweep: {type(error).__name__}: {error}")
 
 
 # ---- in a worker ----
 
 
-def run_one(case: bytes, parameters: Mapping[str, Distribution], seed: int, run: int) -> Record:
-    """Return the record of one run, the same whichever worker does it, and when.
+def do_runs(
+    case: bytes, parameters: Mapping[str, Distribution], seed: int, runs: list[int]
+) -> list[Record]:
+    """Return the records of some runs, the same whichever worker does them, and when.
 
-    The case comes pickled and is loaded anew, so that nothing that one run leaves in it reaches
-    another. The random numbers hang on the seed and the index alone.
+    The case comes pickled and is loaded anew for each run, so that nothing that one run leaves in
+    it reaches another; runs that go together are of a case that keeps nothing. The random numbers
+    hang on the seed and the index alone.
     """
-    function = _loaded(case)
-    drawn = draw_run(parameters, seed, run)
-    given = {
-        name: frozen(np.array(value)) if isinstance(value, list) else value
-        for name, value in drawn.items()
-    }
+    drawn = [draw_run(parameters, seed, run) for run in runs]
+    given = [
+        {
+            name: frozen(np.array(value)) if isinstance(value, list) else value
+            for name, value in each.items()
+        }
+        for each in drawn
+    ]
+    done: list[Callable[[], Outcome] | None] = [None] * len(runs)
+    if len(runs) > 1:
+        done = _shared(case).together(given)
+    records = []
+    for run, numbers, values, outcome in zip(runs, drawn, given, done, strict=True):
+        if outcome is None:
+            outcome = partial(_loaded(case), values, generator(seed, run, CASE))
+        records.append(_record(run, numbers, outcome))
+    return records
+
+
+def _record(run: int, drawn: dict[str, Drawn], do: Callable[[], Outcome]) -> Record:
     try:
-        outcome = function(given, generator(seed, run, CASE))
+        outcome = do()
     except (SweepError, MemoryError):
         raise  # the sweep is wrong, or the machine too small: the next runs would be no better
     except Exception as error:  # noqa: BLE001  # the only place: a run that fails is data
@@ -218,9 +250,16 @@ def run_one(case: bytes, parameters: Mapping[str, Distribution], seed: int, run:
     return Record(run, drawn, outcome.success, outcome.figures)
 
 
-def _loaded(case: bytes) -> Callable[..., Any]:
+def _shared(case: bytes) -> Any:
+    """Return the case that this thread does runs of together, with all that was built for it."""
+    if getattr(_here, "pickled", None) != case:
+        _here.case, _here.pickled = _loaded(case), case
+    return _here.case
+
+
+def _loaded(case: bytes) -> Any:
     try:
-        function: Callable[..., Any] = pickle.loads(case)
+        function = pickle.loads(case)
     except (AttributeError, ImportError) as error:
         raise SweepError(
             f"a worker cannot load the case: {error}. Define it in a module that workers can "

@@ -1,8 +1,8 @@
 """The runs of a sweep and their file: a header and a line of JSON for each run that is done.
 
 A sweep that is made longer adds a line with its new number of runs, ``{"count": 400}``. Each line
-ends in a check sum. Lines are only ever added, by one sweep at a time, and each is on the disk
-before the next is written: a power cut costs no more than the last one.
+ends in a check sum. Lines are only ever added, by one sweep at a time, and those of runs that were
+done together are on the disk before the next is written: a power cut costs no more than the last.
 """
 
 from __future__ import annotations
@@ -141,9 +141,7 @@ def read(
         records[run] = record
     if torn:
         warnings.warn(
-            f"{file} ends in an incomplete line, which is ignored",
-            RuntimeWarning,
-            stacklevel=3,
+            f"{file} ends in an incomplete line, which is ignored", RuntimeWarning, stacklevel=3
         )
     return header, dict(sorted(records.items())), sum(len(line) + 1 for line in lines)
 
@@ -151,13 +149,13 @@ def read(
 @contextmanager
 def opened(
     file: Path | None, header: Header, drawn: Mapping[str, Distribution]
-) -> Iterator[tuple[int, dict[int, Record], Callable[[Line], None]]]:
-    """Yield count and records of an earlier, equal sweep, and a function that writes a line.
+) -> Iterator[tuple[int, dict[int, Record], Callable[..., None]]]:
+    """Yield count and records of an earlier, equal sweep, and a function that writes lines.
 
     The file is begun if there is none, or only a torn header in it. No other sweep may write to it.
     """
     if file is None:
-        yield header.count, {}, lambda line: None
+        yield header.count, {}, lambda *lines: None
         return
     with processes.locked_file(file) as (descriptor, locked):
         if locked is False:
@@ -167,8 +165,9 @@ def opened(
             text = f"the file system of {file} has no locks: let no other sweep write to it"
             warnings.warn(text, RuntimeWarning, stacklevel=4)
 
-        def write(line: Line) -> None:
-            left, size = f"{line.line()}\n".encode(), os.fstat(descriptor).st_size
+        def write(*lines: Line) -> None:
+            left = "".join(f"{line.line()}\n" for line in lines).encode()
+            size = os.fstat(descriptor).st_size
             try:
                 while left:
                     left = left[os.write(descriptor, left) :]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import final
 
 import numpy as np
@@ -69,12 +69,16 @@ class SweepReport:
         What the random numbers start from.
     count : int
         Number of runs asked for.
+    back_end : str
+        How the runs were done: some together in compiled loops, or one by one, and why. Empty
+        where the report was read from a file. No part of the comparison.
     """
 
     case: str
     seed: int
     count: int
     _records: tuple[Record, ...]
+    back_end: str = field(default="", compare=False)
 
     @classmethod
     def load(cls, file: str | os.PathLike[str]) -> SweepReport:
@@ -275,6 +279,8 @@ class SweepReport:
         lines = [f"{self.case}, seed {self.seed}: {len(self)} of {self.count} runs done"]
         if not len(self):
             return lines[0]
+        if self.back_end:
+            lines.append(f"runs     {self.back_end}")
         low, high = self.confidence_interval()
         lines.append(
             f"success  {self.success.sum()} of {len(self)}: {self.success_rate:.3f}, "
@@ -292,10 +298,10 @@ class SweepReport:
             raise ValueError("no run is done, so there is no rate of success")
 
 
-def collected(header: store.Header, records: dict[int, Record]) -> SweepReport:
+def collected(header: store.Header, records: dict[int, Record], back_end: str = "") -> SweepReport:
     """Return the report of the first runs, as many as the header says, in their order."""
     ordered = tuple(records[run] for run in sorted(records) if run < header.count)
-    return SweepReport(header.case, header.seed, header.count, ordered)
+    return SweepReport(header.case, header.seed, header.count, ordered, back_end)
 
 
 def _ranks(values: FloatArray) -> FloatArray:

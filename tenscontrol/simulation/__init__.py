@@ -1,6 +1,6 @@
 """Open- and closed-loop simulation."""
 
-from tenscontrol.simulation.batch import Batch, simulate_many
+from tenscontrol.simulation.batch import Batch, checked_controller, simulate_many
 from tenscontrol.simulation.contacts import ContactRecord
 from tenscontrol.simulation.faults import CutString, Fault, Faults, LostMeasurement, StuckWinch
 from tenscontrol.simulation.health import (
@@ -31,6 +31,7 @@ __all__ = [
     "SimulationError",
     "StuckWinch",
     "Trajectory",
+    "checked_controller",
     "checked_load",
     "initial_state",
     "load_run",

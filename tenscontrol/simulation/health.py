@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
+from casadi import Function
 
 from tenscontrol.actuation import MotorRecord
 from tenscontrol.control import UNSOLVED, Fallback, Status
@@ -440,6 +441,9 @@ class Quantities:
         N.
     stored : ndarray, shape (T,), or None
         What the ground stores, J.
+    shared : callable, optional
+        Of a run of a batch: ``name -> function, parameters``, the function of the model and the
+        columns of its further inputs.
     """
 
     model: Model
@@ -447,6 +451,7 @@ class Quantities:
     inputs: FloatArray
     load: FloatArray | None = None
     stored: FloatArray | None = None
+    shared: Callable[[str], tuple[Function, list[FloatArray]]] | None = None
 
     def of(
         self, name: str, nodes: FloatArray, velocities: FloatArray, *more: FloatArray
@@ -455,7 +460,11 @@ class Quantities:
         model, count = self.model, nodes.shape[2]
         every = self.moved or not len(model.structure.fixed_rows)
         rows = slice(None) if every else model.structure.free_rows
-        function = model.of_all_nodes(name) if self.moved else getattr(model, name)
+        if self.shared is not None:
+            function, own = self.shared(name)
+            more += tuple(np.broadcast_to(each[:, None], (len(each), count)) for each in own)
+        else:
+            function = model.of_all_nodes(name) if self.moved else getattr(model, name)
 
         def within(first: int) -> list[FloatArray]:
             some = slice(first, first + BLOCK)

@@ -407,7 +407,7 @@ class Loop:
             step = self.choice.value
             states = np.hstack([s.states for s in spans])
             error = step_doubling_error(
-                self.integrator, step, structure, time, states, self._interval
+                self.integrator.advance, step, structure, time, states, self._interval
             )
             del states  # before as much memory is taken again
         nodes, velocities = self._all_motion()
@@ -545,7 +545,7 @@ def support_offset(model: Model, value: object, start: float, end: float) -> Pie
 
 
 def step_doubling_error(
-    integrator: Integrator,
+    advance: Callable[..., Span],
     step: float,
     structure: Structure,
     time: FloatArray,
@@ -554,14 +554,15 @@ def step_doubling_error(
 ) -> float | None:
     """Estimate the error of the nodes at the end by step doubling, as part of the size.
 
-    Some intervals of the motion are integrated again in half the steps, each from the state and
-    with the input that ``interval`` tells; the difference is about
-    the error made there. Errors where velocities change most are added, those of velocities by how
-    far they lead in the time left, or in the time in which the motion covers its own size; the
-    mean of the rest stands for all others. The estimate is twice that: right if errors add up, far
-    too high for symplectic methods, whose errors mostly cancel. It detects too long a step where
-    energy and bar lengths do not: under damping, under a controller, in conserving methods. None
-    where too few states were kept, or the user interrupts; infinite where the motion runs away.
+    Some intervals of the motion are integrated again in half the steps by ``advance``, as that of
+    an integrator, each from the state and with the input that ``interval`` tells. The difference is
+    about the error made there. Errors where velocities change most are added, those of velocities
+    by how far they lead in the time left, or in the time in which the motion covers its own size;
+    the mean of the rest stands for all others. The estimate is twice that: right if errors add up,
+    far too high for symplectic methods, whose errors mostly cancel. It detects too long a step
+    where energy and bar lengths do not: under damping, under a controller, in conserving methods.
+    None where too few states were kept, or the user interrupts; infinite where the motion runs
+    away.
     """
     intervals = len(time) - 1
     most = int(_SHARE * intervals)
@@ -580,7 +581,7 @@ def step_doubling_error(
         duration = float(time[k + 1] - time[k])
         halves = 2 * max(1, ceil(duration / step - 1e-9))
         try:
-            span = integrator.advance(*interval(k), duration, halves)
+            span = advance(*interval(k), duration, halves)
         except IntegrationError:
             return float("inf")
         except KeyboardInterrupt:

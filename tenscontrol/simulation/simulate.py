@@ -355,7 +355,7 @@ def simulate(
         what = stopped or "was interrupted at its end, and is complete"
         warnings.warn(f"the simulation {what}", InterruptionWarning, stacklevel=2)
     if stopped is None:
-        _check(run, HealthLimits() if limits is None else limits)
+        check_health(run, HealthLimits() if limits is None else limits)
         found = [] if run.control is None else run.control.problems
         if found:
             warnings.warn(
@@ -379,7 +379,7 @@ def _given(in_open_loop: bool, **arguments: object) -> Given:
     return Given(plain)
 
 
-def _check(run: Trajectory, limits: HealthLimits) -> None:
+def check_health(run: Trajectory, limits: HealthLimits) -> None:
     """Warn or raise where the motion passes a limit."""
     health = run.health_of(limits.names)
     passed = limits.passed(health)

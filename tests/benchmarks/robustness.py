@@ -4,19 +4,26 @@ Run: ``python -m tests.benchmarks.robustness``, some minutes. Masses off by 20 %
 30 %, readings with noise and late. Prints the rates with their intervals, whether the reports are
 equal to the last bit, and the time of two processes over that of one. Set
 ``OPENBLAS_NUM_THREADS=1``; the Dask cluster of two workers needs the extra ``distributed``.
+
+``--scenes ball tower tower-mpc`` are other sweeps: runs that go together in compiled loops, beside
+one by one, in processor time of one thread. Stiffnesses are off by 30 % in a six-bar ball let go in
+shapes of its own, and in a tower whose bars share nodes, under the compiled code of LQR and MPC.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import get_context
-from time import perf_counter
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from time import perf_counter, process_time
 
 import tenscontrol as tc
 from tests.benchmarks.command_line import options
 
 COUNT, SEED, DURATION = 200, 0, 2.4
+MANY = 48  # runs from which a sweep lets them go together
 PARAMETERS = {
     "stiffness": tc.Uniform(0.7, 1.3, size=9),
     "bar_mass": tc.Uniform(0.8, 1.2, size=3),
@@ -27,7 +34,13 @@ PARAMETERS = {
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    given = options(__doc__, arguments, count=COUNT, duration=DURATION)
+    given = options(
+        __doc__, arguments, count=COUNT, duration=DURATION, scenes=("executors",), alone=50
+    )
+    for name in (each for each in given.scenes if each != "executors"):
+        together(name, given.count, given.duration, given.alone)
+    if "executors" not in given.scenes:
+        return
     case = closed_loop(load=True, duration=given.duration)
     reports, times = {}, {}
     for name, processes in (("1 process", 1), ("2 processes", 2)):
@@ -60,6 +73,67 @@ def closed_loop(load: bool, duration: float = DURATION) -> tc.ClosedLoopCase:
     return tc.ClosedLoopCase(
         prism, strings, mpc, duration, 1e-2, tolerance=0.02, estimator=estimator
     )
+
+
+def together(name: str, count: int, duration: float, alone: int) -> None:
+    """Print the time of runs that go together, and of the first of them one by one."""
+    with TemporaryDirectory() as folder:
+        case, drawn = ball(duration) if name == "ball" else tower(name, duration, Path(folder))
+    print(f"{name}: {count} runs of {case.duration:g} s in steps of {case.step:g} s")
+    print("runs  ms of processor time a run")
+    found = []
+    with ThreadPoolExecutor(1) as executor:
+        tc.sweep(case, drawn, MANY, seed=SEED + 1, executor=executor)  # what compiles has compiled
+        for each, runs in ((case, count), (OneByOne(case), min(alone, count))):
+            began = process_time()
+            report = tc.sweep(each, drawn, runs, seed=SEED, executor=executor)
+            found.append((report, (process_time() - began) / runs))
+            print(f"{runs:4d} {1e3 * found[-1][1]:8.1f}  {report.back_end}")
+    (many, quick), (few, slow) = found
+    same = few._records == many._records[: len(few)]
+    print(f"{name}: one by one / together {slow / quick:.1f}, equal to the last bit: {same}")
+
+
+class OneByOne:
+    """A case whose runs do not go together: for a sweep it is a function."""
+
+    def __init__(self, case: tc.ClosedLoopCase) -> None:
+        self._case = case
+
+    def __call__(self, parameters, rng):
+        return self._case(parameters, rng)
+
+
+def ball(duration: float) -> tuple[tc.ClosedLoopCase, dict]:
+    """Return a six-bar ball in open loop that starts in shapes of its own."""
+    structure, strings = tc.library.six_bar_ball(), tc.LinearStrings(1000.0)
+    rest = tc.prestress(structure, force_density=20.0)
+    lengths = tc.to_rest_length(
+        tc.Model(structure, strings=strings), structure.nodes, rest.force_density
+    ).rest_length
+    case = tc.ClosedLoopCase(structure, strings, None, duration, 2e-3, 0.1, rest_length=lengths)
+    return case, {
+        "stiffness": tc.Uniform(0.7, 1.3, size=len(structure.strings)),
+        "start": tc.Normal(0.0, 0.02, size=24),
+    }
+
+
+def tower(name: str, duration: float, folder: Path) -> tuple[tc.ClosedLoopCase, dict]:
+    """Return a tower whose bars share nodes under compiled LQR, or MPC."""
+    structure, strings = tc.library.class2_tower(), tc.LinearStrings(1000.0, damping=1.0)
+    rest = tc.prestress(structure, force_density=20.0)
+    plant = tc.linearize(tc.Model(structure, strings=strings), rest, input="rest_length")
+    if name == "tower":
+        Q, R = tc.energy_weights(plant)
+        law = tc.LQR(plant, Q, 0.1 * R, sample_time=0.02)
+    else:
+        law = tc.MPC(plant, horizon=10, sample_time=0.02)
+    code = tc.generate_c(law, folder / "law").compile()
+    case = tc.ClosedLoopCase(structure, strings, code, duration, 2e-3, 0.02)
+    return case, {
+        "stiffness": tc.Uniform(0.7, 1.3, size=len(structure.strings)),
+        "start": tc.Normal(0.0, 0.01, size=plant.degrees_of_freedom),
+    }
 
 
 def timed(case, executor, count):

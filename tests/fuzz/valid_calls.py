@@ -173,6 +173,9 @@ ABSTRACT = {
 WITHIN = {
     "dynamics.Equation.masses",
     "simulation.Trajectory.health_of",
+    "ClosedLoopCase.alone",
+    "ClosedLoopCase.together",
+    "Model.of_parameters",
     "plot.View.open",
     *(
         f"integrate.{method}.{name}"
@@ -1372,6 +1375,19 @@ call(
     },
     share=0.3,
 )
+call(
+    "simulation.Batch.trajectory",
+    lambda: {"run": 1, "limits": tc.HealthLimits()},
+    lambda: tc.simulate_many(
+        elastic(),
+        0.01,
+        np.array([nodes(), nodes()]),
+        rest_length=rest_length(),
+        step=1e-3,
+        machine_code=False,
+    ),
+    share=0.3,
+)
 call("simulation.Trajectory.summary", on=run)
 call("simulation.Trajectory.save", lambda: {"path": scratch("run.npz")}, run, 0.3)
 call("simulation.Trajectory.to_csv", lambda: {"path": scratch("run.csv")}, run, 0.3)
@@ -1612,6 +1628,7 @@ call(
         "target": nodes(),
         "gravity": None,
         "rest_length": rest_length(),
+        "force_density": None,
         "input": "rest_length",
         "winches": tc.Winches(rate=0.5),
         "faults": [tc.CutString(3, 0.05)],

@@ -19,7 +19,7 @@ class Inline(Executor):
     def submit(self, function, /, *arguments, **options):
         if len(self.runs) == self._interrupt_after:
             raise KeyboardInterrupt
-        self.runs.append(arguments[-1])
+        self.runs += arguments[-1]
         future = Future()
         try:
             future.set_result(function(*arguments, **options))

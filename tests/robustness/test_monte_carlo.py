@@ -19,6 +19,11 @@ from tests.robustness.cases import PARAMETERS, Inline, Waiting
 COUNT, SEED = 24, 7
 
 
+def without_back_end(report):
+    """The summary that a report from a file has."""
+    return "\n".join(line for line in report.summary().splitlines() if line[:5] != "runs ")
+
+
 def lines(report):
     """Every number and text of a report, to the last bit."""
     return [record.line() for record in report._records]
@@ -333,7 +338,7 @@ class TestAnotherNumberOfRuns:
         assert lines(found) == lines(report)
         for same in (found, tc.robustness.SweepReport.load(file), inline(file=file)[0]):
             assert same == report
-            assert same.summary() == report.summary()
+            assert same.summary() in (report.summary(), without_back_end(report))
 
     def test_it_can_be_made_longer_again_on_other_workers(self, file, report):
         inline(count=self.LESS + 3, file=file)

@@ -229,3 +229,71 @@ def test_an_interrupt_keeps_the_runs_that_are_done(machine_code, monkeypatch):
 
 def simulate_many_file():
     return sys.modules["tenscontrol.simulation.batch.simulate_many"]
+
+
+@pytest.mark.parametrize(
+    ("name", "damping", "method"),
+    [
+        ("supported", 0.0, {"step": 0.01}),
+        ("planar", 0.5, {"step": 0.01}),
+        ("planar", 0.0, {"tolerance": 1e-5}),
+    ],
+)
+def test_a_run_of_a_batch_is_that_of_simulate(name, damping, method):
+    structure = STRUCTURES[name]()
+    N, V, lengths = scene(structure)
+    stiffness = np.linspace(50.0, 150.0, RUNS)
+    model = tc.Model(structure, strings=tc.LinearStrings(100.0, damping), gravity=1.0)
+    how = method | {"output_step": 0.01}
+    vary = {"stiffness": stiffness}
+    batch = tc.simulate_many(
+        model, 0.3, N, V, rest_length=lengths, vary=vary, machine_code=False, **how
+    )
+    count, i = len(structure.strings), RUNS - 1
+    own = tc.LinearStrings(np.full(count, stiffness[i]), np.full(count, damping))
+    run = batch.trajectory(i)
+    alone = tc.simulate(
+        tc.Model(structure, strings=own, gravity=1.0), 0.3, N[i], V[i], rest_length=lengths[i],
+        **how,
+    )  # fmt: skip
+    assert run.health == alone.health
+    assert (run.health.energy_error is None) == (damping > 0)
+    assert run.position_error is not None
+    for what in ("time", "force_density", "rest_length", "tension", "energy", "angular_momentum"):
+        assert np.array_equal(getattr(run, what), getattr(alone, what)), what
+    assert np.array_equal(run.given["rest_length"], lengths[i])
+
+
+def test_a_run_under_a_load_is_that_of_simulate():
+    prism = tc.prism()
+    N, V, lengths = scene(prism)
+    loads = np.random.default_rng(3).standard_normal((RUNS, 3, 6))
+    model = tc.Model(prism, strings=tc.LinearStrings(100.0), external_force=True)
+    how = {"step": 0.01, "rest_length": lengths[0], "output_step": 0.01}
+    batch = tc.simulate_many(model, 0.1, N, V, external_force=loads, machine_code=False, **how)
+    run = batch.trajectory(2)
+    alone = tc.simulate(model, 0.1, N[2], V[2], external_force=loads[2], **how)
+    assert run.health == alone.health
+    for what in ("rest_length", "force_density", "energy", "momentum"):
+        assert np.array_equal(getattr(run, what), getattr(alone, what)), what
+
+
+def test_a_run_that_is_not_whole_is_no_trajectory():
+    prism = tc.prism()
+    N, V, lengths = scene(prism)
+    V[3] *= 1e6
+    model = tc.Model(prism, strings=tc.LinearStrings(100.0))
+    how = {"rest_length": lengths, "step": 0.01, "machine_code": False}
+    batch = tc.simulate_many(model, 0.1, N, V, **how)
+    with pytest.raises(ValueError, match=r"run 3 ended early: .*finite"):
+        batch.trajectory(3)
+    with pytest.raises(ValueError, match="run"):
+        batch.trajectory(RUNS)
+    with pytest.raises(tc.simulation.SimulationError, match="bar length error"):
+        batch.trajectory(0, tc.HealthLimits(bar_length_error=1e-15, action="raise"))
+    some = tc.simulate_many(model, 0.1, N[:2], keep_nodes=[4], **how | {"rest_length": 0.9})
+    with pytest.raises(ValueError, match="leave keep_nodes out"):
+        some.trajectory(1)
+    grounded = tc.Model(prism, strings=model.strings, ground=tc.Ground(1e3))
+    with pytest.raises(ValueError, match="ground, or inputs that change"):
+        tc.simulate_many(grounded, 0.02, N[:2], **how | {"rest_length": 0.9}).trajectory(0)

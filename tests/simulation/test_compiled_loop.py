@@ -132,3 +132,20 @@ def test_another_has_a_memory_of_its_own(prism, codes):
     fresh = pickle.loads(pickle.dumps(one))
     assert np.array_equal(fresh.command(0.0, start, still).value, first)
     assert np.array_equal(fresh.command(0.03, plant.nodes, still).value, moved)
+
+
+def test_copies_of_a_controller_serve_the_next_batch(tower, tmp_path, monkeypatch):
+    plant, law = tower
+    code = tc.generate_c(law, tmp_path / "own").compile()
+    made, another = [], type(code).another
+    monkeypatch.setattr(type(code), "another", lambda self: made.append(1) or another(self))
+    starts, how = shaken(plant, 0.01), {"controller": code, "step": 0.01, "threads": 1}
+    first, second = (
+        tc.simulate_many(plant.model, 0.06, starts, machine_code=False, **how) for _ in range(2)
+    )
+    assert 0 < len(made) <= RUNS
+    assert np.array_equal(first.nodes, second.nodes)
+    # The start and the end alone are kept.
+    run = second.trajectory(1)
+    assert np.array_equal(run.rest_length, second.command[1][:, [0, -1]])
+    assert (run.conserves_energy, run.position_error, run.steps) == (False, None, 6)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ctypes
+from collections import deque
 from typing import Protocol, cast, runtime_checkable
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -24,6 +26,10 @@ class CompiledCode(Protocol):
 
     def another(self) -> CompiledCode:
         """Return a controller of the same code with a memory of its own."""
+
+
+# Copies of a controller that no thread uses: a copy is a library, which the process never unloads.
+_IDLE: WeakKeyDictionary[Controller, deque[list[CompiledCode]]] = WeakKeyDictionary()
 
 
 def checked_controller(controller: object, model: Model) -> Controller:
@@ -53,7 +59,11 @@ class CompiledLoops:
 
     def __init__(self, controller: Controller, structure: Structure) -> None:
         self._code = cast(CompiledCode, controller)
-        self._copies: list[CompiledCode] = []
+        self._idle = _IDLE.setdefault(controller, deque())
+        try:
+            self._copies = self._idle.pop()
+        except IndexError:
+            self._copies = []
         self._free = structure.free_rows
         self._nodes = structure.nodes.ravel(order="F")
         self._count = len(controller.commanded.strings)
@@ -70,6 +80,10 @@ class CompiledLoops:
             first, second = each.entry_points
             reset(first)()
             self._commands.append(command(second))
+
+    def give_back(self) -> None:
+        """Leave the copies to others."""
+        self._idle.append(self._copies)
 
     def commands(
         self, time: float, states: FloatArray, places: IntArray

@@ -1,0 +1,458 @@
+"""The runs of a batch: blocks of runs in threads, in compiled C where there is some."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass, replace
+from functools import partial
+from threading import local
+
+import casadi as ca
+import numpy as np
+
+from tenscontrol.control import Controller
+from tenscontrol.dynamics import Equation, Model, Pieces, compiled, compiler
+from tenscontrol.integrate import (
+    METHODS,
+    Choice,
+    FixedStep,
+    IntegrationError,
+    Integrator,
+    Lanes,
+    Method,
+    Work,
+    choose,
+    not_finite,
+)
+from tenscontrol.interrupt import check
+from tenscontrol.simulation.batch.batch_inputs import MASSES, BatchInputs, InputSpan
+from tenscontrol.simulation.batch.compiled_loop import MOST_CONTROLLERS, CompiledLoops
+from tenscontrol.simulation.health import Given, Quantities, by_node
+from tenscontrol.simulation.loop import step_doubling_error
+from tenscontrol.simulation.trajectory import Trajectory
+from tenscontrol.validation import LARGEST, FloatArray, IntArray, refuse_memory
+
+# Runs in a call, and numbers that it may return.
+_BLOCK, _MOST_NUMBERS = 256, 4_000_000
+
+_POLL = 0.05  # s until an interrupt is looked for
+
+
+@dataclass(frozen=True)
+class HowToIntegrate:
+    """How runs are integrated."""
+
+    method: Method | None
+    tolerance: float
+    step: float | None
+    project: bool | None
+    machine_code: bool
+
+
+class _StopError(Exception):
+    """Ends a run in a thread when the user interrupts."""
+
+
+class Runner:
+    """Runs a scene block by block, and keeps what is asked for."""
+
+    def __init__(
+        self, scene: BatchInputs, how: HowToIntegrate, output_step: float | None, kept: IntArray,
+        controller: Controller | None,
+    ) -> None:  # fmt: skip
+        structure = scene.model.structure
+        self.scene, self.how, self.kept, self._controller = scene, how, kept, controller
+        sample_time = None if controller is None else controller.sample_time
+        self.spans = scene.spans(output_step, sample_time)
+        self.done, self._stop = 0, ctypes.c_int(0)
+        self._ends_alone = output_step is None
+        ends = [span.times for span in self.spans]
+        times = [self.spans[-1].times[-1:]] if self._ends_alone else ends
+        self.time = np.concatenate([np.zeros(1), *times])
+        d, n = structure.nodes.shape
+        shape = scene.count, d, len(kept), len(self.time)
+        hint = ". A longer output_step or fewer keep_nodes keep less"
+        asked = f"{scene.count} runs with {len(self.time)} states of {len(kept)} nodes"
+        refuse_memory(f"asked for are {asked}", 2.0 * np.prod(shape), "numbers", 8, hint)
+        # Entries of the nodes that are kept: those of a state, and those that supports hold.
+        entries = (d * kept[:, None] + np.arange(d)).ravel()
+        place = np.full(d * n, -1)
+        place[structure.free_rows] = np.arange(len(structure.free_rows))
+        self._from = place[entries]
+        self._fixed = structure.nodes.ravel(order="F")[entries]
+        self.nodes, self.velocities = np.full(shape, np.nan), np.full(shape, np.nan)
+        self.completed = np.zeros(scene.count, dtype=bool)
+        self.end_time, self.messages = np.zeros(scene.count), dict[int, str]()
+        self.switches, self.unlocated = (np.zeros(scene.count, dtype=int) for _ in range(2))
+        self.command: FloatArray | None = None
+        self.commands_not_ok: IntArray | None = None
+        if controller is not None:
+            size = scene.count, len(controller.commanded.strings), len(self.spans)
+            refuse_memory(f"{asked} and commands", 2.0 * np.prod(size), "numbers", 8, hint)
+            self.command, self.commands_not_ok = np.full(size, np.nan), np.zeros(size[0], int)
+        # Of each run: what lanes counted, and the work of integrators.
+        self._counts, self._work = np.zeros((scene.count, Lanes.counts)), dict[int, Work]()
+        self._threads, self._has_no_memory = local(), False
+        self._loops_made: list[CompiledLoops] = []
+        self._prepare()
+
+    def _prepare(self) -> None:
+        """Choose the method, by the first run that can begin, and make the lanes if there are."""
+        scene, how = self.scene, self.how
+        method = how.method
+        if method is None:
+            first, state = self._first()
+            if state is None or first is None:
+                self.choice = Choice("auto", "tolerance", how.tolerance, "no run can begin", "none")
+                return
+            equation = self._equation(scene.model_of(first), "auto", ())
+            held = scene.held_inputs(first, first + 1, self.spans[0], parameters=False)[0]
+            chosen = choose(equation, state, held, scene.duration, how.tolerance, how.step)
+            method = METHODS[chosen.method]
+        elif how.step is not None:
+            chosen = Choice(method.name, "step", how.step, "asked for")
+        else:
+            chosen = Choice(method.name, "tolerance", how.tolerance, "asked for")
+        if chosen.setting not in method.settings:
+            raise ValueError(
+                f"method {method.name!r} is set by {method.setting}: give step for a method with "
+                "fixed steps, and none for one that chooses its own by tolerance"
+            )
+        if scene.pieces.degree and not method.follows:
+            raise ValueError(
+                f"method {method.name!r} takes inputs that are constant over a step only, but "
+                "an input changes in time"
+            )
+        self._method = method
+        self._project = how.project if method.drifts or how.method is not None else None
+        self.choice = chosen
+        steps = isinstance(method.make, type) and issubclass(method.make, FixedStep)
+        self._shares = not scene.parameters or (steps and self._can_share())
+        self._has_no_memory = steps and self._shares
+        self._lanes = self._plain = None
+        if self._shares:
+            shared = self._equation(scene.model, "auto", tuple(scene.parameters))
+            if method.differentiates and shared.form == "loops":
+                shared = self._equation(scene.model, "mapped", ())
+            self._shared = shared
+            if how.machine_code and steps:
+                self._plain = self._integrator(shared, machine_code=False)
+                self._lanes = Lanes.of(self._plain, shared, self._projects)
+        if self._lanes is not None:
+            back_end = self._lanes.back_end
+        elif self._shares:
+            back_end = self._integrator(self._shared, how.machine_code).back_end
+        else:
+            back_end = "a model built for each run"
+        self.choice = replace(chosen, back_end=back_end)
+
+    @property
+    def _projects(self) -> bool:
+        method = self._method
+        if not method.drifts:
+            return False
+        return method.projects if self._project is None else self._project
+
+    def _first(self) -> tuple[int | None, FloatArray | None]:
+        for run in range(self.scene.count):
+            states, refused = self.scene.states(run, run + 1)
+            if not refused:
+                return run, states[0]
+        return None, None
+
+    def _equation(self, model: Model, form: str, parameters: tuple[str, ...]) -> Equation:
+        """Return the equation of motion, as a single run has it but for what runs differ in."""
+        scene = self.scene
+        as_input = "load" in scene.given or isinstance(scene.load, Pieces)
+        load = None
+        if not as_input:
+            assert not isinstance(scene.load, Pieces)  # else it is an input
+            load = scene.load - scene.model.constant_force
+        return model.equation(
+            scene.input, load, form, degree=scene.pieces.degree, load_input=as_input,
+            parameters=parameters,
+        )  # fmt: skip
+
+    def _can_share(self) -> bool:
+        """Whether one compiled function takes the parameters of all runs as inputs."""
+        given, structure = self.scene.given, self.scene.model.structure
+        form = self._equation(self.scene.model, "auto", ()).form
+        if form != "flat" or (structure.blocks and set(MASSES) & set(given)):
+            return False
+        damping = given.get("damping")
+        # Strings without any damping have simpler equations.
+        return damping is None or bool((damping > 0).any(axis=1).all())
+
+    def _integrator(self, equation: Equation, machine_code: bool) -> Integrator:
+        return self._method.integrator(
+            equation, self.choice.value, self.choice.setting, self._project, machine_code
+        )
+
+    # ---- blocks ----
+
+    def run(self, threads: int, report: Callable[[float], None]) -> None:
+        """Do all runs; if stopped, give up those that are not done."""
+        states = 2 * len(self.scene.model.structure.free_rows)
+        outputs = max(span.outputs for span in self.spans)
+        most = _BLOCK if self._controller is None else MOST_CONTROLLERS
+        block = int(np.clip(_MOST_NUMBERS / (states * outputs), 4, most))
+        # So that all threads have work to the end.
+        block = max(4, min(block, -(-self.scene.count // (4 * threads))))
+        todo = iter(range(0, self.scene.count, block))
+        pending: set[Future[int]] = set()
+        with ThreadPoolExecutor(threads) as pool:
+            try:
+                while True:
+                    check()
+                    while len(pending) < 2 * threads and (first := next(todo, None)) is not None:
+                        last = min(first + block, self.scene.count)
+                        pending.add(pool.submit(self._block, first, last))
+                    if not pending:
+                        break
+                    ended, pending = wait(pending, _POLL, FIRST_COMPLETED)
+                    self.done += sum(future.result() for future in ended)
+                    report(self.done)
+            finally:
+                self._stop.value = 1
+        while self._loops_made:
+            self._loops_made.pop().give_back()
+
+    def _block(self, first: int, last: int) -> int:
+        """Do some runs; return how many were done, whatever became of them."""
+        states, refused = self.scene.states(first, last)
+        self.messages.update(refused)
+        self._keep(np.arange(first, last), 0, states[:, None])
+        self.nodes[list(refused)] = self.velocities[list(refused)] = np.nan
+        at = np.setdiff1d(np.arange(first, last), list(refused))
+        states = states[at - first]
+        column = 1
+        if not self._has_no_memory:
+            self._threads.__dict__.pop("made", None)
+        loops = self._loops(last - first)
+        for number, span in enumerate(self.spans):
+            if not len(at) or self._stop.value:
+                break
+            held = self.scene.held_inputs(first, last, span, self._shares)
+            held = held[at - first] if len(held) > 1 else held
+            if loops is not None:
+                at, states, held = self._commanded(loops, at, at - first, states, held, number)
+                if not len(at):
+                    break
+            advance = self._in_lanes if self._lanes is not None else self._one_by_one
+            kept, ended = advance(at, states, held, span)
+            if not self._ends_alone:
+                self._keep(at, column, kept)
+                column += span.outputs
+            elif span is self.spans[-1]:
+                self._keep(at, 1, kept[:, -1:])
+            going = ~ended
+            at, states = at[going], kept[going, -1]
+            self.end_time[at] = span.start + span.length
+        if not self._stop.value:
+            self.completed[at] = True
+        return 0 if self._stop.value else last - first
+
+    def _loops(self, runs: int) -> CompiledLoops | None:
+        """Return the controllers of so many runs, which remember nothing; None if there is none."""
+        if self._controller is None:
+            return None
+        loops: CompiledLoops | None = self._threads.__dict__.get("loops")
+        if loops is None:
+            loops = CompiledLoops(self._controller, self.scene.model.structure)
+            self._threads.loops = loops
+            self._loops_made.append(loops)
+        loops.reset(runs)
+        return loops
+
+    def _commanded(
+        self, loops: CompiledLoops, at: IntArray, places: IntArray, states: FloatArray,
+        held: FloatArray, number: int,
+    ) -> tuple[IntArray, FloatArray, FloatArray]:  # fmt: skip
+        """Return the runs that go on in a sample, their states, and their inputs."""
+        away, start = np.abs(states).max(axis=1) > LARGEST, self.spans[number].start
+        for run in at[away]:
+            self._end(run, start, f"the motion has run away, beyond {LARGEST:g} in m and m/s")
+        if len(held) > 1:
+            held = held[~away]
+        at, states = at[~away], states[~away]
+        found, failed = loops.commands(start, states, places[~away])
+        assert self.command is not None  # made with the controller
+        assert self.commands_not_ok is not None  # and this too
+        self.command[at, :, number] = found
+        self.commands_not_ok[at] += failed
+        held = np.repeat(held, len(at), axis=0) if len(held) == 1 else held.copy()
+        held[:, : found.shape[1]] = found
+        return at, states, held
+
+    def _in_lanes(
+        self, at: IntArray, states: FloatArray, held: FloatArray, span: InputSpan
+    ) -> tuple[FloatArray, np.ndarray]:
+        """Return the states at the outputs of a span, and which runs ended in it."""
+        assert self._lanes is not None  # asked by _block
+        kept, good, counts = self._lanes.advance(
+            states, held, span.length, span.outputs, self._stop
+        )
+        inner = self._lanes.steps_between(span.length, span.outputs)
+        total = span.outputs * inner
+        ended = good < total
+        step = span.length / total
+        for i in np.flatnonzero(ended):
+            kept[i, good[i] // inner :] = np.nan
+            if not self._stop.value:
+                self._end(at[i], span.start + step * good[i], not_finite(int(good[i]), step))
+        self._counts[at] += counts
+        self.switches[at] += counts[:, 2].astype(int)
+        self.unlocated[at] += counts[:, 3].astype(int)
+        return kept, ended
+
+    def _one_by_one(
+        self, at: IntArray, states: FloatArray, held: FloatArray, span: InputSpan
+    ) -> tuple[FloatArray, np.ndarray]:
+        """Return the states at the outputs of a span, and which runs ended in it."""
+        kept = np.full((len(at), span.outputs, states.shape[1]), np.nan)
+        ended = np.ones(len(at), dtype=bool)
+
+        def report(_: float) -> None:
+            if self._stop.value:
+                raise _StopError
+
+        for i, run in enumerate(at.tolist()):
+            integrator, u = self._of_run(run), held[i if len(held) > 1 else 0]
+            try:
+                report(0.0)
+                found = integrator.advance(states[i], u, span.length, span.outputs, report)
+                ended[i] = False
+            except IntegrationError as error:
+                found = error.span
+                self._end(run, span.start + error.time, str(error))
+            except _StopError:
+                break
+            kept[i, : found.states.shape[1]] = found.states.T
+            self._work[run] = self._work.get(run, Work()) + found.work
+            self.switches[run] += found.work.switches
+            self.unlocated[run] += found.work.unlocated
+        return kept, ended
+
+    def _of_run(self, run: int) -> Integrator:
+        """Return the integrator of a run: the same in all its spans, as it may remember.
+
+        One with fixed steps has no memory, and serves all runs of a thread.
+        """
+        key = -1 if self._has_no_memory else run
+        made: dict[int, Integrator] = self._threads.__dict__.setdefault("made", {})
+        if key not in made:
+            if len(self.spans) == 1:
+                made.clear()
+            made[key] = self._made_for(run)
+        return made[key]
+
+    def _made_for(self, run: int) -> Integrator:
+        """Return a new integrator: of the equation that all share, or of the run's own."""
+        code = self.how.machine_code
+        if self._shares:
+            return self._integrator(self._shared, code)
+        equation = self._equation(self.scene.model_of(run), "auto", ())
+        if self._method.differentiates and equation.form == "loops":
+            equation = self._equation(self.scene.model_of(run), "mapped", ())
+        return self._integrator(equation, code)
+
+    def _end(self, run: int, time: float, why: str) -> None:
+        self.end_time[run] = time
+        self.messages[int(run)] = why
+
+    def _keep(self, runs: IntArray, column: int, states: FloatArray) -> None:
+        """Enter states, shape (runs, outputs, states), from a column of the result on."""
+        d = self.scene.model.structure.dimension
+        count, outputs, size = states.shape
+        free = self._from >= 0
+        for array, half, rest in (
+            (self.nodes, states[:, :, : size // 2], self._fixed),
+            (self.velocities, states[:, :, size // 2 :], np.zeros(len(free))),
+        ):
+            entries = np.broadcast_to(rest, (count, outputs, len(free))).copy()
+            entries[:, :, free] = half[:, :, self._from[free]]
+            shaped = entries.reshape(count, outputs, -1, d).transpose(0, 3, 2, 1)
+            array[runs, :, :, column : column + outputs] = shaped
+
+    # ---- single runs ----
+
+    def trajectory(self, run: int) -> Trajectory:
+        """Return a run that was completed, of a model without ground, under inputs that are held.
+
+        All nodes were kept.
+        """
+        scene, choice, model = self.scene, self.choice, self.scene.model_of(run)
+        structure, held = model.structure, scene.entry(scene.input, run)
+        assert held is not None  # refused where it changes in time
+        nodes, velocities = self.nodes[run], self.velocities[run]
+        # The span of each state kept: the start belongs to the first.
+        of = np.array([0, len(self.spans) - 1])
+        if not self._ends_alone:
+            outputs = np.repeat(np.arange(len(self.spans)), [span.outputs for span in self.spans])
+            of = np.concatenate([outputs[:1], outputs])
+        inputs: FloatArray = np.broadcast_to(held[:, None], (len(held), len(of)))
+        if self.command is not None:
+            inputs = self.command[run][:, of]
+        work, error = self._work.get(run), None
+        load = scene.entry("load", run)
+        if load is None:
+            assert not isinstance(scene.load, Pieces)  # refused where it changes
+            load = scene.load
+        load = load.reshape(structure.nodes.shape, order="F")
+        loaded, free = bool(load.any()), not len(structure.fixed_rows)
+        if work is None:
+            plain = self._plain
+            assert isinstance(plain, FixedStep)  # of which the lanes were made
+            steps = (s.outputs * plain.steps_between(s.length, s.outputs) for s in self.spans)
+            work = plain.work_of(sum(steps), self._counts[run])
+        if choice.setting == "tolerance":
+            error = choice.value * work.steps
+        else:
+            lanes = self._lanes
+            advance = self._of_run(run).advance if lanes is None else lanes.advance_one
+            states = np.vstack([by_node(part)[structure.free_rows] for part in (nodes, velocities)])
+
+            def interval(k: int) -> tuple[FloatArray, FloatArray]:
+                span = self.spans[of[k + 1]]
+                u = scene.held_inputs(run, run + 1, span, self._shares)[0]
+                u[: len(inputs)] = inputs[:, k + 1]
+                return states[:, k], u
+
+            error = step_doubling_error(
+                advance, choice.value, structure, self.time, states, interval
+            )
+        damped = model.strings is not None and model.strings.is_damped
+        return Trajectory(
+            structure, self.time, nodes, velocities,
+            inputs if scene.input == "rest_length" else None, choice, work,
+            conserves_energy=self.command is None
+            and not (scene.input == "rest_length" and damped),
+            conserves_momentum=not loaded and free, control=None,
+            released_energy=np.zeros(len(of)), position_error=error,
+            falls=free and float(model.constant_force[-1].sum()) < 0,
+            given=Given({scene.input: held} if self.command is None else {}),
+            _quantities=Quantities(
+                model, False, inputs, load if loaded else None,
+                shared=partial(self._function, run, model) if self._shares else None,
+            ),
+        )  # fmt: skip
+
+    def _function(self, run: int, model: Model, name: str) -> tuple[ca.Function, list[FloatArray]]:
+        """Return a function of the model of a run, compiled where all runs share it, and inputs."""
+        scene, shared = self.scene, self.scene.model
+        names = [each for each in scene.parameters if each not in MASSES]
+        if name not in ("string_force_density", "elastic_energy"):
+            if set(MASSES) & set(scene.varied):
+                return getattr(model, name), []
+            names = []
+
+        def build() -> ca.Function:
+            function = shared.of_parameters(name, names) if names else getattr(shared, name)
+            code = compiled(function) if self.how.machine_code else None
+            return function if code is None else code.function
+
+        key = "shared", name, tuple(names), self.how.machine_code and compiler()
+        found = shared.prepared.get(key, build)
+        return found, [scene.some(each, run, run + 1)[0] for each in names]
