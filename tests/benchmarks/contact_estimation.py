@@ -1,11 +1,11 @@
-"""Filters on the ground: what the known force of the contact is worth, and whether errors are told.
+"""Errors of filters on the ground, with a known contact law and without, and their covariance.
 
 Run: ``python -m tests.benchmarks.contact_estimation``. The six-bar ball, Snelson's X and a class-2
 tower are dropped from 10 cm, moving sideways and turning, with other noise and turns for each seed.
 Errors are means over all nodes from 0.2 s on: of a filter that has the ground in its model, and of
-one that takes it for an unknown load. Normalized errors, of motions that are kicked as the filter
-supposes, are squares over their covariance, by degree of freedom, and those of innovations: 1 where
-the filter tells how large they are.
+one that takes it for an unknown load. Normalized errors are squares over their covariance, by
+degree of freedom, of motions disturbed as the filter supposes; innovations likewise. They are 1
+where the covariance is right.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Processor time and memory of each stage from structure to control, from 12 members to 240,000.
 
-Run: ``python -m tests.benchmarks.growth``. Towers of prisms, 24 members a stage. A stop ends where
-more than the budget is foretold from smaller sizes. Then what the sparse ways of statics and modes
-differ from the whole decompositions by, at sizes at which these take seconds, and how long both
-take.
+Run: ``python -m tests.benchmarks.growth``. Towers of prisms, 24 members a stage. A routine is left
+out of larger towers where smaller ones predict more time or memory than the budget. The second
+table compares sparse routines of statics and modes with whole decompositions: the largest
+difference, and the time of both.
 """
 
 from __future__ import annotations

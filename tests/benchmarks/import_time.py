@@ -1,4 +1,4 @@
-"""Time that ``import tenscontrol`` adds to numpy.
+"""Processor time that ``import tenscontrol`` adds to numpy.
 
 Run: ``python -m tests.benchmarks.import_time``.
 """
@@ -14,10 +14,10 @@ from tests.benchmarks.command_line import options
 
 PROGRAM = """
 import numpy, time, sys
-began = time.perf_counter()
+began = time.process_time()
 import tenscontrol
 {then}
-print(time.perf_counter() - began)
+print(time.process_time() - began)
 """
 CASES = {
     "import tenscontrol": "",

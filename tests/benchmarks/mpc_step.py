@@ -145,8 +145,8 @@ def recovery(plant, mpc, push):
 def against(other, rounds):
     """Print times of whole commands here against those of another checkout."""
     here = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
-    print("whole commands, processor time, here and there in turn")
-    print("  scene                    median  / there's  p99 / median")
+    print("processor time of a whole command, of this checkout and the other in turn")
+    print("  scene                    median  / other's  p99 / median")
     for name in SCENES:
         times = {here: [], other: []}
         for _ in range(rounds):

@@ -5,7 +5,7 @@ a comparison with the tree as it is; ``--new`` names another one. Both are folde
 or commits, which are checked out for the run. Each has a process of its own, and they take turns:
 one closed loop of the problem of ``nmpc_step``, from the same start. Times are those of the
 processor; the command is timed where the caller prepared before. Printed are medians, their ratios,
-and how far the closed-loop costs are apart.
+and the largest relative difference of the closed-loop costs.
 """
 
 from __future__ import annotations
@@ -112,13 +112,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def report(kind: str, old: Tree, new: Tree) -> None:
     print(f"{kind}: {old.back_end} and {new.back_end}, {len(old.whole)} samples each")
+    print(f"  {'median of':36s}{'old':>8s}    {'new':>8s}         new / old")
     for name, what in (
         ("whole step, processor", "whole"),
         ("command after prepare(), processor", "feedback"),
         ("feedback by the statistics, clock", "told"),
     ):
         before, after = (1e3 * median(getattr(tree, what)) for tree in (old, new))
-        print(f"  {name:36s}{before:8.3f} ms {after:8.3f} ms   ratio {after / before:.3f}")
+        print(f"  {name:36s}{before:8.3f} ms {after:8.3f} ms {after / before:14.3f}")
     worst = max(abs(b / a - 1) for a, b in zip(old.costs, new.costs, strict=True))
     print(f"  closed-loop costs agree to {worst:.1e}")
 

@@ -28,7 +28,7 @@ from tests.control.mpc.nmpc_oracle import IpoptNMPC, closed_loop_cost
 
 LIMIT = 33.0  # N/m, little above the prestress, so that bounds are met
 STARTS, SAMPLES, HORIZON = 5, 25, 20
-SIZE = 0.05
+SIZE = 0.05  # m, of each coordinate of a node: starts do not depend on the basis of the plant
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -68,7 +68,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     feedback, bounded = [], 0
     for seed in range(given.starts):
         rng = np.random.default_rng(seed)
-        state = np.r_[SIZE * rng.normal(size=9), 5 * SIZE * rng.normal(size=9)]
+        N = prism.nodes + SIZE * rng.normal(size=(3, 6))
+        state = plant.measure(N, 5 * SIZE * rng.normal(size=(3, 6)))
         for name, controller in loops.items():
             timed = Timed(controller)
             cost, _ = closed_loop_cost(one, timed, one.sampled, state, given.samples)
@@ -135,29 +136,33 @@ class DoMpc(Controller):
 
     def __init__(self, nmpc):
         super().__init__(nmpc.plant, nmpc.sample_time, *nmpc.bounds)
+        self._held = nmpc.plant.equilibrium_input
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            import do_mpc
+            warnings.simplefilter("ignore")  # what the peer says of itself
+            self._mpc = self._built(nmpc)
+
+    def _built(self, nmpc):
+        import do_mpc
+
         s, a = nmpc.plant.B.shape
         Q, R, P = (ca.DM(weight) for weight in nmpc.weights)
-        held = nmpc.plant.equilibrium_input
         model = do_mpc.model.Model("discrete", "MX")
         z = model.set_variable("_x", "z", shape=(s, 1))
         u = model.set_variable("_u", "u", shape=(a, 1))
         model.set_rhs("z", nmpc.sampled(z, u))
         model.setup()
-        self._mpc = mpc = do_mpc.controller.MPC(model)
+        mpc = do_mpc.controller.MPC(model)
         mpc.settings.n_horizon, mpc.settings.t_step = nmpc.horizon, nmpc.sample_time
         mpc.settings.store_full_solution = False
         mpc.settings.supress_ipopt_output()
         mpc.settings.nlpsol_opts["ipopt.tol"] = 1e-6
         # do-mpc counts z_0, which is given, and the inputs in its stage cost: the same optimum.
-        off = u - ca.DM(held)
+        off = u - ca.DM(self._held)
         mpc.set_objective(mterm=ca.bilin(P, z, z), lterm=ca.bilin(Q, z, z) + ca.bilin(R, off, off))
         mpc.bounds["lower", "_u", "u"], mpc.bounds["upper", "_u", "u"] = nmpc.bounds
-        mpc.scaling["_u", "u"] = held.max()
+        mpc.scaling["_u", "u"] = self._held.max()
         mpc.setup()
-        self._held = held
+        return mpc
 
     def reset(self):
         self._fresh = True

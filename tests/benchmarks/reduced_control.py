@@ -1,7 +1,7 @@
 """Laws on a few modes of a tower, with the whole nonlinear one in the loop.
 
 Run: ``python -m tests.benchmarks.reduced_control``. Of prism towers of some stages: processor time
-and growth of memory of ``linearize`` and of the 20 lowest ``modes``, and how far the frequencies
+of ``linearize`` and of the 20 lowest ``modes``, and how far the frequencies
 are from those of the dense way where that is quick. Then LQR and MPC on 20 modes of a tower of 100
 stages that begins 2 cm off along its lowest mode: processor time of a command, and the rate at
 which that mode decays in the simulation, over that of the linear loop as it is designed.
