@@ -52,7 +52,7 @@ def drop(height, stiffness, **accuracy):
     speeds = np.zeros_like(lander.nodes)
     speeds[2] = -np.sqrt(2 * GRAVITY * height)
     run = tc.simulate(
-        model, 0.25, velocities=speeds, rest_length=wound, output_step=5e-4, **accuracy
+        model, 0.15, velocities=speeds, rest_length=wound, output_step=5e-4, **accuracy
     )
     return run, np.gradient(run.velocities[2, 12], run.time)
 

@@ -24,8 +24,9 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-def pytest_collection_finish():
-    """Thousands of tests stay until the end: the search for garbage leaves them out."""
+@pytest.fixture(autouse=True, scope="module")
+def only_own_garbage():
+    """The search for garbage leaves out thousands of tests, and what earlier files keep."""
     gc.collect()
     gc.freeze()
 

@@ -1,5 +1,6 @@
 """Every example runs, and one of its numbers is what it should be."""
 
+import re
 import runpy
 from pathlib import Path
 
@@ -11,9 +12,13 @@ EXAMPLES = Path(__file__).parent.parent / "examples"
 
 
 def run(name):
+    code = (EXAMPLES / name).read_text("utf-8")
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(EXAMPLES)  # as it is when Python runs the file
         result = runpy.run_path(str(EXAMPLES / name))
+    # Else the gallery has no picture of it in its index.
+    thumbnail = re.search(r"# sphinx_gallery_thumbnail_number = (\d+)", code)
+    assert len(plt.get_fignums()) >= (int(thumbnail[1]) if thumbnail else 1), name
     plt.close("all")
     return result
 
