@@ -511,28 +511,27 @@ def _held(
 
 def _accelerations(plant: LinearPlant, shapes: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return q̈ at zero γ, shape (K, r), and its derivative by γ, (K, r, α'), at rest in shapes."""
-    function = _acceleration_at_rest(plant)
+    function, pattern, project = _acceleration_at_rest(plant)
     rows = plant.model.structure.free_rows
     columns = shapes.transpose(0, 2, 1).reshape(len(shapes), -1)[:, rows].T
-    offset, slope = evaluate_columns(function, np.asfortranarray(columns))
-    r = plant.degrees_of_freedom
-    return offset.T.copy(), slope.T.reshape(len(shapes), -1, r).swapaxes(1, 2).copy()
+    offset, entries = evaluate_columns(function, np.asfortranarray(columns))
+    slope = np.zeros((len(shapes), *pattern.T.shape))
+    slope[:, pattern.get_col(), pattern.row()] = entries.T
+    return offset.T @ project.T, (slope @ project.T).swapaxes(1, 2).copy()
 
 
 @kept
-def _acceleration_at_rest(plant: LinearPlant) -> ca.Function:
-    """Return ``N -> (q̈ at zero γ, ∂q̈/∂γ)`` of what is free at rest, node by node."""
+def _acceleration_at_rest(plant: LinearPlant) -> tuple[ca.Function, ca.Sparsity, FloatArray]:
+    """Return ``N -> (N̈ at zero γ, entries of ∂N̈/∂γ)`` of what is free at rest, node by node.
+
+    With it, the pattern of the derivative, and the matrix of q̈ by N̈.
+    """
     model, rows = plant.model, plant.model.structure.free_rows
     N, gamma = ca.SX.sym("N", len(rows)), ca.SX.sym("gamma", len(model.structure.strings))
     x = ca.vertcat(N, ca.DM.zeros(len(rows)))
     slope = model.dynamics(x, gamma, *map(ca.DM, plant.load_input))
-    project = plant.coordinates.project(np.eye(plant.nodes.size))
-    q = ca.mtimes(ca.DM(project[:, rows]), slope[len(rows) :])
-    return ca.Function(
-        "held",
-        [N],
-        [
-            ca.densify(ca.substitute(q, gamma, ca.SX.zeros(gamma.shape))),
-            ca.vec(ca.densify(ca.jacobian(q, gamma))),
-        ],
-    )
+    moved = slope[len(rows) :]
+    offset, jacobian = ca.substitute(moved, gamma, 0), ca.jacobian(moved, gamma)
+    function = ca.Function("held", [N], [ca.densify(offset), ca.densify(jacobian.nz[:])])
+    project = plant.coordinates.project(np.eye(plant.nodes.size))[:, rows]
+    return function, jacobian.sparsity(), project

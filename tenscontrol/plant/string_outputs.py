@@ -49,31 +49,25 @@ class StringMap:
 @kept
 def string_map(plant: LinearPlant, input: str) -> StringMap:
     """Return the map of a plant's strings for an input, which need not be that of the plant."""
-    structure, r = plant.model.structure, plant.degrees_of_freedom
-    shape, count = structure.nodes.shape, len(structure.strings)
-    q, rates, u = ca.SX.sym("q", r), ca.SX.sym("rates", r), ca.SX.sym("u", count)
-    T = ca.sparsify(ca.DM(plant.basis))
-    N = ca.DM(plant.nodes) + ca.reshape(ca.mtimes(T, q), *shape)
-    Nd = ca.reshape(ca.mtimes(T, rates), *shape)
+    shape, count = plant.nodes.shape, len(plant.model.structure.strings)
     at = plant.rest_length if input == "rest_length" else plant.force_density
     assert at is not None  # there is a law
-    z = ca.vertcat(q, rates)
-    outputs = [ca.densify(part) for part in string_forces(plant, input, N, Nd, u)]
-    function = ca.Function(
-        "strings",
-        [z, u],
-        outputs + [ca.densify(ca.jacobian(y, x)) for y in outputs for x in (z, u)],
-    )
-    at = to_model_strings(plant, input, at)
-    values = [np.array(value.full()) for value in function(np.zeros(2 * r), at)]
+    given = [ca.SX.sym("N", *shape), ca.SX.sym("Nd", *shape), ca.SX.sym("u", count)]
+    outputs = [ca.densify(part) for part in string_forces(plant, input, *given)]
+    # By nodes these derivatives are sparse: the basis comes in as numbers.
+    slopes = [ca.jacobian(y, ca.vec(x)) for y in outputs for x in given]
+    function = ca.Function("strings", given, outputs + slopes)
+    found = function(plant.nodes, np.zeros(shape), to_model_strings(plant, input, at))
+    values = [np.array(value.full()) for value in found]
+    by_state = [np.hstack([part @ plant.basis for part in values[k : k + 2]]) for k in (2, 5)]
     spread = to_model_strings(plant, input, np.eye(plant.B.shape[1])).T
     return StringMap(
         force_density=values[0].ravel(),
         tension=values[1].ravel(),
-        gamma_by_state=values[2],
-        gamma_by_input=values[3] @ spread,
-        tension_by_state=values[4],
-        tension_by_input=values[5] @ spread,
+        gamma_by_state=by_state[0],
+        gamma_by_input=values[4] @ spread,
+        tension_by_state=by_state[1],
+        tension_by_input=values[7] @ spread,
     )
 
 
