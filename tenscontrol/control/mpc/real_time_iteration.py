@@ -174,13 +174,8 @@ class TrajectoryModel:
         size = float(np.ptp(plant.nodes, axis=1).max())
         place = min(size, level) if plant.input == "rest_length" else size
         speed = size / self._sample_time
-        return np.concatenate(
-            [
-                np.full(r, place),
-                np.full(r, speed),
-                np.full(a * (1 + self.discretization.ramp), level),
-            ]
-        )
+        acting = 2 if self.discretization.ramp else 1
+        return np.repeat([place, speed, level], [r, r, acting * a])
 
     def linearize(
         self, states: FloatArray, inputs: FloatArray, stages: FloatArray, source: IntArray

@@ -184,7 +184,7 @@ class Discretization(ABC):
         """Return the state a sample later, and the stages; NaN where a step has no solution.
 
         Stages are sought from none, or from others, (stages, r): those of the last sample of the
-        plan, or else of the call before.
+        plan, or else, to begin a plan, of the call before. Those are found less exactly.
         """
 
     @abstractmethod
@@ -431,7 +431,8 @@ class RadauIIA(Discretization):
     ) -> Pair:  # fmt: skip
         """Return end and stages of a step; no numbers where Newton's method fails.
 
-        From stages that are given, the derivatives of equations in a slot near them may do.
+        From stages that are given, the derivatives of equations in a slot near them may do, and
+        where less is to be solved the first ones.
         """
         states, inputs = state[None], np.array([previous, held])
         found = np.zeros((1, 3, self._r)) if stages is None else stages[None]

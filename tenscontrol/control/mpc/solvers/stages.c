@@ -165,7 +165,7 @@ STAGES_WIDE static void stages_add(int rows, int columns, double factor, const d
     }
 }
 
-/* to = A' of (rows, columns), with `width` numbers from row to row: in tiles that stay in cache. */
+/* to = A' of (rows, columns), with lda and `width` numbers from row to row, in tiles. */
 static void stages_transpose(int rows, int columns, const double *A, int lda, double *to, int width)
 {
     int i, j, r, c;
