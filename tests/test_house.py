@@ -105,7 +105,7 @@ def test_the_house_stays_small():
     lines = {place(path): len(path.read_text("utf-8").splitlines()) for path in SOURCES}
     assert {file: count for file, count in lines.items() if count > 600} == {}
     assert len(lines) <= 203
-    assert sum(lines.values()) <= 58_000
+    assert sum(lines.values()) <= 58_700
 
 
 # ---- what its names are ----
