@@ -10,6 +10,7 @@ from shutil import which
 import numpy as np
 import pytest
 
+from tenscontrol.dynamics import machine_code
 from tenscontrol.dynamics.machine_code import VARIABLE, compiler
 
 BENCHMARKS = Path(__file__).parent / "benchmarks"
@@ -194,7 +195,10 @@ def test_coupled_bars(printed):
 
 
 @needs_compiler
-def test_ground_motions(printed):
+def test_ground_motions(printed, monkeypatch):
+    # It runs for a second, and even -O1 takes ten to compile.
+    flags = tuple("-O0" if flag.startswith("-O") else flag for flag in machine_code.FLAGS)
+    monkeypatch.setattr(machine_code, "FLAGS", flags)
     text = printed("ground_motions", "--duration 0.3 --rest 1")
     for error in re.findall(r"farthest node, m +(.*)", text):
         assert max(map(float, error.split())) < 1e-11

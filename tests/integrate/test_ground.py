@@ -4,6 +4,7 @@
 """
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import casadi as ca
 import numpy as np
@@ -65,6 +66,15 @@ def test_other_grounds_against_the_oracle(case):
 MIDDLE, FINE = [2.8e-4, 2e-4, 1.4e-4], [2e-4, 1.4e-4, 1e-4]
 
 
+@cache
+def impacts(name):
+    """A scene, its equation, start and end, and the motion that methods are to come close to."""
+    scene, times = SCENES[name](), np.array([0.0, 0.3 if name == "prism" else 0.15])
+    equation = scene.model.equation("rest_length")
+    exact, work = scene.run(METHODS["dop853"].integrator(equation, 1e-13), times)
+    return scene, equation, times, exact, work
+
+
 def test_a_height_that_is_a_plane_is_that_plane():
     """With friction, under all three kinds of methods."""
     slope, x, y = 0.3, ca.SX.sym("x"), ca.SX.sym("y")
@@ -95,9 +105,7 @@ def test_a_height_that_is_a_plane_is_that_plane():
     ],
 )
 def test_the_order_holds_through_all_impacts(name, method, steps, least):
-    scene, times = SCENES[name](), np.array([0.0, 0.3 if name == "prism" else 0.15])
-    equation = scene.model.equation("rest_length")
-    exact, work = scene.run(METHODS["dop853"].integrator(equation, 1e-13), times)
+    scene, equation, times, exact, work = impacts(name)
     assert work.switches >= 5
     runs = [scene.run(METHODS[method].integrator(equation, step), times) for step in steps]
     errors = [np.abs(nodes - exact).max() for nodes, _ in runs]
