@@ -52,8 +52,8 @@ _POWERS = 7
 _TURNS, _COMPILED_TURNS = 32, 1024
 _MOST_RECORDED = 4e6
 
-# How the step follows the error: by a factor 0.8 error^(-1/8) within these bounds.
-_SAFETY, _LEAST, _MOST, _ORDER = 0.8, 0.2, 10.0, 8
+# How the step follows the error: by a factor 0.75 error^(-1/8) within these bounds.
+_SAFETY, _LEAST, _MOST, _ORDER = 0.75, 0.2, 10.0, 8
 
 # A step shorter than this part of the span is lost in round-off.
 _SHORTEST = 10 * np.finfo(float).eps

@@ -17,6 +17,7 @@ from examples import stiffness_study
 from examples.stiffness_study import stiffness_report
 from tenscontrol.demo import tour as demo
 from tenscontrol.interrupt import InterruptionWarning
+from tenscontrol.robustness import farthest_node
 
 SAMPLE = 0.02
 TARGET = demo.prism_of_height(tc.prism(), demo.TARGET)
@@ -117,7 +118,9 @@ def test_rows_are_what_loops_made_by_hand_give(report, held):
         )  # fmt: skip
         found = report.runs(name, held)[1]
         assert found in row.runs
-        assert found.error == off_at_the_end(plant, run)  # bit for bit
+        late = run.nodes[:, :, run.time >= 0.75 * run.time[-1]]
+        assert found.error == farthest_node(plant, late, TARGET.nodes)  # bit for bit
+        assert found.error == pytest.approx(off_at_the_end(plant, run), rel=0.01)
         assert found.error == pytest.approx(off_by_kabsch(run), rel=0.02)
         assert found.least_force_density == run.force_density.min()
         assert found.slackened == (run.work.switches > 0)
