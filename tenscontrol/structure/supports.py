@@ -91,9 +91,11 @@ def refuse_moved_supports(
     name: str, structure: Structure, nodes: FloatArray, tolerance: float = _TOLERANCE
 ) -> None:
     """Raise if a fixed node is not where the structure has it."""
+    if not len(structure.fixed_rows):
+        return
     off = (nodes - structure.nodes).ravel(order="F")[structure.fixed_rows]
     size = float(np.ptp(structure.nodes, axis=1).max())
-    if not off.size or np.abs(off).max() <= tolerance * size:
+    if np.abs(off).max() <= tolerance * size:
         return
     node, axis = divmod(int(structure.fixed_rows[np.abs(off).argmax()]), structure.dimension)
     place = structure.nodes[:, node]
