@@ -203,12 +203,11 @@ class Discretization(ABC):
         which keeps those in its slot, or −1: they are found, where others may take them as well.
         """
 
-    def _slots(self, source: IntArray) -> tuple[IntArray, list[tuple[int, int]]]:
-        """Return the slots where slopes are found, and pairs of those that take and that give."""
+    def _slots(self, source: IntArray) -> tuple[IntArray, IntArray, IntArray]:
+        """Return the slots where slopes are found, of those that take some, and that give them."""
         samples = np.arange(len(source))
         slots, taking = (samples + self.start) % len(source), (source >= 0) & (source != samples)
-        pairs = zip(slots[taking].tolist(), slots[source[taking]].tolist(), strict=True)
-        return slots[source < 0], list(pairs)
+        return slots[source < 0], slots[taking], slots[source[taking]]
 
     @abstractmethod
     def load_response(self, load: FloatArray) -> FloatArray:
@@ -280,7 +279,7 @@ class RK4(Discretization):
         if self._written is not None:
             return stage_jacobians(self._written, states, held)
         r, h, s, samples = self._r, self._step, states.shape[1], np.flatnonzero(source < 0)
-        slots, taking = self._slots(source)
+        slots, taking, giving = self._slots(source)
         end, entries = states, []
         for _ in range(self._count):
             z, slope = end, np.zeros_like(end)
@@ -295,9 +294,8 @@ class RK4(Discretization):
             by_all = self._chained(entries, points)
             self._by_all[0][slots[points]] = by_all[:, :s]
             self._by_all[1][slots[points]] = by_all[:, s:]
-        for to, giving in taking:
-            for part in self._by_all:
-                part[to] = part[giving]
+        for part in self._by_all:
+            part[taking] = part[giving]
         fresh = source != np.arange(len(source))
         return StageJacobians(end, self._by_all, self.start, fresh)
 
@@ -460,7 +458,7 @@ class RadauIIA(Discretization):
         """See :meth:`Discretization.linearize`."""
         N, r, h, plan = len(states), self._r, self._sample_time, self._plan
         self._remaining, entries = self._left(self._along, states, inputs, stages)
-        slots, taking = self._slots(source)
+        slots, taking, giving = self._slots(source)
         self._differentiate(self._along, entries, np.flatnonzero(source < 0), plan, slots)
         share = self._share[None, :, :]
         for slot in slots.tolist():
@@ -474,9 +472,8 @@ class RadauIIA(Discretization):
         places = np.arange(r)
         for part, row, size in ((0, 0, 1.0), (0, r, h), (r, r, 1.0)):
             self._slopes[0][slots[:, None], row + places, part + places] += size
-        for to, giving in taking:
-            for array in (*self._slopes, *plan.arrays):
-                array[to] = array[giving]
+        for array in (*self._slopes, *plan.arrays):
+            array[taking] = array[giving]
         gap = rolled(self._remaining, self.start)
         corrected = rolled((plan.to_end @ gap[:, :, None])[:, :, 0], -self.start)
         ends = self._ends(states, stages) - corrected
