@@ -131,6 +131,8 @@ class BaseController(ABC):
         Commanded where there is neither a decision nor a previous input.
     check : MeasurementCheck, optional
         Of measurements, if not that of the shape of the structure.
+    size : int
+        Rows or columns of the largest matrix of a command, if there are any.
     """
 
     #: What a kind of controller adds to :attr:`made_with`.
@@ -148,9 +150,10 @@ class BaseController(ABC):
         commanded: Structure | None = None,
         equilibrium_input: FloatArray | None = None,
         check: MeasurementCheck | None = None,
+        size: int = 0,
     ) -> None:
         #: The thread that uses the controller: another one is refused meanwhile.
-        self.in_use = Exclusive(f"this {type(self).__name__}")
+        self.in_use = Exclusive(f"this {type(self).__name__}", size)
         instance("structure", structure, Structure, "for example prism()")
         if sample_time is not None:
             sample_time = positive_number("sample_time", sample_time, "s")
@@ -501,7 +504,7 @@ class Controller(BaseController):
         super().__init__(
             structure, plant.input, sample_time, low, high, change,
             commanded=plant.commanded, equilibrium_input=plant.equilibrium_input,
-            check=MeasurementCheck(structure, plant.nodes, rate),
+            check=MeasurementCheck(structure, plant.nodes, rate), size=sum(plant.B.shape),
         )  # fmt: skip
         # z that a subclass predicts for the next sample; what it predicted for the last, and that.
         self._predicted: FloatArray | None = None

@@ -27,6 +27,7 @@ from tenscontrol.dynamics.evaluator import (
     built,
     evaluate_columns,
     exclusive,
+    on_one_thread,
     solving,
 )
 from tenscontrol.dynamics.machine_code import (
@@ -86,6 +87,7 @@ __all__ = [
     "evaluate_columns",
     "exclusive",
     "normal_basis",
+    "on_one_thread",
     "pack_state",
     "polynomial_at",
     "refuse_large",

@@ -1,5 +1,7 @@
 """CasADi functions: built by one thread at a time, cached, and called without allocation.
 
+What has a memory is used by one thread at a time as well, and the BLAS has one thread meanwhile.
+
 CasADi's Python wrapper lets other threads run during every call. It counts the references to the
 elements of SX without a lock, and all expressions share their constants; so what makes, copies or
 frees expressions, in any thread, takes the lock below. Evaluating functions needs no lock.
@@ -12,7 +14,7 @@ import os
 from collections import OrderedDict, deque
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
-from functools import cached_property, wraps
+from functools import cache, cached_property, wraps
 from queue import SimpleQueue
 from threading import Lock, RLock, get_ident
 from traceback import clear_frames
@@ -131,6 +133,68 @@ if hasattr(os, "register_at_fork"):  # a forked child must not start in the midd
     )
 
 
+# Products of matrices of up to so many rows and columns are done by one thread in any case.
+_SMALL = 64
+
+
+@cache
+def _matrix_libraries() -> Any:
+    """Return what controls the BLAS of NumPy and that of SciPy, which is loaded for it."""
+    import scipy.linalg  # noqa: F401
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController().select(user_api="blas")
+
+
+class _OneThread:
+    """The BLAS of the process has one thread within; may be nested.
+
+    NumPy and SciPy each bring a BLAS with a thread for every core. After a product these threads
+    wait for the next by spinning, so that those of one library take the cores from those of the
+    other: matrices of some hundred rows become several times as slow.
+
+    The first thread of Python that comes sets the limit, and lifts it when it leaves. Others that
+    come meanwhile have the limit as long as that thread stays.
+    """
+
+    def __init__(self) -> None:
+        self._lock, self._owner, self._depth = Lock(), 0, 0
+        self._limits: Any = None
+
+    def __enter__(self) -> None:
+        if self._owner != get_ident():
+            libraries = _matrix_libraries()
+            if not self._lock.acquire(blocking=False):
+                return
+            self._owner = get_ident()
+            self._limits = libraries.limit(limits=1)
+            self._limits.__enter__()
+        self._depth += 1
+
+    def __exit__(self, *_: object) -> None:
+        if self._owner != get_ident():
+            return
+        self._depth -= 1
+        if not self._depth:
+            self._limits.__exit__(None, None, None)
+            self._owner = 0
+            self._lock.release()
+
+
+_ONE_THREAD = _OneThread()
+
+
+def on_one_thread(function: Callable[_Arguments, _Value]) -> Callable[_Arguments, _Value]:
+    """Let the BLAS have one thread while a function of large matrices runs."""
+
+    @wraps(function)
+    def limited(*args: _Arguments.args, **kwargs: _Arguments.kwargs) -> _Value:
+        with _ONE_THREAD:
+            return function(*args, **kwargs)
+
+    return limited
+
+
 class Exclusive:
     """Refuses a second thread while one is inside; the same thread may enter again.
 
@@ -138,10 +202,13 @@ class Exclusive:
     ----------
     what : str
         The object that has a memory, for the message.
+    size : int
+        Rows or columns of its largest matrix: if they are many, the BLAS has one thread meanwhile.
     """
 
-    def __init__(self, what: str) -> None:
+    def __init__(self, what: str, size: int = 0) -> None:
         self._what, self._user, self._depth = what, 0, 0
+        self._size, self._limits = size, size > _SMALL
 
     def __enter__(self) -> None:
         """Take the object, or raise RuntimeError if another thread has it."""
@@ -154,17 +221,21 @@ class Exclusive:
                     "calls. Give each thread a copy, for example by copy.deepcopy or pickle"
                 )
             self._user = me
+            if self._limits:
+                _ONE_THREAD.__enter__()
         self._depth += 1
 
     def __exit__(self, *_: object) -> None:
         """Leave the object to others."""
         self._depth -= 1
         if not self._depth:
+            if self._limits:
+                _ONE_THREAD.__exit__()
             self._user = 0
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle and copy as an object that nobody uses."""
-        return Exclusive, (self._what,)
+        return Exclusive, (self._what, self._size)
 
 
 def exclusive(

@@ -303,7 +303,7 @@ class KalmanFilter:
         self.C = C
         self.gain, self.covariance, self.poles, self.riccati_residual = steady
         #: The thread that uses the filter: another one is refused meanwhile.
-        self.in_use = Exclusive("this KalmanFilter")
+        self.in_use = Exclusive("this KalmanFilter", sum(C.shape))
         self._design = design
         self._size = len(design.start)
         self._motion = None if design.motion is None else Evaluator(design.motion)

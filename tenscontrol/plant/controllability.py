@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tenscontrol.dynamics import coordinates
+from tenscontrol.dynamics import coordinates, on_one_thread
 from tenscontrol.plant.linear_plant import (
     LinearPlant,
     clusters,
@@ -260,6 +260,7 @@ class LeftSpace:
     grows: bool  # whether what is not reached grows or drifts
 
 
+@on_one_thread
 def left_spaces(A: FloatArray, B: FloatArray) -> list[LeftSpace]:
     """Return what B does not reach of ``ż = A z``, pole by pole; both are of size 1."""
     from scipy import linalg

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Concatenate, ParamSpec, TypeVar, overload
 import numpy as np
 
 from tenscontrol.actuation import Winches
-from tenscontrol.dynamics import Coordinates, Model, Prepared, refuse_large
+from tenscontrol.dynamics import Coordinates, Model, Prepared, on_one_thread, refuse_large
 from tenscontrol.structure import Structure, to_segments
 from tenscontrol.validation import (
     FloatArray,
@@ -391,6 +391,7 @@ def _second_order(plant: LinearPlant) -> SparsePlant:
     return plant.sparse
 
 
+@on_one_thread
 def state_units(plant: LinearPlant) -> tuple[FloatArray, float]:
     """Return units of the state, shape (s,), and of the input: of one speed and acceleration."""
     r = plant.degrees_of_freedom
@@ -477,6 +478,7 @@ def acceleration_response(plant: LinearPlant, sample_time: float) -> FloatArray:
     return frozen(zero_order_hold(plant, unit, sample_time)[1])
 
 
+@on_one_thread
 def zero_order_hold(
     plant: LinearPlant, B: FloatArray, sample_time: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tenscontrol.dynamics import normal_basis, string_stretch
+from tenscontrol.dynamics import normal_basis, on_one_thread, string_stretch
 from tenscontrol.plant.linear_plant import (
     LinearPlant,
     clusters,
@@ -409,6 +409,7 @@ def _undamped(
     return np.sqrt((-values).astype(complex)), vectors, labels
 
 
+@on_one_thread
 def _general(
     stiffness: FloatArray, friction: FloatArray, kinds: dict[str, FloatArray]
 ) -> tuple[np.ndarray, np.ndarray, list[str]]:

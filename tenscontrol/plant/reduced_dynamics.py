@@ -10,7 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import ContactLaw, kernel
+from tenscontrol.dynamics import ContactLaw, kernel, on_one_thread
 from tenscontrol.plant.linear_plant import LinearPlant, kept
 from tenscontrol.plant.modes import modes as all_modes  # `reduce` has an argument of this name
 from tenscontrol.plant.string_outputs import model_input, string_forces
@@ -68,6 +68,7 @@ class ReducedPlant(LinearPlant):
         return float(np.linalg.norm(full - kept) / max(float(np.linalg.norm(full)), 1e-300))
 
     @property
+    @on_one_thread
     def error_bound(self) -> float:
         """Most that node displacements differ from the whole plant's, m per unit of the inputs.
 

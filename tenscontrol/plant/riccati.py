@@ -7,6 +7,7 @@ from functools import partial
 
 import numpy as np
 
+from tenscontrol.dynamics import on_one_thread
 from tenscontrol.plant.controllability import reached_states
 from tenscontrol.plant.linear_plant import LinearPlant, state_units
 from tenscontrol.validation import FloatArray, frozen, instance, truth
@@ -114,6 +115,7 @@ def filter_riccati(
     return frozen(unit * gain / noise), frozen(unit**2 * P), frozen(poles), residual
 
 
+@on_one_thread
 def _split_solution(
     A: FloatArray,
     B: FloatArray,

@@ -151,7 +151,7 @@ def against(other, rounds):
         times = {here: [], other: []}
         for _ in range(rounds):
             for folder, found in times.items():
-                environment = {**os.environ, "PYTHONPATH": folder, "OPENBLAS_NUM_THREADS": "1"}
+                environment = {**os.environ, "PYTHONPATH": folder}
                 run = subprocess.run(
                     [sys.executable, os.path.abspath(__file__), "--worker", name],
                     cwd=folder, env=environment, capture_output=True, text=True, check=True,
@@ -235,12 +235,7 @@ def controller(plant, reference, form, length):
 
 
 def run(mpc, measured, rebuilt):
-    """Return the time of each command, s, of a second pass over the samples.
-
-    In the first tenth of a second after a controller is built, the worker threads of BLAS that
-    built it may still hold a core: a command then takes 4 ms now and then. OPENBLAS_NUM_THREADS=1
-    avoids that.
-    """
+    """Return the time of each command, s, of a second pass over the samples."""
     for moment in measured if not rebuilt else ():
         mpc.command(*moment)
     mpc.reset()

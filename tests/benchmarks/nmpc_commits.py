@@ -62,7 +62,7 @@ class Tree:
     """The loops at one state of the tree, one after the other on demand."""
 
     def __init__(self, folder: Path, machine_code: bool) -> None:
-        environment = os.environ | {"PYTHONPATH": str(folder), "OPENBLAS_NUM_THREADS": "1"}
+        environment = os.environ | {"PYTHONPATH": str(folder)}
         command = [sys.executable, "-c", LOOPS, "true" if machine_code else "false"]
         self._process = subprocess.Popen(
             command, cwd=folder, env=environment, text=True,

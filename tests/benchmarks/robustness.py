@@ -2,8 +2,8 @@
 
 Run: ``python -m tests.benchmarks.robustness``, some minutes. Masses off by 20 %, stiffnesses by
 30 %, readings with noise and late. Prints the rates with their intervals, whether the reports are
-equal to the last bit, and the time of two processes over that of one. Set
-``OPENBLAS_NUM_THREADS=1``; the Dask cluster of two workers needs the extra ``distributed``.
+equal to the last bit, and the time of two processes over that of one. The Dask cluster of two
+workers needs the extra ``distributed``.
 
 ``--scenes ball tower tower-mpc`` are other sweeps: runs that go together in compiled loops, beside
 one by one, in processor time of one thread. Stiffnesses are off by 30 % in a six-bar ball let go in
