@@ -247,7 +247,7 @@ def nmpc_code(controller: NMPC) -> LawCode:
             "or use MPC, whose prediction is linear"
         )
     sizes, data = stages_data(problem, law.row_bounds, law.settings.max_iterations, law.bounds)
-    N, _, _, p, _, changes, soft, most = sizes
+    N, _, _, p, _, changes, soft, most, ahead = sizes
 
     def row(time: float) -> FloatArray:
         return np.concatenate([part.ravel() for part in law.targets(time)])
@@ -281,6 +281,7 @@ def nmpc_code(controller: NMPC) -> LawCode:
             "LIMITED": p,
             "CHANGES": changes,
             "SOFT": soft,
+            "AHEAD": ahead,
             "LOADS": loads,
             "NEWTON_STEPS": NEWTON_STEPS,
             "LEVEL": float(problem.level),

@@ -107,6 +107,7 @@ def stages_data(
     sizes = [
         N, m + a if ramp else m, a, 0 if rows is None else len(rows.scale), int(ramp),
         int(changes), int(np.isfinite(price).sum()), max_iterations,
+        0 if rows is None else int(rows.by_next_state.any()),
     ]  # fmt: skip
     return sizes, [np.ascontiguousarray(part, dtype=float) for part in data]
 
@@ -140,7 +141,7 @@ class LeastDistance(Subproblem):
         n, rows = numbers_of[1], data[10].size
         thin = _thin_factors(problem) if alike else []
         data += thin
-        sizes = (ctypes.c_int * 10)(*numbers_of, alike, len(thin) > 0)
+        sizes = (ctypes.c_int * 11)(*numbers_of, alike, len(thin) > 0)
         self._data = data
         addresses = (ctypes.c_void_p * len(data))(*(_address(part) for part in self._data))
         self._program = ctypes.create_string_buffer(library.stages_program_size())
@@ -200,8 +201,12 @@ class LeastDistance(Subproblem):
         self._states[:], self._inputs[:] = states, inputs
         parts = [motion.values, *motion.slopes, *[None] * (3 - len(motion.slopes))]
         parts += [None] * 4 if rows is None else [rows.values, *rows.slopes]
+        # Those of limited values stay where they are until the solve.
         kept = [None if part is None else np.ascontiguousarray(part, float) for part in parts]
-        addresses = [None if part is None else _address(part) for part in kept]
+        self._limited, addresses = (
+            kept[4:],
+            [part if part is None else _address(part) for part in kept],
+        )
         fresh = None if motion.fresh is None else motion.fresh.astype(np.intc)
         known = motion.start, None if fresh is None else _address(fresh), self._tolerance
         return bool(self._prepare(self._program, *known, *addresses))

@@ -59,7 +59,7 @@ static void forget_plan(void)
 static void place_program(void)
 {
     static const int sizes[] = {HORIZON, STATES, CONTROLLER_COMMANDS, LIMITED, 0, CHANGES,
-                                SOFT, ITERATIONS, 0, 0};
+                                SOFT, ITERATIONS, AHEAD, 0, 0};
     static const double *const data[] = {state_weight, input_weight, terminal_weight, limit_scale,
                                          largest_change, low, high, limit_low, limit_high, price,
                                          price};

@@ -54,7 +54,9 @@ typedef struct {
     double *z, *u; /* (N + 1, n - a or n); (N + 1, a), the input before first */
     /* the problem linearized along it */
     double *motion, *motion_t;             /* (N, a + n, n): [B A]'; (N, n, a + n): [B A] */
-    double *E, *G, *F, *values;            /* (N, p, n) (N, p, a) (N, p, n) (N, p), in their units */
+    const double *E, *G, *F;               /* (N, n, p) (N, a, p) (N, n, p), by columns; of ramps
+                                              E and F end before the inputs */
+    double *values;                        /* (N, p), in their units */
     double *gap, *costs;                   /* (N, n): d; (N, n, n): P_1 ... P_N */
     double *S, *S_t, *W, *W_t;             /* (N, a, a) twice; (N, a, n); (N, n, a) */
     double *first;                         /* (N, a): f */
@@ -62,7 +64,8 @@ typedef struct {
     /* for many inputs that move few states, with alike stages: S = unit (I - Y Y') */
     int thin;
     const double *unit, *Y; /* (a); (a, n), in place of S, and Y' in place of S_t */
-    int *span, ahead;       /* (p, 2), where rows of G begin and end; whether F is not zero */
+    int *span;              /* (a, 2), where columns of G begin and end, of alike stages */
+    int ahead;              /* whether F may be other than zero */
 } Stages;
 
 #define STAGES_WORK(n, a) (2 * (size_t)((n) + (a)) * ((n) + (a)) + 6 * (size_t)((n) + (a)))
@@ -72,8 +75,7 @@ typedef struct {
     (ACTIVE_SET_NUMBERS(rows, (N) * (a), ACTIVE_SET_MOST(rows, (N) * (a), soft), 1) +            \
      STAGES_OTHERS(N, N, n, a, p, rows))
 #define STAGES_OTHERS(N, many, n, a, p, rows)                                                    \
-    ((size_t)(many) * (2 * ((a) + (n)) * (n) + (p) * (2 * (n) + (a)) + (n) * (n) +               \
-                       2 * (a) * (a) + 2 * (a) * (n)) +                                          \
+    ((size_t)(many) * (2 * ((a) + (n)) * (n) + (n) * (n) + 2 * (a) * (a) + 2 * (a) * (n)) +      \
      (size_t)(N) * ((p) + (n) + 4 * (a)) + (size_t)((N) + 1) * (2 * (n) + (a)) +                 \
      4 * (size_t)(rows) + STAGES_WORK(n, a))
 
@@ -236,42 +238,17 @@ static int stages_finite(const double *values, size_t count)
     return !wrong;
 }
 
-/* Put in the limited values of stage k along the plan, and E by z_k, G by u_k, F by z_{k+1}. */
-static void stages_set_rows(Stages *s, int k, const double *values, const double *E,
-                            const double *G, const double *F)
-{
-    int n = s->states, a = s->inputs, p = s->limited, m = s->ramp ? n - a : n, i, j;
-    double *value = s->values + (size_t)k * p, *e = s->E + stages_at(s, k) * p * n,
-           *g = s->G + stages_at(s, k) * p * a, *f = s->F + stages_at(s, k) * p * n;
-    stages_transpose(m, p, E, p, e, n);
-    stages_transpose(a, p, G, p, g, a);
-    stages_transpose(m, p, F, p, f, n);
-    for (i = 0; i < p; i++) {
-        double unit = 1.0 / s->scale[i];
-        value[i] = unit * values[i];
-        for (j = 0; j < n; j++) {
-            e[(size_t)i * n + j] = j < m ? unit * e[(size_t)i * n + j] : 0.0;
-            f[(size_t)i * n + j] = j < m ? unit * f[(size_t)i * n + j] : 0.0;
-        }
-        for (j = 0; j < a; j++)
-            g[(size_t)i * a + j] *= unit;
-    }
-}
-
-/* Find where rows of G are not zero, and whether F is, where all stages are alike. */
+/* Find where columns of G are not zero, where all stages are alike. */
 static void stages_find_spans(Stages *s)
 {
     int a = s->inputs, p = s->limited, i, j;
-    s->ahead = 0;
-    for (i = 0; i < p * s->states; i++)
-        s->ahead |= s->F[i] != 0.0;
-    for (i = 0; i < p; i++) {
-        int *span = s->span + 2 * i;
+    for (j = 0; j < a; j++) {
+        int *span = s->span + 2 * j;
         span[0] = span[1] = 0;
-        for (j = a - 1; j >= 0; j--)
-            if (s->G[(size_t)i * a + j] != 0.0) {
-                span[0] = j;
-                span[1] = span[1] ? span[1] : j + 1;
+        for (i = p - 1; i >= 0; i--)
+            if (s->G[(size_t)j * p + i] != 0.0) {
+                span[0] = i;
+                span[1] = span[1] ? span[1] : i + 1;
             }
     }
 }
@@ -473,36 +450,31 @@ static void stages_simulate(const Stages *s, const double *x, int whole, double 
     }
 }
 
-static double stages_dot(const double *a, const double *b, int count)
-{
-    double sum[4] = {0.0};
-    int i, c;
-    for (i = 0; i + 4 <= count; i += 4)
-        for (c = 0; c < 4; c++)
-            sum[c] += a[i + c] * b[i + c];
-    for (; i < count; i++)
-        sum[0] += a[i] * b[i];
-    return (sum[0] + sum[1]) + (sum[2] + sum[3]);
-}
-
 /* The values of all limits at states and inputs, in their units: of each stage in turn. */
 static void stages_limits(const Stages *s, const double *z, const double *u, double *out)
 {
-    int n = s->states, a = s->inputs, p = s->limited, i, k;
+    int n = s->states, a = s->inputs, p = s->limited, m = s->ramp ? n - a : n, i, j, k;
     for (k = 0; k < s->stages; k++, z += n, u += a) {
+        size_t at = s->alike ? 0 : (size_t)k;
         for (i = 0; i < a; i++)
             *out++ = u[i] / s->level;
         if (s->changes)
             for (i = 0; i < a; i++)
                 *out++ = (u[i] - (k ? u[i - a] : 0.0)) / s->level;
-        for (i = 0; i < p; i++) {
-            int from = s->alike ? s->span[2 * i] : 0, end = s->alike ? s->span[2 * i + 1] : a;
-            *out = stages_dot(s->E + (stages_at(s, k) * p + i) * n, z, n) +
-                   stages_dot(s->G + (stages_at(s, k) * p + i) * a + from, u + from, end - from);
-            if (s->ahead)
-                *out += stages_dot(s->F + (stages_at(s, k) * p + i) * n, z + n, n);
-            out++;
-        }
+        if (!p)
+            continue;
+        memset(out, 0, (size_t)p * sizeof *out);
+        stages_add(m, p, 1.0, s->E + at * m * p, z, out);
+        if (s->alike)
+            for (j = 0; j < a; j++)
+                for (i = s->span[2 * j]; i < s->span[2 * j + 1]; i++)
+                    out[i] += s->G[(size_t)j * p + i] * u[j];
+        else
+            stages_add(a, p, 1.0, s->G + at * a * p, u, out);
+        if (s->ahead)
+            stages_add(m, p, 1.0, s->F + at * m * p, z + n, out);
+        for (i = 0; i < p; i++)
+            *out++ /= s->scale[i];
     }
 }
 
@@ -510,7 +482,7 @@ static void stages_limits(const Stages *s, const double *z, const double *u, dou
 static int stages_row(const Stages *s, int i, double *out)
 {
     int n = s->states, a = s->inputs, p = s->limited, w = a + n, rows = stages_rows(s);
-    int stage = i / rows, kind = i % rows, k, j;
+    int m = s->ramp ? n - a : n, stage = i / rows, kind = i % rows, k, j;
     double *by_all = s->work, *ahead = by_all + w;
     memset(ahead, 0, (size_t)n * sizeof *ahead);
     for (k = stage; k >= 0; k--) {
@@ -523,10 +495,14 @@ static int stages_row(const Stages *s, int i, double *out)
             if (k >= stage - 1)
                 by_all[kind - a] = (k == stage ? 1.0 : -1.0) / s->level;
         } else if (k == stage) {
-            size_t at = stages_at(s, k) * p + (kind - (rows - p));
-            memcpy(by_all, s->G + at * a, (size_t)a * sizeof *by_all);
-            memcpy(by_all + a, s->E + at * n, (size_t)n * sizeof *by_all);
-            memcpy(ahead, s->F + at * n, (size_t)n * sizeof *ahead);
+            int which = kind - (rows - p);
+            size_t at = s->alike ? 0 : (size_t)k;
+            for (j = 0; j < a; j++)
+                by_all[j] = s->G[(at * a + j) * p + which] / s->scale[which];
+            for (j = 0; j < m; j++)
+                by_all[a + j] = s->E[(at * m + j) * p + which] / s->scale[which];
+            for (j = 0; s->ahead && j < m; j++)
+                ahead[j] = s->F[(at * m + j) * p + which] / s->scale[which];
         }
         /* x = S'(g + B'ahead),   ahead = e + A'ahead - W'x */
         stages_add(n, w, 1.0, s->motion_t + stages_at(s, k) * w * n, ahead, by_all);
@@ -594,8 +570,9 @@ static double *stages_take(double **memory, size_t count)
  * Lay a program out in memory.
  *
  *     sizes    N, n, a, p; whether inputs are ramps, and changes are limited; soft rows; the most
- *              changes of the active set; whether all stages are alike, and are so with few states
- *              and a diagonal R: then the last data are the unit and Y
+ *              changes of the active set; whether limited values depend on z_{k+1}; whether all
+ *              stages are alike, and are so with few states and a diagonal R: then the last data are
+ *              the unit and Y
  *     data     Q, R, P, units of rows, limits of changes, bounds of inputs and of limited values,
  *              prices and curvatures of all rows: what does not change, and stays where it is
  *     numbers, integers, pointers
@@ -611,7 +588,7 @@ STAGES_API void stages_program_place(StagesProgram *program, const int *sizes, d
     Stages *s = &program->stages;
     ActiveSet *set = &program->set;
     size_t N = (size_t)sizes[0], n = (size_t)sizes[1], a = (size_t)sizes[2], p = (size_t)sizes[3];
-    size_t rows, m = sizes[4] ? n - a : n, used, many = sizes[8] ? 1 : N; /* of each matrix */
+    size_t rows, m = sizes[4] ? n - a : n, used, many = sizes[9] ? 1 : N; /* of each matrix */
     size_t narrow = a; /* columns of S */
     double *at = numbers;
     memset(program, 0, sizeof *program);
@@ -621,9 +598,9 @@ STAGES_API void stages_program_place(StagesProgram *program, const int *sizes, d
     s->limited = sizes[3];
     s->ramp = sizes[4];
     s->changes = sizes[5];
-    s->alike = sizes[8];
-    s->thin = s->alike && sizes[9];
-    s->ahead = 1;
+    s->ahead = sizes[8];
+    s->alike = sizes[9];
+    s->thin = s->alike && sizes[10];
     if (s->thin)
         narrow = n;
     rows = N * (size_t)stages_rows(s);
@@ -637,7 +614,7 @@ STAGES_API void stages_program_place(StagesProgram *program, const int *sizes, d
     set->tolerance = tolerance;
     used = ACTIVE_SET_NUMBERS(set->rows, set->columns, set->most, set->stored);
     counts[0] = used + STAGES_OTHERS(N, many, n, a, p, rows) + (s->alike ? rows * a : 0);
-    counts[1] = ACTIVE_SET_INTEGERS(set->rows, set->most) + (s->alike ? rows / N + 2 * p : 0);
+    counts[1] = ACTIVE_SET_INTEGERS(set->rows, set->most) + (s->alike ? rows / N + 2 * a : 0);
     counts[2] = ACTIVE_SET_POINTERS(set->most);
     if (numbers == NULL)
         return;
@@ -664,9 +641,6 @@ STAGES_API void stages_program_place(StagesProgram *program, const int *sizes, d
     active_set_place(set, stages_take(&at, used), integers, pointers);
     s->motion = stages_take(&at, many * (a + n) * n);
     s->motion_t = stages_take(&at, many * (a + n) * n);
-    s->E = stages_take(&at, many * p * n);
-    s->G = stages_take(&at, many * p * a);
-    s->F = stages_take(&at, many * p * n);
     s->values = stages_take(&at, N * p);
     s->gap = stages_take(&at, N * n);
     s->costs = stages_take(&at, many * n * n);
@@ -707,8 +681,9 @@ STAGES_API void stages_program_shift(StagesProgram *program)
 
 /*
  * All that needs no measurement: the problem along its plan, from the stage Jacobians of motion and
- * limited values, stored by columns, and the rows that may be active. Returns whether data are
- * finite; if they are not, all stages must be fresh in the next call.
+ * limited values, stored by columns, and the rows that may be active. E, G and F are not copied, and
+ * must last for the solves. Returns whether data are finite; if they are not, all stages must be
+ * fresh in the next call.
  *
  * A, B and C of stage k are at start + k, modulo N. Only those of `fresh` stages (NULL: all) are
  * others than in the last call, with `start` the place of the same sample. The tolerance is that of
@@ -720,10 +695,13 @@ STAGES_API int stages_program_prepare(StagesProgram *program, int start, const i
                                       const double *E, const double *G, const double *F)
 {
     Stages *s = &program->stages;
-    size_t a = (size_t)s->inputs, p = (size_t)s->limited, m = (size_t)s->states, k;
+    size_t a = (size_t)s->inputs, p = (size_t)s->limited, m = (size_t)s->states, k, i;
     if (s->ramp)
         m -= a;
     s->start = start;
+    s->E = E;
+    s->G = G;
+    s->F = F;
     for (k = 0; k < (s->alike ? 1 : (size_t)s->stages); k++) {
         size_t at = stages_at(s, (int)k);
         int new = fresh == NULL || fresh[k];
@@ -732,13 +710,13 @@ STAGES_API int stages_program_prepare(StagesProgram *program, int start, const i
                       stages_finite(B + at * a * m, a * m) &&
                       (!s->ramp || stages_finite(C + at * a * m, a * m)))) ||
             (p && !(stages_finite(limited + k * p, p) && stages_finite(E + k * m * p, m * p) &&
-                    stages_finite(G + k * a * p, a * p) && stages_finite(F + k * m * p, m * p))))
+                    stages_finite(G + k * a * p, a * p) &&
+                    (!s->ahead || stages_finite(F + k * m * p, m * p)))))
             return 0;
         stages_set_motion(s, (int)k, new, ends + k * m, A + at * m * m, B + at * a * m,
                           s->ramp ? C + at * a * m : NULL);
-        if (p)
-            stages_set_rows(s, (int)k, limited + k * p, E + k * m * p, G + k * a * p,
-                            F + k * m * p);
+        for (i = 0; i < p; i++)
+            s->values[k * p + i] = limited[k * p + i] / s->scale[i];
     }
     if (!stages_prepare(s, fresh, tolerance))
         return 0;
