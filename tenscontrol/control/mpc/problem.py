@@ -369,20 +369,20 @@ class StageJacobians:
     of the motion are by z_k, u_k and, where inputs are ramps, u_{k−1}; those of limited rows by
     z_k, u_k and z_{k+1}. They are views of memory that the next call may overwrite.
 
-    Slopes of sample k are in slot ``start + k``, modulo N: those of a plan that moved on stay in
-    their slots, and only those of ``fresh`` samples are others than in the last call.
+    Where there are ``slots``, they say where the slopes of each sample are: several samples may
+    have the same, and only slots of ``fresh`` samples are others than in the last call.
     """
 
     values: FloatArray  # (N, m)
     slopes: tuple[FloatArray, ...]  # (N, columns, m) each
-    start: int = 0
+    slots: IntArray | None = None  # (N,); None: sample k has slot k
     fresh: BoolArray | None = None  # (N,); None: all
 
     def in_order(self) -> StageJacobians:
         """Return the same with slopes in the order of samples."""
-        if not self.start:
+        if self.slots is None:
             return self
-        return StageJacobians(self.values, tuple(rolled(part, -self.start) for part in self.slopes))
+        return StageJacobians(self.values, tuple(part[self.slots] for part in self.slopes))
 
     def from_zero(self, *arguments: FloatArray) -> StageJacobians:
         """Return the same in order, with values where all of these arguments are zero."""
@@ -390,11 +390,6 @@ class StageJacobians:
         for slope, argument in zip(same.slopes, arguments, strict=True):
             values -= applied(slope, argument)
         return StageJacobians(values, same.slopes)
-
-
-def rolled(array: FloatArray, by: int) -> FloatArray:
-    """Return an array whose rows are moved on around its end."""
-    return np.roll(array, by, axis=0) if by else array
 
 
 def applied(slopes: FloatArray, arguments: FloatArray) -> FloatArray:

@@ -44,7 +44,7 @@ from tenscontrol.plant import (
     string_forces,
     with_jacobian,
 )
-from tenscontrol.validation import FloatArray, IntArray
+from tenscontrol.validation import BoolArray, FloatArray, IntArray
 
 # At a shape that changes its stiffness by a tenth these leave 1e-5 of what was off.
 NEWTON_STEPS = 5
@@ -178,14 +178,15 @@ class TrajectoryModel:
         return np.repeat([place, speed, level], [r, r, acting * a])
 
     def linearize(
-        self, states: FloatArray, inputs: FloatArray, stages: FloatArray, source: IntArray
-    ) -> tuple[StageJacobians, StageJacobians | None]:
+        self, states: FloatArray, inputs: FloatArray, stages: FloatArray,
+        slots: IntArray | None = None, fresh: BoolArray | None = None,
+    ) -> tuple[StageJacobians, StageJacobians | None]:  # fmt: skip
         """Return the motion along a plan, and the limited rows or None, to first order.
 
-        The source of each sample, (N,), is that of :meth:`Discretization.linearize`.
+        Slots, and which samples are fresh, are as for :meth:`Discretization.linearize`.
         """
         here, later = np.ascontiguousarray(states[:-1]), np.ascontiguousarray(states[1:])
-        motion = self.discretization.linearize(here, inputs, stages, source)
+        motion = self.discretization.linearize(here, inputs, stages, slots, fresh)
         rows = None if self._rows is None else self._rows(here, inputs[1:], later)
         return motion, rows
 
@@ -321,9 +322,9 @@ class RealTimeIterate:
     where inputs are ramps. ``inputs`` is None before there is a plan; ``linearized`` says whether
     the program is linearized along the plan, and ``fresh`` how many samples were for that.
 
-    A sample keeps its derivatives until its state or an input has moved, since they were found, by
-    more than a part, the tolerance, of what changes them by their size. Then it takes those of
-    another sample, if they were found as near to it.
+    Derivatives are in slots, which samples may share. A sample keeps its slot until its state or an
+    input has moved, since the slot was filled, by more than a part, the tolerance, of what changes
+    derivatives by their size. Then it takes another slot, if one was filled as near to it.
     """
 
     def __init__(
@@ -355,7 +356,8 @@ class RealTimeIterate:
         self._states: FloatArray = np.zeros((0, 0))
         self._stages: FloatArray = np.zeros((0, 0, 0))
         self._inputs: FloatArray | None = None  # u_{−1} … u_{N−1}
-        # Where samples were linearized, in parts of what changes derivatives; NaN: nowhere.
+        self._slots: IntArray = np.arange(self._problem.length)
+        # Where slots were filled, in parts of what changes derivatives; NaN: they are empty.
         self._at: FloatArray = np.full((self._problem.length, len(self._reach)), np.nan)
         self.fresh = 0
         self.linearized, self._shifted = False, True
@@ -400,32 +402,34 @@ class RealTimeIterate:
         """Move the plan on where due, and linearize along it where the dynamics have values."""
         self.shift()
         inputs = self._planned()
-        source = self._sources(inputs)
-        self.fresh += int((source < 0).sum())
-        motion, rows = self._model.linearize(self._states, inputs, self._stages, source)
+        fresh = self._choose_slots(inputs)
+        self.fresh += int(fresh.sum())
+        motion, rows = self._model.linearize(self._states, inputs, self._stages, self._slots, fresh)
         # A plan may lead where the dynamics have no value: there is nothing to prepare then.
         self.linearized = self.program.linearize(self._states, inputs, motion, rows)
         if not self.linearized:
             self._at[:] = np.nan
 
-    def _sources(self, inputs: FloatArray) -> IntArray:
-        """Return where samples take their derivatives: see :meth:`Discretization.linearize`."""
-        samples = np.arange(len(self._at))
+    def _choose_slots(self, inputs: FloatArray) -> BoolArray:
+        """Give samples the slots of their derivatives; return which are to be filled, (N,)."""
+        N = len(self._slots)
         if not self._tolerance:
-            return np.full_like(samples, -1)
+            return np.ones(N, bool)
         before = inputs[:-1] if self._discretization.ramp else inputs[:-1, :0]
         parts = np.hstack([self._states[:-1], inputs[1:], before]) / self._reach
-        off = np.abs(parts[:, None] - self._at).max(axis=2)  # of samples from places; NaN: none
-        stale = ~(np.diagonal(off) <= self._tolerance)
-        off[:, stale] = np.inf
-        source = np.where(stale, -1, samples)
-        # Those farthest from where derivatives are known are found first.
-        while (far := np.where(stale, off.min(axis=1), 0.0)).max() > self._tolerance:
+        off = np.abs(parts[:, None] - self._at).max(axis=2)  # of samples from slots
+        off[np.isnan(off)] = np.inf
+        own = off[np.arange(N), self._slots] <= self._tolerance
+        self._slots = np.where(own, self._slots, off.argmin(axis=1))
+        fresh = np.zeros(N, bool)
+        # Samples that are farthest from all slots are linearized first: they may serve others.
+        while (far := np.where(own, 0.0, off.min(axis=1))).max() > self._tolerance:
             k = int(far.argmax())
-            stale[k], self._at[k], off[:, k] = False, parts[k], np.abs(parts - parts[k]).max(axis=1)
-        source[stale] = off[stale].argmin(axis=1)
-        self._at[stale] = self._at[source[stale]]
-        return source
+            slot = np.setdiff1d(np.arange(N), self._slots[far <= self._tolerance])[0]
+            self._at[slot], off[:, slot] = parts[k], np.abs(parts - parts[k]).max(axis=1)
+            self._slots[k], own[k], fresh[k] = slot, True, True
+            self._slots[~own] = off[~own].argmin(axis=1)
+        return fresh
 
     def shift(self) -> None:
         """Move the plan on by a sample, once."""
@@ -440,8 +444,7 @@ class RealTimeIterate:
         if self._stages.size:
             self._stages = np.concatenate([self._stages[1:], within[None]])
         if self._tolerance:
-            self._discretization.start = (self._discretization.start + 1) % len(self._at)
-            self._at = np.vstack([self._at[1:], np.full_like(self._at[:1], np.nan)])
+            self._slots = np.append(self._slots[1:], self._slots[-1])
         self.program.shift()
         self._shifted = True
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
 from typing import Any, final
 
 import casadi as ca
@@ -12,8 +13,6 @@ from tenscontrol.control.mpc.problem import (
     Pair,
     StageJacobians,
     Triple,
-    applied,
-    rolled,
 )
 from tenscontrol.dynamics import Evaluator, builds, built, compiled
 from tenscontrol.plant import (
@@ -28,7 +27,7 @@ from tenscontrol.plant import (
     sampled_motion,
     string_forces,
 )
-from tenscontrol.validation import FloatArray, IntArray
+from tenscontrol.validation import BoolArray, FloatArray, IntArray
 
 # Radau IIA with three stages: Hairer & Wanner, Solving Ordinary Differential Equations II, IV.5.
 _ROOT = 6**0.5
@@ -159,6 +158,12 @@ def transposed_jacobians(pattern: ca.Sparsity, count: int, apart: int) -> Any:
     return csr_array((np.zeros(len(indices)), indices, indptr), shape=shape)
 
 
+def by_slot(slots: IntArray) -> Iterator[tuple[int, IntArray]]:
+    """Yield each slot with the samples that have it."""
+    for slot in np.unique(slots).tolist():
+        yield slot, np.flatnonzero(slots == slot)
+
+
 class Discretization(ABC):
     """What a sample does to the state: for one sample, and to first order for N of a plan at once.
 
@@ -168,7 +173,6 @@ class Discretization(ABC):
     """
 
     back_end: str  # "machine code" or "virtual machine"
-    start = 0  # the slot of the first sample: slopes of sample k are in slot start + k, modulo N
     ramp: bool  # whether the input moves through a sample, so that the one before matters too
 
     @property
@@ -195,19 +199,15 @@ class Discretization(ABC):
 
     @abstractmethod
     def linearize(
-        self, states: FloatArray, inputs: FloatArray, stages: FloatArray, source: IntArray
-    ) -> StageJacobians:
+        self, states: FloatArray, inputs: FloatArray, stages: FloatArray,
+        slots: IntArray | None = None, fresh: BoolArray | None = None,
+    ) -> StageJacobians:  # fmt: skip
         """Return z_{k+1} to first order in z_k, u_k and, for ramps, u_{k−1}, along a plan.
 
-        Of each sample, (N,), the source is another one whose slopes it takes, or the sample itself,
-        which keeps those in its slot, or −1: they are found, where others may take them as well.
+        Slopes of each sample are in its slot, (N,) of 0 … N − 1, which samples may share. Those of
+        ``fresh`` samples, (N,), are found; of the others they are what was found before. By default
+        each sample has a slot of its own, and all are fresh.
         """
-
-    def _slots(self, source: IntArray) -> tuple[IntArray, IntArray, IntArray]:
-        """Return the slots where slopes are found, of those that take some, and that give them."""
-        samples = np.arange(len(source))
-        slots, taking = (samples + self.start) % len(source), (source >= 0) & (source != samples)
-        return slots[source < 0], slots[taking], slots[source[taking]]
 
     @abstractmethod
     def load_response(self, load: FloatArray) -> FloatArray:
@@ -272,14 +272,16 @@ class RK4(Discretization):
         return self._response @ load + self._advance(state, held)[0], None
 
     def linearize(
-        self, states: FloatArray, inputs: FloatArray, stages: FloatArray, source: IntArray
-    ) -> StageJacobians:
+        self, states: FloatArray, inputs: FloatArray, stages: FloatArray,
+        slots: IntArray | None = None, fresh: BoolArray | None = None,
+    ) -> StageJacobians:  # fmt: skip
         """See :meth:`Discretization.linearize`."""
         held = inputs[1:]
         if self._written is not None:
             return stage_jacobians(self._written, states, held)
-        r, h, s, samples = self._r, self._step, states.shape[1], np.flatnonzero(source < 0)
-        slots, taking, giving = self._slots(source)
+        slots = np.arange(len(states)) if slots is None else slots
+        fresh = np.ones(len(states), bool) if fresh is None else fresh
+        r, h, s, samples = self._r, self._step, states.shape[1], np.flatnonzero(fresh)
         end, entries = states, []
         for _ in range(self._count):
             z, slope = end, np.zeros_like(end)
@@ -291,13 +293,9 @@ class RK4(Discretization):
                 end = end + h / 6 * weight * slope
         for first in range(0, len(samples), self._slopes.together):
             points = np.arange(first, min(first + self._slopes.together, len(samples)))
-            by_all = self._chained(entries, points)
-            self._by_all[0][slots[points]] = by_all[:, :s]
-            self._by_all[1][slots[points]] = by_all[:, s:]
-        for part in self._by_all:
-            part[taking] = part[giving]
-        fresh = source != np.arange(len(source))
-        return StageJacobians(end, self._by_all, self.start, fresh)
+            by_all, filled = self._chained(entries, points), slots[samples[points]]
+            self._by_all[0][filled], self._by_all[1][filled] = by_all[:, :s], by_all[:, s:]
+        return StageJacobians(end, self._by_all, slots, fresh)
 
     def _chained(self, entries: list[list[FloatArray]], points: IntArray) -> FloatArray:
         """Return derivatives of z⁺ by z and u, by columns, from entries at stages of all steps."""
@@ -367,6 +365,7 @@ class RadauIIA(Discretization):
         self._plan = _StageEquations(length, s, a, to_end)
         self._single = _StageEquations(1, s, a, to_end)
         self._slopes = [np.zeros((length, k, s)) for k in ((s, a, a) if ramp else (s, a))]
+        self._slots = np.arange(length)  # of the plan linearized last
 
     @built
     def sampled(self) -> ca.Function:
@@ -406,7 +405,7 @@ class RadauIIA(Discretization):
         stages: FloatArray | None = None, planned: bool = True,
     ) -> Pair:  # fmt: skip
         """See :meth:`Discretization.advance`."""
-        near = (self._plan, self.start - 1) if planned else (self._single, 0)
+        near = (self._plan, int(self._slots[-1])) if planned else (self._single, 0)
         solved = _SOLVED if planned else _BEGUN
         return self._step(state, previous, held, np.zeros(self._r), stages, near, solved)
 
@@ -453,15 +452,18 @@ class RadauIIA(Discretization):
         return self._ends(states, found)[0], found[0]
 
     def linearize(
-        self, states: FloatArray, inputs: FloatArray, stages: FloatArray, source: IntArray
-    ) -> StageJacobians:
+        self, states: FloatArray, inputs: FloatArray, stages: FloatArray,
+        slots: IntArray | None = None, fresh: BoolArray | None = None,
+    ) -> StageJacobians:  # fmt: skip
         """See :meth:`Discretization.linearize`."""
-        N, r, h, plan = len(states), self._r, self._sample_time, self._plan
+        r, h, plan = self._r, self._sample_time, self._plan
+        slots = self._slots = np.arange(len(states)) if slots is None else slots
+        fresh = np.ones(len(states), bool) if fresh is None else fresh
         self._remaining, entries = self._left(self._along, states, inputs, stages)
-        slots, taking, giving = self._slots(source)
-        self._differentiate(self._along, entries, np.flatnonzero(source < 0), plan, slots)
+        found = slots[fresh]
+        self._differentiate(self._along, entries, np.flatnonzero(fresh), plan, found)
         share = self._share[None, :, :]
-        for slot in slots.tolist():
+        for slot in found.tolist():
             plan.find_ends(slot)
             by_stages, by_input = plan.to_end[slot].T, plan.by_input[slot]
             np.matmul(plan.by_state[slot], by_stages, out=self._slopes[0][slot])
@@ -471,32 +473,30 @@ class RadauIIA(Discretization):
                 np.matmul(by_before, by_stages, out=self._slopes[2][slot])
         places = np.arange(r)
         for part, row, size in ((0, 0, 1.0), (0, r, h), (r, r, 1.0)):
-            self._slopes[0][slots[:, None], row + places, part + places] += size
-        for array in (*self._slopes, *plan.arrays):
-            array[taking] = array[giving]
-        gap = rolled(self._remaining, self.start)
-        corrected = rolled((plan.to_end @ gap[:, :, None])[:, :, 0], -self.start)
-        ends = self._ends(states, stages) - corrected
-        fresh = source != np.arange(N)
-        return StageJacobians(ends, tuple(self._slopes), self.start, fresh)
+            self._slopes[0][found[:, None], row + places, part + places] += size
+        ends = self._ends(states, stages)
+        for slot, mine in by_slot(slots):
+            ends[mine] -= self._remaining[mine] @ plan.to_end[slot].T
+        return StageJacobians(ends, tuple(self._slopes), slots, fresh)
 
     def load_response(self, load: FloatArray) -> FloatArray:
         """See :meth:`Discretization.load_response`."""
         by_stages = self._plan.to_end.reshape(-1, 2 * self._r, 3, self._r)
-        return rolled(load @ by_stages.sum(axis=2).swapaxes(1, 2), -self.start)
+        return np.asarray((load @ by_stages.sum(axis=2).swapaxes(1, 2))[self._slots])
 
     def corrected(self, stages: FloatArray, changes: Pair, load: FloatArray | None) -> FloatArray:
         """See :meth:`Discretization.corrected`."""
-        states, inputs = changes
-        at_stages = inputs[:-1, None] + self._share * np.diff(inputs, axis=0)[:, None]
-        places, moves = rolled(states, self.start), rolled(at_stages, self.start)[:, :, None]
-        sides = (moves @ self._plan.by_input.swapaxes(1, 2))[:, :, 0].reshape(len(places), -1)
-        sides += applied(self._plan.by_state, places)
-        sides -= rolled(self._remaining, self.start)
+        (states, inputs), plan = changes, self._plan
+        at_stages = inputs[:-1] + self._share[:, None] * np.diff(inputs, axis=0)  # (3, N, α)
+        sides, found = -self._remaining, np.empty_like(self._remaining)
         if load is not None:
             sides += np.tile(load, 3)
-        found = np.array([self._plan.solved(slot, side) for slot, side in enumerate(sides)])
-        return stages + rolled(found, -self.start).reshape(stages.shape)
+        for slot, mine in by_slot(self._slots):
+            by_input = at_stages[:, mine] @ plan.by_input[slot].swapaxes(0, 1)
+            side = sides[mine] + states[mine] @ plan.by_state[slot]
+            side += by_input.swapaxes(0, 1).reshape(side.shape)
+            found[mine] = plan.solved(slot, side.T).T
+        return stages + found.reshape(stages.shape)
 
     def _ends(self, states: FloatArray, stages: FloatArray) -> FloatArray:
         """Return the states at the ends of samples, shape (N, s)."""
@@ -554,7 +554,6 @@ class _StageEquations:
         self._factors = np.full((count, size, size), np.nan)  # of M, with rows exchanged
         self._rows = np.zeros((count, size), np.intc)
         self._combined = np.asfortranarray(to_end)
-        self.arrays = self.by_state, self.by_input, self.to_end, self._factors, self._rows
 
     def factorize(self, slot: int, matrix: FloatArray) -> None:
         """Take M, shape (3r, 3r), where unknowns are rows, which is overwritten."""
@@ -564,7 +563,7 @@ class _StageEquations:
         self._factors[slot] = np.nan if singular else factors.T
 
     def solved(self, slot: int, sides: FloatArray) -> FloatArray:
-        """Return dK, shape (3r,), for right-hand sides."""
+        """Return dK for right-hand sides, a column or several, shape (3r, …)."""
         from scipy.linalg.lapack import dgetrs
 
         return np.asarray(dgetrs(self._factors[slot].T, self._rows[slot], sides)[0])

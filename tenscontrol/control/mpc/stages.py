@@ -170,7 +170,7 @@ class LeastDistance(Subproblem):
             for name in ("shift", "prepare", "solve", "iterations")
         )
         pointer = ctypes.c_void_p
-        self._prepare.argtypes = [pointer, ctypes.c_int, pointer, ctypes.c_double, *[pointer] * 8]
+        self._prepare.argtypes = [*[pointer] * 3, ctypes.c_double, *[pointer] * 8]
         self._solve.argtypes = [pointer] * 7 + [_Stop]
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -201,15 +201,15 @@ class LeastDistance(Subproblem):
         self._states[:], self._inputs[:] = states, inputs
         parts = [motion.values, *motion.slopes, *[None] * (3 - len(motion.slopes))]
         parts += [None] * 4 if rows is None else [rows.values, *rows.slopes]
-        # Those of limited values stay where they are until the solve.
         kept = [None if part is None else np.ascontiguousarray(part, float) for part in parts]
-        self._limited, addresses = (
-            kept[4:],
-            [part if part is None else _address(part) for part in kept],
+        self._limited = kept[4:]  # which the program reads until it is solved
+        which = [
+            part if part is None else part.astype(np.intc) for part in (motion.slots, motion.fresh)
+        ]
+        slots, fresh, *addresses = (
+            part if part is None else _address(part) for part in which + kept
         )
-        fresh = None if motion.fresh is None else motion.fresh.astype(np.intc)
-        known = motion.start, None if fresh is None else _address(fresh), self._tolerance
-        return bool(self._prepare(self._program, *known, *addresses))
+        return bool(self._prepare(self._program, slots, fresh, self._tolerance, *addresses))
 
     def solve(
         self, state: FloatArray, data: StageData, previous: FloatArray, acting: FloatArray,

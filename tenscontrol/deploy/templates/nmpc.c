@@ -24,7 +24,8 @@ static struct {
     double *y;      /* multipliers that the next solve starts from */
     const double *state_moves, *input_moves; /* what a solution adds to the plan */
     double numbers[STAGES_NUMBERS(HORIZON, STATES, CONTROLLER_COMMANDS, LIMITED, ROWS, SOFT)];
-    int integers[ACTIVE_SET_INTEGERS(ROWS, MOST)];
+    int integers[ACTIVE_SET_INTEGERS(ROWS, MOST) +
+                 STAGES_INTEGERS(0, HORIZON, CONTROLLER_COMMANDS, ROWS)];
     const double *pointers[ACTIVE_SET_POINTERS(MOST)];
 } program;
 
@@ -177,8 +178,8 @@ static void linearize(void)
     }
     limited = memory.limited;
 #endif
-    memory.prepared = stages_program_prepare(&program.stages, 0, NULL, 0.0, memory.ends, A, B,
-                                             NULL, limited, E, G, F);
+    memory.prepared = stages_program_prepare(&program.stages, NULL, NULL, 0.0, memory.ends, A,
+                                             B, NULL, limited, E, G, F);
 }
 
 /* Solve the program for what is measured. */

@@ -29,9 +29,6 @@ def plant_of(stiffness, damping=0.02):
     return tc.linearize(model, rest, input="rest_length")
 
 
-ALL = np.full(2, -1)  # derivatives of both samples are found
-
-
 def moved(plant, stiffness):
     """A state and two inputs, off by a share of what stretches the strings."""
     rng = np.random.default_rng(0)
@@ -114,7 +111,7 @@ def test_slopes_are_those_of_the_solved_step(stiffness, ramp):
     end, stages = motion.advance(z, *acting)
     given = (z, *acting) if ramp else (z, acting[1])
     np.testing.assert_allclose(motion.sampled(*given).full().ravel(), end, atol=1e-12)
-    jacobians = motion.linearize(z[None], acting, stages[None], ALL[:1])
+    jacobians = motion.linearize(z[None], acting, stages[None])
     slopes = [slope[0] for slope in (*jacobians.slopes, motion.load_response(np.eye(9)))]
     np.testing.assert_allclose(jacobians.values[0], end, rtol=1e-10, atol=1e-12)
 
@@ -149,7 +146,7 @@ def test_stages_of_a_plan_converge_to_the_solved_step(ramp):
     states, stages = np.array([z, 0.5 * z]), np.zeros((2, 3, 9))
     off = []
     for _ in range(6):
-        jacobians = motion.linearize(states, acting, stages, ALL)
+        jacobians = motion.linearize(states, acting, stages)
         ends = jacobians.values
         stages = motion.corrected(stages, (0 * states, 0 * acting), None)
         exact = [motion.advance(states[k], acting[k], acting[k + 1]) for k in range(2)]
@@ -168,7 +165,7 @@ def test_correction_is_the_first_order_of_what_moved():
     rng, off = np.random.default_rng(3), []
     dz, du, load = 1e-6 * rng.normal(size=18), 1e-6 * rng.normal(size=(2, 9)), rng.normal(size=9)
     for size in (1.0, 0.5):
-        motion.linearize(z[None], acting, stages[None], ALL[:1])
+        motion.linearize(z[None], acting, stages[None])
         found = motion.corrected(stages[None], (size * dz[None], size * du), size * 1e-2 * load)
         _, exact = motion._step(z + size * dz, *(acting + size * du), size * 1e-2 * load)
         off.append(np.abs(found[0] - exact).max() / np.abs(exact - stages).max())
@@ -191,7 +188,7 @@ def test_a_step_that_is_not_solved_is_no_number():
 def test_samples_keep_their_slopes_in_slots_and_have_exact_values(kind):
     """A plan of three samples moves on by one: the first two slopes are those of before.
 
-    Then the last one takes those of the first.
+    Then the last one has the slot of the first.
     """
     if kind == "RK4":
         ball = tc.library.six_bar_ball()
@@ -204,15 +201,14 @@ def test_samples_keep_their_slopes_in_slots_and_have_exact_values(kind):
     states = 1e-3 * rng.normal(size=(4, s))
     inputs = plant.equilibrium_input + 1e-4 * rng.normal(size=(5, a))
     stages = rng.normal(size=(4, 3, s // 2))
-    all_three, last = np.full(3, -1), np.array([0, 1, -1])
-    before = kept.linearize(states[:3], inputs[:4], stages[:3], all_three)
+    before = kept.linearize(states[:3], inputs[:4], stages[:3])
     slopes = [part.copy() for part in before.slopes]
-    kept.start = 1
     states[1] += 1e-6
-    now = kept.linearize(states[1:], inputs[1:], stages[1:], last)
-    exact = anew.linearize(states[1:], inputs[1:], stages[1:], all_three)
-    assert now.start == 1
-    assert now.fresh.tolist() == [False, False, True]
+    moved_on, last = (states[1:], inputs[1:], stages[1:]), np.array([False, False, True])
+    now = kept.linearize(*moved_on, np.array([1, 2, 0]), last)
+    exact = anew.linearize(*moved_on)
+    assert now.slots.tolist() == [1, 2, 0]
+    assert now.fresh.tolist() == last.tolist()
     for part, old, new in zip(now.in_order().slopes, slopes, exact.slopes, strict=True):
         assert np.array_equal(part[:2], old[1:])
         np.testing.assert_allclose(part[2], new[2], rtol=0, atol=1e-12)
@@ -220,7 +216,7 @@ def test_samples_keep_their_slopes_in_slots_and_have_exact_values(kind):
     if kind == "RK4":
         assert np.array_equal(now.values, exact.values)
         assert_slopes_of_the_first(
-            kept.linearize(states[1:], inputs[1:], stages[1:], np.array([0, 1, 0]))
+            kept.linearize(*moved_on, np.array([1, 2, 1]), np.zeros(3, bool))
         )
         return
     # Stages take a step of Newton's method, from what is left of the equations.
@@ -231,15 +227,13 @@ def test_samples_keep_their_slopes_in_slots_and_have_exact_values(kind):
     np.testing.assert_allclose(found[2], wanted[2], rtol=0, atol=1e-9 * scale)
     assert 0 < np.abs(found - wanted).max() < 1e-3 * scale
     np.testing.assert_allclose(now.values, exact.values, rtol=0, atol=1e-3 * scale * SAMPLE)
-    assert_slopes_of_the_first(
-        kept.linearize(states[1:], inputs[1:], stages[1:], np.array([0, 1, 0]))
-    )
+    assert_slopes_of_the_first(kept.linearize(*moved_on, np.array([1, 2, 1]), np.zeros(3, bool)))
     found = kept.corrected(stages[1:], (0 * states[1:], 0 * inputs[1:]), None)
     assert 0 < np.abs(found - wanted).max() < 1e-2 * scale
 
 
 def assert_slopes_of_the_first(jacobians):
-    assert jacobians.fresh.tolist() == [False, False, True]
+    assert not jacobians.fresh.any()
     for part in jacobians.in_order().slopes:
         assert np.array_equal(part[2], part[0])
         assert not np.array_equal(part[2], part[1])
@@ -251,7 +245,7 @@ def test_a_step_from_the_stages_of_the_last_sample_is_the_same_step(monkeypatch)
     motion = RadauIIA(plant, SAMPLE, 2, False, False)
     z, acting = moved(plant, 1e4)
     _, stages = motion.advance(z, *acting)
-    motion.linearize(np.array([z, z]), acting[[0, 1, 1]], np.array([stages, stages]), ALL)
+    motion.linearize(np.array([z, z]), acting[[0, 1, 1]], np.array([stages, stages]))
     near = z + 1e-6
     exact, _ = motion.advance(near, *acting)
     factorized = []
@@ -271,4 +265,4 @@ def test_a_step_from_stages_that_are_far_off_takes_derivatives_of_its_own():
     for _ in range(2):
         found, _ = motion.advance(z, *acting, far)
         np.testing.assert_allclose(found, exact, rtol=0, atol=1e-10 * motion._size)
-        motion.linearize(np.array([0 * z, z]), acting[[0, 1, 1]], np.array([stages, far]), ALL)
+        motion.linearize(np.array([0 * z, z]), acting[[0, 1, 1]], np.array([stages, far]))

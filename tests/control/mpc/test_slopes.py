@@ -99,7 +99,7 @@ def test_samples_are_linearized_alike_in_both_ways(name):
     plant = plant_of(name)
     states, inputs = points(plant, 3)
     held = np.vstack([inputs[:1], inputs])
-    found = RK4(plant, 0.02, 3, False).linearize(states, held, np.zeros((3, 0)), np.full(3, -1))
+    found = RK4(plant, 0.02, 3, False).linearize(states, held, np.zeros((3, 0)))
     for k in range(3):
         end, by_z, by_u = (
             part.full() for part in sampled_dynamics(plant, 0.02)[1](states[k], inputs[k])
@@ -123,7 +123,7 @@ def test_limited_rows_are_those_of_the_whole_expression(name, ramp):
     model = TrajectoryModel(plant, settings, constraints, False)
     states, inputs = points(plant, 3)
     held = np.vstack([inputs[:1], inputs[:2]])
-    _, found = model.linearize(states, held, np.zeros((2, 3, states.shape[1] // 2)), np.full(2, -1))
+    _, found = model.linearize(states, held, np.zeros((2, 3, states.shape[1] // 2)))
     whole = limited_rows(plant, constraints, ramp)
     patterns = model._rows.patterns
     for k in range(2):

@@ -217,7 +217,7 @@ def test_stages_of_a_plan_that_moved_on_stay_in_their_places(ramp):
     for slope in motion.slopes:  # slot 0 takes the new sample
         slope[0] = 0.4 * rng.normal(size=slope[0].shape)
     fresh = np.arange(N) == N - 1
-    moved = StageJacobians(motion.values, motion.slopes, 1, fresh)
+    moved = StageJacobians(motion.values, motion.slopes, np.roll(np.arange(N), -1), fresh)
     for program, data in ((exact, moved.in_order()), (kept, moved), (near, moved)):
         assert program.linearize(*plan, data, rows)
         answer = program.solve(*given, np.inf)
@@ -225,6 +225,36 @@ def test_stages_of_a_plan_that_moved_on_stay_in_their_places(ramp):
         found.append(answer.plan[1])
     np.testing.assert_allclose(found[1], found[0], rtol=0, atol=1e-12)
     assert np.abs(found[2] - found[0]).max() < 1e-2
+
+
+@needs_compiler
+@pytest.mark.parametrize("ramp", [False, True])
+def test_samples_that_share_their_derivatives_have_the_plan_of_equal_ones(ramp):
+    """Slots go from sample to sample; no step of the recursion may be that of other derivatives."""
+    N = 6
+    problem, bounds, row_bounds, plan, motion, rows, given = random_program(
+        1, N, ramp, True, True, False
+    )
+    shared = LeastDistance(problem, row_bounds, 500, bounds)
+    rng, slots, fresh = np.random.default_rng(6), np.zeros(N, int), np.arange(N) == 0
+    for _ in range(12):
+        for slot in slots[fresh]:
+            for part in motion.slopes:
+                part[slot] = 0.4 * rng.normal(size=part[slot].shape)
+        jacobians = StageJacobians(motion.values, motion.slopes, slots, fresh)
+        exact = LeastDistance(problem, row_bounds, 500, bounds)
+        answers = []
+        for program, data in ((shared, jacobians), (exact, jacobians.in_order())):
+            assert program.linearize(*plan, data, rows)
+            answers.append(program.solve(*given, np.inf))
+            assert answers[-1].status is Status.OK
+        np.testing.assert_allclose(answers[0].plan[1], answers[1].plan[1], rtol=0, atol=1e-12)
+        # A sample moves on, one takes the slot of another, and one fills a slot that is free.
+        slots, fresh = np.append(slots[1:], slots[-1]), np.zeros(N, bool)
+        taking, filling = rng.choice(N, 2, replace=False)
+        slots[taking] = rng.choice(slots)
+        slots[filling] = np.setdiff1d(np.arange(N), np.delete(slots, filling))[0]
+        fresh[filling] = True
 
 
 @both

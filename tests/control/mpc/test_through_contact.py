@@ -51,7 +51,7 @@ def test_the_plan_is_linearized_as_its_prediction_is(name):
     discretization = nmpc.law.model.discretization
     states = np.array([touching(plant, seed) for seed in range(3)])
     inputs = np.tile(plant.equilibrium_input, (4, 1))
-    found = discretization.linearize(states, inputs, np.zeros((3, 0, 0)), np.full(3, -1))
+    found = discretization.linearize(states, inputs, np.zeros((3, 0, 0)))
     for k, z in enumerate(states):
         end, by_z, by_u = (
             np.array(part.full()) for part in discretization.linearized(z, inputs[0])

@@ -44,8 +44,10 @@ typedef struct {
     /* sizes */
     int stages, states, inputs, limited; /* N; n, with the input before for ramps; a; p */
     int ramp, changes;                   /* whether inputs are ramps, and changes are limited */
-    int start; /* where the matrices of the first stage are: those of a plan that moves on stay */
     int alike; /* whether all stages have the same matrices, stored once, and P is that of the LQR */
+    int *slot; /* (N): where the derivatives of a stage are; several stages may have the same */
+    int *step; /* (N): where its step of the recursion is, also shared */
+    int *from; /* (N): the slot that a step was found from; -1: the step is none */
     /* what does not change */
     double level;                             /* unit of an input */
     const double *Q, *R, *P, *scale, *change; /* (n, n) (a, a) (n, n); units of rows (p); (a) */
@@ -53,12 +55,13 @@ typedef struct {
     /* the plan */
     double *z, *u; /* (N + 1, n - a or n); (N + 1, a), the input before first */
     /* the problem linearized along it */
-    double *motion, *motion_t;             /* (N, a + n, n): [B A]'; (N, n, a + n): [B A] */
+    double *motion, *motion_t;             /* by slots: (N, a + n, n), [B A]'; (N, n, a + n), [B A] */
     const double *E, *G, *F;               /* (N, n, p) (N, a, p) (N, n, p), by columns; of ramps
                                               E and F end before the inputs */
     double *values;                        /* (N, p), in their units */
-    double *gap, *costs;                   /* (N, n): d; (N, n, n): P_1 ... P_N */
-    double *S, *S_t, *W, *W_t;             /* (N, a, a) twice; (N, a, n); (N, n, a) */
+    double *gap;                           /* (N, n): d */
+    double *costs, *before;                /* by steps: (N, n, n), P behind a stage and before it */
+    double *S, *S_t, *W, *W_t;             /* by steps: (N, a, a) twice; (N, a, n); (N, n, a) */
     double *first;                         /* (N, a): f */
     double *work;                          /* STAGES_WORK(n, a) */
     /* for many inputs that move few states, with alike stages: S = unit (I - Y Y') */
@@ -75,17 +78,26 @@ typedef struct {
     (ACTIVE_SET_NUMBERS(rows, (N) * (a), ACTIVE_SET_MOST(rows, (N) * (a), soft), 1) +            \
      STAGES_OTHERS(N, N, n, a, p, rows))
 #define STAGES_OTHERS(N, many, n, a, p, rows)                                                    \
-    ((size_t)(many) * (2 * ((a) + (n)) * (n) + (n) * (n) + 2 * (a) * (a) + 2 * (a) * (n)) +      \
+    ((size_t)(many) * (2 * ((a) + (n)) * (n) + 2 * (n) * (n) + 2 * (a) * (a) + 2 * (a) * (n)) +  \
      (size_t)(N) * ((p) + (n) + 4 * (a)) + (size_t)((N) + 1) * (2 * (n) + (a)) +                 \
      4 * (size_t)(rows) + STAGES_WORK(n, a))
+
+/* Integers of the memory, besides those of the active set. */
+#define STAGES_INTEGERS(alike, N, a, rows) ((alike) ? (rows) / (N) + 2 * (a) : 3 * (size_t)(N))
 
 /* Rows that may be active at once where all stages are alike, and so may be very many. */
 #define STAGES_MOST 5000
 
-/* The place of the matrices of stage k. */
-static size_t stages_at(const Stages *s, int k)
+/* The place of the derivatives of stage k. */
+static size_t stages_slot(const Stages *s, int k)
 {
-    return s->alike ? 0 : (size_t)((k + s->start) % s->stages);
+    return s->alike ? 0 : (size_t)s->slot[k];
+}
+
+/* The place of the step of the recursion at stage k. */
+static size_t stages_step(const Stages *s, int k)
+{
+    return s->alike ? 0 : (size_t)s->step[k];
 }
 
 static int stages_rows(const Stages *s)
@@ -179,21 +191,15 @@ static void stages_transpose(int rows, int columns, const double *A, int lda, do
 }
 
 /*
- * Put in what stage k does: from the plan to z_{k+1} = end, with derivatives A by z_k, B by u_k and C
- * by u_{k-1}. The matrices are stored by columns; C is NULL where inputs are no ramps. Those of a
- * stage that is not fresh are known.
+ * Put what a stage does into a slot: derivatives A by z_k, B by u_k and C by u_{k-1}. The matrices
+ * are stored by columns; C is NULL where inputs are no ramps. Steps found from the slot before are
+ * none any more.
  */
-static void stages_set_motion(Stages *s, int k, int fresh, const double *end, const double *A,
-                              const double *B, const double *C)
+static void stages_set_motion(Stages *s, size_t slot, const double *A, const double *B,
+                              const double *C)
 {
     int n = s->states, a = s->inputs, m = s->ramp ? n - a : n, j;
-    const double *z = s->z + (size_t)(k + 1) * m;
-    double *motion = s->motion + stages_at(s, k) * (a + n) * n, *gap = s->gap + (size_t)k * n;
-    memset(gap, 0, (size_t)n * sizeof *gap);
-    for (j = 0; j < m; j++)
-        gap[j] = end[j] - z[j];
-    if (!fresh)
-        return;
+    double *motion = s->motion + slot * (a + n) * n;
     if (!s->ramp) {
         memcpy(motion, B, (size_t)a * n * sizeof *motion);
         memcpy(motion + (size_t)a * n, A, (size_t)n * n * sizeof *motion);
@@ -207,7 +213,10 @@ static void stages_set_motion(Stages *s, int k, int fresh, const double *end, co
         for (j = 0; j < m; j++)
             memcpy(motion + (size_t)(a + j) * n, A + (size_t)j * m, (size_t)m * sizeof *motion);
     }
-    stages_transpose(a + n, n, motion, n, s->motion_t + stages_at(s, k) * (a + n) * n, a + n);
+    stages_transpose(a + n, n, motion, n, s->motion_t + slot * (a + n) * n, a + n);
+    for (j = 0; !s->alike && j < s->stages; j++)
+        if (s->from[j] == (int)slot)
+            s->from[j] = -1;
 }
 
 /* out = S h, or S'h, which must not be h. */
@@ -217,7 +226,7 @@ static void stages_unfactor(const Stages *s, int k, int transposed, const double
     double *t = s->work + 4 * (size_t)(n + a); /* behind what callers use */
     if (!s->thin) {
         memset(out, 0, (size_t)a * sizeof *out);
-        stages_add(a, a, 1.0, (transposed ? s->S : s->S_t) + stages_at(s, k) * a * a, h, out);
+        stages_add(a, a, 1.0, (transposed ? s->S : s->S_t) + stages_step(s, k) * a * a, h, out);
         return;
     }
     for (j = 0; j < a; j++)
@@ -327,56 +336,97 @@ static int stages_near(int n, double tolerance, const double *P, const double *c
     return 1;
 }
 
-/*
- * The Riccati recursion. Returns whether R and what is added to it are definite. Stages are known
- * that are not fresh, with costs behind them that have not moved by more than the tolerance.
- */
-static int stages_prepare(Stages *s, const int *fresh, double tolerance)
+/* A step of the recursion found from the slot of stage k and a cost near P; -1 if there is none. */
+static int stages_known(const Stages *s, int k, const double *P, double tolerance)
 {
-    int n = s->states, a = s->inputs, w = a + n, moved = 0, i, j, k;
-    double *Y = s->work, *X = Y + (size_t)w * w;
-    memcpy(s->costs + stages_at(s, s->stages - 1) * n * n, s->P, (size_t)n * n * sizeof *X);
-    if (s->thin) {
+    size_t square = (size_t)s->states * s->states;
+    int step;
+    for (step = 0; step < s->stages; step++)
+        if (s->from[step] == s->slot[k] &&
+            stages_near(s->states, tolerance, P, s->costs + square * step))
+            return step;
+    return -1;
+}
+
+/* A place for a step at stage k: no stage behind it has it, nor, in the last plan, one before it. */
+static int stages_free(const Stages *s, int k)
+{
+    int step, i;
+    for (step = 0; step < s->stages; step++) {
+        for (i = 0; i < s->stages && (i == k || s->step[i] != step); i++)
+            ;
+        if (i == s->stages)
+            break;
+    }
+    return step;
+}
+
+/*
+ * Find a step of the recursion: S and W of a stage, and the cost before it, unless `last`. Returns
+ * whether R and what is added to it are definite.
+ */
+static int stages_find_step(Stages *s, size_t step, size_t slot, int last)
+{
+    int n = s->states, a = s->inputs, w = a + n, i, j;
+    double *Y = s->work, *X = Y + (size_t)w * w, *before = s->before + step * n * n;
+    double *S = s->S + step * a * a, *W = s->W + step * a * n, *W_t = s->W_t + step * a * n;
+    stages_product(s, w, n, n, s->motion + slot * w * n, n, s->costs + step * n * n, n, Y, n, 0);
+    stages_product(s, last ? a : w, n, w, Y, n, s->motion_t + slot * w * n, w, X, w, 1);
+    for (i = 0; i < a; i++)
+        for (j = i; j < a; j++)
+            X[(size_t)i * w + j] += s->R[i * a + j];
+    /* With the columns of the states behind it, the factor is [U W]. */
+    if (!stages_factorize(s, a, w, X, Y))
+        return 0;
+    for (i = 0; i < a; i++)
+        memcpy(W + (size_t)i * n, X + (size_t)i * w + a, (size_t)n * sizeof *W);
+    stages_transpose(a, n, W, n, W_t, a);
+    memset(S, 0, (size_t)a * a * sizeof *S);
+    for (i = a - 1; i >= 0; i--) {
+        double unit = 1.0 / X[(size_t)i * w + i];
+        stages_add(a - 1 - i, a, -unit, S + (size_t)(i + 1) * a, X + (size_t)i * w + i + 1,
+                   S + (size_t)i * a);
+        S[(size_t)i * a + i] += unit;
+    }
+    stages_transpose(a, a, S, a, s->S_t + step * a * a, a);
+    if (last)
+        return 1;
+    stages_product(s, n, a, n, W_t, a, W, n, Y, n, 1);
+    for (i = 0; i < n; i++)
+        for (j = i; j < n; j++)
+            before[(size_t)i * n + j] = before[(size_t)j * n + i] =
+                X[(size_t)(a + i) * w + a + j] - Y[(size_t)i * n + j] + s->Q[i * n + j];
+    return 1;
+}
+
+/*
+ * The Riccati recursion. Returns whether R and what is added to it are definite. A stage takes a
+ * step that is known of its derivatives, if the cost behind it was the same to the tolerance.
+ */
+static int stages_prepare(Stages *s, double tolerance)
+{
+    size_t square = (size_t)s->states * s->states;
+    const double *P = s->P;
+    int k;
+    if (s->alike) {
+        memcpy(s->costs, s->P, square * sizeof *P);
+        if (!s->thin)
+            return stages_find_step(s, 0, 0, 1);
         stages_prepare_thin(s);
         return 1;
     }
-    for (k = s->alike ? 0 : s->stages - 1; k >= 0; k--) {
-        const double *motion = s->motion + stages_at(s, k) * w * n;
-        double *S = s->S + stages_at(s, k) * a * a, *W = s->W + stages_at(s, k) * a * n;
-        if (fresh != NULL && !fresh[k] && !moved)
-            continue;
-        stages_product(s, w, n, n, motion, n, s->costs + stages_at(s, k) * n * n, n, Y, n, 0);
-        /* Before z_0 no cost is needed. */
-        stages_product(s, k ? w : a, n, w, Y, n, s->motion_t + stages_at(s, k) * w * n, w, X, w, 1);
-        for (i = 0; i < a; i++)
-            for (j = i; j < a; j++)
-                X[(size_t)i * w + j] += s->R[i * a + j];
-        /* With the columns of the states behind it, the factor is [U W]. */
-        if (!stages_factorize(s, a, w, X, Y))
-            return 0;
-        for (i = 0; i < a; i++)
-            memcpy(W + (size_t)i * n, X + (size_t)i * w + a, (size_t)n * sizeof *W);
-        stages_transpose(a, n, W, n, s->W_t + stages_at(s, k) * a * n, a);
-        memset(S, 0, (size_t)a * a * sizeof *S);
-        for (i = a - 1; i >= 0; i--) {
-            double unit = 1.0 / X[(size_t)i * w + i];
-            stages_add(a - 1 - i, a, -unit, S + (size_t)(i + 1) * a, X + (size_t)i * w + i + 1,
-                       S + (size_t)i * a);
-            S[(size_t)i * a + i] += unit;
+    for (k = s->stages - 1; k >= 0; k--) {
+        int step = stages_known(s, k, P, tolerance);
+        if (step < 0) {
+            step = stages_free(s, k);
+            memcpy(s->costs + square * step, P, square * sizeof *P);
+            s->from[step] = -1;
+            if (!stages_find_step(s, (size_t)step, (size_t)s->slot[k], 0))
+                return 0;
+            s->from[step] = s->slot[k];
         }
-        stages_transpose(a, a, S, a, s->S_t + stages_at(s, k) * a * a, a);
-        if (k) {
-            double *cost = s->costs + stages_at(s, k - 1) * n * n;
-            stages_product(s, n, a, n, s->W_t + stages_at(s, k) * a * n, a, W, n, Y, n, 1);
-            for (i = 0; i < n; i++)
-                for (j = i; j < n; j++)
-                    Y[(size_t)i * n + j] =
-                        X[(size_t)(a + i) * w + a + j] - Y[(size_t)i * n + j] + s->Q[i * n + j];
-            moved = fresh == NULL || fresh[k - 1] || !stages_near(n, tolerance, Y, cost);
-            for (i = 0; moved && i < n; i++)
-                for (j = i; j < n; j++)
-                    cost[(size_t)i * n + j] = cost[(size_t)j * n + i] = Y[(size_t)i * n + j];
-        }
+        s->step[k] = step;
+        P = s->before + square * step;
     }
     return 1;
 }
@@ -392,7 +442,7 @@ static void stages_aim(Stages *s, const double *r, const double *aim, const doub
     memset(off, 0, (size_t)n * sizeof *off);
     for (k = s->stages - 1; k >= 0; k--) {
         int last = k == s->stages - 1;
-        const double *W = s->W + stages_at(s, k) * a * n;
+        const double *W = s->W + stages_step(s, k) * a * n;
         double *f = s->first + (size_t)k * a, *gap = s->gap + (size_t)k * n;
         for (j = 0; j < m; j++)
             off[j] = s->z[(size_t)(k + 1) * m + j] - r[(size_t)k * m + j];
@@ -410,14 +460,14 @@ static void stages_aim(Stages *s, const double *r, const double *aim, const doub
         if (drift != NULL)
             for (j = 0; j < m; j++)
                 gap[j] += drift[(size_t)k * m + j];
-        stages_add(n, n, 1.0, s->costs + stages_at(s, k) * n * n, gap, t);
+        stages_add(n, n, 1.0, s->costs + stages_step(s, k) * n * n, gap, t);
         /* f = S'(B't + R (u - s)),   p_k = A't - W'f */
         memset(by_all, 0, (size_t)w * sizeof *by_all);
         for (j = 0; s->thin && j < a; j++)
             by_all[j] = h[j] / (s->unit[j] * s->unit[j]);
         if (!s->thin)
             stages_add(a, a, 1.0, s->R, h, by_all);
-        stages_add(n, w, 1.0, s->motion_t + stages_at(s, k) * w * n, t, by_all);
+        stages_add(n, w, 1.0, s->motion_t + stages_slot(s, k) * w * n, t, by_all);
         stages_unfactor(s, k, 1, by_all, f);
         memcpy(p, by_all + a, (size_t)n * sizeof *p);
         stages_add(a, n, -1.0, W, f, p);
@@ -435,11 +485,11 @@ static void stages_simulate(const Stages *s, const double *x, int whole, double 
     if (!whole)
         memset(z, 0, (size_t)n * sizeof *z);
     for (k = 0; k < s->stages; k++, z += n, u += a) {
-        const double *motion = s->motion + stages_at(s, k) * w * n;
+        const double *motion = s->motion + stages_slot(s, k) * w * n;
         for (j = 0; j < a; j++)
             h[j] = (x == NULL ? 0.0 : x[(size_t)k * a + j]) -
                    (whole ? s->first[(size_t)k * a + j] : 0.0);
-        stages_add(n, a, -1.0, s->W_t + stages_at(s, k) * a * n, z, h);
+        stages_add(n, a, -1.0, s->W_t + stages_step(s, k) * a * n, z, h);
         stages_unfactor(s, k, 0, h, u);
         if (whole)
             memcpy(z + n, s->gap + (size_t)k * n, (size_t)n * sizeof *z);
@@ -486,7 +536,7 @@ static int stages_row(const Stages *s, int i, double *out)
     double *by_all = s->work, *ahead = by_all + w;
     memset(ahead, 0, (size_t)n * sizeof *ahead);
     for (k = stage; k >= 0; k--) {
-        const double *W = s->W + stages_at(s, k) * a * n;
+        const double *W = s->W + stages_step(s, k) * a * n;
         double *x = out + (size_t)k * a;
         memset(by_all, 0, (size_t)w * sizeof *by_all);
         if (k == stage && kind < a)
@@ -505,7 +555,7 @@ static int stages_row(const Stages *s, int i, double *out)
                 ahead[j] = s->F[(at * m + j) * p + which] / s->scale[which];
         }
         /* x = S'(g + B'ahead),   ahead = e + A'ahead - W'x */
-        stages_add(n, w, 1.0, s->motion_t + stages_at(s, k) * w * n, ahead, by_all);
+        stages_add(n, w, 1.0, s->motion_t + stages_slot(s, k) * w * n, ahead, by_all);
         stages_unfactor(s, k, 1, by_all, x);
         for (j = 0; j < n; j++)
             ahead[j] = by_all[a + j];
@@ -556,6 +606,17 @@ static void stages_program_products(void *data, const double *x, double *out)
     stages_simulate(&program->stages, x, 0, program->dz, program->du);
     stages_limits(&program->stages, program->dz, program->du, out);
     program->moved = 1;
+}
+
+/* Forget the steps of the recursion; each stage has a place of its own for derivatives. */
+static void stages_forget(Stages *s)
+{
+    int k;
+    for (k = 0; k < s->stages; k++) {
+        s->slot[k] = k;
+        s->step[k] = k;
+        s->from[k] = -1;
+    }
 }
 
 /* Take `count` numbers of memory. */
@@ -614,7 +675,7 @@ STAGES_API void stages_program_place(StagesProgram *program, const int *sizes, d
     set->tolerance = tolerance;
     used = ACTIVE_SET_NUMBERS(set->rows, set->columns, set->most, set->stored);
     counts[0] = used + STAGES_OTHERS(N, many, n, a, p, rows) + (s->alike ? rows * a : 0);
-    counts[1] = ACTIVE_SET_INTEGERS(set->rows, set->most) + (s->alike ? rows / N + 2 * a : 0);
+    counts[1] = ACTIVE_SET_INTEGERS(set->rows, set->most) + STAGES_INTEGERS(s->alike, N, a, rows);
     counts[2] = ACTIVE_SET_POINTERS(set->most);
     if (numbers == NULL)
         return;
@@ -644,6 +705,7 @@ STAGES_API void stages_program_place(StagesProgram *program, const int *sizes, d
     s->values = stages_take(&at, N * p);
     s->gap = stages_take(&at, N * n);
     s->costs = stages_take(&at, many * n * n);
+    s->before = stages_take(&at, many * n * n);
     s->S = stages_take(&at, s->thin ? 0 : many * a * a);
     s->S_t = stages_take(&at, many * a * narrow);
     s->W = stages_take(&at, many * a * n);
@@ -662,10 +724,16 @@ STAGES_API void stages_program_place(StagesProgram *program, const int *sizes, d
     views[4] = program->du = stages_take(&at, N * a);
     views[5] = s->gap;
     views[6] = s->values;
+    integers += ACTIVE_SET_INTEGERS(set->rows, set->most);
     if (s->alike) {
         program->last = stages_take(&at, rows * a);
-        program->known = integers + ACTIVE_SET_INTEGERS(set->rows, set->most);
+        program->known = integers;
         s->span = program->known + rows / N;
+    } else {
+        s->slot = integers;
+        s->step = s->slot + N;
+        s->from = s->step + N;
+        stages_forget(s);
     }
     memset(program->none, 0, N * a * sizeof *program->none);
     memset(program->y, 0, rows * sizeof *program->y);
@@ -685,40 +753,49 @@ STAGES_API void stages_program_shift(StagesProgram *program)
  * must last for the solves. Returns whether data are finite; if they are not, all stages must be
  * fresh in the next call.
  *
- * A, B and C of stage k are at start + k, modulo N. Only those of `fresh` stages (NULL: all) are
- * others than in the last call, with `start` the place of the same sample. The tolerance is that of
- * the costs behind stages that are not fresh.
+ * A, B and C of stage k are in its slot. Only the slots of `fresh` stages are others than in the last
+ * call. NULL for both: each stage has a slot of its own, and all are fresh. The tolerance is that of
+ * the costs behind stages whose derivatives are known.
  */
-STAGES_API int stages_program_prepare(StagesProgram *program, int start, const int *fresh,
+STAGES_API int stages_program_prepare(StagesProgram *program, const int *slots, const int *fresh,
                                       double tolerance, const double *ends, const double *A,
                                       const double *B, const double *C, const double *limited,
                                       const double *E, const double *G, const double *F)
 {
     Stages *s = &program->stages;
-    size_t a = (size_t)s->inputs, p = (size_t)s->limited, m = (size_t)s->states, k, i;
+    size_t a = (size_t)s->inputs, p = (size_t)s->limited, n = (size_t)s->states, m = n, k, i;
+    size_t stages = s->alike ? 1 : (size_t)s->stages;
     if (s->ramp)
         m -= a;
-    s->start = start;
     s->E = E;
     s->G = G;
     s->F = F;
-    for (k = 0; k < (s->alike ? 1 : (size_t)s->stages); k++) {
-        size_t at = stages_at(s, (int)k);
-        int new = fresh == NULL || fresh[k];
+    for (k = 0; k < stages; k++) {
+        double *gap = s->gap + k * n;
         if (!stages_finite(ends + k * m, m) ||
-            (new && !(stages_finite(A + at * m * m, m * m) &&
-                      stages_finite(B + at * a * m, a * m) &&
-                      (!s->ramp || stages_finite(C + at * a * m, a * m)))) ||
             (p && !(stages_finite(limited + k * p, p) && stages_finite(E + k * m * p, m * p) &&
                     stages_finite(G + k * a * p, a * p) &&
                     (!s->ahead || stages_finite(F + k * m * p, m * p)))))
             return 0;
-        stages_set_motion(s, (int)k, new, ends + k * m, A + at * m * m, B + at * a * m,
-                          s->ramp ? C + at * a * m : NULL);
+        memset(gap, 0, n * sizeof *gap);
+        for (i = 0; i < m; i++)
+            gap[i] = ends[k * m + i] - s->z[(k + 1) * m + i];
         for (i = 0; i < p; i++)
             s->values[k * p + i] = limited[k * p + i] / s->scale[i];
     }
-    if (!stages_prepare(s, fresh, tolerance))
+    if (!s->alike && slots != NULL)
+        memcpy(s->slot, slots, stages * sizeof *slots);
+    for (k = 0; k < stages; k++) {
+        size_t at = stages_slot(s, (int)k);
+        if (fresh != NULL && !fresh[k])
+            continue;
+        if (!(stages_finite(A + at * m * m, m * m) && stages_finite(B + at * a * m, a * m) &&
+              (!s->ramp || stages_finite(C + at * a * m, a * m))))
+            return 0;
+        stages_set_motion(s, at, A + at * m * m, B + at * a * m,
+                          s->ramp ? C + at * a * m : NULL);
+    }
+    if (!stages_prepare(s, tolerance))
         return 0;
     if (s->alike && p)
         stages_find_spans(s);
