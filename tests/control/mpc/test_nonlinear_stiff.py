@@ -267,3 +267,34 @@ def test_programs_of_a_sample_converge_with_derivatives_found_anew():
     nmpc = tc.NMPC(ball(), horizon=3, sample_time=SAMPLE, iterations=3)
     assert nmpc.command(0.0, ball().nodes + 1e-3, np.zeros((3, 12))).status == "ok"
     assert nmpc.statistics.linearized[0] == 3 * nmpc.statistics.programs[0]
+
+
+@UNREACHED
+def test_slots_are_near_their_samples_and_filled_once():
+    """A plan wanders: slots that samples have are those of places within the tolerance."""
+    nmpc = tc.NMPC(ball(), horizon=8, sample_time=SAMPLE)
+    nodes, still = ball().nodes, np.zeros_like(ball().nodes)
+    assert nmpc.command(0.0, nodes, still).status == "ok"
+    plan, rng, counts = nmpc._plan, np.random.default_rng(7), []
+    assert plan._tolerance > 0
+    inputs = plan._planned()
+    known = plan._at.copy()
+    for step in range(40):
+        if step % 3 == 0:  # the plan moves on
+            plan._slots = np.append(plan._slots[1:], plan._slots[-1])
+        r, moved = ball().degrees_of_freedom, rng.choice([0.2, 1.0, 3.0])
+        plan._states[:-1, :r] += moved * plan._tolerance * plan._reach[0] * rng.normal(size=(8, r))
+        fresh = plan._choose_slots(inputs)
+        parts = np.hstack([plan._states[:-1], inputs[1:]]) / plan._reach
+        off = np.abs(parts - plan._at[plan._slots]).max(axis=1)
+        assert off.max() <= plan._tolerance
+        assert off[fresh].max(initial=0.0) == 0.0
+        # A slot that was not filled is where it was; one that was, by one sample alone.
+        filled = plan._slots[fresh]
+        assert len(np.unique(filled)) == len(filled)
+        same = np.setdiff1d(np.arange(8), filled)
+        np.testing.assert_array_equal(plan._at[same], known[same])
+        known = plan._at.copy()
+        counts.append(int(fresh.sum()))
+    assert min(counts) == 0
+    assert max(counts) == 8
