@@ -11,7 +11,10 @@ from typing import Any
 
 import casadi as ca
 
-from tenscontrol.dynamics.forms import C_EXPORT, C_HEAD, external_interface
+from tenscontrol.dynamics.forms import C_EXPORT, C_HEAD, WIDE, external_interface, packed_source
+
+# Functions that are called so often that they are worth the time of the compiler.
+_OFTEN = ("slope", "room")
 
 # Names of numbers in z that another constant has.
 _NUMBERS = {"switches": "SWITCHED"}
@@ -34,9 +37,12 @@ def loop_source(
     the interpolant errs.
     """
     n, switches, inputs = (sizes[name] for name in ("STATES", "SWITCHES", "INPUTS"))
-    kernels = ca.CodeGenerator("kernels", {"with_header": False})
+    kernels, packed = ca.CodeGenerator("kernels", {"with_header": False}), []
     for each in functions:
-        kernels.add(each)
+        text = packed_source(each) if each.name() in _OFTEN else None
+        packed += [] if text is None else [text]
+        if text is None:
+            kernels.add(each)
     memory = {
         name: max(1, *(getattr(each, f"sz_{name}")() for each in functions))
         for name in ("arg", "res", "iw", "w")
@@ -73,6 +79,8 @@ def loop_source(
             C_HEAD,
             kernels.dump(),
             C_EXPORT,
+            WIDE,
+            *packed,
             *(f"#define {name} {value}" for name, value in constants.items()),
             _TEXT % parts,
             external_interface("turns", [z, given], [z, sizes["RECORD"] * sizes["TURNS"]]),
@@ -138,7 +146,7 @@ static void of_rigid(const double *y, double *to, const Memory *m) {
 }
 
 /* A step from x with slope K[0]: its end, and the slopes of all stages in K. */
-static void step_of(const double *x, const double *u, const double *taut, double h,
+WIDE static void step_of(const double *x, const double *u, const double *taut, double h,
                     double *restrict x1, double *restrict K, const Memory *m) {
   double *restrict y = m->y;
 %(stages)s
@@ -146,7 +154,7 @@ static void step_of(const double *x, const double *u, const double *taut, double
   of_rigid(y, x1, m);
 }
 
-static double error_of(const double *K, const double *scale, double h) {
+WIDE static double error_of(const double *K, const double *scale, double h) {
   double fifth = 0, third = 0, below;
   for (int i = 0; i < STATES; ++i) {
     const double a = (%(fifth)s) / scale[i], b = (%(third)s) / scale[i];
@@ -168,7 +176,7 @@ static int is_asked(double time, double after, double duration, double spacing) 
 }
 
 /* The coefficients of the interpolant of a step. */
-static void interpolate(const double *x, const double *x1, double *restrict K, const double *u,
+WIDE static void interpolate(const double *x, const double *x1, double *restrict K, const double *u,
                         const double *taut, double h, double *restrict made, const Memory *m) {
   const double *f = K, *f1 = K + END_SLOPE;
   double *restrict y = m->y;
@@ -183,7 +191,7 @@ static void interpolate(const double *x, const double *x1, double *restrict K, c
 }
 
 /* The state on the interpolant of a step of length h. */
-static void inside(const double *x, const double *made, double h, double taken, double *to,
+WIDE static void inside(const double *x, const double *made, double h, double taken, double *to,
                    const Memory *m) {
   const double part = taken / h;
   double *y = m->y;

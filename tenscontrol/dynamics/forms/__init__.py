@@ -9,13 +9,16 @@ from tenscontrol.dynamics.forms.loops import (
     loops_source,
 )
 from tenscontrol.dynamics.forms.mapped import mapped_functions
+from tenscontrol.dynamics.forms.packed_code import WIDE, packed_source
 
 __all__ = [
     "C_EXPORT",
     "C_HEAD",
+    "WIDE",
     "external_interface",
     "loops_functions",
     "loops_source",
     "mapped_functions",
     "members_alone",
+    "packed_source",
 ]
