@@ -348,7 +348,7 @@ static int stages_known(const Stages *s, int k, const double *P, double toleranc
     return -1;
 }
 
-/* A place for a step at stage k: no stage behind it has it, nor, in the last plan, one before it. */
+/* A place for a step at stage k that no stage behind it has, nor, from before, one ahead of it. */
 static int stages_free(const Stages *s, int k)
 {
     int step, i;
@@ -362,16 +362,16 @@ static int stages_free(const Stages *s, int k)
 }
 
 /*
- * Find a step of the recursion: S and W of a stage, and the cost before it, unless `last`. Returns
- * whether R and what is added to it are definite.
+ * Find a step of the recursion: S and W of a stage, and the cost before it, which nothing needs of
+ * the `first`. Returns whether R and what is added to it are definite.
  */
-static int stages_find_step(Stages *s, size_t step, size_t slot, int last)
+static int stages_find_step(Stages *s, size_t step, size_t slot, int first)
 {
     int n = s->states, a = s->inputs, w = a + n, i, j;
     double *Y = s->work, *X = Y + (size_t)w * w, *before = s->before + step * n * n;
     double *S = s->S + step * a * a, *W = s->W + step * a * n, *W_t = s->W_t + step * a * n;
     stages_product(s, w, n, n, s->motion + slot * w * n, n, s->costs + step * n * n, n, Y, n, 0);
-    stages_product(s, last ? a : w, n, w, Y, n, s->motion_t + slot * w * n, w, X, w, 1);
+    stages_product(s, first ? a : w, n, w, Y, n, s->motion_t + slot * w * n, w, X, w, 1);
     for (i = 0; i < a; i++)
         for (j = i; j < a; j++)
             X[(size_t)i * w + j] += s->R[i * a + j];
@@ -389,7 +389,7 @@ static int stages_find_step(Stages *s, size_t step, size_t slot, int last)
         S[(size_t)i * a + i] += unit;
     }
     stages_transpose(a, a, S, a, s->S_t + step * a * a, a);
-    if (last)
+    if (first)
         return 1;
     stages_product(s, n, a, n, W_t, a, W, n, Y, n, 1);
     for (i = 0; i < n; i++)
@@ -421,9 +421,9 @@ static int stages_prepare(Stages *s, double tolerance)
             step = stages_free(s, k);
             memcpy(s->costs + square * step, P, square * sizeof *P);
             s->from[step] = -1;
-            if (!stages_find_step(s, (size_t)step, (size_t)s->slot[k], 0))
+            if (!stages_find_step(s, (size_t)step, (size_t)s->slot[k], k == 0))
                 return 0;
-            s->from[step] = s->slot[k];
+            s->from[step] = k ? s->slot[k] : -1;
         }
         s->step[k] = step;
         P = s->before + square * step;
@@ -739,10 +739,16 @@ STAGES_API void stages_program_place(StagesProgram *program, const int *sizes, d
     memset(program->y, 0, rows * sizeof *program->y);
 }
 
-/* Move the multipliers on by a sample. */
+/* Move the multipliers, and the steps of the recursion, on by a sample. */
 STAGES_API void stages_program_shift(StagesProgram *program)
 {
-    int rows = stages_rows(&program->stages), kept = rows * (program->stages.stages - 1);
+    Stages *s = &program->stages;
+    int rows = stages_rows(s), last = s->stages - 1, kept = rows * last;
+    if (!s->alike) {
+        int free = s->step[0];
+        memmove(s->step, s->step + 1, (size_t)last * sizeof *s->step);
+        s->step[last] = free;
+    }
     memmove(program->y, program->y + rows, (size_t)kept * sizeof(double));
     memset(program->y + kept, 0, (size_t)rows * sizeof(double));
 }
