@@ -25,9 +25,10 @@
  *                                   there; entries[j] is set to where it is, and length[j] to where
  *                                   zeros begin that last to its end.
  *
- * All products cost much where M is no matrix. So the rows that are violated most after one are
- * reached in a batch, and are candidates: the set changes among itself and them until none of them
- * is violated, and only then are all products found again. No row is violated at the end.
+ * All products cost much where M is no matrix. So the rows that are violated most by one are
+ * reached in a batch, and are candidates: the set changes among itself and them while one of them
+ * is violated, by no less than a part of what the worst row was, and only then are all products
+ * found again. No row is violated at the end.
  *
  * How to use it:
  *
@@ -65,6 +66,15 @@
 /* Rows that are reached at once, at most. */
 #ifndef ACTIVE_SET_BATCH
 #define ACTIVE_SET_BATCH 32
+#endif
+
+/*
+ * Candidates are left for new ones where all are violated by less than this part of what the worst
+ * row was. With 0 there are fewest products, but up to twice as many changes of the set: rows are
+ * added that worse ones, unknown as yet, push out again.
+ */
+#ifndef ACTIVE_SET_PART
+#define ACTIVE_SET_PART 0.3
 #endif
 
 /* Rows that can be active at once: independent ones, violated soft ones, and one that is added. */
@@ -211,17 +221,17 @@ static double active_set_distance(const ActiveSet *set, int k, const double *l)
     return square + active_set_dot(z, z, set->columns);
 }
 
-/* Find the rows that are listed as candidates. */
-static void active_set_fetch(ActiveSet *set)
+/* Find the listed candidates, but for the first, which are known. */
+static void active_set_fetch(ActiveSet *set, int known)
 {
     double *space[ACTIVE_SET_BATCH];
-    int first = set->count, j;
-    for (j = 0; j < set->candidates; j++) {
+    int first = set->count + known, count = set->candidates - known, j;
+    for (j = 0; j < count; j++) {
         size_t slot = (size_t)set->slot[first + j];
         space[j] = set->stored ? set->stored_rows + slot * set->columns : NULL;
     }
-    if (set->candidates)
-        set->batch(set->data, set->candidates, set->active + first, space, set->entries + first,
+    if (count)
+        set->batch(set->data, count, set->active + first, space, set->entries + first,
                    set->length + first);
 }
 
@@ -393,7 +403,7 @@ ACTIVE_SET_API void active_set_start(ActiveSet *set, const double *y)
         for (; next < set->rows && set->candidates < room; next++)
             if (y[next] != 0.0 && isfinite(y[next]))
                 set->active[set->count + set->candidates++] = next;
-        active_set_fetch(set);
+        active_set_fetch(set, 0);
         active_set_append_all(set, y);
     }
 }
@@ -529,52 +539,94 @@ static int active_set_inaccurate(const ActiveSet *set, const double *low, const 
     return 0;
 }
 
-/* List the rows as candidates that are violated most, the worst first; returns whether any is. */
-static int active_set_gather(ActiveSet *set, const double *low, const double *high)
+/* Find the rows that are violated most, the worst first; returns how many, up to the most. */
+static int active_set_select(const ActiveSet *set, const double *low, const double *high, int most,
+                             int *which)
 {
     double violation[ACTIVE_SET_BATCH];
-    int *which = set->active + set->count, room = set->most - set->count, any = 0, i, j;
-    if (room > ACTIVE_SET_BATCH)
-        room = ACTIVE_SET_BATCH;
-    set->candidates = 0;
+    int count = 0, i, j;
     for (i = 0; i < set->rows; i++) {
-        double over = set->place[i] == -1
-                          ? active_set_violation(set, i, low, high, set->tolerance)
-                          : 0.0;
-        if (over == 0.0)
+        double over = 0.0;
+        if (set->place[i] == -1)
+            over = active_set_violation(set, i, low, high, set->tolerance);
+        if (over == 0.0 || (count == most && over <= violation[count - 1]))
             continue;
-        any = 1;
-        if (set->candidates < room)
-            set->candidates++;
-        else if (room == 0 || over <= violation[room - 1])
-            continue;
-        for (j = set->candidates - 1; j > 0 && violation[j - 1] < over; j--) {
+        if (count < most)
+            count++;
+        for (j = count - 1; j > 0 && violation[j - 1] < over; j--) {
             violation[j] = violation[j - 1];
             which[j] = which[j - 1];
         }
         violation[j] = over;
         which[j] = i;
     }
-    return any;
+    return count;
+}
+
+/* Make these rows the candidates; those that were are not reached again. */
+static void active_set_replace(ActiveSet *set, const int *which, int count)
+{
+    int known = set->count, all = set->count + set->candidates, j;
+    for (j = 0; j < count; j++)
+        set->place[which[j]] = -3; /* listed below */
+    for (j = known; j < all; j++)
+        if (set->place[set->active[j]] == -3) {
+            set->place[set->active[j]] = -1;
+            active_set_exchange(set, j, known++);
+        }
+    set->candidates = count;
+    all = known;
+    for (j = 0; j < count; j++)
+        if (set->place[which[j]] == -3) {
+            set->place[which[j]] = -1;
+            set->active[all++] = which[j];
+        }
+    active_set_fetch(set, known - set->count);
 }
 
 /* The candidate that is violated most, as a place in the lists; -1 if all hold. */
-static int active_set_worst(ActiveSet *set, const double *low, const double *high, const double *x)
+static int active_set_worst(const ActiveSet *set, const double *low, const double *high,
+                            double *largest)
 {
-    double largest = 0.0;
     int k, worst = -1;
+    *largest = 0.0;
     for (k = set->count; k < set->count + set->candidates; k++) {
         int i = set->active[k];
-        double over;
-        if (set->place[i] == -2)
-            continue;
-        set->product[i] = active_set_dot(set->entries[k], x, set->length[k]);
-        over = active_set_violation(set, i, low, high, set->tolerance);
-        if (over > largest) {
-            largest = over;
+        double over = active_set_violation(set, i, low, high, set->tolerance);
+        if (set->place[i] == -1 && over > *largest) {
+            *largest = over;
             worst = k;
         }
     }
+    return worst;
+}
+
+/*
+ * The row to append, as a place in the lists: the worst candidate, or where none is violated by
+ * what is enough, the worst row of all, by its product whatever its entries say: so each product
+ * leads to a change. Without one all rows hold (-1), or there is no room (-2).
+ */
+static int active_set_next(ActiveSet *set, const double *x, const double *low, const double *high,
+                           double *enough)
+{
+    int which[ACTIVE_SET_BATCH], room = set->most - set->count, count, k, worst;
+    double largest;
+    for (k = set->count; k < set->count + set->candidates; k++)
+        set->product[set->active[k]] = active_set_dot(set->entries[k], x, set->length[k]);
+    worst = active_set_worst(set, low, high, &largest);
+    if (worst >= 0 && largest >= *enough)
+        return worst;
+    set->products(set->data, x, set->product);
+    if (room > ACTIVE_SET_BATCH)
+        room = ACTIVE_SET_BATCH;
+    count = active_set_select(set, low, high, room > 1 ? room : 1, which);
+    if (count == 0)
+        return -1;
+    if (room == 0)
+        return -2;
+    active_set_replace(set, which, count);
+    worst = active_set_worst(set, low, high, &largest);
+    *enough = ACTIVE_SET_PART * largest;
     return worst;
 }
 
@@ -627,6 +679,7 @@ static int active_set_begin(ActiveSet *set, const double *q, const double *low,
 static int active_set_iterate(ActiveSet *set, const double *q, const double *low,
                               const double *high, double *x)
 {
+    double enough = 0.0;
     int newest = -1;
     active_set_point(set, q, x);
     for (;;) {
@@ -662,18 +715,11 @@ static int active_set_iterate(ActiveSet *set, const double *q, const double *low
             set->iterations++;
             set->place[i] = -2; /* it follows from the others */
         } else {
-            int worst = active_set_worst(set, low, high, x);
-            if (worst < 0) {
-                set->products(set->data, x, set->product);
-                if (!active_set_gather(set, low, high))
-                    return ACTIVE_SET_SOLVED;
-                if (set->count == set->most)
-                    return ACTIVE_SET_OUT_OF_ITERATIONS;
-                active_set_fetch(set);
-                worst = set->count; /* whatever its row says: each product changes the set */
-            }
-            newest = set->active[worst];
-            active_set_append(set, worst, set->product[newest] > high[newest] ? 1 : -1, 0);
+            int next = active_set_next(set, x, low, high, &enough);
+            if (next < 0)
+                return next == -1 ? ACTIVE_SET_SOLVED : ACTIVE_SET_OUT_OF_ITERATIONS;
+            newest = set->active[next];
+            active_set_append(set, next, set->product[newest] > high[newest] ? 1 : -1, 0);
             set->iterations++;
         }
     }

@@ -169,6 +169,20 @@ STAGES_WIDE static void stages_add(int rows, int columns, double factor, const d
     }
 }
 
+/* C = A B of (rows, inner) and (inner, columns), for rows of a batch: few or small ones one by one. */
+static void stages_times(const Stages *s, int rows, int inner, int columns, const double *A,
+                         int lda, const double *B, double *C)
+{
+    int i;
+    if (rows > 1 && inner >= STAGES_LARGE) {
+        stages_product(s, rows, inner, columns, A, lda, B, columns, C, columns, 0);
+        return;
+    }
+    memset(C, 0, (size_t)rows * columns * sizeof *C);
+    for (i = 0; i < rows; i++)
+        stages_add(inner, columns, 1.0, B, A + (size_t)i * lda, C + (size_t)i * columns);
+}
+
 /* to = A' of (rows, columns), with lda and `width` numbers from row to row, in tiles. */
 static void stages_transpose(int rows, int columns, const double *A, int lda, double *to, int width)
 {
@@ -519,14 +533,14 @@ static void stages_unfactor_batch(const Stages *s, int k, int count, const doubl
     int n = s->states, a = s->inputs, w = a + n, r, j;
     double *off = t + (size_t)count * n;
     if (!s->thin) {
-        stages_product(s, count, a, a, rows, w, s->S + stages_at(s, k) * a * a, a, x, a, 0);
+        stages_times(s, count, a, a, rows, w, s->S + stages_at(s, k) * a * a, x);
         return;
     }
     for (r = 0; r < count; r++)
         for (j = 0; j < a; j++)
             x[(size_t)r * a + j] = s->unit[j] * rows[(size_t)r * w + j];
-    stages_product(s, count, a, n, x, a, s->Y, n, t, n, 0);
-    stages_product(s, count, n, a, t, n, s->S_t, a, off, a, 0);
+    stages_times(s, count, a, n, x, a, s->Y, t);
+    stages_times(s, count, n, a, t, n, s->S_t, off);
     for (j = 0; j < count * a; j++)
         x[j] -= off[j];
 }
@@ -547,12 +561,10 @@ static void stages_batch(const Stages *s, int count, const int *which, double *c
         order[j] = r;
     }
     for (k = count ? which[order[0]] / rows : -1; k >= 0; k--) {
-        int width = k ? w : a; /* before z_0 nothing is needed */
         for (; live < count && which[order[live]] / rows == k; live++)
             stages_enter_ahead(s, k, which[order[live]] % rows, ahead + (size_t)live * n);
         /* x = S'(g + B'ahead),   ahead = e + A'ahead - W'x */
-        stages_product(s, live, n, width, ahead, n, s->motion_t + stages_at(s, k) * w * n, w,
-                       by_all, w, 0);
+        stages_times(s, live, n, w, ahead, n, s->motion_t + stages_at(s, k) * w * n, by_all);
         for (r = 0; r < live; r++) {
             int i = which[order[r]];
             stages_enter(s, i / rows, i % rows, k, by_all + (size_t)r * w);
@@ -560,9 +572,7 @@ static void stages_batch(const Stages *s, int count, const int *which, double *c
         stages_unfactor_batch(s, k, live, by_all, x, t);
         for (r = 0; r < live; r++)
             memcpy(out[order[r]] + (size_t)k * a, x + (size_t)r * a, (size_t)a * sizeof *x);
-        if (!k)
-            return;
-        stages_product(s, live, a, n, x, a, s->W + stages_at(s, k) * a * n, n, t, n, 0);
+        stages_times(s, live, a, n, x, a, s->W + stages_at(s, k) * a * n, t);
         for (r = 0; r < live; r++)
             for (j = 0; j < n; j++)
                 ahead[(size_t)r * n + j] = by_all[(size_t)r * w + a + j] - t[(size_t)r * n + j];
