@@ -169,7 +169,7 @@ STAGES_WIDE static void stages_add(int rows, int columns, double factor, const d
     }
 }
 
-/* C = A B of (rows, inner) and (inner, columns), for rows of a batch: few or small ones one by one. */
+/* C = A B of (rows, inner) and (inner, columns), of rows of a batch; small ones one by one. */
 static void stages_times(const Stages *s, int rows, int inner, int columns, const double *A,
                          int lda, const double *B, double *C)
 {
