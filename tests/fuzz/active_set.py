@@ -4,7 +4,7 @@
 solution, and the largest error of the conditions of an optimum. DAQP must not solve a program that
 the solver calls infeasible. Degenerate programs, rows twice, dependent rows, equations and soft
 rows are among them; each is solved from nothing, from the answer to another program, and from
-multipliers at random.
+multipliers at random, with batches of rows of some sizes in turn.
 """
 
 import argparse
@@ -13,7 +13,7 @@ from collections import Counter
 import numpy as np
 
 from tests.control.mpc.solvers.active_set_library import ActiveSetProgram
-from tests.control.mpc.solvers.test_active_set import by_daqp, optimality, programs
+from tests.control.mpc.solvers.test_active_set import BATCHES, by_daqp, optimality, programs
 
 
 def main():
@@ -22,8 +22,8 @@ def main():
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     rng, statuses, worst, changes = np.random.default_rng(given.seed), Counter(), 0.0, 0
-    for M, price, q, low, high in programs(rng, given.count):
-        program, starts = ActiveSetProgram(M, price), [None]
+    for trial, (M, price, q, low, high) in enumerate(programs(rng, given.count)):
+        program, starts = ActiveSetProgram(M, price, batch=BATCHES[trial // 4 % 3]), [None]
         starts += [10 ** rng.uniform(-2, 4) * rng.standard_normal(len(M)) for _ in range(2)]
         answers = []
         for start in starts:

@@ -20,20 +20,28 @@ static struct {
  * Row i is that of value i % STAGE_ROWS at stage i / STAGE_ROWS. All stages are alike, so that what
  * a row has from its first entries on, later stages have in front of their last.
  */
-static const double *response_row(void *data, int i, double *space, int *length)
+static const double *response_row(int i, int *length)
 {
-    int stage = i / STAGE_ROWS;
+    *length = (i / STAGE_ROWS + 1) * STAGE_INPUTS;
+    return response[i % STAGE_ROWS] + UNKNOWNS - *length;
+}
+
+static void response_batch(void *data, int count, const int *which, double *const *space,
+                           const double **entries, int *length)
+{
+    int j;
     (void)data;
     (void)space;
-    *length = (stage + 1) * STAGE_INPUTS;
-    return response[i % STAGE_ROWS] + UNKNOWNS - *length;
+    for (j = 0; j < count; j++)
+        entries[j] = response_row(which[j], &length[j]);
 }
 
 static void response_products(void *data, const double *x, double *out)
 {
     int i, length;
+    (void)data;
     for (i = 0; i < ROWS; i++) {
-        const double *row = response_row(data, i, NULL, &length);
+        const double *row = response_row(i, &length);
         out[i] = active_set_dot(row, x, length);
     }
 }
@@ -70,7 +78,7 @@ static int solve_program(void)
         set->limit = ITERATIONS;
         set->tolerance = TOLERANCE;
         set->price = set->curvature = price;
-        set->row = response_row;
+        set->batch = response_batch;
         set->products = response_products;
         active_set_place(set, program.numbers, program.integers, program.pointers);
         program.placed = 1;

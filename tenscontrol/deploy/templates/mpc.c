@@ -99,8 +99,7 @@ static void store_plan(const double *given, const double *row)
     add_product(&inputs, given, memory.plan);
     for (i = 0; i < PLANNED; i++) { /* inputs are the first values of a stage */
         int length;
-        const double *of = response_row(NULL, i / STAGE_INPUTS * STAGE_ROWS + i % STAGE_INPUTS,
-                                        NULL, &length);
+        const double *of = response_row(i / STAGE_INPUTS * STAGE_ROWS + i % STAGE_INPUTS, &length);
         k = i % CONTROLLER_COMMANDS;
         memory.plan[i] += LEVEL * active_set_dot(of, program.x, length);
         memory.plan[i] = clamp(memory.plan[i], low[k], high[k]);

@@ -124,10 +124,10 @@ def dense_solution(problem, bounds, row_bounds, plan, motion, rows, given):
     )
 
 
-def random_program(seed, N, ramp, limited, changes, hard):
+def random_program(seed, N, ramp, limited, changes, hard, size=(5, 3)):
     """A program of random stages, a plan to linearize it along, and what is measured."""
     rng = np.random.default_rng(seed)
-    s, a, p = 5, 3, 2
+    (s, a), p = size, 2
     n = s + a if ramp else s
 
     def weight(size, least):
@@ -197,6 +197,28 @@ def test_random_programs(kind, N, ramp, limited, changes, hard):
     program.linearize(*plan, motion, rows)
     if found.plan is not None and kind is LeastDistance:
         assert program.solve(*at, np.inf).iterations == 0
+
+
+@both
+@pytest.mark.parametrize("ramp", [False, True])
+def test_large_programs(kind, ramp):
+    """So large that the BLAS multiplies, with rows of all stages and kinds in a batch."""
+    made = random_program(3, 3, ramp, True, True, False, (35, 33))
+    problem, bounds, row_bounds, plan, motion, rows, given = made
+    for slope in motion.slopes:
+        slope *= 0.3
+    program = kind(problem, row_bounds, 500, bounds)
+    changes = []
+    for _ in range(2):
+        assert program.linearize(*plan, motion, rows)
+        found = program.solve(*given, np.inf)
+        flag, _, inputs = dense_solution(*made)
+        assert flag == 1
+        np.testing.assert_allclose(found.plan[1][1:], inputs, rtol=0, atol=1e-9)
+        changes.append(found.iterations)
+    assert changes[0] > 40
+    if kind is LeastDistance:
+        assert changes[1] == 0  # more rows than a batch are reached again
 
 
 @needs_compiler

@@ -17,18 +17,26 @@
  *
  * Rows are reached by two functions, so that M need not be a matrix:
  *
- *     row(data, i, space, &length)  returns row i, whose entries from `length` on are zero. It is
- *                                   written to `space`, of `columns` numbers, or lies elsewhere and
- *                                   stays there until the row leaves the active set.
  *     products(data, x, out)        out = M x
+ *     batch(data, count, which, space, entries, length)
+ *                                   finds rows which[0] ... which[count - 1], ACTIVE_SET_BATCH of
+ *                                   them at most, and none twice. Row which[j] is written to
+ *                                   space[j], of `columns` numbers, or lies elsewhere and stays
+ *                                   there; entries[j] is set to where it is, and length[j] to where
+ *                                   zeros begin that last to its end.
+ *
+ * All products cost much where M is no matrix. So the rows that are violated most by one are
+ * reached in a batch, and are candidates: the set changes among itself and them while one of them
+ * is violated, by no less than a part of what the worst row was, and only then are all products
+ * found again. No row is violated at the end.
  *
  * How to use it:
  *
  *     ActiveSet set = {0};
- *     set.rows = ...; set.columns = ...; set.row = ...; set.products = ...; set.data = ...;
+ *     set.rows = ...; set.columns = ...; set.batch = ...; set.products = ...; set.data = ...;
  *     set.price = ...; set.curvature = ...;      both NULL if no row is soft; price INFINITY: hard
  *     set.most = ACTIVE_SET_MOST(rows, columns, soft);    active rows at most; fewer saves memory
- *     set.stored = 1;                            0 if `row` never writes to `space`
+ *     set.stored = 1;                            0 if `batch` never writes to `space`
  *     set.limit = 500; set.tolerance = 1e-11;    changes of the set; violation in units of a row
  *     active_set_place(&set, numbers, integers, pointers);
  *     active_set_start(&set, y);                 y of `rows` numbers, or NULL: nothing is active
@@ -55,6 +63,20 @@
 #define ACTIVE_SET_BAD_DATA 4          /* q, bounds or rows are not finite */
 #define ACTIVE_SET_INACCURATE 5        /* a violation could not be brought below the tolerance */
 
+/* Rows that are reached at once, at most. */
+#ifndef ACTIVE_SET_BATCH
+#define ACTIVE_SET_BATCH 32
+#endif
+
+/*
+ * Candidates are left for new ones where all are violated by less than this part of what the worst
+ * row was. With 0 there are fewest products, but up to twice as many changes of the set: rows are
+ * added that worse ones, unknown as yet, push out again.
+ */
+#ifndef ACTIVE_SET_PART
+#define ACTIVE_SET_PART 0.3
+#endif
+
 /* Rows that can be active at once: independent ones, violated soft ones, and one that is added. */
 #define ACTIVE_SET_MOST(rows, columns, soft) \
     ((rows) < (columns) + (soft) + 1 ? (rows) : (columns) + (soft) + 1)
@@ -71,8 +93,9 @@ typedef struct {
     int rows, columns, most, stored, limit;
     double tolerance;
     const double *price, *curvature;
-    const double *(*row)(void *data, int i, double *space, int *length);
     void (*products)(void *data, const double *x, double *out);
+    void (*batch)(void *data, int count, const int *which, double *const *space,
+                  const double **entries, int *length);
     int (*stop)(void *data); /* asked at each change; NULL: never stops */
     void *data;
     /* answer, besides x */
@@ -80,10 +103,12 @@ typedef struct {
     int iterations; /* changes of the active set in the last solve */
     /* the active set */
     int count, singular; /* whether the last active row depends on the others */
+    int candidates;      /* how many are behind the active rows in the lists of rows */
     int *place;          /* (rows), of a row among the active ones; -1 if it is not, -2 if barred */
-    int *active, *side, *violated, *length, *slot; /* (most) */
-    const double **entries;                        /* (most), of the active rows */
-    double *stored_rows, *factor, *pivot;          /* of L D L' */
+    int *active, *length, *slot; /* (most), lists of rows: which, and where they are stored */
+    const double **entries;      /* (most), a list of rows as well */
+    int *side, *violated;        /* (most), of the active rows */
+    double *stored_rows, *factor, *pivot; /* of L D L' */
     double *product, *step, *residual, *column;
 } ActiveSet;
 
@@ -196,18 +221,45 @@ static double active_set_distance(const ActiveSet *set, int k, const double *l)
     return square + active_set_dot(z, z, set->columns);
 }
 
-/* Factorize the Gram matrix with row i, whose multiplier has this side, after all others. */
-static void active_set_append(ActiveSet *set, int i, int side, int violated)
+/* Find the listed candidates, but for the first, which are known. */
+static void active_set_fetch(ActiveSet *set, int known)
+{
+    double *space[ACTIVE_SET_BATCH];
+    int first = set->count + known, count = set->candidates - known, j;
+    for (j = 0; j < count; j++) {
+        size_t slot = (size_t)set->slot[first + j];
+        space[j] = set->stored ? set->stored_rows + slot * set->columns : NULL;
+    }
+    if (count)
+        set->batch(set->data, count, set->active + first, space, set->entries + first,
+                   set->length + first);
+}
+
+/* Exchange two rows of the lists; what is stored stays where it is. */
+static void active_set_exchange(ActiveSet *set, int j, int k)
+{
+    int active = set->active[j], length = set->length[j], slot = set->slot[j];
+    const double *entries = set->entries[j];
+    set->active[j] = set->active[k];
+    set->length[j] = set->length[k];
+    set->slot[j] = set->slot[k];
+    set->entries[j] = set->entries[k];
+    set->active[k] = active;
+    set->length[k] = length;
+    set->slot[k] = slot;
+    set->entries[k] = entries;
+}
+
+/* Factorize the Gram matrix with a candidate, whose multiplier has this side, after all others. */
+static void active_set_append(ActiveSet *set, int candidate, int side, int violated)
 {
     int k = set->count++, m;
     double *l = active_set_factor_row(set, k), diagonal, pivot;
-    double *space = set->stored ? set->stored_rows + (size_t)set->slot[k] * set->columns : NULL;
-    set->active[k] = i;
-    set->place[i] = k;
+    set->candidates--;
+    active_set_exchange(set, candidate, k);
+    set->place[set->active[k]] = k;
     set->side[k] = side;
     set->violated[k] = violated;
-    set->length[k] = set->columns;
-    set->entries[k] = set->row(set->data, i, space, &set->length[k]);
     diagonal = pivot = active_set_diagonal(set, k);
     for (m = 0; m < k; m++) {
         int shorter = set->length[m] < set->length[k] ? set->length[m] : set->length[k];
@@ -250,11 +302,11 @@ static void active_set_update(ActiveSet *set, int k, double alpha, double *w)
     }
 }
 
-/* Take row k out of the active set; its multiplier stays. */
+/* Take row k out of the active set: it is the first candidate then. Its multiplier stays. */
 static void active_set_remove(ActiveSet *set, int k)
 {
     double *w = set->step, alpha = set->pivot[k];
-    int m, slot = set->slot[k], last = set->count - 1;
+    int m, last = set->count - 1;
     set->place[set->active[k]] = -1;
     if (k == last)
         set->singular = 0;
@@ -265,16 +317,13 @@ static void active_set_remove(ActiveSet *set, int k)
         memmove(to, from, (size_t)k * sizeof *to);
         memmove(to + k, from + k + 1, (size_t)(m - 1 - k) * sizeof *to);
         set->pivot[m - 1] = set->pivot[m];
-        set->active[m - 1] = set->active[m];
-        set->place[set->active[m]] = m - 1;
         set->side[m - 1] = set->side[m];
         set->violated[m - 1] = set->violated[m];
-        set->length[m - 1] = set->length[m];
-        set->entries[m - 1] = set->entries[m];
-        set->slot[m - 1] = set->slot[m];
+        active_set_exchange(set, m - 1, m);
+        set->place[set->active[m - 1]] = m - 1;
     }
-    set->slot[last] = slot; /* free for the next row */
     set->count = last;
+    set->candidates++;
     if (k < last)
         active_set_update(set, k, alpha, w);
 }
@@ -292,7 +341,7 @@ static void active_set_switch(ActiveSet *set, int k)
     } else { /* a smaller diagonal: factorized anew, which shows whether the row is independent */
         int side = set->side[k];
         active_set_remove(set, k);
-        active_set_append(set, i, side, 0);
+        active_set_append(set, set->count, side, 0);
     }
 }
 
@@ -322,22 +371,40 @@ ACTIVE_SET_API void active_set_place(ActiveSet *set, double *numbers, int *integ
     active_set_start(set, NULL);
 }
 
+/* Append all candidates in turn, but for those that depend on the rows before them. */
+static void active_set_append_all(ActiveSet *set, const double *y)
+{
+    int left = 0; /* stay candidates */
+    while (left < set->candidates) {
+        int next = set->count + left, i = set->active[next];
+        active_set_append(set, next, y[i] < 0.0 ? -1 : 1, fabs(y[i]) > active_set_price(set, i));
+        if (set->singular) {
+            active_set_remove(set, set->count - 1);
+            left++;
+        } else {
+            set->y[i] = y[i];
+        }
+    }
+}
+
 ACTIVE_SET_API void active_set_start(ActiveSet *set, const double *y)
 {
-    int i;
-    set->count = set->singular = 0;
+    int i, next = 0;
+    set->count = set->candidates = set->singular = 0;
     for (i = 0; i < set->rows; i++) {
         set->place[i] = -1;
         set->y[i] = 0.0;
     }
-    for (i = 0; y != NULL && i < set->rows && set->count < set->most; i++) {
-        if (y[i] == 0.0 || !isfinite(y[i]))
-            continue;
-        active_set_append(set, i, y[i] < 0.0 ? -1 : 1, fabs(y[i]) > active_set_price(set, i));
-        if (set->singular)
-            active_set_remove(set, set->count - 1);
-        else
-            set->y[i] = y[i];
+    while (y != NULL && next < set->rows && set->count < set->most) {
+        int room = set->most - set->count;
+        if (room > ACTIVE_SET_BATCH)
+            room = ACTIVE_SET_BATCH;
+        set->candidates = 0;
+        for (; next < set->rows && set->candidates < room; next++)
+            if (y[next] != 0.0 && isfinite(y[next]))
+                set->active[set->count + set->candidates++] = next;
+        active_set_fetch(set, 0);
+        active_set_append_all(set, y);
     }
 }
 
@@ -453,21 +520,113 @@ static void active_set_change(ActiveSet *set, int k, const double *low, const do
     }
 }
 
-/* The inactive row that is violated most; -1 if all hold. */
-static int active_set_worst(const ActiveSet *set, const double *low, const double *high,
-                            int barred, double tolerance)
+/* What row i is violated by; 0 if it is not, within the tolerance. */
+static double active_set_violation(const ActiveSet *set, int i, const double *low,
+                                   const double *high, double tolerance)
 {
-    double largest = 0.0;
-    int i, worst = -1;
+    double value = set->product[i], over = fmax(value - high[i], low[i] - value);
+    return over > tolerance * (1.0 + fabs(value)) ? over : 0.0;
+}
+
+/* Whether a barred row is violated, by far. */
+static int active_set_inaccurate(const ActiveSet *set, const double *low, const double *high)
+{
+    double tolerance = ACTIVE_SET_LOOSE * set->tolerance;
+    int i;
+    for (i = 0; i < set->rows; i++)
+        if (set->place[i] < 0 && active_set_violation(set, i, low, high, tolerance) > 0.0)
+            return 1;
+    return 0;
+}
+
+/* Find the rows that are violated most, the worst first; returns how many, up to the most. */
+static int active_set_select(const ActiveSet *set, const double *low, const double *high, int most,
+                             int *which)
+{
+    double violation[ACTIVE_SET_BATCH];
+    int count = 0, i, j;
     for (i = 0; i < set->rows; i++) {
-        double value = set->product[i], over = fmax(value - high[i], low[i] - value);
-        if (set->place[i] >= 0 || (set->place[i] == -2 && !barred))
+        double over = 0.0;
+        if (set->place[i] == -1)
+            over = active_set_violation(set, i, low, high, set->tolerance);
+        if (over == 0.0 || (count == most && over <= violation[count - 1]))
             continue;
-        if (over > largest && over > tolerance * (1.0 + fabs(value))) {
-            largest = over;
-            worst = i;
+        if (count < most)
+            count++;
+        for (j = count - 1; j > 0 && violation[j - 1] < over; j--) {
+            violation[j] = violation[j - 1];
+            which[j] = which[j - 1];
+        }
+        violation[j] = over;
+        which[j] = i;
+    }
+    return count;
+}
+
+/* Make these rows the candidates; those that were are not reached again. */
+static void active_set_replace(ActiveSet *set, const int *which, int count)
+{
+    int known = set->count, all = set->count + set->candidates, j;
+    for (j = 0; j < count; j++)
+        set->place[which[j]] = -3; /* listed below */
+    for (j = known; j < all; j++)
+        if (set->place[set->active[j]] == -3) {
+            set->place[set->active[j]] = -1;
+            active_set_exchange(set, j, known++);
+        }
+    set->candidates = count;
+    all = known;
+    for (j = 0; j < count; j++)
+        if (set->place[which[j]] == -3) {
+            set->place[which[j]] = -1;
+            set->active[all++] = which[j];
+        }
+    active_set_fetch(set, known - set->count);
+}
+
+/* The candidate that is violated most, as a place in the lists; -1 if all hold. */
+static int active_set_worst(const ActiveSet *set, const double *low, const double *high,
+                            double *largest)
+{
+    int k, worst = -1;
+    *largest = 0.0;
+    for (k = set->count; k < set->count + set->candidates; k++) {
+        int i = set->active[k];
+        double over = active_set_violation(set, i, low, high, set->tolerance);
+        if (set->place[i] == -1 && over > *largest) {
+            *largest = over;
+            worst = k;
         }
     }
+    return worst;
+}
+
+/*
+ * The row to append, as a place in the lists: the worst candidate, or where none is violated by
+ * what is enough, the worst row of all, by its product whatever its entries say: so each product
+ * leads to a change. Without one all rows hold (-1), or there is no room (-2).
+ */
+static int active_set_next(ActiveSet *set, const double *x, const double *low, const double *high,
+                           double *enough)
+{
+    int which[ACTIVE_SET_BATCH], room = set->most - set->count, count, k, worst;
+    double largest;
+    for (k = set->count; k < set->count + set->candidates; k++)
+        set->product[set->active[k]] = active_set_dot(set->entries[k], x, set->length[k]);
+    worst = active_set_worst(set, low, high, &largest);
+    if (worst >= 0 && largest >= *enough)
+        return worst;
+    set->products(set->data, x, set->product);
+    if (room > ACTIVE_SET_BATCH)
+        room = ACTIVE_SET_BATCH;
+    count = active_set_select(set, low, high, room > 1 ? room : 1, which);
+    if (count == 0)
+        return -1;
+    if (room == 0)
+        return -2;
+    active_set_replace(set, which, count);
+    worst = active_set_worst(set, low, high, &largest);
+    *enough = ACTIVE_SET_PART * largest;
     return worst;
 }
 
@@ -512,6 +671,7 @@ static int active_set_begin(ActiveSet *set, const double *q, const double *low,
             active_set_remove(set, k);
         }
     }
+    set->candidates = 0;
     return ACTIVE_SET_SOLVED;
 }
 
@@ -519,6 +679,7 @@ static int active_set_begin(ActiveSet *set, const double *q, const double *low,
 static int active_set_iterate(ActiveSet *set, const double *q, const double *low,
                               const double *high, double *x)
 {
+    double enough = 0.0;
     int newest = -1;
     active_set_point(set, q, x);
     for (;;) {
@@ -554,13 +715,11 @@ static int active_set_iterate(ActiveSet *set, const double *q, const double *low
             set->iterations++;
             set->place[i] = -2; /* it follows from the others */
         } else {
-            set->products(set->data, x, set->product);
-            newest = active_set_worst(set, low, high, 0, set->tolerance);
-            if (newest < 0)
-                return ACTIVE_SET_SOLVED;
-            if (set->count == set->most)
-                return ACTIVE_SET_OUT_OF_ITERATIONS;
-            active_set_append(set, newest, set->product[newest] > high[newest] ? 1 : -1, 0);
+            int next = active_set_next(set, x, low, high, &enough);
+            if (next < 0)
+                return next == -1 ? ACTIVE_SET_SOLVED : ACTIVE_SET_OUT_OF_ITERATIONS;
+            newest = set->active[next];
+            active_set_append(set, next, set->product[newest] > high[newest] ? 1 : -1, 0);
             set->iterations++;
         }
     }
@@ -578,7 +737,7 @@ ACTIVE_SET_API int active_set_solve(ActiveSet *set, const double *q, const doubl
         active_set_refine(set, q, low, high, x);
         if (!active_set_finite(x, set->columns))
             status = ACTIVE_SET_BAD_DATA;
-        else if (active_set_worst(set, low, high, 1, ACTIVE_SET_LOOSE * set->tolerance) >= 0)
+        else if (active_set_inaccurate(set, low, high))
             status = ACTIVE_SET_INACCURATE;
     }
     if (status != ACTIVE_SET_SOLVED)

@@ -10,7 +10,8 @@
  *
  * the cost is 1/2 |x|^2 and a constant: x = 0 is the optimum where nothing is limited. Limited are
  * inputs, their changes from stage to stage, and E_k z_k + G_k u_k + F_k z_{k+1}. The values of all
- * limits for some x take one simulation forward; a row of their matrix takes one sweep backward.
+ * limits for some x take one simulation forward; a batch of rows of their matrix takes one sweep
+ * backward.
  *
  * Where inputs are ramps, the state is z and the input before. States and inputs are departures
  * from a plan. Matrices are stored by rows. There are no globals, and no memory is allocated.
@@ -71,7 +72,8 @@ typedef struct {
     int ahead;              /* whether F may be other than zero */
 } Stages;
 
-#define STAGES_WORK(n, a) (2 * (size_t)((n) + (a)) * ((n) + (a)) + 6 * (size_t)((n) + (a)))
+#define STAGES_WORK(n, a) \
+    ((size_t)((n) + (a)) * (2 * (size_t)((n) + (a)) + 3 * (size_t)ACTIVE_SET_BATCH + 6))
 
 /* Numbers of the memory of a program. */
 #define STAGES_NUMBERS(N, n, a, p, rows, soft)                                                   \
@@ -177,6 +179,20 @@ STAGES_WIDE static void stages_add(int rows, int columns, double factor, const d
         for (j = 0; j < columns; j++)
             y[j] += factor * x[i] * a[j];
     }
+}
+
+/* C = A B of (rows, inner) and (inner, columns), of rows of a batch; small ones one by one. */
+static void stages_times(const Stages *s, int rows, int inner, int columns, const double *A,
+                         int lda, const double *B, double *C)
+{
+    int i;
+    if (rows > 1 && inner >= STAGES_LARGE) {
+        stages_product(s, rows, inner, columns, A, lda, B, columns, C, columns, 0);
+        return;
+    }
+    memset(C, 0, (size_t)rows * columns * sizeof *C);
+    for (i = 0; i < rows; i++)
+        stages_add(inner, columns, 1.0, B, A + (size_t)i * lda, C + (size_t)i * columns);
 }
 
 /* to = A' of (rows, columns), with lda and `width` numbers from row to row, in tiles. */
@@ -528,40 +544,89 @@ static void stages_limits(const Stages *s, const double *z, const double *u, dou
     }
 }
 
-/* Row i of the matrix of limits: a numbers for each stage up to its own; returns how many. */
-static int stages_row(const Stages *s, int i, double *out)
+/* What limit `kind` of a stage adds by [u_k; z_k] of the stage, or of the one before it. */
+static void stages_enter(const Stages *s, int stage, int kind, int k, double *by_all)
 {
-    int n = s->states, a = s->inputs, p = s->limited, w = a + n, rows = stages_rows(s);
-    int m = s->ramp ? n - a : n, stage = i / rows, kind = i % rows, k, j;
-    double *by_all = s->work, *ahead = by_all + w;
+    int a = s->inputs, p = s->limited, m = s->ramp ? s->states - a : s->states, j;
+    int values = stages_rows(s) - p; /* where limited values begin */
+    size_t at = s->alike ? 0 : (size_t)k;
+    if (kind >= a && kind < values && k >= stage - 1)
+        by_all[kind - a] += (k == stage ? 1.0 : -1.0) / s->level;
+    if (k != stage)
+        return;
+    if (kind < a)
+        by_all[kind] += 1.0 / s->level;
+    if (kind < values)
+        return;
+    kind -= values;
+    for (j = 0; j < a; j++)
+        by_all[j] += s->G[(at * a + j) * p + kind] / s->scale[kind];
+    for (j = 0; j < m; j++)
+        by_all[a + j] += s->E[(at * m + j) * p + kind] / s->scale[kind];
+}
+
+/* What limit `kind` of stage k has by z_{k+1}. */
+static void stages_enter_ahead(const Stages *s, int k, int kind, double *ahead)
+{
+    int n = s->states, p = s->limited, m = s->ramp ? n - s->inputs : n, j;
+    size_t at = s->alike ? 0 : (size_t)k;
     memset(ahead, 0, (size_t)n * sizeof *ahead);
-    for (k = stage; k >= 0; k--) {
-        const double *W = s->W + stages_step(s, k) * a * n;
-        double *x = out + (size_t)k * a;
-        memset(by_all, 0, (size_t)w * sizeof *by_all);
-        if (k == stage && kind < a)
-            by_all[kind] = 1.0 / s->level;
-        else if (kind >= a && kind < rows - p) {
-            if (k >= stage - 1)
-                by_all[kind - a] = (k == stage ? 1.0 : -1.0) / s->level;
-        } else if (k == stage) {
-            int which = kind - (rows - p);
-            size_t at = s->alike ? 0 : (size_t)k;
-            for (j = 0; j < a; j++)
-                by_all[j] = s->G[(at * a + j) * p + which] / s->scale[which];
-            for (j = 0; j < m; j++)
-                by_all[a + j] = s->E[(at * m + j) * p + which] / s->scale[which];
-            for (j = 0; s->ahead && j < m; j++)
-                ahead[j] = s->F[(at * m + j) * p + which] / s->scale[which];
-        }
-        /* x = S'(g + B'ahead),   ahead = e + A'ahead - W'x */
-        stages_add(n, w, 1.0, s->motion_t + stages_slot(s, k) * w * n, ahead, by_all);
-        stages_unfactor(s, k, 1, by_all, x);
-        for (j = 0; j < n; j++)
-            ahead[j] = by_all[a + j];
-        stages_add(a, n, -1.0, W, x, ahead);
+    kind -= stages_rows(s) - p;
+    for (j = 0; s->ahead && kind >= 0 && j < m; j++)
+        ahead[j] = s->F[(at * m + j) * p + kind] / s->scale[kind];
+}
+
+/* x = S'h for the first numbers of some rows of a + n, one after another; t is work. */
+static void stages_unfactor_batch(const Stages *s, int k, int count, const double *rows, double *x,
+                                  double *t)
+{
+    int n = s->states, a = s->inputs, w = a + n, r, j;
+    double *off = t + (size_t)count * n;
+    if (!s->thin) {
+        stages_times(s, count, a, a, rows, w, s->S + stages_step(s, k) * a * a, x);
+        return;
     }
-    return (stage + 1) * a;
+    for (r = 0; r < count; r++)
+        for (j = 0; j < a; j++)
+            x[(size_t)r * a + j] = s->unit[j] * rows[(size_t)r * w + j];
+    stages_times(s, count, a, n, x, a, s->Y, t);
+    stages_times(s, count, n, a, t, n, s->S_t, off);
+    for (j = 0; j < count * a; j++)
+        x[j] -= off[j];
+}
+
+/*
+ * Rows of the matrix of limits, ACTIVE_SET_BATCH at most: for each, a numbers for each stage up to
+ * its own. In the sweep back they are rows of matrices, from their own stages on.
+ */
+static void stages_batch(const Stages *s, int count, const int *which, double *const *out)
+{
+    int n = s->states, a = s->inputs, w = a + n, rows = stages_rows(s), live = 0, k, r, j;
+    int order[ACTIVE_SET_BATCH]; /* of late stages first */
+    double *by_all = s->work, *ahead = by_all + (size_t)count * w;
+    double *x = ahead + (size_t)count * n, *t = x + (size_t)count * a;
+    for (r = 0; r < count; r++) {
+        for (j = r; j > 0 && which[order[j - 1]] / rows < which[r] / rows; j--)
+            order[j] = order[j - 1];
+        order[j] = r;
+    }
+    for (k = count ? which[order[0]] / rows : -1; k >= 0; k--) {
+        for (; live < count && which[order[live]] / rows == k; live++)
+            stages_enter_ahead(s, k, which[order[live]] % rows, ahead + (size_t)live * n);
+        /* x = S'(g + B'ahead),   ahead = e + A'ahead - W'x */
+        stages_times(s, live, n, w, ahead, n, s->motion_t + stages_slot(s, k) * w * n, by_all);
+        for (r = 0; r < live; r++) {
+            int i = which[order[r]];
+            stages_enter(s, i / rows, i % rows, k, by_all + (size_t)r * w);
+        }
+        stages_unfactor_batch(s, k, live, by_all, x, t);
+        for (r = 0; r < live; r++)
+            memcpy(out[order[r]] + (size_t)k * a, x + (size_t)r * a, (size_t)a * sizeof *x);
+        stages_times(s, live, a, n, x, a, s->W + stages_step(s, k) * a * n, t);
+        for (r = 0; r < live; r++)
+            for (j = 0; j < n; j++)
+                ahead[(size_t)r * n + j] = by_all[(size_t)r * w + a + j] - t[(size_t)r * n + j];
+    }
 }
 
 /* The program of a horizon, and its plan: what a sample of nonlinear MPC takes. */
@@ -577,23 +642,31 @@ typedef struct {
     int moved;    /* whether the departures are no more those of x = 0 */
 } StagesProgram;
 
-static const double *stages_program_row(void *data, int i, double *space, int *length)
+static void stages_program_batch(void *data, int count, const int *which, double *const *space,
+                                 const double **entries, int *length)
 {
     StagesProgram *program = data;
     const Stages *s = &program->stages;
-    int rows = stages_rows(s), kind = i % rows, end = s->stages - 1, N = s->stages;
-    double *row;
-    if (!s->alike) {
-        *length = stages_row(s, i, space);
-        return space;
+    int rows = stages_rows(s), end = s->stages - 1, a = s->inputs, unknown = 0, j;
+    int kinds[ACTIVE_SET_BATCH];
+    double *last[ACTIVE_SET_BATCH];
+    for (j = 0; j < count; j++) {
+        int kind = which[j] % rows, before = end - which[j] / rows;
+        length[j] = (which[j] / rows + 1) * a;
+        entries[j] = space[j];
+        if (!s->alike)
+            continue;
+        /* Rows of earlier stages are the end of that of the last. */
+        last[unknown] = program->last + (size_t)kind * s->stages * a;
+        entries[j] = last[unknown] + (size_t)before * a;
+        if (!program->known[kind])
+            kinds[unknown++] = end * rows + kind;
+        program->known[kind] = 1;
     }
-    /* Rows of earlier stages are the end of that of the last. */
-    row = program->last + (size_t)kind * N * s->inputs;
-    if (!program->known[kind])
-        stages_row(s, end * rows + kind, row);
-    program->known[kind] = 1;
-    *length = (i / rows + 1) * s->inputs;
-    return row + (size_t)(end - i / rows) * s->inputs;
+    if (s->alike)
+        stages_batch(s, unknown, kinds, last);
+    else
+        stages_batch(s, count, which, space);
 }
 
 static void stages_program_products(void *data, const double *x, double *out)
@@ -696,7 +769,7 @@ STAGES_API void stages_program_place(StagesProgram *program, const int *sizes, d
     program->most = data[8];
     set->price = data[9];
     set->curvature = data[10];
-    set->row = stages_program_row;
+    set->batch = stages_program_batch;
     set->products = stages_program_products;
     set->data = program;
     active_set_place(set, stages_take(&at, used), integers, pointers);

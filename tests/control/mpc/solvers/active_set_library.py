@@ -19,29 +19,43 @@ typedef struct {
     ActiveSet set;
     const size_t *start; /* row i is value[start[i]] ... value[start[i + 1] - 1] */
     const double *value;
-    int asked, stop_at;
+    int asked, stop_at, products, batches, reached; /* how often in the last solve */
 } Opened;
 
-static const double *kept_row(void *data, int i, double *space, int *length)
+static const double *row_of(const Opened *opened, int i, int *length)
 {
-    const Opened *opened = data;
-    (void)space;
     *length = (int)(opened->start[i + 1] - opened->start[i]);
     return opened->value + opened->start[i];
 }
 
-static const double *copied_row(void *data, int i, double *space, int *length)
+static void kept_batch(void *data, int count, const int *which, double *const *space,
+                       const double **entries, int *length)
 {
-    const double *row = kept_row(data, i, NULL, length);
-    memcpy(space, row, (size_t)*length * sizeof *space);
-    return space;
+    Opened *opened = data;
+    int j;
+    (void)space;
+    opened->batches++;
+    opened->reached += count;
+    for (j = 0; j < count; j++)
+        entries[j] = row_of(opened, which[j], &length[j]);
+}
+
+static void copied_batch(void *data, int count, const int *which, double *const *space,
+                         const double **entries, int *length)
+{
+    int j;
+    kept_batch(data, count, which, NULL, entries, length);
+    for (j = 0; j < count; j++)
+        entries[j] = memcpy(space[j], entries[j], (size_t)length[j] * sizeof *space[j]);
 }
 
 static void all_products(void *data, const double *x, double *out)
 {
+    Opened *opened = data;
     int i, length;
-    for (i = 0; i < ((Opened *)data)->set.rows; i++) {
-        const double *row = kept_row(data, i, NULL, &length);
+    opened->products++;
+    for (i = 0; i < opened->set.rows; i++) {
+        const double *row = row_of(opened, i, &length);
         out[i] = active_set_dot(row, x, length);
     }
 }
@@ -75,7 +89,7 @@ void open_set(Opened *opened, int rows, int columns, int soft, int stored, int l
     set->tolerance = 1e-11;
     set->price = price;
     set->curvature = curvature;
-    set->row = stored ? copied_row : kept_row;
+    set->batch = stored ? copied_batch : kept_batch;
     set->products = all_products;
     set->stop = asked;
     set->data = opened;
@@ -86,25 +100,29 @@ void open_set(Opened *opened, int rows, int columns, int soft, int stored, int l
 void start_set(Opened *opened, const double *y) { active_set_start(&opened->set, y); }
 
 int solve_set(Opened *opened, int stop_at, const double *q, const double *low, const double *high,
-              double *x, double *y, int *iterations)
+              double *x, double *y, int *counts)
 {
     int status;
-    opened->asked = 0;
+    opened->asked = opened->products = opened->batches = opened->reached = 0;
     opened->stop_at = stop_at;
     status = active_set_solve(&opened->set, q, low, high, x);
     memcpy(y, opened->set.y, (size_t)opened->set.rows * sizeof *y);
-    *iterations = opened->set.iterations;
+    counts[0] = opened->set.iterations;
+    counts[1] = opened->products;
+    counts[2] = opened->batches;
+    counts[3] = opened->reached;
     return status;
 }
 """
 
 
 @cache
-def library() -> ctypes.CDLL | None:
-    """Return the compiled solver, or None without a compiler."""
+def library(batch: int | None = None) -> ctypes.CDLL | None:
+    """Return the compiled solver, or None without a compiler; batches are of this size."""
     if compiler() is None:
         return None
-    text = "#define ACTIVE_SET_API\n" + active_set_source() + _CALLS
+    size = "" if batch is None else f"#define ACTIVE_SET_BATCH {batch}\n"
+    text = size + "#define ACTIVE_SET_API\n" + active_set_source() + _CALLS
     found = ctypes.CDLL(str(compiled_library(text)))
     found.sizes.restype = ctypes.c_size_t
     return found
@@ -118,9 +136,10 @@ class ActiveSetProgram:
     """Programs with one matrix M, shape (m, n); ``price`` is also the curvature, inf for hard."""
 
     def __init__(
-        self, M: FloatArray, price: FloatArray, stored: bool = False, limit: int = 5000
-    ) -> None:
-        found = library()
+        self, M: FloatArray, price: FloatArray, stored: bool = False, limit: int = 5000,
+        batch: int | None = None,
+    ) -> None:  # fmt: skip
+        found = library(batch)
         assert found is not None  # the tests are skipped without
         self._library, self.shape = found, M.shape
         # Trailing zeros are left out.
@@ -150,8 +169,9 @@ class ActiveSetProgram:
         self, q: FloatArray, low: FloatArray, high: FloatArray, stop_at: int = -1
     ) -> tuple[str, FloatArray, FloatArray, int]:
         """Return status, x, y and the number of changes of the active set."""
-        x, y, count = np.zeros(self.shape[1]), np.zeros(self.shape[0]), np.zeros(1, np.intc)
+        x, y, counts = np.zeros(self.shape[1]), np.zeros(self.shape[0]), np.zeros(4, np.intc)
         arrays = (np.ascontiguousarray(each, float) for each in (q, low, high))
-        given = [*arrays, x, y, count]
+        given = [*arrays, x, y, counts]
         status = self._library.solve_set(_pointer(self._memory), stop_at, *map(_pointer, given))
-        return STATUSES[status], x, y, int(count[0])
+        self.products, self.batches, self.reached = (int(count) for count in counts[1:])
+        return STATUSES[status], x, y, int(counts[0])

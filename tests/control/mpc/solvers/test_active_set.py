@@ -72,12 +72,17 @@ def programs(rng, count):
         yield M, price, rng.standard_normal(n) * 10 ** rng.uniform(-1, 2), low, high
 
 
-def test_answers_are_optimal_and_those_of_daqp():
+# Rows that are reached at once: one, fewer than are violated, and as it is, often more than those.
+BATCHES = (1, 3, None)
+
+
+@pytest.mark.parametrize("batch", BATCHES)
+def test_answers_are_optimal_and_those_of_daqp(batch):
     rng = np.random.default_rng(3)
     sides, statuses = np.zeros(2, int), set()
     for M, price, q, low, high in programs(rng, 400):
-        status, x, y, _ = ActiveSetProgram(M, price, stored=True).solve(q, low, high)
-        again = ActiveSetProgram(M, price).solve(q, low, high)
+        status, x, y, _ = ActiveSetProgram(M, price, stored=True, batch=batch).solve(q, low, high)
+        again = ActiveSetProgram(M, price, batch=batch).solve(q, low, high)
         expected = by_daqp(M, price, q, low, high)
         statuses.add(status)
         assert status == again[0]
@@ -95,10 +100,11 @@ def test_answers_are_optimal_and_those_of_daqp():
     assert statuses == {"solved", "infeasible"}
 
 
-def test_any_start_gives_the_same_answer():
+@pytest.mark.parametrize("batch", BATCHES)
+def test_any_start_gives_the_same_answer(batch):
     rng = np.random.default_rng(5)
     for M, price, q, low, high in programs(rng, 150):
-        program = ActiveSetProgram(M, price)
+        program = ActiveSetProgram(M, price, stored=True, batch=batch)
         status, x, _, _ = program.solve(q, low, high)
         starts = rng.standard_normal((2, len(M))) * (rng.random((2, len(M))) < 0.5)
         for start in (*starts, *(1e6 * starts)):
@@ -107,6 +113,63 @@ def test_any_start_gives_the_same_answer():
             assert found[0] == status
             if status == "solved":
                 np.testing.assert_allclose(found[1], x, atol=1e-9, rtol=1e-9)
+
+
+def wide_program(rng):
+    """Return a program of 120 unknowns, many of whose 400 rows the start violates."""
+    n, m = 120, 400
+    M = rng.standard_normal((m, n)) * 0.97 ** np.arange(n)
+    price = np.where(rng.random(m) < 0.4, 10 ** rng.uniform(-1, 2, m), np.inf)
+    middle = np.isinf(price) * (M @ rng.standard_normal(n))
+    below, above = rng.exponential(1, (2, m))
+    return M, price, 3 * rng.standard_normal(n), middle - below, middle + above
+
+
+def test_many_rows_take_few_products():
+    """Those of all rows; one by one there is one for each row that is added."""
+    rng = np.random.default_rng(13)
+    n, count, held = 400, 60, 40
+    M, hard = rng.standard_normal((count, n)) / np.sqrt(n), np.full(count, np.inf)
+    q, low = rng.standard_normal(n), np.full(count, -np.inf)
+    high = -M @ q + np.where(np.arange(count) < held, -1, 1) * rng.uniform(1, 2, count)
+    one, many = (ActiveSetProgram(M, hard, batch=batch) for batch in (1, None))
+    changes = [program.solve(q, low, high)[3] for program in (one, many)]
+    assert min(changes) >= held
+    assert changes[1] < 1.2 * changes[0]
+    assert one.products > held
+    assert many.products <= 6
+    assert many.batches < many.products
+    assert many.reached <= count
+
+
+def test_rows_of_a_batch_do_not_lead_astray():
+    """Changes stay nearly as few, though most rows are added before all are known."""
+    rng, changes, products = np.random.default_rng(17), np.zeros(2, int), np.zeros(2, int)
+    for _ in range(10):
+        M, price, *given = wide_program(rng)
+        for i, batch in enumerate((1, None)):
+            program = ActiveSetProgram(M, price, batch=batch)
+            status, x, y, count = program.solve(*given)
+            assert status == "solved"
+            assert optimality(M, price, *given, x, y) < 1e-14
+            changes[i] += count
+            products[i] += program.products
+    assert changes[1] < 1.25 * changes[0]
+    assert products[1] < 0.1 * products[0]
+
+
+def test_a_start_reaches_its_rows_in_batches():
+    M, price, *given = wide_program(np.random.default_rng(19))
+    program = ActiveSetProgram(M, price, stored=True)
+    _, x, y, _ = program.solve(*given)
+    program.start(y)
+    again = program.solve(*given)
+    np.testing.assert_allclose(again[1], x, rtol=0, atol=1e-12)
+    assert again[3] == 0
+    assert program.products == 1
+    assert program.batches == 0
+    program.solve(given[0] + 0.1, *given[1:])  # candidates come and go beside rows that stay
+    assert program.solve(*given)[0] == "solved"
 
 
 @pytest.mark.parametrize("stored", [False, True])
