@@ -138,50 +138,53 @@ _SMALL = 64
 
 
 @cache
-def _matrix_libraries() -> Any:
-    """Return what controls the BLAS of NumPy and that of SciPy, which is loaded for it."""
-    import scipy.linalg  # noqa: F401
-    from threadpoolctl import ThreadpoolController
+def _matrix_libraries() -> tuple[Any, Callable[[], object]]:
+    """Return what controls the BLAS of NumPy and of SciPy, which is loaded, and what lets go of it.
 
-    return ThreadpoolController().select(user_api="blas")
+    From 3.8 on threadpoolctl lets one thread alone set numbers until that lets go.
+    """
+    import scipy.linalg  # noqa: F401
+    import threadpoolctl
+
+    let_go = getattr(threadpoolctl.OpenBLASController, "clear_controlling_thread", lambda: None)
+    return threadpoolctl.ThreadpoolController().select(user_api="blas"), let_go
 
 
 class _OneThread:
-    """The BLAS of the process has one thread within; may be nested.
+    """The BLAS of the process has one thread while any thread of Python is within; may be nested.
 
     NumPy and SciPy each bring a BLAS with a thread for every core. After a product these threads
     wait for the next by spinning, so that those of one library take the cores from those of the
     other: matrices of some hundred rows become several times as slow.
-
-    The first thread of Python that comes sets the limit, and lifts it when it leaves. Others that
-    come meanwhile have the limit as long as that thread stays.
     """
 
     def __init__(self) -> None:
-        self._lock, self._owner, self._depth = Lock(), 0, 0
+        self.lock, self._within = Lock(), 0
         self._limits: Any = None
 
     def __enter__(self) -> None:
-        if self._owner != get_ident():
-            libraries = _matrix_libraries()
-            if not self._lock.acquire(blocking=False):
-                return
-            self._owner = get_ident()
-            self._limits = libraries.limit(limits=1)
-            self._limits.__enter__()
-        self._depth += 1
+        libraries, let_go = _matrix_libraries()
+        with self.lock:
+            if not self._within:
+                self._limits = libraries.limit(limits=1)
+                let_go()
+            self._within += 1
 
     def __exit__(self, *_: object) -> None:
-        if self._owner != get_ident():
-            return
-        self._depth -= 1
-        if not self._depth:
-            self._limits.__exit__(None, None, None)
-            self._owner = 0
-            self._lock.release()
+        with self.lock:
+            self._within -= 1
+            if not self._within:
+                self._limits.restore_original_limits()
+                _matrix_libraries()[1]()
 
 
 _ONE_THREAD = _OneThread()
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(
+        before=_ONE_THREAD.lock.acquire,
+        after_in_parent=_ONE_THREAD.lock.release,
+        after_in_child=_ONE_THREAD.lock.release,
+    )
 
 
 def on_one_thread(function: Callable[_Arguments, _Value]) -> Callable[_Arguments, _Value]:

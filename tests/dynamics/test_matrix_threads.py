@@ -1,9 +1,11 @@
 """The BLAS has one thread where its own would slow down matrices of some hundred rows."""
 
 import copy
+import os
 import pickle
 import subprocess
 import sys
+import warnings
 from threading import Event, Thread
 
 import numpy as np
@@ -135,19 +137,45 @@ def test_contexts_are_nested_and_shared_by_threads():
             seen.append(threads())
             entered.set()
             leave.wait()
+            seen.append(threads())
         seen.append(threads())
 
     worker = Thread(target=other, daemon=True)
-    worker.start()
-    entered.wait()
-    with Exclusive("a third", 1000):  # the other thread has the limit
+    with Exclusive("first", 1000), Exclusive("nested", 65):
+        worker.start()
+        entered.wait()
+    # The first thread has left, and the other one is still within.
+    assert set(threads()) == {1}
+    with Exclusive("again", 1000):
         assert set(threads()) == {1}
-    assert set(threads()) == {1}  # and keeps it
+    assert set(threads()) == {1}
     leave.set()
     worker.join()
-    assert [set(each) for each in seen] == [{1}, {3}]
+    assert [set(each) for each in seen] == [{1}, {1}, {3}]
     with Exclusive("large", 65), Exclusive("small", 64):
         assert set(threads()) == {1}
     assert set(threads()) == {3}
     with Exclusive("small", 64):
         assert set(threads()) == {3}
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no forks here")
+def test_a_fork_while_another_thread_is_within_goes_on():
+    entered, leave = Event(), Event()
+
+    def other():
+        with Exclusive("one", 1000):
+            entered.set()
+            leave.wait()
+
+    worker = Thread(target=other, daemon=True)
+    worker.start()
+    entered.wait()
+    with warnings.catch_warnings(action="ignore", category=DeprecationWarning):  # of 3.12
+        child = os.fork()
+    if not child:
+        with Exclusive("in the child", 1000):
+            os._exit(int(set(threads()) != {1}))
+    leave.set()
+    worker.join()
+    assert os.waitpid(child, 0)[1] == 0
