@@ -8,6 +8,7 @@ import pytest
 import tenscontrol as tc
 from tenscontrol.control import Status
 from tenscontrol.dynamics import compiler
+from tenscontrol.interrupt import InterruptionWarning
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="no C compiler")
 
@@ -149,3 +150,29 @@ def test_copies_of_a_controller_serve_the_next_batch(tower, tmp_path, monkeypatc
     run = second.trajectory(1)
     assert np.array_equal(run.rest_length, second.command[1][:, [0, -1]])
     assert (run.conserves_energy, run.position_error, run.steps) == (False, None, 6)
+
+
+def test_after_an_interrupt_copies_are_used_again(prism, codes, monkeypatch):
+    """A copy is a library that stays loaded, so no run may lose any."""
+    (plant, _), code = prism, codes["prism"]
+    starts, made, looked = shaken(plant, 0.01), [], []
+    another = type(code).another
+    monkeypatch.setattr(type(code), "another", lambda self: made.append(1) or another(self))
+
+    def interrupted():
+        looked.append(1)
+        if len(looked) > 1:
+            raise KeyboardInterrupt
+
+    def run():
+        tc.simulate_many(plant.model, 0.2, starts, controller=code, threads=1, step=5e-3)
+
+    run()
+    made.clear()
+    with monkeypatch.context() as patch:
+        patch.setattr("tenscontrol.simulation.batch.runner.check", interrupted)
+        with pytest.warns(InterruptionWarning, match="runs are done"):
+            run()
+    assert len(looked) > 1
+    run()
+    assert not made

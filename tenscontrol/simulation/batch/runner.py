@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
 from threading import local
@@ -202,7 +203,8 @@ class Runner:
         block = max(4, min(block, -(-self.scene.count // (4 * threads))))
         todo = iter(range(0, self.scene.count, block))
         pending: set[Future[int]] = set()
-        with ThreadPoolExecutor(threads) as pool:
+        with ExitStack() as afterwards, ThreadPoolExecutor(threads) as pool:
+            afterwards.callback(self._give_back)
             try:
                 while True:
                     check()
@@ -216,6 +218,9 @@ class Runner:
                     report(self.done)
             finally:
                 self._stop.value = 1
+
+    def _give_back(self) -> None:
+        """Leave the controllers of all threads to later runs."""
         while self._loops_made:
             self._loops_made.pop().give_back()
 
