@@ -159,32 +159,32 @@ class _OneThread:
     """
 
     def __init__(self) -> None:
-        self.lock, self._within = Lock(), 0
+        self._lock, self._within = Lock(), 0
         self._limits: Any = None
 
     def __enter__(self) -> None:
         libraries, let_go = _matrix_libraries()
-        with self.lock:
+        with self._lock:
             if not self._within:
                 self._limits = libraries.limit(limits=1)
                 let_go()
             self._within += 1
 
     def __exit__(self, *_: object) -> None:
-        with self.lock:
+        with self._lock:
             self._within -= 1
             if not self._within:
                 self._limits.restore_original_limits()
                 _matrix_libraries()[1]()
 
+    def unlock(self) -> None:
+        """Begin in a child that was forked: a thread that it does not have may hold the lock."""
+        self._lock = Lock()
+
 
 _ONE_THREAD = _OneThread()
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(
-        before=_ONE_THREAD.lock.acquire,
-        after_in_parent=_ONE_THREAD.lock.release,
-        after_in_child=_ONE_THREAD.lock.release,
-    )
+    os.register_at_fork(after_in_child=_ONE_THREAD.unlock)
 
 
 def on_one_thread(function: Callable[_Arguments, _Value]) -> Callable[_Arguments, _Value]:
