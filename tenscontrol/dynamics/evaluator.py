@@ -13,7 +13,7 @@ import copyreg
 import os
 from collections import OrderedDict, deque
 from collections.abc import Callable, Hashable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from functools import cache, cached_property, wraps
 from queue import SimpleQueue
 from threading import Lock, RLock, get_ident
@@ -187,23 +187,15 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_ONE_THREAD.unlock)
 
 
-def on_one_thread(
-    size: Callable[[Any], int],
-) -> Callable[[Callable[Concatenate[_Self, _Arguments], _Value]],
-              Callable[Concatenate[_Self, _Arguments], _Value]]:  # fmt: skip
-    """Let the BLAS have one thread while a function runs, where its first argument is large."""
+def on_one_thread(function: Callable[_Arguments, _Value]) -> Callable[_Arguments, _Value]:
+    """Let the BLAS have one thread while a function of large matrices runs."""
 
-    def decorated(
-        function: Callable[Concatenate[_Self, _Arguments], _Value],
-    ) -> Callable[Concatenate[_Self, _Arguments], _Value]:
-        @wraps(function)
-        def limited(first: _Self, /, *args: _Arguments.args, **kwargs: _Arguments.kwargs) -> _Value:
-            with _ONE_THREAD if size(first) > _SMALL else nullcontext():
-                return function(first, *args, **kwargs)
+    @wraps(function)
+    def limited(*args: _Arguments.args, **kwargs: _Arguments.kwargs) -> _Value:
+        with _ONE_THREAD:
+            return function(*args, **kwargs)
 
-        return limited
-
-    return decorated
+    return limited
 
 
 class Exclusive:

@@ -40,10 +40,9 @@ def loop_source(
     kernels, packed = ca.CodeGenerator("kernels", {"with_header": False}), []
     for each in functions:
         text = packed_source(each) if each.name() in _OFTEN else None
+        packed += [] if text is None else [text]
         if text is None:
             kernels.add(each)
-        else:
-            packed.append(text)
     memory = {
         name: max(1, *(getattr(each, f"sz_{name}")() for each in functions))
         for name in ("arg", "res", "iw", "w")

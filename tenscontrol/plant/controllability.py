@@ -260,7 +260,7 @@ class LeftSpace:
     grows: bool  # whether what is not reached grows or drifts
 
 
-@on_one_thread(len)
+@on_one_thread
 def left_spaces(A: FloatArray, B: FloatArray) -> list[LeftSpace]:
     """Return what B does not reach of ``ż = A z``, pole by pole; both are of size 1."""
     from scipy import linalg

@@ -391,7 +391,7 @@ def _second_order(plant: LinearPlant) -> SparsePlant:
     return plant.sparse
 
 
-@on_one_thread(lambda plant: 2 * plant.degrees_of_freedom)
+@on_one_thread
 def state_units(plant: LinearPlant) -> tuple[FloatArray, float]:
     """Return units of the state, shape (s,), and of the input: of one speed and acceleration."""
     r = plant.degrees_of_freedom
@@ -478,7 +478,7 @@ def acceleration_response(plant: LinearPlant, sample_time: float) -> FloatArray:
     return frozen(zero_order_hold(plant, unit, sample_time)[1])
 
 
-@on_one_thread(lambda plant: 2 * plant.degrees_of_freedom)
+@on_one_thread
 def zero_order_hold(
     plant: LinearPlant, B: FloatArray, sample_time: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -409,7 +409,7 @@ def _undamped(
     return np.sqrt((-values).astype(complex)), vectors, labels
 
 
-@on_one_thread(lambda plant: 2 * plant.degrees_of_freedom)
+@on_one_thread
 def _general(
     stiffness: FloatArray, friction: FloatArray, kinds: dict[str, FloatArray]
 ) -> tuple[np.ndarray, np.ndarray, list[str]]:

@@ -68,7 +68,7 @@ class ReducedPlant(LinearPlant):
         return float(np.linalg.norm(full - kept) / max(float(np.linalg.norm(full)), 1e-300))
 
     @property
-    @on_one_thread(lambda small: 2 * small.whole.degrees_of_freedom)
+    @on_one_thread
     def error_bound(self) -> float:
         """Most that node displacements differ from the whole plant's, m per unit of the inputs.
 

@@ -115,7 +115,7 @@ def filter_riccati(
     return frozen(unit * gain / noise), frozen(unit**2 * P), frozen(poles), residual
 
 
-@on_one_thread(len)
+@on_one_thread
 def _split_solution(
     A: FloatArray,
     B: FloatArray,

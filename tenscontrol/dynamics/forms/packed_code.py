@@ -45,13 +45,14 @@ def packed_source(function: ca.Function) -> str | None:
     Operations come in layers: first what needs no root or quotient, then the roots and quotients of
     that, then what needs those, and so on.
     """
-    if not function.is_a("SXFunction") or function.n_instructions() > _MOST_OPERATIONS:
+    count = function.n_instructions() if function.is_a("SXFunction") else _MOST_OPERATIONS + 1
+    if count > _MOST_OPERATIONS:
         return None
     # Of each entry of CasADi's work vector: its C expression, and the layer where it is known.
     known: dict[int, tuple[str, int]] = {}
     layers: defaultdict[int, list[str]] = defaultdict(list)
     vectors: Counter[tuple[int, int]] = Counter()  # entries, by layer and operation
-    for k in range(function.n_instructions()):
+    for k in range(count):
         operation, given = function.instruction_id(k), function.instruction_input(k)
         found = function.instruction_output(k)
         if operation == ca.OP_CONST:

@@ -829,8 +829,8 @@ STAGES_API void stages_program_shift(StagesProgram *program)
 /*
  * All that needs no measurement: the problem along its plan, from the stage Jacobians of motion and
  * limited values, stored by columns, and the rows that may be active. E, G and F are not copied, and
- * must last for the solves. Returns whether data are finite; if they are not, the next call must
- * fill every slot that it names.
+ * must last for the solves. Returns whether data are finite; if they are not, all stages must be
+ * fresh in the next call.
  *
  * A, B and C of stage k are in its slot. Only the slots of `fresh` stages are others than in the last
  * call. NULL for both: each stage has a slot of its own, and all are fresh. The tolerance is that of
