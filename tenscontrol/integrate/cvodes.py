@@ -279,7 +279,7 @@ class _Motion:
             at = room(window.times[:1])[:, 0]
             self._crossed = (at <= max(0.5, float(at.min()))).astype(float)
             self.now, self.state = start, window.nodes[:, 0]
-            self.work += Work(unlocated=1)
+            self.work += Work(missed=int(self._crossed.sum()))
             return
         apart = 1e-3 * (end - start)
         for _ in range(_NEWTON_STEPS):

@@ -49,7 +49,7 @@ LATE, _MOST_LATE = 1e-9, 1e-3
 # step. Each zoom finds dips of a ninth of the depth.
 _ZOOMS_ON_GROUND = 7
 
-# Substeps that one step may be cut into; the rest is then taken whole, and counted.
+# Substeps that one step may be cut into; the rest is then taken whole, and its switches counted.
 SUBSTEPS = 8
 
 # Instructions of the room up to which it is written out for each sample.
@@ -65,8 +65,8 @@ _MOST_HALVINGS = 5000
 CHATTER, _CHATTER_TIME = 200, 1e-6
 
 #: What a located step counts: tries of a step, each with the evaluations of one; landings on a
-#: switch, with two evaluations beside their tries; strings switched; rests taken whole.
-COUNTS = ("tries", "landings", "switches", "unlocated")
+#: switch, with two evaluations beside their tries; strings switched there; and in rests taken whole.
+COUNTS = ("tries", "landings", "switches", "missed")
 
 
 def located(step: ca.Function, equation: Equation) -> ca.Function:
@@ -94,33 +94,71 @@ def taut_strings(equation: Equation, x: Any, u: Any) -> Any:
 
 
 def crossing(equation: Equation) -> ca.Function:
-    """Return ``(x, x1, u, taut, h) -> crossed``: whether a string may switch within a step.
+    """Return ``(x, x1, u, taut, h) -> crossed``: whether a string may switch within a step."""
+    x, u, taut, h = equation.symbols()
+    x1 = equation.symbol("x1", equation.states)
+    crossed, _ = _crossed(equation, x, x1, u, taut, h)
+    # A state that is not finite is not searched.
+    found = ca.if_else(ca.sumsqr(x1) < ca.inf, ca.mmax(crossed), 0)
+    return ca.Function("crossing", [x, x1, u, taut, h], [found])
+
+
+def missed(equation: Equation) -> ca.Function:
+    """Return ``(x, x1, u, taut, h) -> count`` of switches in a step that is not cut at them.
+
+    A string that is out at the end has switched once, at least; one that comes back in, twice.
+    """
+    x, u, taut, h = equation.symbols()
+    x1 = equation.symbol("x1", equation.states)
+    crossed, out = _crossed(equation, x, x1, u, taut, h)
+    return ca.Function("missed", [x, x1, u, taut, h], [ca.sum1(2 * crossed - crossed * out)])
+
+
+def _crossed(equation: Equation, x: Any, x1: Any, u: Any, taut: Any, h: Any) -> tuple[Any, Any]:
+    """Return the expressions of which strings may switch within a step, and are out at its end.
 
     A string that is inside at both ends, but goes out at the start and comes in
     at the end, is taken as a crossing where the tangents at both ends meet
     outside: no less can be said without looking at the inside of the step.
     """
+    sign, band = 2 * taut - 1, BAND * equation.gap_scale(u)
+    (gap0, rate0), (gap1, rate1) = equation.gap(x, u), equation.gap(x1, equation.ahead(u, h))
+    room0, room1 = sign * gap0 + band, sign * gap1 + band
+    crossed = ca.logic_or(room1 < 0, _meet_outside(room0, room1, -sign * rate0, sign * rate1, h))
+    if equation.velocity_dependent:
+        crossed = ca.logic_or(crossed, _damped_crossing(equation)(x, x1, u, taut, h))
+    return crossed, room1 < 0
+
+
+def _damped_crossing(equation: Equation) -> ca.Function:
+    """Return ``(x, x1, u, taut, h) -> crossed`` of each switch where forces depend on velocities.
+
+    The border of a damped string has other tangents than its stretch: the middle of the step is
+    looked at. And a slack string pulls as soon as its stretch grows through zero, however soon the
+    damping lets it go again: a stretch that is above zero at the end, or tangents that meet there.
+    """
     n = equation.states
     x, u, taut, h = equation.symbols()
     x1 = equation.symbol("x1", n)
-    sign = 2 * taut - 1
-    band = BAND * equation.gap_scale(u)
-    (gap0, rate0), (gap1, rate1) = equation.gap(x, u), equation.gap(x1, equation.ahead(u, h))
-    room0, room1 = sign * gap0 + band, sign * gap1 + band
-    out, back = -sign * rate0, sign * rate1
-    # The tangents room0 - out t and room1 - back (h - t) meet below zero.
+    later, sign, band = equation.ahead(u, h), 2 * taut - 1, BAND * equation.gap_scale(u)
+    q, v, q1, v1 = x[: n // 2], x[n // 2 :], x1[: n // 2], x1[n // 2 :]
+    middle = ca.vertcat((q + q1) / 2 + h / 8 * (v - v1), 1.5 / h * (q1 - q) - (v + v1) / 4)
+    inside = sign * equation.gap(middle, equation.ahead(u, h / 2))[0] + band < 0
+    # At rest, nothing is damped: the gap is the stretch.
+    still = ca.DM.zeros(n // 2)
+    room0 = band - equation.gap(ca.vertcat(q, still), u)[0]
+    room1 = band - equation.gap(ca.vertcat(q1, still), later)[0]
+    out, back = equation.gap(x, u)[1], -equation.gap(x1, later)[1]
+    dips = _meet_outside(room0, room1, out, back, h)
+    pulls = ca.logic_and(room0 > 0, ca.logic_or(room1 < 0, dips))
+    outputs = [ca.logic_or(inside, ca.logic_and(taut == 0, pulls))]
+    return ca.Function("damped", [x, x1, u, taut, h], outputs)
+
+
+def _meet_outside(room0: Any, room1: Any, out: Any, back: Any, h: Any) -> Any:
+    """Return whether the tangents room0 - out t and room1 - back (h - t) meet below zero."""
     below = back * room0 + out * room1 < out * back * h
-    dips = ca.logic_and(ca.logic_and(out > 0, back > 0), below)
-    found = ca.mmax(ca.logic_or(room1 < 0, dips))
-    if equation.velocity_dependent:
-        # The border of a damped string has other tangents: look at the middle.
-        q, v, q1, v1 = x[: n // 2], x[n // 2 :], x1[: n // 2], x1[n // 2 :]
-        middle = ca.vertcat((q + q1) / 2 + h / 8 * (v - v1), 1.5 / h * (q1 - q) - (v + v1) / 4)
-        gap = equation.gap(middle, equation.ahead(u, h / 2))[0]
-        found = ca.fmax(found, ca.mmax(sign * gap + band < 0))
-    # A state that is not finite is not searched.
-    found = ca.if_else(ca.sumsqr(x1) < ca.inf, found, 0)
-    return ca.Function("crossing", [x, x1, u, taut, h], [found])
+    return ca.logic_and(ca.logic_and(out > 0, back > 0), below)
 
 
 def landing(step: ca.Function, equation: Equation, least: float = 0.0) -> ca.Function:
@@ -403,7 +441,8 @@ def _finish(step: ca.Function, substep: ca.Function, equation: Equation) -> ca.F
     u, h = held[:-1], held[-1]
     x, taut, left, counts = _split(state, equation)
     end = step(x, equation.ahead(u, h - left), taut, left)
-    more = counts + _count(tries=1, unlocated=1)
+    passed = missed(equation)(x, end, equation.ahead(u, h - left), taut, left)
+    more = counts + _count(tries=1, missed=passed)
     pulling = taut_strings(equation, end, equation.ahead(u, h))
     whole = ca.Function("whole", [state, held], [ca.vertcat(end, pulling, 0, more)])
     rest = SUBSTEPS - 1

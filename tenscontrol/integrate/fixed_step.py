@@ -188,12 +188,12 @@ class FixedStep(Integrator):
         """
         if not self._equation.switches:
             return Work(steps=steps, evaluations=self.evaluations_per_step * steps)
-        tries, landings, switches, unlocated = (round(c) for c in carried[-len(COUNTS) :])
+        tries, landings, switches, missed = (round(c) for c in carried[-len(COUNTS) :])
         return Work(
             steps=steps + landings,
             evaluations=self.evaluations_per_step * tries + 2 * landings,
             switches=switches,
-            unlocated=unlocated,
+            missed=missed,
         )
 
 

@@ -52,15 +52,16 @@ class Work:
     switches : int
         Strings that went slack or taut, and contacts that opened or closed, with the step made to
         end there, counted singly.
-    unlocated : int
-        Steps across a switch that was not located.
+    missed : int
+        Switches that were not located: acted on at the end of a step, or not at all, where a string
+        or contact was back by then.
     """
 
     steps: int = 0
     rejections: int = 0
     evaluations: int = 0
     switches: int = 0
-    unlocated: int = 0
+    missed: int = 0
 
     def __add__(self, other: Work) -> Work:
         return Work(

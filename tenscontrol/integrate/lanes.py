@@ -27,6 +27,7 @@ from tenscontrol.integrate.events import (
     crossing,
     distance,
     interpolant,
+    missed,
     part_to_try,
     switch_on_interpolant,
     switching,
@@ -254,6 +255,7 @@ def _parts(smooth: ca.Function, equation: Equation) -> list[ca.Function]:
     return [
         *found,
         function("crossing", [x, x1, taut, *of, h], crossing(equation)(x, x1, now, taut, h)),
+        function("missed", [x, x1, taut, *of, h], missed(equation)(x, x1, now, taut, h)),
         function("pulling", [x, *of], taut_strings(equation, x, now)),
         function(
             "interpolated", [x, x1, taut, *of, h],
@@ -342,7 +344,8 @@ LANES static void cut(M cut_lanes, V *x, V *taut, const V *u, const V *clock, co
         lanes_crossing(at, end, pulls, u, clock, done, left, crossed);
         over &= crossed[0] == 0.0;
       } else {
-        counts[3] += ONLY(active, ALL(1.0));
+        lanes_missed(at, end, pulls, u, clock, done, left, crossed);
+        counts[3] += ONLY(active, crossed[0]);
         lanes_pulling(end, u, clock, h, after);
         take(active, after, pulls, SWITCHES);
       }

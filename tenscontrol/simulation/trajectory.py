@@ -395,8 +395,8 @@ class Trajectory(Viewable):
             lines += self.contacts.summary().splitlines()
         if (fall := self._fall) is not None:
             lines.append(f"fell              {fall:.2g} sizes below z = 0: there is no ground")
-        if self.work.unlocated:
-            lines.append(f"not located       {self.work.unlocated} steps across a switch")
+        if self.work.missed:
+            lines.append(f"not located       {self.work.missed} switches more, within a step")
         return lines
 
     def view(self) -> View:

@@ -34,7 +34,7 @@ def against_the_oracle(name: str, scene: Scene, duration: float) -> None:
     exact, _ = scene.exact(times)
     nodes, work = scene.run(integrator, times)
     errors = np.abs(nodes - exact).max(axis=(0, 1))[1:]
-    print(f"{name}: {work.switches} switches, {work.unlocated} not located")
+    print(f"{name}: {work.switches} switches, {work.missed} not located")
     print("  time, s                      " + " ".join(f"{time:7.2f}" for time in times[1:]))
     print("  farthest node, m             " + " ".join(f"{error:7.1e}" for error in errors))
     others = [nudged(scene, 1e-12, seed).run(integrator, times)[0] for seed in range(4)]

@@ -25,7 +25,7 @@ def test_strings_clusters_and_contacts_switch_together(method, value, off):
     nodes, work = scene.run(METHODS[method].integrator(equation, value), times)
     assert len(switches) >= 6
     assert work.switches >= len(switches)
-    assert work.unlocated == 0
+    assert work.missed == 0
     np.testing.assert_allclose(nodes, exact, rtol=0, atol=off)
 
 
@@ -74,7 +74,7 @@ def test_a_node_that_grazes_moves_on(law, method, value, off):
         # A contact of δ lasts √(8δ/a) and gives k δ times that.
         touch = 5e3 * max(depth, 0) * np.sqrt(8 * max(depth, 0) / 200)
         np.testing.assert_allclose(span.states[:4, -1], exact, rtol=0, atol=off + touch)
-        assert span.work.unlocated == 0
+        assert span.work.missed == 0
         efforts.append(span.work.evaluations)
         if depth == DEPTHS[0] and stages:
             assert efforts[0] <= stages * span.work.steps + 3
@@ -106,7 +106,7 @@ def test_a_node_that_is_drawn_out_fast_is_let_go_below_the_surface(method, value
     exact, switches = oracle.integrate(start, velocities, np.array([0.0, 0.06]))
     assert len(switches) == 2
     span = METHODS[method].integrator(equation, value).advance(state, np.zeros(0), 0.06, 1)
-    assert (span.work.switches, span.work.unlocated) == (2, 0)
+    assert (span.work.switches, span.work.missed) == (2, 0)
     found = span.states[:4, -1]
     np.testing.assert_allclose(found, exact[:, :, -1].ravel(order="F"), rtol=0, atol=off)
 
@@ -149,7 +149,7 @@ def test_rest_on_the_ground_costs_what_rest_on_supports_does(method, value, span
     assert ground.steps <= supports.steps + 10
     assert ground.evaluations < 1.5 * supports.evaluations
     assert ground.switches <= 6 * 10  # while the nodes settle, all of them together
-    assert ground.unlocated == 0
+    assert ground.missed == 0
 
 
 def test_rest_on_the_ground_takes_dop853_what_friction_takes_it():

@@ -41,7 +41,7 @@ def test_the_papers_example_follows_the_oracle_through_all_switches(prism, paper
         state, paper_motion.rest_length, 5.0, 50
     )
     assert run.work.switches == 6 * 55
-    assert run.work.unlocated == 0
+    assert run.work.missed == 0
     error = np.abs(unpack_states(prism, run.states)[0] - paper_motion.nodes[:, :, 100::100])
     assert error.max() < 1e-7
 

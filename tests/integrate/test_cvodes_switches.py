@@ -39,7 +39,7 @@ def test_the_time_spent_slack_is_exact(method):
     """Two switches 2√0.3 s apart, in a motion that the methods follow in long steps."""
     run = method(valley(-0.3), 1e-8).advance(np.array([1.0, -2.0, 0.0]), np.zeros(0), 3.0, 30)
     assert run.work.switches == 2
-    assert run.work.unlocated == 0
+    assert run.work.missed == 0
     times = 0.1 * np.arange(1, 31)
     root = np.sqrt(0.3)
     slack = np.clip(times - (1 - root), 0, 2 * root)

@@ -409,7 +409,7 @@ def test_work_is_counted(prism):
         start, lengths, 0.1, 4, times.append
     )
     assert span.work.steps == 100
-    assert span.work.rejections == span.work.switches == span.work.unlocated == 0
+    assert span.work.rejections == span.work.switches == span.work.missed == 0
     assert 2 * 2 * 100 <= span.work.evaluations <= 2 * 3 * 100
     np.testing.assert_allclose(times, [0.025, 0.05, 0.075, 0.1], rtol=1e-12)
 

@@ -40,7 +40,7 @@ def test_a_motion_through_impacts_is_the_oracles(name, duration):
     for method, (value, off) in methods.items():
         nodes, work = scene.run(METHODS[method].integrator(equation, value), times)
         np.testing.assert_allclose(nodes, exact, rtol=0, atol=off)
-        assert work.unlocated == 0
+        assert work.missed == 0
 
 
 @pytest.mark.parametrize("case", ["hertz", "corner", "plane"])
@@ -110,7 +110,7 @@ def test_the_order_holds_through_all_impacts(name, method, steps, least):
     runs = [scene.run(METHODS[method].integrator(equation, step), times) for step in steps]
     errors = [np.abs(nodes - exact).max() for nodes, _ in runs]
     assert fitted_order(steps, errors) > least
-    assert all(each.switches == work.switches and not each.unlocated for _, each in runs)
+    assert all(each.switches == work.switches and not each.missed for _, each in runs)
 
 
 # ---- closed forms ----

@@ -83,7 +83,7 @@ def test_the_shipped_drop_bounces_on_the_floor_and_off_the_wall():
     assert -0.83 < lowest < -0.805
     assert 1.005 < farthest < 1.03
     assert run.nodes[0].mean(axis=0).argmax() < 100  # it comes back from the wall
-    assert run.health.work.unlocated == 0
+    assert run.health.work.missed == 0
     floor, wall = scene.model.ground
     model = tc.Model(
         scene.structure, strings=scene.model.strings, gravity=9.81, ground=[floor, wall]

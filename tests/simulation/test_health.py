@@ -25,7 +25,7 @@ def test_a_good_run_is_healthy(example):
     assert health.angular_momentum_change < 1e-12
     assert health.bar_length_error < 1e-8
     assert health.work.switches > 0
-    assert health.work.unlocated == 0
+    assert health.work.missed == 0
 
 
 def test_energy_is_not_judged_where_it_may_change(example):

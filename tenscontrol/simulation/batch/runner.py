@@ -86,7 +86,7 @@ class Runner:
         self.nodes, self.velocities = np.full(shape, np.nan), np.full(shape, np.nan)
         self.completed = np.zeros(scene.count, dtype=bool)
         self.end_time, self.messages = np.zeros(scene.count), dict[int, str]()
-        self.switches, self.unlocated = (np.zeros(scene.count, dtype=int) for _ in range(2))
+        self.switches, self.missed = (np.zeros(scene.count, dtype=int) for _ in range(2))
         self.command: FloatArray | None = None
         self.commands_not_ok: IntArray | None = None
         if controller is not None:
@@ -309,7 +309,7 @@ class Runner:
                 self._end(at[i], span.start + step * good[i], not_finite(int(good[i]), step))
         self._counts[at] += counts
         self.switches[at] += counts[:, 2].astype(int)
-        self.unlocated[at] += counts[:, 3].astype(int)
+        self.missed[at] += counts[:, 3].astype(int)
         return kept, ended
 
     def _one_by_one(
@@ -337,7 +337,7 @@ class Runner:
             kept[i, : found.states.shape[1]] = found.states.T
             self._work[run] = self._work.get(run, Work()) + found.work
             self.switches[run] += found.work.switches
-            self.unlocated[run] += found.work.unlocated
+            self.missed[run] += found.work.missed
         return kept, ended
 
     def _of_run(self, run: int) -> Integrator:

@@ -57,7 +57,7 @@ class Batch:
         Time up to which a run is good, s.
     messages : mapping of int to str
         Why a run did not reach the end, by its number.
-    switches, unlocated : ndarray of int, shape (runs,)
+    switches, missed : ndarray of int, shape (runs,)
         As in :class:`Work`.
     choice : Choice
         Method and step, and what ran them.
@@ -76,7 +76,7 @@ class Batch:
     end_time: FloatArray
     messages: Mapping[int, str]
     switches: IntArray
-    unlocated: IntArray
+    missed: IntArray
     choice: Choice
     command: FloatArray | None = None
     commands_not_ok: IntArray | None = None
@@ -269,6 +269,6 @@ def simulate_many(
     messages = dict(sorted((messages | runner.messages).items()))
     return Batch(
         model.structure, runner.time, runner.nodes, runner.velocities, kept, runner.completed,
-        runner.end_time, messages, runner.switches, runner.unlocated, runner.choice,
+        runner.end_time, messages, runner.switches, runner.missed, runner.choice,
         runner.command, runner.commands_not_ok, runner,
     )  # fmt: skip
