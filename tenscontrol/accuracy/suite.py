@@ -221,7 +221,7 @@ def judge(extreme: Extreme, known: Truth, method: str) -> Verdict:
 def _compared(
     extreme: Extreme, known: Truth, run: Trajectory, row: dict[str, Any], warned: list[str]
 ) -> Verdict:
-    estimate = run.position_error
+    estimate = None if run.error is None else float(run.error.max())
     outputs = known.comparable(0.0 if estimate is None else estimate)
     known_nodes = known.nodes[:, :, : known.outputs]
     errors = _apart(extreme, run.nodes[:, :, 1 : known.outputs + 1], known_nodes)  # 0 is the start

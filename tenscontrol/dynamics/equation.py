@@ -78,6 +78,10 @@ class InputLayout:
             start += size
         return found
 
+    def later(self, u: FloatArray, time: float) -> FloatArray:
+        """Return u that begins a time later, in numbers."""
+        return np.append(u[:-1], u[-1] + time) if self.degree else u
+
     def packed(self, coefficients: FloatArray, time: float) -> FloatArray:
         """Return u of coefficients of ascending powers, shape (count, degree + 1), at a time."""
         u = coefficients.ravel(order="F")

@@ -61,6 +61,9 @@ _SHORTEST = 10 * np.finfo(float).eps
 # A longer step, times the largest frequency, makes round-off grow, which no error estimate sees.
 _STABLE = 4.0
 
+# Where it limits the steps, this is what a tenth of the tolerance makes of them: its eighth root.
+_SHORTER = 0.75
+
 # What ending late at a switch may change of velocities, as part of what a step may err.
 _LATE = 0.003
 
@@ -106,6 +109,7 @@ class DOP853(Integrator):
         super().__init__(equation, project, machine_code)
         self.tolerance = checked_tolerance(tolerance)
         self._frequency = 0.0  # largest, rad/s
+        self._longest = _STABLE, 1.0  # over the largest frequency, and of the span
         self._held: FloatArray | None = None  # input for which it was found
         by = compiler() if machine_code else None
         built = self._kept(lambda: self._build(project, machine_code), project, machine_code, by)
@@ -130,6 +134,10 @@ class DOP853(Integrator):
         by = None if largest is None else SharedEvaluator(largest)
         return SharedEvaluator(chunk), SharedEvaluator(start), by, most, back_end, exact
 
+    def shorten(self) -> None:
+        """See :meth:`Integrator.shorten`."""
+        self._longest = _SHORTER * _STABLE, 0.5
+
     def advance(
         self,
         state: FloatArray,
@@ -153,7 +161,8 @@ class DOP853(Integrator):
         spacing = duration / outputs
         times: FloatArray = np.linspace(0.0, duration, outputs + 1)[1:]
         states = np.empty((n, outputs))
-        longest = min(_STABLE / max(self._frequency, 1e-300), duration)
+        stable, whole = self._longest
+        longest = min(stable / max(self._frequency, 1e-300), whole * duration)
         given = np.concatenate([held, [duration, spacing, longest], self.tolerance * scale])
         if self._largest is None and self._turns > 1:  # a column for each turn of the graph
             given = np.tile(given[:, None], (1, self._turns))

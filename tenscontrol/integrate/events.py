@@ -65,7 +65,7 @@ _MOST_HALVINGS = 5000
 CHATTER, _CHATTER_TIME = 200, 1e-6
 
 #: What a located step counts: tries of a step, each with the evaluations of one; landings on a
-#: switch, with two evaluations beside their tries; strings switched there; and in rests taken whole.
+#: switch, with two evaluations beside their tries; switches there, and in rests taken whole.
 COUNTS = ("tries", "landings", "switches", "missed")
 
 

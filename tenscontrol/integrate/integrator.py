@@ -198,6 +198,12 @@ class Integrator(ABC):
         """Return what is built once for the equation, this class and these settings."""
         return self._equation.prepared.get((type(self), *settings), build)
 
+    def shorten(self) -> None:  # noqa: B027  # the rule where steps are fixed
+        """Take shorter steps where stability or the span limits them, and not the tolerance.
+
+        A smaller tolerance would take the same steps there, and show no difference.
+        """
+
     @abstractmethod
     def advance(
         self,

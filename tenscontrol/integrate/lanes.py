@@ -178,18 +178,40 @@ class Lanes:
         )  # fmt: skip
         return kept, good, counts
 
-    def advance_one(
-        self, state: FloatArray, held: FloatArray, duration: float, outputs: int
+    @property
+    def single(self) -> _Lane:
+        """What integrates a single run."""
+        return _Lane(self)
+
+    def work_of(self, steps: int, counts: FloatArray) -> Work:
+        """See :meth:`FixedStep.work_of`."""
+        return self._integrator.work_of(steps, counts)
+
+
+class _Lane:
+    """One lane as an integrator of one run."""
+
+    def __init__(self, lanes: Lanes) -> None:
+        self._lanes = lanes
+
+    def shorten(self) -> None:
+        """See :meth:`Integrator.shorten`: steps are fixed."""
+
+    def advance(
+        self, state: FloatArray, held: FloatArray, duration: float, outputs: int, /
     ) -> Span:
-        """Return the states of one run, without its work; see :meth:`Integrator.advance`."""
-        go_on = ctypes.c_int(0)
-        kept, good, _ = self.advance(state[None], held[None], duration, outputs, go_on)
-        inner, (done,) = self.steps_between(duration, outputs), good.tolist()
+        """See :meth:`Integrator.advance`."""
+        lanes = self._lanes
+        kept, good, counts = lanes.advance(
+            state[None], held[None], duration, outputs, ctypes.c_int(0)
+        )
+        inner, (done,) = lanes.steps_between(duration, outputs), good.tolist()
+        work = lanes.work_of(done, counts[0])
         if done < outputs * inner:
             step = duration / (outputs * inner)
-            span = Span(kept[0, : done // inner].T, Work())
+            span = Span(kept[0, : done // inner].T, work)
             raise IntegrationError(not_finite(done, step), step * done, span)
-        return Span(kept[0].T, Work())
+        return Span(kept[0].T, work)
 
 
 def _place(array: Any) -> ctypes.c_void_p:

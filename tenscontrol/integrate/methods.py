@@ -13,7 +13,15 @@ from tenscontrol.integrate.energy_momentum import EnergyMomentum
 from tenscontrol.integrate.fixed_step import RK4
 from tenscontrol.integrate.integrator import Integrator, contact_frequency, largest_frequency
 from tenscontrol.integrate.rattle import Rattle, Rattle4, Rattle6
-from tenscontrol.validation import FloatArray, choice, function, text, truth, wrong_kind
+from tenscontrol.validation import (
+    FloatArray,
+    choice,
+    function,
+    text,
+    truth,
+    whole_number,
+    wrong_kind,
+)
 
 # The largest step of an explicit method is about this over the largest frequency.
 _STABLE = 3.0
@@ -52,6 +60,8 @@ class Method:
         the input at each time within it. Else profiles and moving supports are refused.
     locates : bool
         Whether steps end where a string or a contact switches.
+    order : int
+        Order of convergence, as far as the estimate of the error may count on it.
     """
 
     name: str
@@ -64,6 +74,7 @@ class Method:
     differentiates: bool = False
     follows: bool = False
     locates: bool = True
+    order: int = 1
 
     def __post_init__(self) -> None:
         text("name", self.name, "what the method is called")
@@ -75,6 +86,7 @@ class Method:
         function("make", self.make, "(equation, step=... or tolerance=...) -> Integrator")
         for name in ("drifts", "projects", "compiles", "differentiates", "follows", "locates"):
             truth(name, getattr(self, name), "what the method does")
+        whole_number("order", self.order, 1)
 
     @property
     def setting(self) -> str:
@@ -130,10 +142,10 @@ _STEP, _TOLERANCE = ("step",), ("tolerance",)
 _SYMPLECTIC = "symplectic without damping, fixed steps"
 _OWN = {"drifts": False, "follows": True}
 _ALL = (
-    Method("rk4", _STEP, "order 4, fixed steps; bar lengths drift", RK4, follows=True),
-    Method("rattle", _STEP, "order 2, symplectic, fixed steps", Rattle, **_OWN),
-    Method("rattle4", _STEP, f"order 4, {_SYMPLECTIC}", Rattle4, **_OWN),
-    Method("rattle6", _STEP, f"order 6, {_SYMPLECTIC}: the fastest", Rattle6, **_OWN),
+    Method("rk4", _STEP, "order 4, fixed steps; bar lengths drift", RK4, follows=True, order=4),
+    Method("rattle", _STEP, "order 2, symplectic, fixed steps", Rattle, order=2, **_OWN),
+    Method("rattle4", _STEP, f"order 4, {_SYMPLECTIC}", Rattle4, order=4, **_OWN),
+    Method("rattle6", _STEP, f"order 6, {_SYMPLECTIC}: the fastest", Rattle6, order=6, **_OWN),
     Method(
         "dop853",
         _TOLERANCE,
@@ -141,6 +153,7 @@ _ALL = (
         DOP853,
         projects=True,
         follows=True,
+        order=8,
     ),
     Method(
         "cvodes",
@@ -151,6 +164,7 @@ _ALL = (
         compiles=False,
         differentiates=True,
         follows=True,
+        order=5,
     ),
     Method(
         "energy_momentum",
@@ -162,6 +176,7 @@ _ALL = (
         differentiates=True,
         follows=True,
         locates=False,
+        order=2,
     ),
 )
 

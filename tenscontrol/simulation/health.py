@@ -52,8 +52,10 @@ class Health:
     bar_length_error : float
         Largest change of the length of a bar, as part of its length.
     position_error : float or None
-        Estimate of the error of the nodes at the end, as part of the size of
-        the structure: see :attr:`Trajectory.position_error`.
+        Largest estimate of the error of the nodes, as part of the size of the structure: see
+        :attr:`Trajectory.error`.
+    trusted_until : float or None
+        Time up to which that stays below its limit, s.
     work : Work
         Steps, rejections, evaluations and switches.
     penetration : float or None
@@ -74,6 +76,7 @@ class Health:
     angular_momentum_change: float | None
     bar_length_error: float
     position_error: float | None
+    trusted_until: float | None
     work: Work
     penetration: float | None = None
     damping_work: float | None = None
@@ -122,7 +125,7 @@ class HealthLimits:
     momentum_change: float | None = None
     angular_momentum_change: float | None = None
     bar_length_error: float | None = 1e-3
-    position_error: float | None = 0.1
+    position_error: float | None = 0.01
     steps: float | None = None
     evaluations: float | None = None
     switches: float | None = None
@@ -166,6 +169,8 @@ class HealthLimits:
             if value is not None and value > limit:
                 what = each.name.replace("_", " ")
                 why = _PHYSICAL.get(each.name, "")
+                if each.name == "position_error":
+                    why = f" of the size after {health.trusted_until:.4g} s"
                 found.append(f"{what} {value:.2g} is above its limit {limit:g}{why}")
         return found
 

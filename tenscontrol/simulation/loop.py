@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import pairwise
 from math import ceil
 
 import numpy as np
@@ -31,22 +33,12 @@ from tenscontrol.integrate import (
 )
 from tenscontrol.interrupt import finishing
 from tenscontrol.simulation.contacts import Segments, record_contacts
+from tenscontrol.simulation.error_estimate import Motion, Path, Stage
 from tenscontrol.simulation.faults import Faults
 from tenscontrol.simulation.health import BLOCK, ControlRecord, Given, Quantities
 from tenscontrol.simulation.trajectory import Trajectory
-from tenscontrol.structure import Structure, carried_by_supports, node_mass
+from tenscontrol.structure import carried_by_supports, node_mass
 from tenscontrol.validation import FloatArray, frozen, positive_number
-
-# Intervals that are integrated again: those in which velocities change most, others spread over
-# the motion, and the largest part of it that they may be.
-_VIOLENT, _SPREAD, _SHARE = 4, 16, 0.25
-
-# These intervals may miss the worst of the motion.
-_SAFETY = 2.0
-
-# A method that steps across impacts leaves its nodes off by more than the centre of mass: impulses
-# turn a structure, and bend it.
-_BY_CENTRE = 10.0
 
 # A support whose place changes by more than this part of the size at once jumps; supports whose
 # motions differ by less than the second part of the largest move alike.
@@ -77,6 +69,7 @@ class _Stretch:
     origin: float  # from which the polynomials count, s
     coefficients: FloatArray  # of all inputs
     released: float  # what strings cut by then had stored, J
+    jump: FloatArray | None = None  # of the velocities of supports at its beginning, m/s
 
     def values(self, rows: slice, order: int = 0) -> FloatArray:
         """Return some of the inputs at the times kept, or their rates."""
@@ -121,6 +114,8 @@ class Loop:
     choice: Choice | None = None
     note: str | None = None
     given: Given = field(default_factory=Given)
+    estimates_error: bool = True
+    error_limit: float = 0.01
 
     def __post_init__(self) -> None:
         self._method = method_of(self.method)
@@ -188,11 +183,14 @@ class Loop:
             equation = self._equation_of("mapped")
         # Not what the user says of a method that he has not chosen, and that needs no projection.
         project = self.project if method.drifts or self._method is not None else None
-        integrator = method.integrator(
-            equation, chosen.value, chosen.setting, project, self.machine_code
-        )
-        self.choice = replace(chosen, back_end=integrator.back_end)
-        return integrator
+
+        def integrator(value: float) -> Integrator:
+            return method.integrator(equation, value, chosen.setting, project, self.machine_code)
+
+        self._integrator_for, self._order = integrator, method.order
+        made = integrator(chosen.value)
+        self.choice = replace(chosen, back_end=made.back_end)
+        return made
 
     def run(
         self, state: FloatArray, held: FloatArray | tuple[FloatArray, FloatArray] | Pieces,
@@ -252,8 +250,10 @@ class Loop:
             np.pad(coefficients, ((0, 0), (0, more))) if more else coefficients, self.now + close
         )
         held = self._packed(coefficients, self.now - origin)
+        jump = None
         if self.offset is not None:
-            state = self._kicked(state, held, origin, coefficients)
+            jump = self._support_jump(origin, coefficients)
+            state = self._pushed(state, held, jump)
         if self.integrator is None:
             self.integrator = self._prepare(state, held)
             first = np.array([self.now])
@@ -262,7 +262,7 @@ class Loop:
 
         def add(span: Span) -> None:
             times = start + duration * np.arange(1, span.states.shape[1] + 1) / outputs
-            self._keep(_Stretch(times, span.states, state, origin, coefficients, 0.0))
+            self._keep(_Stretch(times, span.states, state, origin, coefficients, 0.0, jump))
             self.work += span.work
 
         start, report = self.now, self.report
@@ -281,15 +281,17 @@ class Loop:
             self.offset_rate = self.spans[-1].values(self._offsets, 1)[:, -1]
         return span.states[:, -1]
 
-    def _kicked(
-        self, state: FloatArray, held: FloatArray, origin: float, coefficients: FloatArray
-    ) -> FloatArray:
-        """Return the state after a jump of the velocity of supports, if there is one."""
+    def _support_jump(self, origin: float, coefficients: FloatArray) -> FloatArray | None:
+        """Return by how much the velocity of supports jumps now, None if it does not."""
         time = np.array([self.now - origin])
         rate = polynomial_at(coefficients[self._offsets], time, 1)[:, 0]
         jump = rate if self.offset_rate is None else rate - self.offset_rate
         self.offset_rate = rate
-        if not jump.any():
+        return jump if jump.any() else None
+
+    def _pushed(self, state: FloatArray, held: FloatArray, jump: FloatArray | None) -> FloatArray:
+        """Return the state after a jump of the velocity of supports."""
+        if jump is None:
             return state
         slope, layout = Evaluator(self._equation.slope), self._equation.layout
         pushed, taut = held.copy(), np.ones(self._equation.switches)
@@ -400,16 +402,8 @@ class Loop:
         time = np.concatenate([s.time for s in spans])
         released = np.repeat([s.released for s in spans], [len(s.time) for s in spans])
         error = None
-        if stopped is None and self.choice.setting == "tolerance":
-            # Each step may err by the tolerance, and errors add up.
-            error = self.choice.value * self.work.steps
-        elif stopped is None:
-            step = self.choice.value
-            states = np.hstack([s.states for s in spans])
-            error = step_doubling_error(
-                self.integrator.advance, step, structure, time, states, self._interval
-            )
-            del states  # before as much memory is taken again
+        if self.estimates_error and stopped is None:
+            error = self._estimated_error()
         nodes, velocities = self._all_motion()
         inputs = self._all_values(self._strings)
         quantities = Quantities(model, self.offset is not None, inputs)
@@ -436,11 +430,6 @@ class Loop:
             given = contacts.impulse.sum(axis=1) + np.outer(self.load.sum(axis=1), time - time[0])
             off = linear - linear[:, :1] - given
             contacts = replace(contacts, impulse_error=float(np.abs(off).max()))
-            # How far that takes the centre of mass.
-            if error is not None and not (self._method or METHODS[self.choice.method]).locates:
-                moved = np.cumsum((off[:, 1:] + off[:, :-1]) / 2 * np.diff(time), axis=1)
-                reach = float(model.mass_matrix().sum() * np.ptp(structure.nodes, axis=1).max())
-                error += _BY_CENTRE * float(np.abs(moved).max(initial=0.0)) / reach
         run = Trajectory(
             structure=structure,
             time=frozen(time),
@@ -455,7 +444,8 @@ class Loop:
             conserves_momentum=not loaded and free and contacts is None,
             control=control,
             stopped=stopped,
-            position_error=error,
+            error=error,
+            error_limit=self.error_limit,
             released_energy=frozen(released),
             falls=free and contacts is None and float(model.constant_force[-1].sum()) < 0,
             contacts=contacts,
@@ -467,6 +457,29 @@ class Loop:
         )
         vars(run).update(known)
         return run
+
+    def _estimated_error(self) -> FloatArray | None:
+        """Return an estimate of the error of the nodes at all times kept; None if interrupted."""
+        assert self.choice is not None  # made before the first span
+        stages, half = [], len(self.model.structure.free_rows)
+        for before, span in pairwise(self.spans):
+            start = float(before.time[-1])
+            held = self._packed(span.coefficients, start - span.origin)
+            begin = partial(self._pushed, held=held, jump=span.jump)
+            length = float(span.time[-1]) - start
+            stages.append(Stage(length, len(span.time), held, begin))
+        positions = np.hstack([span.states[:half] for span in self.spans[1:]])
+        switches = self.work.switches + self.work.missed
+        motion = Motion(
+            self.model.structure, self.spans[0].begin, stages,
+            Path(np.arange(positions.shape[1]), positions, switches), np.arange(half),
+            self.choice.setting, self.choice.value, self._order,
+            self._integrator_for, self._equation.layout.later,
+        )  # fmt: skip
+        try:
+            return frozen(np.concatenate([[0.0], motion.estimated_error()]))
+        except KeyboardInterrupt:
+            return None
 
     def _all_values(self, rows: slice, order: int = 0) -> FloatArray:
         """Return some of the inputs at all times kept, or their rates, read-only."""
@@ -542,58 +555,3 @@ def support_offset(model: Model, value: object, start: float, end: float) -> Pie
     shape = n, len(fixed)
     moves = csr_array((np.ones(len(nodes)), (nodes, column[nodes])), shape=shape)
     return given.mapped(kron(moves, eye_array(d)).tocsr())
-
-
-def step_doubling_error(
-    advance: Callable[..., Span],
-    step: float,
-    structure: Structure,
-    time: FloatArray,
-    states: FloatArray,
-    interval: Callable[[int], tuple[FloatArray, FloatArray]],
-) -> float | None:
-    """Estimate the error of the nodes at the end by step doubling, as part of the size.
-
-    Some intervals of the motion are integrated again in half the steps by ``advance``, as that of
-    an integrator, each from the state and with the input that ``interval`` tells. The difference is
-    about the error made there. Errors where velocities change most are added, those of velocities
-    by how far they lead in the time left, or in the time in which the motion covers its own size;
-    the mean of the rest stands for all others. The estimate is twice that: right if errors add up,
-    far too high for symplectic methods, whose errors mostly cancel. It detects too long a step
-    where energy and bar lengths do not: under damping, under a controller, in conserving methods.
-    None where too few states were kept, or the user interrupts; infinite where the motion runs
-    away.
-    """
-    intervals = len(time) - 1
-    most = int(_SHARE * intervals)
-    if most == 0:
-        return None
-    half = len(states) // 2
-    speed = float(np.abs(states[half:]).max())
-    size = float(np.ptp(structure.nodes, axis=1).max())
-    reach = size / speed if speed > 0 else float("inf")
-    jumps = np.abs(np.diff(states[half:], axis=1)).max(axis=0)
-    violent = np.argsort(jumps)[::-1][: min(_VIOLENT, most // 2)]
-    spread = np.linspace(0, intervals - 1, min(_SPREAD, most)).round().astype(int)
-    spread = np.setdiff1d(spread, violent)
-    errors = {}
-    for k in (*violent, *spread):
-        duration = float(time[k + 1] - time[k])
-        halves = 2 * max(1, ceil(duration / step - 1e-9))
-        try:
-            span = advance(*interval(k), duration, halves)
-        except IntegrationError:
-            return float("inf")
-        except KeyboardInterrupt:
-            return None
-        change = np.zeros((2, structure.nodes.size))
-        change[:, structure.free_rows] = np.split(span.states[:, -1] - states[:, k + 1], 2)
-        of_nodes = change.reshape(2, -1, structure.dimension)
-        moved, sped = np.linalg.norm(of_nodes, axis=2).max(axis=1)
-        errors[k] = moved
-        if k in violent:
-            errors[k] = max(moved, sped * min(float(time[-1] - time[k + 1]), reach))
-    rest = intervals - len(violent)
-    mean = float(np.mean([errors[k] for k in spread])) if len(spread) else 0.0
-    worst = float(sum(errors[k] for k in violent))
-    return _SAFETY * (worst + rest * mean) / size

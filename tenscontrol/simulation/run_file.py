@@ -85,9 +85,10 @@ _ARRAY = np.ndarray
 _PARTS: dict[str, type | tuple[type, ...]] = {
     "structure": Structure, "choice": Choice, "work": Work, "faults": tuple, "given": Given,
     "conserves_energy": bool, "conserves_momentum": bool, "falls": bool, "moved": bool,
-    "stopped": (str, NoneType), "note": (str, NoneType), "position_error": (float, NoneType),
+    "stopped": (str, NoneType), "note": (str, NoneType), "error_limit": (float,),
     "control": (ControlRecord, NoneType), "contacts": (ContactRecord, NoneType),
     "ground": (tuple, Unsaved), "model": (dict, Unsaved, NoneType), "load": (_ARRAY, NoneType),
+    "error": (_ARRAY, NoneType),
     "rest_length": (_ARRAY, NoneType), "time": _ARRAY, "nodes": _ARRAY, "velocities": _ARRAY,
     "released_energy": _ARRAY, **dict.fromkeys(EVALUATED, _ARRAY),
 }  # fmt: skip
@@ -95,6 +96,7 @@ _PARTS: dict[str, type | tuple[type, ...]] = {
 # Arrays by the name of the attribute, with the letters of their dimensions: one letter, one length.
 _SHAPES = {
     "time": "T", "nodes": "dnT", "velocities": "dnT", "rest_length": "aT", "released_energy": "T",
+    "error": "T",
     "force_density": "aT", "kinetic_energy": "T", "potential_energy": "T", "momentum": "dT",
     "angular_momentum": "rT", "bar_length_error": "bT", "control_time": "K",
     "control_command": "wK", "control_applied": "wK", "control_status": "K",
@@ -112,8 +114,8 @@ _SHAPES = {
     "contacts_impulse": "dcT", "contacts_deepest": "c", "contacts_touch": "k",
     "contacts_begin": "k", "contacts_end": "k",
 }  # fmt: skip
-# Of these, NaN says that there was none, and deviations may be infinite.
-_MAY_BE_NAN = ("control_prediction_error", "control_estimate_")
+# Of these, NaN says that there was none; deviations and estimates of errors may be infinite.
+_MAY_BE_NAN = ("error", "control_prediction_error", "control_estimate_")
 # Of a run that ended early the rest may have overflowed.
 _MOTION = ("time", "nodes", "velocities", "rest_length")
 

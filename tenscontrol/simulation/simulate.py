@@ -74,6 +74,7 @@ def simulate(
     project: bool | None = None,
     machine_code: bool = False,
     limits: HealthLimits | None = None,
+    error: str = "estimate",
     progress: bool = False,
     estimator: KalmanFilter | None = None,
     sensors: Sensors | None = None,
@@ -149,6 +150,10 @@ def simulate(
         run in CasADi's virtual machine; see ``run.choice.back_end``.
     limits : HealthLimits, optional
         Limits on the figures in ``run.health``; ``HealthLimits()`` if not given.
+    error : {"estimate", "none"}
+        Whether to estimate the error of the motion, ``run.error``, by a second run at another
+        resolution. With a tolerance it takes about as long as the run, with a fixed step half as
+        long.
     progress : bool
         Whether to show a progress bar; never shown away from a terminal.
     estimator : KalmanFilter, optional
@@ -250,6 +255,7 @@ def simulate(
     duration = positive_number("duration", duration, "s")
     tolerance = positive_number("tolerance", tolerance, "of size and speed")
     truth("progress", progress, "whether to show a progress bar")
+    choice("error", error, ("estimate", "none"))
     if project is not None:
         truth("project", project, "whether to make bar lengths exact after each step")
     if limits is not None:
@@ -310,7 +316,10 @@ def simulate(
             machine_code=truth("machine_code", machine_code, "whether to compile the steps"),
             degree=_degree(held, what, winches),
             offset=offset,
+            estimates_error=error == "estimate",
         )
+        limits = HealthLimits() if limits is None else limits
+        loop.error_limit = limits.position_error or loop.error_limit
         loop.given = _given(
             law is None,
             rest_length=rest_length,
@@ -355,7 +364,7 @@ def simulate(
         what = stopped or "was interrupted at its end, and is complete"
         warnings.warn(f"the simulation {what}", InterruptionWarning, stacklevel=2)
     if stopped is None:
-        check_health(run, HealthLimits() if limits is None else limits)
+        check_health(run, limits)
         found = [] if run.control is None else run.control.problems
         if found:
             warnings.warn(
@@ -390,6 +399,8 @@ def check_health(run: Trajectory, limits: HealthLimits) -> None:
     # How deep nodes sink, and a fall, are no errors of the integration.
     if replace(limits, penetration=None, fall=None).passed(health):
         text += f": the motion may not be accurate. Try {finer}"
+    if "position_error" in limits.names and health.trusted_until not in (None, run.time[-1]):
+        text += "; what magnifies errors needs a shorter run, see run.error"
     if limits.action == "raise":
         raise SimulationError(text, run)
     warnings.warn(text, AccuracyWarning, stacklevel=3)

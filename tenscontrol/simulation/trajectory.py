@@ -72,11 +72,13 @@ class Trajectory(Viewable):
         What strings stored that have been cut before each time, J: lost with them.
     stopped : str or None
         Why the motion ends early; None where it does not.
-    position_error : float or None
-        Estimate of the error of the nodes at the end, as part of the size: by step doubling over
-        parts of the motion; with a tolerance, that times the steps; and of ``energy_momentum``, by
-        where impulses of the ground leave the centre of mass. None where few states were kept, or
-        the motion ends early. Motions that magnify errors need :func:`predictability`.
+    error : ndarray, shape (T,), or None
+        Estimate of the error of the nodes at each time, as part of the size: of the node that is
+        off most. It is the difference from the same motion at another resolution, under a
+        controller with the same commands, so that it sees what magnifies errors. Infinite from
+        where the other motion could not go on. None where it was left out, or the run ended early.
+    error_limit : float
+        Limit on the error, up to which the motion is trusted.
     faults : tuple of Fault
         What was made to break.
     note : str or None
@@ -102,7 +104,8 @@ class Trajectory(Viewable):
     control: ControlRecord | None
     released_energy: FloatArray
     stopped: str | None = None
-    position_error: float | None = None
+    error: FloatArray | None = None
+    error_limit: float = 0.01
     faults: tuple[Fault, ...] = ()
     note: str | None = None
     contacts: ContactRecord | None = None
@@ -131,6 +134,14 @@ class Trajectory(Viewable):
     def evaluations(self) -> int:
         """Number of evaluations of the right-hand side."""
         return self.work.evaluations
+
+    @property
+    def trusted_until(self) -> float | None:
+        """Time up to which the error stays below its limit, s; None where it was not estimated."""
+        if self.error is None:
+            return None
+        above = np.flatnonzero(self.error > self.error_limit)
+        return float(self.time[above[0] - 1] if len(above) else self.time[-1])
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle and copy with all that has not been evaluated yet, and without the model."""
@@ -276,7 +287,8 @@ class Trajectory(Viewable):
             momentum_change=changes.get("momentum_change"),
             angular_momentum_change=changes.get("angular_momentum_change"),
             bar_length_error=float(stretch.max(initial=0.0)),
-            position_error=self.position_error,
+            position_error=None if self.error is None else float(self.error.max()),
+            trusted_until=self.trusted_until,
             work=self.work,
             fall=self._fall,
             **({} if self.contacts is None else self._of_ground(self.contacts)),
@@ -384,8 +396,12 @@ class Trajectory(Viewable):
             lines.append(f"method            {self.choice.reason}")
         if self.choice.back_end != "virtual machine":
             lines.append(f"steps run in      {self.choice.back_end}")
-        if self.position_error is not None:
-            lines.append(f"position error    {self.position_error:.1e} of the size, estimated")
+        if self.error is not None:
+            lines.append(f"position error    {self.error.max():.1e} of the size, estimated")
+        if self.trusted_until is not None and self.trusted_until < self.time[-1]:
+            lines.append(
+                f"trusted until     {self.trusted_until:.4g} s: error below {self.error_limit:g}"
+            )
         if self.work.rejections:
             lines.append(f"rejected steps    {self.work.rejections}")
         if self.work.switches:

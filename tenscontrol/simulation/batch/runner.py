@@ -30,8 +30,8 @@ from tenscontrol.integrate import (
 from tenscontrol.interrupt import check
 from tenscontrol.simulation.batch.batch_inputs import MASSES, BatchInputs, InputSpan
 from tenscontrol.simulation.batch.compiled_loop import MOST_CONTROLLERS, CompiledLoops
+from tenscontrol.simulation.error_estimate import Motion, Path, Resolved, Stage
 from tenscontrol.simulation.health import Given, Quantities, by_node
-from tenscontrol.simulation.loop import step_doubling_error
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.validation import LARGEST, FloatArray, IntArray, refuse_memory
 
@@ -186,9 +186,12 @@ class Runner:
         # Strings without any damping have simpler equations.
         return damping is None or bool((damping > 0).any(axis=1).all())
 
-    def _integrator(self, equation: Equation, machine_code: bool) -> Integrator:
+    def _integrator(
+        self, equation: Equation, machine_code: bool, value: float | None = None
+    ) -> Integrator:
+        value = self.choice.value if value is None else value
         return self._method.integrator(
-            equation, self.choice.value, self.choice.setting, self._project, machine_code
+            equation, value, self.choice.setting, self._project, machine_code
         )
 
     # ---- blocks ----
@@ -353,15 +356,18 @@ class Runner:
             made[key] = self._made_for(run)
         return made[key]
 
-    def _made_for(self, run: int) -> Integrator:
-        """Return a new integrator: of the equation that all share, or of the run's own."""
+    def _made_for(self, run: int, value: float | None = None) -> Integrator:
+        """Return a new integrator: of the equation that all share, or of the run's own.
+
+        ``value`` is its step or tolerance, that of the batch if not given.
+        """
         code = self.how.machine_code
         if self._shares:
-            return self._integrator(self._shared, code)
+            return self._integrator(self._shared, code, value)
         equation = self._equation(self.scene.model_of(run), "auto", ())
         if self._method.differentiates and equation.form == "loops":
             equation = self._equation(self.scene.model_of(run), "mapped", ())
-        return self._integrator(equation, code)
+        return self._integrator(equation, code, value)
 
     def _end(self, run: int, time: float, why: str) -> None:
         self.end_time[run] = time
@@ -400,42 +406,20 @@ class Runner:
         inputs: FloatArray = np.broadcast_to(held[:, None], (len(held), len(of)))
         if self.command is not None:
             inputs = self.command[run][:, of]
-        work, error = self._work.get(run), None
         load = scene.entry("load", run)
         if load is None:
             assert not isinstance(scene.load, Pieces)  # refused where it changes
             load = scene.load
         load = load.reshape(structure.nodes.shape, order="F")
         loaded, free = bool(load.any()), not len(structure.fixed_rows)
-        if work is None:
-            plain = self._plain
-            assert isinstance(plain, FixedStep)  # of which the lanes were made
-            steps = (s.outputs * plain.steps_between(s.length, s.outputs) for s in self.spans)
-            work = plain.work_of(sum(steps), self._counts[run])
-        if choice.setting == "tolerance":
-            error = choice.value * work.steps
-        else:
-            lanes = self._lanes
-            advance = self._of_run(run).advance if lanes is None else lanes.advance_one
-            states = np.vstack([by_node(part)[structure.free_rows] for part in (nodes, velocities)])
-
-            def interval(k: int) -> tuple[FloatArray, FloatArray]:
-                span = self.spans[of[k + 1]]
-                u = scene.held_inputs(run, run + 1, span, self._shares)[0]
-                u[: len(inputs)] = inputs[:, k + 1]
-                return states[:, k], u
-
-            error = step_doubling_error(
-                advance, choice.value, structure, self.time, states, interval
-            )
         damped = model.strings is not None and model.strings.is_damped
         return Trajectory(
             structure, self.time, nodes, velocities,
-            inputs if scene.input == "rest_length" else None, choice, work,
+            inputs if scene.input == "rest_length" else None, choice, self._work_of(run),
             conserves_energy=self.command is None
             and not (scene.input == "rest_length" and damped),
             conserves_momentum=not loaded and free, control=None,
-            released_energy=np.zeros(len(of)), position_error=error,
+            released_energy=np.zeros(len(of)), error=self.error(run),
             falls=free and float(model.constant_force[-1].sum()) < 0,
             given=Given({scene.input: held} if self.command is None else {}),
             _quantities=Quantities(
@@ -443,6 +427,50 @@ class Runner:
                 shared=partial(self._function, run, model) if self._shares else None,
             ),
         )  # fmt: skip
+
+    def _work_of(self, run: int) -> Work:
+        work = self._work.get(run)
+        if work is not None:
+            return work
+        plain = self._plain
+        assert isinstance(plain, FixedStep)  # of which the lanes were made
+        steps = (s.outputs * plain.steps_between(s.length, s.outputs) for s in self.spans)
+        return plain.work_of(sum(steps), self._counts[run])
+
+    def error(self, run: int) -> FloatArray:
+        """Return an estimate of the error of the nodes that were kept, as part of the size.
+
+        At each time kept, of a run that was completed. Commands of a controller are replayed.
+        """
+        scene, structure = self.scene, self.scene.model.structure
+        stages = []
+        for number, span in enumerate(self.spans):
+            held = scene.held_inputs(run, run + 1, span, self._shares)[0]
+            if self.command is not None:
+                command = self.command[run, :, number]
+                held[: len(command)] = command
+            stages.append(Stage(span.length, span.outputs, held))
+        columns = np.arange(sum(span.outputs for span in self.spans))
+        if self._ends_alone:
+            columns = columns[-1:]
+        is_known = self._from >= 0
+        positions = by_node(self.nodes[run])[is_known, 1:]
+        motion = Motion(
+            structure, scene.states(run, run + 1)[0][0], stages,
+            Path(columns, positions, int(self.switches[run] + self.missed[run])),
+            self._from[is_known], self.choice.setting, self.choice.value, self._method.order,
+            partial(self._resolved, run), self._equation(scene.model, "auto", ()).layout.later,
+        )  # fmt: skip
+        return np.concatenate([[0.0], motion.estimated_error()])
+
+    def _resolved(self, run: int, value: float) -> Resolved:
+        """Return what integrates a run with another step or tolerance."""
+        if self._lanes is None:
+            return self._made_for(run, value)
+        plain = self._integrator(self._shared, False, value)
+        lanes = Lanes.of(plain, self._shared, self._projects)
+        assert lanes is not None  # those of the runs have the same code
+        return lanes.single
 
     def _function(self, run: int, model: Model, name: str) -> tuple[ca.Function, list[FloatArray]]:
         """Return a function of the model of a run, compiled where all runs share it, and inputs."""

@@ -1,0 +1,257 @@
+"""Estimate of the global error of a motion."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import reduce
+from math import ceil
+from typing import Protocol
+
+import numpy as np
+
+from tenscontrol.integrate import IntegrationError, Span
+from tenscontrol.structure import Structure
+from tenscontrol.validation import FloatArray, IntArray
+
+# With a tolerance, the motion is found again with this part of it, and so many times the difference
+# is the estimate. A method of order 2 would need more than twice the steps: it takes half as many,
+# with this multiple of the tolerance.
+_TIGHTER, _SAFETY, _LOOSER = 0.1, 2.0, 8.0
+
+# Steps of twice the length are taken where they are fewer than this part.
+_FEWER = 0.75
+
+# The part of a motion with fixed steps that is found in steps four times as long, to see the order,
+# and the times in it, as parts of it, at which it is looked for.
+_OF_ORDER, _SEEN_AT = 0.2, (0.25, 0.5, 0.75, 1.0)
+
+# A difference above this part of the size no longer grows with the step, and shows no order.
+_SATURATED = 0.05
+
+
+class Resolved(Protocol):
+    """What integrates a span at a step or tolerance; see :class:`Integrator`."""
+
+    def shorten(self) -> None:
+        """Take shorter steps where it is not the tolerance that limits them."""
+
+    def advance(
+        self, state: FloatArray, held: FloatArray, duration: float, outputs: int, /
+    ) -> Span:
+        """Return the states at so many equally spaced times, the last at the end."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """A time over which the inputs of a motion are one polynomial.
+
+    Attributes
+    ----------
+    length : float
+        s.
+    outputs : int
+        Number of equally spaced times, the last at the end.
+    held : ndarray, shape (inputs,)
+        The inputs as integrators take them, from the beginning on.
+    begin : callable, optional
+        Takes the state at the end of the stage before to the one that this begins with.
+    """
+
+    length: float
+    outputs: int
+    held: FloatArray
+    begin: Callable[[FloatArray], FloatArray] | None = None
+
+    @property
+    def spacing(self) -> float:
+        """Time from one output to the next, s."""
+        return self.length / self.outputs
+
+    def strides(self, step: float, factor: float) -> list[tuple[int, int]]:
+        """Return how the outputs are reached in steps by a factor longer: (strides, outputs each).
+
+        A step may pass several outputs. What is left in the end is a shorter stride.
+        """
+        every = min(self.outputs, max(1, round(factor / _steps(self.spacing, step))))
+        whole, rest = divmod(self.outputs, every)
+        return [(whole, every), *([(1, rest)] if rest else [])]
+
+    def steps(self, step: float, factor: float) -> int:
+        """Return how many steps these are."""
+        strides = self.strides(step, factor)
+        return sum(k * _steps(every * self.spacing, factor * step) for k, every in strides)
+
+
+def _steps(time: float, step: float) -> int:
+    """Return how many steps a method with a fixed step takes over a time."""
+    return max(1, ceil(time / step - 1e-9))
+
+
+def _common(one: IntArray, other: IntArray) -> IntArray:
+    return np.intersect1d(one, other, assume_unique=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """Positions of a motion at some of its outputs, and how often strings or contacts switched.
+
+    Attributes
+    ----------
+    columns : ndarray of int, shape (k,)
+        Outputs, counted from 0 over all stages, ascending.
+    positions : ndarray, shape (coordinates, k)
+        m.
+    switches : int
+        As far as it is known.
+    """
+
+    columns: IntArray
+    positions: FloatArray
+    switches: int
+
+    def at(self, columns: IntArray) -> FloatArray:
+        """Return the positions at outputs that are among its own."""
+        return self.positions[:, np.searchsorted(self.columns, columns)]
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A motion that can be integrated again at another resolution.
+
+    Attributes
+    ----------
+    structure : Structure
+    start : ndarray, shape (states,)
+    stages : sequence of Stage
+    path : Path
+        What was kept of it.
+    rows : ndarray of int, shape (coordinates,)
+        Place of each coordinate that was kept among those of a state.
+    setting : {"step", "tolerance"}
+    value : float
+        Step, s, or tolerance.
+    order : int
+        Of the method.
+    integrator : callable
+        Makes the integrator for another value.
+    later : callable
+        ``(held, time) -> held`` of a span that begins a time later, s.
+    """
+
+    structure: Structure
+    start: FloatArray
+    stages: Sequence[Stage]
+    path: Path
+    rows: IntArray
+    setting: str
+    value: float
+    order: int
+    integrator: Callable[[float], Resolved]
+    later: Callable[[FloatArray, float], FloatArray]
+
+    def estimated_error(self) -> FloatArray:
+        """Return the error of the nodes at each output that was kept, as part of the size.
+
+        The motion is integrated again at another resolution. What magnifies errors magnifies the
+        difference as much, so that it tells the global error, not that of a step. With a tolerance
+        it is twice the difference from a tenth of it. With fixed steps it is the difference from
+        steps of twice the length; for methods of order 4 and 6 divided by what the order allows, as
+        far as steps of four times the length show it in the first part of the motion, and only
+        where as many switches were found. Infinite from where no other motion can be found.
+        """
+        if self.setting == "tolerance":
+            if self.order <= 2:
+                return self._difference(self._again(_LOOSER))
+            found = _SAFETY * self._difference(self._again(_TIGHTER))
+            # So tight a tolerance may be out of reach.
+            return found if np.isfinite(found[-1]) else self._difference(self._again(1 / _TIGHTER))
+        steps, fewer = (sum(each.steps(self.value, f) for each in self.stages) for f in (1, 2))
+        if fewer > _FEWER * steps:  # inputs change with each step
+            return _SAFETY * self._difference(self._again(0.5))
+        coarse = self._again(2)
+        found = self._difference(coarse)
+        if not np.isfinite(found[-1]):  # some motions need the steps that they have
+            return _SAFETY * self._difference(self._again(0.5))
+        if self.order > 2 and coarse.switches == self.path.switches:
+            divisor = 2 ** self._order_seen(coarse) - 1
+            found[np.maximum.accumulate(found) < _SATURATED] *= min(1.0, _SAFETY / divisor)
+        return found
+
+    def _order_seen(self, coarse: Path) -> float:
+        """Return the order by which differences grow with the step, at most that of the method."""
+        coarser = self._again(4, _OF_ORDER)
+        columns = reduce(_common, (each.columns for each in (self.path, coarse, coarser)))
+        if not len(columns):
+            return 1.0
+        at = np.ceil(np.multiply(_SEEN_AT, len(columns) - 1)).astype(int)
+        pairs = (self.path, coarse), (coarse, coarser)
+        less, more = (
+            np.maximum.accumulate(self._distance(one.at(columns), other.at(columns)))[at]
+            for one, other in pairs
+        )
+        ratio = float((more / np.maximum(less, np.finfo(float).tiny)).min())
+        return float(np.clip(np.log2(max(ratio, 1.0)), 1.0, self.order))
+
+    def _again(self, factor: float, part: float = 1.0) -> Path:
+        """Return the motion for a value by a factor larger, over a first part of the time."""
+        integrator, state = self.integrator(factor * self.value), self.start
+        if factor < 1:
+            integrator.shorten()
+        columns, positions = [np.zeros(0, int)], [self.start[self.rows, None][:, :0]]
+        first, switches, left = 0, 0, part * sum(stage.length for stage in self.stages)
+        for stage in self.stages:
+            if left <= 0:
+                break
+            state = state if stage.begin is None else stage.begin(state)
+            passed = 0
+            for count, every in self._strides(stage, factor):
+                time = every * stage.spacing
+                some = min(count, max(0, ceil(left / time)))
+                if not some:
+                    break
+                inputs = stage.held
+                if passed:
+                    inputs = self.later(inputs, passed * stage.spacing)
+                try:
+                    span = integrator.advance(state, inputs, some * time, some)
+                except IntegrationError as error:
+                    span = error.span
+                reached = span.states.shape[1]
+                columns.append(first + passed - 1 + every * np.arange(1, reached + 1))
+                positions.append(span.states[self.rows])
+                switches += span.work.switches + span.work.missed
+                passed += every * some
+                left = left - some * time if reached == some else 0.0
+                state = span.states[:, -1] if reached else state
+            first += stage.outputs
+        return Path(np.concatenate(columns), np.hstack(positions), switches)
+
+    def _strides(self, stage: Stage, factor: float) -> list[tuple[int, int]]:
+        if self.setting == "step":
+            return stage.strides(self.value, factor)
+        # Outputs may limit the steps of a tolerance.
+        return stage.strides(stage.spacing, 2) if factor > 1 else [(stage.outputs, 1)]
+
+    def _difference(self, other: Path) -> FloatArray:
+        """Return how far the motion is from another at the outputs that were kept.
+
+        At one that the other does not have, it is the larger of those beside.
+        """
+        columns = _common(self.path.columns, other.columns)
+        off = self._distance(self.path.at(columns), other.at(columns))
+        off = np.concatenate([[0.0], off, [np.inf]])
+        kept = self.path.columns
+        after = np.searchsorted(columns, kept)
+        is_met = np.isin(kept, columns, assume_unique=True)
+        return np.maximum(off[after + 1], np.where(is_met, 0.0, off[after]))
+
+    def _distance(self, one: FloatArray, other: FloatArray) -> FloatArray:
+        """Return the largest distance of a node between positions, as part of the size."""
+        structure = self.structure
+        node = structure.free_rows[self.rows] // structure.dimension
+        first = np.flatnonzero(np.diff(node, prepend=-1))
+        with np.errstate(over="ignore", invalid="ignore"):
+            apart = np.sqrt(np.add.reduceat((one - other) ** 2, first).max(axis=0))
+        size = float(np.ptp(structure.nodes, axis=1).max())
+        return np.where(np.isfinite(apart), apart / size, np.inf)
