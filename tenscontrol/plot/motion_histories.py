@@ -1,4 +1,4 @@
-"""Time histories of a motion: its coordinates and strings, its energy, momentum and bar lengths."""
+"""Time histories of a motion: its coordinates and strings, and what tells whether to trust it."""
 
 from __future__ import annotations
 
@@ -28,6 +28,9 @@ from tenscontrol.validation import FloatArray, choice, float_array, instance
 _MARKERS = ("v", "x", "s", "d", "P", "^")
 
 _ROUND_OFF = float(np.finfo(float).eps)
+
+# Errors are drawn up to this: what is infinite too.
+_LOST = 10.0
 
 # Nodes drawn unless the user says which, and the grey of all others.
 _MOVING, _OTHERS = 4, "0.8"
@@ -72,6 +75,19 @@ def _rest_lengths(run: Trajectory) -> FloatArray:
     return shown
 
 
+def _with_doubt(panel: Curves, run: Trajectory) -> Curves:
+    """Shade the time from which on the motion is not to be trusted, if there is such a time."""
+    if run.trusted_until is None or run.trusted_until >= run.time[-1]:
+        return panel
+    label = "not to be trusted"
+    panel.ax.axvspan(
+        run.trusted_until, run.time[-1], facecolor="0.93", edgecolor="0.8", hatch="//",
+        linewidth=0.0, zorder=0.5, label=label,
+    )  # fmt: skip
+    legend_above(panel.ax)
+    return panel
+
+
 def trajectory(
     run: Trajectory,
     *,
@@ -86,8 +102,8 @@ def trajectory(
     The panels are ``"coordinates"``; ``"force_density"``, with one style for each string group, if
     there are strings; and ``"rest_length"`` if rest lengths were held. The first shows how far the
     nodes that move most are from where they started, with all others in grey, and under a
-    controller with a reference how far the farthest node is from that. What was held is drawn in
-    steps. Samples at which a controller's status was not ``"ok"`` are marked on the lowest time
+    controller with a reference how far the farthest node is from that; the time in which the motion
+    is not to be trusted is shaded. What was held is drawn in steps. Samples at which a controller's status was not ``"ok"`` are marked on the lowest time
     axis, faults in the panels of force densities and rest lengths; a cut string has no rest length.
 
     Parameters
@@ -171,6 +187,7 @@ def trajectory(
             panels[name] = _with_distances(panels[name], run, others, tracked)
         else:
             panels[name] = _with_faults(panels[name], run)
+        panels[name] = _with_doubt(panels[name], run)
     if run.control is not None:
         panels[name] = _with_statuses(panels[name], run.control)
     return panels
@@ -332,9 +349,11 @@ def motors(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, 
 def health(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, Curves]:
     """Draw what tells whether to trust a motion.
 
-    The panels are ``"energy"``; ``"momentum"``, the change since the start; and
-    ``"bar_length_error"``, the largest of all bars, if there are bars. The last two have
-    logarithmic scales: a straight rise is a drift. What is below round-off is drawn at round-off.
+    The panels are ``"error"``, the estimated error of the nodes with its limit, if it was
+    estimated; ``"energy"``; ``"momentum"``, the change since the start; and ``"bar_length_error"``,
+    the largest of all bars, if there are bars. All but the energy have logarithmic scales: a
+    straight rise of the error says that the motion magnifies errors. What is below round-off is
+    drawn at round-off. The time in which the motion is not to be trusted is shaded.
 
     Parameters
     ----------
@@ -359,7 +378,7 @@ def health(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, 
     >>> run = tc.simulate(model, 0.2, force_density=[17.3205] * 6 + [9.0] * 3, step=1e-3)
     >>> panels = tc.plot.health(run)
     >>> list(panels), panels["bar_length_error"].ax.get_yscale()
-    (['energy', 'momentum', 'bar_length_error'], 'log')
+    (['error', 'energy', 'momentum', 'bar_length_error'], 'log')
     >>> plt.close(panels["energy"].ax.figure)
     """
     instance("run", run, Trajectory, "make one by simulate(model, ...)")
@@ -382,6 +401,9 @@ def health(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, 
         worst = {"largest of all bars": np.abs(run.bar_length_error).max(axis=0)[None]}
         longest = float(run.structure.bar_length.max())
         content["bar_length_error"] = (worst, "bar-length error, m", longest)
+    if run.error is not None:
+        error = {"estimate": np.minimum(run.error, _LOST)[None]}
+        content = {"error": (error, "error of nodes,\npart of the size", 1.0), **content}
     panels = {}
     for ax, name, xlabel in timed_panels(axes, list(content)):
         rows, label, size = content[name]
@@ -389,6 +411,12 @@ def health(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, 
             panels[name] = draw_curves(ax, run.time, rows, label, xlabel=xlabel)
         else:
             panels[name] = _logarithmic(ax, run.time, rows, label, size, xlabel)
+        if name == "error":
+            line = ax.axhline(run.error_limit, label="limit", **reference_style(1))
+            references = {**panels[name].references, "limit": line}
+            panels[name] = replace(panels[name], references=references)
+            legend_above(ax)
+        panels[name] = _with_doubt(panels[name], run)
     return panels
 
 

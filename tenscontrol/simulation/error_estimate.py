@@ -19,6 +19,9 @@ from tenscontrol.validation import FloatArray, IntArray
 # with this multiple of the tolerance.
 _TIGHTER, _SAFETY, _LOOSER = 0.1, 2.0, 8.0
 
+# A tenth of so tight a tolerance is lost in round-off: ten times it is taken.
+_TIGHT = 1e-12
+
 # Steps of twice the length are taken where they are fewer than this part.
 _FEWER = 0.75
 
@@ -163,9 +166,11 @@ class Motion:
         if self.setting == "tolerance":
             if self.order <= 2:
                 return self._difference(self._again(_LOOSER))
-            found = _SAFETY * self._difference(self._again(_TIGHTER))
-            # So tight a tolerance may be out of reach.
-            return found if np.isfinite(found[-1]) else self._difference(self._again(1 / _TIGHTER))
+            if self.value > _TIGHT:
+                found = _SAFETY * self._difference(self._again(_TIGHTER))
+                if np.isfinite(found[-1]):
+                    return found
+            return self._difference(self._again(1 / _TIGHTER))
         steps, fewer = (sum(each.steps(self.value, f) for each in self.stages) for f in (1, 2))
         if fewer > _FEWER * steps:  # inputs change with each step
             return _SAFETY * self._difference(self._again(0.5))

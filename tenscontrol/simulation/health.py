@@ -170,7 +170,7 @@ class HealthLimits:
                 what = each.name.replace("_", " ")
                 why = _PHYSICAL.get(each.name, "")
                 if each.name == "position_error":
-                    why = f" of the size after {health.trusted_until:.4g} s"
+                    why = f" of the size from {health.trusted_until:.4g} s on"
                 found.append(f"{what} {value:.2g} is above its limit {limit:g}{why}")
         return found
 

@@ -13,7 +13,7 @@ from tenscontrol.actuation import Winches
 from tenscontrol.control import BaseController, ControlWarning, as_controller
 from tenscontrol.dynamics import Model, Pieces, Profile, as_pieces, pack_state
 from tenscontrol.estimation import KalmanFilter, Sensors
-from tenscontrol.integrate import Method, Projector, largest_frequency, state_scale
+from tenscontrol.integrate import Choice, Method, Projector, largest_frequency, state_scale
 from tenscontrol.interrupt import InterruptionWarning, interruptible
 from tenscontrol.plant import held_value
 from tenscontrol.progress import progress_bar
@@ -394,16 +394,22 @@ def check_health(run: Trajectory, limits: HealthLimits) -> None:
     passed = limits.passed(health)
     if not passed:
         return
-    finer = "a smaller tolerance" if run.step is None else f"a step below {run.step:g} s"
     text = "; ".join(passed)
     # How deep nodes sink, and a fall, are no errors of the integration.
     if replace(limits, penetration=None, fall=None).passed(health):
-        text += f": the motion may not be accurate. Try {finer}"
-    if "position_error" in limits.names and health.trusted_until not in (None, run.time[-1]):
-        text += "; what magnifies errors needs a shorter run, see run.error"
+        text += f": the motion may not be accurate. Try {finer(run.choice)}"
+    if health.trusted_until is not None and health.trusted_until < run.time[-1]:
+        text += "; a motion that magnifies errors can only be foretold for a time, see run.error"
     if limits.action == "raise":
         raise SimulationError(text, run)
     warnings.warn(text, AccuracyWarning, stacklevel=3)
+
+
+def finer(used: Choice) -> str:
+    """Return what to try where a motion is not accurate."""
+    return (
+        "a smaller tolerance" if used.setting == "tolerance" else f"a step below {used.value:g} s"
+    )
 
 
 def _input_kind(

@@ -213,7 +213,7 @@ def test_the_estimate_is_near_the_error(prism_case, method, step):
         output_step=5.0 / (len(run.time) - 1),
     )  # fmt: skip
     error = np.linalg.norm(run.nodes - exact.nodes, axis=0).max() / case.size
-    assert error / 5 < run.position_error < 30 * error
+    assert error / 2 < run.error.max() < 10 * error
 
 
 def test_long_steps_that_conserve_energy_are_told():
@@ -223,11 +223,3 @@ def test_long_steps_that_conserve_energy_are_told():
     with pytest.warns(tc.simulation.AccuracyWarning, match="position error"):
         run = tc.simulate(model, 2.0, rest_length=start, method="energy_momentum", step=0.1)
     assert run.health.energy_error < 1e-9
-
-
-def test_there_is_no_estimate_where_few_states_are_kept(prism_case):
-    run = tc.simulate(
-        prism_case.case.model, 1.0, force_density=GAMMA, method="rk4", step=1e-3, output_step=0.5
-    )
-    assert run.position_error is None
-    assert "estimated" not in run.summary()

@@ -186,11 +186,11 @@ def test_a_key_while_the_trajectory_is_made(example, pressed_in):
 
 
 def test_a_key_while_the_error_is_estimated(example, pressed_in):
-    pressed_in("step_doubling_error")
+    pressed_in("Motion")
     with pytest.warns(InterruptionWarning, match="complete"):
         run = tc.simulate(example.model, 1.0, rest_length=example.lengths, step=1e-3)
     assert run.time[-1] == 1.0
-    assert run.position_error is None
+    assert run.error is None
 
 
 def test_before_the_first_step_there_is_no_motion(example, monkeypatch):

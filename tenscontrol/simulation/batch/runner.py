@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
 from threading import local
@@ -204,23 +203,58 @@ class Runner:
         block = int(np.clip(_MOST_NUMBERS / (states * outputs), 4, most))
         # So that all threads have work to the end.
         block = max(4, min(block, -(-self.scene.count // (4 * threads))))
-        todo = iter(range(0, self.scene.count, block))
+        count = self.scene.count
+        firsts = range(0, count, block)
+        blocks = (partial(self._block, first, min(first + block, count)) for first in firsts)
+
+        def told(done: int) -> None:
+            self.done += done
+            report(self.done)
+
+        try:
+            self._in_threads(threads, blocks, told)
+        finally:
+            self._give_back()
+
+    def estimate_errors(
+        self, runs: IntArray, threads: int, report: Callable[[float], None]
+    ) -> FloatArray:
+        """Return :meth:`error` of some runs, shape (runs, K), if nobody stops it; NaN of others."""
+        found = np.full((self.scene.count, len(self.time)), np.nan)
+        looked_at = 0
+
+        def estimate(run: int) -> int:
+            found[run] = self.error(run)
+            return 1
+
+        def told(done: int) -> None:
+            nonlocal looked_at
+            looked_at += done
+            report(looked_at)
+
+        self._in_threads(threads, (partial(estimate, run) for run in runs.tolist()), told)
+        return found
+
+    def _in_threads(
+        self, threads: int, calls: Iterator[Callable[[], int]], report: Callable[[int], None]
+    ) -> None:
+        """Call in threads, and report what each call returns; raise if the user interrupts."""
         pending: set[Future[int]] = set()
-        with ExitStack() as afterwards, ThreadPoolExecutor(threads) as pool:
-            afterwards.callback(self._give_back)
+        with ThreadPoolExecutor(threads) as pool:
             try:
                 while True:
                     check()
-                    while len(pending) < 2 * threads and (first := next(todo, None)) is not None:
-                        last = min(first + block, self.scene.count)
-                        pending.add(pool.submit(self._block, first, last))
+                    while len(pending) < 2 * threads and (call := next(calls, None)) is not None:
+                        pending.add(pool.submit(call))
                     if not pending:
                         break
                     ended, pending = wait(pending, _POLL, FIRST_COMPLETED)
-                    self.done += sum(future.result() for future in ended)
-                    report(self.done)
+                    for future in ended:
+                        report(future.result())
             finally:
                 self._stop.value = 1
+                for future in pending:
+                    future.cancel()
 
     def _give_back(self) -> None:
         """Leave the controllers of all threads to later runs."""

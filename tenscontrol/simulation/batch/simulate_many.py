@@ -8,6 +8,7 @@ is a call of the integrator. The numbers are those of single runs, to the last b
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -21,13 +22,14 @@ from tenscontrol.progress import progress_bar
 from tenscontrol.simulation.batch.batch_inputs import BatchInputs, given_by_run
 from tenscontrol.simulation.batch.compiled_loop import checked_controller
 from tenscontrol.simulation.batch.runner import HowToIntegrate, Runner
-from tenscontrol.simulation.health import HealthLimits
-from tenscontrol.simulation.simulate import check_health
+from tenscontrol.simulation.health import AccuracyWarning, HealthLimits
+from tenscontrol.simulation.simulate import check_health, finer
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.structure import Structure
 from tenscontrol.validation import (
     FloatArray,
     IntArray,
+    choice,
     float_array,
     indices,
     instance,
@@ -37,6 +39,9 @@ from tenscontrol.validation import (
 )
 
 _INTERRUPTED = "interrupted"
+
+# Runs whose error is estimated, and that are named in a warning.
+_SAMPLE, _NAMED = 32, 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +70,9 @@ class Batch:
         Of the controller, N/m or m; NaN where a run had ended. None without a controller.
     commands_not_ok : ndarray of int, shape (runs,), or None
         How many commands had another status than ``Status.OK``.
+    error : ndarray, shape (runs, K), or None
+        Estimate of the error of the nodes kept, as :attr:`Trajectory.error`; NaN for runs that were
+        not looked at, or did not reach the end. None where it was left out.
     """
 
     structure: Structure
@@ -80,6 +88,7 @@ class Batch:
     choice: Choice
     command: FloatArray | None = None
     commands_not_ok: IntArray | None = None
+    error: FloatArray | None = None
     _runner: Runner | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
@@ -145,6 +154,7 @@ def simulate_many(
     project: bool | None = None,
     machine_code: bool = True,
     threads: int | None = None,
+    error: str = "sample",
     progress: bool = False,
 ) -> Batch:
     """Return the motions of many runs of a model: open loops, or loops closed by compiled code.
@@ -187,6 +197,9 @@ def simulate_many(
         as late; ``batch.choice.back_end`` says what ran.
     threads : int, optional
         All processors if not given.
+    error : {"sample", "all", "none"}
+        Of which runs the error is estimated, by a second run at another resolution: of 32, spread
+        evenly, of all, or of none.
     progress : bool
         Whether to show a progress bar; never shown away from a terminal.
 
@@ -203,6 +216,8 @@ def simulate_many(
 
     Warns
     -----
+    AccuracyWarning
+        If the error of runs that were looked at passes 1 % of the size; it names them.
     InterruptionWarning
         A RuntimeWarning: Ctrl-C or SIGTERM ended the batch; runs that are done are returned, the
         others are NaN. KeyboardInterrupt if none is.
@@ -230,6 +245,7 @@ def simulate_many(
         output_step = positive_number("output_step", output_step, "s")
     truth("progress", progress, "whether to show a progress bar")
     truth("machine_code", machine_code, "whether to compile the steps")
+    choice("error", error, ("sample", "all", "none"))
     if threads is None:
         affinity = getattr(os, "sched_getaffinity", None)
         threads = len(affinity(0)) if affinity else os.cpu_count() or 1
@@ -257,7 +273,7 @@ def simulate_many(
     kept = np.arange(model.structure.nodes.shape[1])
     if keep_nodes is not None:
         kept = indices("keep_nodes", float_array("keep_nodes", keep_nodes), len(kept), "nodes")
-    runner = None
+    runner = errors = None
     with keeping("runs are done, the others are NaN", lambda: 0 if runner is None else runner.done):
         if step is not None:
             step = positive_number("step", step, "s")
@@ -265,10 +281,36 @@ def simulate_many(
         runner = Runner(scene, how, output_step, kept, law)
         with progress_bar(scene.count, progress, label="simulating", unit="runs") as report:
             runner.run(threads, report)
+        if error != "none":
+            runs = np.flatnonzero(runner.completed)
+            if error == "sample" and len(runs) > _SAMPLE:
+                runs = runs[np.linspace(0, len(runs) - 1, _SAMPLE).round().astype(int)]
+            with progress_bar(
+                len(runs), progress, label="estimating errors", unit="runs"
+            ) as report:
+                errors = runner.estimate_errors(runs, threads, report)
+    if errors is not None:
+        _warn_of_errors(errors, runner.choice)
     messages = dict.fromkeys(np.flatnonzero(~runner.completed).tolist(), _INTERRUPTED)
     messages = dict(sorted((messages | runner.messages).items()))
     return Batch(
         model.structure, runner.time, runner.nodes, runner.velocities, kept, runner.completed,
         runner.end_time, messages, runner.switches, runner.missed, runner.choice,
-        runner.command, runner.commands_not_ok, runner,
+        runner.command, runner.commands_not_ok, errors, runner,
     )  # fmt: skip
+
+
+def _warn_of_errors(errors: FloatArray, used: Choice) -> None:
+    """Warn of runs whose error passes its limit."""
+    limit = HealthLimits().position_error
+    assert limit is not None  # by default there is one
+    looked_at = np.isfinite(errors[:, 0])
+    wrong = np.flatnonzero((errors > limit).any(axis=1))
+    if len(wrong):
+        named = ", ".join(map(str, wrong[:_NAMED].tolist())) + ", …" * (len(wrong) > _NAMED)
+        warnings.warn(
+            f"the error of {len(wrong)} of the {looked_at.sum()} runs that were looked at passes "
+            f"{limit:g} of the size: of {named}. batch.error says when. Try {finer(used)}",
+            AccuracyWarning,
+            stacklevel=3,
+        )
