@@ -145,7 +145,7 @@ def _computed(scene: Scene) -> Reference:
         return Reference(times, nodes, uncertain, f"tight run: {error}", work.switches)
     except SimulationError as error:
         return Reference(times, nodes, uncertain, f"tight run: {error}", work.switches)
-    certain = error_between(scene, run.nodes[:, :, _places(run.time, times)], nodes)
+    certain = error_between(scene, run.nodes[:, :, places(run.time, times)], nodes)
     status = "ok"
     if (certain > CERTAIN).any():
         again, _ = scene.located(times, 1e-11, 2 * _EVALUATIONS)
@@ -155,7 +155,7 @@ def _computed(scene: Scene) -> Reference:
     return Reference(times, nodes, certain, status, work.switches)
 
 
-def _places(times: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+def places(times: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     """Return where the wanted times are among others."""
     places = np.abs(times[:, None] - wanted).argmin(axis=0)
     apart = np.abs(times[places] - wanted).max()
