@@ -34,6 +34,7 @@ from time import process_time
 import numpy as np
 
 import tenscontrol as tc
+from tenscontrol.interrupt import InterruptionWarning
 from tenscontrol.progress import progress_bar
 from tenscontrol.simulation import AccuracyWarning, SimulationError
 from tests.benchmarks.command_line import options
@@ -255,6 +256,8 @@ def judged_run(
             note = f"{scene.seed} {method} {setting}: {type(error).__name__}: {error}"
             spent = process_time() - begin
             return Run(scene.seed, method, setting, "failed", False, spent, note=note)
+    if any(issubclass(each.category, InterruptionWarning) for each in told):
+        raise KeyboardInterrupt
     spent = process_time() - begin
     warned = any(issubclass(each.category, AccuracyWarning) for each in told)
     kept = [
@@ -434,10 +437,13 @@ def mapped(function: Callable, tasks: Sequence, jobs: int, label: str) -> Iterab
                 yield function(task)
                 report(done)
             return
-        with ProcessPoolExecutor(jobs) as pool:
+        pool = ProcessPoolExecutor(jobs)
+        try:
             for done, result in enumerate(pool.map(function, tasks), 1):
                 yield result
                 report(done)
+        finally:
+            pool.shutdown(cancel_futures=True)
 
 
 if __name__ == "__main__":
