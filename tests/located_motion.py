@@ -114,6 +114,9 @@ def located_motion(
     OracleError
         If the motion takes more evaluations, leaves the range of numbers, or stalls.
     """
+    powers = [plane.exponent for plane, _ in ground if plane.exponent != 1]
+    if powers:
+        raise OracleError(f"a plane has the exponent {powers[0]:g}, expected 1")
     d, count = structure.nodes.shape
     alpha, rows = len(structure.strings), free_rows(structure)
     mass = np.kron(consistent_mass(structure), np.eye(d))[np.ix_(rows, rows)]
@@ -126,7 +129,7 @@ def located_motion(
     planes = (_Plane * max(len(ground), 1))(*[
         _Plane(p.stiffness, p.damping, p.friction, p.slip_speed, p.height,
                (ctypes.c_double * 3)(*p.normal))
-        for p, _ in ground if _linear(p)
+        for p, _ in ground
     ])  # fmt: skip
     indices = {
         "row": rows, "bar": structure.bars[independent_bars(structure)], "first": first,
@@ -157,9 +160,3 @@ def located_motion(
     if status:
         raise OracleError(f"{_STATUS[status]} after {work}")
     return out.transpose(2, 1, 0), work
-
-
-def _linear(plane: Plane) -> bool:
-    if plane.exponent != 1:
-        raise OracleError(f"the plane has the exponent {plane.exponent:g}, expected 1")
-    return True

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.benchmarks.trust import Run, judged_run, row
+from tests.benchmarks.trust import Run, judged_run, mapped, row
 from tests.located_motion import c_compiler
 from tests.random_scenes import random_scene
 from tests.references import Reference, reference
@@ -54,3 +54,12 @@ def test_a_wrong_reference_makes_a_run_wrong(tmp_path):
     wrong = judged_run(scene, moved, "dop853", "", {"method": "dop853"}, 60.0)
     assert wrong.is_wrong
     assert np.allclose(wrong.error, 0.02, atol=1e-3)
+
+
+def test_an_interruption_ends_with_what_is_done():
+    def task(number):
+        if number == 3:
+            raise KeyboardInterrupt
+        return number
+
+    assert list(mapped(task, range(6), 1, "tasks")) == [0, 1, 2]

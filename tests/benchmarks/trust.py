@@ -58,7 +58,7 @@ _ROUND_OFF, _ABOVE = 1e-9, 10.0
 
 _DEFAULT, _ADAPTIVE = "default call", ("dop853", "cvodes")
 _FIXED = ("rk4", "rattle", "rattle4", "rattle6", "energy_momentum")
-_STEPS, _OUTPUTS = (200, 1000, 5000), (None, 5, 2)
+_STEPS, _OUTPUTS = (200, 800, 3200), (None, 5, 2)
 
 # Sinking deep into soft ground is no error of the integration.
 _LIMITS = tc.HealthLimits(penetration=None)
@@ -138,11 +138,9 @@ def print_trust(seeds: Sequence[int], given) -> None:
     tasks = [(seed, given.cache, tuple(given.methods), given.every, given.limit) for seed in seeds]
     runs: list[Run] = []
     states: dict[int, str] = {}
-    # Ctrl-C ends a long campaign with the table of what is done.
-    with suppress(KeyboardInterrupt):
-        for seed, state, found in mapped(judged_scene, tasks, given.jobs, "scenes"):
-            states[seed] = state
-            runs += found
+    for seed, state, found in mapped(judged_scene, tasks, given.jobs, "scenes"):
+        states[seed] = state
+        runs += found
     kinds = Counter(state.split(":")[0] for state in states.values())
     print(f"{len(states)} scenes: " + ", ".join(f"{n} {kind}" for kind, n in kinds.most_common()))
     print(
@@ -430,19 +428,20 @@ def spent(scene: Scene, given: dict, limit: float) -> float:
 
 
 def mapped(function: Callable, tasks: Sequence, jobs: int, label: str) -> Iterable:
-    """Yield the results of the tasks in their order, from so many processes, with a bar."""
-    with progress_bar(len(tasks), shown=True, label=label, unit="scenes") as report:
-        if jobs == 1:
-            for done, task in enumerate(tasks, 1):
-                yield function(task)
-                report(done)
-            return
-        pool = ProcessPoolExecutor(jobs)
-        try:
-            for done, result in enumerate(pool.map(function, tasks), 1):
+    """Yield the results of the tasks in their order, from so many processes, with a bar.
+
+    Ctrl-C ends it, so that a long campaign ends with the table of what is done.
+    """
+    pool = ProcessPoolExecutor(jobs) if jobs > 1 else None
+    shown = progress_bar(len(tasks), shown=True, label=label, unit="scenes")
+    try:
+        with shown as report, suppress(KeyboardInterrupt):
+            results = map(function, tasks) if pool is None else pool.map(function, tasks)
+            for done, result in enumerate(results, 1):
                 yield result
                 report(done)
-        finally:
+    finally:
+        if pool is not None:
             pool.shutdown(cancel_futures=True)
 
 
