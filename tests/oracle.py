@@ -402,18 +402,28 @@ def _constants(structure):
 
     Of redundant bars, those of the largest independent set in the structure's own shape.
     """
+    rows, along_bars = free_rows(structure), _incidence(structure.bars, structure.nodes.shape[1])
+    M = np.kron(consistent_mass(structure), np.eye(len(structure.nodes)))[np.ix_(rows, rows)]
+    return rows, along_bars, M, independent_bars(structure)
+
+
+def independent_bars(structure):
+    """Return the largest set of bars whose lengths are independent in the structure's shape.
+
+    Bars are compared as unit vectors in the metric of the masses, so that light bars beside heavy
+    ones count as much; those between supports are left out.
+    """
     d, count = structure.nodes.shape
     rows, along_bars = free_rows(structure), _incidence(structure.bars, count)
     M = np.kron(consistent_mass(structure), np.eye(d))[np.ix_(rows, rows)]
     jacobian = along_bars[:, :, None] * (along_bars @ structure.nodes.T)[:, None, :]
     J = jacobian.reshape(len(along_bars), d * count)[:, rows]
-    few = np.arange(0)
-    if J.size:
-        scaled = np.linalg.solve(np.linalg.cholesky(M), J.T)
-        _, R, order = qr(scaled, mode="economic", pivoting=True)
-        size = np.abs(np.diag(R))
-        few = np.sort(order[: np.count_nonzero(size > 1e-9 * size.max())])
-    return rows, along_bars, M, few
+    if not J.any():
+        return np.arange(0)
+    scaled = np.linalg.solve(np.linalg.cholesky(M), J.T)
+    length = np.linalg.norm(scaled, axis=0)
+    _, R, order = qr(scaled / np.where(length > 0, length, 1.0), mode="economic", pivoting=True)
+    return np.sort(order[: np.count_nonzero(np.abs(np.diag(R)) > 1e-9)])
 
 
 def free_rows(structure):
@@ -427,14 +437,20 @@ def free_rows(structure):
 @lru_cache(maxsize=4)
 def _segments(structure):
     """Return the incidence of segments, the sums over each string, and what is straight."""
-    paths = structure.paths or structure.strings.tolist()
-    pairs = [pair for path in paths for pair in pairwise(path)]
-    string = np.repeat(np.arange(len(paths)), [len(path) - 1 for path in paths])
-    sums = np.zeros((len(paths), len(pairs)))
+    first, pairs = segment_pairs(structure)
+    string = np.repeat(np.arange(len(first) - 1), np.diff(first))
+    sums = np.zeros((len(first) - 1, len(pairs)))
     sums[string, np.arange(len(pairs))] = 1.0
-    pairs = np.array(pairs, dtype=int).reshape(-1, 2)
     straight = sums.sum(axis=1)[string] == 1
     return _incidence(pairs, structure.nodes.shape[1]), sums, string, straight
+
+
+def segment_pairs(structure):
+    """Return the first segment of each string, and one past the last, and the ends of segments."""
+    paths = structure.paths or structure.strings.tolist()
+    pairs = [pair for path in paths for pair in pairwise(path)]
+    first = np.cumsum([0, *(len(path) - 1 for path in paths)])
+    return first, np.array(pairs, dtype=int).reshape(-1, 2)
 
 
 def string_forces(structure, nodes, force_density):

@@ -374,6 +374,16 @@ def test_error_against_time(printed):
     assert re.findall(r"^1e-0[389]  +(\S+)", text, re.M)[1:] == ["rattle6", "–"]
 
 
+@needs_compiler
+def test_trust(printed, tmp_path):
+    text = printed("trust", f"--seed 9 --count 2 --methods rk4 rattle --cache {tmp_path}")
+    assert "2 scenes: 2 ok" in text
+    assert row(text, "rk4 ")[0] + row(text, "rk4 ")[1] == 6
+    assert row(text, "all with fixed steps")[0] >= 10
+    text = printed("trust", f"--scene 9 --methods rk4 --cache {tmp_path}")
+    assert len(re.findall(r"rk4 .* (?:ok|stopped) ", text)) == 9
+
+
 @needs("jax", "jax")
 def test_thrown_ball(printed):
     text = printed("thrown_ball", "--plain --all --duration 0.3 --settings 2 --repeats 1")
