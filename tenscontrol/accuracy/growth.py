@@ -276,7 +276,7 @@ class _Road:
 
     def simulate(self) -> None:
         plant: LinearPlant = self._made["plant"]
-        simulate(plant.model, _SAMPLE, plant.nodes, rest_length=plant.rest_length)
+        simulate(plant.model, _SAMPLE, plant.nodes, rest_length=plant.rest_length, error="none")
 
     def reduce(self) -> None:
         plant: LinearPlant = self._made["plant"]

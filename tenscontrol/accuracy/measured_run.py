@@ -281,7 +281,7 @@ class Bench:
                     case.model, case.duration, case.nodes, case.velocities,
                     external_force=case.external_force, method=method,
                     output_step=case.duration / len(self._reference.time),
-                    machine_code=self._machine_code, **options,
+                    machine_code=self._machine_code, error="none", **options,
                 )  # fmt: skip
 
         began = process_time()

@@ -13,6 +13,7 @@ import numpy as np
 from tenscontrol.dynamics import Equation, SharedEvaluator, compiled_source, compiler
 from tenscontrol.integrate.dop853_loop import loop_source
 from tenscontrol.integrate.events import (
+    FLAT,
     POLISHES,
     SAMPLES,
     approached,
@@ -109,7 +110,8 @@ class DOP853(Integrator):
         super().__init__(equation, project, machine_code)
         self.tolerance = checked_tolerance(tolerance)
         self._frequency = 0.0  # largest, rad/s
-        self._longest = _STABLE, 1.0  # over the largest frequency, and of the span
+        # Longest step over the largest frequency and of the span, and the first of the usual.
+        self._shares = _STABLE, 1.0, 1.0
         self._held: FloatArray | None = None  # input for which it was found
         by = compiler() if machine_code else None
         built = self._kept(lambda: self._build(project, machine_code), project, machine_code, by)
@@ -136,7 +138,7 @@ class DOP853(Integrator):
 
     def shorten(self) -> None:
         """See :meth:`Integrator.shorten`."""
-        self._longest = _SHORTER * _STABLE, 0.5
+        self._shares = _SHORTER * _STABLE, 0.5, _SHORTER
 
     def advance(
         self,
@@ -156,12 +158,12 @@ class DOP853(Integrator):
             self._held = of_strings.copy()
         taut, slope = self._start(state, held)
         scale = state_scale(self._equation, state, held, self._frequency)
-        step = _first_step(slope, scale, duration)
+        stable, whole, first = self._shares
+        step = first * _first_step(slope, scale, duration)
         carried = np.concatenate([state, slope, taut, [0.0, step], np.zeros(len(_CARRIED) - 2)])
         spacing = duration / outputs
         times: FloatArray = np.linspace(0.0, duration, outputs + 1)[1:]
         states = np.empty((n, outputs))
-        stable, whole = self._longest
         longest = min(stable / max(self._frequency, 1e-300), whole * duration)
         given = np.concatenate([held, [duration, spacing, longest], self.tolerance * scale])
         if self._largest is None and self._turns > 1:  # a column for each turn of the graph
@@ -223,6 +225,7 @@ def _compiled_turns(
     numbers = {
         "SAFETY": _SAFETY, "LEAST": _LEAST, "MOST": _MOST, "ORDER": _ORDER, "STABLE": _STABLE,
         "SHORTEST": _SHORTEST, "TWICE_LATE": 2 * _LATE, "MORE": 1 + 1e-14, "SMOOTH": _SMOOTH,
+        "FLAT": FLAT,
     }  # fmt: skip
     source = loop_source(functions, sizes, numbers, _CARRIED, _coefficients(), _interpolant_error())
     return compiled_source(source, ("turns", "largest", "exact")), "machine code"

@@ -261,7 +261,7 @@ static double land(const double *x, double *taut, const double *u, double h, dou
   }
   for (int tried = 0; tried < POLISHES; ++tried) {
     double gap = 0, secant, before = part;
-    int apart;
+    int apart, flat;
     if (taken && !(fabs(gap_before - aim) > fabs(aim))) break;
     part = fmin(fmax(speed < 0 ? wanted : 0, 0), 1);
     if (*is_inside)
@@ -273,8 +273,9 @@ static double land(const double *x, double *taut, const double *u, double h, dou
     distance(arg, res, m->iw, m->w, 0);
     apart = taken > 0 && fabs(part - before) > 1e-6;
     secant = (gap - gap_before) / (apart ? part - before : 1);
-    if (apart && secant < 0) speed = secant;
-    wanted = part + (aim - gap) / speed;
+    flat = apart && fmax(gap, gap_before) < 0 && secant > FLAT * speed;
+    if (apart && secant < 0 && !flat) speed = secant;
+    wanted = part + (flat ? -2 * fabs(part - before) : (aim - gap) / speed);
     gap_before = gap;
     ++taken;
   }

@@ -32,11 +32,14 @@ from tenscontrol.validation import FloatArray
 BAND = 1e-11
 
 # The search inside a step: samples, how often it zooms in on the samples next to the first
-# crossing, and true steps to the place found. The interpolant is off by O(h⁶), its slope by
+# crossing, and true steps to the place found, at most. The interpolant is off by O(h⁶), its slope by
 # O(h⁵), so each true step gains several digits.
 SAMPLES = 6
 _ZOOMS = 2
-POLISHES = 4
+POLISHES = 8
+
+# A gap is flat beyond the border where it falls by less than this part of its slope before.
+FLAT = 0.1
 
 # Chords on the interpolant to the place of a switch.
 _CHORDS = 6
@@ -397,12 +400,20 @@ def part_to_try(wanted: Any, speed: Any) -> Any:
 def corrected(
     part: Any, gap: Any, before: Any, gap_before: Any, speed: Any, taken: Any, aim: Any
 ) -> tuple[Any, Any]:
-    """Return the part wanted next and the slope, by the secant method, from the last two gaps."""
+    """Return the part wanted next and the slope, by the secant method, from the last two gaps.
+
+    The gap of a damped string has a kink next to the border: the tension falls fast up to it, and
+    beyond it is the stretch that counts. Where it is flat between two places beyond, the next is
+    twice as far back.
+    """
     # Closer than this, the difference is round-off.
     apart = ca.logic_and(taken > 0, ca.fabs(part - before) > 1e-6)
     secant = (gap - gap_before) / ca.if_else(apart, part - before, 1)
-    speed = ca.if_else(ca.logic_and(apart, secant < 0), secant, speed)
-    return part + (aim - gap) / speed, speed
+    flat = ca.logic_and(apart, ca.logic_and(ca.fmax(gap, gap_before) < 0, secant > FLAT * speed))
+    steeper = ca.logic_and(ca.logic_and(apart, secant < 0), ca.logic_not(flat))
+    speed = ca.if_else(steeper, secant, speed)
+    back = -2 * ca.fabs(part - before)
+    return part + ca.if_else(flat, back, (aim - gap) / speed), speed
 
 
 def _substep(attempt: ca.Function, land: ca.Function, equation: Equation) -> ca.Function:

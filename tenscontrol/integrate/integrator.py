@@ -199,9 +199,9 @@ class Integrator(ABC):
         return self._equation.prepared.get((type(self), *settings), build)
 
     def shorten(self) -> None:  # noqa: B027  # the rule where steps are fixed
-        """Take shorter steps where stability or the span limits them, and not the tolerance.
+        """Take shorter steps at the start and where stability or the span limits them.
 
-        A smaller tolerance would take the same steps there, and show no difference.
+        A smaller tolerance alone would take the same steps there, and show no difference.
         """
 
     @abstractmethod

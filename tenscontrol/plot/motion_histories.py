@@ -102,9 +102,10 @@ def trajectory(
     The panels are ``"coordinates"``; ``"force_density"``, with one style for each string group, if
     there are strings; and ``"rest_length"`` if rest lengths were held. The first shows how far the
     nodes that move most are from where they started, with all others in grey, and under a
-    controller with a reference how far the farthest node is from that; the time in which the motion
-    is not to be trusted is shaded. What was held is drawn in steps. Samples at which a controller's status was not ``"ok"`` are marked on the lowest time
-    axis, faults in the panels of force densities and rest lengths; a cut string has no rest length.
+    controller with a reference how far the farthest node is from that; the time in which the
+    motion is not to be trusted is shaded. What was held is drawn in steps. Samples at which a
+    controller's status was not ``"ok"`` are marked on the lowest time axis, faults in the
+    panels of force densities and rest lengths; a cut string has no rest length.
 
     Parameters
     ----------

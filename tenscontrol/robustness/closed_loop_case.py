@@ -383,6 +383,7 @@ class ClosedLoopCase:
             rest_length=self.rest_length, force_density=self.force_density,
             controller=self.controller, vary=vary, threads=1,
             method="rk4", step=self.step, output_step=self.step,  # as simulate takes for a step
+            error="none",  # found with the trajectory
         )  # fmt: skip
 
         def outcome(run: int) -> Outcome:

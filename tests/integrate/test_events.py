@@ -8,6 +8,7 @@ from tenscontrol.integrate import METHODS
 from tests.dynamics.scenes import paper_force_density, random_structure, rest_lengths
 from tests.integrate.stepping import moving
 from tests.oracle import HeldRestLength, RigidBars
+from tests.random_scenes import random_scene
 
 DURATION = 5.0
 TIMES = np.linspace(0.0, DURATION, 11)
@@ -254,3 +255,11 @@ def test_switches_in_too_long_a_step_are_counted_as_missed(name, step):
     assert true.missed == 0
     assert work.missed > 0.03 * true.switches
     assert work.switches + work.missed == pytest.approx(true.switches, rel=0.02)
+
+
+def test_a_damped_string_lands_where_its_gap_has_a_kink():
+    """Its tension falls to zero fast; beyond, the gap is the stretch, a thousandth of that."""
+    scene = random_scene(60)
+    coarse, fine = (scene.simulate(tolerance=tolerance) for tolerance in (1e-6, 1e-10))
+    assert coarse.work.switches == fine.work.switches == 12
+    assert np.abs(coarse.nodes[:, :, -1] - fine.nodes[:, :, -1]).max() < 1e-6 * scene.size
