@@ -46,7 +46,7 @@ typedef struct {
     int states, borders;
     double *N, *V, *F, *J, *JW, *G, *lambda; /* of an evaluation */
     double *K, *y_new, *y_try, *dense;   /* of a step */
-    double *gaps;
+    double *gaps, *rooms;              /* of each border, and at each sample of a step */
     int *pulls, *free; /* of each border; and place of each coordinate among the free, or -1 */
 } Work;
 
@@ -340,7 +340,7 @@ static double first_crossing(Work *w, const double *y)
     static const double part[SAMPLES] = {0,    0.02, 0.125, 0.25, 0.375, 0.5,
                                          0.625, 0.75, 0.875, 0.98, 1};
     double room[SAMPLES], low = 0, high = 2;
-    double *all = malloc(sizeof(double) * (size_t)(SAMPLES * w->borders + 1));
+    double *all = w->rooms;
     for (int j = 0; j < SAMPLES; j++) {
         between(w, y, part[j], w->y_try);
         room[j] = least_room(w, w->y_try);
@@ -353,7 +353,7 @@ static double first_crossing(Work *w, const double *y)
             high = part[j];
         }
     for (int i = 0; i < w->borders; i++)
-        for (int j = 1; j < SAMPLES - 1 && part[j - 1] < low + 1e-12 + (high > 1); j++) {
+        for (int j = 1; j < SAMPLES - 1 && part[j - 1] < high; j++) {
             const double left = all[(j - 1) * w->borders + i], mid = all[j * w->borders + i];
             const double right = all[(j + 1) * w->borders + i];
             if (mid >= left || mid >= right || mid < 0)
@@ -382,7 +382,6 @@ static double first_crossing(Work *w, const double *y)
                     from = p;
             }
         }
-    free(all);
     if (high > 1)
         return 2;
     for (int turn = 0; turn < 80 && high - low > 1e-15; turn++) {
@@ -513,6 +512,13 @@ static int run(Work *w, double *y, double *out)
     return DONE;
 }
 
+static double *take(double **next, size_t count)
+{
+    double *taken = *next;
+    *next += count;
+    return taken;
+}
+
 /* Write the nodes at the times into out, shape (outputs, nodes, d), from N and V, which change. */
 int located_motion(const Scene *scene, double *N, double *V, double *out, Counts *counts)
 {
@@ -520,34 +526,34 @@ int located_motion(const Scene *scene, double *N, double *V, double *out, Counts
     size_t flags = scene->held_force_density ? 0 : (size_t)scene->strings;
     for (int i = 0; i < scene->planes * scene->nodes; i++)
         flags += scene->touches[i] != 0;
-    const size_t all = (size_t)(scene->nodes * scene->dimension) + bars * rows + 6 * bars + bars * bars +
-                       bars + (ALL_STAGES + POWERS + 3) * n + flags + 1;
-    double *memory = calloc(all, sizeof(double));
-    const int coordinates = scene->nodes * scene->dimension;
-    int *pulls = calloc(flags + 1, sizeof(int)), *free_place = calloc((size_t)coordinates, sizeof(int));
+    const size_t places = (size_t)(scene->nodes * scene->dimension);
+    const size_t all = places + bars * rows + 6 * bars + bars * bars + bars +
+                       (ALL_STAGES + POWERS + 3) * n + (SAMPLES + 1) * flags;
+    double *memory = calloc(all + 1, sizeof(double)), *next = memory;
+    int *pulls = calloc(flags + 1, sizeof(int)), *free_place = calloc(places, sizeof(int));
     if (memory == NULL || pulls == NULL || free_place == NULL)
         abort();
     Work w = {.scene = scene, .counts = counts, .states = (int)n, .borders = (int)flags};
-    double *next = memory, *y;
     w.N = N;
     w.V = V;
     w.pulls = pulls;
     w.free = free_place;
-    for (int i = 0; i < coordinates; i++)
+    for (size_t i = 0; i < places; i++)
         free_place[i] = -1;
     for (int i = 0; i < scene->rows; i++)
         free_place[scene->row[i]] = i;
-    w.F = next, next += scene->nodes * scene->dimension;
-    w.JW = next, next += bars * rows;
-    w.J = next, next += 6 * bars;
-    w.G = next, next += bars * bars;
-    w.lambda = next, next += bars;
-    w.K = next, next += ALL_STAGES * n;
-    w.dense = next, next += POWERS * n;
-    w.y_new = next, next += n;
-    w.y_try = next, next += n;
-    y = next, next += n;
-    w.gaps = next;
+    w.F = take(&next, places);
+    w.JW = take(&next, bars * rows);
+    w.J = take(&next, 6 * bars);
+    w.G = take(&next, bars * bars);
+    w.lambda = take(&next, bars);
+    w.K = take(&next, ALL_STAGES * n);
+    w.dense = take(&next, POWERS * n);
+    w.y_new = take(&next, n);
+    w.y_try = take(&next, n);
+    w.gaps = take(&next, flags);
+    w.rooms = take(&next, SAMPLES * flags);
+    double *y = take(&next, n);
     for (size_t i = 0; i < rows; i++) {
         y[i] = N[scene->row[i]];
         y[rows + i] = V[scene->row[i]];

@@ -154,15 +154,16 @@ def print_trust(seeds: Sequence[int], given) -> None:
             print(row(name, some))
     for _, some in groups if given.settings else ():
         for setting in sorted({run.setting for run in some}):
-            chosen = [run for run in some if run.setting == setting]
-            print(row(f"{chosen[0].method} {setting}", chosen))
+            same = [run for run in some if run.setting == setting]
+            print(row(f"{same[0].method} {setting}", same))
     for title, chosen in (
         ("wrong without a warning", lambda run: run.is_wrong and not run.warned),
         (
             "wrong before trusted_until, though warned",
             lambda r: r.warned and r.is_off_where_trusted,
         ),
-        ("not ended as they should", lambda run: run.status not in ("ok", "stopped")),
+        ("ended by an error that says so", lambda run: run.status == "stopped"),
+        ("failed otherwise, or took too long", lambda run: run.status in ("failed", "too long")),
     ):
         print(f"{title}:")
         for method in given.methods:
@@ -173,8 +174,9 @@ def print_trust(seeds: Sequence[int], given) -> None:
     for seed, state in states.items():
         if state != "ok":
             print(f"  {seed} {state}")
-    for note in sorted({run.note for run in runs if run.status.startswith("failed")}):
-        print(f"  {note}")
+    for run in runs:
+        if run.status == "failed" or (run.status == "stopped" and run.method not in _FIXED):
+            print(f"{run.seed} {run.method} {run.setting}: {run.note}")
 
 
 def row(name: str, runs: Sequence[Run]) -> str:
@@ -251,7 +253,7 @@ def judged_run(
         except TimeLimitError:
             return Run(scene.seed, method, setting, "too long", False, process_time() - begin)
         except (ValueError, TypeError, ArithmeticError, RuntimeError) as error:
-            note = f"{scene.seed} {method} {setting}: {type(error).__name__}: {error}"
+            note = f"{type(error).__name__}: {error}"
             spent = process_time() - begin
             return Run(scene.seed, method, setting, "failed", False, spent, note=note)
     if any(issubclass(each.category, InterruptionWarning) for each in told):
