@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Set
 from contextlib import suppress
 from difflib import get_close_matches
 from pathlib import Path
@@ -19,8 +19,10 @@ BoolArray = NDArray[np.bool_]
 # Squares and fourth powers must stay within double precision.
 LARGEST = 1e70
 
-# Relative size of what counts as round-off in a weight matrix.
-_SYMMETRIC = 1e-12
+# Relative size of what counts as round-off in a weight matrix: of its asymmetry, which products of
+# matrices and Riccati equations leave, and of an eigenvalue below zero.
+_SYMMETRIC = 1e-9
+_SEMIDEFINITE = 1e-12
 
 # How much one call may ask for: memory, time, and whole numbers that compiled code can count with.
 # Far above what is sensible, and far below what ends a process or a day.
@@ -89,6 +91,16 @@ def float_array(name: str, value: object) -> FloatArray:
     return array
 
 
+def vector(name: str, value: object) -> FloatArray:
+    """Return ``value`` as a finite float array; a column, shape (k, 1), as a vector, shape (k,)."""
+    return _flat(float_array(name, value))
+
+
+def _flat(array: FloatArray) -> FloatArray:
+    """Return a column, shape (k, 1), as a vector; other arrays as they are."""
+    return array[:, 0] if array.ndim == 2 and array.shape[1] == 1 else array
+
+
 def measured(
     name: str, value: object, shape: tuple[int, ...], meaning: str = "one column per node"
 ) -> FloatArray:
@@ -144,16 +156,46 @@ def program_vectors(
 
 
 def shaped(name: str, value: object, shape: tuple[int, ...], meaning: str) -> FloatArray:
-    """Return ``value`` as a finite float array of exactly this shape."""
-    array = float_array(name, value)
+    """Return ``value`` as a finite float array of this shape; a column serves as a vector."""
+    array = vector(name, value) if len(shape) == 1 else float_array(name, value)
     if array.shape != shape:
         raise ValueError(f"{name} has shape {array.shape}, expected {shape}: {meaning}")
     return array
 
 
-def per_member(name: str, value: object, count: int, member: str) -> FloatArray:
-    """Return one finite float a member: a scalar is repeated, a vector must fit."""
+def node_forces(name: str, value: object, shape: tuple[int, ...]) -> FloatArray:
+    """Return a load, N, shape (d, n), one force a node; the number 0 is none."""
     array = float_array(name, value)
+    if array.ndim == 0 and array == 0:
+        return np.zeros(shape)
+    return shaped(name, array, shape, "one force per node, N; or 0")
+
+
+def per_member(name: str, value: object, count: int, member: str) -> FloatArray:
+    """Return one finite float a member: a scalar is repeated, a vector or column must fit."""
+    return _repeated(name, vector(name, value), count, member)
+
+
+def limits(name: str, value: object, none: float = np.inf) -> FloatArray:
+    """Return limits of any shape, of which some may be ``none``: no limit; None stands for all."""
+    array = np.asarray(none) if value is None else _flat(_real_array(name, value))
+    float_array(name, np.where(array == none, 0.0, array))
+    return array
+
+
+def limit_per_member(
+    name: str, value: object, count: int, member: str, none: float = np.inf
+) -> FloatArray:
+    """Return one limit a member, as :func:`per_member`, of which some may be ``none``."""
+    return _repeated(name, limits(name, value, none), count, member)
+
+
+def is_unlimited(value: object) -> bool:
+    """Return whether an upper limit is none: None or infinite."""
+    return value is None or (isinstance(value, float) and value == np.inf)
+
+
+def _repeated(name: str, array: FloatArray, count: int, member: str) -> FloatArray:
     if array.ndim == 0:
         return np.full(count, float(array))
     if array.shape != (count,):
@@ -190,6 +232,40 @@ def indices(name: str, value: FloatArray, count: int, of: str, noun: str = "") -
             "counted from 0"
         )
     return value.astype(np.int64)
+
+
+def index_list(name: str, value: object, count: int, of: str, noun: str = "") -> IntArray:
+    """Return indices from 0 to ``count - 1``, shape (k,), each once, in the order given.
+
+    ``value`` is one index, a sequence or set of them, or a mask: a boolean array, shape (count,).
+    """
+    array = index_array(name, value, count)
+    found = indices(name, array, count, of, noun)
+    return found[np.sort(np.unique(found, return_index=True)[1])]
+
+
+def index_array(name: str, value: object, count: int | None = None) -> FloatArray:
+    """Return an index, a sequence or set of them, or a mask of ``count`` as numbers, shape (k,)."""
+    given = sorted(value) if isinstance(value, Set) else value
+    if _is_mask(given):
+        mask = np.asarray(given)
+        if count is not None and len(mask) != count:
+            raise ValueError(
+                f"{name} is a mask of shape {mask.shape}, expected ({count},): True or False for "
+                "each"
+            )
+        return np.flatnonzero(mask).astype(float)
+    array = np.atleast_1d(vector(name, given))
+    if array.ndim != 1:
+        raise ValueError(f"{name} has shape {array.shape}, expected (k,): indices from 0")
+    return array
+
+
+def _is_mask(value: object) -> bool:
+    if isinstance(value, np.ndarray):
+        return value.dtype == bool and value.ndim == 1
+    listed = isinstance(value, list | tuple) and len(value) > 0
+    return listed and all(isinstance(each, bool | np.bool_) for each in value)  # type: ignore[attr-defined]
 
 
 def direction(name: str, value: object, dimension: int = 3) -> FloatArray:
@@ -239,9 +315,14 @@ def positive_number(name: str, value: object, unit: str, most: float = LARGEST) 
     return number
 
 
-def whole_number(name: str, value: object, least: int, most: int = LARGEST_WHOLE) -> int:
-    """Return an integer from ``least`` to ``most``."""
-    if isinstance(value, _NO_NUMBERS) or not isinstance(value, int | np.integer):
+def whole_number(name: str, value: Any, least: int, most: int = LARGEST_WHOLE) -> int:
+    """Return an integer from ``least`` to ``most``; a float may stand for one."""
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value[()]
+    is_whole = isinstance(value, int | np.integer)
+    if isinstance(value, float | np.floating):
+        is_whole = bool(value == np.floor(value))
+    if isinstance(value, _NO_NUMBERS) or not is_whole:
         raise TypeError(f"{name} is {_brief(value)}, expected a whole number of at least {least}")
     if value < least:
         raise ValueError(f"{name} is {_brief(value)}, expected a whole number of at least {least}")
@@ -280,7 +361,7 @@ def truth(name: str, value: object, meaning: str) -> bool:
 def member_parameters(parameters: dict[str, FloatArray]) -> None:
     """Refuse parameters that are not one number, or one per string, of one count."""
     for name, array in parameters.items():
-        if array.ndim > 1 or array.size == 0:
+        if array.ndim > 1:
             raise ValueError(
                 f"{name} has shape {array.shape}, expected one number, or one per string"
             )
@@ -348,6 +429,8 @@ def file_path(name: str, value: object, endings: Iterable[str] = ()) -> Path:
 def weight_matrix(name: str, value: object, size: int, definite: bool) -> FloatArray:
     """Return a symmetric weight, shape (size, size), of a number, a diagonal or a matrix."""
     array = float_array(name, value)
+    if array.shape == (size, 1):
+        array = array[:, 0]
     if array.shape not in ((), (size,), (size, size)):
         raise ValueError(
             f"{name} has shape {array.shape}, expected (), ({size},) or ({size}, {size}): "
@@ -357,11 +440,12 @@ def weight_matrix(name: str, value: object, size: int, definite: bool) -> FloatA
     largest = float(np.abs(matrix).max(initial=0.0))
     if np.abs(matrix - matrix.T).max(initial=0.0) > _SYMMETRIC * largest:
         raise ValueError(f"{name} is not symmetric")
+    matrix = (matrix + matrix.T) / 2
     least = float(np.linalg.eigvalsh(matrix).min()) if size else 0.0
-    if least < -_SYMMETRIC * largest or (definite and least <= 0):
+    if least < -_SEMIDEFINITE * largest or (definite and least <= 0):
         wanted = "positive" if definite else "at least 0"
         raise ValueError(f"{name} has the eigenvalue {least:.3g}, expected {wanted}")
-    return np.array(matrix)
+    return np.asarray(matrix)
 
 
 def refuse_memory(asked: str, count: float, things: str, each: float, hint: str = "") -> None:

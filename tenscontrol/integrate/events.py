@@ -32,8 +32,8 @@ from tenscontrol.validation import FloatArray
 BAND = 1e-11
 
 # The search inside a step: samples, how often it zooms in on the samples next to the first
-# crossing, and true steps to the place found, at most. The interpolant is off by O(h⁶), its slope by
-# O(h⁵), so each true step gains several digits.
+# crossing, and the most true steps to the place found. The interpolant is off by O(h⁶), its slope
+# by O(h⁵), so each true step gains several digits.
 SAMPLES = 6
 _ZOOMS = 2
 POLISHES = 8

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import ContactLaw, Equation, SharedEvaluator, compiled
-from tenscontrol.structure import Structure, node_mass
+from tenscontrol.structure import Structure, moving_mass, node_mass
 from tenscontrol.validation import (
     LARGEST,
     FloatArray,
@@ -276,8 +276,7 @@ def _size_and_mass(structure: Structure) -> tuple[float, float]:
     """Return the length of the longest member, m, and the mass, kg."""
     nodes, members = structure.nodes, np.vstack([structure.bars, structure.segments])
     size = np.linalg.norm(nodes[:, members[:, 1]] - nodes[:, members[:, 0]], axis=0).max()
-    mass = structure.bar_mass.sum() + structure.point_mass[structure.point_mass > 0].sum()
-    return float(size), float(mass)
+    return float(size), moving_mass(structure)
 
 
 def largest_frequency(

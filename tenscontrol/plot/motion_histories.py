@@ -21,7 +21,7 @@ from tenscontrol.plot.style import (
     timed_panels,
 )
 from tenscontrol.simulation import ControlRecord, CutString, Trajectory
-from tenscontrol.structure import Structure
+from tenscontrol.structure import Structure, moving_mass
 from tenscontrol.validation import FloatArray, choice, float_array, instance
 
 # Marks for statuses, told apart by their form.
@@ -383,7 +383,7 @@ def health(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, 
     >>> plt.close(panels["energy"].ax.figure)
     """
     instance("run", run, Trajectory, "make one by simulate(model, ...)")
-    mass = float(run.structure.bar_mass.sum() + run.structure.point_mass.sum())
+    mass = moving_mass(run.structure)
     speed = float(np.linalg.norm(run.velocities, axis=0).max())
     arm = float(np.linalg.norm(run.nodes, axis=0).max())
     # Panel: curves, label, and the size of the quantity where the scale is logarithmic.

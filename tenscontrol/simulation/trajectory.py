@@ -32,7 +32,7 @@ from tenscontrol.simulation.run_file import (
     write_run,
     write_table,
 )
-from tenscontrol.structure import Structure
+from tenscontrol.structure import Structure, moving_mass
 from tenscontrol.validation import FloatArray, IntArray
 from tenscontrol.web_page import View, Viewable
 
@@ -312,9 +312,8 @@ class Trajectory(Viewable):
 
     def _largest_momenta(self) -> tuple[float, float]:
         """Return the largest linear and angular momentum that the mass could have, as scales."""
-        points = self.structure.point_mass
-        mass = self.structure.bar_mass.sum() + points[points > 0].sum()
-        momentum = float(np.sqrt(2 * mass * self.kinetic_energy.max()))
+        energy = self.kinetic_energy.max()
+        momentum = float(np.sqrt(2 * moving_mass(self.structure) * energy))
         centre = self.nodes.mean(axis=1, keepdims=True)
         return momentum, momentum * float(np.abs(self.nodes - centre).max())
 

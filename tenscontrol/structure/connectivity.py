@@ -12,6 +12,7 @@ from tenscontrol.validation import (
     IntArray,
     choice,
     float_array,
+    index_array,
     indices,
     items,
     refuse_memory,
@@ -45,7 +46,7 @@ def checked_members(name: str, pairs: Any, count: int) -> IntArray:
 
 def checked_strings(strings: Any, paths: Any, count: int) -> tuple[IntArray, Paths]:
     """Return the first and last nodes of strings, shape (α, 2), and all paths if one is longer."""
-    given = items("paths", paths, "paths of nodes")
+    given = () if paths is None else items("paths", paths, "paths of nodes")
     if not given:
         if not (isinstance(strings, list | tuple) and any(map(_is_path, strings))):
             return checked_members("strings", strings, count), ()
@@ -64,10 +65,13 @@ def checked_strings(strings: Any, paths: Any, count: int) -> tuple[IntArray, Pat
 
 
 def checked_supports(fixed: Any, rollers: Any, shape: tuple[int, ...]) -> tuple[IntArray, Rollers]:
-    """Return the nodes that are fixed, ascending, and the (node, axis) pairs of the others."""
+    """Return the nodes that are fixed, ascending, and the (node, axis) pairs of the others.
+
+    What is named twice is held once.
+    """
     d, count = shape
-    nodes, pairs = fixed, []
-    if isinstance(fixed, list | tuple):
+    nodes, pairs = () if fixed is None else fixed, []
+    if isinstance(fixed, list | tuple | set | frozenset):
         pairs = [each for each in fixed if isinstance(each, list | tuple)]
         nodes = [each for each in fixed if not isinstance(each, list | tuple)]
         if any(isinstance(each, str) for each in nodes):
@@ -75,20 +79,12 @@ def checked_supports(fixed: Any, rollers: Any, shape: tuple[int, ...]) -> tuple[
                 f"fixed is {fixed!r}, expected node indices; a node and an axis are a pair of "
                 'their own, as in [0, (4, "z")]'
             )
-    array = np.atleast_1d(float_array("fixed", nodes))
-    if array.ndim != 1:
-        raise ValueError(
-            f"fixed has shape {array.shape}, expected a sequence of node indices, and of pairs of "
-            'a node and an axis, as in [0, (4, "z")]'
-        )
+    array = index_array("fixed", nodes, count)
     whole = indices("fixed", array, count, f"there are {count} nodes", "node ").tolist()
     held = [(node, axis) for node in whole for axis in "xyz"[:d]]
     held += [_roller("fixed", pair, d, count) for pair in pairs]
-    if len(set(held)) < len(held):
-        node, axis = next(each for each in held if held.count(each) > 1)
-        along = "" if node in whole else f" along {axis}"
-        raise ValueError(f"fixed names node {node} twice{along}")
-    for pair in items("rollers", rollers, "pairs of a node and an axis"):
+    more = () if rollers is None else rollers
+    for pair in items("rollers", more, "pairs of a node and an axis"):
         held.append(_roller("rollers", pair, d, count))
     by_node: dict[int, set[str]] = {}
     for node, axis in held:
@@ -112,15 +108,15 @@ def refuse_repeats(bars: IntArray) -> None:
     )
 
 
-def refuse_untouched_nodes(bars: IntArray, segments: IntArray, count: int) -> None:
-    """Raise if a node has no member."""
-    touched = np.concatenate([bars.ravel(), segments.ravel()])
+def refuse_untouched_nodes(bars: IntArray, segments: IntArray, held: IntArray, count: int) -> None:
+    """Raise if a node has no member, unless it is fixed."""
+    touched = np.concatenate([bars.ravel(), segments.ravel(), held])
     untouched = np.setdiff1d(np.arange(count), touched)
     if len(untouched):
         raise ValueError(
             f"nothing touches node {untouched[0]}"
             + (f" (nor {len(untouched) - 1} more)" if len(untouched) > 1 else "")
-            + "; remove it, or join it by a bar or a string"
+            + "; remove it, join it by a bar or a string, or fix it"
         )
 
 

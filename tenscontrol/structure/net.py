@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
-
 import numpy as np
 
 from tenscontrol.structure.connectivity import refuse_many_members
@@ -12,7 +10,7 @@ from tenscontrol.validation import (
     FloatArray,
     IntArray,
     choice,
-    float_array,
+    index_array,
     positive_number,
     whole_number,
 )
@@ -36,7 +34,7 @@ def net(
         Mass of each free knot, kg.
     fixed : {"corners", "edges"} or sequence of int or None
         The knots held in place: the four corners, all knots on the edges, or
-        those with these indices. None holds nothing, with a warning.
+        those with these indices. None holds nothing: strings pull the net together.
 
     Returns
     -------
@@ -48,11 +46,6 @@ def net(
     ------
     TypeError, ValueError
         If an argument does not fit, or every knot is fixed.
-
-    Warns
-    -----
-    UserWarning
-        If no knot is fixed: strings pull the net together, and nothing holds it.
 
     Notes
     -----
@@ -74,13 +67,6 @@ def net(
     mass = positive_number("node_mass", node_mass, "kg")
     knots = np.arange(count_rows * count_columns).reshape(count_rows, count_columns)
     held = _held(fixed, knots)
-    if held.size == 0:
-        warnings.warn(
-            "no knot of the net is fixed, and its strings would only pull it together; "
-            "give fixed='corners', 'edges' or node indices",
-            UserWarning,
-            stacklevel=2,
-        )
     if np.isin(knots, held).all():
         raise ValueError(
             f"fixed holds all {knots.size} knots of the net, so that nothing can move; "
@@ -105,7 +91,7 @@ def _held(fixed: object, knots: IntArray) -> IntArray | FloatArray:
     if fixed is None:
         return np.zeros(0, dtype=np.int64)
     if not isinstance(fixed, str):
-        return float_array("fixed", fixed)
+        return index_array("fixed", fixed, knots.size)
     if choice("fixed", fixed, ("corners", "edges")) == "corners":
         return knots[[0, 0, -1, -1], [0, -1, 0, -1]]
     inner = knots[1:-1, 1:-1]

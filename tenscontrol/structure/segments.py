@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from tenscontrol.structure.bar_geometry import refuse_strings_without_length
@@ -54,7 +56,7 @@ def subdivide(
         Number s of segments, one for all strings or one per string. A string
         with s = 1 is left as it is.
     node_mass : float, optional
-        Mass of each new node, kg.
+        Mass of each new node, kg. Not needed where no string is cut.
     string_mass : float or array_like, shape (α,), optional
         Mass of each whole string, kg, instead of ``node_mass``; 0 for a string that is not cut.
 
@@ -66,9 +68,10 @@ def subdivide(
     Raises
     ------
     TypeError, ValueError
-        If ``segments`` is not a whole number of at least 1; if not exactly one of ``node_mass`` and
-        ``string_mass`` is given; if a mass is not positive, or belongs to a string that is not cut
-        and so has no node to carry it; if a string has no length.
+        If ``segments`` is not a whole number of at least 1; if a string is cut, and not exactly one
+        of ``node_mass`` and ``string_mass`` is given, or strings are clustered; if a mass is not
+        positive, or belongs to a string that is not cut and so has no node to carry it; if a string
+        has no length.
 
     Notes
     -----
@@ -104,15 +107,16 @@ def subdivide(
     >>> strings = tc.LinearStrings(stiffness=100.0 * tc.structure.segment_counts(massive))
     """
     instance("structure", structure, Structure, "make one by Structure(...) or prism(...)")
+    counts = _counts(segments, len(structure.strings))
+    mass = _point_masses(counts, node_mass, string_mass)
+    if not len(mass):
+        return replace(structure, parent=structure, string_parent=np.arange(len(counts)))
     if structure.has_clusters:
         raise ValueError(
             "structure has clustered strings, which run over their inner nodes: they cannot be cut "
             "into segments with a mass"
         )
-    counts = _counts(segments, len(structure.strings))
-    mass = _point_masses(counts, node_mass, string_mass)
-    if len(mass):
-        refuse_strings_without_length("structure.nodes", structure, structure.nodes)
+    refuse_strings_without_length("structure.nodes", structure, structure.nodes)
     known = structure.nodes.shape[1]
 
     # The new nodes: of string i, the j-th of s − 1.
@@ -161,6 +165,8 @@ def _counts(segments: object, count: int) -> IntArray:
 
 def _point_masses(counts: IntArray, node_mass: object, string_mass: object) -> FloatArray:
     """Return the mass of each new node."""
+    if node_mass is None and string_mass is None and not (counts > 1).any():
+        return np.zeros(0)
     if (node_mass is None) == (string_mass is None):
         found = "no mass" if node_mass is None else "node_mass and string_mass"
         raise ValueError(
@@ -252,7 +258,7 @@ def segment_counts(structure: Structure) -> IntArray:
     Parameters
     ----------
     structure : Structure
-        Made by :func:`subdivide`, or ValueError.
+        Made by :func:`subdivide`; a string of another is its own segment.
 
     Examples
     --------
@@ -262,8 +268,8 @@ def segment_counts(structure: Structure) -> IntArray:
     array([2, 2, 3])
     >>> strings = tc.LinearStrings(stiffness=100.0 * tc.structure.segment_counts(massive))
     """
-    parent = _whole(structure)
-    return frozen(to_segments(structure, "stiffness", np.ones(len(parent.strings), np.int64)))
+    whole = _checked_whole(structure)
+    return frozen(to_segments(structure, "stiffness", np.ones(len(whole.strings), np.int64)))
 
 
 def spread_force_density(structure: Structure, force_density: object) -> FloatArray:
@@ -272,9 +278,9 @@ def spread_force_density(structure: Structure, force_density: object) -> FloatAr
     Parameters
     ----------
     structure : Structure
-        Made by :func:`subdivide`, or ValueError.
+        Made by :func:`subdivide`; a string of another is its own segment.
     force_density : float or array_like, shape (α,)
-        γ of each string of ``structure.parent``, N/m, at least 0.
+        γ of each whole string, N/m, at least 0.
 
     Examples
     --------
@@ -296,9 +302,9 @@ def spread_rest_length(structure: Structure, rest_length: object) -> FloatArray:
     Parameters
     ----------
     structure : Structure
-        Made by :func:`subdivide`, or ValueError.
+        Made by :func:`subdivide`; a string of another is its own segment.
     rest_length : float or array_like, shape (α,)
-        l0 of each string of ``structure.parent``, m, at least 0.
+        l0 of each whole string, m, at least 0.
 
     Examples
     --------
@@ -311,19 +317,13 @@ def spread_rest_length(structure: Structure, rest_length: object) -> FloatArray:
 
 
 def _spread(structure: Structure, what: str, value: object, why: str) -> FloatArray:
-    values = per_member(what, value, len(_whole(structure).strings), "string of the parent")
+    values = per_member(what, value, len(_checked_whole(structure).strings), "whole string")
     return to_segments(structure, what, non_negative(what, values, why))
 
 
-def _whole(structure: Structure) -> Structure:
-    """Return the parent of a subdivision, or refuse another structure."""
+def _checked_whole(structure: Structure) -> Structure:
     instance("structure", structure, Structure, "make one by subdivide(...)")
-    if structure.parent is None or structure.string_parent is None:
-        raise ValueError(
-            "structure has no string_parent, expected a structure made by subdivide(...); "
-            "segments=1 leaves the strings as they are"
-        )
-    return structure.parent
+    return whole_strings(structure)
 
 
 def _map(structure: Structure) -> tuple[IntArray, IntArray]:

@@ -122,8 +122,12 @@ def skin(
     count = whole_number("iterations", iterations, 0, 500)  # 3^500 is a number yet
     identifier("group", group)
     loops = _loops(structure, panels)
-    density = _density(loops, structure.nodes, node_mass, panel_mass, areal_density)
-    if count == 0:
+    is_bare = count == 0 or not loops
+    masses = {"node_mass": node_mass, "panel_mass": panel_mass, "areal_density": areal_density}
+    if is_bare and all(each is None for each in masses.values()):
+        return structure
+    density = _density(loops, structure.nodes, masses)
+    if is_bare:
         return structure
     around = sum(map(len, loops.values()))
     refuse_many_members(f"iterations is {count}", around * (3.0**count - 1) / 2)
@@ -175,9 +179,9 @@ def skin_rest_length(
     Parameters
     ----------
     structure : Structure
-        Made by :func:`skin`.
+        Made by :func:`skin`, or one without skin.
     rest_length : float or array_like, shape (α,)
-        Rest lengths of the strings of ``structure.parent``, m.
+        Rest lengths of the strings of ``structure.parent``, m; without skin, of its own.
     prestretch : float
         ε: the skin strings are this part longer in the reference shape than at
         rest, ``l0 = l/(1 + ε)``. 0 is just taut; below 0 is slack, above −1.
@@ -190,7 +194,7 @@ def skin_rest_length(
     Raises
     ------
     TypeError, ValueError
-        If the structure was not made by :func:`skin`, or an argument is not finite or out of range.
+        If the structure was subdivided, or an argument is not finite or out of range.
 
     Examples
     --------
@@ -200,13 +204,12 @@ def skin_rest_length(
     array([0.8, 0.8, 0.8, 0.8, 0.8, 0.8, 0.8, 0.8, 0.8, 0.4, 0.4, 0.4])
     """
     instance("structure", structure, Structure, "make one by skin(...)")
-    parent = structure.parent
-    if parent is None or structure.string_parent is not None:
+    if structure.string_parent is not None:
         raise ValueError(
-            "structure has no skin, or was subdivided after: skin(structure, panels, ...) makes "
-            "one, and spread_rest_length(...) spreads the answer over segments"
+            "structure is subdivided: give its parent, and spread_rest_length(...) spreads the "
+            "answer over segments"
         )
-    count = len(parent.strings)
+    count = len((structure.parent or structure).strings)
     given = per_member("rest_length", rest_length, count, "string of the parent")
     positive("rest_length", given, "length in m")
     stretch = float_array("prestretch", prestretch)
@@ -226,25 +229,18 @@ def _areas(triangles: Sequence[Loop], places: Sequence[FloatArray] | FloatArray)
     return np.asarray(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
 
 
-def _density(
-    loops: dict[str, Loop],
-    nodes: FloatArray,
-    node_mass: object,
-    panel_mass: object,
-    areal_density: object,
-) -> FloatArray:
+def _density(loops: dict[str, Loop], nodes: FloatArray, masses: dict[str, object]) -> FloatArray:
     """Return the areal density of each panel, kg/m²; zeros where nodes have their own mass."""
-    masses = {"node_mass": node_mass, "panel_mass": panel_mass, "areal_density": areal_density}
     given = [name for name, value in masses.items() if value is not None]
     if len(given) != 1:
         raise ValueError(
             f"found {' and '.join(given) or 'no mass'}, expected exactly one of node_mass (kg, of "
             "each new node), panel_mass (kg, of each panel) and areal_density (kg/m²)"
         )
-    if node_mass is not None:
-        positive_number("node_mass", node_mass, "kg")
-        return np.zeros(len(loops))
     name = given[0]
+    if name == "node_mass":
+        positive_number(name, masses[name], "kg")
+        return np.zeros(len(loops))
     value = per_member(name, masses[name], len(loops), "panel")
     positive(name, value, "mass in kg" if name == "panel_mass" else "areal density in kg/m²")
     if name == "areal_density":
@@ -267,17 +263,15 @@ def _loops(structure: Structure, panels: object) -> dict[str, Loop]:
         panels = (panels,)
     named = _named_panels(structure)
     found: dict[str, Loop] = {}
-    owner: dict[frozenset[int], str] = {}
+    known: set[frozenset[int]] = set()
     entries = items("panels", panels, "panel names and node loops")
-    if not entries:
-        raise ValueError("panels is empty, expected at least one panel name or node loop")
     for i, entry in enumerate(entries):
         if isinstance(entry, str):
             if entry not in named:
-                known = ", ".join(repr(name) for name in named) or "none"
+                names = ", ".join(repr(name) for name in named) or "none"
                 raise ValueError(
                     f"panels[{i}] is {entry!r}, expected a name of panels of this structure "
-                    f"({known}), or a loop of node indices"
+                    f"({names}), or a loop of node indices"
                 )
             several = len(named[entry]) > 1
             loops = {
@@ -288,11 +282,10 @@ def _loops(structure: Structure, panels: object) -> dict[str, Loop]:
             loops = {f"panels[{i}]": _given_loop(f"panels[{i}]", entry, structure.nodes.shape[1])}
         for name, loop in loops.items():
             key = frozenset(loop)
-            if key in owner:
-                raise ValueError(f"{name} has the same nodes as {owner[key]}; give a panel once")
-            owner[key] = name
             _refuse_bad_shape(name, loop, structure.nodes)
-        found |= loops
+            if key not in known:  # else it is the same panel
+                known.add(key)
+                found[name] = loop
     return found
 
 

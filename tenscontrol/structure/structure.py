@@ -35,11 +35,12 @@ from tenscontrol.validation import (
     per_member,
     positive,
     shaped,
+    vector,
 )
 from tenscontrol.web_page import View, Viewable
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Sequence
     from pathlib import Path
 
     from numpy.typing import ArrayLike
@@ -66,14 +67,16 @@ class Structure(Viewable):
         string: it runs over the inner nodes without friction, with one tension and one rest length.
         It is closed if it ends where it starts.
     bar_mass : float or array_like, shape (β,)
-        Mass of each bar, kg, spread evenly along it. One number serves all.
+        Mass of each bar, kg, spread evenly along it. One number serves all. Without bars it may be
+        None.
     string_node_mass : float or array_like, shape (σ,), optional
-        Mass of each string node, kg, in ascending order of node index. It takes the place of
-        ``point_mass`` there.
-    fixed : sequence of int and of (int, str), optional
-        Nodes that are held in place, and pairs of a node and the axis, ``"x"``, ``"y"`` or ``"z"``,
-        along which it is held: a roller. What is held costs no state and no mass. A bar with
-        one fixed end swings about it; one with both ends fixed is part of the support.
+        Mass of each string node, kg, in ascending order of node index, or of each node on no bar,
+        fixed ones among them. It takes the place of ``point_mass`` there.
+    fixed : sequence or set of int and of (int, str), or of bool, shape (n,), optional
+        Nodes that are held in place, or a mask of them, and pairs of a node and the axis, ``"x"``,
+        ``"y"`` or ``"z"``, along which it is held: a roller. What is held costs no state and no
+        mass. A bar with one fixed end swings about it; one with both ends fixed is part of the
+        support.
     string_groups : sequence of str, length α, optional
         A group name for each string, used in names of signals and to refer to
         strings in words. All are ``"string"`` when not given.
@@ -83,9 +86,9 @@ class Structure(Viewable):
     string_parent : array_like of int, shape (α,), optional
         For each string, the index of the string of ``parent`` that it is a
         segment of; :func:`subdivide` sets it.
-    point_mass : array_like, shape (n,), optional
+    point_mass : float or array_like, shape (n,), optional
         Mass at each node, kg, in addition to that of the bars: a payload, a motor, a string node.
-        Every string node needs one; fixed nodes have none.
+        Every string node needs one. On a fixed node it is kept, and does nothing.
     rollers : sequence of (int, str), optional
         More pairs like those of ``fixed``, which end up here.
     paths : sequence of sequence of int, optional
@@ -98,9 +101,9 @@ class Structure(Viewable):
         If an argument is not an array of numbers, or an index is not a whole number.
     ValueError
         If a shape does not fit, an index is out of range, a member joins a node to itself, a bar
-        repeats another, a clustered string passes a node twice, a node has no member, a bar has no
-        length, a mass is missing or not positive, a fixed node is named twice, or ``string_parent``
-        does not fit ``parent``. The message names what is wrong.
+        repeats another, a clustered string passes a node twice, a free node has no member, a bar
+        has no length, a mass is missing or not positive, or ``string_parent`` does not fit
+        ``parent``. The message names what is wrong.
 
     Notes
     -----
@@ -147,15 +150,15 @@ class Structure(Viewable):
         nodes: ArrayLike,
         bars: ArrayLike,
         strings: ArrayLike | Sequence[Sequence[int]],
-        bar_mass: ArrayLike,
+        bar_mass: ArrayLike | None,
         string_node_mass: ArrayLike | None = None,
         string_groups: Sequence[str] | None = None,
-        fixed: ArrayLike | Sequence[int | tuple[int, str]] = (),
+        fixed: ArrayLike | Collection[int | tuple[int, str]] | None = (),
         parent: Structure | None = None,
         string_parent: ArrayLike | None = None,
         point_mass: ArrayLike | None = None,
-        rollers: Sequence[tuple[int, str]] = (),
-        paths: Sequence[Sequence[int]] = (),
+        rollers: Sequence[tuple[int, str]] | None = (),
+        paths: Sequence[Sequence[int]] | None = (),
     ) -> None:
         N = float_array("nodes", nodes)
         if N.ndim != 2 or N.shape[0] not in (2, 3) or N.shape[1] == 0:
@@ -173,11 +176,12 @@ class Structure(Viewable):
         ends, found = checked_strings(strings, paths, count)
         put(self, "strings", frozen(ends))
         put(self, "paths", found)
-        refuse_untouched_nodes(self.bars, self.segments, count)
         held, rolling = checked_supports(fixed, rollers, N.shape)
+        refuse_untouched_nodes(self.bars, self.segments, held, count)
         put(self, "fixed", frozen(held))
         put(self, "rollers", rolling)
-        mass = per_member("bar_mass", bar_mass, len(self.bars), "bar")
+        given = () if bar_mass is None and not len(self.bars) else bar_mass
+        mass = per_member("bar_mass", given, len(self.bars), "bar")
         put(self, "bar_mass", frozen(positive("bar_mass", mass, "mass in kg")))
         put(self, "point_mass", frozen(self._checked_point_mass(point_mass, string_node_mass)))
         put(self, "string_groups", self._checked_groups(string_groups))
@@ -190,30 +194,22 @@ class Structure(Viewable):
     def _checked_point_mass(self, given: Any, alone: Any) -> FloatArray:
         """Return the mass at each node, from that of all and that of the string nodes alone."""
         points, count = self.string_nodes, self.nodes.shape[1]
-        mass = np.zeros(count)
-        if given is not None:
-            mass = shaped("point_mass", given, (count,), "one per node, kg").copy()
-            non_negative("point_mass", mass, "mass in kg")
-            held = self.fixed[mass[self.fixed] > 0]
-            if len(held):
-                raise ValueError(
-                    f"point_mass[{held[0]}] is {mass[held[0]]:g} kg, but node {held[0]} is fixed: "
-                    "its mass would do nothing; give 0 there"
-                )
-        if alone is not None and len(points) == 0 and float_array("string_node_mass", alone).size:
-            raise ValueError(
-                "string_node_mass is given, but every node is on a bar or fixed; leave it out, or "
-                "give point_mass, a mass for each node"
-            )
-        if alone is not None and len(points):
-            of_points = per_member("string_node_mass", alone, len(points), "string node")
+        mass = per_member("point_mass", 0.0 if given is None else given, count, "node")
+        non_negative("point_mass", mass, "mass in kg")
+        if alone is not None:
+            array = vector("string_node_mass", alone)
+            loose = np.setdiff1d(np.arange(count), self.bars.ravel())
+            if array.shape == loose.shape:
+                points = loose  # fixed nodes among them
+            of_points = per_member("string_node_mass", array, len(points), "string node")
             mass[points] = positive("string_node_mass", of_points, "mass in kg")
+        points = self.string_nodes
         bare = points[mass[points] == 0]
         if len(bare):
             raise ValueError(
                 f"node {bare[0]} is on no bar, so it is a point mass and needs "
                 f"string_node_mass: one number, or one for each of the {len(points)} string nodes; "
-                f"or give point_mass, one for each of the {count} nodes"
+                f"or give point_mass, one number, or one for each of the {count} nodes"
             )
         return mass
 

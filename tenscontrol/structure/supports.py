@@ -28,6 +28,11 @@ def is_movable(structure: Structure, pairs: IntArray) -> np.ndarray:
     return np.asarray(~np.isin(pairs, structure.fixed).all(axis=1))
 
 
+def moving_mass(structure: Structure) -> float:
+    """Return the mass of all bars and of the nodes that are not fixed, kg."""
+    return float(structure.bar_mass.sum() + structure.point_mass[structure.free].sum())
+
+
 def rigid_motions(nodes: FloatArray) -> FloatArray:
     """Return the displacement fields of d translations, then d (d − 1)/2 rotations, shape (d n, ·).
 

@@ -1,7 +1,6 @@
 """A net: strings only, flat, evenly spaced, and held where it is told to be."""
 
 import re
-import warnings
 
 import numpy as np
 import pytest
@@ -64,24 +63,16 @@ def test_one_tension_everywhere_holds_a_net_with_fixed_edges():
     np.testing.assert_allclose(force[:, net.string_nodes], 0, atol=1e-14)
 
 
-@pytest.mark.parametrize("fixed", [None, (), []])
-def test_a_net_that_nothing_holds_is_allowed_and_warned_of(fixed):
-    with pytest.warns(UserWarning, match="no knot of the net is fixed") as caught:
-        net = tc.net(2, 2, spacing=1.0, node_mass=0.01, fixed=fixed)
-    assert caught[0].filename == __file__
+@pytest.mark.parametrize("fixed", [None, (), [], set(), [False] * 4])
+def test_a_net_may_be_held_nowhere(fixed):
+    net = tc.net(2, 2, spacing=1.0, node_mass=0.01, fixed=fixed)
     assert len(net.fixed) == 0
     assert len(net.string_nodes) == 4
 
 
-def test_a_net_that_is_held_is_not_warned_of():
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        tc.net(2, 3, spacing=1.0, node_mass=0.01, fixed=0)
-
-
 REFUSED = {
     "rows": ({"rows": 1}, ValueError, "rows is 1, expected a whole number of at least 2"),
-    "columns": ({"columns": 2.0}, TypeError, "columns is 2.0, expected a whole number"),
+    "columns": ({"columns": 2.5}, TypeError, "columns is 2.5, expected a whole number"),
     "spacing": ({"spacing": 0.0}, ValueError, "spacing is 0.0, expected a positive finite number"),
     "mass": ({"node_mass": -1}, ValueError, "node_mass is -1, expected a positive finite number"),
     "word": (
@@ -90,7 +81,6 @@ REFUSED = {
         "fixed is 'sides', expected one of 'corners', 'edges'",
     ),
     "range": ({"fixed": [0, 9]}, ValueError, "fixed[1] is node 9, expected 0 to 8"),
-    "twice": ({"fixed": [3, 3]}, ValueError, "fixed names node 3 twice"),
     "part": ({"fixed": [0.5]}, TypeError, "fixed[0] is 0.5, expected a whole number"),
     "words": ({"fixed": ["a"]}, TypeError, "fixed must be an array of real numbers"),
     "all": ({"fixed": range(9)}, ValueError, "fixed holds all 9 knots of the net"),

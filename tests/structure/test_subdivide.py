@@ -309,26 +309,11 @@ REFUSED = {
         ValueError,
         "in structure.nodes, strings[0] has no length",
     ),
-    "counts of a whole": (
-        lambda: tc.structure.segment_counts(whole()),
-        ValueError,
-        "structure has no string_parent, expected a structure made by subdivide(...)",
-    ),
-    "γ of a whole": (
-        lambda: tc.structure.spread_force_density(whole(), 1.0),
-        ValueError,
-        "no string_parent",
-    ),
-    "l0 of a skin": (
-        lambda: tc.structure.spread_rest_length(tc.skin(whole(), "top", node_mass=0.1), 1.0),
-        ValueError,
-        "no string_parent",
-    ),
     "γ of segments": (
         lambda: tc.structure.spread_force_density(cut(), np.ones(18)),
         ValueError,
         "force_density has shape (18,), expected () or (9,): one number for all, or one per "
-        "string of the parent",
+        "whole string",
     ),
     "γ that pushes": (
         lambda: tc.structure.spread_force_density(cut(), [1.0] * 8 + [-1.0]),

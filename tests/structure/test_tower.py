@@ -167,7 +167,7 @@ def test_thirty_thousand_bars_are_stages_like_the_first_ones():
     ("bad", "error", "words"),
     [
         ({"stages": 0}, ValueError, "stages is 0, expected a whole number of at least 1"),
-        ({"stages": 2.0}, TypeError, "stages is 2.0"),
+        ({"stages": 2.5}, TypeError, "stages is 2.5"),
         ({"sides": 2}, ValueError, "sides is 2"),
         ({"radius": 0.0}, ValueError, "radius is 0.0"),
         ({"height": -1.0}, ValueError, "height is -1.0"),
