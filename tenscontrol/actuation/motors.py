@@ -82,7 +82,8 @@ class Motor:
         J of the rotor, with the drum by 1/G², kg m². A motor with inertia needs ``torque``, from
         which its acceleration follows; it then moves with a speed that does not jump.
     lag : float or array_like, shape (α,)
-        Time constant of the drive, s: the rest length follows as ``(command − l0)/lag``.
+        Time constant T of the drive, s: the rest length follows by ``(r − l0)/T``. The reference r
+        is the command, or the ramp from the last command to it.
     backlash : float or array_like, shape (α,)
         Play of the drum, rad: after a reversal the motor turns the drum only when the play is
         taken up. At the start the drum is in the middle of it.
@@ -249,8 +250,9 @@ class MotorRecord:
         Number of motors that met their limit of torque in each sample.
     zero : ndarray, shape (α,)
         Rest length, m, at which the angle is zero; length of the string where γ is held.
-    at_end : ndarray, shape (2, α)
-        Rest length without play, m, and its rate, m/s, at the end: a run goes on from there.
+    at_end : ndarray, shape (3, α)
+        Rest length without play, m, its rate, m/s, and the rest length that the motors follow, m,
+        at the end: a run goes on from there.
     """
 
     time: FloatArray

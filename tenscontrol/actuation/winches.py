@@ -39,6 +39,9 @@ _UNITS = (("rate", "speed in m/s"), ("shortest", "length in m"), ("longest", "le
 # from which they start where it is slack.
 _NEWTON, _TAUT = 6, 1e-3
 
+# Phases of a tick in which a drive with a lag is at its largest speed, or below it.
+_PHASES = 3
+
 # kg m²: of motors without inertia among others that have some.
 _LEAST_INERTIA = 1e-30
 
@@ -387,6 +390,9 @@ class Drive:
         Where they are, m.
     position, speed : ndarray, shape (α,)
         The rest length that there would be without play, m, and its rate, m/s.
+    reference : ndarray, shape (α,)
+        The rest length that the motors follow, m: a ramp goes from that of the last sample to the
+        command, wherever a lag or an inertia has left the motors.
     """
 
     def __init__(
@@ -405,9 +411,10 @@ class Drive:
         self._rate = np.broadcast_to(rate, count)
         self.rest_length = rest_length
         if motion is None:
-            motion = np.stack([rest_length, np.zeros(count)])
+            motion = np.stack([rest_length, np.zeros(count), rest_length])
         self.position: FloatArray = motion[0]
         self.speed: FloatArray = motion[1]
+        self.reference: FloatArray = motion[2]
         self._before = self.position
         self._ticks: list[tuple[float, Tick]] = []
 
@@ -418,6 +425,7 @@ class Drive:
         self._target = self._move.rest_length
         self._start = self.position
         if self._winches.has_drive:
+            self._start = self.reference
             self._target = np.clip(wanted, *_range(self._winches))
             self._move = replace(self._move, rate_limited=self._move.rate_limited[:0])
         self._slow = np.zeros(len(wanted), dtype=bool)
@@ -428,15 +436,19 @@ class Drive:
         """Move through a tick of the sample, counted from 1, that begins now, s; return how."""
         winches = self._winches
         time = self._sample_time / winches.ticks
-        target = self._target
-        if winches.ramp and number < winches.ticks:
-            target = self._start + number / winches.ticks * (target - self._start)
+        before = target = self._target
+        if winches.ramp:
+            way = target - self._start
+            before = self._start + (number - 1) / winches.ticks * way
+            if number < winches.ticks:
+                target = self._start + number / winches.ticks * way
+        self.reference = target
         if winches.degree == 2:
             end, speed = self._accelerated(target, time, pull)
             acceleration = (speed - self.speed) / time
             first = self.speed
         else:
-            end = self._followed(target, time)
+            end = self._followed(before, target, time)
             later = time * (not winches.jumps)
             if self._strains(pull, end, later):
                 least = np.minimum(self.position, self._least(pull, later))
@@ -488,20 +500,39 @@ class Drive:
             torque_limited=frozen(np.flatnonzero(self._weak)),
         )
 
-    def _followed(self, target: FloatArray, time: float) -> FloatArray:
-        """Return the positions at the end of a tick, without inertia or limit of torque."""
-        gap, lag, most = target - self.position, self._motor.lag, self._rate * time
+    def _followed(self, before: FloatArray, target: FloatArray, time: float) -> FloatArray:
+        """Return the positions at the end of a tick, without inertia or limit of torque.
+
+        The reference goes in a straight line from ``before`` to ``target``. A drive with a lag
+        closes the gap g to it by dg/dt = v - g/lag, v its speed, or at the largest speed.
+        """
+        lag, rate = self._motor.lag, self._rate
         if not lag.any():
-            return np.clip(target, self.position - most, self.position + most)
-        # At the largest speed first, then ever slower.
-        far = np.abs(gap)
+            return np.clip(target, self.position - rate * time, self.position + rate * time)
+        gap, speed = before - self.position, (target - before) / time
+        left = np.full(len(gap), time)
         with np.errstate(invalid="ignore", divide="ignore"):
-            near = np.where(np.isinf(self._rate), far, np.minimum(far, self._rate * lag))
-            full = np.where(far > near, np.minimum((far - near) / self._rate, time), 0.0)
-            rest = far - np.where(full > 0, self._rate * full, 0.0)
-            left = np.where(lag > 0, rest * np.exp(-(time - full) / lag), rest * (full >= time))
-        self._slow |= full > 0
-        return np.asarray(target - np.sign(gap) * left)
+            most, still = rate * lag, speed * lag
+            # At the largest speed, then slower, then at the largest speed the other way.
+            for _ in range(_PHASES):
+                way = np.sign(gap)
+                closing = rate - way * speed
+                full = (np.abs(gap) > most) | ((np.abs(gap) == most) & (closing <= 0))
+                edge = np.where(full, way, np.sign(speed)) * most
+                until = np.where(closing > 0, (np.abs(gap) - most) / closing, np.inf)
+                slower = np.where(
+                    np.abs(speed) > rate, lag * np.log((still - gap) / (still - edge)), np.inf
+                )
+                until = np.where(full, until, slower)
+                part = np.minimum(left, until)
+                moved = np.where(
+                    full, gap - way * closing * part, still + (gap - still) * np.exp(-part / lag)
+                )
+                self._slow |= full & (part > 0) & (lag > 0)
+                gap, left = np.where(until < left, edge, moved), left - part
+        at_once = np.clip(target, self.position - rate * time, self.position + rate * time)
+        self._slow |= (lag == 0) & (at_once != target)
+        return np.where(lag > 0, target - gap, at_once)
 
     def _accelerated(
         self, target: FloatArray, time: float, pull: Pull

@@ -264,7 +264,7 @@ class Actuators:
         before = ends[0]
         if self._drive is None:
             turning, work = cable_work(model, ends)
-            start, at_end = turning[0].position[:, 0], np.zeros((2, self._count))
+            start, at_end = turning[0].position[:, 0], np.zeros((3, self._count))
         else:
             stored, forces, work, error = winding_work(model, ends, motion)
             # A jump of rest lengths at the standing structure gives what strings store more.
@@ -285,7 +285,8 @@ class Actuators:
                 for at, force in zip(ends, forces, strict=True)
             ]
             start = turning[0].position[:, 0] if self.start is None else self.start
-            at_end = np.stack([self._drive.position, self._drive.speed])
+            drive = self._drive
+            at_end = np.stack([drive.position, drive.speed, drive.reference])
         if self._earlier is not None:
             start = self._earlier.zero
         return motor_record(

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
+from tenscontrol.actuation import Drive
 from tenscontrol.control import Command, Controller
 from tests.known_structures import arm, d_bar
 from tests.random_structures import any_structure
@@ -103,6 +104,7 @@ KINDS = {
     "ramps": {},
     "speed limit": {"ramp": False, "speed": 200.0},
     "lag": {"ramp": False, "lag": 0.05},
+    "ramps with a lag": {"lag": 0.05},
     "inertia": {"ramp": False, "rate": 0.1, "torque": 5.0, "inertia": INERTIA},
     "play": {"backlash": 0.3},
 }
@@ -268,6 +270,52 @@ def test_a_lag_is_that_of_its_time_constant():
             )
             np.testing.assert_allclose(gap[:, ::2] * start[:, None], expected, atol=1e-12)
             assert run.control.rate_limited[0] == (late > 0).sum()
+
+
+def test_a_ramp_goes_from_command_to_command_whatever_the_lag():
+    """After a step of commands a drive is late by a ramp of one sample, then decays as it says."""
+
+    class Step(Wave):
+        def _decide(self, time, state):
+            return Command(0.99 * self.start)
+
+    model, start = scene("planar D-bar")
+    winches, lag, sample = winches_of(lag=0.012), 0.012, SAMPLE
+    given = {"controller": Step(model, start), "winches": winches, "step": 2e-3}
+    run = tc.simulate(model, 0.1, rest_length=start, **given)
+    gap = (run.control.applied / start[:, None] - 0.99) / 0.01
+    decay = np.exp(-sample / lag)
+    expected = lag / sample * (1 - decay) * decay ** np.arange(5)
+    np.testing.assert_allclose(gap, np.tile(expected, (2, 1)), rtol=1e-9)
+    first = tc.simulate(model, 0.02, rest_length=start, **given)
+    second = tc.simulate(model, 0.08, start=first, **given)
+    np.testing.assert_array_equal(second.control.applied, run.control.applied[:, 1:])
+
+
+@pytest.mark.parametrize("ramp", [False, True])
+@pytest.mark.parametrize("rate", [None, 0.2, 2.0])
+def test_a_lag_under_a_speed_limit_is_that_of_an_oracle(ramp, rate):
+    from scipy.integrate import solve_ivp
+
+    lag = np.array([0.005, 0.03, 0.1])
+    winches = tc.Winches(rate=rate, ramp=ramp, motor=tc.Motor(0.01, lag=lag))
+    drive, commands = Drive(winches, np.ones(3), SAMPLE), np.random.default_rng(3)
+    reference = np.ones(3)
+    for k in range(6):
+        command, begin = commands.uniform(0.98, 1.02, 3), drive.position
+        drive.begin(command, np.zeros(0, dtype=int))
+        for number in range(1, winches.ticks + 1):
+            drive.tick(number, k * SAMPLE, lambda *_: None)
+        way = (command - reference) / SAMPLE * ramp
+        origin, most = reference if ramp else command, np.inf if rate is None else rate
+
+        def follow(time, y, origin=origin, way=way):
+            return np.clip((origin + way * time - y) / lag, -most, most)
+
+        limits = {"rtol": 1e-9, "atol": 1e-12, "max_step": 2e-4}
+        found = solve_ivp(follow, (0, SAMPLE), begin, **limits).y[:, -1]
+        np.testing.assert_allclose(drive.position, found, atol=1e-8)
+        reference = command
 
 
 def test_the_loop_of_a_reversal_is_as_wide_as_the_play():
