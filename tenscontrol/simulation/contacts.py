@@ -486,7 +486,10 @@ class _Recorder:
             (change[:, 2:], self._exact_impulse),
         ):
             off = np.maximum(off, part.max(axis=(0, 1)) / max(exact, 1e-300))
-        return off, change[:, :2].sum(axis=(0, 1))
+        changed = change[:, :2].sum(axis=(0, 1))
+        # Where the motion runs away, a difference of infinite numbers says nothing.
+        off[np.isnan(off)] = changed[np.isnan(changed)] = np.inf
+        return off, changed
 
     def _integrated(self, parts: Segments, *kept: IntArray) -> _Integrals:
         """Return the integrals over segments, which are in these that were kept."""
