@@ -84,6 +84,7 @@ def test_a_folder_is_used_from_outside_through_its_init_only():
 
 # ---- its files ----
 
+
 def test_no_two_files_have_one_name():
     names = Counter(path.name for path in SOURCES if path.name != "__init__.py")
     assert [name for name, count in names.items() if count > 1] == []

@@ -253,6 +253,11 @@ class MotorRecord:
     at_end : ndarray, shape (3, α)
         Rest length without play, m, its rate, m/s, and the rest length that the motors follow, m,
         at the end: a run goes on from there.
+    rest_length_error : float
+        Estimate of the largest error of a rest length, m, that comes from following torque, lag,
+        inertia and play in the parts of a sample; more ``substeps`` make it smaller. It is found
+        along the motion that there was, whose own errors are in ``run.position_error``. 0 where γ
+        is held or rest lengths jump.
     """
 
     time: FloatArray
@@ -266,6 +271,7 @@ class MotorRecord:
     torque_limited: np.ndarray
     zero: FloatArray
     at_end: FloatArray
+    rest_length_error: float
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -352,6 +358,7 @@ def motor_record(
     asked: list[FloatArray],
     weak: list[int],
     at_end: FloatArray,
+    rest_length_error: float,
 ) -> MotorRecord:
     """Return the record of motors, given the work on strings in each interval, J, shape (α, T).
 
@@ -381,4 +388,5 @@ def motor_record(
         torque_limited=np.array(weak),
         zero=zero,
         at_end=at_end,
+        rest_length_error=rest_length_error,
     )

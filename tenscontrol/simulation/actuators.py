@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from functools import cached_property
+from functools import cached_property, partial
+from itertools import pairwise
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from tenscontrol.actuation import (
 )
 from tenscontrol.control import BaseController, Command
 from tenscontrol.dynamics import Evaluator, Pieces
+from tenscontrol.simulation.contacts import Segments
 from tenscontrol.simulation.loop import Loop
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.structure import same_members, to_segments, to_strings
@@ -81,6 +83,8 @@ class Actuators:
         self._winches = winches
         self._sample_time = sample_time
         self._drive: Drive | None = None
+        self._moves: list[tuple[FloatArray, IntArray]] = []  # of each sample: wanted, and stuck
+        self._begins: list[float] = []
         self._asked: list[FloatArray] = []
         self._weak: list[int] = []
         self._earlier: MotorRecord | None = None
@@ -162,8 +166,10 @@ class Actuators:
         if self._drive is None:
             motion = None if self._earlier is None else self._earlier.at_end
             start = desired if self._current is None else self._current
-            self._drive = Drive(self._winches, start, self._sample_time, motion)
+            self._new_drive = partial(Drive, self._winches, start, self._sample_time, motion)
+            self._drive = self._new_drive()
         self._weak.append(0)
+        self._moves.append((desired, stuck))
         return self._drive.begin(desired, stuck)
 
     def _set(self, value: FloatArray, weak: IntArray) -> WinchMove:
@@ -180,23 +186,15 @@ class Actuators:
             self.held = self._to_plant(self._held, self._current)
             return self.held
 
+        if number == 1:
+            self._begins.append(now)
         motion: list[FloatArray] = []  # of all nodes, where it is asked for
 
-        def pull(
-            rest_length: FloatArray, later: float
-        ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        def pull(rest_length: FloatArray, later: float) -> tuple[FloatArray, ...]:
             if not motion:
                 motion.extend(part.ravel(order="F") for part in self._loop.motion(state))
             N, V = motion
-            moved = np.concatenate([N + later * V, V])
-            lengths = self._to_plant("rest_length", rest_length)
-            _, force, _, slope, length = self._winding(moved, lengths, np.zeros_like(lengths))
-            share = self._to_plant("rest_length", np.ones(self._count))
-            return (
-                self._to_strings("tension", force),
-                self._to_strings("length", slope * share**2),
-                self._to_strings("length", length),
-            )
+            return self._pull(np.concatenate([N + later * V, V]), rest_length)
 
         found = self._drive.tick(number, now, pull)
         self._current = self.reached = self._drive.rest_length
@@ -205,6 +203,17 @@ class Actuators:
         if lengths.shape[1] == 1:
             return lengths[:, 0]
         return Pieces(np.array([-np.inf]), np.array([now]), lengths[None])
+
+    def _pull(self, motion: FloatArray, rest_length: FloatArray) -> tuple[FloatArray, ...]:
+        """Return force, its slope and length of the strings, see ``Pull``, in a motion."""
+        lengths = self._to_plant("rest_length", rest_length)
+        _, force, _, slope, length = self._winding(motion, lengths, np.zeros_like(lengths))
+        share = self._to_plant("rest_length", np.ones(self._count))
+        return (
+            self._to_strings("tension", force.copy()),  # the next call overwrites them
+            self._to_strings("length", slope * share**2),
+            self._to_strings("length", length.copy()),
+        )
 
     def end(self) -> WinchMove:
         """Return the move of the sample, with the limits that were met."""
@@ -290,8 +299,41 @@ class Actuators:
         if self._earlier is not None:
             start = self._earlier.zero
         return motor_record(
-            self._motor, start, ends, turning, work, error, self._asked, self._weak, at_end
-        )
+            self._motor, start, ends, turning, work, error, self._asked, self._weak, at_end,
+            self._rest_length_error(segments),
+        )  # fmt: skip
+
+    def _rest_length_error(self, segments: Segments) -> float:
+        """Estimate the error of rest lengths, m, that follows from few parts of a sample.
+
+        The motors are followed again, in half the parts, along the motion that there was. Errors
+        fall in proportion to the parts at worst, so the estimate is twice the largest difference.
+        """
+        drive = self._drive
+        if drive is None or drive.ticks == 1 or len(segments.ends) == 1:
+            return 0.0
+        finer, end, reached, times = self._new_drive(finer=2), segments.ends[-1], [], []
+        part = self._sample_time / finer.ticks
+        for begin, move in zip(self._begins, self._moves, strict=True):
+            finer.begin(*move)
+            instants = begin + part * np.arange(finer.ticks + 1)
+            instants = instants[instants < end + part / 2]
+            motion: list[FloatArray] = []
+            for i, (now, then) in enumerate(pairwise(instants)):
+
+                def pull(
+                    rest_length: FloatArray, later: float,
+                    i: int = i, instants: FloatArray = instants, motion: list[FloatArray] = motion,
+                ) -> tuple[FloatArray, ...]:  # fmt: skip
+                    if not motion:
+                        motion.append(segments.at_times(instants))
+                    return self._pull(motion[0][:, i + (later > 0)], rest_length)
+
+                finer.tick(i + 1, now, pull)
+                reached.append(finer.rest_length)
+                times.append(then)
+        difference = np.abs(drive.rest_lengths(np.array(times)) - np.column_stack(reached))
+        return 2.0 * float(difference.max())
 
     def _refuse_lengths(self, winches: Winches | None, rest_length: object) -> None:
         """Refuse what sets rest lengths where γ is held."""

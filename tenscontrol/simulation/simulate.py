@@ -387,8 +387,8 @@ def check_health(run: Trajectory, limits: HealthLimits) -> None:
         return
     finer = "a smaller tolerance" if run.step is None else f"a step below {run.step:g} s"
     text = "; ".join(passed)
-    # How deep nodes sink, and a fall, are no errors of the integration.
-    if replace(limits, penetration=None, fall=None).passed(health):
+    # How deep nodes sink, a fall, and steps of motors are no errors of the integration.
+    if replace(limits, penetration=None, fall=None, rest_length_error=None).passed(health):
         text += f": the motion may not be accurate. Try {finer}"
     if limits.action == "raise":
         raise SimulationError(text, run)

@@ -279,8 +279,17 @@ class Trajectory(Viewable):
             position_error=self.position_error,
             work=self.work,
             fall=self._fall,
+            rest_length_error=self._rest_length_error,
             **({} if self.contacts is None else self._of_ground(self.contacts)),
         )
+
+    @property
+    def _rest_length_error(self) -> float | None:
+        """The error of rest lengths that motors set, as part of the size."""
+        if self.control is None or self.control.motors is None:
+            return None
+        size = float(np.ptp(self.structure.nodes, axis=1).max())
+        return self.control.motors.rest_length_error / size
 
     def _of_ground(self, found: ContactRecord) -> dict[str, float | None]:
         """Return the figures of health that there are with a ground."""
@@ -365,6 +374,8 @@ class Trajectory(Viewable):
                     f"motors            at most {torque:.3g} N m and {power:.3g} W, "
                     f"{given:.4g} J in all (to {error:.0e} J)"
                 )
+                if motors.rest_length_error:
+                    lines[-1] += f", rest lengths to {motors.rest_length_error:.0e} m"
                 weak = int((motors.torque_limited > 0).sum())
                 if weak:
                     lines.append(f"                  at their limit of torque in {weak} samples")
