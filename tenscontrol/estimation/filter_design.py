@@ -43,10 +43,10 @@ PREDICTIONS = ("linear", "nonlinear")
 # Part of the size by which string lengths at the start may be off in the coordinates.
 _START_TOLERANCE = 1e-3
 
-# A plant at rest drifts by less than this part of the pull of a string.
+# A plant at rest drifts by less than this part of the pull of the strings.
 _FALLS = 0.01
 
-# Standard deviation of the load at the start, as a part of the pull of a string.
+# Standard deviation of the load at the start, as a part of the pull of the strings.
 _LOAD_START = 0.3
 
 
@@ -190,7 +190,11 @@ def _refuse_fall(plant: LinearPlant, pull: float) -> None:
 
 
 def _pull(plant: LinearPlant) -> float:
-    """Return the root mean square acceleration q̈ that strings give, each pulling alone."""
+    """Return the root mean square acceleration q̈ that strings give, with signs at random.
+
+    The squares of what each string gives alone are summed over the strings, and their mean is taken
+    over the coordinates.
+    """
     structure, commanded = plant.model.structure, plant.commanded
     ends = plant.nodes[:, : commanded.nodes.shape[1]]
     forces = np.zeros((len(commanded.strings), *structure.nodes.shape[::-1]))
@@ -234,7 +238,7 @@ def _with_load(design: FilterDesign, pull: float, walk: float) -> FilterDesign:
     """Return the design with the acceleration a that a load gives as states after z.
 
     ``z⁺ = Φ z + … + Ψ a``, with Ψ what unit accelerations do in a sample, and
-    ``a⁺ = a + w'``: a random walk, w' in units of ``pull``, the acceleration that a string gives.
+    ``a⁺ = a + w'``: a random walk, w' in units of ``pull``, see ``_pull``.
     """
     by_load = acceleration_response(design.plant, design.sample_time)
     size, r = by_load.shape
