@@ -370,13 +370,17 @@ class Actuators:
         assert self._law is not None  # a rest length is held
         largest, limit = self._to_plant("force_density", most), self._law.largest_force_density
         segments = self._to_plant("force_density", np.ones(self._count))
-        over = np.flatnonzero(largest >= limit)
+        # Under a law that reaches any γ, so do commands: they are finite.
+        over = np.flatnonzero((largest >= limit) & np.isfinite(limit))
         if len(over):
             i = over[0]
+            may = f"may command γ = {largest[i]:g} N/m"
+            if np.isinf(largest[i]):
+                may = "has no limit on the γ that it commands"
             raise ValueError(
-                f"the controller may command γ = {largest[i]:g} N/m on string {i}, but a string of "
-                f"stiffness {limit[i]:g} N/m stays below that whatever its rest length. Give the "
-                f"controller max_force_density below {limit[i] / segments[i]:g}"
+                f"the controller {may} on string {i}, but γ of that string stays below its "
+                f"stiffness, {limit[i]:g} N/m, whatever its rest length. Give the controller "
+                f"max_force_density below {limit[i] / segments[i]:g} N/m"
             )
 
 
