@@ -27,7 +27,7 @@ from tenscontrol.plant import (
     sampled,
     sampled_dynamics,
 )
-from tenscontrol.structure import refuse_wrong_bar_lengths, same_members
+from tenscontrol.structure import different_members, refuse_wrong_bar_lengths
 from tenscontrol.validation import (
     FloatArray,
     choice,
@@ -112,10 +112,13 @@ def filter_design(
             "plant has 'nodes' coordinates, in which bars may stretch; linearize with "
             "coordinates='internal' or 'minimal'"
         )
-    if not same_members(sensors.structure, plant.model.structure):
+    # Feet are fixed nodes to a plant on the ground; sensors may be those of the structure itself.
+    different = different_members(sensors.structure, plant.model.structure, plant.feet)
+    if different:
         raise ValueError(
             f"sensors are those of {sensors.structure!r}, but plant is that of "
-            f"{plant.model.structure!r} with other nodes, bars or strings"
+            f"{plant.model.structure!r} with {different}: give Sensors(structure=...) that of the "
+            "plant, plant.model.structure"
         )
     if prediction == "nonlinear":
         refuse_lost_place(plant)
