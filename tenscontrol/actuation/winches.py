@@ -594,7 +594,9 @@ class Drive:
         rest = np.minimum(self.rest_length, (1 - _TAUT) * length)
         for _ in range(_NEWTON):
             force, slope, _ = pull(rest, time)
-            before, rest = rest, np.maximum(rest + (force - most) / slope, _TAUT * length)
+            with np.errstate(all="ignore"):  # of motions that run away
+                step = (force - most) / slope
+            before, rest = rest, np.maximum(rest + step, _TAUT * length)
             if (np.abs(rest - before) <= _CONVERGED * length).all():
                 break
         return np.asarray(rest - self._play)

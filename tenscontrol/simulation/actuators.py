@@ -37,6 +37,9 @@ from tenscontrol.validation import (
 
 _NONE = frozen(np.zeros(0, dtype=np.int64))
 
+# Of strings: force, its slope and length, see ``Pull``.
+_Forces = tuple[FloatArray, FloatArray, FloatArray]
+
 # Of motors that move rest lengths.
 _DYNAMIC = ("inertia", "lag", "backlash")
 
@@ -190,7 +193,7 @@ class Actuators:
             self._begins.append(now)
         motion: list[FloatArray] = []  # of all nodes, where it is asked for
 
-        def pull(rest_length: FloatArray, later: float) -> tuple[FloatArray, ...]:
+        def pull(rest_length: FloatArray, later: float) -> _Forces:
             if not motion:
                 motion.extend(part.ravel(order="F") for part in self._loop.motion(state))
             N, V = motion
@@ -204,7 +207,7 @@ class Actuators:
             return lengths[:, 0]
         return Pieces(np.array([-np.inf]), np.array([now]), lengths[None])
 
-    def _pull(self, motion: FloatArray, rest_length: FloatArray) -> tuple[FloatArray, ...]:
+    def _pull(self, motion: FloatArray, rest_length: FloatArray) -> _Forces:
         """Return force, its slope and length of the strings, see ``Pull``, in a motion."""
         lengths = self._to_plant("rest_length", rest_length)
         _, force, _, slope, length = self._winding(motion, lengths, np.zeros_like(lengths))
@@ -312,26 +315,26 @@ class Actuators:
         drive = self._drive
         if drive is None or drive.ticks == 1 or len(segments.ends) == 1:
             return 0.0
+        assert self._motor is not None  # asked for by the record of the motors
         finer, end, reached, times = self._new_drive(finer=2), segments.ends[-1], [], []
-        part = self._sample_time / finer.ticks
-        for begin, move in zip(self._begins, self._moves, strict=True):
+        part, limited = self._sample_time / finer.ticks, np.isfinite(self._motor.torque).any()
+
+        def pull(ends: list[FloatArray], rest_length: FloatArray, later: float) -> _Forces:
+            return self._pull(ends[later > 0], rest_length)
+
+        # The last sample may have been interrupted before it began to move.
+        for begin, move in zip(self._begins, self._moves, strict=False):
             finer.begin(*move)
             instants = begin + part * np.arange(finer.ticks + 1)
             instants = instants[instants < end + part / 2]
-            motion: list[FloatArray] = []
+            # Forces are asked for under limits of torque only.
+            motion = list(segments.at_times(instants).T) if limited else []
             for i, (now, then) in enumerate(pairwise(instants)):
-
-                def pull(
-                    rest_length: FloatArray, later: float,
-                    i: int = i, instants: FloatArray = instants, motion: list[FloatArray] = motion,
-                ) -> tuple[FloatArray, ...]:  # fmt: skip
-                    if not motion:
-                        motion.append(segments.at_times(instants))
-                    return self._pull(motion[0][:, i + (later > 0)], rest_length)
-
-                finer.tick(i + 1, now, pull)
+                finer.tick(i + 1, now, partial(pull, motion[i : i + 2]))
                 reached.append(finer.rest_length)
                 times.append(then)
+        if not times:
+            return 0.0
         difference = np.abs(drive.rest_lengths(np.array(times)) - np.column_stack(reached))
         return 2.0 * float(difference.max())
 

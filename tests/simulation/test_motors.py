@@ -278,6 +278,20 @@ def test_a_weak_motor_is_followed_to_second_order():
     assert np.abs(few.control.applied - many.control.applied).max() < 2.5e-4
 
 
+def test_a_run_that_stops_within_a_sample_has_its_record():
+    """Strings break loose from a step far too long: motors are followed up to there."""
+    model, start = scene("planar D-bar", tc.LinearStrings(1e6))
+    motor = tc.Motor(**GEAR, torque=5.0, lag=0.01)
+    with pytest.raises(tc.simulation.SimulationError) as info:
+        tc.simulate(
+            model, 1.0, controller=Wave(model, start), winches=tc.Winches(ramp=True, motor=motor),
+            rest_length=start, method="rk4", step=SAMPLE / 10,
+        )  # fmt: skip
+    motors = info.value.trajectory.control.motors
+    assert motors.rest_length_error >= 0
+    assert len(motors.time) == len(info.value.trajectory.time)
+
+
 def test_few_substeps_give_a_warning():
     with pytest.warns(tc.simulation.AccuracyWarning, match="rest length error .* substeps"):
         weak_run(2, 0.6, SAMPLE / 16, inertia=1e-6)
