@@ -80,7 +80,7 @@ class Trajectory(Viewable):
     faults : tuple of Fault
         What was made to break.
     note : str or None
-        What was put right at the start.
+        What was put right at the start, and in which intervals functions of time were sampled.
     given : Given
         What :func:`simulate` was given in open loop, by name: ``rest_length`` or
         ``force_density``, ``external_force``, ``support_motion``.
@@ -387,7 +387,7 @@ class Trajectory(Viewable):
         if self.stopped is not None:
             lines.append(f"ended early       {self.stopped}")
         if self.note is not None:
-            lines.append(f"start             {self.note}")
+            lines.append(f"note              {self.note}")
         for fault in self.faults:
             until = "" if np.isinf(fault.end) else f" to {fault.end:g} s"
             lines.append(f"fault             {fault.label} from {fault.start:g} s{until}")
