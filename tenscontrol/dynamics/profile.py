@@ -333,14 +333,16 @@ def sampled(
         check()
         found = np.empty((len(times), *shape))
         for k, time in enumerate(times.tolist()):
-            value = np.asarray(function(time))
-            if value.shape != shape or value.dtype != float:
-                value = float_array(f"{name} at {time:.6g} s", value)
-                if value.shape != shape and (value.shape or len(shape) > 1):
+            value = function(time)
+            if not isinstance(value, np.ndarray) or value.shape != shape or value.dtype != float:
+                array = float_array(f"{name} at {time:.6g} s", value)
+                if array.shape != shape and (array.shape or len(shape) > 1):
                     raise ValueError(
-                        f"{name} returns shape {value.shape} at {time:.6g} s, expected {shape}"
+                        f"{name} returns shape {array.shape} at {time:.6g} s, expected {shape}"
                     )
+                value = array
             found[k] = value
+        # All at once: to check each takes longer than to call most functions.
         wrong = np.flatnonzero(~np.isfinite(found).reshape(len(times), -1).all(axis=1))
         if len(wrong):
             float_array(f"{name} at {times[wrong[0]]:.6g} s", found[wrong[0]])

@@ -309,8 +309,8 @@ class Actuators:
     def _rest_length_error(self, segments: Segments) -> float:
         """Estimate the error of rest lengths, m, that follows from few parts of a sample.
 
-        The motors are followed again, in half the parts, along the motion that there was. Errors
-        fall in proportion to the parts at worst, so the estimate is twice the largest difference.
+        The motors are followed again along the motion that there was, in parts of half the length.
+        Errors fall in proportion to that at worst: the estimate is twice the largest difference.
         """
         drive = self._drive
         if drive is None or drive.ticks == 1 or len(segments.ends) == 1:

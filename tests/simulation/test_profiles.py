@@ -498,6 +498,12 @@ def test_a_function_is_called_some_eight_thousand_times():
     assert np.diff(np.sort(calls)).max() <= 20.0 / 8192 * (1 + 1e-9)
 
 
+def test_a_function_of_no_numbers_is_refused_by_name():
+    for value in ([[1.0], [1.0, 2.0]], "much", 1j):
+        with pytest.raises((TypeError, ValueError), match="force_density at 0 s"):
+            as_pieces("force_density", lambda t, value=value: value, (4,), "", 0.0, 1.0)
+
+
 @pytest.mark.parametrize("wrong", [np.nan, np.inf])
 def test_a_function_that_is_not_finite_is_refused_with_its_time(wrong):
     with pytest.raises(ValueError, match=r"force_density at 0\.\d+ s"):
