@@ -75,6 +75,14 @@ def test_reference_distance(printed):
     ]  # fmt: skip
 
 
+def test_motor_substeps(printed):
+    text = printed("motor_substeps", "--substeps 2 4 --finest 16")
+    for name in ("torque alone", "lag 30 ms", "play 0.3 rad"):
+        few, more = row(text, name), row(text, name, 1)
+        assert more[1] < 0.5 * few[1]  # rest length, after the substeps
+        assert 0.5 < few[3] / few[1] < 3
+
+
 def test_model_cost(printed):
     text = printed("model_cost", "--calls 10")
     assert row(text, "γ held  ") == [316, 2]

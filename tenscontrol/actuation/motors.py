@@ -86,7 +86,8 @@ class Motor:
         J of the rotor, with the drum by 1/G², kg m². A motor with inertia needs ``torque``, from
         which its acceleration follows; it then moves with a speed that does not jump.
     lag : float or array_like, shape (α,)
-        Time constant of the drive, s: the rest length follows as ``(command − l0)/lag``.
+        Time constant T of the drive, s: the rest length follows by ``(r − l0)/T``. The reference r
+        is the command, or the ramp from the last command to it.
     backlash : float or array_like, shape (α,)
         Play of the drum, rad: after a reversal the motor turns the drum only when the play is
         taken up. At the start the drum is in the middle of it.
@@ -258,8 +259,14 @@ class MotorRecord:
         Number of motors that met their limit of torque in each sample.
     zero : ndarray, shape (α,)
         Rest length, m, at which the angle is zero; length of the string where γ is held.
-    at_end : ndarray, shape (2, α)
-        Rest length without play, m, and its rate, m/s, at the end: a run goes on from there.
+    at_end : ndarray, shape (3, α)
+        Rest length without play, m, its rate, m/s, and the rest length that the motors follow, m,
+        at the end: a run goes on from there.
+    rest_length_error : float
+        Estimate of the largest error of a rest length, m, that comes from following torque, lag,
+        inertia and play in the parts of a sample; more ``substeps`` make it smaller. It is found
+        along the motion that there was, whose own errors are in ``run.position_error``. 0 where γ
+        is held or rest lengths jump.
     """
 
     time: FloatArray
@@ -273,6 +280,7 @@ class MotorRecord:
     torque_limited: np.ndarray
     zero: FloatArray
     at_end: FloatArray
+    rest_length_error: float
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -359,6 +367,7 @@ def motor_record(
     asked: list[FloatArray],
     weak: list[int],
     at_end: FloatArray,
+    rest_length_error: float,
 ) -> MotorRecord:
     """Return the record of motors, given the work on strings in each interval, J, shape (α, T).
 
@@ -388,4 +397,5 @@ def motor_record(
         torque_limited=np.array(weak),
         zero=zero,
         at_end=at_end,
+        rest_length_error=rest_length_error,
     )

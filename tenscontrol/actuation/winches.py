@@ -43,9 +43,12 @@ _UNITS = (
     ("longest", "length in m", np.inf),
 )
 
-# Newton steps to the rest length at which a motor can wind no further, and the stretch of a string
-# from which they start where it is slack.
-_NEWTON, _TAUT = 6, 1e-3
+# Newton steps to the rest length at which a motor can wind no further, the stretch of a string from
+# which they start where it is slack, and the part of its length below which a step is the last.
+_NEWTON, _TAUT, _CONVERGED = 6, 1e-3, 1e-12
+
+# Phases of a tick in which a drive with a lag is at its largest speed, or below it.
+_PHASES = 3
 
 # kg m²: of motors without inertia among others that have some.
 _LEAST_INERTIA = 1e-30
@@ -392,12 +395,19 @@ class Tick:
 class Drive:
     """Winches in motion: follows one command a sample, tick by tick.
 
+    A sample has ``ticks`` equal parts, so many times those of the winches as ``finer`` says.
+
     Attributes
     ----------
+    ticks : int
+        Parts of a sample.
     rest_length : ndarray, shape (α,)
         Where they are, m.
     position, speed : ndarray, shape (α,)
         The rest length that there would be without play, m, and its rate, m/s.
+    reference : ndarray, shape (α,)
+        The rest length that the motors follow, m: a ramp goes from that of the last sample to the
+        command, wherever a lag or an inertia has left the motors.
     """
 
     def __init__(
@@ -406,21 +416,24 @@ class Drive:
         rest_length: FloatArray,
         sample_time: float,
         motion: FloatArray | None = None,
+        finer: int = 1,
     ) -> None:
         count = len(rest_length)
         winches.move(rest_length, rest_length, sample_time)  # or the limits do not fit
         motor = _NO_MOTOR if winches.motor is None else winches.motor
         self._winches, self._motor = winches, each_motor(motor, count)
         self._sample_time, self._play = sample_time, self._motor.play / 2
+        self.ticks = finer * winches.ticks
         rate = np.inf if winches.largest_rate is None else winches.largest_rate
         self._rate = np.broadcast_to(rate, count)
         self.rest_length = rest_length
         if motion is None:
-            motion = np.stack([rest_length, np.zeros(count)])
+            motion = np.stack([rest_length, np.zeros(count), rest_length])
         self.position: FloatArray = motion[0]
         self.speed: FloatArray = motion[1]
+        self.reference: FloatArray = motion[2]
         self._before = self.position
-        self._ticks: list[tuple[float, Tick]] = []
+        self._history: list[tuple[float, Tick]] = []
 
     def begin(self, wanted: FloatArray, stuck: IntArray) -> WinchMove:
         """Take a command, m, shape (α,), and return the move that it leads to if torque allows."""
@@ -429,6 +442,7 @@ class Drive:
         self._target = self._move.rest_length
         self._start = self.position
         if self._winches.has_drive:
+            self._start = self.reference
             self._target = np.clip(wanted, *_range(self._winches))
             self._move = replace(self._move, rate_limited=self._move.rate_limited[:0])
         self._slow = np.zeros(len(wanted), dtype=bool)
@@ -437,17 +451,21 @@ class Drive:
 
     def tick(self, number: int, now: float, pull: Pull) -> Tick:
         """Move through a tick of the sample, counted from 1, that begins now, s; return how."""
-        winches = self._winches
-        time = self._sample_time / winches.ticks
-        target = self._target
-        if winches.ramp and number < winches.ticks:
-            target = self._start + number / winches.ticks * (target - self._start)
+        winches, ticks = self._winches, self.ticks
+        time = self._sample_time / ticks
+        before = target = self._target
+        if winches.ramp:
+            way = target - self._start
+            before = self._start + (number - 1) / ticks * way
+            if number < ticks:
+                target = self._start + number / ticks * way
+        self.reference = target
         if winches.degree == 2:
             end, speed = self._accelerated(target, time, pull)
             acceleration = (speed - self.speed) / time
             first = self.speed
         else:
-            end = self._followed(target, time)
+            end = self._followed(before, target, time)
             later = time * (not winches.jumps)
             if self._strains(pull, end, later):
                 least = np.minimum(self.position, self._least(pull, later))
@@ -469,7 +487,7 @@ class Drive:
             found = Tick(string[:, : winches.degree + 1], motion, share)
         self.rest_length, self.position, self.speed = reached, end, speed
         if winches.motor is not None:
-            self._ticks.append((now, found))
+            self._history.append((now, found))
         return found
 
     def turning(self, begins: FloatArray, times: FloatArray, force: FloatArray) -> Turning:
@@ -477,17 +495,27 @@ class Drive:
 
         ``force`` is that of the strings, N, shape (α, T).
         """
-        part = self._sample_time / self._winches.ticks
-        starts = np.array([now for now, _ in self._ticks])
-        k = np.maximum(np.searchsorted(starts, begins + 1e-6 * part, side="right") - 1, 0)
-        motion = np.stack([tick.motor for _, tick in self._ticks])
-        share = np.stack([tick.share for _, tick in self._ticks])
+        starts, k = self._tick_at(begins)
+        motion = np.stack([tick.motor for _, tick in self._history])
+        share = np.stack([tick.share for _, tick in self._history])
         c, at = motion[k].transpose(1, 2, 0), times - starts[k]
         rate = polynomial_at(c, at, 1)
         if self._winches.jumps:
             came = np.vstack([self._before, motion[:-1, :, 0]])
-            rate = ((motion[:, :, 0] - came) / part)[k].T
+            rate = ((motion[:, :, 0] - came) * self.ticks / self._sample_time)[k].T
         return Turning(polynomial_at(c, at), rate, 2 * c[:, 2], force * share[k].T)
+
+    def rest_lengths(self, times: FloatArray) -> FloatArray:
+        """Return rest lengths at times, s, of the ticks that there were, m, shape (α, T)."""
+        starts, k = self._tick_at(times - self._sample_time / self.ticks / 2)
+        strings = np.stack([tick.rest_length for _, tick in self._history])
+        return polynomial_at(strings[k].transpose(1, 2, 0), times - starts[k])
+
+    def _tick_at(self, begins: FloatArray) -> tuple[FloatArray, IntArray]:
+        """Return when each tick began, s, and which of them were under way at times, s."""
+        starts = np.array([now for now, _ in self._history])
+        close = 1e-6 * self._sample_time / self.ticks
+        return starts, np.maximum(np.searchsorted(starts, begins + close, side="right") - 1, 0)
 
     def end(self) -> WinchMove:
         """Return the move of the sample, with the limits that were met."""
@@ -499,20 +527,39 @@ class Drive:
             torque_limited=frozen(np.flatnonzero(self._weak)),
         )
 
-    def _followed(self, target: FloatArray, time: float) -> FloatArray:
-        """Return the positions at the end of a tick, without inertia or limit of torque."""
-        gap, lag, most = target - self.position, self._motor.lag, self._rate * time
+    def _followed(self, before: FloatArray, target: FloatArray, time: float) -> FloatArray:
+        """Return the positions at the end of a tick, without inertia or limit of torque.
+
+        The reference goes in a straight line from ``before`` to ``target``. A drive with a lag
+        closes the gap g to it by dg/dt = v - g/lag, v its speed, or at the largest speed.
+        """
+        lag, rate = self._motor.lag, self._rate
         if not lag.any():
-            return np.clip(target, self.position - most, self.position + most)
-        # At the largest speed first, then ever slower.
-        far = np.abs(gap)
+            return np.clip(target, self.position - rate * time, self.position + rate * time)
+        gap, speed = before - self.position, (target - before) / time
+        left = np.full(len(gap), time)
         with np.errstate(invalid="ignore", divide="ignore"):
-            near = np.where(np.isinf(self._rate), far, np.minimum(far, self._rate * lag))
-            full = np.where(far > near, np.minimum((far - near) / self._rate, time), 0.0)
-            rest = far - np.where(full > 0, self._rate * full, 0.0)
-            left = np.where(lag > 0, rest * np.exp(-(time - full) / lag), rest * (full >= time))
-        self._slow |= full > 0
-        return np.asarray(target - np.sign(gap) * left)
+            most, still = rate * lag, speed * lag
+            # At the largest speed, then slower, then at the largest speed the other way.
+            for _ in range(_PHASES):
+                way = np.sign(gap)
+                closing = rate - way * speed
+                full = (np.abs(gap) > most) | ((np.abs(gap) == most) & (closing <= 0))
+                edge = np.where(full, way, np.sign(speed)) * most
+                until = np.where(closing > 0, (np.abs(gap) - most) / closing, np.inf)
+                slower = np.where(
+                    np.abs(speed) > rate, lag * np.log((still - gap) / (still - edge)), np.inf
+                )
+                until = np.where(full, until, slower)
+                part = np.minimum(left, until)
+                moved = np.where(
+                    full, gap - way * closing * part, still + (gap - still) * np.exp(-part / lag)
+                )
+                self._slow |= full & (part > 0) & (lag > 0)
+                gap, left = np.where(until < left, edge, moved), left - part
+        at_once = np.clip(target, self.position - rate * time, self.position + rate * time)
+        self._slow |= (lag == 0) & (at_once != target)
+        return np.where(lag > 0, target - gap, at_once)
 
     def _accelerated(
         self, target: FloatArray, time: float, pull: Pull
@@ -523,10 +570,10 @@ class Drive:
         """
         motor, lever = self._motor, self._motor.lever
         expected = np.maximum(self.rest_length + self.speed * time, self.rest_length / 2)
-        forces = [pull(self.rest_length, 0.0)[0], pull(expected, time)[0]]
+        force = (pull(self.rest_length, 0.0)[0] + pull(expected, time)[0]) / 2
         gain = lever / np.maximum(motor.inertia, _LEAST_INERTIA)
-        winding = gain * (motor.torque - lever * np.maximum(*forces))
-        paying = gain * (motor.torque + lever * np.minimum(*forces))
+        winding = gain * (motor.torque - lever * force)
+        paying = gain * (motor.torque + lever * force)
         low, high = self.speed - winding * time, self.speed + paying * time
         low = np.where(winding < 0, np.minimum(low, 0.0), low)
         gap = target - self.position - self.speed * time / 2
@@ -546,20 +593,21 @@ class Drive:
         return np.where(self._stuck, self.position, end), np.where(self._stuck, 0.0, speed)
 
     def _strains(self, pull: Pull, end: FloatArray, time: float) -> bool:
-        """Whether positions ask for more than the torque of a motor, now or so long after it."""
+        """Whether positions so long after now ask for more than the torque of a motor."""
         most = self._motor.most_tension
-        return bool(np.isfinite(most).any()) and any(
-            (pull(end + self._play, later)[0] > most).any() for later in dict.fromkeys((0.0, time))
-        )
+        if not np.isfinite(most).any():
+            return False
+        return bool((pull(end + self._play, time)[0] > most).any())
 
     def _least(self, pull: Pull, time: float) -> FloatArray:
-        """Return the positions beyond which a motor cannot wind in, now and so long after it."""
-        most, found = self._motor.most_tension, []
-        for later in dict.fromkeys((0.0, time)):
-            length = pull(self.rest_length, later)[2]
-            rest = np.minimum(self.rest_length, (1 - _TAUT) * length)
-            for _ in range(_NEWTON):
-                force, slope, _ = pull(rest, later)
-                rest = np.maximum(rest + (force - most) / slope, _TAUT * length)
-            found.append(rest)
-        return np.asarray(np.max(found, axis=0) - self._play)
+        """Return the positions beyond which a motor cannot have wound in so long after now."""
+        most, length = self._motor.most_tension, pull(self.rest_length, time)[2]
+        rest = np.minimum(self.rest_length, (1 - _TAUT) * length)
+        for _ in range(_NEWTON):
+            force, slope, _ = pull(rest, time)
+            with np.errstate(all="ignore"):  # of motions that run away
+                step = (force - most) / slope
+            before, rest = rest, np.maximum(rest + step, _TAUT * length)
+            if (np.abs(rest - before) <= _CONVERGED * length).all():
+                break
+        return np.asarray(rest - self._play)

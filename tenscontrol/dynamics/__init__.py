@@ -40,7 +40,13 @@ from tenscontrol.dynamics.machine_code import (
     compiler,
 )
 from tenscontrol.dynamics.model import Model
-from tenscontrol.dynamics.profile import Pieces, Profile, as_pieces, polynomial_at
+from tenscontrol.dynamics.profile import (
+    Pieces,
+    Profile,
+    as_pieces,
+    polynomial_at,
+    sampling_interval,
+)
 from tenscontrol.dynamics.string_laws import ElasticStrings, LinearStrings, StringLaw
 from tenscontrol.dynamics.tangent import (
     Tangent,
@@ -91,6 +97,7 @@ __all__ = [
     "pack_state",
     "polynomial_at",
     "refuse_large",
+    "sampling_interval",
     "smooth_equation",
     "solving",
     "string_stretch",

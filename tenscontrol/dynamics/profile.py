@@ -21,6 +21,10 @@ _INTERPOLATIONS = ("hold", "linear", "cubic")
 # first looked at in so many parts; one below the last share of the time is not halved again.
 _DEGREE, _TOLERANCE, _PARTS, _SHORTEST = 9, 1e-12, 16, 2.0**-22
 
+# A callable is looked at so often over the whole time, so that no longer pulse is missed; there its
+# polynomials may be off by so many times the error.
+_LOOKED_AT, _ROUGHLY = 8192, 10.0
+
 # Places in a piece at which its least value is sought.
 _LOOKS = 33
 
@@ -309,7 +313,7 @@ def sampled(
     """Return a function of time as polynomials from a start to an end, rows in Fortran order.
 
     They are interpolated at Chebyshev's points, and halved until the error is about 1e-12 of the
-    largest value, as looked at between those points.
+    largest value, as looked at between those points and at :func:`sampling_interval`.
     """
     from numpy.polynomial import chebyshev
 
@@ -327,15 +331,40 @@ def sampled(
 
     def values(times: FloatArray) -> FloatArray:
         check()
-        found = []
-        for time in times.tolist():
-            value = float_array(f"{name} at {time:.6g} s", function(time))
-            if value.shape != shape and (value.shape or len(shape) > 1):
-                raise ValueError(
-                    f"{name} returns shape {value.shape} at {time:.6g} s, expected {shape}"
-                )
-            found.append(np.broadcast_to(value, shape).ravel(order="F"))
-        return np.array(found).T
+        found = np.empty((len(times), *shape))
+        for k, time in enumerate(times.tolist()):
+            value = function(time)
+            if not isinstance(value, np.ndarray) or value.shape != shape or value.dtype != float:
+                array = float_array(f"{name} at {time:.6g} s", value)
+                if array.shape != shape and (array.shape or len(shape) > 1):
+                    raise ValueError(
+                        f"{name} returns shape {array.shape} at {time:.6g} s, expected {shape}"
+                    )
+                value = array
+            found[k] = value
+        # All at once: to check each takes longer than to call most functions.
+        wrong = np.flatnonzero(~np.isfinite(found).reshape(len(times), -1).all(axis=1))
+        if len(wrong):
+            float_array(f"{name} at {times[wrong[0]]:.6g} s", found[wrong[0]])
+        return np.asarray(found.T.reshape(-1, len(times), order="C"))
+
+    interval = sampling_interval(start, end)
+    steepest = np.arange(_DEGREE + 1) ** 2  # slopes of Chebyshev's polynomials are at most that
+
+    def allowed(a: float, b: float, series: FloatArray) -> float:
+        """Return the error with which polynomials are taken: times have a round-off, too."""
+        slope = 2 / (b - a) * float((np.abs(series) @ steepest).max(initial=0.0))
+        return _TOLERANCE * size + float(np.spacing(max(abs(a), abs(b)))) * slope
+
+    def seen(a: float, b: float, series: FloatArray) -> bool:
+        """Whether polynomials in a part are what the function is at all places looked at."""
+        first, last = np.ceil((a - start) / interval), np.floor((b - start) / interval)
+        times = np.clip(start + interval * np.arange(first, last + 1), a, b)
+        if not len(times):
+            return True
+        basis = chebyshev.chebvander((2 * times - a - b) / (b - a), _DEGREE)
+        off = np.abs(series @ basis.T - values(times)).max(initial=0.0)
+        return bool(off <= _ROUGHLY * allowed(a, b, series))
 
     ends = np.linspace(start, end, _PARTS + 1).tolist()
     open_parts = list(pairwise(ends))[::-1]
@@ -351,7 +380,7 @@ def sampled(
         between = values(middle + half * checked)
         size = max(size, float(np.abs(between).max(initial=0.0)))
         off = np.abs(series @ at_checked.T - between)
-        if off.max(initial=0.0) <= _TOLERANCE * size:
+        if off.max(initial=0.0) <= allowed(a, b, series) and seen(a, b, series):
             kept.append((a, b, series))
         elif b - a > _SHORTEST * (end - start):
             open_parts += [(middle, b), (a, middle)]
@@ -364,6 +393,11 @@ def sampled(
     c = np.array([series @ powers.T / (b - a) ** exponents for a, b, series in kept])
     starts = np.array([a for a, *_ in kept])
     return Pieces(np.concatenate([[-np.inf], starts[1:]]), starts, c)
+
+
+def sampling_interval(start: float, end: float) -> float:
+    """Return the time between the places at which a callable is looked at, s, at most."""
+    return (end - start) / _LOOKED_AT
 
 
 def as_pieces(

@@ -27,7 +27,7 @@ from tenscontrol.plant import (
     sampled,
     sampled_dynamics,
 )
-from tenscontrol.structure import refuse_wrong_bar_lengths, same_members
+from tenscontrol.structure import different_members, refuse_wrong_bar_lengths
 from tenscontrol.validation import (
     FloatArray,
     choice,
@@ -43,10 +43,10 @@ PREDICTIONS = ("linear", "nonlinear")
 # Part of the size by which string lengths at the start may be off in the coordinates.
 _START_TOLERANCE = 1e-3
 
-# A plant at rest drifts by less than this part of the pull of a string.
+# A plant at rest drifts by less than this part of the pull of the strings.
 _FALLS = 0.01
 
-# Standard deviation of the load at the start, as a part of the pull of a string.
+# Standard deviation of the load at the start, as a part of the pull of the strings.
 _LOAD_START = 0.3
 
 
@@ -112,10 +112,13 @@ def filter_design(
             "plant has 'nodes' coordinates, in which bars may stretch; linearize with "
             "coordinates='internal' or 'minimal'"
         )
-    if not same_members(sensors.structure, plant.model.structure):
+    # Feet are fixed nodes to a plant on the ground; sensors may be those of the structure itself.
+    different = different_members(sensors.structure, plant.model.structure, plant.feet)
+    if different:
         raise ValueError(
             f"sensors are those of {sensors.structure!r}, but plant is that of "
-            f"{plant.model.structure!r} with other nodes, bars or strings"
+            f"{plant.model.structure!r} with {different}: give Sensors(structure=...) that of the "
+            "plant, plant.model.structure"
         )
     if prediction == "nonlinear":
         refuse_lost_place(plant)
@@ -190,7 +193,11 @@ def _refuse_fall(plant: LinearPlant, pull: float) -> None:
 
 
 def _pull(plant: LinearPlant) -> float:
-    """Return the root mean square acceleration q̈ that strings give, each pulling alone."""
+    """Return the root mean square acceleration q̈ that strings give, with signs at random.
+
+    The squares of what each string gives alone are summed over the strings, and their mean is taken
+    over the coordinates.
+    """
     structure, commanded = plant.model.structure, plant.commanded
     ends = plant.nodes[:, : commanded.nodes.shape[1]]
     forces = np.zeros((len(commanded.strings), *structure.nodes.shape[::-1]))
@@ -234,7 +241,7 @@ def _with_load(design: FilterDesign, pull: float, walk: float) -> FilterDesign:
     """Return the design with the acceleration a that a load gives as states after z.
 
     ``z⁺ = Φ z + … + Ψ a``, with Ψ what unit accelerations do in a sample, and
-    ``a⁺ = a + w'``: a random walk, w' in units of ``pull``, the acceleration that a string gives.
+    ``a⁺ = a + w'``: a random walk, w' in units of ``pull``, see ``_pull``.
     """
     by_load = acceleration_response(design.plant, design.sample_time)
     size, r = by_load.shape

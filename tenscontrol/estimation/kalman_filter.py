@@ -175,8 +175,10 @@ class KalmanFilter:
         Sample time, s; a reading is taken at the start of each sample.
     process_noise : float
         Standard deviation of an unknown acceleration in each coordinate, constant over a
-        sample and independent from one sample to the next. Its unit is the root mean square of the
-        accelerations that single strings give by their tension at the operating point.
+        sample and independent from one sample to the next. Its unit is the root mean square over
+        the coordinates of the acceleration that all strings give together, each with its tension
+        at the operating point and a sign at random: 0.02 stands for tensions that are off by 2 %,
+        independently.
     load : bool
         Whether to estimate an unknown load, an acceleration q̈ in each coordinate. Without it
         such a load, or strings of another stiffness, shift the estimate.

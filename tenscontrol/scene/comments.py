@@ -189,7 +189,7 @@ COMMENTS: Mapping[str, str] = MappingProxyType(
         "delay": "samples between a measurement and its arrival",
         "drop_rate": "probability that a measurement is lost",
         "outlier_rate": "probability that a reading is far off",
-        "process_noise": "unknown acceleration, as a part of what the strings can give",
+        "process_noise": "unknown acceleration, as the part by which tensions may be off",
         "load": "true: a constant load is estimated too",
         "load_noise": "change of this load from sample to sample, as process_noise",
         "prediction": '"linear" or "nonlinear"',

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from functools import cached_property
+from functools import cached_property, partial
+from itertools import pairwise
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from tenscontrol.actuation import (
 )
 from tenscontrol.control import BaseController, Command
 from tenscontrol.dynamics import Evaluator, Pieces
+from tenscontrol.simulation.contacts import Segments
 from tenscontrol.simulation.loop import Loop
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.structure import same_members, to_segments, to_strings
@@ -34,6 +36,9 @@ from tenscontrol.validation import (
 )
 
 _NONE = frozen(np.zeros(0, dtype=np.int64))
+
+# Of strings: force, its slope and length, see ``Pull``.
+_Forces = tuple[FloatArray, FloatArray, FloatArray]
 
 # Of motors that move rest lengths.
 _DYNAMIC = ("inertia", "lag", "backlash")
@@ -81,6 +86,8 @@ class Actuators:
         self._winches = winches
         self._sample_time = sample_time
         self._drive: Drive | None = None
+        self._moves: list[tuple[FloatArray, IntArray]] = []  # of each sample: wanted, and stuck
+        self._begins: list[float] = []
         self._asked: list[FloatArray] = []
         self._weak: list[int] = []
         self._earlier: MotorRecord | None = None
@@ -162,8 +169,10 @@ class Actuators:
         if self._drive is None:
             motion = None if self._earlier is None else self._earlier.at_end
             start = desired if self._current is None else self._current
-            self._drive = Drive(self._winches, start, self._sample_time, motion)
+            self._new_drive = partial(Drive, self._winches, start, self._sample_time, motion)
+            self._drive = self._new_drive()
         self._weak.append(0)
+        self._moves.append((desired, stuck))
         return self._drive.begin(desired, stuck)
 
     def _set(self, value: FloatArray, weak: IntArray) -> WinchMove:
@@ -180,23 +189,15 @@ class Actuators:
             self.held = self._to_plant(self._held, self._current)
             return self.held
 
+        if number == 1:
+            self._begins.append(now)
         motion: list[FloatArray] = []  # of all nodes, where it is asked for
 
-        def pull(
-            rest_length: FloatArray, later: float
-        ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        def pull(rest_length: FloatArray, later: float) -> _Forces:
             if not motion:
                 motion.extend(part.ravel(order="F") for part in self._loop.motion(state))
             N, V = motion
-            moved = np.concatenate([N + later * V, V])
-            lengths = self._to_plant("rest_length", rest_length)
-            _, force, _, slope, length = self._winding(moved, lengths, np.zeros_like(lengths))
-            share = self._to_plant("rest_length", np.ones(self._count))
-            return (
-                self._to_strings("tension", force),
-                self._to_strings("length", slope * share**2),
-                self._to_strings("length", length),
-            )
+            return self._pull(np.concatenate([N + later * V, V]), rest_length)
 
         found = self._drive.tick(number, now, pull)
         self._current = self.reached = self._drive.rest_length
@@ -205,6 +206,17 @@ class Actuators:
         if lengths.shape[1] == 1:
             return lengths[:, 0]
         return Pieces(np.array([-np.inf]), np.array([now]), lengths[None])
+
+    def _pull(self, motion: FloatArray, rest_length: FloatArray) -> _Forces:
+        """Return force, its slope and length of the strings, see ``Pull``, in a motion."""
+        lengths = self._to_plant("rest_length", rest_length)
+        _, force, _, slope, length = self._winding(motion, lengths, np.zeros_like(lengths))
+        share = self._to_plant("rest_length", np.ones(self._count))
+        return (
+            self._to_strings("tension", force.copy()),  # the next call overwrites them
+            self._to_strings("length", slope * share**2),
+            self._to_strings("length", length.copy()),
+        )
 
     def end(self) -> WinchMove:
         """Return the move of the sample, with the limits that were met."""
@@ -264,7 +276,7 @@ class Actuators:
         before = ends[0]
         if self._drive is None:
             turning, work = cable_work(model, ends)
-            start, at_end = turning[0].position[:, 0], np.zeros((2, self._count))
+            start, at_end = turning[0].position[:, 0], np.zeros((3, self._count))
         else:
             stored, forces, work, error = winding_work(model, ends, motion)
             # A jump of rest lengths at the standing structure gives what strings store more.
@@ -285,12 +297,46 @@ class Actuators:
                 for at, force in zip(ends, forces, strict=True)
             ]
             start = turning[0].position[:, 0] if self.start is None else self.start
-            at_end = np.stack([self._drive.position, self._drive.speed])
+            drive = self._drive
+            at_end = np.stack([drive.position, drive.speed, drive.reference])
         if self._earlier is not None:
             start = self._earlier.zero
         return motor_record(
-            self._motor, start, ends, turning, work, error, self._asked, self._weak, at_end
-        )
+            self._motor, start, ends, turning, work, error, self._asked, self._weak, at_end,
+            self._rest_length_error(segments),
+        )  # fmt: skip
+
+    def _rest_length_error(self, segments: Segments) -> float:
+        """Estimate the error of rest lengths, m, that follows from few parts of a sample.
+
+        The motors are followed again along the motion that there was, in parts of half the length.
+        Errors fall in proportion to that at worst: the estimate is twice the largest difference.
+        """
+        drive = self._drive
+        if drive is None or drive.ticks == 1 or len(segments.ends) == 1:
+            return 0.0
+        assert self._motor is not None  # asked for by the record of the motors
+        finer, end, reached, times = self._new_drive(finer=2), segments.ends[-1], [], []
+        part, limited = self._sample_time / finer.ticks, np.isfinite(self._motor.torque).any()
+
+        def pull(ends: list[FloatArray], rest_length: FloatArray, later: float) -> _Forces:
+            return self._pull(ends[later > 0], rest_length)
+
+        # The last sample may have been interrupted before it began to move.
+        for begin, move in zip(self._begins, self._moves, strict=False):
+            finer.begin(*move)
+            instants = begin + part * np.arange(finer.ticks + 1)
+            instants = instants[instants < end + part / 2]
+            # Forces are asked for under limits of torque only.
+            motion = list(segments.at_times(instants).T) if limited else []
+            for i, (now, then) in enumerate(pairwise(instants)):
+                finer.tick(i + 1, now, partial(pull, motion[i : i + 2]))
+                reached.append(finer.rest_length)
+                times.append(then)
+        if not times:
+            return 0.0
+        difference = np.abs(drive.rest_lengths(np.array(times)) - np.column_stack(reached))
+        return 2.0 * float(difference.max())
 
     def _refuse_lengths(self, winches: Winches | None, rest_length: object) -> None:
         """Refuse what sets rest lengths where γ is held."""
@@ -327,13 +373,17 @@ class Actuators:
         assert self._law is not None  # a rest length is held
         largest, limit = self._to_plant("force_density", most), self._law.largest_force_density
         segments = self._to_plant("force_density", np.ones(self._count))
-        over = np.flatnonzero(largest >= limit)
+        # Under a law that reaches any γ, so do commands: they are finite.
+        over = np.flatnonzero((largest >= limit) & np.isfinite(limit))
         if len(over):
             i = over[0]
+            may = f"may command γ = {largest[i]:g} N/m"
+            if np.isinf(largest[i]):
+                may = "has no limit on the γ that it commands"
             raise ValueError(
-                f"the controller may command γ = {largest[i]:g} N/m on string {i}, but a string of "
-                f"stiffness {limit[i]:g} N/m stays below that whatever its rest length. Give the "
-                f"controller max_force_density below {limit[i] / segments[i]:g}"
+                f"the controller {may} on string {i}, but γ of that string stays below its "
+                f"stiffness, {limit[i]:g} N/m, whatever its rest length. Give the controller "
+                f"max_force_density below {limit[i] / segments[i]:g} N/m"
             )
 
 

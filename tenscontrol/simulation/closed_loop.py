@@ -138,10 +138,12 @@ def samples(
     first: float = round(now / sample)
     if abs(now / sample - first) > 1e-9:
         first = now / sample
-    # The allowance keeps round-off from adding a last sample of no length.
+    # The allowance keeps round-off from adding a last sample of no length, and from making one that
+    # is whole longer or shorter than it is in a run that goes on.
     for k in range(max(1, ceil(duration / sample - 1e-9))):
         start = (first + k) * sample
-        yield first + k, start, min(start + sample, now + duration)
+        cut = now + duration - start < (1 - 1e-9) * sample
+        yield first + k, start, now + duration if cut else start + sample
 
 
 def _control_record(

@@ -298,6 +298,12 @@ class Segments:
         given = np.zeros((0, 1, 0)) if self.loop.offset is None else self._inputs(k)
         return time, self.loop.all_nodes(x, given, self._since(time, self.of[k]))
 
+    def at_times(self, times: FloatArray) -> FloatArray:
+        """Return positions, then velocities, of all nodes at times after the start, s."""
+        k = np.clip(np.searchsorted(self.ends, times), 1, len(self.ends) - 1)
+        share = (times - self.begins[k]) / (self.ends[k] - self.begins[k])
+        return self.at(np.clip(share, 0.0, 1.0), k)[1]
+
     def string_inputs(self, time: FloatArray, k: IntArray) -> FloatArray:
         """Return what is held at times in segments, and its first two rates, (3, strings, T)."""
         given = self._inputs(k)[: len(self.loop.model.structure.strings)]
@@ -486,7 +492,10 @@ class _Recorder:
             (change[:, 2:], self._exact_impulse),
         ):
             off = np.maximum(off, part.max(axis=(0, 1)) / max(exact, 1e-300))
-        return off, change[:, :2].sum(axis=(0, 1))
+        changed = change[:, :2].sum(axis=(0, 1))
+        # Where the motion runs away, a difference of infinite numbers says nothing.
+        off[np.isnan(off)] = changed[np.isnan(changed)] = np.inf
+        return off, changed
 
     def _integrated(self, parts: Segments, *kept: IntArray) -> _Integrals:
         """Return the integrals over segments, which are in these that were kept."""

@@ -28,6 +28,8 @@ from tenscontrol.validation import (
 _PHYSICAL = {
     "penetration": ", as part of the size: give the ground more stiffness",
     "fall": " sizes below z = 0: Model(..., ground=Ground(...)) would stop it",
+    "rest_length_error": ", as part of the size: the motors are followed in too few parts of a "
+    "sample. Give Winches(ramp=True, substeps=...) more",
 }
 
 # A run ends away from its reference: by this part of the size, with errors in the last third above
@@ -76,6 +78,9 @@ class Health:
     fall : float or None
         Sizes that the mean of the nodes is below z = 0, y = 0 in the plane, at the end; None for
         less than one, or where ground or a support stops a fall.
+    rest_length_error : float or None
+        Estimate of the largest error of a rest length that motors set, as part of the size: see
+        :class:`~tenscontrol.actuation.MotorRecord`. None without motors.
     """
 
     energy_error: float | None
@@ -91,6 +96,7 @@ class Health:
     impulse: float | None = None
     impulse_error: float | None = None
     fall: float | None = None
+    rest_length_error: float | None = None
 
 
 @dataclass(frozen=True)
@@ -105,7 +111,7 @@ class HealthLimits:
         As part of the largest momentum that the kinetic energy could give.
     bar_length_error : float, optional
         As part of the length.
-    position_error, penetration, fall : float, optional
+    position_error, penetration, fall, rest_length_error : float, optional
         As part of the size of the structure.
     steps, evaluations, switches : float, optional
         Counts.
@@ -140,6 +146,7 @@ class HealthLimits:
     penetration: float | None = 0.25
     fall: float | None = None
     impulse_error: float | None = None
+    rest_length_error: float | None = 2e-3
 
     def __post_init__(self) -> None:
         choice("action", self.action, ("warn", "raise"))
@@ -413,6 +420,11 @@ class ControlRecord:
         slow, out = (int((each > 0).sum()) for each in (self.rate_limited, self.range_limited))
         if slow or out:
             lines.append(f"winches           too slow in {slow} samples, out of range in {out}")
+        if self.motors is not None and self.motors.rest_length_error:
+            lines.append(
+                f"motors            rest lengths to {self.motors.rest_length_error:.2g} m; more "
+                "substeps make that less"
+            )
         typical, worst = float(np.median(self.computing_time)), float(self.computing_time.max())
         lines.append(
             f"computing time    {1e3 * typical:.2g} ms in the median, {1e3 * worst:.2g} ms"

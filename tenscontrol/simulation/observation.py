@@ -10,7 +10,7 @@ import numpy as np
 from tenscontrol.control import BaseController
 from tenscontrol.dynamics import Evaluator, Model, pack_state
 from tenscontrol.estimation import Estimate, FilterStatistics, KalmanFilter, Sensors
-from tenscontrol.structure import same_members, to_strings
+from tenscontrol.structure import different_members, to_strings
 from tenscontrol.validation import LARGEST_SEED, FloatArray, frozen, instance, whole_number
 
 
@@ -185,10 +185,11 @@ def _refuse_misfits(
             f"have substeps={substeps}: give them to KalmanFilter(..., winches=...) as well"
         )
     seen, known = controller.structure, estimator.plant.model.structure
-    if not same_members(known, seen):
+    feet = np.union1d(controller.feet, estimator.plant.feet).astype(int)
+    different = different_members(known, seen, feet)
+    if different:
         raise ValueError(
-            f"estimator was designed on {known!r}, but the controller on {seen!r} with other "
-            "nodes, bars or strings"
+            f"estimator was designed on {known!r}, but the controller on {seen!r} with {different}"
         )
     if len(estimator.plant.commanded.strings) != len(controller.commanded.strings):
         raise ValueError(
@@ -197,8 +198,10 @@ def _refuse_misfits(
             "on both plants or on none"
         )
     own = estimator.sensors
-    if not same_members(sensors.structure, known) or sensors.readings != own.readings:
+    different = different_members(sensors.structure, known, feet)
+    if different or sensors.readings != own.readings:
+        where = f", of a structure with {different}" if different else ""
         raise ValueError(
-            f"sensors has the readings {sensors!r}, but estimator expects those of {own!r}: "
+            f"sensors has the readings {sensors!r}{where}, but estimator expects those of {own!r}: "
             "the same kinds, of the same nodes, strings and bars"
         )

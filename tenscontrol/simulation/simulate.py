@@ -11,7 +11,7 @@ import numpy as np
 
 from tenscontrol.actuation import Winches
 from tenscontrol.control import BaseController, ControlWarning, as_controller
-from tenscontrol.dynamics import Model, Pieces, Profile, as_pieces, pack_state
+from tenscontrol.dynamics import Model, Pieces, Profile, as_pieces, pack_state, sampling_interval
 from tenscontrol.estimation import KalmanFilter, Sensors
 from tenscontrol.integrate import Choice, Method, Projector, largest_frequency, state_scale
 from tenscontrol.interrupt import InterruptionWarning, interruptible
@@ -200,19 +200,23 @@ def simulate(
     not reset: give those of the run, in their last state. The sequence of the noise continues, and
     delayed measurements still arrive.
 
-    With a method of fixed steps, a run in two parts equals one in a single part, bit by bit, if the
-    first part ends with a whole step and sample. Methods that choose their steps begin with a new
-    first step, and agree to their tolerance. A run that ended within a sample begins a new one. A
-    sample whose command was interrupted is measured again.
+    How far a run in two parts equals one in a single part: under a controller bit by bit, if the
+    method has fixed steps and the first part ends with a whole sample. In open loop to round-off,
+    if it ends with a whole step: steps are equal parts of the time between ends of the run and of
+    pieces of profiles. Under functions of time to the error of the method: each part replaces them
+    by polynomials of its own, and their pieces end steps. Methods that choose their steps begin
+    with a new first step, and agree to their tolerance. A run that ended within a sample begins a
+    new one. A sample whose command was interrupted is measured again.
 
     **Functions of time** are a :class:`Profile`, or a smooth function ``time -> array``, time in s.
     Before the run, a function is replaced by polynomials of degree 9 with errors of 1e-12 of its
-    largest value. It is sampled at some hundred times or more; faster changes are not seen. Every
-    method integrates these polynomials and ends a step where a piece ends. So its order of
-    convergence holds, also where strings go slack or taut, but steps are no longer than pieces.
-    Damping of a string acts on the rate of its length, not on that of its rest length. Times are
-    those of the run: give a run continued by ``start`` the same profile; without it, the last
-    values are held.
+    largest value. It is called some 8,000 times or more, at intervals of at most 1/8192 of the
+    duration. A pulse that is shorter may be missed; ``run.note`` tells the interval. For a shorter
+    one give a profile with values where it is, or the run in parts. Every method integrates these
+    polynomials and ends a step where a piece ends. So its order of convergence holds, also where
+    strings go slack or taut, but steps are no longer than pieces. Damping of a string acts on the
+    rate of its length, not on that of its rest length. Times are those of the run: give a run
+    continued by ``start`` the same profile; without it, the last values are held.
 
     **Moving supports** carry the bars on them, so supports joined by bars must have the same
     displacement. If the velocity of a support jumps, as at a sudden start and at each kink of a
@@ -343,6 +347,8 @@ def simulate(
             assert N is not None  # of the run
             assert V is not None  # of the run
             state = pack_state(model.structure, N, V)
+        notes = [loop.note, _sampling_note(loop.given, *span)]
+        loop.note = "; ".join(note for note in notes if note) or None
         try:
             end = loop.now + duration
             with progress_bar(end, shown=True) if progress else nullcontext() as loop.report:
@@ -390,6 +396,15 @@ def _given(in_open_loop: bool, **arguments: object) -> Given:
     return Given(plain)
 
 
+def _sampling_note(given: Given, start: float, end: float) -> str:
+    """Return in which intervals functions of time are sampled, as text; empty if there are none."""
+    names = [name for name, value in given.raw.items() if callable(value)]
+    if not names:
+        return ""
+    interval = sampling_interval(start, end)
+    return f"{' and '.join(names)} sampled every {interval:.2g} s: shorter pulses may be missed"
+
+
 def check_health(run: Trajectory, limits: HealthLimits) -> None:
     """Warn or raise where the motion passes a limit."""
     health = run.health_of(limits.names)
@@ -397,8 +412,8 @@ def check_health(run: Trajectory, limits: HealthLimits) -> None:
     if not passed:
         return
     text = "; ".join(passed)
-    # How deep nodes sink, and a fall, are no errors of the integration.
-    if replace(limits, penetration=None, fall=None).passed(health):
+    # How deep nodes sink, a fall, and steps of motors are no errors of the integration.
+    if replace(limits, penetration=None, fall=None, rest_length_error=None).passed(health):
         text += f": the motion may not be accurate. Try {finer(run.choice)}"
     if health.trusted_until is not None and health.trusted_until < run.time[-1]:
         text += "; a motion that magnifies errors can only be foretold for a time, see run.error"

@@ -82,7 +82,7 @@ class Trajectory(Viewable):
     faults : tuple of Fault
         What was made to break.
     note : str or None
-        What was put right at the start.
+        What was put right at the start, and in which intervals functions of time were sampled.
     given : Given
         What :func:`simulate` was given in open loop, by name: ``rest_length`` or
         ``force_density``, ``external_force``, ``support_motion``.
@@ -291,8 +291,17 @@ class Trajectory(Viewable):
             trusted_until=self.trusted_until,
             work=self.work,
             fall=self._fall,
+            rest_length_error=self._rest_length_error,
             **({} if self.contacts is None else self._of_ground(self.contacts)),
         )
+
+    @property
+    def _rest_length_error(self) -> float | None:
+        """The error of rest lengths that motors set, as part of the size."""
+        if self.control is None or self.control.motors is None:
+            return None
+        size = float(np.ptp(self.structure.nodes, axis=1).max())
+        return self.control.motors.rest_length_error / size
 
     def _of_ground(self, found: ContactRecord) -> dict[str, float | None]:
         """Return the figures of health that there are with a ground."""
@@ -376,6 +385,8 @@ class Trajectory(Viewable):
                     f"motors            at most {torque:.3g} N m and {power:.3g} W, "
                     f"{given:.4g} J in all (to {error:.0e} J)"
                 )
+                if motors.rest_length_error:
+                    lines[-1] += f", rest lengths to {motors.rest_length_error:.0e} m"
                 weak = int((motors.torque_limited > 0).sum())
                 if weak:
                     lines.append(f"                  at their limit of torque in {weak} samples")
@@ -387,7 +398,7 @@ class Trajectory(Viewable):
         if self.stopped is not None:
             lines.append(f"ended early       {self.stopped}")
         if self.note is not None:
-            lines.append(f"start             {self.note}")
+            lines.append(f"note              {self.note}")
         for fault in self.faults:
             until = "" if np.isinf(fault.end) else f" to {fault.end:g} s"
             lines.append(f"fault             {fault.label} from {fault.start:g} s{until}")

@@ -22,7 +22,7 @@ from tenscontrol.structure.segments import (
     whole_strings,
 )
 from tenscontrol.structure.skin import skin, skin_rest_length
-from tenscontrol.structure.structure import Structure, same_members
+from tenscontrol.structure.structure import Structure, different_members, same_members
 from tenscontrol.structure.structure_file import STRUCTURE_KEYS, from_table, points, to_table
 from tenscontrol.structure.supports import (
     affine_motions,
@@ -48,6 +48,7 @@ __all__ = [
     "block_mass",
     "carried_by_supports",
     "crossing",
+    "different_members",
     "free_coordinates",
     "from_table",
     "is_movable",

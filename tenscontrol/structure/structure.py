@@ -559,12 +559,32 @@ def same_members(one: Structure, other: Structure | None, feet: IntArray | tuple
 
     Supports at ``feet`` may differ too.
     """
-    if other is None or one.nodes.shape != other.nodes.shape:
-        return False
+    return other is not None and not different_members(one, other, feet)
+
+
+def different_members(one: Structure, other: Structure, feet: IntArray | tuple[()] = ()) -> str:
+    """Return in what the members of two structures differ, as text; empty where they do not.
+
+    See :func:`same_members`.
+    """
+    if one.nodes.shape != other.nodes.shape:
+        (d, n), (k, m) = one.nodes.shape, other.nodes.shape
+        return f"{n} and {m} nodes" if d == k else f"nodes of {d} and {k} coordinates"
+    found = []
+    if not np.array_equal(one.bars, other.bars):
+        found.append("other bars")
+    if not all(
+        np.array_equal(getattr(one, name), getattr(other, name))
+        for name in ("segments", "segment_string")
+    ):
+        found.append("other strings")
     ours, theirs = (
         each.fixed_rows[~np.isin(each.fixed_rows // each.dimension, feet)] for each in (one, other)
     )
-    names = ("bars", "segments", "segment_string")
-    return np.array_equal(ours, theirs) and all(
-        np.array_equal(getattr(one, name), getattr(other, name)) for name in names
-    )
+    if not np.array_equal(ours, theirs):
+        found.append(
+            "other supports, at the nodes {} and {}".format(
+                *(np.unique(rows // one.dimension).tolist() for rows in (ours, theirs))
+            )
+        )
+    return " and ".join(found)

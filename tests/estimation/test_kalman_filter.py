@@ -4,9 +4,22 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
+from tenscontrol.plant import acceleration_response
 from tests.estimation.conftest import EVERY, STEP
 
 NAN, INF = float("nan"), float("inf")
+
+
+def test_process_noise_is_that_of_tensions_with_independent_errors(by_force, sensors_of):
+    """Errors of 5 % in each tension, drawn at random, give the unknown acceleration."""
+    sensors = sensors_of("node_position")
+    estimator = tc.KalmanFilter(by_force, sensors, sample_time=STEP, process_noise=0.05)
+    plant, noise = estimator.plant, estimator._design.process_covariance
+    error = 0.05 * np.random.default_rng(4).normal(size=(len(plant.force_density), 20_000))
+    accelerations = plant.B[plant.degrees_of_freedom :] @ (plant.force_density[:, None] * error)
+    driven = acceleration_response(plant, STEP)
+    variance = np.trace(noise) / np.trace(driven @ driven.T)
+    assert np.mean(accelerations**2) == pytest.approx(variance, rel=0.02)
 
 
 @pytest.fixture(scope="module")

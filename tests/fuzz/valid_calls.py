@@ -1352,6 +1352,7 @@ call(
         "penetration": 0.25,
         "fall": 1.0,
         "impulse_error": 0.1,
+        "rest_length_error": 0.002,
     },
 )
 call("HealthLimits.passed", lambda: {"health": run().health}, tc.HealthLimits)

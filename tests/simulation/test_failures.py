@@ -96,3 +96,19 @@ def test_a_motion_that_stretches_bars_is_returned_with_a_warning():
     model = tc.Model(tc.prism(), strings=tc.LinearStrings(1e5))
     with pytest.warns(RuntimeWarning, match="bar length error .* smaller tolerance"):
         tc.simulate(model, 1.0, rest_length=tight(), tolerance=1e-4, project=False)
+
+
+@pytest.mark.parametrize(("stiffness", "step"), [(1e4, 5e-3), (1e5, 5e-3), (1e7, 0.02)])
+def test_a_motion_that_runs_away_on_the_ground_is_in_the_error(stiffness, step):
+    """Works of the ground over its last steps overflow."""
+    ball = tc.library.six_bar_ball()
+    ground = tc.Ground(stiffness=stiffness, damping=100.0, friction=0.5)
+    model = tc.Model(ball, strings=tc.LinearStrings(1e3), gravity=9.81, ground=ground)
+    nodes = ball.nodes + np.array([[0.0], [0.0], [0.3 - ball.nodes[2].min()]])
+    with pytest.raises(tc.simulation.SimulationError, match="no longer finite") as info:
+        tc.simulate(model, 1.0, nodes, rest_length=0.9 * ball.string_length(), step=step)
+    run = info.value.trajectory
+    assert len(run.time) > 10
+    assert np.isfinite(run.nodes).all()
+    assert np.isinf(run.contacts.work_error)
+    assert "stopped" in run.summary()

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
+from tenscontrol.actuation import Drive
 from tenscontrol.control import Command, Controller
 from tests.known_structures import arm, d_bar
 from tests.random_structures import any_structure
@@ -103,6 +104,7 @@ KINDS = {
     "ramps": {},
     "speed limit": {"ramp": False, "speed": 200.0},
     "lag": {"ramp": False, "lag": 0.05},
+    "ramps with a lag": {"lag": 0.05},
     "inertia": {"ramp": False, "rate": 0.1, "torque": 5.0, "inertia": INERTIA},
     "play": {"backlash": 0.3},
 }
@@ -244,6 +246,76 @@ def test_a_weak_motor_holds_where_it_can_wind_no_further(law, ramp):
     assert (force[:, 1:] * winds <= 1.02 * most[:, None] / lever).all()
 
 
+def weak_run(substeps, duration=0.2, step=SAMPLE / 32, **kind):
+    """A ball whose motors hold no more than 1.2 times the tension at the start."""
+    model, start = scene("ball on three nodes")
+    long, lever = model.structure.string_length(), 0.01 / 20
+    most = 1.2 * ELASTIC.force_density(long, start) * long * lever
+    winches = tc.Winches(ramp=True, substeps=substeps, motor=tc.Motor(**GEAR, torque=most, **kind))
+    return tc.simulate(
+        model, duration, controller=Wave(model, start, 0.02), winches=winches, rest_length=start,
+        step=step, output_step=SAMPLE,
+    )  # fmt: skip
+
+
+@pytest.mark.filterwarnings("ignore:rest length error")
+@pytest.mark.parametrize("kind", [{}, {"lag": 0.03}, {"inertia": 1e-5}, {"backlash": 0.3}])
+def test_a_run_estimates_the_error_of_few_substeps(kind):
+    runs = {substeps: weak_run(substeps, **kind) for substeps in (2, 8, 32)}
+    for substeps in (2, 8):
+        off = np.abs(runs[substeps].control.applied - runs[32].control.applied).max()
+        found = runs[substeps].control.motors.rest_length_error
+        assert 0.5 < found / off < 8
+        assert runs[substeps].health.rest_length_error == pytest.approx(found / 1.7)
+        assert f"rest lengths to {found:.2g} m" in runs[substeps].control.summary()
+    assert off < 1e-3
+
+
+def test_a_weak_motor_is_followed_to_second_order():
+    """Ten parts of a sample leave a tenth of a millimetre where they once left four."""
+    few, many = weak_run(10), weak_run(40, step=SAMPLE / 40)
+    assert few.control.motors.torque_limited.sum() > 20
+    assert np.abs(few.control.applied - many.control.applied).max() < 2.5e-4
+
+
+def test_a_run_that_stops_within_a_sample_has_its_record():
+    """Strings break loose from a step far too long: motors are followed up to there."""
+    model, start = scene("planar D-bar", tc.LinearStrings(1e6))
+    motor = tc.Motor(**GEAR, torque=5.0, lag=0.01)
+    with pytest.raises(tc.simulation.SimulationError) as info:
+        tc.simulate(
+            model, 1.0, controller=Wave(model, start), winches=tc.Winches(ramp=True, motor=motor),
+            rest_length=start, method="rk4", step=SAMPLE / 10,
+        )  # fmt: skip
+    motors = info.value.trajectory.control.motors
+    assert motors.rest_length_error >= 0
+    assert len(motors.time) == len(info.value.trajectory.time)
+
+
+def test_few_substeps_give_a_warning():
+    with pytest.warns(tc.simulation.AccuracyWarning, match="rest length error .* substeps"):
+        weak_run(2, 0.6, SAMPLE / 16, inertia=1e-6)
+
+
+def test_what_is_exact_has_no_error():
+    for kind in ("jumps", "ramps", "speed limit"):
+        assert run_of("planar D-bar", 0.1, **KINDS[kind]).control.motors.rest_length_error == 0
+    whole = weak_run(4, 0.2)
+    assert whole.control.motors.rest_length_error > 0
+
+
+def test_a_motor_knows_the_force_at_both_ends_of_a_part(monkeypatch):
+    forces = []
+
+    def tick(self, number, now, pull, real=Drive.tick):
+        forces.append((pull(self.rest_length, 0.0)[0], pull(self.rest_length, 1e-3)[0]))
+        return real(self, number, now, pull)
+
+    monkeypatch.setattr(Drive, "tick", tick)
+    run_of("planar D-bar", 0.1, torque=1.0)
+    assert all((now != later).all() for now, later in forces[15:25])
+
+
 def test_a_lag_is_that_of_its_time_constant():
     class Step(Wave):
         def _decide(self, time, state):
@@ -268,6 +340,52 @@ def test_a_lag_is_that_of_its_time_constant():
             )
             np.testing.assert_allclose(gap[:, ::2] * start[:, None], expected, atol=1e-12)
             assert run.control.rate_limited[0] == (late > 0).sum()
+
+
+def test_a_ramp_goes_from_command_to_command_whatever_the_lag():
+    """After a step of commands a drive is late by a ramp of one sample, then decays as it says."""
+
+    class Step(Wave):
+        def _decide(self, time, state):
+            return Command(0.99 * self.start)
+
+    model, start = scene("planar D-bar")
+    winches, lag, sample = winches_of(lag=0.012), 0.012, SAMPLE
+    given = {"controller": Step(model, start), "winches": winches, "step": 2e-3}
+    run = tc.simulate(model, 0.1, rest_length=start, **given)
+    gap = (run.control.applied / start[:, None] - 0.99) / 0.01
+    decay = np.exp(-sample / lag)
+    expected = lag / sample * (1 - decay) * decay ** np.arange(5)
+    np.testing.assert_allclose(gap, np.tile(expected, (2, 1)), rtol=1e-9)
+    first = tc.simulate(model, 0.02, rest_length=start, **given)
+    second = tc.simulate(model, 0.08, start=first, **given)
+    np.testing.assert_array_equal(second.control.applied, run.control.applied[:, 1:])
+
+
+@pytest.mark.parametrize("ramp", [False, True])
+@pytest.mark.parametrize("rate", [None, 0.2, 2.0])
+def test_a_lag_under_a_speed_limit_is_that_of_an_oracle(ramp, rate):
+    from scipy.integrate import solve_ivp
+
+    lag, most = np.array([0.005, 0.03, 0.1]), np.inf if rate is None else rate
+    winches = tc.Winches(rate=rate, ramp=ramp, motor=tc.Motor(0.01, lag=lag))
+    drive, commands = Drive(winches, np.ones(3), SAMPLE), np.random.default_rng(3)
+    reference = np.ones(3)
+    for k in range(6):
+        command, begin = commands.uniform(0.98, 1.02, 3), drive.position
+        drive.begin(command, np.zeros(0, dtype=int))
+        for number in range(1, winches.ticks + 1):
+            drive.tick(number, k * SAMPLE, lambda *_: None)
+        way = (command - reference) / SAMPLE * ramp
+        origin = reference if ramp else command
+
+        def follow(time, y, origin=origin, way=way):
+            return np.clip((origin + way * time - y) / lag, -most, most)
+
+        limits = {"rtol": 1e-9, "atol": 1e-12, "max_step": 2e-4}
+        found = solve_ivp(follow, (0, SAMPLE), begin, **limits).y[:, -1]
+        np.testing.assert_allclose(drive.position, found, atol=1e-8)
+        reference = command
 
 
 def test_the_loop_of_a_reversal_is_as_wide_as_the_play():

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.dynamics import pack_state
+from tenscontrol.dynamics import as_pieces, pack_state
 from tenscontrol.integrate import METHODS, Method
 from tenscontrol.integrate.dop853 import _DormandPrince
 from tenscontrol.integrate.fixed_step import FixedStep
@@ -461,3 +461,101 @@ def test_supports_to_move_must_be_there(prism):
 def test_every_method_is_tested_with_profiles():
     named = {name for name, *_ in ORDERS if isinstance(name, str)}
     assert named | {"dop853", "cvodes"} == set(METHODS)
+
+
+@pytest.mark.parametrize("at", [7.77, 13.1234, 19.9])
+def test_a_short_pulse_of_a_long_function_is_seen(at):
+    """3 ms in 20 s: smooth it is followed, and with edges it is refused."""
+    given = "external_force", (2, 1), "m", 0.0, 20.0
+    pulse = as_pieces(
+        given[0], lambda t: np.full((2, 1), np.exp(-(((t - at) / 8e-4) ** 2))), *given[1:]
+    )
+    np.testing.assert_allclose(pulse.at(np.array([at]))[:, 0], 1.0, rtol=1e-9)
+    with pytest.raises(ValueError, match=r"external_force jumps, has a kink .* Give a tc\.Profile"):
+        as_pieces(given[0], lambda t: np.full((2, 1), float(abs(t - at) < 1.5e-3)), *given[1:])
+
+
+def test_a_fast_vibration_late_in_a_run_is_no_jump():
+    """The round-off of times alone is more than a millionth of a millionth there."""
+    tone = as_pieces(
+        "load", lambda t: np.sin(2 * np.pi * 100 * t) * np.ones(2), (2,), "", 19.0, 20.0
+    )
+    times = np.linspace(19.0, 20.0, 5001)
+    np.testing.assert_allclose(tone.at(times)[0], np.sin(2 * np.pi * 100 * times), atol=1e-11)
+
+
+def test_a_function_is_called_some_eight_thousand_times():
+    calls = []
+    as_pieces(
+        "force_density",
+        lambda t: calls.append(t) or 2 + np.sin(3 * t) * np.ones(4),
+        (4,),
+        "",
+        0.0,
+        20.0,
+    )
+    assert 8192 < len(calls) < 12_000
+    assert np.diff(np.sort(calls)).max() <= 20.0 / 8192 * (1 + 1e-9)
+
+
+def test_a_function_of_no_numbers_is_refused_by_name():
+    for value in ([[1.0], [1.0, 2.0]], "much", 1j):
+        with pytest.raises((TypeError, ValueError), match="force_density at 0 s"):
+            as_pieces("force_density", lambda t, value=value: value, (4,), "", 0.0, 1.0)
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf])
+def test_a_function_that_is_not_finite_is_refused_with_its_time(wrong):
+    with pytest.raises(ValueError, match=r"force_density at 0\.\d+ s"):
+        as_pieces(
+            "force_density", lambda t: np.full(4, wrong if t > 0.5 else 1.0), (4,), "", 0.0, 1.0
+        )
+
+
+def test_a_run_tells_how_finely_functions_are_sampled(prism):
+    model = tc.Model(prism, external_force=True)
+    given = {"force_density": lambda t: 20 + np.sin(t) * np.ones(9), "step": 1e-2}
+    still = np.zeros((3, 6))
+    run = tc.simulate(model, 0.5, external_force=lambda t: t * still, **given)
+    assert run.note == (
+        "force_density and external_force sampled every 6.1e-05 s: shorter pulses may be missed"
+    )
+    assert run.note in run.summary()
+    profile = tc.Profile([0.0, 1.0], np.full((9, 2), 20.0))
+    assert (
+        tc.simulate(model, 0.1, force_density=profile, external_force=still, step=1e-2).note is None
+    )
+
+
+@pytest.mark.parametrize("cut", [0.3, 0.14, 0.7])
+def test_a_controlled_run_in_parts_is_one_bit_by_bit(prism, cut):
+    """Also where the times of its samples are no round numbers, under a load in pieces."""
+    strings = tc.LinearStrings(STIFFNESS, damping=0.5)
+    plant = tc.linearize(
+        tc.Model(prism, strings=strings), tc.prestress(prism, 17.3), input="rest_length"
+    )
+    model = tc.Model(prism, strings=strings, external_force=True)
+    load = np.zeros((3, 6, 4))
+    load[0, :, 1:3] = 0.3, -0.2
+    given = {
+        "controller": tc.LQR(plant, sample_time=0.02), "step": 2e-3,
+        "external_force": tc.Profile([0.0, 0.213, 0.5, 0.97], load),
+    }  # fmt: skip
+    start = {"rest_length": plant.rest_length}
+    whole = tc.simulate(model, 1.0, **start, **given)
+    first = tc.simulate(model, cut, **start, **given)
+    second = tc.simulate(model, 1.0 - cut, start=first, **given)
+    np.testing.assert_array_equal(second.nodes[:, :, -1], whole.nodes[:, :, -1])
+
+
+def test_an_open_loop_in_parts_is_one_to_round_off(prism):
+    model = tc.Model(prism, strings=tc.LinearStrings(STIFFNESS))
+    begin = 0.9 * prism.string_length()
+    profile = tc.Profile([0.0, 0.21, 0.53], np.column_stack([begin, 0.97 * begin, begin]))
+    function = lambda t: begin * (1 - 0.02 * np.sin(5 * t) ** 2)  # noqa: E731
+    for given, least, most in ((profile, 0.0, 1e-13), (function, 1e-15, 1e-8)):
+        whole = tc.simulate(model, 0.6, rest_length=given, step=1e-3)
+        first = tc.simulate(model, 0.25, rest_length=given, step=1e-3)
+        second = tc.simulate(model, 0.35, start=first, rest_length=given, step=1e-3)
+        off = np.abs(second.nodes[:, :, -1] - whole.nodes[:, :, -1]).max()
+        assert least <= off < most

@@ -170,7 +170,7 @@ CLOSED_LOOP = [
             r"designed on Structure\(10 nodes.*the model has Structure\(6 nodes"),
     refused("controller beyond the stiffness",
             lambda: closed(controller=regulator(max_force_density=200.0)), ValueError,
-            r"γ = 200 N/m on string 0.*stiffness 100 N/m.*max_force_density below 100"),
+            r"γ = 200 N/m on string 0.*stiffness, 100 N/m.*max_force_density below 100"),
 ]
 
 FOUND_IN_REVIEW = [

@@ -146,3 +146,34 @@ def test_a_damped_drop_ends_in_the_stance(degrees):
     np.testing.assert_allclose(
         speed, np.tile(down * slip * use / np.sqrt(1 - use**2), 6), atol=1e-5
     )
+
+
+@pytest.mark.parametrize("of", ["structure", "plant"])
+def test_sensors_of_the_structure_estimate_a_stance_on_its_feet(of):
+    """Feet are fixed nodes to the plant alone: the readings are the same."""
+    model, stance, plant, lengths = scene("ball")
+    structure = model.structure if of == "structure" else plant.model.structure
+    sensors = tc.Sensors(structure=structure, string_length=1e-4, node_position=1e-4)
+    estimator = tc.KalmanFilter(plant, sensors, sample_time=0.01)
+    run = tc.simulate(
+        model, 0.2, stance.structure.nodes, controller=controllers(plant)["lqr"],
+        estimator=estimator, rest_length=lengths, step=1e-3,
+    )  # fmt: skip
+    off = run.control.estimate.nodes - run.nodes[:, :, :-1:10]
+    assert np.linalg.norm(off, axis=0).max() < 2e-3
+
+
+def test_sensors_of_another_structure_are_refused_with_what_differs():
+    _, _, plant, _ = scene("ball")
+    known = plant.model.structure
+    for other, what in (
+        (tc.Structure(known.nodes, known.bars, known.strings[::-1], 1.0), "other strings"),
+        (
+            tc.Structure(known.nodes, known.bars, known.strings, 1.0, fixed=[0, 1]),
+            r"other supports, at the nodes \[1\] and \[\]",
+        ),
+        (tc.prism(), "6 and 12 nodes"),
+    ):
+        sensors = tc.Sensors(structure=other, node_position=1e-3)
+        with pytest.raises(ValueError, match=f"sensors .* {what}: give Sensors"):
+            tc.KalmanFilter(plant, sensors, sample_time=0.01)

@@ -53,7 +53,9 @@ class OutputLimit:
     low, high : float or array_like, shape (p,), optional
         Bounds of y, m; no bound if infinite or not given.
     penalty : float, optional
-        Cost of a violation, per m and sample (L1). A hard limit if infinite or not given.
+        Price π: a violation of y by e, m, adds ``π (2 e + e²/u)`` to the cost in each sample, with
+        u of 1 % of the size of the structure times the norm of the row of C. The cost is ``Σ zᵀ Q z
+        + vᵀ R v``. A hard limit if infinite or not given.
 
     Raises
     ------
@@ -123,8 +125,8 @@ def clearance(plant: LinearPlant, clearance: float, penalty: float | None = None
     clearance : float
         Least distance of the axes, m.
     penalty : float, optional
-        Cost of a violation, per m and sample (L1), as in :class:`OutputLimit`. A hard
-        limit if not given: a disturbance can then make a program infeasible.
+        Price of a violation, as in :class:`OutputLimit`. A hard limit if not given: a disturbance
+        can then make a program infeasible.
 
     Returns
     -------

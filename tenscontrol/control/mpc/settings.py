@@ -133,10 +133,11 @@ class MPCSettings:
     outputs : sequence of OutputLimit, optional
         Limits on node positions.
     string_penalty : float, optional
-        Price of a γ or tension beyond its limit (L1): of one violated by its
-        largest value at the operating point, against an input that is off by
-        its unit. ``inf`` makes them hard; commands of γ are within bounds always. 100 if not
-        given.
+        Price p of a γ or tension beyond its limit. Beyond by ε times the largest γ, or tension,
+        at the operating point, it costs ``p (2 ε + ε²)`` in each sample; the unit is the least
+        that R charges for an input off by its unit, see ``tolerance``. The linear part makes
+        limits exact: where they can be kept at a lower price, they are. ``inf`` makes them hard;
+        commands of γ are within bounds always. 100 if not given.
     load_gain : float, optional
         With it a constant unknown load is estimated, at most 1 (at once), and
         the plant is brought to rest at the reference under it.

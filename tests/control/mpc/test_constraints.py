@@ -84,6 +84,31 @@ def test_solution_satisfies_the_optimality_conditions(plant, form, penalty):
     assert residual < 1e-6 * scale
 
 
+@pytest.mark.parametrize("form", ["condensed", "sparse"])
+def test_violations_cost_what_the_docstrings_say(plant, form, monkeypatch):
+    """A price times (2 ε + ε²), for strings in costs of an input that is off by its unit."""
+    row, penalty, linear = height_row(), 1e4, []
+    mpc = tc.MPC(
+        plant, horizon=2, sample_time=SAMPLE, max_force_density=60.0, form=form,
+        max_tension=40.0, outputs=[OutputLimit(row, low=0.995, penalty=penalty)],
+        string_penalty=50.0,
+    )  # fmt: skip
+    solve = mpc._solver.solve
+    monkeypatch.setattr(
+        mpc._solver, "solve", lambda q, *rest, **more: linear.append(q) or solve(q, *rest, **more)
+    )
+    mpc.command(0.0, plant.nodes, STILL)
+    problem = mpc.law.design.problem
+    # A program is half of the cost, over that of an input off by its unit.
+    unit = problem.level**2 * np.linalg.eigvalsh(problem.input_weight).min()
+    u = 0.01 * np.linalg.norm(row) * np.ptp(plant.nodes, axis=1).max()
+    strings = len(problem.rows.soft) - 1
+    # π (2 e + e²/u) is π u (2 ε + ε²).
+    expected = np.tile(np.r_[np.full(strings, 50.0), penalty * u / unit], 2)
+    np.testing.assert_allclose(linear[0][-len(expected) :], expected)
+    np.testing.assert_allclose(mpc.law.form.P.diagonal()[-len(expected) :], expected)
+
+
 def test_both_forms_give_the_same_commands(plant):
     limit = OutputLimit(height_row(), low=0.995, high=1.004, penalty=1e4)
     values = [
