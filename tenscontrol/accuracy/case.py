@@ -10,7 +10,7 @@ import numpy as np
 
 from tenscontrol.dynamics import Equation, Model, builds, pack_state
 from tenscontrol.integrate import is_expandable
-from tenscontrol.plant import held_value
+from tenscontrol.plant import given_load, held_value
 from tenscontrol.scene import Scene
 from tenscontrol.simulation import checked_load, initial_state
 from tenscontrol.structure import Structure, free_coordinates, restore_bar_lengths
@@ -99,7 +99,7 @@ class Case:
         put(self, "velocities", frozen(_array(self.velocities, 0 * structure.nodes)))
         put(self, "value", frozen(value))
         if self.external_force is not None:
-            put(self, "external_force", frozen(_array(self.external_force, structure.nodes)))
+            put(self, "external_force", frozen(given_load(self.model, self.external_force)))
 
     @property
     def structure(self) -> Structure:

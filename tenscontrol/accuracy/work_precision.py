@@ -399,9 +399,8 @@ def work_precision(
     outputs = whole_number("outputs", outputs, 1, MOST_RUNS)
     truth("machine_code", machine_code, "whether to compile our own methods")
     names = tuple(METHODS) if methods is None else items("methods", methods, "names of methods")
-    chosen = [method_named(name, f"methods[{i}]") for i, name in enumerate(names)]
-    if len(set(names)) != len(names):
-        raise ValueError(f"methods is {list(names)}, expected each method once")
+    named = (method_named(name, f"methods[{i}]") for i, name in enumerate(names))
+    chosen = list(dict.fromkeys(named))
     peers = items("peers", peers, "peers")
     for i, peer in enumerate(peers):
         instance(f"peers[{i}]", peer, Peer, "make one by subclassing Peer")

@@ -27,6 +27,7 @@ from tenscontrol.validation import (
     direction,
     float_array,
     frozen,
+    index_array,
     indices,
     number,
     positive_number,
@@ -62,9 +63,9 @@ class ContactLaw(ABC):
     stiffness : float
         k, positive; its unit is the law's.
     damping : float
-        d of Hunt & Crossley's factor 1 + d ṗ, s/m, at least 0.
+        d of Hunt & Crossley's factor 1 + d ṗ, s/m, at least 0; None for 0.
     friction : float
-        μ, at least 0.
+        μ, at least 0; None for 0.
     slip_speed : float
         v_s, m/s, positive: above it friction is that of Coulomb.
     normal : array_like, shape (d,), optional
@@ -72,8 +73,8 @@ class ContactLaw(ABC):
     height : float or casadi.Function
         h of the plane ``n·x = h``, m. Or a function of x and y (in the plane of x), m, twice
         differentiable, under an upward normal.
-    nodes : array_like of int, optional
-        The nodes that it acts on; all, if not given.
+    nodes : array_like of int or of bool, optional
+        The nodes that it acts on, or a mask of them; all, if not given. It may act on none.
 
     Raises
     ------
@@ -165,6 +166,7 @@ class ContactLaw(ABC):
         for field in fields(self):
             name, value = field.name, getattr(self, field.name)
             if name in ("damping", "friction"):
+                value = 0.0 if value is None else value
                 if (given := number(name, value, "s/m" if name == "damping" else "–")) < 0:
                     raise ValueError(f"{name} is {given:g}, expected at least 0")
                 object.__setattr__(self, name, given)
@@ -179,11 +181,8 @@ class ContactLaw(ABC):
         else:
             object.__setattr__(self, "height", number("height", self.height, "m"))
         if self.nodes is not None:
-            nodes = np.atleast_1d(float_array("nodes", self.nodes))
-            if nodes.ndim != 1 or not len(nodes):
-                raise ValueError(f"nodes has shape {nodes.shape}, expected (k,): at least one node")
-            found = indices("nodes", nodes, LARGEST_WHOLE, "nodes")
-            object.__setattr__(self, "nodes", frozen(found))
+            chosen = indices("nodes", index_array("nodes", self.nodes), LARGEST_WHOLE, "nodes")
+            object.__setattr__(self, "nodes", frozen(chosen))
 
     @property
     def is_velocity_dependent(self) -> bool:

@@ -24,7 +24,15 @@ from tenscontrol.dynamics.forms import loops_functions, mapped_functions, member
 from tenscontrol.dynamics.machine_code import compiler
 from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.structure import Structure, node_mass
-from tenscontrol.validation import FloatArray, choice, frozen, instance, shaped, truth, whole_number
+from tenscontrol.validation import (
+    FloatArray,
+    choice,
+    frozen,
+    instance,
+    node_forces,
+    truth,
+    whole_number,
+)
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -57,8 +65,8 @@ class Model:
     structure : Structure
     strings : StringLaw, optional
         :class:`LinearStrings` or :class:`ElasticStrings`. Needed only where
-        the rest length is an input.
-    external_force : bool or array_like, shape (d, n)
+        the rest length is an input. Without strings a law does nothing.
+    external_force : bool or array_like, shape (d, n), or 0
         True: the functions take a load W on the free nodes, N, as a further
         input. An array: that load is built in.
     gravity : float or array_like, shape (d,), optional
@@ -72,7 +80,7 @@ class Model:
     ------
     TypeError, ValueError
         If an argument is of the wrong kind, or the parameters of the string
-        law do not fit the number of strings, or there are none.
+        law do not fit the number of strings.
 
     Notes
     -----
@@ -107,8 +115,6 @@ class Model:
         instance("structure", structure, Structure, "make one by Structure(...) or prism(...)")
         if strings is not None:
             instance("strings", strings, StringLaw, "use LinearStrings(stiffness=...)")
-            if len(structure.strings) == 0:
-                raise ValueError("strings is given, but the structure has none; leave it out")
             strings = strings.for_count(len(structure.strings))
         shape = structure.nodes.shape
         load, fall = np.zeros(shape), np.zeros(shape[0])
@@ -119,7 +125,7 @@ class Model:
                 "external_force", external_force, meaning
             )
         else:
-            load += shaped("external_force", external_force, shape, "one force per node, N")
+            load += node_forces("external_force", external_force, shape)
         if gravity is not None:
             fall = gravity_vector(gravity, structure.dimension)
         self._structure = structure
@@ -308,8 +314,7 @@ class Model:
         law = self._needed_strings() if input == "rest_length" else None
         load = self._constant_force
         if external_force is not None:
-            meaning = "one force per node, N"
-            load = load + shaped("external_force", external_force, load.shape, meaning)
+            load = load + node_forces("external_force", external_force, load.shape)
         sizes = self._parameter_sizes(parameters, law)
         form = "flat" if sizes else form
         if form == "auto":

@@ -12,7 +12,7 @@ from typing import Any, final
 import numpy as np
 
 from tenscontrol.interrupt import check
-from tenscontrol.validation import FloatArray, IntArray, choice, float_array, frozen
+from tenscontrol.validation import FloatArray, IntArray, choice, float_array, frozen, vector
 
 # How a profile goes from one value to the next.
 _INTERPOLATIONS = ("hold", "linear", "cubic")
@@ -61,7 +61,7 @@ class Profile:
 
     def __post_init__(self) -> None:
         choice("interpolation", self.interpolation, _INTERPOLATIONS)
-        time, values = float_array("time", self.time), float_array("values", self.values)
+        time, values = vector("time", self.time), float_array("values", self.values)
         if time.ndim != 1 or not len(time):
             raise ValueError(f"time has shape {time.shape}, expected (K,): at least one time, s")
         if values.ndim == 0 or values.shape[-1] != len(time):
@@ -393,7 +393,7 @@ def as_pieces(
                 f"that returns an array, {meaning}"
             ) from error
         return sampled(name, value, shape, start, end)
-    array = float_array(name, value)
-    if array.shape not in fitting:
+    array = vector(name, value) if len(shape) == 1 else float_array(name, value)
+    if array.shape not in fitting and (array.ndim or array != 0):  # 0 is none
         raise ValueError(f"{name} has shape {array.shape}, expected {shape}: {meaning}")
     return Pieces.constant(np.broadcast_to(array, shape).ravel(order="F"))

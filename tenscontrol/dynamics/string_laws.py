@@ -13,12 +13,12 @@ import numpy as np
 from tenscontrol.dynamics.evaluator import Prepared, SharedEvaluator
 from tenscontrol.validation import (
     FloatArray,
-    float_array,
     frozen,
     member_parameters,
     non_negative,
     per_member,
     positive,
+    vector,
     whole_number,
 )
 
@@ -89,7 +89,10 @@ class StringLaw(ABC):
         """Damping c, N s/m."""
 
     def __post_init__(self) -> None:
-        parameters = {name: float_array(name, getattr(self, name)) for name in self._names()}
+        given = {name: getattr(self, name) for name in self._names()}
+        if given["damping"] is None:
+            given["damping"] = 0.0
+        parameters = {name: vector(name, value) for name, value in given.items()}
         member_parameters(parameters)
         for name, values in parameters.items():
             if name == "damping":
@@ -274,7 +277,7 @@ class StringLaw(ABC):
 
     def _together(self, **values: object) -> list[FloatArray]:
         """Check that arguments and parameters go together, and give them one shape."""
-        arrays = {name: float_array(name, value) for name, value in values.items()}
+        arrays = {name: vector(name, value) for name, value in values.items()}
         own = {name: np.asarray(getattr(self, name)) for name in self._names()}
         member_parameters({**arrays, **own})
         shape = np.broadcast(*arrays.values(), *own.values()).shape
@@ -282,6 +285,8 @@ class StringLaw(ABC):
 
     def _evaluated(self, name: str, *arguments: FloatArray) -> FloatArray:
         count = arguments[0].size
+        if count == 0:
+            return np.zeros(arguments[0].shape)
 
         def build() -> SharedEvaluator:  # of one string, where all have the same parameters
             own = max(np.size(getattr(self, each)) for each in self._names())
@@ -317,7 +322,7 @@ class LinearStrings(StringLaw):
     stiffness : float or array_like, shape (α,)
         k, N/m, positive.
     damping : float or array_like, shape (α,)
-        c, N s/m, at least 0.
+        c, N s/m, at least 0; None for 0.
 
     Raises
     ------
@@ -338,7 +343,7 @@ class LinearStrings(StringLaw):
 
     if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
 
-        def __init__(self, stiffness: ArrayLike, damping: ArrayLike = 0.0) -> None: ...
+        def __init__(self, stiffness: ArrayLike, damping: ArrayLike | None = 0.0) -> None: ...
 
     def tension(self, length: Any, rest_length: Any) -> Any:
         """Return k (l − l0), N; see :meth:`StringLaw.tension`."""
@@ -370,7 +375,7 @@ class ElasticStrings(StringLaw):
     axial_rigidity : float or array_like, shape (α,)
         EA, Young's modulus times cross-section, N, positive.
     damping : float or array_like, shape (α,)
-        c, N s/m, at least 0.
+        c, N s/m, at least 0; None for 0.
 
     Raises
     ------
@@ -391,7 +396,7 @@ class ElasticStrings(StringLaw):
 
     if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
 
-        def __init__(self, axial_rigidity: ArrayLike, damping: ArrayLike = 0.0) -> None: ...
+        def __init__(self, axial_rigidity: ArrayLike, damping: ArrayLike | None = 0.0) -> None: ...
 
     def tension(self, length: Any, rest_length: Any) -> Any:
         """Return EA (l/l0 − 1), N; see :meth:`StringLaw.tension`."""

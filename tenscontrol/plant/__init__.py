@@ -12,7 +12,13 @@ from tenscontrol.plant.controllability import (
     unreached_modes,
     warn_of_left_alone,
 )
-from tenscontrol.plant.equilibrium import equilibrium, held_value
+from tenscontrol.plant.equilibrium import (
+    equilibrium,
+    given_load,
+    held_value,
+    own_input,
+    refuse_load,
+)
 from tenscontrol.plant.linear_plant import (
     INPUTS,
     SHORTEST,
@@ -106,6 +112,7 @@ __all__ = [
     "exact_motion",
     "explicit_substeps",
     "filter_riccati",
+    "given_load",
     "held_value",
     "in_coordinates",
     "input_bounds",
@@ -118,6 +125,7 @@ __all__ = [
     "modes_of",
     "natural_weights",
     "near_symbol",
+    "own_input",
     "own_modes",
     "reached_states",
     "reduce",
@@ -125,6 +133,7 @@ __all__ = [
     "reduced_motion",
     "reduced_shape",
     "refuse_empty",
+    "refuse_load",
     "refuse_lost_place",
     "refuse_unreachable",
     "regulator",

@@ -104,7 +104,7 @@ def controllability(plant: LinearPlant, count: int | None = None) -> Controllabi
     Raises
     ------
     TypeError, ValueError
-        If ``plant`` is not a linear plant, or ``count`` is not one of its numbers of modes.
+        If ``plant`` is not a linear plant, or ``count`` is not a positive whole number.
 
     Notes
     -----
@@ -127,7 +127,9 @@ def controllability(plant: LinearPlant, count: int | None = None) -> Controllabi
     """
     instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
     if count is not None:
-        return _of_lowest(plant, whole_number("count", count, 1, plant.degrees_of_freedom))
+        count = min(whole_number("count", count, 1), plant.degrees_of_freedom)
+    if count:
+        return _of_lowest(plant, count)
     found = reached_states(plant)
     order = np.argsort(np.abs(found.pole), kind="stable")
     return Controllability(

@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Model, builds, kernel, solving
+from tenscontrol.dynamics import Model, Profile, builds, kernel, solving
 from tenscontrol.plant.linear_plant import INPUTS
 from tenscontrol.plant.stance import (
     GroundPoints,
@@ -21,7 +21,7 @@ from tenscontrol.plant.stance import (
     let_down,
     refuse_slip,
 )
-from tenscontrol.statics import Prestress, balanced, listed, member_forces
+from tenscontrol.statics import Prestress, balanced, member_forces
 from tenscontrol.structure import (
     Structure,
     bar_distances,
@@ -35,10 +35,10 @@ from tenscontrol.structure import (
 from tenscontrol.validation import (
     FloatArray,
     instance,
+    node_forces,
     non_negative,
     per_member,
     positive,
-    shaped,
     truth,
 )
 
@@ -109,7 +109,7 @@ def equilibrium(
     external_force : array_like, shape (d, n), optional
         Load W, N, for a model that takes one.
     settle : bool
-        For a model with ground: whether feet move along it until all use the same part of their
+        On ground: whether feet move along it until all use the same part of their
         friction; see the notes. If not, only where a foot would slip.
 
     Returns
@@ -130,8 +130,8 @@ def equilibrium(
     Warns
     -----
     UserWarning
-        If strings end slack while their rest lengths are held, or bars pass through one another on
-        the straight way from the shape at the start to the one found (in space).
+        If all strings end slack while their rest lengths are held, or bars pass through one another
+        on the straight way from the shape at the start to the one found (in space).
 
     Notes
     -----
@@ -180,8 +180,7 @@ def equilibrium(
         "settle", settle, "whether feet move along the ground until they share its friction"
     )
     structure = model.structure
-    if settles and model.contacts is None:
-        raise ValueError("settle is for a model with ground: leave it out")
+    rest_length, force_density = own_input(model, rest_length, force_density)
     if (rest_length is None) == (force_density is None):
         found = "neither" if rest_length is None else "both"
         raise ValueError(f"expected one of rest_length and force_density, found {found}")
@@ -192,13 +191,7 @@ def equilibrium(
         start = restore_bar_lengths(structure, start)
     load = model.constant_force.copy()
     if external_force is not None:
-        if not model.has_external_force:
-            raise ValueError(
-                "the model takes no load as an input; build it as "
-                "Model(structure, external_force=True)"
-            )
-        shape = structure.nodes.shape
-        load += shaped("external_force", external_force, shape, "one force per node")
+        load += given_load(model, external_force)
     held, kind = held_value(model, rest_length, force_density), INPUTS[rest_length is not None]
     law = model.strings
     if kind == "rest_length":
@@ -253,14 +246,12 @@ def _settled(structure: Structure, nodes: FloatArray) -> Structure:
 
 
 def _warn_of_slack(rest: Prestress, live: np.ndarray) -> None:
-    """Warn of strings without force, but for those between fixed nodes."""
+    """Warn if no string has a force, but for those between fixed nodes."""
     moving = live[: len(rest.force_density)]
-    slack = np.flatnonzero((rest.force_density == 0) & moving)
-    if len(slack) == 0:
+    if not moving.any() or rest.force_density[moving].any():
         return
-    which = "all strings" if len(slack) == moving.sum() else f"strings {listed(slack)}"
     warnings.warn(
-        f"in the equilibrium found, {which} are slack; shorter rest lengths would tighten them",
+        "in the equilibrium found, all strings are slack; shorter rest lengths would tighten them",
         UserWarning,
         stacklevel=3,
     )
@@ -293,6 +284,37 @@ def _warn_of_crossing(structure: Structure, start: FloatArray, end: FloatArray) 
             )
             return
         before = after
+
+
+def own_input(model: Model, rest_length: object, force_density: object) -> tuple[object, object]:
+    """Return rest lengths and γ, one of them None, for a structure without strings.
+
+    It needs neither, and rest lengths of no strings need no law. Others are returned as given.
+    """
+    count = len(model.structure.strings)
+    if count or force_density is not None:
+        return rest_length, force_density
+    if rest_length is not None:
+        per_member("rest_length", rest_length, count, "string")
+    return (None, ()) if rest_length is None or model.strings is None else (rest_length, None)
+
+
+def given_load(model: Model, external_force: object) -> FloatArray:
+    """Return a load beside what is built in, N, shape (d, n): of a model that takes none, 0."""
+    if callable(external_force) or isinstance(external_force, Profile):
+        refuse_load(model)
+    load = node_forces("external_force", external_force, model.structure.nodes.shape)
+    if load.any():
+        refuse_load(model)
+    return load
+
+
+def refuse_load(model: Model) -> None:
+    """Raise if a model takes no load as an input."""
+    if not model.has_external_force:
+        raise ValueError(
+            "the model takes no load as an input; build it as Model(structure, external_force=True)"
+        )
 
 
 def held_value(model: Model, rest_length: object, force_density: object) -> FloatArray:

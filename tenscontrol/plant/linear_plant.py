@@ -18,7 +18,8 @@ from tenscontrol.validation import (
     IntArray,
     freeze_arrays,
     frozen,
-    per_member,
+    is_unlimited,
+    limit_per_member,
     positive,
     positive_number,
 )
@@ -525,7 +526,7 @@ def clusters(values: FloatArray) -> list[tuple[int, int]]:
     noise = _NOISE * np.abs(values).max(initial=0.0)
     breaks = np.flatnonzero(np.diff(values) > _EQUAL * np.abs(values[1:]) + noise) + 1
     edges = [0, *breaks.tolist(), len(values)]
-    return list(pairwise(edges))
+    return list(pairwise(edges)) if len(values) else []
 
 
 def input_bounds(
@@ -534,7 +535,7 @@ def input_bounds(
     """Return least and largest command, shape (α,) each, or raise naming what does not fit."""
     count = plant.B.shape[1]
     if plant.input == "rest_length":
-        if max_force_density is not None:
+        if not is_unlimited(max_force_density):
             raise ValueError(
                 "max_force_density limits plants with input='force_density'; this one has "
                 "input='rest_length', and winches limit rest lengths"
@@ -552,9 +553,7 @@ def input_bounds(
             "winches limit rest lengths, but plant has input='force_density'; linearize with "
             "input='rest_length'"
         )
-    if max_force_density is None:
-        return np.zeros(count), np.full(count, np.inf)
-    high = per_member("max_force_density", max_force_density, count, "string")
+    high = limit_per_member("max_force_density", max_force_density, count, "string")
     positive("max_force_density", high, "force density in N/m")
     over = np.flatnonzero(plant.force_density > high)
     if len(over):
@@ -572,8 +571,8 @@ def largest_change(
     """Return the largest change of a command in a sample, shape (α,), or None for any."""
     count = plant.B.shape[1]
     change = None
-    if max_change is not None:
-        change = per_member("max_change", max_change, count, "string")
+    if not is_unlimited(max_change):
+        change = limit_per_member("max_change", max_change, count, "string")
         positive("max_change", change, f"change of {plant.input.replace('_', ' ')}")
     rate = None if winches is None else winches.largest_rate
     if sample_time is None:
@@ -582,6 +581,6 @@ def largest_change(
             raise ValueError(f"{name} limits changes from sample to sample: give sample_time, s")
         return None
     if rate is not None:
-        reach = per_member("winches.rate", rate, count, "string") * sample_time
+        reach = limit_per_member("winches.rate", rate, count, "string") * sample_time
         change = reach if change is None else np.minimum(change, reach)
     return change

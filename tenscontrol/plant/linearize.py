@@ -43,6 +43,7 @@ from tenscontrol.validation import (
     positive,
     shaped,
     truth,
+    vector,
 )
 
 if TYPE_CHECKING:
@@ -119,7 +120,7 @@ class OperatingPoint:
                 f"nodes has shape {nodes.shape}, expected (3, n), or (2, n) in the plane: one "
                 "column per node"
             )
-        gamma = float_array("force_density", self.force_density)
+        gamma = vector("force_density", self.force_density)
         if gamma.ndim != 1:
             raise ValueError(
                 f"force_density has shape {gamma.shape}, expected (α,): one per string"
@@ -295,7 +296,7 @@ def command_parents(plant: LinearPlant) -> LinearPlant:
     Parameters
     ----------
     plant : LinearPlant
-        Of a model whose structure was made by :func:`subdivide`.
+        Of a model whose structure was made by :func:`subdivide`; one of whole strings is returned.
 
     Returns
     -------
@@ -306,8 +307,8 @@ def command_parents(plant: LinearPlant) -> LinearPlant:
     Raises
     ------
     TypeError, ValueError
-        If ``plant`` is not a linear plant of a subdivided structure, or the
-        segments of a string differ in their force density.
+        If ``plant`` is not a linear plant, its structure has a skin, or the segments of a string
+        differ in their force density.
 
     Examples
     --------
@@ -325,6 +326,8 @@ def command_parents(plant: LinearPlant) -> LinearPlant:
     structure = plant.model.structure
     parent = structure.parent
     if parent is None:
+        return plant
+    if structure.string_parent is None:
         raise ValueError(
             "the plant is not that of a subdivided structure; subdivide(structure, ...) makes one"
         )

@@ -138,8 +138,9 @@ def modes(plant: LinearPlant, count: int | None = None) -> Modes:
     ----------
     plant : LinearPlant
     count : int, optional
-        How many, those of the smallest poles; all if not given. A few of a large structure cost
-        work and memory that grow with its members, all of them with the cube of their number.
+        How many, those of the smallest poles; all if not given, or if there are fewer. A few of a
+        large structure cost work and memory that grow with its members, all of them with the cube
+        of their number.
 
     Returns
     -------
@@ -148,8 +149,8 @@ def modes(plant: LinearPlant, count: int | None = None) -> Modes:
     Raises
     ------
     TypeError, ValueError
-        If ``plant`` is not a linear plant, or has no coordinates, or ``count`` is not a positive
-        whole number; or if all modes are asked for of a plant of more than 4,000 coordinates.
+        If ``plant`` is not a linear plant, or ``count`` is not a positive whole number; or if all
+        modes are asked for of a plant of more than 4,000 coordinates.
 
     Notes
     -----
@@ -177,14 +178,10 @@ def modes(plant: LinearPlant, count: int | None = None) -> Modes:
        8       2.44339   0.0000  elastic
     """
     instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
-    if plant.degrees_of_freedom == 0:
-        raise ValueError(
-            f"plant has no {plant.coordinates.kind} coordinates, so there are no modes; "
-            "'minimal' coordinates hold the rigid-body motions"
-        )
     r = plant.degrees_of_freedom
     if count is not None:
-        found = lowest(plant, whole_number("count", count, 1, r))
+        count = min(whole_number("count", count, 1), r)
+        found = lowest(plant, count)
         return _cut(modes(plant) if found is None else _in_order(plant, *found), count)
     stiffness, friction = -plant.A[r:, :r], -plant.A[r:, r:]
     if plant.coordinates.kind == "nodes":

@@ -14,7 +14,13 @@ from tenscontrol.dynamics import ContactLaw, kernel, on_one_thread
 from tenscontrol.plant.linear_plant import LinearPlant, kept
 from tenscontrol.plant.modes import modes as all_modes  # `reduce` has an argument of this name
 from tenscontrol.plant.string_outputs import model_input, string_forces
-from tenscontrol.validation import FloatArray, float_array, indices, instance, whole_number
+from tenscontrol.validation import (
+    FloatArray,
+    float_array,
+    index_list,
+    instance,
+    whole_number,
+)
 
 # Stiffness and damping below this part of the largest are none.
 _SINGULAR = 1e-11
@@ -101,7 +107,7 @@ def reduce(plant: LinearPlant, modes: object = 20) -> ReducedPlant:
     ----------
     plant : LinearPlant
     modes : int or array_like of int
-        How many of the lowest, or their indices in :func:`modes` of the plant.
+        How many of the lowest (all, if there are fewer), or indices in :func:`modes` of the plant.
 
     Returns
     -------
@@ -143,12 +149,13 @@ def reduce(plant: LinearPlant, modes: object = 20) -> ReducedPlant:
     r, still = plant.degrees_of_freedom, 0 * plant.sparse.damping
     still.eliminate_zeros()
     undamped = replace(plant, sparse=replace(plant.sparse, damping=still), A=None, B=None)
-    if isinstance(modes, int | np.integer):
-        chosen = np.arange(whole_number("modes", modes, 1, r))
+    is_count = isinstance(modes, np.ndarray) and modes.ndim == 0
+    if is_count or isinstance(modes, int | float | np.number):
+        chosen = np.arange(min(whole_number("modes", modes, 1), r))
     else:
-        chosen = indices("modes", np.atleast_1d(float_array("modes", modes)), r, "modes of plant")
-        if not len(chosen) or len(np.unique(chosen)) < len(chosen):
-            raise ValueError(f"modes is {chosen.tolist()}, expected different indices of modes")
+        chosen = index_list("modes", modes, r, "modes of plant")
+        if not len(chosen):
+            raise ValueError("modes is empty, expected a number of modes, or indices of modes")
     d, n = plant.nodes.shape
     shape = all_modes(undamped, int(chosen.max()) + 1).shape[..., chosen]
     q = plant.coordinates.project(shape.swapaxes(0, 1).reshape(d * n, -1))

@@ -20,6 +20,7 @@ from tenscontrol.validation import (
     instance,
     non_negative,
     positive_number,
+    vector,
 )
 
 if TYPE_CHECKING:
@@ -94,7 +95,7 @@ class Reference:
         ) -> None: ...
 
     def __post_init__(self) -> None:
-        time = float_array("time", self.time)
+        time = vector("time", self.time)
         nodes = float_array("nodes", self.nodes)
         if time.ndim != 1 or len(time) == 0:
             raise ValueError(f"time has shape {time.shape}, expected (K,) with K at least 1")

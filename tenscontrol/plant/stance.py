@@ -14,11 +14,9 @@ from tenscontrol.structure import Structure, bar_rows, free_coordinates, rigid_m
 from tenscontrol.validation import (
     FloatArray,
     IntArray,
-    float_array,
     freeze_arrays,
-    indices,
+    index_list,
     instance,
-    shaped,
 )
 
 # Nodes this near the ground touch it, and shapes that are set down end so near, by their size.
@@ -472,9 +470,7 @@ def set_down(model: Model, feet: object, nodes: object = None) -> FloatArray:
         raise ValueError("the model has supports, which hold its nodes where they are")
     N = structure.nodes if nodes is None else structure.checked_nodes("nodes", nodes)
     d, count = N.shape
-    given = float_array("feet", feet)
-    given = shaped("feet", given, (given.size,), "nodes")
-    below = indices("feet", given, count, f"the structure has {count} nodes")
+    below = index_list("feet", feet, count, f"the structure has {count} nodes")
     centre = N[:, below].sum(axis=1, keepdims=True) / max(len(below), 1)
     axes, sizes, _ = np.linalg.svd(N[:, below] - centre)
     if len(below) < d or sizes[d - 2] <= _TOUCHING * sizes[0]:
@@ -554,14 +550,10 @@ def _standing(model: Model, nodes: FloatArray, feet: IntArray) -> Model:
 
 def _with_feet(structure: Structure, nodes: FloatArray, feet: IntArray) -> Structure:
     """Return the structure, and the one that it was cut from, with more fixed nodes."""
-    mass = structure.point_mass.copy()
-    mass[feet] = 0.0
     parent = structure.parent
     if parent is not None:
         count = parent.nodes.shape[1]
         parent = _with_feet(parent, nodes[:, :count], feet[feet < count])
     rollers = tuple(each for each in structure.rollers if each[0] not in feet)
     fixed = np.union1d(structure.fixed, feet)
-    return replace(
-        structure, nodes=nodes, fixed=fixed, rollers=rollers, point_mass=mass, parent=parent
-    )
+    return replace(structure, nodes=nodes, fixed=fixed, rollers=rollers, parent=parent)

@@ -15,7 +15,7 @@ from tenscontrol.actuation import Winches
 from tenscontrol.control import Controller, ControlWarning, Status, as_controller
 from tenscontrol.dynamics import ContactLaw, Coordinates, Model, StringLaw, coordinates
 from tenscontrol.estimation import KINDS, KalmanFilter, Sensors
-from tenscontrol.plant import LinearPlant, checked_reference, held_value
+from tenscontrol.plant import LinearPlant, checked_reference, held_value, own_input
 from tenscontrol.robustness.distributions import one_number
 from tenscontrol.robustness.sweep_report import SweepError
 from tenscontrol.simulation import (
@@ -137,8 +137,9 @@ class ClosedLoopCase:
     The figures of a run are ``final_error``, m: the largest distance of a node from its target in
     the last tenth of the run, without rigid-body motion; ``least_force_density`` and
     ``largest_force_density`` of all strings, N/m; ``largest_command``, N/m or m; and
-    ``commands_not_ok``, the number of commands with a status other than ``Status.OK``; open loops
-    have no commands. A motion that is not accurate counts as a failure.
+    ``commands_not_ok``, the number of commands with a status other than ``Status.OK``. Structures
+    without strings have no force densities, and open loops no commands. A motion that is not
+    accurate counts as a failure.
 
     Parameters
     ----------
@@ -266,7 +267,7 @@ class ClosedLoopCase:
         winches = None if law is None else len(law.commanded.strings)
         faults = Faults(self.faults, size, held)
         faults.refuse_unknown(len(self.structure.strings), winches)
-        put(self, "faults", tuple(self.faults))
+        put(self, "faults", faults.listed)
         put(self, "_nominal", self._model({}))  # refuses strings and so on that do not fit
         put(self, "ground", self._nominal.ground)
 
@@ -275,11 +276,15 @@ class ClosedLoopCase:
         for name in ("input", "winches", "sample_time", "estimator", "sensors"):
             if getattr(self, name) is not None:
                 raise ValueError(f"{name} goes with a controller, but controller is None")
+        model = self._model({})
+        rest_length, force_density = own_input(model, self.rest_length, self.force_density)
+        object.__setattr__(self, "rest_length", rest_length)
+        object.__setattr__(self, "force_density", force_density)
         held = "rest_length" if self.force_density is None else "force_density"
         if (self.rest_length is None) == (self.force_density is None):
             found = "neither" if self.rest_length is None else "both"
             raise ValueError(f"expected one of rest_length and force_density, found {found}")
-        value = held_value(self._model({}), self.rest_length, self.force_density)
+        value = held_value(model, self.rest_length, self.force_density)
         object.__setattr__(self, held, frozen(value))
         return held
 
@@ -444,11 +449,10 @@ class ClosedLoopCase:
         # Of a subdivision, the nodes of its parent come first.
         nodes = run.nodes[:, : known.nodes.shape[1], late]
         error = farthest_node(known, nodes, known.nodes if self.target is None else self.target)
-        figures = {
-            "final_error": error,
-            "least_force_density": float(run.force_density.min()),
-            "largest_force_density": float(run.force_density.max()),
-        }
+        figures = {"final_error": error}
+        if run.force_density.size:
+            figures["least_force_density"] = float(run.force_density.min())
+            figures["largest_force_density"] = float(run.force_density.max())
         if commands is not None:
             figures["largest_command"] = float(commands.max())
             figures["commands_not_ok"] = float(not_ok)

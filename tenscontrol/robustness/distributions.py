@@ -9,14 +9,7 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from tenscontrol.validation import (
-    MOST_RUNS,
-    FloatArray,
-    float_array,
-    frozen,
-    positive_number,
-    whole_number,
-)
+from tenscontrol.validation import MOST_RUNS, FloatArray, float_array, frozen, vector, whole_number
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -85,14 +78,14 @@ class Uniform(Distribution):
     Parameters
     ----------
     low, high : float
-        Bounds; ``low`` is below ``high``.
+        Bounds, ascending; equal ones give always that number.
     size : int, optional
         How many numbers a run gets: an array of shape (size,), or a float if not given.
 
     Raises
     ------
     TypeError, ValueError
-        If a bound is not a finite number, or the bounds do not ascend.
+        If a bound is not a finite number, or ``low`` is above ``high``.
 
     Examples
     --------
@@ -107,8 +100,8 @@ class Uniform(Distribution):
     def __post_init__(self) -> None:
         super().__post_init__()
         low, high = one_number("low", self.low), one_number("high", self.high)
-        if not low < high:
-            raise ValueError(f"low is {low:g} and high is {high:g}, expected low below high")
+        if low > high:
+            raise ValueError(f"low is {low:g} and high is {high:g}, expected low up to high")
         object.__setattr__(self, "low", low)
         object.__setattr__(self, "high", high)
 
@@ -125,14 +118,14 @@ class Normal(Distribution):
     ----------
     mean : float
     deviation : float
-        Standard deviation, positive.
+        Standard deviation, at least 0; 0 gives always the mean.
     size : int, optional
         How many numbers a run gets: an array of shape (size,), or a float if not given.
 
     Raises
     ------
     TypeError, ValueError
-        If a number is not finite, or the deviation is not positive.
+        If a number is not finite, or the deviation is negative.
 
     Examples
     --------
@@ -147,7 +140,9 @@ class Normal(Distribution):
     def __post_init__(self) -> None:
         super().__post_init__()
         object.__setattr__(self, "mean", one_number("mean", self.mean))
-        deviation = positive_number("deviation", self.deviation, "the unit of the parameter")
+        deviation = one_number("deviation", self.deviation)
+        if deviation < 0:
+            raise ValueError(f"deviation is {deviation:g}, expected at least 0")
         object.__setattr__(self, "deviation", deviation)
 
     def _numbers(self, rng: np.random.Generator) -> Any:
@@ -186,7 +181,7 @@ class OneOf(Distribution):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        values = float_array("values", self.values)
+        values = vector("values", self.values)
         if values.ndim != 1 or len(values) == 0:
             raise ValueError(f"values has shape {values.shape}, expected (k,) with k at least 1")
         object.__setattr__(self, "values", frozen(values))

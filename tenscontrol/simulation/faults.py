@@ -14,6 +14,7 @@ from tenscontrol.validation import (
     IntArray,
     float_array,
     instance,
+    is_unlimited,
     positive_number,
     whole_number,
 )
@@ -36,8 +37,8 @@ class Fault(ABC):
             raise ValueError(f"time is {self.time}, expected a time in s of at least 0")
         object.__setattr__(self, "time", float(time))
         if self.until is not None:
-            end = positive_number("until", self.until, "s")
-            if end <= self.time:
+            end = None if is_unlimited(self.until) else positive_number("until", self.until, "s")
+            if end is not None and end <= self.time:
                 raise ValueError(f"until is {end:g} s, expected after time, {self.time:g} s")
             object.__setattr__(self, "until", end)
 
@@ -117,7 +118,7 @@ class StuckWinch(Fault):
     time : float
         s, at least 0. At 0 it holds what ``rest_length`` of :func:`simulate` says.
     until : float, optional
-        When it is free again, s; never if not given.
+        When it is free again, s; never if infinite or not given.
 
     Raises
     ------
@@ -154,8 +155,8 @@ class LostMeasurement(Fault):
     ----------
     time : float
         s, at least 0; samples from then on are lost.
-    until : float
-        s; samples from then on are measured again.
+    until : float or None
+        s; samples from then on are measured again. None or inf for the rest of the run.
 
     Raises
     ------
@@ -170,11 +171,7 @@ class LostMeasurement(Fault):
     """
 
     time: float
-    until: float
-
-    def __post_init__(self) -> None:
-        positive_number("until", self.until, "s")  # it always ends
-        super().__post_init__()
+    until: float | None
 
     @property
     def label(self) -> str:
@@ -186,6 +183,7 @@ class Faults:
     """The faults of a run, checked, of a structure of a size, m, under an input of a kind."""
 
     def __init__(self, faults: object, size: float, input: str) -> None:
+        faults = () if faults is None else faults
         if isinstance(faults, Fault) or not isinstance(faults, Sequence):
             raise TypeError(
                 f"faults is a {type(faults).__name__}, expected a list, like "

@@ -15,7 +15,14 @@ from tenscontrol.control import UNSOLVED, Fallback, Status
 from tenscontrol.dynamics import Model, evaluate_columns
 from tenscontrol.integrate import Work
 from tenscontrol.simulation.observation import EstimateRecord
-from tenscontrol.validation import FloatArray, choice, frozen, instance, positive_number
+from tenscontrol.validation import (
+    FloatArray,
+    choice,
+    frozen,
+    instance,
+    is_unlimited,
+    positive_number,
+)
 
 # Limits on what is no error of the integration, and what to do.
 _PHYSICAL = {
@@ -85,7 +92,7 @@ class Health:
 
 @dataclass(frozen=True)
 class HealthLimits:
-    """Limits on the accuracy figures of a run (:class:`Health`); None for no limit.
+    """Limits on the accuracy figures of a run (:class:`Health`); None or inf for no limit.
 
     Parameters
     ----------
@@ -135,8 +142,12 @@ class HealthLimits:
         choice("action", self.action, ("warn", "raise"))
         for each in fields(self):
             value = getattr(self, each.name)
-            if each.name != "action" and value is not None:
-                positive_number(each.name, value, "a limit; None for none")
+            if each.name == "action":
+                continue
+            if is_unlimited(value):
+                object.__setattr__(self, each.name, None)
+            else:
+                positive_number(each.name, value, "a limit; None or inf for none")
 
     @property
     def names(self) -> list[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from math import ceil
+from typing import Any
 
 import numpy as np
 
@@ -502,13 +503,19 @@ class Loop:
         return nodes, velocities
 
 
-def support_offset(model: Model, value: object, start: float, end: float) -> Pieces:
-    """Return by how much each node moves with supports, m, node by node, after checking it can."""
+def support_offset(model: Model, value: object, start: float, end: float) -> Pieces | None:
+    """Return by how much each node moves with supports, m, node by node, after checking it can.
+
+    None for the motion of no node where none is fixed.
+    """
     from scipy.sparse import csr_array, eye_array, kron
 
     structure = model.structure
     d, n = structure.nodes.shape
     fixed, size = structure.fixed, float(np.ptp(structure.nodes, axis=1).max())
+    numbers: Any = getattr(value, "values", value)  # of a profile
+    if not len(fixed) and np.size(numbers) == 0:
+        return None
     if not len(fixed):
         raise ValueError(
             "support_motion is given, but no node of the structure is fixed; fix some by "

@@ -15,7 +15,7 @@ from tenscontrol.dynamics import Model, Pieces, Profile, as_pieces, pack_state
 from tenscontrol.estimation import KalmanFilter, Sensors
 from tenscontrol.integrate import Method, Projector, largest_frequency, state_scale
 from tenscontrol.interrupt import InterruptionWarning, interruptible
-from tenscontrol.plant import held_value
+from tenscontrol.plant import given_load, held_value, own_input
 from tenscontrol.progress import progress_bar
 from tenscontrol.simulation.closed_loop import run_closed_loop
 from tenscontrol.simulation.faults import Fault, Faults
@@ -37,7 +37,6 @@ from tenscontrol.validation import (
     positive_number,
     refuse_memory,
     refuse_time,
-    shaped,
     truth,
 )
 
@@ -65,7 +64,7 @@ def simulate(
     input: str | None = None,
     winches: Winches | None = None,
     sample_time: float | None = None,
-    faults: Sequence[Fault] = (),
+    faults: Sequence[Fault] | None = (),
     external_force: object = None,
     method: str | Method = "auto",
     tolerance: float = 1e-6,
@@ -83,9 +82,10 @@ def simulate(
 ) -> Trajectory:
     """Return the simulated motion of a model, in open loop or under a controller.
 
-    Give one of ``force_density``, ``rest_length`` and ``controller``. The first two may be
-    functions of time. Under a controller the actuators hold their value from one sample to the
-    next. Winches hold the rest length, so that γ changes with the motion between samples.
+    Give one of ``force_density``, ``rest_length`` and ``controller``; without strings none is
+    needed. The first two may be functions of time. Under a controller the actuators hold their
+    value from one sample to the next. Winches hold the rest length, so that γ changes with the
+    motion between samples.
 
     Parameters
     ----------
@@ -120,8 +120,8 @@ def simulate(
     faults : sequence of CutString, StuckWinch and LostMeasurement
         The controller receives the applied input (:meth:`Controller.applied`), but no
         information on cut strings.
-    external_force : array_like, shape (d, n), Profile or callable, optional
-        Load W, N, for a model built with ``external_force=True``.
+    external_force : array_like, shape (d, n), 0, Profile or callable, optional
+        Load W, N, for a model built with ``external_force=True``; a load of 0 for any.
     support_motion : Profile, callable or array_like, shape (d, number of fixed nodes), optional
         Displacement of the fixed nodes from their places in the structure, m, in the order of
         ``structure.fixed``. See the notes.
@@ -257,8 +257,8 @@ def simulate(
     if estimator is not None:
         how = "make one by KalmanFilter(plant, sensors, sample_time=...)"
         instance("estimator", estimator, KalmanFilter, how)
-    if estimator is None and (sensors is not None or seed is not None):
-        raise ValueError("sensors and seed go with an estimator; KalmanFilter(...) makes one")
+    if estimator is None and sensors is not None:
+        raise ValueError("sensors go with an estimator; KalmanFilter(...) makes one")
     if not len(model.structure.free):
         raise ValueError("every node of the model is fixed: nothing can move")
     if start is not None:
@@ -276,6 +276,8 @@ def simulate(
         if controller is None and rest_length is None and force_density is None:
             kept = start.held
             rest_length, force_density = (None, kept) if start.rest_length is None else (kept, None)
+    if controller is None:
+        rest_length, force_density = own_input(model, rest_length, force_density)
     what = _input_kind(model, rest_length, force_density, controller is not None, input)
     law: BaseController | None = None
     if controller is not None:
@@ -516,18 +518,12 @@ def _beside(
 
 def checked_load(model: Model, external_force: object) -> FloatArray:
     """Return all that acts on the nodes from outside, N, shape (d, n)."""
-    if not model.has_external_force:
-        if external_force is not None:
-            raise ValueError(
-                "the model takes no load as an input; build it as "
-                "Model(structure, external_force=True)"
-            )
-        return model.constant_force
-    shape = model.structure.nodes.shape
-    if external_force is None:
-        raise ValueError(f"the model takes a load: give external_force, shape ({shape[0]}, n), N")
-    given = shaped("external_force", external_force, shape, "one force per node")
-    return given + model.constant_force
+    if external_force is not None:
+        return given_load(model, external_force) + model.constant_force
+    if model.has_external_force:
+        d = model.structure.dimension
+        raise ValueError(f"the model takes a load: give external_force, shape ({d}, n), N, or 0")
+    return model.constant_force
 
 
 def initial_state(

@@ -5,7 +5,6 @@ from tenscontrol.statics.least_distance import least_distance
 from tenscontrol.statics.prestress import (
     Prestress,
     balanced,
-    listed,
     prestress,
     prism_force_density,
 )
@@ -18,7 +17,6 @@ __all__ = [
     "balanced",
     "equilibrium_matrix",
     "least_distance",
-    "listed",
     "member_forces",
     "null_space",
     "prestress",

@@ -27,14 +27,16 @@ from tenscontrol.validation import (
     FloatArray,
     IntArray,
     choice,
-    float_array,
     frozen,
     instance,
+    limit_per_member,
+    node_forces,
     non_negative,
     per_member,
     positive,
     positive_number,
     shaped,
+    vector,
     whole_number,
 )
 
@@ -202,7 +204,7 @@ def prestress(
     reference : str, optional
         The string group that a single number refers to; the group of the
         first string if not given (for :func:`prism` the top strings).
-    external_force : array_like, shape (d, n), optional
+    external_force : array_like, shape (d, n), or 0, optional
         Load W on the nodes, N.
     min_force_density : float or array_like, shape (α,), optional
         Least γ of each string, N/m: a positive number makes every string taut. Without
@@ -211,8 +213,9 @@ def prestress(
         the least γ that carries the load. Strings with both ends fixed get their entry, as they
         have no effect.
     max_force_density : float or array_like, shape (α,), optional
-        Largest γ of each string, N/m. Alone, it makes the least γ of all strings with a free end as
-        large as can be (but for a part in 1e6), and of the γ that do, takes the most uniform one.
+        Largest γ of each string, N/m; inf for any. Alone, it is finite: it makes the least γ of all
+        strings with a free end as large as can be (but for a part in 1e6), and of the γ that do,
+        takes the most uniform one.
 
     Returns
     -------
@@ -253,17 +256,23 @@ def prestress(
     instance("structure", structure, Structure, "make one by Structure(...) or prism(...)")
     alpha = len(structure.strings)
     is_bounded = min_force_density is not None or max_force_density is not None
+    if alpha == 0:
+        for name, value in (
+            ("force_density", force_density),
+            ("min_force_density", min_force_density),
+            ("max_force_density", max_force_density),
+        ):
+            limit_per_member(name, value, alpha, "string")
+        force_density, reference, is_bounded = np.zeros(0), None, False
     if force_density is None and not is_bounded:
         raise TypeError(
             "force_density is None, expected a number or an array in N/m, or min_force_density or "
             "max_force_density"
         )
-    given = None if force_density is None else float_array("force_density", force_density)
-    if alpha == 0 and (given is None or given.ndim == 0):
-        raise ValueError("the structure has no strings, so there is nothing to prestress")
+    given = None if force_density is None else vector("force_density", force_density)
     load = np.zeros(structure.nodes.shape)
     if external_force is not None:
-        load = shaped("external_force", external_force, load.shape, "one force per node, N")
+        load = node_forces("external_force", external_force, load.shape)
     if reference is not None and (given is None or given.ndim > 0):
         instead = "not with an array" if given is not None else "which is not given"
         raise ValueError(f"reference goes with a single force_density, {instead}")
@@ -282,6 +291,11 @@ def prestress(
     level = None if given is None else positive_number("force_density", float(given), "N/m")
     low, high = _bounds(alpha, min_force_density, max_force_density)
     as_high = level is None and min_force_density is None
+    if as_high and not np.isfinite(high).all():
+        raise ValueError(
+            f"max_force_density[{int(np.isinf(high).argmax())}] is inf, so that there are no "
+            "largest force densities; give finite ones, or force_density or min_force_density"
+        )
     return _found(structure, load, level, reference, low, high, as_high)
 
 
@@ -292,7 +306,7 @@ def _bounds(alpha: int, least: object, most: object) -> tuple[FloatArray, FloatA
         low = per_member("min_force_density", least, alpha, "string")
         non_negative("min_force_density", low, "a string can only pull")
     if most is not None:
-        high = per_member("max_force_density", most, alpha, "string")
+        high = limit_per_member("max_force_density", most, alpha, "string")
         non_negative("max_force_density", high, "a string can only pull")
     crossed = np.flatnonzero(low > high)
     if len(crossed):

@@ -200,7 +200,6 @@ def test_what_is_fixed_or_not_named_touches_nothing():
         ({"height": float("inf")}, "height"),
         ({"height": ca.Function("f", [X], [ca.vertcat(X, X)])}, "with one number as its value"),
         ({"height": HILLS, "normal": [1.0, 0.0, 0.0]}, "which is measured"),
-        ({"nodes": []}, "at least one node"),
         ({"nodes": [-1]}, "nodes"),
     ],
 )

@@ -57,7 +57,14 @@ def test_force_densities_of_whole_strings_cannot_damp_every_swing_of_the_strings
     assert np.count_nonzero(regulator.poles.real < -1e-6) == len(whole.A) - 18
 
 
-def test_only_subdivided_plants_have_parents_to_command():
+def test_a_plant_of_whole_strings_commands_them_already():
     plant = tc.linearize(tc.Model(tc.prism()), tc.prestress(tc.prism(), TOP))
+    assert tc.plant.command_parents(plant) is plant
+
+
+def test_a_plant_with_a_skin_has_no_parents_to_command():
+    skinned = tc.skin(tc.prism(), "top", node_mass=0.1)
+    at = tc.OperatingPoint(skinned.nodes, np.full(12, 10.0))
+    plant = tc.linearize(tc.Model(skinned), at, require_equilibrium=False)
     with pytest.raises(ValueError, match="not that of a subdivided structure"):
         tc.plant.command_parents(plant)

@@ -387,7 +387,7 @@ def steered(fault, **changes):
     (lambda: tc.CutString(1, np.nan), ValueError, "time is nan"),
     (lambda: tc.CutString(1, [0.1]), ValueError, "time is .*expected a time in s"),
     (lambda: tc.StuckWinch(1, 0.2, 0.2), ValueError, r"until is 0\.2 s, expected after time"),
-    (lambda: tc.StuckWinch(1, 0.2, np.inf), ValueError, "until is inf"),
+    (lambda: tc.StuckWinch(1, 0.2, -np.inf), ValueError, "until is -inf"),
     (lambda: tc.LostMeasurement(0.2, "later"), TypeError, "until is 'later'"),
     (lambda: go(tc.CutString(1, 0.0)), TypeError, "faults is a CutString, expected a list"),
     (lambda: go([3]), TypeError, r"faults\[0\] is a int, expected Fault"),

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from tenscontrol.dynamics import Model, Pieces, weights
-from tenscontrol.plant import held_value
+from tenscontrol.plant import held_value, refuse_load
 from tenscontrol.simulation.closed_loop import samples
 from tenscontrol.simulation.simulate import (
     changes_in_time,
@@ -19,7 +19,15 @@ from tenscontrol.simulation.simulate import (
     initial_state,
     load_in_time,
 )
-from tenscontrol.validation import LARGEST, FloatArray, choice, float_array, measured, wrong_kind
+from tenscontrol.validation import (
+    LARGEST,
+    FloatArray,
+    choice,
+    float_array,
+    measured,
+    node_forces,
+    wrong_kind,
+)
 
 # A start whose bars are off by less than this, as part of their length and of the largest speed,
 # is taken as it is, as in a single run; the others are looked at one by one.
@@ -46,6 +54,8 @@ def given_by_run(model: Model, vary: object, **values: object) -> dict[str, Floa
         if value is None or changes_in_time(value):
             continue
         shape = shapes.get(name, (count,))
+        if name == "external_force" and _axes(value) == 0:
+            value = node_forces(name, value, shape)
         stacked = _axes(value) > len(shape)
         wanted = (len(value), *shape) if stacked else shape  # type: ignore[arg-type]  # has an axis
         if len(shape) == 1 and _axes(value) == 0:
@@ -116,9 +126,10 @@ class BatchInputs:
             raise ValueError("external_force changes in time, so masses and gravity may not vary")
         if own:
             # Asks whether the model takes a load, and needs one.
-            shape = model.structure.nodes.shape
-            each = np.zeros(shape) if "external_force" in given else external_force
-            load_in_time(model, each, 0.0, duration)
+            if "external_force" not in given:
+                load_in_time(model, external_force, 0.0, duration)
+            elif given["external_force"].any():
+                refuse_load(model)
             c = model.built_in_load + weights(
                 model.structure,
                 given.get("gravity", model.gravity),
@@ -209,7 +220,8 @@ class BatchInputs:
         structure = self.model.structure
         fine = np.ones(last - first, dtype=bool)
         for name in self.given:
-            values = self.some(name, first, last).reshape(-1, self.given[name][0].size)
+            values = self.some(name, first, last)
+            values = values.reshape(len(values), -1) if values.size else np.zeros((1, 0))
             lowest = 0.0 if name in _FROM_ZERO else np.finfo(float).tiny
             if name in _SIGNED:
                 lowest = -LARGEST
@@ -248,7 +260,7 @@ class BatchInputs:
         u[:, :, : len(coefficients)] = coefficients.T
         for start, part in parts:
             u[:, 0, start : start + part.shape[1]] = part
-        held = u.reshape(count, -1)
+        held = u.reshape(count, -1) if u.size else np.zeros((count, 0))
         return held if time is None else np.column_stack([held, np.full(count, time)])
 
     @property

@@ -17,6 +17,7 @@ import numpy as np
 from tenscontrol.dynamics import Model
 from tenscontrol.integrate import Choice, Method, method_of
 from tenscontrol.interrupt import keeping
+from tenscontrol.plant import own_input
 from tenscontrol.progress import progress_bar
 from tenscontrol.simulation.batch.batch_inputs import BatchInputs, given_by_run
 from tenscontrol.simulation.batch.compiled_loop import checked_controller
@@ -28,8 +29,7 @@ from tenscontrol.structure import Structure
 from tenscontrol.validation import (
     FloatArray,
     IntArray,
-    float_array,
-    indices,
+    index_list,
     instance,
     positive_number,
     truth,
@@ -180,8 +180,8 @@ def simulate_many(
         Step of a method with a fixed step, s. Only these methods take several runs at once.
     output_step : float, optional
         Largest time between states kept, s; start and end alone if not given.
-    keep_nodes : array_like of int, optional
-        Nodes that are kept; all if not given.
+    keep_nodes : array_like of int, or of bool, shape (n,), optional
+        Nodes that are kept, or a mask of them; all if not given.
     machine_code : bool
         Whether to compile. Without it, or a compiler, the numbers are the same, some ten times
         as late; ``batch.choice.back_end`` says what ran.
@@ -234,6 +234,8 @@ def simulate_many(
         affinity = getattr(os, "sched_getaffinity", None)
         threads = len(affinity(0)) if affinity else os.cpu_count() or 1
     threads = whole_number("threads", threads, 1)
+    if controller is None:
+        rest_length, force_density = own_input(model, rest_length, force_density)
     given = {"rest_length": rest_length, "force_density": force_density, "controller": controller}
     names = [name for name, value in given.items() if value is not None]
     if len(names) != 1:
@@ -256,7 +258,7 @@ def simulate_many(
     )  # fmt: skip
     kept = np.arange(model.structure.nodes.shape[1])
     if keep_nodes is not None:
-        kept = indices("keep_nodes", float_array("keep_nodes", keep_nodes), len(kept), "nodes")
+        kept = index_list("keep_nodes", keep_nodes, len(kept), "nodes")
     runner = None
     with keeping("runs are done, the others are NaN", lambda: 0 if runner is None else runner.done):
         if step is not None:
