@@ -15,11 +15,13 @@ from tenscontrol.validation import (
     float_array,
     freeze_arrays,
     frozen,
+    limits,
     member_parameters,
     non_negative,
     one_or_per_string,
     per_member,
     positive,
+    vector,
 )
 
 if TYPE_CHECKING:
@@ -38,6 +40,8 @@ _OF_MOTORS = (
 # Parts of an interval in which a string goes slack or taut.
 _PARTS = 32
 
+# May be infinite, and may be 0.
+_LIMITS = ("torque", "speed")
 _MAY_BE_ZERO = ("inertia", "lag", "backlash")
 
 
@@ -74,10 +78,10 @@ class Motor:
     gear_ratio : float or array_like, shape (α,)
         G, turns of the motor for one of the drum.
     torque : float or array_like, shape (α,), optional
-        Largest torque of the motor, N m; unlimited if not given. Where the tension needs more, a
-        brake gives the rest: the winch holds or pays out, but does not wind in.
+        Largest torque of the motor, N m; unlimited if infinite or not given. Where the tension
+        needs more, a brake gives the rest: the winch holds or pays out, but does not wind in.
     speed : float or array_like, shape (α,), optional
-        Largest speed of the motor, rad/s; unlimited if not given.
+        Largest speed of the motor, rad/s; unlimited if infinite or not given.
     inertia : float or array_like, shape (α,)
         J of the rotor, with the drum by 1/G², kg m². A motor with inertia needs ``torque``, from
         which its acceleration follows; it then moves with a speed that does not jump.
@@ -92,8 +96,8 @@ class Motor:
     Raises
     ------
     TypeError, ValueError
-        If a number is not finite or not positive (inertia, lag and backlash may be 0), shapes do
-        not go together, or there is inertia without torque.
+        If a number is not finite or not positive (inertia, lag and backlash may be 0, torque and
+        speed infinite), shapes do not go together, or there is inertia without torque.
 
     Examples
     --------
@@ -132,16 +136,21 @@ class Motor:
         found = {}
         for name, unit in _OF_MOTORS:
             value = getattr(self, name)
-            if value is None and name in ("torque", "speed", "zero"):
+            if value is None and name == "zero":
                 continue
-            found[name] = float_array(name, value)
+            limit = limits(name, value) if name in _LIMITS else vector(name, value)
+            if name in _LIMITS and not np.isfinite(limit).any():
+                object.__setattr__(self, name, None)
+                continue
+            found[name] = limit
             if name in _MAY_BE_ZERO:
                 non_negative(name, np.atleast_1d(found[name]), f"{unit}, 0 for none")
             else:
                 positive(name, np.atleast_1d(found[name]), unit)
             object.__setattr__(self, name, frozen(found[name]))
         member_parameters(found)
-        if self.torque is None and self.inertia.any():
+        torque = np.inf if self.torque is None else self.torque
+        if np.any((self.inertia > 0) & (torque == np.inf)):
             raise ValueError(
                 "inertia needs torque, N m: the largest acceleration of a motor follows from both"
             )

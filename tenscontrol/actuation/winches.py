@@ -19,11 +19,14 @@ from tenscontrol.validation import (
     freeze_arrays,
     frozen,
     instance,
+    limits,
     member_parameters,
+    non_negative,
     one_or_per_string,
     positive,
     positive_number,
     truth,
+    vector,
     whole_number,
 )
 
@@ -33,7 +36,12 @@ if TYPE_CHECKING:
 
 _SUBSTEPS = 10
 
-_UNITS = (("rate", "speed in m/s"), ("shortest", "length in m"), ("longest", "length in m"))
+# Name, meaning, and what stands for no limit.
+_UNITS = (
+    ("rate", "speed in m/s", np.inf),
+    ("shortest", "length in m", 0.0),
+    ("longest", "length in m", np.inf),
+)
 
 # Newton steps to the rest length at which a motor can wind no further, and the stretch of a string
 # from which they start where it is slack.
@@ -178,9 +186,9 @@ class Winches:
     Parameters
     ----------
     rate : float or array_like, shape (α,), optional
-        Largest speed of winding, m/s; unlimited if not given.
+        Largest speed of winding, m/s; unlimited if infinite or not given.
     shortest, longest : float or array_like, shape (α,), optional
-        Range of the rest length, m; any positive length if not given.
+        Range of the rest length, m, from 0 to inf if not given: any positive length.
     ramp : bool
         Whether rest lengths change linearly through a sample (first-order hold). If not, they
         jump at the start of a sample and stay (zero-order hold).
@@ -196,7 +204,7 @@ class Winches:
     Raises
     ------
     TypeError, ValueError
-        If a limit is not a positive finite number, ``shortest`` exceeds ``longest``, or
+        If a limit is no positive number, ``shortest`` exceeds ``longest``, or
         ``substeps`` is not a whole number from 1 to 10,000, or 1 for a ramp.
 
     Examples
@@ -236,17 +244,21 @@ class Winches:
             raise ValueError("substeps is 1, expected at least 2 for a ramp; leave out ramp=True")
         object.__setattr__(self, "ramp", steps > 1)
         object.__setattr__(self, "substeps", steps)
-        limits = {}
-        for name, unit in _UNITS:
-            value = getattr(self, name)
-            if value is not None:
-                limits[name] = float_array(name, value)
-                positive(name, np.atleast_1d(limits[name]), unit)
-                object.__setattr__(self, name, frozen(limits[name]))
+        given = {}
+        for name, unit, none in _UNITS:
+            limit = limits(name, getattr(self, name), none)
+            object.__setattr__(self, name, None)
+            if (limit != none).any():
+                given[name] = limit
+                if none:
+                    positive(name, np.atleast_1d(limit), unit)
+                else:
+                    non_negative(name, np.atleast_1d(limit), f"{unit}, 0 for any")
+                object.__setattr__(self, name, frozen(limit))
         if self.motor is not None:
             instance("motor", self.motor, Motor, "make them by Motor(drum_radius=...)")
-            limits["motor.drum_radius / gear_ratio"] = self.motor.lever
-        member_parameters(limits)
+            given["motor.drum_radius / gear_ratio"] = self.motor.lever
+        member_parameters(given)
         if self.shortest is None or self.longest is None:
             return
         if np.any(self.shortest > self.longest):
@@ -321,8 +333,7 @@ class Winches:
         sample_time : float
             Sample time, s.
         """
-        start = float_array("current", current)
-        goal = float_array("wanted", wanted)
+        start, goal = vector("current", current), vector("wanted", wanted)
         sample_time = positive_number("sample_time", sample_time, "s")
         if start.ndim != 1 or goal.shape != start.shape:
             raise ValueError(
@@ -331,7 +342,7 @@ class Winches:
             )
         positive("current", start, "rest length in m")
         positive("wanted", goal, "rest length in m")
-        for name, _ in _UNITS:
+        for name, *_ in _UNITS:
             value = getattr(self, name)
             if value is not None:
                 one_or_per_string(name, value, len(start))

@@ -28,6 +28,7 @@ from tenscontrol.validation import (
     choice,
     frozen,
     instance,
+    limit_per_member,
     measured,
     number,
     positive,
@@ -172,7 +173,7 @@ class BaseController(ABC):
             )
         self._change = None
         if change is not None:
-            change = shaped("change", change, shape, "one per string")
+            change = limit_per_member("change", change, len(self._low), "string")
             self._change = frozen(positive("change", change, "change of the input"))
         self._equilibrium_input = equilibrium_input
         rate = 0.0 if sample_time is None else 1 / sample_time

@@ -107,7 +107,7 @@ class FeedbackLinearization(Controller):
     sample_time : float
         Sample time, s. The law is exact at the samples; in between γ is held.
     max_force_density : float or array_like, shape (α,)
-        Largest γ, N/m.
+        Largest γ, N/m; inf for no limit.
     frequency : float
         Natural frequency of the error, Hz: ``b = (2π frequency)²``.
     damping : float
@@ -180,7 +180,9 @@ class FeedbackLinearization(Controller):
             )
         choice("plant.coordinates.kind", plant.coordinates.kind, ("internal", "minimal"))
         if max_force_density is None:
-            raise TypeError("max_force_density is None, expected a positive number in N/m")
+            raise TypeError(
+                "max_force_density is None, expected a positive number in N/m, or inf for no limit"
+            )
         sample_time = positive_number("sample_time", sample_time, "s")
         bounds = input_bounds(plant, max_force_density)
         super().__init__(

@@ -17,6 +17,8 @@ from tenscontrol.validation import (
     choice,
     frozen,
     instance,
+    is_unlimited,
+    limit_per_member,
     measured,
     non_negative,
     per_member,
@@ -139,13 +141,14 @@ class FunctionController(BaseController):
             positive("low", low, "rest length in m")
         else:
             non_negative("low", low, "a string can only pull")
-        high = np.full(count, np.inf) if high is None else per_member("high", high, count, "string")
+        high = limit_per_member("high", high, count, "string")
+        max_change = None if is_unlimited(max_change) else max_change
         if max_change is not None:
             if sample_time is None:
                 raise ValueError(
                     "max_change limits changes from sample to sample: give sample_time, s"
                 )
-            max_change = per_member("max_change", max_change, count, "string")
+            max_change = limit_per_member("max_change", max_change, count, "string")
             positive("max_change", max_change, f"change of {input.replace('_', ' ')}")
         if equilibrium_input is not None:
             usual = per_member("equilibrium_input", equilibrium_input, count, "string")

@@ -22,6 +22,7 @@ from tenscontrol.validation import (
     direction,
     float_array,
     frozen,
+    index_array,
     indices,
     instance,
     number,
@@ -468,9 +469,9 @@ def centre_kept(structure: Structure, start: FloatArray) -> tuple[CentreKept, ..
 
 
 def node_list(name: str, nodes: object) -> IntArray:
-    """Return node indices, at least one and each once."""
-    array = float_array(name, nodes)
-    if array.ndim != 1 or len(array) == 0:
+    """Return node indices, at least one and each once; those of a set or a mask ascending."""
+    array = index_array(name, nodes)
+    if len(array) == 0:
         raise ValueError(f"{name} has shape {array.shape}, expected (k,): indices of nodes")
     refuse_fractions(name, array)
     for i, node in enumerate(array.tolist()):

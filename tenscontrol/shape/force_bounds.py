@@ -15,6 +15,7 @@ from tenscontrol.validation import (
     IntArray,
     choice,
     instance,
+    limit_per_member,
     non_negative,
     one_or_per_string,
     per_member,
@@ -180,10 +181,8 @@ def checked_bounds(
         raise ValueError("the structure has no strings, so there is nothing to balance")
     low = per_member("min_force_density", min_force_density, count, "string")
     non_negative("min_force_density", low, "a string can only pull")
-    high = np.full(count, np.inf)
-    if max_force_density is not None:
-        high = per_member("max_force_density", max_force_density, count, "string")
-        positive("max_force_density", high, "force density in N/m")
+    high = limit_per_member("max_force_density", max_force_density, count, "string")
+    positive("max_force_density", high, "force density in N/m")
     over = np.flatnonzero(low > high)
     if len(over):
         i = over[0]

@@ -94,7 +94,7 @@ class RotationalSymmetry:
         if centre.shape == (2,) and not self.axis[:2].any():
             centre = np.append(centre, 0.0)
         put(self, "centre", frozen(shaped("centre", centre, (3,), "a point")))
-        whole_number("turns", self.turns, least=1 - self.order)
+        put(self, "turns", whole_number("turns", self.turns, least=1 - self.order))
         if self.turns % self.order == 0:
             raise ValueError(f"turns is {self.turns}, expected a turn that is not a whole one")
 

@@ -235,7 +235,7 @@ def shape_target(
     choice("place", place, PLACES)
     truth("require_stable", require_stable, "whether a shape that buckles is refused")
     structure = model.structure
-    wanted: Any = (demands,) if isinstance(demands, Demand) else demands
+    wanted: Any = (demands,) if isinstance(demands, Demand) else () if demands is None else demands
     if not isinstance(wanted, Sequence) or isinstance(wanted, str):
         how = "a demand or a sequence of them: NodesAt, PointAt, Height, Twist"
         raise wrong_kind("demands", demands, how)

@@ -16,9 +16,8 @@ from tenscontrol.structure import bar_distances, restore_bar_lengths
 from tenscontrol.validation import (
     FloatArray,
     IntArray,
-    float_array,
     freeze_arrays,
-    indices,
+    index_list,
     instance,
     number,
     positive_number,
@@ -453,7 +452,7 @@ def nearest_plane(shape: FloatArray, down: FloatArray) -> tuple[FloatArray, Floa
 
 def checked_feet(feet: object, d: int, n: int) -> IntArray:
     """Return the nodes that a structure is to stand on, ascending."""
-    found = np.unique(indices("feet", np.atleast_1d(float_array("feet", feet)), n, "nodes"))
+    found = np.unique(index_list("feet", feet, n, "nodes"))
     if len(found) < d:
         raise ValueError(f"feet are {found.tolist()}, expected at least {d} nodes")
     return found

@@ -5,7 +5,6 @@ import pytest
 
 import tenscontrol as tc
 from tests.refused import (
-    INF,
     NAN,
     assert_refused,
     elastic,
@@ -24,11 +23,9 @@ ACTUATION = [
     refused("rate zero", lambda: tc.Winches(rate=0.0), ValueError, r"rate\[0\] is 0, .*m/s"),
     refused("rate negative", lambda: tc.Winches(rate=[1.0, -1.0]), ValueError, r"rate\[1\] is -1"),
     refused("rate nan winches", lambda: tc.Winches(rate=NAN), ValueError, r"rate is nan"),
-    refused("rate inf", lambda: tc.Winches(rate=INF), ValueError, r"rate is inf"),
     refused("rate text", lambda: tc.Winches(rate="fast"), TypeError, r"rate .*'fast'"),
     refused("rate of two dimensions", lambda: tc.Winches(rate=np.ones((2, 2))), ValueError,
             r"rate has shape \(2, 2\)"),
-    refused("shortest zero", lambda: tc.Winches(shortest=0.0), ValueError, r"shortest\[0\] is 0"),
     refused("longest nan", lambda: tc.Winches(longest=[1, NAN]), ValueError,
             r"longest\[1\] is nan"),
     refused("range crossed", lambda: tc.Winches(shortest=0.5, longest=0.2), ValueError,
@@ -58,7 +55,6 @@ ACTUATION = [
     refused("gear nan", lambda: tc.Motor(0.01, NAN), ValueError, r"gear_ratio is nan"),
     refused("torque negative", lambda: tc.Motor(0.01, torque=[1.0, -1.0]), ValueError,
             r"torque\[1\] is -1, expected a positive torque in N m"),
-    refused("speed inf", lambda: tc.Motor(0.01, speed=INF), ValueError, r"speed is inf"),
     refused("inertia negative", lambda: tc.Motor(0.01, torque=1.0, inertia=-1.0), ValueError,
             r"inertia\[0\] is -1, expected at least 0"),
     refused("inertia without torque", lambda: tc.Motor(0.01, inertia=1e-6), ValueError,
@@ -114,7 +110,6 @@ FOUND_IN_REVIEW = [
     refused("to_force_density nodes none",
             lambda: tc.to_force_density(elastic(), None, rest_length()), TypeError,
             r"nodes is None"),
-    refused("rate of no strings", lambda: tc.Winches(rate=[]), ValueError, r"rate.*\(0,\)"),
     refused("rate and range of two counts", lambda: tc.Winches(rate=[1.0] * 3, shortest=[0.1, 0.5]),
             ValueError, r"rate.*\(3,\).*shortest.*\(2,\)"),
     refused("range of one and two", lambda: tc.Winches(shortest=[0.1, 0.5], longest=[1.0]),

@@ -16,7 +16,8 @@ from tenscontrol.validation import (
     float_array,
     frozen,
     instance,
-    per_member,
+    is_unlimited,
+    limit_per_member,
     positive_number,
 )
 
@@ -47,12 +48,12 @@ class OutputLimit:
 
     Parameters
     ----------
-    matrix : array_like, shape (p, d n)
+    matrix : array_like, shape (p, d n) or (d n,)
         C of ``y = C vec(N)``, node by node.
     low, high : float or array_like, shape (p,), optional
-        Bounds of y, m; no bound if not given.
+        Bounds of y, m; no bound if infinite or not given.
     penalty : float, optional
-        Cost of a violation, per m and sample (L1). A hard limit if not given.
+        Cost of a violation, per m and sample (L1). A hard limit if infinite or not given.
 
     Raises
     ------
@@ -88,7 +89,7 @@ class OutputLimit:
         ) -> None: ...
 
     def __post_init__(self) -> None:
-        matrix = float_array("matrix", self.matrix)
+        matrix = np.atleast_2d(float_array("matrix", self.matrix))
         if matrix.ndim != 2:
             raise ValueError(f"matrix has shape {matrix.shape}, expected (p, d n)")
         if not np.abs(matrix).sum(axis=1).all():
@@ -96,13 +97,13 @@ class OutputLimit:
         object.__setattr__(self, "matrix", frozen(matrix))
         for name, none in (("low", -np.inf), ("high", np.inf)):
             given = getattr(self, name)
-            bound = np.full(len(matrix), none)
-            if given is not None:
-                bound = per_member(name, given, len(matrix), "row of matrix")
+            bound = limit_per_member(name, given, len(matrix), "row of matrix", none)
             object.__setattr__(self, name, frozen(bound))
         if np.any(self.low > self.high):  # type: ignore[operator]
             raise ValueError(f"low {self.low} m exceeds high {self.high} m")
-        if self.penalty is not None:
+        if is_unlimited(self.penalty):
+            object.__setattr__(self, "penalty", None)
+        else:
             penalty = positive_number("penalty", self.penalty, "costs per m")
             object.__setattr__(self, "penalty", penalty)
 
@@ -128,7 +129,7 @@ def clearance(plant: LinearPlant, clearance: float, penalty: float | None = None
     Returns
     -------
     OutputLimit
-        One row for each pair.
+        One row for each pair; none for less than two bars.
 
     Raises
     ------
@@ -151,12 +152,13 @@ def clearance(plant: LinearPlant, clearance: float, penalty: float | None = None
     structure, nodes = plant.model.structure, plant.nodes
     found = bar_distances(structure, nodes)
     passing = np.flatnonzero(found.side)
-    if not len(passing):
+    if len(found.pairs) and not len(passing):
         raise ValueError(
             "plant has no two bars that pass one another: each pair is nearest at an end of a bar"
         )
-    near = passing[found.distance[passing].argmin()]
-    if found.distance[near] < clearance:
+    too_near = passing[found.distance[passing] < clearance]
+    if len(too_near):
+        near = too_near[found.distance[too_near].argmin()]
         i, j = found.pairs[near]
         raise ValueError(
             f"clearance is {clearance:g} m, but bars {i} and {j} are {found.distance[near]:g} m "
@@ -173,7 +175,7 @@ def clearance(plant: LinearPlant, clearance: float, penalty: float | None = None
             row[:, start] += sign * (1 - place) * u
             row[:, end] += sign * place * u
     return OutputLimit(
-        rows.transpose(0, 2, 1).reshape(len(passing), -1), low=clearance, penalty=penalty
+        rows.transpose(0, 2, 1).reshape(len(passing), nodes.size), low=clearance, penalty=penalty
     )
 
 
@@ -204,6 +206,8 @@ def broken_limits(
                 (block.low - values, values - block.high),
                 strict=True,
             ):
+                if not over.size:
+                    continue
                 k, i = np.unravel_index(int((over - close).argmax()), over.shape)
                 if over[k, i] <= close[i]:
                     continue

@@ -47,7 +47,10 @@ from tenscontrol.validation import (
     float_array,
     frozen,
     instance,
+    is_unlimited,
     items,
+    limit_per_member,
+    limits,
     non_negative,
     per_member,
     positive,
@@ -63,9 +66,8 @@ _PENALTY = 1e2
 _TAUT = 1e-6
 
 # Numbers and arrays that are checked against a plant later.
-_NUMBERS = (
-    "max_force_density", "Q", "R", "max_change", "min_force_density", "max_tension", "tracked"
-)  # fmt: skip
+_NUMBERS = "Q", "R", "min_force_density", "tracked"
+_LIMITS = "max_force_density", "max_change", "max_tension"
 
 _SOLVERS: dict[str, type[QPSolver]] = {
     "daqp": DAQPSolver,
@@ -108,7 +110,7 @@ class MPCSettings:
     sample_time : float
         Sample time, s.
     max_force_density : float or array_like, shape (α,)
-        Largest γ, N/m. May be left out where the input is the rest length.
+        Largest γ, N/m; inf for no limit. May be left out where the input is the rest length.
     Q : float or array_like, shape (2r,) or (2r, 2r), optional
         Weight of ``z − reference``. If not given, that of :func:`energy_weights`,
         by mode where the input is the rest length.
@@ -128,7 +130,7 @@ class MPCSettings:
     winches : Winches, optional
         Speed and range that bound rest lengths, never violated. Where they move through samples,
         γ is limited at the ends of samples.
-    outputs : sequence of OutputLimit
+    outputs : sequence of OutputLimit, optional
         Limits on node positions.
     string_penalty : float, optional
         Price of a γ or tension beyond its limit (L1): of one violated by its
@@ -193,7 +195,7 @@ class MPCSettings:
     def __post_init__(self) -> None:
         if self.winches is not None:
             instance("winches", self.winches, Winches, "make them by Winches(rate=...)")
-        outputs = items("outputs", self.outputs, "OutputLimit")
+        outputs = () if self.outputs is None else items("outputs", self.outputs, "OutputLimit")
         for i, limit in enumerate(outputs):
             made_by = "make one by OutputLimit(matrix, low, high)"
             instance(f"outputs[{i}]", limit, OutputLimit, made_by)
@@ -205,7 +207,8 @@ class MPCSettings:
             "horizon": whole_number("horizon", self.horizon, 1, MOST_SAMPLES),
             "outputs": outputs,
         }
-        if self.time_limit is not None:
+        checked["time_limit"] = None
+        if not is_unlimited(self.time_limit):
             checked["time_limit"] = positive_number("time_limit", self.time_limit, "s")
         if self.load_gain is None:
             if self.tracked is not None:
@@ -218,6 +221,8 @@ class MPCSettings:
         for name in _NUMBERS:
             if getattr(self, name) is not None:
                 float_array(name, getattr(self, name))
+        for name in _LIMITS:
+            limits(name, getattr(self, name))
         if not (self.reference is None or isinstance(self.reference, Reference)):
             float_array("reference", self.reference)
         for field in fields(self):
@@ -353,7 +358,9 @@ def _command_range(plant: LinearPlant, settings: MPCSettings) -> tuple[FloatArra
     if plant.input == "rest_length":
         return input_bounds(plant, None, settings.winches)
     if settings.max_force_density is None:
-        raise TypeError("max_force_density is None, expected a positive number in N/m")
+        raise TypeError(
+            "max_force_density is None, expected a positive number in N/m, or inf for no limit"
+        )
     high = input_bounds(plant, settings.max_force_density, settings.winches)[1]
     least = _least_force_density(plant, settings)
     over = np.flatnonzero(least > plant.force_density)
@@ -373,15 +380,14 @@ def _least_force_density(plant: LinearPlant, settings: MPCSettings) -> FloatArra
 
 def _row_blocks(plant: LinearPlant, settings: MPCSettings, penalty: float) -> list[RowBlock]:
     outputs = [output_block(plant, limit) for limit in settings.outputs]
-    if plant.input == "force_density" and settings.max_tension is None:
+    has_strength = np.isfinite(limits("max_tension", settings.max_tension)).any()
+    if plant.input == "force_density" and not has_strength:
         return outputs
     blocks, count, strings = [], plant.B.shape[1], string_map(plant, plant.input)
     if plant.input == "rest_length":
-        high = np.full(len(strings.force_density), np.inf)
-        if settings.max_force_density is not None:
-            largest = per_member("max_force_density", settings.max_force_density, count, "string")
-            positive("max_force_density", largest, "force density in N/m")
-            high = to_model_strings(plant, "force_density", largest)
+        largest = limit_per_member("max_force_density", settings.max_force_density, count, "string")
+        positive("max_force_density", largest, "force density in N/m")
+        high = to_model_strings(plant, "force_density", largest)
         low = to_model_strings(plant, "force_density", _least_force_density(plant, settings))
         if low[plant.slack].any():
             i = plant.slack[low[plant.slack].argmax()]
@@ -391,9 +397,9 @@ def _row_blocks(plant: LinearPlant, settings: MPCSettings, penalty: float) -> li
             )
         level = float(strings.force_density.max())
         blocks.append(string_block("force_density", strings, low, high, level, penalty))
-    if settings.max_tension is not None:
+    if has_strength:
         structure = plant.model.structure
-        most = per_member("max_tension", settings.max_tension, count, "string")
+        most = limit_per_member("max_tension", settings.max_tension, count, "string")
         positive("max_tension", most, "tension in N")
         if plant.commanded is not structure:
             most = most[structure.string_parent]
@@ -404,7 +410,7 @@ def _row_blocks(plant: LinearPlant, settings: MPCSettings, penalty: float) -> li
                 f"max_tension is {most[i]:g} N for string {i}, which has {strings.tension[i]:g} N "
                 "at the operating point; expected at least that"
             )
-        level = float(strings.tension.max()) or float(most.max())
+        level = float(strings.tension.max()) or float(most[np.isfinite(most)].max())
         low = np.full(len(most), -np.inf)
         blocks.append(string_block("tension", strings, low, most, level, penalty))
     return blocks + outputs

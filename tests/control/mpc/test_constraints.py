@@ -292,7 +292,7 @@ def test_winches_belong_to_rest_lengths(plant):
 
 
 @pytest.mark.parametrize(("arguments", "message"), [
-    ({"matrix": np.zeros(18)}, "matrix has shape"),
+    ({"matrix": np.zeros((1, 1, 18))}, "matrix has shape"),
     ({"matrix": np.zeros((1, 18))}, "row of zeros"),
     ({"matrix": np.ones((1, 18)), "low": 1.0, "high": 0.0}, "exceeds"),
     ({"matrix": np.ones((1, 18)), "penalty": 0.0}, "penalty"),
