@@ -16,7 +16,8 @@ from tenscontrol.validation import (
     choice,
     float_array,
     frozen,
-    indices,
+    index_array,
+    index_list,
     instance,
     measured,
     number,
@@ -71,8 +72,9 @@ class Sensors:
         That of a tension, N.
     bar_rate : float or array_like, shape (rate_bars,), optional
         That of each entry of an angular velocity, rad/s.
-    nodes, strings, bars, tension_strings, rate_bars : sequence of int, optional
-        Which nodes, strings and bars are measured; all if not given.
+    nodes, strings, bars, tension_strings, rate_bars : sequence or set of int, or mask, optional
+        Which nodes, strings and bars are measured; all if not given. A mask has True or False for
+        each of them. A set is taken in ascending order.
     delay : int
         Whole samples from the moment that is measured to the sample at which y is there.
     drop_rate : float
@@ -140,7 +142,7 @@ class Sensors:
         for kind, unit, chooser, _ in KINDS:
             noise, chosen = getattr(self, kind), getattr(self, chooser)
             if noise is None:
-                if chosen is not None:
+                if chosen is not None and len(index_array(chooser, chosen)):
                     raise ValueError(f"{chooser} is given, but {kind} is not: give its noise")
                 continue
             which = _chosen(chooser, chosen, self.count_of(chooser))
@@ -311,16 +313,10 @@ class Sensors:
 
 
 def _chosen(name: str, chosen: Any, count: int) -> IntArray:
-    """Return indices of what is measured, without repeats."""
+    """Return indices of what is measured, each once."""
     if chosen is None:
         return np.arange(count)
-    array = float_array(name, chosen)
-    if array.ndim != 1 or len(array) == 0:
-        raise ValueError(f"{name} has shape {array.shape}, expected (k,): indices from 0")
-    which = indices(name, array, count, f"there are {count}")
-    if len(set(which.tolist())) < len(which):
-        raise ValueError(f"{name} is {which.tolist()}, expected each index once")
-    return which
+    return index_list(name, chosen, count, f"there are {count}")
 
 
 def _rate(name: str, value: object) -> float:

@@ -25,7 +25,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from tenscontrol.files import write_file
-from tenscontrol.validation import file_path, float_array, indices, instance, wrong_kind
+from tenscontrol.validation import file_path, index_list, instance, wrong_kind
 
 # Okabe & Ito (2008), without the yellow, which is lost on white paper.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#E69F00", "#56B4E9")
@@ -173,13 +173,10 @@ def checked_axes(name: str, ax: object, kind: str) -> Any:
 
 def checked_indices(name: str, given: object, count: int, things: str, example: str) -> list[int]:
     """Return the numbers of some of ``count`` things, each checked to be there."""
-    array = float_array(name, given)
-    if array.ndim != 1 or len(array) == 0:
+    found = index_list(name, given, count, f"there are {count} {things.split()[0]}s")
+    if not len(found):
         raise TypeError(f"{name} is {given!r}, expected a sequence of {things}, like {example}")
-    of = f"there are {count} {things.split()[0]}s"
-    if len(array) > count:
-        raise ValueError(f"{name} has {len(array)} entries, expected at most {count}: {of}")
-    return [int(index) for index in indices(name, array, count, of)]
+    return found.tolist()  # type: ignore[no-any-return]
 
 
 def dress(ax: Axes, xlabel: str | None, ylabel: str) -> None:

@@ -96,8 +96,8 @@ def test_draws_into_given_axes(plant, modes, space):
 def test_wrong_arguments_are_named(plant, modes, space, flat):
     with pytest.raises(ValueError, match=r"which\[1\] is 9, expected 0 to 8: there are 9 modes"):
         tc.plot.mode_shapes(plant, modes, which=[0, 9])
-    with pytest.raises(TypeError, match="which is 3, expected a sequence"):
-        tc.plot.mode_shapes(plant, modes, which=3)
+    with pytest.raises(TypeError, match=r"which is \[\], expected a sequence"):
+        tc.plot.mode_shapes(plant, modes, which=[])
     with pytest.raises(ValueError, match="scale is -1"):
         tc.plot.mode_shapes(plant, modes, scale=-1)
     with pytest.raises(ValueError, match="axes has 1 entries, expected 2"):

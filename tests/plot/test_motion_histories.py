@@ -151,7 +151,7 @@ class TestTrajectory:
         [
             ({"nodes": [6]}, ValueError, r"nodes\[0\] is 6, expected 0 to 5"),
             ({"nodes": [-1]}, ValueError, r"nodes\[0\] is -1"),
-            ({"nodes": 2}, TypeError, "nodes is 2, expected a sequence"),
+            ({"nodes": []}, TypeError, r"nodes is \[\], expected a sequence"),
             ({"directions": "xw"}, ValueError, "directions is 'xw', expected letters"),
             ({"relative_to": "end"}, ValueError, "relative_to is 'end', expected one of 'start'"),
             ({"relative_to": np.zeros((6, 3))}, ValueError, r"relative_to has shape \(6, 3\), exp"),
