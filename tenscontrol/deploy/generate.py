@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import re
 from contextlib import suppress
@@ -13,12 +14,19 @@ from tenscontrol.deploy.code_text import code_files
 from tenscontrol.deploy.compiled_controller import CompiledController, compiled
 from tenscontrol.deploy.controllers import LawCode, lqr_code, mpc_code, nmpc_code
 from tenscontrol.dynamics import builds
-from tenscontrol.files import make_folder, write_file
+from tenscontrol.files import make_folder, read_file, write_file
 from tenscontrol.plant import LinearPlant
 from tenscontrol.validation import FloatArray, file_path, frozen
 
 # Names of functions and headers that a controller may not have.
 _TAKEN = {"main", "active_set", "stages", "casadi", "math", "string", "stdio"}
+
+# Lists the other files with their checksums, for `sha256sum -c`, and for a later call, which
+# replaces those that are as they were written.
+_LIST = "SHA256SUMS"
+_HEAD = "# Written by generate_c of tenscontrol, which replaces these files if they are unchanged."
+_LINE = re.compile(r"([0-9a-f]{64})  (\w+\.\w+)")
+_MOST_BYTES = 2**30
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +101,7 @@ class GeneratedController:
 def generate_c(controller: Controller, folder: object, *, name: str = "controller") -> (
     GeneratedController
 ):  # fmt: skip
-    """Write a controller as C code into a new folder.
+    """Write a controller as C code into a folder of its own.
 
     The code is C99, allocates no memory and needs nothing but a C compiler:
     ``cc -O2 *.c -lm`` in the folder builds a program that runs it on samples
@@ -106,7 +114,8 @@ def generate_c(controller: Controller, folder: object, *, name: str = "controlle
         An LQR must have a sample time. Later changes, ``follow`` in particular, do not
         reach the code.
     folder : path-like
-        Is created; must not exist, or be empty.
+        Is created, or empty, or one that an earlier call wrote: its files are replaced, unless
+        they were changed since. Other files there stay.
     name : str
         Prefix of files and functions in C.
 
@@ -123,7 +132,7 @@ def generate_c(controller: Controller, folder: object, *, name: str = "controlle
         If an argument does not fit, the controller has a ``time_limit``, an NMPC predicts stiff
         strings or ramp inputs, or the reference lasts too long for a table.
     FileExistsError
-        If the folder is not empty.
+        If the folder has a file that was changed, another C file, or no file of an earlier call.
     OSError
         If a file cannot be written: then none is left.
 
@@ -150,12 +159,11 @@ def generate_c(controller: Controller, folder: object, *, name: str = "controlle
     law = _law_code(controller)
     name = _checked_name(name)
     place = file_path("folder", folder).absolute()
-    if os.path.isdir(place) and any(place.iterdir()):
-        raise FileExistsError(
-            f"folder {str(place)!r} is not empty, and other C files in it would be compiled too: "
-            "give a new one"
-        )
     texts = code_files(controller, law, name)
+    sums = [f"{_checksum(text.encode())}  {file}" for file, text in texts.items()]
+    texts[_LIST] = "\n".join([_HEAD, *sums, ""])
+    for file in _replaced(place, set(texts)):
+        (place / file).unlink()
     _write_folder(place, texts, last=f"{name}.h")
     assert controller.sample_time is not None  # checked with the law
     low, high = controller.bounds
@@ -201,6 +209,38 @@ def _checked_name(name: object) -> str:
     if name.lower() in _TAKEN:
         raise ValueError(f"name is {name!r}, which is reserved; give another")
     return name
+
+
+def _checksum(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
+def _replaced(place: Path, files: set[str]) -> list[str]:
+    """Return the files of an earlier call in a folder; raise if others are in the way."""
+    present = {each.name for each in place.iterdir()} if os.path.isdir(place) else set()
+    known: dict[str, str] = {}
+    if _LIST in present:
+        text = read_file(place / _LIST, _MOST_BYTES).decode(errors="replace")
+        head, *lines = text.splitlines() or [""]
+        if head == _HEAD:
+            known = {each[2]: each[1] for each in map(_LINE.fullmatch, lines) if each}
+    if present and not known:
+        raise FileExistsError(
+            f"folder {str(place)!r} is not empty, and other C files in it would be compiled too: "
+            "give a new one"
+        )
+    ours = sorted(present & known.keys())
+    changed = [
+        file for file in ours if _checksum(read_file(place / file, _MOST_BYTES)) != known[file]
+    ]
+    others = present - known.keys() - {_LIST}
+    changed += sorted(file for file in others if file in files or file.endswith((".c", ".h")))
+    if changed:
+        raise FileExistsError(
+            f"folder {str(place)!r} has {changed[0]!r}, which is not as an earlier call wrote it, "
+            "and would be replaced or compiled too: move it away, or give a new folder"
+        )
+    return [*ours, _LIST] if present else []
 
 
 def _write_folder(place: Path, texts: dict[str, str], last: str) -> None:
