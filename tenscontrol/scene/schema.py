@@ -102,7 +102,9 @@ def _is_number(value: object) -> bool:
 
 
 def _is_whole(value: object) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and abs(value) < 2**53
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        return False
+    return value % 1 == 0 and abs(value) < 2**53
 
 
 def _row(least: int, most: int, fits: Callable[[object], bool]) -> Callable[[object], bool]:

@@ -39,6 +39,7 @@ from tenscontrol.validation import (
     FloatArray,
     direction,
     indices,
+    limit_per_member,
     non_negative,
     per_member,
     positive_number,
@@ -98,12 +99,19 @@ def columns(table: Table, key: str, dimension: int | None = None) -> FloatArray:
         return points(key, rows, dimension)
 
 
+# Keys whose value may be infinite: no limit.
+_LIMITS = {
+    "rate", "longest", "torque", "speed", "max_force_density", "max_change", "max_tension"
+}  # fmt: skip
+
+
 def per_string(table: Table, key: str, structure: Structure) -> FloatArray:
     """Return one value for each string: given as a number, a list or a table by group."""
     value = table.need(key)
+    each = limit_per_member if key in _LIMITS else per_member
     if not isinstance(value, dict):
         with table.checked(key):
-            return per_member(key, value, len(structure.strings), "string")
+            return each(key, value, len(structure.strings), "string")
     with table.checked(key):
         for group in value:
             structure.strings_in(group)
@@ -115,7 +123,7 @@ def per_string(table: Table, key: str, structure: Structure) -> FloatArray:
                 f"{', '.join(groups)}"
             )
         by_string = [value[group] for group in structure.string_groups]
-        return per_member(key, by_string, len(structure.strings), "string")
+        return each(key, by_string, len(structure.strings), "string")
 
 
 def build_law(document: Document, structure: Structure) -> tuple[StringLaw, StringLaw] | None:

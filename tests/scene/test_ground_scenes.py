@@ -145,7 +145,6 @@ BROKEN = {
                             r"expected \(3,\)"),
     "normal zero": (FLAT + "normal = [0.0, 0.0, 0.0]\n", r":15: in .*normal is 0, expected a dir"),
     "unknown node": (FLAT + "nodes = [0, 12]\n", r":15: in .*nodes\[1\] is 12, expected 0 to 11"),
-    "no nodes": (FLAT + "nodes = []\n", r":15: in .*nodes has shape \(0,\), expected \(k,\)"),
     "unknown table": ("[grounds]\nstiffness = 5e3\n", r":13: .*no table \[grounds\]; did you mean "
                       "'ground'"),
     "control on the ground": (FLAT + "[controller]\nkind = 'lqr'\nsample_time = 0.01\n",

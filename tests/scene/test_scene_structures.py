@@ -174,10 +174,6 @@ BROKEN = {
         SQUARE.replace('[1, "y"]', '["y", 1]'),
         r":8: in .*fixed\[1\] is \['y', 1\], expected a node number, or a pair like \[4, \"z\"\]",
     ),
-    "fixed twice": (
-        SQUARE.replace('[1, "y"]', '[0, "y"]'),
-        r":8: in .*fixed names node 0 twice",
-    ),
     "nodes of two kinds": (
         SQUARE.replace("[1, 1]", "[1, 1, 0]"),
         r":3: in .*nodes\[2\] is \[1, 1, 0\], expected 2 coordinates as nodes\[0\] has",
@@ -193,10 +189,6 @@ BROKEN = {
     "path back": (
         SQUARE.replace("[0, 3, 2]", "[0, 3, 0]"),
         r":5: in .*strings\[1\] passes node 0 twice",
-    ),
-    "mass on a fixed node": (
-        SQUARE.replace("[0, 0, 0.5, 0.2]", "[1, 0, 0.5, 0.2]"),
-        r":7: in .*point_mass\[0\] is 1 kg, but node 0 is fixed",
     ),
     "a force in space on a planar node": (
         SQUARE + "[loads]\nforces = [{node = 2, force = [0, 0, 1]}]\n",
