@@ -455,7 +455,9 @@ def test_supports_that_bars_join_move_alike():
 
 def test_supports_to_move_must_be_there(prism):
     with pytest.raises(ValueError, match="support_motion is given, but no node"):
-        tc.simulate(tc.Model(prism), 0.1, force_density=1.0, support_motion=[], step=1e-3)
+        tc.simulate(
+            tc.Model(prism), 0.1, force_density=1.0, support_motion=np.zeros((3, 1)), step=1e-3
+        )
 
 
 def test_every_method_is_tested_with_profiles():
