@@ -158,7 +158,7 @@ class Table:
 
 def read_document(file: str | Path) -> Document:
     """Return the tables of a scene file, or raise a SceneError where it is not one."""
-    name = str(file)
+    name = str(Path(file))
     try:
         values, written = parse_toml(name, read_text(Path(file), _MOST_BYTES), _LIMITS)
     except OSError as error:

@@ -48,7 +48,7 @@ from tenscontrol.simulation.faults import CutString, LostMeasurement, StuckWinch
 from tenscontrol.simulation.health import ControlRecord, Given, Unsaved
 from tenscontrol.simulation.observation import EstimateRecord
 from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray, IntArray, file_path, refuse_memory
+from tenscontrol.validation import FloatArray, IntArray, file_path
 
 #: Version of the form; files of a later one are refused.
 VERSION = 1
@@ -128,6 +128,7 @@ _MAY_BE_UNSAVED = ("control.settings.", "given.", "ground.", "model")
 # Kinds of arrays: truths, whole numbers, floats, text.
 _NUMBERS = ("b1", "i4", "i8", "f8")
 _KINDS = (*_NUMBERS, "U")
+# Of a file, and of all its arrays: twice what simulate keeps of nodes and velocities.
 _MOST_BYTES = 8_000_000_000
 # Bytes that are read at once; the directory of an archive of 10,000 arrays is shorter.
 _PIECE = 1_000_000
@@ -326,7 +327,10 @@ class _Arrays(Mapping[str, np.ndarray]):
             prod(max(each, 1) for each in form.shape) * form.dtype.itemsize
             for form in self.forms.values()
         )
-        refuse_memory(f"the arrays have {taken:,} bytes", taken, "bytes", 1.0)
+        if taken > _MOST_BYTES:
+            raise _RefusedError(
+                f"is too large: arrays of {taken:,} bytes, at most {_MOST_BYTES:,} are read"
+            )
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.forms)
