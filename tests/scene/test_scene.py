@@ -1143,6 +1143,13 @@ def test_a_name_that_no_file_has():
         tc.load_scene("a\0b.toml")
 
 
+def test_a_file_beside_the_caller_is_named_once(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("scene.toml").write_bytes(b"\n\xff")
+    with pytest.raises(SceneError, match=r"^scene\.toml:2: not UTF-8 text"):
+        tc.load_scene("./scene.toml")
+
+
 def test_a_mark_of_the_byte_order_is_left_out(load):
     assert load(b"\xef\xbb\xbf" + PRISM.encode()).duration == 0.1
 
