@@ -11,8 +11,8 @@ from typing import Any
 
 from tenscontrol.validation import refuse_memory
 
-# Bytes of an empty list or table, with its place in another, and of a number with its own.
-_EACH_LIST, _EACH_VALUE = 100, 40
+# Bytes of a number, a short text or a list with its place; what a table of one key has beyond it.
+_EACH_VALUE, _EACH_TABLE = 60, 200
 
 
 def parse_json(name: str, text: str) -> Any:
@@ -28,10 +28,10 @@ def parse_json(name: str, text: str) -> Any:
 
 def _refuse_many(name: str, text: str) -> None:
     """Refuse a text that would become too much memory: ``[],[],`` becomes 25 times its length."""
-    lists = text.count("[") + text.count("{")
-    values = lists + text.count(",")
-    taken = sys.getsizeof(text) + _EACH_LIST * lists + _EACH_VALUE * values
-    refuse_memory(f"{name}: it has {lists:,} lists and {values:,} values", taken, "bytes", 1.0)
+    tables = text.count("{")
+    values = text.count(",") + text.count("[") + tables  # those within one are one more than commas
+    taken = sys.getsizeof(text) + _EACH_VALUE * values + _EACH_TABLE * tables
+    refuse_memory(f"{name}: it has {values:,} values and lists", taken, "bytes", 1.0)
 
 
 @dataclass(frozen=True)
