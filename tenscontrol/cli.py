@@ -151,7 +151,7 @@ def _simulate(options: argparse.Namespace) -> None:
     from tenscontrol.scene import load_scene
     from tenscontrol.simulation import SimulationError, load_run
 
-    scene = load_scene(options.scene)
+    scene = load_scene(options.scene, options.allow_code)
     folder = make_folder(options.output or Path(f"tenscontrol-{options.scene.stem}"))
     start = None if options.start is None else load_run(options.start)
     try:
@@ -211,7 +211,7 @@ def _modes(options: argparse.Namespace) -> None:
     from tenscontrol.plant import modes
     from tenscontrol.scene import load_scene
 
-    scene = load_scene(options.scene)
+    scene = load_scene(options.scene, options.allow_code)
     try:
         plant = scene.linearize(options.input, options.coordinates)
         found = modes(plant)
@@ -234,7 +234,7 @@ def _view(options: argparse.Namespace) -> None:
 
     plotly_js()  # where it is missing, say so before the simulation
     is_run = options.scene.suffix == ".npz"
-    source = load_run(options.scene) if is_run else load_scene(options.scene)
+    source = load_run(options.scene) if is_run else load_scene(options.scene, options.allow_code)
     folder = make_folder(options.output or Path(f"tenscontrol-{options.scene.stem}"))
     try:
         run = source if isinstance(source, Trajectory) else source.simulate(progress=True)
@@ -252,7 +252,7 @@ def _accuracy(options: argparse.Namespace) -> None:
     from tenscontrol.accuracy import work_precision
     from tenscontrol.scene import load_scene
 
-    scene = load_scene(options.scene)
+    scene = load_scene(options.scene, options.allow_code)
     if options.growth:
         _growth(scene, options)
         return

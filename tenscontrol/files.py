@@ -7,6 +7,7 @@ import os
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from io import BufferedReader
 from pathlib import Path
 
 # What to do about an error of the file system, by its number; else only writing elsewhere helps.
@@ -18,6 +19,9 @@ _REMEDY = {
     errno.ENOSPC: "free some space, or write elsewhere",
     errno.ENOTDIR: "give a folder: what is in its place is a file",
 }
+
+# Without waiting: what was a file may have become a pipe to which nobody writes.
+_AT_ONCE = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 
 
 def write_file(path: Path, content: bytes | memoryview | str, flush: bool = True) -> Path:
@@ -54,25 +58,49 @@ def write_file(path: Path, content: bytes | memoryview | str, flush: bool = True
     return path
 
 
-def read_file(path: Path, most: int) -> bytes:
-    """Return what a file holds.
+@contextmanager
+def opened_file(path: Path, most: int) -> Iterator[BufferedReader]:
+    """Yield a regular file, open to read its bytes. All readers of files come through here.
 
     Raises an OSError that has number and path where it cannot be read, is no regular file (a pipe
     may never end) or has more bytes than ``most``.
     """
+    with _explained(path, "cannot be read: {}"):
+        _refuse_irregular(path.stat())  # a device may act on being opened
+        descriptor = os.open(path, os.O_RDONLY | _AT_ONCE)
+    with os.fdopen(descriptor, "rb") as stream, _explained(path, "cannot be read: {}"):
+        found = os.fstat(stream.fileno())
+        _refuse_irregular(found)
+        if found.st_size > most:
+            said = f"it is too large: {found.st_size:,} bytes, at most {most:,} are read"
+            raise OSError(errno.EFBIG, said)
+        yield stream
+
+
+def _refuse_irregular(found: os.stat_result) -> None:
+    if stat.S_ISDIR(found.st_mode):
+        raise IsADirectoryError(errno.EISDIR, "it is a folder, expected a file")
+    if not stat.S_ISREG(found.st_mode):
+        raise OSError(errno.EINVAL, "it is a pipe or a device, expected a regular file")
+
+
+def read_file(path: Path, most: int) -> bytes:
+    """Return what a file holds; errors as :func:`opened_file`."""
+    with opened_file(path, most) as stream:
+        return stream.read(os.fstat(stream.fileno()).st_size)
+
+
+def read_text(path: Path, most: int) -> str:
+    r"""Return the text of a file in UTF-8, a line ending in ``\n``; errors as :func:`opened_file`.
+
+    Raises a ValueError that has file and line where it is not UTF-8.
+    """
+    content = read_file(path, most)
     try:
-        found = path.stat()
-        if not stat.S_ISREG(found.st_mode):
-            raise OSError(errno.EINVAL, "it is a folder, a pipe or a device")
-        with path.open("rb") as stream:  # room is taken for as many bytes as are asked for
-            content = stream.read(min(most, found.st_size) + 1)
-    except OSError as error:
-        number = error.errno or errno.EIO
-        said = f"cannot be read: {error.strerror or error}"
-        raise OSError(number, said, str(path)) from None
-    if len(content) > most:
-        raise OSError(errno.EFBIG, f"is too large: at most {most:,} bytes are read", str(path))
-    return content
+        return content.decode("utf-8-sig").replace("\r\n", "\n")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        raise ValueError(f"{path}:{line}: not UTF-8 text: {error.reason}") from error
 
 
 def make_folder(path: Path) -> Path:
@@ -83,11 +111,11 @@ def make_folder(path: Path) -> Path:
 
 
 @contextmanager
-def _explained(path: Path) -> Iterator[None]:
+def _explained(path: Path, said: str = "cannot write: {}; {}") -> Iterator[None]:
     """Put the path and what to do into an error of the file system."""
     try:
         yield
     except OSError as error:
         number = error.errno or errno.EIO
-        said = f"cannot write: {error.strerror or error}; {_REMEDY.get(number, 'write elsewhere')}"
-        raise OSError(number, said, str(path)) from None
+        told = said.format(error.strerror or error, _REMEDY.get(number, "write elsewhere"))
+        raise OSError(number, told, str(path)) from None

@@ -53,6 +53,11 @@ def _add_scene(
         type=Path,
         help="folder for the files (default: tenscontrol-SCENE in this folder)",
     )
+    parser.add_argument(
+        "--allow-code",
+        action="store_true",
+        help="run the Python code that the scene names for its controller; read it first",
+    )
 
 
 def _add_json(parser: Any) -> None:

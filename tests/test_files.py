@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.files import make_folder, write_file
+from tenscontrol.files import make_folder, read_file, write_file
 from tenscontrol.validation import file_path
 from tests.fuzz import disk
 
@@ -84,6 +84,62 @@ def test_errors_hold_number_and_path(tmp_path):
         make_folder(tmp_path / "file")
     with pytest.raises(NotADirectoryError, match="what is in its place is a file"):
         make_folder(tmp_path / "file" / "below")
+
+
+READERS = {
+    "run": (".npz", tc.load_run),
+    "structure in TOML": (".toml", tc.Structure.load),
+    "structure in JSON": (".json", tc.Structure.load),
+    "scene": (".toml", tc.load_scene),
+    "nodes": (".csv", lambda path: tc.exchange.from_csv(path, path)),
+    "members": (".csv", lambda path: tc.exchange.from_csv(_nodes(path), path)),
+    "MJCF": (".xml", tc.exchange.from_mujoco),
+    "NTRT": (".yaml", tc.exchange.from_ntrt),
+    "sweep": (".jsonl", tc.robustness.SweepReport.load),
+}
+
+
+def _nodes(path):
+    file = path.with_name("nodes.csv")
+    file.write_text("x,y\n0,0\n1,0\n")
+    return file
+
+
+@pytest.mark.skipif(os.name != "posix", reason="pipes and sparse files are POSIX")
+@pytest.mark.parametrize("name", READERS)
+def test_readers_refuse_at_once_what_is_no_file_or_too_large(name, tmp_path):
+    ending, read = READERS[name]
+    if name == "NTRT":
+        pytest.importorskip("yaml", reason="PyYAML comes with the extra yaml")
+    path = tmp_path / f"file{ending}"
+    refused = OSError if name != "scene" else tc.scene.SceneError
+    for make, message in (
+        (lambda: os.mkfifo(path), "cannot be read: it is a pipe or a device"),
+        (lambda: path.symlink_to("/dev/zero"), "cannot be read: it is a pipe or a device"),
+        (path.mkdir, "cannot be read: it is a folder"),
+        (lambda: path.touch() or os.truncate(path, 10**11), "cannot be read: it is too large"),
+        (lambda: None, "cannot be read: No such file"),
+    ):
+        make()
+        with pytest.raises(refused, match=message) as raised:
+            read(path)
+        assert str(path) in str(raised.value)
+        if path.is_dir():
+            path.rmdir()
+        path.unlink(missing_ok=True)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="pipes are POSIX")
+def test_a_pipe_that_takes_the_place_of_a_file_is_not_waited_for(tmp_path, monkeypatch):
+    path = tmp_path / "file"
+    path.write_text("")
+    found = path.stat()
+    path.unlink()
+    os.mkfifo(path)
+    monkeypatch.setattr(Path, "stat", lambda path: found)
+    with pytest.raises(OSError, match="it is a pipe or a device") as raised:
+        read_file(path, 10)
+    assert (raised.value.errno, raised.value.filename) == (errno.EINVAL, str(path))
 
 
 @pytest.mark.parametrize(

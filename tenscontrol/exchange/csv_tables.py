@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
 
 from tenscontrol.dynamics import LinearStrings, Model
 from tenscontrol.exchange.imported import Imported
+from tenscontrol.files import read_text
 from tenscontrol.structure import Structure
-from tenscontrol.validation import choice, file_path
+from tenscontrol.validation import choice, file_path, refuse_memory
 
 _OF_NODES = ("name", "x", "y", "z", "mass", "fixed")
 _OF_MEMBERS = ("kind", "start", "end", "mass", "stiffness", "rest_length", "damping", "group")
 _KINDS = {"bar": True, "rod": True, "strut": True, "string": False, "cable": False}
+
+# A file, and what is made of each row and each cell beside its letters; digits of a number of one.
+_MOST_BYTES, _EACH_ROW, _EACH_CELL, _DIGITS = 1_000_000_000, 600, 100, 18
 
 
 def from_csv(nodes: object, members: object) -> Imported:
@@ -45,7 +50,8 @@ def from_csv(nodes: object, members: object) -> Imported:
     OSError
         If a file cannot be read.
     ValueError
-        If a cell does not fit: the message has file, row and column.
+        If a cell does not fit, or the file asks for more than 4 GB: the message has file, row and
+        column.
 
     Examples
     --------
@@ -69,10 +75,12 @@ def from_csv(nodes: object, members: object) -> Imported:
         if held == "all" or sorted(held) == list(axes):
             fixed.append(i)
         else:
-            fixed += [(i, choice(points.cell(row, "fixed"), axis, axes)) for axis in held]
+            fixed += [
+                (i, choice(points.cell(row, "fixed"), axis, axes)) for axis in dict.fromkeys(held)
+            ]
     mass = [points.number(row, "mass", 0.0) for row in points.rows]
-    bars: list[dict[str, str]] = []
-    strings: list[dict[str, str]] = []
+    bars: list[_Row] = []
+    strings: list[_Row] = []
     for row in pairs.rows:
         kind = choice(pairs.cell(row, "kind"), row["kind"].lower(), _KINDS)
         (bars if _KINDS[kind] else strings).append(row)
@@ -101,44 +109,66 @@ def from_csv(nodes: object, members: object) -> Imported:
     return Imported(Model(structure, law), rest)
 
 
+class _Row(dict[str, str]):
+    """The cells of a row by column, and its number in the file, from 1."""
+
+    def __init__(self, number: int, cells: Iterable[tuple[str, str]]) -> None:
+        super().__init__(cells)
+        self.number = number
+
+
 class _Table:
-    """The rows of a file as dictionaries, with the place of each for messages."""
+    """The rows of a file, with the place of each cell for messages."""
 
     def __init__(
         self, name: str, source: object, known: Sequence[str], needed: Sequence[str]
     ) -> None:
         self.path: Path = file_path(name, source)
-        with self.path.open(newline="", encoding="utf-8-sig") as stream:
-            reader = csv.reader(stream)
-            found = [[cell.strip() for cell in line] for line in reader]
-        lines = [(i, line) for i, line in enumerate(found, 1) if any(line)]
-        self.columns = [cell.lower() for cell in lines[0][1]] if lines else []
-        for column in self.columns:
-            choice(f"a column of {self.path}", column, known)
-        missing = [column for column in needed if column not in self.columns]
-        if missing or len(set(self.columns)) < len(self.columns):
-            raise ValueError(
-                f"{self.path} has the columns {', '.join(self.columns) or 'none'}, expected "
-                f"{', '.join(needed)} in its first row, each once"
-            )
-        self.rows: list[dict[str, str]] = []
-        self._lines: list[int] = []
-        for i, line in lines[1:]:
-            if len(line) != len(self.columns):
-                raise ValueError(
-                    f"{self.path}, row {i}: {len(line)} cells, expected {len(self.columns)}"
-                )
-            self.rows.append(dict(zip(self.columns, line, strict=True)))
-            self._lines.append(i)
+        text = read_text(self.path, _MOST_BYTES)
+        counts = text.count("\n") + text.count("\r") + 1, text.count(",")
+        taken = 2 * len(text) + _EACH_ROW * counts[0] + _EACH_CELL * counts[1]
+        rows = f"{self.path}: it has {counts[0]:,} rows and {sum(counts):,} cells"
+        refuse_memory(rows, taken, "bytes", 1.0)
+        self.columns: list[str] = []
+        self.rows: list[_Row] = []
+        reader = csv.reader(StringIO(text, newline=""))
+        try:
+            for i, line in enumerate(reader, 1):
+                cells = [cell.strip() for cell in line]
+                if not any(cells):
+                    continue
+                if not self.columns:
+                    self.columns = self._checked(cells, known, needed)
+                elif len(cells) != len(self.columns):
+                    count = len(self.columns)
+                    raise ValueError(f"{self.path}, row {i}: {len(cells)} cells, expected {count}")
+                else:
+                    self.rows.append(_Row(i, zip(self.columns, cells, strict=True)))
+        except csv.Error as error:
+            raise ValueError(f"{self.path}, line {reader.line_num}: not CSV: {error}") from None
+        if not self.columns:
+            self._checked([], known, needed)
         if not self.rows:
             raise ValueError(f"{self.path} has no rows below its column names")
 
-    def cell(self, row: dict[str, str], column: str) -> str:
-        """Return the place of a cell."""
-        at = next(i for i, each in zip(self._lines, self.rows, strict=True) if each is row)
-        return f"{self.path}, row {at}: {column}"
+    def _checked(self, cells: list[str], known: Sequence[str], needed: Sequence[str]) -> list[str]:
+        """Return the names of the columns, or refuse what is none, is missing or is there twice."""
+        columns = [cell.lower() for cell in cells]
+        for column in columns:
+            choice(f"a column of {self.path}", column, known)
+        missing = [column for column in needed if column not in columns]
+        if missing or len(set(columns)) < len(columns):
+            raise ValueError(
+                f"{self.path} has the columns {', '.join(columns) or 'none'}, expected "
+                f"{', '.join(needed)} in its first row, each once"
+            )
+        return columns
 
-    def number(self, row: dict[str, str], column: str, default: float | None = None) -> float:
+    def cell(self, row: _Row, column: str) -> str:
+        """Return the place of a cell."""
+        return f"{self.path}, row {row.number}: {column}"
+
+    def number(self, row: _Row, column: str, default: float | None = None) -> float:
         """Return the number in a cell, or the default where there is none."""
         text = row.get(column, "")
         if not text and default is not None:
@@ -148,23 +178,23 @@ class _Table:
         except ValueError:
             value = np.nan
         if not np.isfinite(value):
-            raise ValueError(f"{self.cell(row, column)} is {text!r}, expected a number")
+            raise ValueError(f"{self.cell(row, column)} is {text!r:.60}, expected a number")
         return value
 
 
-def _node(table: _Table, row: dict[str, str], side: str, names: dict[str, int], count: int) -> int:
+def _node(table: _Table, row: _Row, side: str, names: dict[str, int], count: int) -> int:
     text = row[side]
     if text in names:
         return names[text]
-    if text.isdecimal() and int(text) < count:
+    if text.isdecimal() and len(text) <= _DIGITS and int(text) < count:
         return int(text)
     raise ValueError(
-        f"{table.cell(row, side)} is {text!r}, expected the name of a node, or a number from 0 to "
-        f"{count - 1}"
+        f"{table.cell(row, side)} is {text!r:.60}, expected the name of a node, or a number from 0 "
+        f"to {count - 1}"
     )
 
 
-def _have(table: _Table, rows: Sequence[dict[str, str]], column: str) -> bool:
+def _have(table: _Table, rows: Sequence[_Row], column: str) -> bool:
     """Whether all rows have a value in a column; ValueError if only some have."""
     found = [bool(row.get(column)) for row in rows]
     if any(found) and not all(found):

@@ -7,9 +7,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
+from xml.parsers import expat
 
 import numpy as np
 
+from tenscontrol.files import read_text
 from tenscontrol.validation import FloatArray, file_path
 
 # Elements that say nothing of the motion.
@@ -18,9 +20,19 @@ _IGNORED = {
     "plugin", "sensor", "size", "statistic", "visual",
 }  # fmt: skip
 _READ = {"worldbody", "tendon", "actuator", "equality"}
+# Elements of which defaults are read.
+_DEFAULTED = {
+    "joint", "geom", "site", "equality", "tendon", "general", "motor", "position", "velocity",
+    "intvelocity", "damper", "cylinder", "muscle", "adhesion",
+}  # fmt: skip
 
 # Attributes of joints that bars do not have.
 _OF_JOINTS = ("stiffness", "damping", "armature", "frictionloss", "range")
+
+# Of a file. MuJoCo reads no deeper levels either; 500,000 elements are about 70,000 bars.
+_MOST_BYTES, _MOST_DEPTH, _MOST_ELEMENTS, _MOST_ATTRIBUTES = 100_000_000, 500, 500_000, 100
+# Of an attribute that holds numbers.
+_MOST_LETTERS = 1_000
 
 # kg/m³ of geoms without a mass.
 _DENSITY = "1000"
@@ -106,9 +118,9 @@ class MjcfDocument:
     def _read_defaults(
         self, default: Element, name: str, inherited: dict[str, dict[str, str]]
     ) -> None:
-        own = {tag: dict(attributes) for tag, attributes in inherited.items()}
+        own = dict(inherited)
         for element in default:
-            if element.tag != "default":
+            if element.tag in _DEFAULTED:
                 own[element.tag] = own.get(element.tag, {}) | element.attrib
         self._defaults[name] = own
         for element in default.findall("default"):
@@ -234,11 +246,11 @@ def row(given: Mapping[str, str], key: str, default: str = "") -> list[float]:
     """Return the numbers of an attribute, or of what it is if it is not given."""
     text = given.get(key, default)
     try:
-        found = [float(part) for part in text.split()]
+        found = [float(part) for part in text.split()] if len(text) <= _MOST_LETTERS else [np.nan]
     except ValueError:
         found = [np.nan]
     if not np.isfinite(found).all():
-        raise ValueError(f"the MJCF has {key}={text!r}, expected numbers")
+        raise ValueError(f"the MJCF has {key}={text!r:.60}, expected numbers")
     return found
 
 
@@ -246,7 +258,7 @@ def numbers(given: Mapping[str, str], key: str, count: int, default: str = "") -
     """Return so many numbers of an attribute."""
     found = np.array(row(given, key, default))
     if len(found) != count:
-        raise ValueError(f"the MJCF has {key}={given.get(key, '')!r}, expected {count} numbers")
+        raise ValueError(f"the MJCF has {key}={given.get(key, '')!r:.60}, expected {count} numbers")
     return found
 
 
@@ -269,11 +281,57 @@ def _root(source: object) -> Element:
         text, where = source, "source"
     else:
         path: Path = file_path("source", source)
-        text, where = path.read_text("utf-8"), f"source, {path},"
+        text, where = read_text(path, _MOST_BYTES), f"source, {path},"
     try:
-        root: Element = ElementTree.fromstring(text)
-    except ElementTree.ParseError as error:
+        root = _Reader(where).read(text)
+    except expat.ExpatError as error:
         raise ValueError(f"{where} is not XML: {error}") from None
     if root.tag != "mujoco":
-        raise ValueError(f"{where} begins with <{root.tag}>, expected <mujoco>: MJCF")
+        raise ValueError(f"{where} begins with <{root.tag:.60}>, expected <mujoco>: MJCF")
     return root
+
+
+class _Reader:
+    """Makes the elements of a text, within bounds. Text between them says nothing in MJCF."""
+
+    def __init__(self, where: str) -> None:
+        self._where, self._depth, self._count = where, 0, 0
+        self._made = ElementTree.TreeBuilder()
+        self._parser = expat.ParserCreate()
+        self._parser.StartElementHandler = self._start
+        self._parser.EndElementHandler = self._end
+        self._parser.StartDoctypeDeclHandler = self._refuse_declarations
+
+    def read(self, text: str) -> Element:
+        """Return the outermost element."""
+        self._parser.Parse(text, True)
+        return self._made.close()
+
+    def _start(self, tag: str, attributes: dict[str, str]) -> None:
+        self._depth += 1
+        self._count += 1
+        for have, most, what in (
+            (self._depth, _MOST_DEPTH, "levels of elements within elements"),
+            (self._count, _MOST_ELEMENTS, "elements"),
+            (len(attributes), _MOST_ATTRIBUTES, "attributes in an element"),
+        ):
+            if have > most:
+                line = self._parser.CurrentLineNumber
+                raise ValueError(
+                    f"{self._where} has more than {most:,} {what}, the most that are read: "
+                    f"line {line}, <{tag:.60}>"
+                )
+        self._made.start(tag, attributes)
+
+    def _end(self, tag: str) -> None:
+        self._depth -= 1
+        self._made.end(tag)
+
+    def _refuse_declarations(
+        self, name: str, system: str | None, public: str | None, has_declarations: int
+    ) -> None:
+        if has_declarations:
+            raise ValueError(
+                f"{self._where} declares entities or attributes in <!DOCTYPE {name:.60} [...]>, "
+                "which no MJCF needs: leave it out"
+            )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from itertools import product
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -16,6 +17,9 @@ from tenscontrol.validation import FloatArray, positive_number
 
 # Places that are closer, as part of the size, are one.
 _SAME = 1e-9
+
+# Of a number at the end of a name.
+_DIGITS = 18
 
 # Attributes of tendons that strings do not have.
 _LOST = ("frictionloss", "armature", "range")
@@ -92,6 +96,15 @@ class _Assembly:
         if not places:
             raise ValueError("the MJCF has neither capsules nor sites: no bars, no strings")
         self.size = max(float(np.ptp(places, axis=0).max()), 1e-300)
+        self._cells: dict[tuple[float, ...], list[int]] = {}  # spots by group and place
+        self._first_of: dict[int, int] = {}  # spots by group
+        self._site_of: dict[int, FloatArray] = {}  # places by group
+        for own, at in document.sites.values():
+            self._site_of.setdefault(self.group[own], at)
+        joints = [joint for body in document.bodies for joint in body.joints]
+        across = any(kind != "slide" or abs(axis[1]) > _SAME for kind, _, axis in joints)
+        self._slides_flat = bool(joints) and not across
+        self._thickness = 0.0
 
     def imported(self) -> Imported:
         """Return the model."""
@@ -141,23 +154,42 @@ class _Assembly:
                     f"{self.tolerance * length:.3g} m; give a larger tolerance to put it there"
                 )
             return (start, end)[int(apart.argmin())]
-        for i, (other, place) in enumerate(self.spots):
-            if other == group and np.linalg.norm(place - at) <= _SAME * self.size:
-                return i
-        if group and any(other == group for other, _ in self.spots):
+        there = self._spots_at(group, at)
+        if there:
+            return there[0]
+        if group and group in self._first_of:
             raise ValueError(
                 f"{what} is on body {self.document.bodies[group].name!r}, which has no bar and "
                 "another place already: a body without a capsule is a point here"
             )
         return self._new_spot(group, at)
 
+    def _spots_at(self, group: int, at: FloatArray) -> list[int]:
+        """Return the spots of a group at a place."""
+        near = (i for key in self._keys(group, at, 1.0) for i in self._cells.get(key, ()))
+        off = _SAME * self.size
+        return sorted(i for i in near if np.linalg.norm(self.spots[i][1] - at) <= off)
+
+    def _keys(self, group: int, at: FloatArray, reach: float) -> set[tuple[float, ...]]:
+        """Return the cells within reach, 1 for one place: at most two along an axis."""
+        with np.errstate(over="ignore"):  # far away all is in one cell
+            place = at / (_SAME * self.size)
+            low, high = np.floor((place - reach) / 2), np.floor((place + reach) / 2)
+        along = zip(low.tolist(), high.tolist(), strict=True)
+        return {(group, *cell) for cell in product(*along)}
+
     def _new_spot(self, group: int, at: FloatArray) -> int:
+        (key,) = self._keys(group, at, 0.0)
+        self._cells.setdefault(key, []).append(len(self.spots))
+        self._first_of.setdefault(group, len(self.spots))
+        self._thickness = max(self._thickness, abs(float(at[1])))
         self.spots.append((group, at))
         self.same.append(len(self.same))
         return len(self.spots) - 1
 
     def _first(self, spot: int) -> int:
         while self.same[spot] != spot:
+            self.same[spot] = self.same[self.same[spot]]  # the next time it is half as far
             spot = self.same[spot]
         return spot
 
@@ -191,10 +223,8 @@ class _Assembly:
     def _world_or_new(self, group: int, at: FloatArray) -> int:
         if group:
             return self._new_spot(group, at)
-        for i, (other, place) in enumerate(self.spots):
-            if other == 0 and np.linalg.norm(place - at) <= _SAME * self.size:
-                return i
-        return self._new_spot(0, at)
+        there = self._spots_at(0, at)
+        return there[0] if there else self._new_spot(0, at)
 
     def _own_mass(self, body: Placed, ends: FloatArray) -> float:
         """Return the mass of a bar whose body says it, with its centre in the middle."""
@@ -278,13 +308,9 @@ class _Assembly:
 
     def _point(self, number: int) -> FloatArray:
         """Return where a body without a bar is: at its spot, else at its site or its origin."""
-        for group, at in self.spots:
-            if group == number:
-                return at
-        for own, at in self.document.sites.values():
-            if self.group[own] == number:
-                return at
-        return self.document.bodies[number].place
+        if number in self._first_of:
+            return self.spots[self._first_of[number]][1]
+        return self._site_of.get(number, self.document.bodies[number].place)
 
     def _held(self, body: Placed, slides: Sequence[FloatArray]) -> list[int]:
         """Return the axes along which slides do not let a body move."""
@@ -303,12 +329,7 @@ class _Assembly:
 
     def _flat(self) -> bool:
         """Whether all moves in the plane of x and z."""
-        if self.planar:
-            return True
-        joints = [joint for body in self.document.bodies for joint in body.joints]
-        across = any(kind != "slide" or abs(axis[1]) > _SAME for kind, _, axis in joints)
-        thick = max((abs(at[1]) for _, at in self.spots), default=0.0) > _SAME * self.size
-        return bool(joints) and not across and not thick
+        return self.planar or (self._slides_flat and self._thickness <= _SAME * self.size)
 
     def _constraints(self) -> None:
         for element, given in self.document.members("equality"):
@@ -376,18 +397,14 @@ class _Assembly:
         """Return the structure, and the order of its strings among the tendons."""
         for name, (body, where) in self.document.sites.items():  # of nodes without strings
             if self.group[body] in self.bar_of or self.group[body] == 0:
-                spots = [i for i, (group, place) in enumerate(self.spots)
-                         if group == self.group[body]
-                         and np.linalg.norm(place - where) <= _SAME * self.size]  # fmt: skip
-                for spot in spots:
+                for spot in self._spots_at(self.group[body], where):
                     self.names.setdefault(spot, []).append(name)
         firsts = sorted({self._first(i) for i in range(len(self.spots))})
-        labels = [
-            [name for spot, names in self.names.items() if self._first(spot) == first
-             for name in names]
-            for first in firsts
-        ]  # fmt: skip
-        firsts = [firsts[i] for i in _numbered([min(own, default="") for own in labels])]
+        labels: dict[int, list[str]] = {}
+        for spot, names in self.names.items():
+            labels.setdefault(self._first(spot), []).extend(names)
+        least = [min(labels.get(first, ()), default="") for first in firsts]
+        firsts = [firsts[i] for i in _numbered(least)]
         node = {first: i for i, first in enumerate(firsts)}
         at: dict[int, int] = {i: node[self._first(i)] for i in range(len(self.spots))}
         bars = [self.bars[i] for i in _numbered([bar[0] for bar in self.bars])]
@@ -399,7 +416,8 @@ class _Assembly:
         mass = np.zeros(len(firsts))
         for spot, kg in self.mass.items():
             mass[at[spot]] += kg
-        fixed = sorted({at[i] for i, (group, _) in enumerate(self.spots) if group == 0})
+        held = {at[i] for i, (group, _) in enumerate(self.spots) if group == 0}
+        fixed = sorted(held)
         mass[fixed] = 0.0
         rollers = [(at[spot], "xyz"[keep.index(axis)]) for spot, axis in self.rolling]
         structure = Structure(
@@ -409,7 +427,7 @@ class _Assembly:
             [kg for *_, kg in bars],
             string_groups=[groups[i] for i in order],
             fixed=fixed,
-            rollers=[pair for pair in rollers if pair[0] not in fixed],
+            rollers=[pair for pair in rollers if pair[0] not in held],
             point_mass=mass if mass.any() else None,
         )
         return structure, order
@@ -475,7 +493,7 @@ class _Assembly:
 
 def _numbered(names: Sequence[str]) -> list[int]:
     """Return the order by the numbers that names end in, if all have one of their own."""
-    found = [re.search(r"(\d+)$", name) for name in names]
+    found = [re.search(r"(\d+)$", name[-_DIGITS:]) for name in names]
     ends = [int(match.group(1)) for match in found if match]
     if len(ends) < len(names) or len(set(ends)) < len(names):
         return list(range(len(names)))

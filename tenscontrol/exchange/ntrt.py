@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -12,6 +14,7 @@ import numpy as np
 
 from tenscontrol.dynamics import LinearStrings, Model
 from tenscontrol.exchange.imported import Imported
+from tenscontrol.files import read_text
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, file_path, positive_number
 
@@ -25,8 +28,13 @@ _BUILDERS = {
 _SECTIONS = ("nodes", "pair_groups", "builders", "substructures", "bond_groups")
 _PLACEMENT = ("path", "rotation", "translation", "scale", "offset")
 
-# Files within files: more are a circle.
+# Files within files.
 _MOST_DEPTH = 50
+# Levels within a file, and its bytes.
+_MOST_LEVELS, _MOST_BYTES = 20, 10_000_000
+# Values in all files together, each time that one is read: of 25,000 members. A file counts as 50
+# of them, and 100 bytes as one, since they take as long.
+_MOST_VALUES, _OF_FILE, _BYTES_OF_VALUE = 100_000, 50, 100
 
 
 def from_ntrt(path: object, length_unit: float = 1.0) -> Imported:
@@ -87,7 +95,7 @@ def from_ntrt(path: object, length_unit: float = 1.0) -> Imported:
     """
     unit = positive_number("length_unit", length_unit, "m")
     builders: dict[str, dict[str, Any]] = {}
-    top = _read(file_path("path", path), builders, _MOST_DEPTH)
+    top = _Files(builders).read(file_path("path", path))
     return _model(top, builders, unit, Path(str(path)))
 
 
@@ -130,36 +138,91 @@ class _Part:
         raise ValueError(f"{where} names the node {path!r}, which is not there")
 
 
-def _read(path: Path, builders: dict[str, dict[str, Any]], depth: int) -> _Part:
-    """Return the structure of a file; its builders are added after those of its substructures."""
-    if not depth:
-        raise ValueError(f"{path} is a substructure of itself")
-    root = _mapping(_yaml(path), str(path), _SECTIONS)
-    part = _Part()
-    placed = _mapping(root.get("substructures"), f"{path}: substructures")
-    for names, given in placed.items():
-        placement = _mapping(given, f"{path}: {names}", _PLACEMENT)
-        for name in names.split("/"):
-            file = path.parent / _text(placement.get("path"), f"{path}: {names}: path")
-            part.parts[name] = _read(file, builders, depth - 1)
-            part.parts[name].name = name
-    for names, given in placed.items():
-        for k, name in enumerate(names.split("/")):
-            _place(part.parts[name], given, k, f"{path}: {names}")
-    for tag, given in _mapping(root.get("builders"), f"{path}: builders").items():
-        builders.pop(tag, None)  # the last counts
-        builders[tag] = _builder(given, f"{path}: builder {tag!r}")
-    for name, at in _mapping(root.get("nodes"), f"{path}: nodes").items():
-        part.nodes[name] = _vector(at, f"{path}: node {name!r}")
-    for tags, pairs in _mapping(root.get("pair_groups"), f"{path}: pair_groups").items():
-        where = f"{path}: {tags}"
-        for start, end in _pairs(pairs, where):
-            part.pairs.append((tags, *part.find(start, where), *part.find(end, where)))
-    for one, inner in _mapping(root.get("bond_groups"), f"{path}: bond_groups").items():
-        for other, pairs in _mapping(inner, f"{path}: {one}").items():
-            tags, bond = (one, other) if "/" in other else (other, one)
-            _bond(part, tags, bond, pairs, f"{path}: {bond}")
-    return part
+@dataclass
+class _Files:
+    """The files of a structure: their builders, and how many values they may still have."""
+
+    builders: dict[str, dict[str, Any]]
+    left: int = _MOST_VALUES
+
+    def read(self, path: Path, above: tuple[Path, ...] = ()) -> _Part:
+        """Return the structure of a file; its builders come after those of its substructures."""
+        place = Path(os.path.realpath(path))
+        if place in above:
+            raise ValueError(f"{path} is a substructure of itself")
+        if len(above) == _MOST_DEPTH:
+            raise ValueError(f"{path} is a substructure within {_MOST_DEPTH} others, the most")
+        root = _mapping(self._yaml(path), str(path), _SECTIONS)
+        part = _Part()
+        placed = _mapping(root.get("substructures"), f"{path}: substructures")
+        for names, given in placed.items():
+            placement = _mapping(given, f"{path}: {names}", _PLACEMENT)
+            for name in names.split("/"):
+                file = path.parent / _text(placement.get("path"), f"{path}: {names}: path")
+                part.parts[name] = self.read(file, (*above, place))
+                part.parts[name].name = name
+        for names, given in placed.items():
+            for k, name in enumerate(names.split("/")):
+                _place(part.parts[name], given, k, f"{path}: {names}")
+        for tag, given in _mapping(root.get("builders"), f"{path}: builders").items():
+            self.builders.pop(tag, None)  # the last counts
+            self.builders[tag] = _builder(given, f"{path}: builder {tag!r}")
+        for name, at in _mapping(root.get("nodes"), f"{path}: nodes").items():
+            part.nodes[name] = _vector(at, f"{path}: node {name!r}")
+        for tags, pairs in _mapping(root.get("pair_groups"), f"{path}: pair_groups").items():
+            where = f"{path}: {tags}"
+            for start, end in _pairs(pairs, where):
+                part.pairs.append((tags, *part.find(start, where), *part.find(end, where)))
+        for one, inner in _mapping(root.get("bond_groups"), f"{path}: bond_groups").items():
+            for other, pairs in _mapping(inner, f"{path}: {one}").items():
+                tags, bond = (one, other) if "/" in other else (other, one)
+                _bond(part, tags, bond, pairs, f"{path}: {bond}")
+        return part
+
+    def _yaml(self, path: Path) -> object:
+        """Return a YAML file with all scalars as text, as NTRT reads it; duplicates are refused."""
+        try:
+            import yaml
+        except ImportError:
+            raise ImportError(
+                "from_ntrt needs PyYAML, which is not installed: pip install 'tenscontrol[yaml]'"
+            ) from None
+        try:
+            text = read_text(path, _MOST_BYTES)
+            self._spend(_OF_FILE + len(text) // _BYTES_OF_VALUE, path)
+            if sum(text.count(sign) for sign in "[{,:-\n") > 4 * _MOST_VALUES:
+                self._spend(_MOST_VALUES, path)
+            node = yaml.compose(text, Loader=yaml.BaseLoader)
+            self._count(node, path, _MOST_LEVELS)
+            return None if node is None else yaml.BaseLoader("").construct_object(node, deep=True)
+        except RecursionError:
+            raise ValueError(f"{path} is not YAML that is read: it is nested too deep") from None
+        except yaml.YAMLError as error:
+            raise ValueError(f"{path} is not YAML: {' '.join(str(error).split())}") from None
+
+    def _spend(self, values: int, path: Path) -> None:
+        self.left -= values
+        if self.left < 0:
+            raise ValueError(
+                f"{path} is of a structure that is too large: at most {_MOST_VALUES:,} values in "
+                f"all files and aliases are read, and a file counts as {_OF_FILE} of them"
+            )
+
+    def _count(self, node: Any, path: Path, levels: int) -> None:
+        """Count the values of a file, those of an alias each time, and refuse keys that repeat."""
+        self._spend(1, path)
+        if not levels:
+            raise ValueError(f"{path} is nested deeper than {_MOST_LEVELS} levels")
+        if node is None or node.id == "scalar":
+            return
+        if node.id == "mapping":
+            keys = Counter(str(key.value) for key, _ in node.value)
+            twice = [key for key, count in keys.items() if count > 1]
+            if twice:
+                raise ValueError(f"{path} has {twice[0]!r:.60} twice in one place")
+        for child in node.value:
+            for each in child if isinstance(child, tuple) else (child,):
+                self._count(each, path, levels - 1)
 
 
 def _bond(part: _Part, tags: str, bond: str, pairs: object, where: str) -> None:
@@ -221,10 +284,14 @@ def _model(top: _Part, builders: dict[str, dict[str, Any]], unit: float, path: P
     bars: list[tuple[tuple[int, str], tuple[int, str], float]] = []
     strings: list[tuple[tuple[int, str], tuple[int, str], dict[str, Any], str]] = []
     notes: list[str] = []
+    needed = {tag: set(tag.split()) for tag in builders}
+    fitting: dict[tuple[str, str], list[str]] = {}  # builders by tags and name of the part
     for part in top.every():
         for tags, first, start, second, end in part.pairs:
-            own = {*tags.split(), part.name}
-            matching = [tag for tag in builders if set(tag.split()) <= own]
+            if (tags, part.name) not in fitting:
+                own = {*tags.split(), part.name}
+                fitting[tags, part.name] = [tag for tag, words in needed.items() if words <= own]
+            matching = fitting[tags, part.name]
             rods = [tag for tag in matching if builders[tag]["is_rod"]]
             if not matching:
                 notes.append(f"the pair {start}, {end} of {tags!r} has no builder and is left out")
@@ -273,36 +340,7 @@ def _model(top: _Part, builders: dict[str, dict[str, Any]], unit: float, path: P
     return Imported(Model(structure, law), rest, tuple(notes))
 
 
-# ---- YAML ----
-
-
-def _yaml(path: Path) -> object:
-    """Return a YAML file with all scalars as text, as NTRT reads it; duplicates are refused."""
-    try:
-        import yaml
-    except ImportError:
-        raise ImportError(
-            "from_ntrt needs PyYAML, which is not installed: pip install 'tenscontrol[yaml]'"
-        ) from None
-    try:
-        node = yaml.compose(path.read_text("utf-8"), Loader=yaml.BaseLoader)
-        _refuse_duplicates(node, path)
-        return None if node is None else yaml.BaseLoader("").construct_object(node, deep=True)
-    except yaml.YAMLError as error:
-        raise ValueError(f"{path} is not YAML: {' '.join(str(error).split())}") from None
-
-
-def _refuse_duplicates(node: Any, path: Path) -> None:
-    if node is None or node.id == "scalar":
-        return
-    if node.id == "mapping":
-        keys = [key.value for key, _ in node.value]
-        twice = [key for key in keys if keys.count(key) > 1]
-        if twice:
-            raise ValueError(f"{path} has {twice[0]!r} twice in one place")
-    for child in node.value:
-        for each in child if isinstance(child, tuple) else (child,):
-            _refuse_duplicates(each, path)
+# ---- values of YAML ----
 
 
 def _mapping(value: object, where: str, known: tuple[str, ...] = ()) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, replace
 from functools import cache
+from io import BytesIO
 from pathlib import Path
 from types import UnionType
 from typing import Any, Self, get_args, get_origin, get_type_hints
@@ -24,10 +25,13 @@ from zlib import crc32
 import numpy as np
 
 from tenscontrol import processes
+from tenscontrol.files import read_file
+from tenscontrol.parsing import parse_json
 from tenscontrol.robustness.distributions import Distribution, Drawn, draw_run
 from tenscontrol.validation import whole_number
 
 _BEGIN = b'{"tenscontrol": "'  # of each header
+_MOST_BYTES = 1_000_000_000  # of 3 million runs; each takes about four times its line
 
 _kinds: Callable[[type], dict[str, Any]] = cache(get_type_hints)  # of fields, by name
 
@@ -50,7 +54,7 @@ class Line:
     @classmethod
     def read(cls, text: str) -> Self:
         """Return what a line says, or raise an error of those in ``_FAULTS``."""
-        found = dict(json.loads(text))
+        found = dict(parse_json("the line", text))
         made = cls(**{name: value for name, value in found.items() if name != "check"})
         if made.line() != text:
             raise ValueError("it was changed after it was written: its checksum does not match")
@@ -103,9 +107,11 @@ def read(
     RuntimeWarning. Where a sweep is wanted, the file must be of that one, and its parameters those
     that are drawn.
     """
-    *lines, torn = _content(file).split(b"\n")
+    content = read_file(file, _MOST_BYTES)
+    whole = content.rfind(b"\n") + 1
+    lines = BytesIO(content[:whole])
     try:
-        header = Header.read(b"".join(lines[:1]).decode())
+        header = Header.read(lines.readline().decode().removesuffix("\n"))
     except _FAULTS as error:
         raise ValueError(
             f"{file} is not a sweep file: its first line is not a header ({error})"
@@ -117,7 +123,8 @@ def read(
         for name, each in header.parameters.items()
     }
     records: dict[int, Record] = {}
-    for number, line in enumerate(lines[1:], start=2):
+    for number, ended in enumerate(lines, start=2):
+        line = ended.removesuffix(b"\n")
         try:
             if line.startswith(b'{"count"'):
                 longer = Longer.read(line.decode())
@@ -139,11 +146,11 @@ def read(
         except _FAULTS as error:
             raise ValueError(f"{file}, line {number} is not a run: {error}") from None
         records[run] = record
-    if torn:
+    if whole < len(content):
         warnings.warn(
             f"{file} ends in an incomplete line, which is ignored", RuntimeWarning, stacklevel=3
         )
-    return header, dict(sorted(records.items())), sum(len(line) + 1 for line in lines)
+    return header, dict(sorted(records.items())), whole
 
 
 @contextmanager
@@ -179,7 +186,7 @@ def opened(
                 "continues the sweep"
                 raise OSError(error.errno, text, str(file)) from None
 
-        content = _content(file)
+        content = read_file(file, _MOST_BYTES)
         if b"\n" not in content and _BEGIN.startswith(content[: len(_BEGIN)]):
             if content:
                 text = f"{file} has an incomplete header and no run; it is started again"
@@ -204,14 +211,8 @@ def refuse_other_figures(record: Record, records: Mapping[int, Record]) -> None:
         )
 
 
-def _content(file: Path) -> bytes:
-    if file.exists() and not file.is_file() and not file.is_dir():
-        raise ValueError(f"{file} is a device or pipe, expected a file that keeps what is written")
-    return file.read_bytes()
-
-
-# What reading a line raises; RecursionError is that of JSON in JSON in JSON.
-_FAULTS = (TypeError, ValueError, RecursionError)
+# What reading a line raises.
+_FAULTS = (TypeError, ValueError)
 
 
 def _fits(value: object, kind: Any) -> bool:

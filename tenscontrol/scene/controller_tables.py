@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Iterator
 from importlib import import_module
-from importlib.util import module_from_spec, spec_from_file_location
+from importlib.machinery import ModuleSpec, SourceFileLoader
+from importlib.util import module_from_spec
 from pathlib import Path
-from types import ModuleType
+from types import CodeType, ModuleType
 from typing import Any
 
 import numpy as np
@@ -23,6 +25,7 @@ from tenscontrol.control import (
 )
 from tenscontrol.dynamics import Model
 from tenscontrol.estimation import KalmanFilter, Sensors
+from tenscontrol.files import read_file
 from tenscontrol.plant import Reference, linearize
 from tenscontrol.scene import schema
 from tenscontrol.scene.document import Document, Table
@@ -52,6 +55,9 @@ from tenscontrol.validation import (
 # What is designed on: the model with its strings whole, about its equilibrium.
 Design = tuple[Model, Prestress]
 
+# Of a file of Python.
+_MOST_BYTES = 10_000_000
+
 
 def build_controller(
     document: Document,
@@ -60,15 +66,16 @@ def build_controller(
     force_density: FloatArray,
     winches: Winches | None,
     held: str,
+    allow_code: bool,
 ) -> BaseController:
     """Return the controller, designed on whole strings about an equilibrium.
 
     ``structure`` and its γ, shape (α,), are those with whole strings; ``held`` is what the
-    actuators hold.
+    actuators hold; ``allow_code`` whether the Python code that the scene names may run.
     """
     kind, table = document.table("controller").chosen("kind", schema.CONTROLLER_KEYS)
     if kind == "python":
-        return _own_controller(table, design, structure, force_density, held)
+        return _own_controller(table, design, structure, force_density, held, allow_code)
     model, rest = design()
     input = table.choice("input", ("force_density", "rest_length"), "force_density")
     if "sample_time" in table:
@@ -110,6 +117,7 @@ def _own_controller(
     structure: Structure,
     force_density: FloatArray,
     held: str,
+    allow_code: bool,
 ) -> BaseController:
     """Return the controller that Python code gives: a function, or what a factory makes."""
     given = [key for key in ("function", "factory") if key in table]
@@ -119,7 +127,7 @@ def _own_controller(
     if given == ["function"] and "settings" in table:
         raise table.error("settings", f"in {table.title}, settings are arguments of a factory")
     input = table.choice("input", ("force_density", "rest_length"), held)
-    found = _imported(table, given[0])
+    found = _imported(table, given[0], allow_code)
     if given == ["factory"]:
         with table.checked("factory"):
             found = found(linearize(*design(), input=input), **table.get("settings", {}))
@@ -140,7 +148,7 @@ def _own_controller(
         return as_controller(found, structure, held, **settings)
 
 
-def _imported(table: Table, key: str) -> Any:
+def _imported(table: Table, key: str, allow_code: bool) -> Any:
     """Return what ``"module:name"`` or ``"file.py:name"`` names; that runs the code there."""
     text = str(table.need(key))
     place, _, name = text.rpartition(":")
@@ -150,9 +158,17 @@ def _imported(table: Table, key: str) -> Any:
             key, f"in {table.title}, {key} is {text!r:.60}, expected 'file.py:name', relative "
             "to the scene file, or 'module:name'"
         )  # fmt: skip
+    path = _within_folder(table, key, place) if is_file else None
+    if not allow_code:
+        where = f"the module {place}" if path is None else f"the file {path}"
+        raise table.error(
+            key,
+            f"in {table.title}, {key} runs Python code, {name} of {where}, and no code was "
+            "allowed: read it, and if you trust it, give load_scene(file, allow_code=True), or "
+            "--allow-code on the command line",
+        )
     try:
-        module = _run_file(Path(table.document.file).parent / place) if is_file else None
-        module = module or import_module(place)
+        module = import_module(place) if path is None else _run_file(path)
     except (ImportError, OSError, SyntaxError, ValueError) as error:  # ValueError: a NUL
         raise table.error(
             key, f"in {table.title}, {key}: {place} is not loaded: {error}"
@@ -162,15 +178,38 @@ def _imported(table: Table, key: str) -> Any:
     return getattr(module, name)
 
 
+def _within_folder(table: Table, key: str, place: str) -> Path:
+    """Return a file in the folder of the scene, or below it, with links resolved."""
+    folder = os.path.realpath(Path(table.document.file).parent)
+    with table.checked(key):
+        path = Path(os.path.realpath(os.path.join(folder, place)))
+        if not path.is_relative_to(folder):
+            raise ValueError(
+                f"{key} is the file {path}, expected one in the folder of the scene, {folder}, or "
+                "below it: copy it there"
+            )
+    return path
+
+
+class _SourceLoader(SourceFileLoader):
+    """Runs what a file says: a compiled copy beside it may say something else."""
+
+    def get_data(self, path: str) -> bytes:
+        return read_file(Path(path), _MOST_BYTES)
+
+    def get_code(self, fullname: str) -> CodeType:
+        code: CodeType = self.source_to_code(self.get_data(self.path), self.path)
+        return code
+
+
 def _run_file(path: Path) -> ModuleType:
     """Return a Python file as a module."""
-    if not path.is_file():
-        raise FileNotFoundError(f"there is no file {str(path)!r}")
-    spec = spec_from_file_location(f"_scene_{path.stem}", path)
-    assert spec is not None and spec.loader is not None  # it ends in .py  # noqa: PT018
-    module = module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses and pickle look for it there
-    spec.loader.exec_module(module)
+    name = f"_scene_{path.stem}"
+    loader = _SourceLoader(name, str(path))
+    module = module_from_spec(ModuleSpec(name, loader, origin=str(path)))
+    module.__file__ = str(path)
+    sys.modules[name] = module  # dataclasses and pickle look for it there
+    loader.exec_module(module)
     return module
 
 

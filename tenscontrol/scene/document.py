@@ -12,15 +12,13 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from tenscontrol.files import read_file
+from tenscontrol.files import read_text
+from tenscontrol.parsing import TomlLimits, parse_toml
 from tenscontrol.scene.schema import LISTS, ONE_OR_LIST, RENAMED, TABLES, Keys
 
 # A scene of 30,000 bars given by their numbers is below this, and is read in a few seconds.
-_MOST_BYTES, _MOST_KEYS, _MOST_LISTS, _DEEPEST = 10_000_000, 100_000, 250_000, 16
-_LIMITS = (
-    f"a scene file has at most {_MOST_BYTES:,} bytes, {_MOST_KEYS:,} keys and tables, "
-    f"{_MOST_LISTS:,} lists and {_DEEPEST} levels of them"
-)
+_MOST_BYTES = 10_000_000
+_LIMITS = TomlLimits("a scene file", keys=100_000, lists=250_000, levels=16)
 
 # Table names and keys, and numbers of entries of lists, from the outside in.
 KeyPath = tuple[str | int, ...]
@@ -160,31 +158,17 @@ class Table:
 
 def read_document(file: str | Path) -> Document:
     """Return the tables of a scene file, or raise a SceneError where it is not one."""
-    name = str(file)
+    name = str(Path(file))
     try:
-        raw = read_file(Path(file), _MOST_BYTES)
-    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
-        if getattr(error, "errno", None) == errno.EFBIG:
-            raise SceneError(f"{name}: is too large: {_LIMITS}") from error
-        raise SceneError(
-            f"{name}: {getattr(error, 'strerror', f'cannot be read: {error}')}"
-        ) from error
-    try:
-        text = raw.decode("utf-8-sig").replace("\r\n", "\n")
-    except UnicodeDecodeError as error:
-        line = raw.count(b"\n", 0, error.start) + 1
-        raise SceneError(f"{name}:{line}: not UTF-8 text: {error.reason}") from error
-    written = headings(name, text)
-    try:
-        values = tomllib.loads(text)
+        values, written = parse_toml(name, read_text(Path(file), _MOST_BYTES), _LIMITS)
+    except OSError as error:
+        also = f"; {_LIMITS}" if error.errno == errno.EFBIG else ""
+        raise SceneError(f"{name}: {error.strerror}{also}") from error
     except ValueError as error:
-        found = re.search(r" ?\(at (?:line (\d+), column \d+|end of document)\)", str(error))
-        where = ""
-        if found:
-            where = f":{found.group(1) or max(1, len(text.splitlines()))}"
-        elif digits := re.search(r"\d{4000}", text):  # Python reads no whole number as long
-            where = f":{text.count(chr(10), 0, digits.start()) + 1}"
-        raise SceneError(f"{name}{where}: not TOML: {error}") from error
+        message = str(error)
+        if not message.startswith(name):  # a NUL in the name
+            message = f"{name}: cannot be read: {error}"
+        raise SceneError(message) from error
     document = Document(name, values, key_lines(written))
     for table, value in values.items():
         if table not in TABLES:
@@ -217,52 +201,6 @@ def _hint(key: str, known: Mapping[str, Any], what: str = "The keys") -> str:
 
 
 # ---- lines of keys, which tomllib does not tell ----
-
-# Texts, comments, and the signs that end keys, values and headers. A text that does not end goes
-# on to the end of its line or of the file, so that nothing is read twice.
-_TOKEN = re.compile(
-    r'"""(?:[^"\\]+|\\.|"(?!""))*+(?:"""+|\Z)'
-    r"|'''.*?(?:'''+|\Z)"
-    r'|"(?:[^"\\\n]+|\\.)*+"?'
-    r"|'[^'\n]*'?|#[^\n]*|[\[\]{}=\n]",
-    re.DOTALL,
-)
-
-
-def headings(name: str, text: str) -> list[tuple[int, str]]:
-    """Return line, from 1, and text of each table header and each key before a value.
-
-    Before tomllib reads it: raise where there are more keys or levels than it reads at once.
-    """
-    found: list[tuple[int, str]] = []
-    line, depth, begin, end, in_value, keys, lists, dots = 1, 0, 0, 0, False, 0, 0, 0
-    for token in _TOKEN.finditer(text + "\n"):
-        sign, start = token.group(), token.start()
-        # Numbers have a point each and commas between them; what has more is a key.
-        dots += text.count(".", end, start) - text.count(",", end, start)
-        end = token.end()
-        if keys > _MOST_KEYS or lists > _MOST_LISTS or max(depth, dots) > _DEEPEST:
-            raise SceneError(f"{name}:{line}: exceeds the limits: {_LIMITS}")
-        if sign == "=":
-            keys += 1
-            if depth == 0 and not in_value:
-                found.append((line, text[begin:start].strip()))
-                in_value = True
-        elif sign in "[{":
-            depth += 1
-            keys += sign == "{"
-            lists += sign == "["
-        elif sign in "]}":
-            depth -= 1
-            if depth == 0 and not in_value:
-                keys += 1
-                found.append((line, text[begin:end].strip()))
-        elif sign == "\n" and depth == 0:
-            begin, in_value = end, False
-        if sign in "=[]{}\n":
-            dots = 0
-        line += sign.count("\n")
-    return found
 
 
 def key_lines(found: list[tuple[int, str]]) -> dict[KeyPath, int]:

@@ -43,6 +43,7 @@ from tenscontrol.validation import (
     FloatArray,
     frozen,
     positive_number,
+    truth,
     wrong_kind,
 )
 
@@ -198,12 +199,15 @@ class Scene:
         return linearize(self.model, rest, self.input if input is None else input, coordinates)
 
 
-def load_scene(file: str | Path) -> Scene:
+def load_scene(file: str | Path, allow_code: bool = False) -> Scene:
     """Return the scene that a TOML file describes.
 
     Parameters
     ----------
     file : str or Path
+    allow_code : bool
+        Whether a controller of ``kind = "python"`` may run the code that the scene names. A scene
+        from elsewhere could do anything with it: read the code first.
 
     Returns
     -------
@@ -212,11 +216,12 @@ def load_scene(file: str | Path) -> Scene:
     Raises
     ------
     TypeError
-        If ``file`` is no path.
+        If ``file`` is no path, or ``allow_code`` neither True nor False.
     SceneError
         A ValueError: if the file cannot be read, is not TOML, lacks a table,
         has an unknown table or key or a value of another kind, or asks for
-        something impossible; with file, line and key, and what is allowed.
+        something impossible, or for code that is not allowed; with file, line
+        and key, and what is allowed.
 
     Notes
     -----
@@ -263,9 +268,10 @@ def load_scene(file: str | Path) -> Scene:
         for :func:`linearize`; with ``"rest_length"``, MPC and NMPC know the winches of the scene.
         It is designed about the prestress, on the structure with its strings whole. With
         ``plants = 8``, MPCs are designed at eight shapes along the reference and take turns as a
-        :class:`GainSchedule`. ``kind = "python"`` is a controller of your own, and loading the
-        scene runs its code: ``function = "laws.py:damper"``, a file beside the scene, or
-        ``"package.module:damper"``; or ``factory``, which is called as
+        :class:`GainSchedule`. ``kind = "python"`` is a controller of your own, for which
+        loading the scene runs code, if ``allow_code`` is true: ``function = "laws.py:damper"``, a
+        file in the folder of the scene or below it, or ``"package.module:damper"``, a module that
+        Python imports; or ``factory``, which is called as
         ``factory(plant, **settings)`` with the linear plant and the table
         ``[controller.settings]``, and returns a function or a controller; ``input``,
         ``sample_time``, ``low``, ``high`` and ``max_change`` as for :class:`FunctionController`,
@@ -311,6 +317,7 @@ def load_scene(file: str | Path) -> Scene:
     """
     if not isinstance(file, str | Path):
         raise wrong_kind("file", file, "a path")
+    truth("allow_code", allow_code, "whether the scene may run code")
     document = read_document(file)
     structure = build_structure(document)
     laws = build_law(document, structure)
@@ -353,7 +360,7 @@ def load_scene(file: str | Path) -> Scene:
         )
         together = to_strings(structure, "force_density", force_density)
         whole = whole_strings(structure)
-        controller = build_controller(document, design, whole, together, winches, input)
+        controller = build_controller(document, design, whole, together, winches, input, allow_code)
         _refuse_contradictions(document, input, controller.sample_time)
         sample = controller.sample_time or settings["sample_time"] or settings["step"]
         if document.has("estimator"):

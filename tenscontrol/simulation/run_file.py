@@ -7,11 +7,11 @@ import json
 import struct
 import zipfile
 import zlib
-from collections.abc import Mapping
-from dataclasses import fields
+from collections.abc import Iterator, Mapping, Set
+from dataclasses import dataclass, fields
 from enum import StrEnum
-from io import BytesIO, StringIO
-from math import isfinite
+from io import BufferedReader, BytesIO, StringIO
+from math import isfinite, prod
 from pathlib import Path
 from types import NoneType
 from typing import Any
@@ -39,8 +39,9 @@ from tenscontrol.dynamics import (
     SmoothGround,
 )
 from tenscontrol.estimation import FilterStatistics
-from tenscontrol.files import read_file, write_file
+from tenscontrol.files import opened_file, write_file
 from tenscontrol.integrate import Choice, Work
+from tenscontrol.parsing import parse_json
 from tenscontrol.plant import Reference
 from tenscontrol.simulation.contacts import ContactRecord
 from tenscontrol.simulation.faults import CutString, LostMeasurement, StuckWinch
@@ -94,7 +95,10 @@ _PARTS: dict[str, type | tuple[type, ...]] = {
 }  # fmt: skip
 
 # Arrays by the name of the attribute, with the letters of their dimensions: one letter, one length.
+# Those of the structure come first: they say what the others must be.
 _SHAPES = {
+    "structure_nodes": "dn", "structure_bars": "b2", "structure_strings": "a2",
+    "structure_bar_mass": "b", "structure_point_mass": "n", "structure_string_parent": "a",
     "time": "T", "nodes": "dnT", "velocities": "dnT", "rest_length": "aT", "released_energy": "T",
     "error": "T",
     "force_density": "aT", "kinetic_energy": "T", "potential_energy": "T", "momentum": "dT",
@@ -108,7 +112,8 @@ _SHAPES = {
     "control_estimate_measurement": "yK", "control_motors_time": "T", "control_motors_angle": "wT",
     "control_motors_speed": "wT", "control_motors_torque": "wT", "control_motors_power": "wT",
     "control_motors_energy": "wT", "control_motors_torque_limited": "K",
-    "control_motors_zero": "w", "contacts_node": "c", "contacts_law": "c", "contacts_depth": "cT",
+    "control_motors_zero": "w", "control_motors_angle_command": "wK",
+    "contacts_node": "c", "contacts_law": "c", "contacts_depth": "cT",
     "contacts_normal_force": "cT", "contacts_tangential_force": "dcT",
     "contacts_stored_energy": "cT", "contacts_damping_work": "cT", "contacts_friction_work": "cT",
     "contacts_impulse": "dcT", "contacts_deepest": "c", "contacts_touch": "k",
@@ -125,13 +130,16 @@ _MAY_BE_UNSAVED = ("control.settings.", "given.", "ground.", "model")
 # Kinds of arrays: truths, whole numbers, floats, text.
 _NUMBERS = ("b1", "i4", "i8", "f8")
 _KINDS = (*_NUMBERS, "U")
+# Of a file, and of all its arrays: twice what simulate keeps of nodes and velocities.
 _MOST_BYTES = 8_000_000_000
+# Bytes that are read at once; the directory of an archive of 10,000 arrays is shorter.
+_PIECE = 1_000_000
 
 # What reading a damaged archive raises: its own errors, those of its parts, and what NumPy and the
 # records say of values that do not fit.
 _FAULTS = (
-    ArithmeticError, EOFError, LookupError, NotImplementedError, OSError, RuntimeError, TypeError,
-    ValueError, struct.error, zipfile.BadZipFile, zlib.error,
+    ArithmeticError, AttributeError, EOFError, LookupError, NotImplementedError, OSError,
+    RuntimeError, TypeError, ValueError, struct.error, zipfile.BadZipFile, zlib.error,
 )  # fmt: skip
 
 
@@ -236,40 +244,126 @@ def _instructions(function: ca.Function) -> list[list[Any]] | None:
 def read_run(path: object) -> dict[str, Any]:
     """Return the parts of a run by name, or raise a ValueError that names the file.
 
-    What no file can hold is :class:`Unsaved`. The model is None for a copy, which has none.
+    Names, kinds, shapes and sizes of all arrays are checked before one is read. What no file can
+    hold is :class:`Unsaved`. The model is None for a copy, which has none.
     """
     file = file_path("path", path)
-    content = read_file(file, _MOST_BYTES)
-    if not zipfile.is_zipfile(BytesIO(content)):
-        raise ValueError(f"{file}: no run: expected a file that run.save(path) wrote")
-    try:
-        with zipfile.ZipFile(BytesIO(content)) as archive:
-            return _read_archive(archive)
-    except _RefusedError as error:
-        raise ValueError(f"{file}: {error}") from None
-    except (*_FAULTS, MemoryError, RecursionError) as error:
-        raise ValueError(
-            f"{file}: damaged, expected what run.save(path) wrote: {error or type(error).__name__}"
-        ) from error
+    with opened_file(file, _MOST_BYTES) as stream:
+        pieces = _Pieces(stream.raw)
+        try:
+            if not zipfile.is_zipfile(pieces):
+                raise _RefusedError("no run: expected a file that run.save(path) wrote")
+            with zipfile.ZipFile(pieces) as archive:
+                return _read_archive(archive)
+        except _RefusedError as error:
+            raise ValueError(f"{file}: {error}") from None
+        except (*_FAULTS, MemoryError, RecursionError) as error:
+            said = str(error) or type(error).__name__
+            raise ValueError(
+                f"{file}: damaged, expected what run.save(path) wrote: {said}"
+            ) from error
 
 
 class _RefusedError(ValueError):
     """A file that is whole, but no run for this release."""
 
 
+class _Pieces(BufferedReader):
+    """A file read in pieces, so that a directory as long as the file is not read at once."""
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """Return at most so many bytes; all that are left if it is None or negative."""
+        asked = _PIECE + 1 if size is None or size < 0 else min(size, _PIECE + 1)
+        found = super().read(asked)
+        if len(found) > _PIECE:
+            raise _RefusedError(f"no run: its directory has more than {_PIECE:,} bytes")
+        return found
+
+
+@dataclass(frozen=True)
+class _Form:
+    """What the header of an array says: shape, kind of its entries, and their order."""
+
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+    is_fortran: bool
+    length: int  # of the header, bytes
+
+    @staticmethod
+    def of(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> _Form:
+        """Return the form of an array, or refuse one that the archive holds in another size."""
+        name = member.filename
+        if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise ValueError(f"{name} is packed by another way than deflate")
+        with archive.open(member) as stream:
+            if np.lib.format.read_magic(stream) != (1, 0):
+                raise ValueError(f"{name} is no array of the first form of NumPy")
+            shape, is_fortran, dtype = np.lib.format.read_array_header_1_0(stream)
+            length = stream.tell()
+        kinds = ("u1",) if name == "header.npy" else _KINDS
+        if not dtype.str[1:].startswith(kinds) or dtype.byteorder == ">" or not dtype.itemsize:
+            raise TypeError(f"{name} has entries of the kind {dtype}")
+        form = _Form(shape, dtype, is_fortran, length)
+        if min(shape, default=0) < 0 or length + form.size != member.file_size:
+            have = member.file_size - length
+            raise ValueError(f"{name} has {have:,} bytes, expected an array of shape {shape}")
+        return form
+
+    @property
+    def size(self) -> int:
+        """Bytes of the entries."""
+        return prod(self.shape) * self.dtype.itemsize
+
+
+class _Arrays(Mapping[str, np.ndarray]):
+    """The arrays of an archive by name. Only headers are read until an array is asked for."""
+
+    def __init__(self, archive: zipfile.ZipFile) -> None:
+        self._archive = archive
+        self._members = {each.filename.removesuffix(".npy"): each for each in archive.infolist()}
+        if len(self._members) != len(archive.infolist()):
+            raise ValueError("it has two arrays of one name")
+        self.forms = {name: _Form.of(archive, each) for name, each in self._members.items()}
+        # An array without entries counts too, by its other dimensions.
+        taken = sum(
+            prod(max(each, 1) for each in form.shape) * form.dtype.itemsize
+            for form in self.forms.values()
+        )
+        if taken > _MOST_BYTES:
+            raise _RefusedError(
+                f"is too large: arrays of {taken:,} bytes, at most {_MOST_BYTES:,} are read"
+            )
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.forms)
+
+    def __len__(self) -> int:
+        return len(self.forms)
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """Return an array, read-only; its check sum is that of the archive."""
+        form, member = self.forms[name], self._members[name]
+        array = np.empty(form.shape, form.dtype, order="F" if form.is_fortran else "C")
+        into, filled = array.ravel(order="K").view(np.uint8), 0
+        with self._archive.open(member) as stream:
+            stream.read(form.length)
+            while piece := stream.read(_PIECE):
+                into[filled : filled + len(piece)] = np.frombuffer(piece, np.uint8)
+                filled += len(piece)
+        if filled != form.size:
+            raise ValueError(f"{member.filename} holds {filled:,} bytes, expected {form.size:,}")
+        array.setflags(write=False)
+        return array
+
+
 def _read_archive(archive: zipfile.ZipFile) -> dict[str, Any]:
-    members = {each.filename.removesuffix(".npy"): each for each in archive.infolist()}
-    if len(members) != len(archive.infolist()):
-        raise ValueError("it has two arrays of one name")
-    if "header" not in members:
+    if "header.npy" not in archive.NameToInfo:
         raise _RefusedError(
             "no run: the archive has no header. Files of releases before 0.2 have none; "
             "numpy.load(file) reads their arrays"
         )
-    total = sum(each.file_size for each in members.values())
-    if total > _MOST_BYTES:
-        raise _RefusedError(f"is too large: {total:,} bytes, at most {_MOST_BYTES:,} are read")
-    header = json.loads(_array_of(archive, members["header"], ("u1",)).tobytes())
+    arrays = _Arrays(archive)
+    header = parse_json("header", arrays["header"].tobytes().decode())
     if not isinstance(header, dict) or header.get("format") != _FORMAT:
         raise _RefusedError("no run: the header is not that of a run")
     version = header["version"]
@@ -279,45 +373,57 @@ def _read_archive(archive: zipfile.ZipFile) -> dict[str, Any]:
             f"tenscontrol {header.get('tenscontrol')!s:.20}; this is {__version__}. Read it "
             "with that release or a later one"
         )
-    del members["header"]
-    arrays = {name: _array_of(archive, each, _KINDS) for name, each in members.items()}
-    reader = _Reader(arrays)
-    found = {name: reader.value(node, name) for name, node in header["run"].items()}
-    if reader.left:
-        raise ValueError(f"it has an array that the header does not name: {min(reader.left)}")
-    for name in sorted(_PARTS.keys() | found.keys()):
-        if name not in _PARTS or not isinstance(found.get(name, found), _PARTS[name]):
+    parts = header["run"]
+    if not isinstance(parts, dict):
+        raise TypeError(f"run is a {type(parts).__name__}, expected parts by name")
+    unknown = sorted(parts.keys() - _PARTS.keys())
+    if unknown:
+        raise ValueError(f"{unknown[0]!r:.60} is not what a run has")
+    _check_names(parts, arrays.forms.keys() - {"header"})
+    _check_shapes({name: form.shape for name, form in arrays.forms.items()})
+    reader = _Reader(arrays, is_complete=parts.get("stopped") is None)
+    found = {name: reader.value(node, name) for name, node in parts.items()}
+    for name, kind in _PARTS.items():
+        if not isinstance(found.get(name, found), kind):
             raise TypeError(f"{name} is not what a run has there")
-    _check_shapes(found["structure"], arrays, found["stopped"] is None)
     if found["model"] is not None:
         found["model"] = _model(found["structure"], found["ground"], found["model"])
     return found
 
 
-def _array_of(
-    archive: zipfile.ZipFile, member: zipfile.ZipInfo, kinds: tuple[str, ...]
-) -> np.ndarray:
-    """Return an array, read-only, of one of some kinds; its check sum is that of the archive."""
-    name, stream = member.filename, BytesIO(archive.read(member))
-    if np.lib.format.read_magic(stream) != (1, 0):
-        raise ValueError(f"{name} is no array of the first form of NumPy")
-    shape, is_fortran, dtype = np.lib.format.read_array_header_1_0(stream)
-    if not dtype.str[1:].startswith(kinds) or dtype.byteorder == ">":
-        raise TypeError(f"{name} has entries of the kind {dtype}")
-    data = stream.read()
-    if int(np.prod(shape, dtype=object)) * dtype.itemsize != len(data):
-        raise ValueError(f"{name} has {len(data)} bytes, expected an array of shape {shape}")
-    flat = np.frombuffer(data, dtype=dtype)
-    array = flat.reshape(shape, order="F" if is_fortran else "C").copy(order="K")
-    array.setflags(write=False)
-    return array
+def _array_places(node: Any, place: str) -> Iterator[tuple[str, str]]:
+    """Yield the name of each array that a node names, and its place."""
+    if not isinstance(node, dict):
+        return
+    if isinstance(name := node.get("array"), str):
+        yield name, place
+    for key in ("fields", "dict", "given", "list", "tuple"):
+        inside = node.get(key)
+        items = inside.items() if isinstance(inside, dict) else enumerate(inside or ())
+        for each, value in items:
+            yield from _array_places(value, f"{place}.{each}")
+
+
+def _check_names(parts: Mapping[str, Any], there: Set[str]) -> None:
+    """Refuse arrays that are not called after their places, and those of no place or two."""
+    left = set(there)
+    for part, node in parts.items():
+        for name, place in _array_places(node, part):
+            # Where places would have one name, the later has underscores at its end.
+            if name.replace(".", "_").rstrip("_") != place.replace(".", "_").rstrip("_"):
+                raise ValueError(f"{place} is the array {name!r:.60}, expected one of its own name")
+            if name not in left:
+                raise ValueError(f"{place} is the array {name!r:.60}, which is not there")
+            left.remove(name)
+    if left:
+        raise ValueError(f"it has an array that the header does not name: {min(left)}")
 
 
 class _Reader:
-    """Values from JSON and arrays; names of the arrays that are not used yet in ``left``."""
+    """Values from JSON and arrays. Of a complete run all must be finite, or say that it is not."""
 
-    def __init__(self, arrays: Mapping[str, np.ndarray]) -> None:
-        self._arrays, self.left = arrays, set(arrays)
+    def __init__(self, arrays: Mapping[str, np.ndarray], is_complete: bool = True) -> None:
+        self._arrays, self._is_complete = arrays, is_complete
 
     def value(self, node: Any, place: str) -> Any:
         """Return what a node says; what holds something unsaved is so itself."""
@@ -359,10 +465,13 @@ class _Reader:
         return {key: self.value(node, f"{place}.{key}") for key, node in items.items()}
 
     def _take(self, name: str, kinds: str) -> np.ndarray:
-        self.left.discard(name)
         array = self._arrays[name]
         if array.dtype.kind not in kinds:
             raise TypeError(f"{name} has entries of the kind {array.dtype}")
+        every = self._is_complete and not name.startswith(_MAY_BE_NAN)
+        checked = name in _MOTION or (every and name in _SHAPES)
+        if checked and array.dtype.kind == "f" and not np.isfinite(array).all():
+            raise ValueError(f"{name} holds what is not finite")
         return array
 
 
@@ -392,25 +501,21 @@ def _function(name: str, names: list[str], lines: list[list[Any]]) -> ca.Functio
     return ca.Function(name, inputs, [result], names, ["h"])
 
 
-def _check_shapes(
-    structure: Structure, arrays: Mapping[str, np.ndarray], is_complete: bool
-) -> None:
-    """Refuse arrays that do not fit the structure and each other, and what is not finite."""
-    d, n = structure.nodes.shape
-    size = {"d": d, "n": n, "a": len(structure.strings), "b": len(structure.bars)}
-    size["r"] = 3 if d == 3 else 1
+def _check_shapes(shapes: Mapping[str, tuple[int, ...]]) -> None:
+    """Refuse shapes that do not fit those of the structure and each other."""
+    size = {"2": 2}
     for name, letters in _SHAPES.items():
-        if name not in arrays:
+        if name not in shapes:
             continue
-        array = arrays[name]
-        expected = tuple(size.get(letter, -1) for letter in letters)
-        pairs = zip(expected, array.shape, strict=False)
-        if len(expected) != array.ndim or any(want not in (have, -1) for want, have in pairs):
-            raise ValueError(f"{name} has shape {array.shape}, expected {expected}")
-        size |= dict(zip(letters, array.shape, strict=True))
-        checked = name in _MOTION or (is_complete and not name.startswith(_MAY_BE_NAN))
-        if checked and array.dtype.kind == "f" and not np.isfinite(array).all():
-            raise ValueError(f"{name} holds what is not finite")
+        shape = shapes[name]
+        expected = tuple(size.get(letter, letter) for letter in letters)
+        pairs = zip(expected, shape, strict=False)
+        if len(letters) != len(shape) or any(a != b for a, b in pairs if isinstance(a, int)):
+            said = str(expected).replace("'", "")
+            raise ValueError(f"{name} has shape {shape}, expected {said}")
+        size |= dict(zip(letters, shape, strict=True))
+        if name == "structure_nodes":
+            size["r"] = 3 if size["d"] == 3 else 1
 
 
 # ---- the model, which has no fields ----

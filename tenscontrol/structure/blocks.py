@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from tenscontrol.validation import FloatArray, IntArray, frozen
+from tenscontrol.validation import FloatArray, IntArray, frozen, refuse_memory
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -206,6 +206,10 @@ def _independent(structure: Jointed, block: Block) -> IntArray:
     is_kept = -pivots[r:] > _DOUBTFUL
     doubtful = np.flatnonzero(~is_kept)
     if len(doubtful):
+        asked = (
+            f"bars has {len(bars):,} that are joined, {len(doubtful):,} of which may be redundant"
+        )
+        refuse_memory(asked, r * len(doubtful), "numbers", 4 * 8.0)
         left = _admitted(J[is_kept], J[doubtful].toarray().T)
         size = np.abs(left).max(axis=0)
         doubtful, left = doubtful[size > _DEPENDENT], left[:, size > _DEPENDENT]

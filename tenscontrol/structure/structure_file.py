@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
@@ -11,7 +10,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from tenscontrol.files import read_file, write_file
+from tenscontrol.files import read_text, write_file
+from tenscontrol.parsing import TomlLimits, parse_json, parse_toml
 from tenscontrol.validation import FloatArray, file_path, whole_number
 
 _Made = TypeVar("_Made")
@@ -29,15 +29,17 @@ _HEAD = """\
 # A tensegrity structure of tenscontrol. SI units: nodes in m, masses in kg. Nodes count from 0.
 # With [prestress] and [run] added, this is a scene.
 """
-_MOST_BYTES = 1_000_000_000
+# Of 3 million members; each structure that this one was made from is a level.
+_MOST_BYTES = 500_000_000
+_LIMITS = TomlLimits("a structure file", keys=1_000, lists=20_000_000, levels=16)
 
 
 def points(name: str, rows: Sequence[Sequence[float]], dimension: int | None = None) -> FloatArray:
     """Return points given one a row, shape (d, n), all with as many coordinates as the first."""
-    wanted = f"{name} is {rows!r:.60}, expected a list of [x, y, z] (or [x, y])"
+    wanted = "{} is {!r:.60}, expected a list of [x, y, z] (or [x, y])"
     is_list = isinstance(rows, list | tuple)
     if not is_list or not all(isinstance(row, list | tuple) for row in rows):
-        raise TypeError(wanted)
+        raise TypeError(wanted.format(name, rows))
     d = dimension or (len(rows[0]) if rows else 3)
     wrong = [i for i, row in enumerate(rows) if len(row) != d]
     if wrong:
@@ -46,7 +48,7 @@ def points(name: str, rows: Sequence[Sequence[float]], dimension: int | None = N
     try:
         return np.array(rows, dtype=float).reshape(-1, d).T
     except (TypeError, ValueError, OverflowError):
-        raise TypeError(wanted) from None
+        raise TypeError(wanted.format(name, rows)) from None
 
 
 def to_table(structure: Any) -> dict[str, Any]:
@@ -118,12 +120,12 @@ def write_structure(structure: Any, path: object) -> Path:
 def read_structure(path: object, make: Callable[..., _Made]) -> _Made:
     """Return the structure of a TOML or JSON file, or raise a ValueError that names the file."""
     file = file_path("path", path, _ENDINGS)
-    is_json = file.suffix.lower() == ".json"
-    try:
-        text = read_file(file, _MOST_BYTES).decode("utf-8-sig")
-        found: Any = json.loads(text) if is_json else tomllib.loads(text.replace("\r\n", "\n"))
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"{file}: not {'JSON' if is_json else 'TOML'}: {error}") from error
+    text, name = read_text(file, _MOST_BYTES), str(file)
+    found: Any
+    if file.suffix.lower() == ".json":
+        found = parse_json(name, text)
+    else:
+        found, _ = parse_toml(name, text, _LIMITS)
     table = found.get("structure") if isinstance(found, dict) else None
     if not isinstance(table, dict):
         raise ValueError(f"{file}: no structure: the table [structure] is missing")

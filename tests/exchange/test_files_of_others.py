@@ -2,6 +2,7 @@
 
 import json
 import struct
+import sys
 from xml.etree import ElementTree
 
 import numpy as np
@@ -84,6 +85,56 @@ def test_what_is_wrong_in_a_table_is_named(nodes, members, message, tmp_path):
     (tmp_path / "members.csv").write_text(members)
     with pytest.raises(ValueError, match=message):
         tc.exchange.from_csv(tmp_path / "nodes.csv", tmp_path / "members.csv")
+
+
+def test_cells_that_python_would_refuse_by_itself(tmp_path):
+    """Numbers of more digits than Python reads, cells longer than its csv module reads."""
+    nodes, members = tmp_path / "nodes.csv", tmp_path / "members.csv"
+    nodes.write_text(CROSS)
+    members.write_text(MEMBERS.replace("bar,1,3", f"bar,1,{'3' * 5_000}"))
+    with pytest.raises(ValueError, match=r"members\.csv, row 3: end is '33+, expected the name"):
+        tc.exchange.from_csv(nodes, members)
+    for text in (f"x,y\n{'1' * 200_000},2\n", 'x,y\n0,"' + "1\n" * 100_000):
+        nodes.write_text(text)
+        with pytest.raises(ValueError, match=r"nodes\.csv, line \d+: not CSV: field larger than"):
+            tc.exchange.from_csv(nodes, members)
+    nodes.write_bytes(b"x,y\n\xff,1\n")
+    with pytest.raises(ValueError, match=r"nodes\.csv:2: not UTF-8 text"):
+        tc.exchange.from_csv(nodes, members)
+
+
+def test_tables_that_become_too_much_memory_are_refused(tmp_path, monkeypatch):
+    (tmp_path / "nodes.csv").write_text(CROSS + "0,0\n" * 1_000)
+    monkeypatch.setattr(tc.validation, "_MOST_BYTES", 500_000)
+    with pytest.raises(ValueError, match=r"nodes\.csv: it has 1,006 rows and 2,011 cells, which"):
+        tc.exchange.from_csv(tmp_path / "nodes.csv", tmp_path / "members.csv")
+
+
+def test_the_lines_of_a_table_are_read_in_work_that_grows_as_the_file(tmp_path):
+    """Steps of the reader, a line or a turn of a loop each: twice as many for twice the rows."""
+    steps = []
+
+    def traced(frame, event, _):
+        if not frame.f_code.co_filename.endswith("csv_tables.py"):
+            return None
+        steps[-1] += event == "line"
+        return traced
+
+    for count in (100, 200):
+        nodes, members = tmp_path / "nodes.csv", tmp_path / "members.csv"
+        nodes.write_text("x,y\n" + "".join(f"{i},{i % 3}\n" for i in range(2 * count)))
+        members.write_text(
+            "kind,start,end\n" + "".join(f"bar,{2 * i},{2 * i + 1}\n" for i in range(count))
+        )
+        before = sys.gettrace()
+        steps.append(0)
+        sys.settrace(traced)
+        try:
+            tc.exchange.from_csv(nodes, members)
+        finally:
+            sys.settrace(before)
+    assert steps[0] > 1_000
+    assert steps[1] < 2.1 * steps[0]
 
 
 # ---- VTK ----

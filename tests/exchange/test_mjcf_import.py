@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
+from tenscontrol.exchange import mjcf_document
 from tests.exchange.structures import library, others
 
 STRUCTURES = library() | others()
@@ -219,3 +220,76 @@ def test_a_site_beside_the_end_of_its_bar_is_put_there_if_asked():
     text = FOREIGN.replace('<site name="c"/>', '<site name="c" pos="0 0 0.01"/>')
     exact, moved = tc.exchange.from_mujoco(FOREIGN), tc.exchange.from_mujoco(text, tolerance=0.05)
     assert_same(moved.structure, exact.structure)
+
+
+BOMBS = {
+    "bodies": ("<worldbody>" + "<body>" * 5_000, "500 levels of elements .*line 1, <body>"),
+    "defaults": ("<default>" * 5_000, "500 levels of elements .* line 1, <default>"),
+    "elements": ("<worldbody>" + "<site/>" * 5_000, "5,000 elements, the most that are read"),
+    "attributes": (
+        "<site " + " ".join(f"a{i}='1'" for i in range(101)) + "/>",
+        "100 attributes in",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BOMBS)
+def test_texts_that_ask_for_too_much_are_refused(name, monkeypatch):
+    assert mjcf_document._MOST_ELEMENTS == 500_000
+    monkeypatch.setattr(mjcf_document, "_MOST_ELEMENTS", 5_000)
+    text, message = BOMBS[name]
+    with pytest.raises(ValueError, match=f"source has more than {message}"):
+        tc.exchange.from_mujoco("<mujoco>" + text)
+
+
+def test_a_long_attribute_is_no_number():
+    text = FOREIGN.replace('gravity="0 0 -1.62"', f'gravity="{"0 " * 1_000_000}"')
+    with pytest.raises(ValueError, match=r"gravity='0 0 0 .*expected numbers") as raised:
+        tc.exchange.from_mujoco(text)
+    assert len(str(raised.value)) < 200
+
+
+def test_declarations_of_entities_and_attributes_are_refused():
+    laughs = "".join(f'<!ENTITY l{i} "{f"&l{i - 1};" * 10}">' for i in range(1, 12))
+    etc = '<!ENTITY l11 SYSTEM "file:///etc/passwd">'
+    for declared in ('<!ENTITY l0 "lol">' + laughs, etc, "<!ATTLIST geom mass CDATA '1'>"):
+        text = f"<!DOCTYPE mujoco [{declared}]>" + FOREIGN.strip().replace("three", "&l11;")
+        with pytest.raises(ValueError, match=r"declares entities or attributes in <!DOCTYPE"):
+            tc.exchange.from_mujoco(text)
+    assert_same(
+        tc.exchange.from_mujoco("<!DOCTYPE mujoco>" + FOREIGN).structure,
+        tc.exchange.from_mujoco(FOREIGN).structure,
+    )
+
+
+def tower(count):
+    """Bars that float apart, each tied to the next and to the world."""
+    bodies = "".join(
+        f'<site name="w{i}" pos="{i} 1 0"/><body pos="{i} 0 0"><freejoint/><geom type="capsule" '
+        f'fromto="0 0 0 0 0 1" size="1"/><site name="a{i}"/><site name="b{i}" pos="0 0 1"/></body>'
+        for i in range(count)
+    )
+    tendons = "".join(
+        f'<spatial><site site="a{i}"/><site site="b{(i + 1) % count}"/></spatial>'
+        f'<spatial><site site="w{i}"/><site site="a{i}"/></spatial>'
+        for i in range(count)
+    )
+    return f"<mujoco><worldbody>{bodies}</worldbody><tendon>{tendons}</tendon></mujoco>"
+
+
+def test_the_work_grows_as_the_file(monkeypatch):
+    """Twice as many bars take twice as many comparisons of places, not four times."""
+    work, norm = [], np.linalg.norm
+
+    def counted(*arguments, **settings):
+        work[-1] += 1
+        return norm(*arguments, **settings)
+
+    for count in (20, 40):
+        text = tower(count)
+        work.append(0)
+        with monkeypatch.context() as patched:
+            patched.setattr(np.linalg, "norm", counted)
+            found = tc.exchange.from_mujoco(text)
+        assert found.structure.nodes.shape == (3, 3 * count)
+    assert work[1] < 2.2 * work[0]

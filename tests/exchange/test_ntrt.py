@@ -1,9 +1,12 @@
 """Structure files of NTRT, written here as its users write them."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
 import tenscontrol as tc
+from tenscontrol.exchange import ntrt
 
 pytest.importorskip("yaml", reason="PyYAML comes with the extra yaml")
 
@@ -119,6 +122,29 @@ def test_notes_say_what_is_another_there(files):
     notes = tc.exchange.from_ntrt(files / "welded.yaml").notes
     assert "rods that share a node are welded in NTRT and pinned here" in notes
     assert "the pair top1, top3 of 'lost' has no builder and is left out" in notes
+
+
+BOMBS = {
+    "lists": "nodes: " + "[" * 1_000,
+    "dashes": "nodes:\n  " + "- " * 5_000 + "a",
+    "aliases": "a: &a [x, x]\n" + "".join(
+        f"{b}: &{b} [*{a}, *{a}, *{a}, *{a}, *{a}, *{a}]\n" for a, b in pairwise("abcdefghijklm")),
+    "an alias of itself": "nodes: &a [*a]",
+    "values": "nodes: [" + "1," * 500_000 + "]",
+    "itself": "substructures: {a/b/c/d: {path: bomb.yaml}}",
+    "files": "substructures: {a/b/c/d: {path: 1.yaml}}",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BOMBS)
+def test_files_that_ask_for_too_much_are_refused(name, tmp_path, monkeypatch):
+    monkeypatch.setattr(ntrt, "_OF_FILE", 2_000)  # 50 files, not 2,000
+    (tmp_path / "bomb.yaml").write_text(BOMBS[name])
+    for i in range(1, 20):
+        (tmp_path / f"{i}.yaml").write_text(f"substructures: {{a/b/c/d: {{path: {i + 1}.yaml}}}}")
+    (tmp_path / "20.yaml").write_text(PRISM)
+    with pytest.raises(ValueError, match=r"\w\.yaml is (not YAML that|nested|of a str|a subs)"):
+        tc.exchange.from_ntrt(tmp_path / "bomb.yaml")
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 import time
+import tracemalloc
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from zlib import crc32
@@ -118,7 +119,7 @@ class TestLines:
 
     def test_deep_nesting_is_refused(self, file):
         file.write_bytes(file.read_bytes() + b"[" * 100_000 + b"\n")
-        with pytest.raises(ValueError, match=r"line 14 is not a run: .*recursion"):
+        with pytest.raises(ValueError, match=r"line 14 is not a run: .*nested too deep"):
             swept(file)
 
     def test_other_encodings_are_refused(self, file):
@@ -222,10 +223,21 @@ class TestDisks:
         assert path.read_bytes() == b"".join(whole[: int(lines)])
         assert swept(path) == report
 
+    def test_a_file_of_lines_alone_is_not_taken_apart_before_it_is_refused(self, tmp_path, file):
+        path = tmp_path / "lines.jsonl"
+        path.write_bytes(file.read_bytes().splitlines(keepends=True)[0] + b"\n" * 2_000_000)
+        tracemalloc.start()
+        try:
+            with pytest.raises(ValueError, match="line 2 is not a run"):
+                tc.robustness.SweepReport.load(path)
+            assert tracemalloc.get_traced_memory()[1] < 1e7
+        finally:
+            tracemalloc.stop()
+
     @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no such device")
     def test_a_device_is_refused(self):
         for use in (tc.robustness.SweepReport.load, swept):
-            with pytest.raises(ValueError, match="/dev/full is a device or pipe"):
+            with pytest.raises(OSError, match="it is a pipe or a device"):
                 use("/dev/full")
 
 

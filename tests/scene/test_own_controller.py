@@ -1,12 +1,16 @@
 """Scenes whose controller is Python code: a file beside the scene, or a module."""
 
+import os
 import pickle
+import re
 import sys
+from py_compile import compile as compiled
 
 import numpy as np
 import pytest
 
 import tenscontrol as tc
+from tenscontrol.cli import main
 from tenscontrol.scene import SceneError
 
 BALL = """
@@ -67,6 +71,7 @@ number = 3
 def loaded(tmp_path):
     """Load a scene with these keys, beside a file of laws."""
     (tmp_path / "laws.py").write_text(LAWS, encoding="utf-8")
+    (tmp_path / "folder.py").mkdir()
     yield lambda controller, run="": _load(tmp_path, controller, run)
     sys.modules.pop("_scene_laws", None)
 
@@ -74,7 +79,7 @@ def loaded(tmp_path):
 def _load(folder, controller, run):
     file = folder / "scene.toml"
     file.write_text(BALL.format(run=run, controller=controller), encoding="utf-8")
-    return tc.load_scene(file)
+    return tc.load_scene(file, allow_code=True)
 
 
 def test_a_function_in_a_file_beside_the_scene(loaded):
@@ -133,10 +138,10 @@ def test_a_function_needs_no_equilibrium(tmp_path):
     )
     file = tmp_path / "scene.toml"
     file.write_text(text.format('function = "laws.py:hold"'), encoding="utf-8")
-    assert tc.load_scene(file).simulate().control.status_count == {"ok": 5}
+    assert tc.load_scene(file, allow_code=True).simulate().control.status_count == {"ok": 5}
     file.write_text(text.format('factory = "laws.py:lqr"'), encoding="utf-8")
     with pytest.raises(SceneError, match=r"scene\.toml:.*for a controller"):
-        tc.load_scene(file)
+        tc.load_scene(file, allow_code=True)
 
 
 REFUSED = {
@@ -147,8 +152,12 @@ REFUSED = {
     "a statement": ('function = "os; x:hold"', r"expected 'file.py:name'"),
     "relative": ('function = ".laws:hold"', r"expected 'file.py:name'"),
     "a call": ('function = "laws.py:hold()"', r"expected 'file.py:name'"),
-    "no file": ('function = "other.py:hold"', r"other.py is not loaded: there is no file"),
-    "a folder": ('function = "../..py:hold"', r"is not loaded: there is no file"),
+    "no file": ('function = "other.py:hold"', r"other.py is not loaded: .*No such file"),
+    "a folder": ('function = "folder.py:hold"', r"is not loaded: .*is a folder, expected a file"),
+    "a file above": (
+        'function = "../laws.py:hold"', r":18: .*expected one in the folder of the scene, .*copy"),
+    "a file anywhere": ('function = "/tmp/laws.py:hold"', r"expected one in the folder of the sc"),
+    "a nul": ('function = "a\\u0000.py:hold"', r"in \[controller\].*null byte"),
     "no module": (
         'function = "no_such_module:f"', r":18: in \[controller\].*function: no_such_module is "
         "not loaded: No module named"),
@@ -175,9 +184,66 @@ def test_what_does_not_fit_is_refused_with_its_line(loaded, case):
         loaded(text)
 
 
+@pytest.mark.skipif(os.name != "posix", reason="links and pipes are POSIX")
+def test_links_that_lead_out_and_pipes_are_refused(loaded, tmp_path):
+    os.mkfifo(tmp_path / "pipe.py")
+    with pytest.raises(SceneError, match=r"pipe\.py is not loaded: .*is a pipe or a device"):
+        loaded('function = "pipe.py:hold"')
+    outside = tmp_path.parent / "outside.py"
+    (tmp_path / "link.py").symlink_to(outside)
+    with pytest.raises(SceneError, match=rf"function is the file {outside}, expected one in the"):
+        loaded('function = "link.py:hold"')
+
+
 def test_code_that_cannot_be_read_is_named(loaded, tmp_path):
     (tmp_path / "wrong.py").write_text("def f(:\n", encoding="utf-8")
     (tmp_path / "lacks.py").write_text("import no_such_package\n", encoding="utf-8")
     for name, message in (("wrong", "invalid syntax"), ("lacks", "No module named")):
         with pytest.raises(SceneError, match=rf"{name}.py is not loaded.*{message}"):
             loaded(f'function = "{name}.py:f"')
+
+
+@pytest.mark.parametrize("code", ["laws.py:hold", "below/laws.py:hold", "marking:hold"])
+def test_no_code_runs_unless_it_is_allowed(code, tmp_path, monkeypatch, capsys):
+    """The refusal says what would run, and the command has an option for it."""
+    (tmp_path / "below").mkdir()
+    monkeypatch.syspath_prepend(tmp_path)
+    mark = tmp_path / "mark"
+    for name in ("laws.py", "below/laws.py", "marking.py"):
+        text = f"{LAWS}\nopen({str(mark)!r}, 'w').close()\n"
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    place, _, name = code.partition(":")
+    where = f"the file {tmp_path / place}" if "." in place else f"the module {place}"
+    file = tmp_path / "scene.toml"
+    controller = f'function = "{code}"\nsample_time = 0.02'
+    file.write_text(BALL.format(run="", controller=controller), encoding="utf-8")
+    wanted = rf"scene\.toml:18: .*function runs Python code, hold of {re.escape(where)}, and no"
+    with pytest.raises(SceneError, match=wanted + r".*allow_code=True\), or --allow-code"):
+        tc.load_scene(file)
+    for command in ("simulate", "modes", "view", "accuracy"):
+        assert main([command, str(file), "--output", str(tmp_path / "out")]) == 2
+        assert re.search(wanted, capsys.readouterr().err)
+    assert not mark.exists()
+    assert main(["modes", str(file), "--allow-code", "--output", str(tmp_path / "out")]) == 0
+    assert mark.exists()
+    sys.modules.pop("_scene_laws", None)
+    sys.modules.pop("marking", None)
+
+
+def test_the_file_runs_and_not_a_compiled_copy_beside_it(loaded, tmp_path):
+    """A copy in ``__pycache__`` that says it is of this file may be of another."""
+    file, text = tmp_path / "laws.py", LAWS
+    os.utime(file, (1e9, 1e9))
+    (tmp_path / "__pycache__").mkdir()
+    file.write_text(text.replace("0.8", "9.9"), encoding="utf-8")
+    os.utime(file, (1e9, 1e9))
+    compiled(str(file))
+    file.write_text(text, encoding="utf-8")
+    os.utime(file, (1e9, 1e9))
+    scene = loaded('function = "laws.py:hold"\nsample_time = 0.02')
+    np.testing.assert_array_equal(scene.simulate().control.command, 0.8)
+
+
+def test_whether_code_is_allowed_is_true_or_false(tmp_path):
+    with pytest.raises(TypeError, match=r"allow_code is 'no' .*expected True or False"):
+        tc.load_scene(tmp_path / "scene.toml", allow_code="no")

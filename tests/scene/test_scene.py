@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
+from tenscontrol import parsing
+from tenscontrol.parsing import TomlLimits, headings
 from tenscontrol.scene import SceneError, schema
-from tenscontrol.scene.document import headings, key_lines
+from tenscontrol.scene.document import key_lines
 from tests.scene.limits import limits
 
 SCENES = Path(__file__).parent.parent.parent / "examples" / "scenes"
@@ -1132,7 +1134,7 @@ def test_a_solver_that_fails_is_told_by_line(load, monkeypatch):
 def test_a_pipe_and_a_device_are_not_read(tmp_path):
     os.mkfifo(tmp_path / "pipe.toml")
     for file in (tmp_path / "pipe.toml", "/dev/zero"):
-        with pytest.raises(SceneError, match="cannot be read: it is a folder, a pipe or a device"):
+        with pytest.raises(SceneError, match="cannot be read: it is a pipe or a device, exp"):
             tc.load_scene(file)
 
 
@@ -1141,13 +1143,24 @@ def test_a_name_that_no_file_has():
         tc.load_scene("a\0b.toml")
 
 
+def test_a_file_beside_the_caller_is_named_once(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("scene.toml").write_bytes(b"\n\xff")
+    with pytest.raises(SceneError, match=r"^scene\.toml:2: not UTF-8 text"):
+        tc.load_scene("./scene.toml")
+
+
 def test_a_mark_of_the_byte_order_is_left_out(load):
     assert load(b"\xef\xbb\xbf" + PRISM.encode()).duration == 0.1
 
 
-MANY = "a scene file has at most 10,000,000 bytes, 100,000 keys and tables, 250,000 lists and 16 "
+MANY = "a scene file has at most 100,000 keys and tables, 250,000 lists and 16 levels"
 TOO_MUCH = {
-    "bytes": ("#" * 10_000_001, r": is too large: " + MANY),
+    "bytes": (
+        "#" * 10_000_001,
+        r": cannot be read: it is too large: 10,000,001 bytes, at most 10,000,000 are read; "
+        + MANY,
+    ),
     "parts": ("\n" + "a." * 100_000 + "b = 1", r":2: exceeds the limits: " + MANY),
     "parts of a heading": ("[" + "a." * 100_000 + "b]", r":1: exceeds"),
     "parts without an end": ("[" + "a." * 100_000, r":1: exceeds"),
@@ -1198,6 +1211,8 @@ def test_points_in_texts_and_numbers_are_not_parts_of_keys(load):
 
 # ---- lines ----
 
+TOML = TomlLimits("a test", keys=100_000, lists=100_000, levels=16)
+
 TRICKY = '''\
 # [not.a.table]
 top = 1
@@ -1225,7 +1240,7 @@ deep = 1
 
 def test_lines_of_keys_are_found_in_any_toml():
     values = tomllib.loads(TRICKY)
-    lines = key_lines(headings("scene.toml", TRICKY))
+    lines = key_lines(headings("scene.toml", TRICKY, TOML))
     assert {path: line for path, line in lines.items() if path[0] == "list"} == {
         ("list",): 16,
         ("list", 0): 16,
@@ -1269,12 +1284,10 @@ class CountedText(str):
 
 def test_lines_are_found_in_work_that_grows_as_the_file(monkeypatch):
     """Ten times as many keys take ten times as much, not a hundred times."""
-    from tenscontrol.scene import document
-
     work = []
     for count in (2_000, 20_000):
         text = CountedText("".join(f"key{i:05d} = [1, 2]\n" for i in range(count)))
-        passes, tokens = 0, document._TOKEN
+        passes, tokens = 0, parsing._TOKEN
 
         class Counted:
             def finditer(self, text, tokens=tokens):
@@ -1282,8 +1295,8 @@ def test_lines_are_found_in_work_that_grows_as_the_file(monkeypatch):
                 passes += 1
                 return tokens.finditer(text)
 
-        monkeypatch.setattr(document, "_TOKEN", Counted())
-        lines = key_lines(headings("scene.toml", text))
+        monkeypatch.setattr(parsing, "_TOKEN", Counted())
+        lines = key_lines(headings("scene.toml", text, TOML))
         monkeypatch.undo()
         assert lines[f"key{count - 1:05d}",] == count
         assert passes == 1

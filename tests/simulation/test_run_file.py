@@ -4,9 +4,11 @@ import json
 import os
 import pickle
 import signal
+import struct
 import subprocess
 import sys
 import time
+import tracemalloc
 import zipfile
 from dataclasses import dataclass, fields, is_dataclass, replace
 from io import BytesIO
@@ -21,7 +23,7 @@ from hypothesis import strategies as st
 import tenscontrol as tc
 from tenscontrol.dynamics import SmoothGround, StringLaw
 from tenscontrol.simulation import Given
-from tenscontrol.simulation.run_file import EVALUATED, _Reader, _Writer
+from tenscontrol.simulation.run_file import _SHAPES, EVALUATED, _check_names, _Reader, _Writer
 from tests.random_structures import any_structure
 
 SCENES = Path(__file__).parents[2] / "examples" / "scenes"
@@ -247,9 +249,8 @@ def test_any_value_comes_back(value):
     writer = _Writer()
     text = json.dumps(writer.node(value, ("value",)), allow_nan=False)
     arrays = {name: tc.validation.frozen(array) for name, array in writer.arrays.items()}
-    reader = _Reader(arrays)
-    assert_equal(value, reader.value(json.loads(text), "value"))
-    assert reader.left == set()
+    assert_equal(value, _Reader(arrays).value(json.loads(text), "value"))
+    _check_names({"value": json.loads(text)}, arrays.keys())
     assert writer.unsaved == {}
 
 
@@ -433,7 +434,7 @@ SPOILED = {
         lambda c: rewritten(c, kinetic_energy=np.full(4, np.inf)), "kinetic_energy holds"
     ),
     "NaN of the structure": (
-        lambda c: rewritten(c, structure_nodes=np.full((3, 6), np.nan)), r"nodes\[0, 0\] is nan"
+        lambda c: rewritten(c, structure_nodes=np.full((3, 6), np.nan)), "structure_nodes holds"
     ),
     "missing array": (lambda c: rewritten(c, velocities=None), "damaged.*velocities"),
     "more arrays": (lambda c: rewritten(c, more=np.zeros(3)), "header does not name: more"),
@@ -452,12 +453,55 @@ SPOILED = {
     "no node": (_work({"x": 1}), "not understood"),
     "a list": (_work([1]), "is a list"),
     "no part": (_header(lambda h: h | {"run": {"time": 1.0}}), "damaged"),
-    "another part": (_header(lambda h: h | {"run": h["run"] | {"x": 1}}), "x is not what a run"),
+    "another part": (_header(lambda h: h | {"run": h["run"] | {"x": 1}}), "'x' is not what a run"),
     "another record": (_work({"dict": {}}), "work is not what a run has there"),
     "nested": (_work("deep"), "damaged"),
     "an instruction": (_work({"function": ["f", "x"], "lines": {"list": [{"list": [
         "CALL", {"list": [0]}, {"list": [0]}, 0.0]}]}}), "damaged.*instruction 'CALL'"),
+    "parts in a list": (_header(lambda h: h | {"run": []}), "damaged.*run is a list"),
+    "an array twice": (
+        _work({"tuple": [{"array": "work_0"}, {"array": "time"}]}), "work.0 is the array 'work_0', "
+        "which is not there"
+    ),
+    "an array of another place": (_work({"array": "time"}), "work is the array 'time', expected"),
+    "text of no letters": (
+        lambda c: repacked(c, {"nodes": _array((10**12,), 0, "<U0")}), "nodes.npy has entries of"
+    ),
+    "more than memory": (
+        lambda c: rewritten(c, nodes=np.zeros((0, 10**10))), "is too large: arrays of 80,000,0"
+    ),
+    "another packing": (
+        lambda c: repacked(c, {}, zipfile.ZIP_LZMA), "npy is packed by another way than deflate"
+    ),
+    "a form of less": (
+        lambda c: repacked(c, {"nodes": _array((3, 6, 3), 576)}), "nodes.npy has 576 bytes, expect"
+    ),
+    "a form of more": (
+        lambda c: repacked(c, {"nodes": _array((3, 6, 10**7), 576)}), "nodes.npy has 576 bytes"
+    ),
+    "10,000 arrays": (
+        lambda c: repacked(c, {f"{i:0200d}": b"" for i in range(5000)}),
+        "no run: its directory has more than 1,000,000 bytes"
+    ),
 }  # fmt: skip
+
+
+def _array(shape, count, kind="<f8"):
+    """So many bytes of zeros with the header of an array of some shape."""
+    stream = BytesIO()
+    form = {"descr": kind, "fortran_order": False, "shape": shape}
+    np.lib.format.write_array_header_1_0(stream, form)
+    return stream.getvalue() + bytes(count)
+
+
+def repacked(content, members, kind=zipfile.ZIP_DEFLATED):
+    """The archive with members of these bytes, by name."""
+    buffer = BytesIO()
+    with zipfile.ZipFile(BytesIO(content)) as old, zipfile.ZipFile(buffer, "w", kind) as new:
+        found = {each.filename: old.read(each) for each in old.infolist()}
+        for name, data in (found | {f"{name}.npy": each for name, each in members.items()}).items():
+            new.writestr(name, data)
+    return buffer.getvalue()
 
 
 def _bare():
@@ -474,6 +518,70 @@ def test_what_is_no_run_is_refused(name, small, tmp_path):
     with pytest.raises(ValueError, match=message) as raised:
         tc.load_run(path)
     assert str(raised.value).startswith(str(path))
+
+
+def peak_of_refusal(path, content, message):
+    """The most memory that is taken while a file is refused, bytes."""
+    path.write_bytes(content)
+    tracemalloc.start()
+    try:
+        with pytest.raises(ValueError, match=message):
+            tc.load_run(path)
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize(
+    ("name", "shape", "message"),
+    [
+        ("nodes", (3, 6, 10**5), r"nodes has shape \(3, 6, 100000\), expected \(3, 6, 4\)"),
+        (
+            "structure_bars",
+            (10**6, 2),
+            r"structure_bar_mass has shape \(3,\), expected \(1000000,",
+        ),
+        ("more", (10**6,), "an array that the header does not name: more"),
+        ("given_force_density_", (10**6,), "the header does not name: given_force_density_"),
+    ],
+)
+def test_arrays_that_do_not_fit_are_refused_before_they_are_read(
+    name, shape, message, small, tmp_path
+):
+    count = 8 * int(np.prod(shape))
+    bomb = repacked(small[1], {name: _array(shape, count)})
+    assert len(bomb) < count / 300
+    path = tmp_path / "run.npz"
+    assert peak_of_refusal(path, bomb, message) < 3e6
+
+
+def test_a_directory_that_lies_costs_what_the_file_holds(small, tmp_path):
+    """Header and directory claim 800 MB; the archive holds 80 bytes of them."""
+    content = repacked(small[1], {"given_force_density": _array((10**8,), 80)})
+    begin = content.rindex(b"PK\x01\x02", 0, content.rindex(b"given_force_density.npy"))
+    (held,) = struct.unpack("<I", content[begin + 24 : begin + 28])
+    claimed = struct.pack("<I", held - 80 + 8 * 10**8)
+    content = content[: begin + 24] + claimed + content[begin + 28 :]
+    (tmp_path / "run.npz").write_bytes(content)
+    with pytest.raises(ValueError, match=r"given_force_density\.npy holds 80 bytes, expected 800,"):
+        tc.load_run(tmp_path / "run.npz")
+
+
+def test_reading_takes_little_more_memory_than_the_arrays(small, tmp_path):
+    with np.load(BytesIO(small[1])) as archive:
+        longer = {
+            name: np.repeat(archive[name][..., :1], 30_000, axis=-1)
+            for name in archive.files
+            if _SHAPES.get(name, "").endswith("T")
+        }
+    path, total = tmp_path / "run.npz", sum(array.nbytes for array in longer.values())
+    path.write_bytes(rewritten(small[1], **longer))
+    tracemalloc.start()
+    tc.load_run(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert total > 1e7
+    assert peak < 1.5 * total + 5e6
 
 
 def test_files_that_are_not_there(tmp_path):

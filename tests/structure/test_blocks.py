@@ -83,6 +83,15 @@ def test_bodies_in_space_have_one_redundant_bar():
         assert len(block.independent) == 9
 
 
+def test_more_redundant_bars_than_memory_are_refused(monkeypatch):
+    nodes = np.random.default_rng(0).normal(size=(3, 5))
+    monkeypatch.setattr(tc.validation, "_MOST_BYTES", 400.0)
+    with pytest.raises(
+        ValueError, match="bars has 10 that are joined, 1 of which may be redundant"
+    ):
+        tc.Structure(nodes, BODY, [], 1.0)
+
+
 def test_parallel_links_of_one_length_are_redundant_and_move():
     """A table on four equal legs in the plane: it swings, and any two legs would do."""
     x = np.arange(4.0)

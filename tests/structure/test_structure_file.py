@@ -144,5 +144,22 @@ def test_files_that_cannot_be_read(tmp_path):
     with pytest.raises(ValueError, match=r"expected a name ending in \.toml, \.json"):
         tc.prism().save(tmp_path / "prism.yaml")
     (tmp_path / "bad.toml").write_bytes(b"[structure]\nnodes = \xff")
-    with pytest.raises(ValueError, match="not TOML"):
+    with pytest.raises(ValueError, match=r"bad\.toml:2: not UTF-8 text"):
         tc.Structure.load(tmp_path / "bad.toml")
+
+
+@pytest.mark.parametrize("path", [f"{'a.' * 50_000}b = 1", f"[{'a.' * 50_000}b]", "[" * 20])
+def test_what_takes_toml_hours_or_all_memory_is_refused(path, tmp_path):
+    (tmp_path / "deep.toml").write_text(f"\nx = {path}" if path == "[" * 20 else f"\n{path}")
+    with pytest.raises(ValueError, match=r"deep\.toml:2: exceeds the limits: a structure file has"):
+        tc.Structure.load(tmp_path / "deep.toml")
+
+
+def test_a_text_that_becomes_too_much_memory_is_refused(tmp_path, monkeypatch):
+    path = tmp_path / "lists.json"
+    path.write_text('{"structure": {"nodes": [' + "[]," * 1_000 + "[]]}}")
+    with pytest.raises(ValueError, match="the key 'bars' is missing"):
+        tc.Structure.load(path)
+    monkeypatch.setattr(tc.validation, "_MOST_BYTES", 120_000)
+    with pytest.raises(ValueError, match=r"lists\.json: it has 2,004 values and lists, "):
+        tc.Structure.load(path)
