@@ -335,6 +335,7 @@ def health(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, 
     The panels are ``"energy"``; ``"momentum"``, the change since the start; and
     ``"bar_length_error"``, the largest of all bars, if there are bars. The last two have
     logarithmic scales: a straight rise is a drift. What is below round-off is drawn at round-off.
+    Times at which bars pass through each other are marked on the lowest time axis.
 
     Parameters
     ----------
@@ -356,7 +357,7 @@ def health(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, 
     --------
     >>> import matplotlib.pyplot as plt, tenscontrol as tc
     >>> model = tc.Model(tc.prism())
-    >>> run = tc.simulate(model, 0.2, force_density=[17.3205] * 6 + [9.0] * 3, step=1e-3)
+    >>> run = tc.simulate(model, 0.15, force_density=[17.3205] * 6 + [9.0] * 3, step=1e-3)
     >>> panels = tc.plot.health(run)
     >>> list(panels), panels["bar_length_error"].ax.get_yscale()
     (['energy', 'momentum', 'bar_length_error'], 'log')
@@ -389,6 +390,11 @@ def health(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, 
             panels[name] = draw_curves(ax, run.time, rows, label, xlabel=xlabel)
         else:
             panels[name] = _logarithmic(ax, run.time, rows, label, size, xlabel)
+    if run.bar_crossings:
+        times = np.array([each.time for each in run.bar_crossings])
+        crossed = ["bars cross"] * len(times)
+        panels[name] = mark_statuses(panels[name], times, crossed, {"bars cross": "x"})
+        legend_above(panels[name].ax)
     return panels
 
 

@@ -15,7 +15,15 @@ from tenscontrol.control import UNSOLVED, Fallback, Status
 from tenscontrol.dynamics import Model, evaluate_columns
 from tenscontrol.integrate import Work
 from tenscontrol.simulation.observation import EstimateRecord
-from tenscontrol.validation import FloatArray, choice, frozen, instance, positive_number
+from tenscontrol.structure import BarClearance, BarCrossing
+from tenscontrol.validation import (
+    FloatArray,
+    choice,
+    frozen,
+    instance,
+    positive_number,
+    whole_number,
+)
 
 # Limits on what is no error of the integration, and what to do.
 _PHYSICAL = {
@@ -34,6 +42,10 @@ _UNSOLVED_SHARE = 0.05
 
 class AccuracyWarning(RuntimeWarning):
     """A motion that is not accurate, or probably not what was meant."""
+
+
+class BarCrossingWarning(RuntimeWarning):
+    """Bars pass through each other, which the model lets them do and real ones cannot."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +79,15 @@ class Health:
     fall : float or None
         Sizes that the mean of the nodes is below z = 0, y = 0 in the plane, at the end; None for
         less than one, or where ground or a support stops a fall.
+    crossings : tuple of BarCrossing, or None
+        Bars that pass through each other, in order of time. None in the plane, and with less than
+        two bars.
+    clearance : BarClearance or None
+        Least distance between the axes of two bars without a common node, m; None if there are
+        none, and in the plane.
+    unresolved_intervals : int
+        Number of intervals between outputs in which bars may cross unseen: outputs are too far
+        apart to tell, and the motion between them could not be integrated again.
     """
 
     energy_error: float | None
@@ -81,6 +102,9 @@ class Health:
     impulse: float | None = None
     impulse_error: float | None = None
     fall: float | None = None
+    crossings: tuple[BarCrossing, ...] | None = None
+    clearance: BarClearance | None = None
+    unresolved_intervals: int = 0
 
 
 @dataclass(frozen=True)
@@ -99,9 +123,12 @@ class HealthLimits:
         As part of the size of the structure.
     steps, evaluations, switches : float, optional
         Counts.
+    crossings : int, optional
+        How many times bars may pass through each other, at least 0. With None it is not looked for
+        at the end of a run, and from its outputs alone when :attr:`Trajectory.health` is asked.
     action : {"warn", "raise"}
-        What happens where a limit is passed: an :class:`AccuracyWarning`, or a
-        :class:`SimulationError` that carries the motion.
+        What happens where a limit is passed: an :class:`AccuracyWarning`, of crossings a
+        :class:`BarCrossingWarning`, or a :class:`SimulationError` that carries the motion.
 
     Raises
     ------
@@ -113,7 +140,7 @@ class HealthLimits:
     >>> import tenscontrol as tc
     >>> model = tc.Model(tc.prism())
     >>> limits = tc.HealthLimits(bar_length_error=1e-9, action="raise")
-    >>> run = tc.simulate(model, 1.0, force_density=[17.3205] * 6 + [9.0] * 3, limits=limits)
+    >>> run = tc.simulate(model, 0.1, force_density=[17.3205] * 6 + [9.0] * 3, limits=limits)
     >>> run.health.bar_length_error < 1e-9
     True
     """
@@ -130,12 +157,15 @@ class HealthLimits:
     penetration: float | None = 0.25
     fall: float | None = None
     impulse_error: float | None = None
+    crossings: int | None = 0
 
     def __post_init__(self) -> None:
         choice("action", self.action, ("warn", "raise"))
         for each in fields(self):
             value = getattr(self, each.name)
-            if each.name != "action" and value is not None:
+            if each.name == "crossings" and value is not None:
+                whole_number(each.name, value, 0)
+            elif each.name != "action" and value is not None:
                 positive_number(each.name, value, "a limit; None for none")
 
     @property
@@ -156,10 +186,14 @@ class HealthLimits:
         list of str
         """
         instance("health", health, Health, "health of a trajectory")
-        found = []
+        found: list[str] = []
         for each in fields(self):
             limit = getattr(self, each.name)
             if each.name == "action" or limit is None:
+                continue
+            if each.name == "crossings":
+                if len(health.crossings or ()) > limit:
+                    found.append(_passing(health.crossings or ()))
                 continue
             source = health if hasattr(health, each.name) else health.work
             value = getattr(source, each.name)
@@ -168,6 +202,17 @@ class HealthLimits:
                 why = _PHYSICAL.get(each.name, "")
                 found.append(f"{what} {value:.2g} is above its limit {limit:g}{why}")
         return found
+
+
+def _passing(crossings: tuple[BarCrossing, ...]) -> str:
+    """Return the sentence on bars that pass through each other."""
+    (i, j), more = crossings[0].bars, len(crossings) - 1
+    rest = f", and {more} more such crossing{'s' * (more > 1)} up to {crossings[-1].time:.4g} s"
+    return (
+        f"bars {i} and {j} pass through each other at {crossings[0].time:.4g} s"
+        f"{rest * (more > 0)}, which real bars cannot. Hold other inputs, keep bars apart by "
+        "clearance(...) in MPC, or accept it by HealthLimits(crossings=None)"
+    )
 
 
 @dataclass(frozen=True)

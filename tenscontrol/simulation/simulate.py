@@ -19,7 +19,12 @@ from tenscontrol.plant import held_value
 from tenscontrol.progress import progress_bar
 from tenscontrol.simulation.closed_loop import run_closed_loop
 from tenscontrol.simulation.faults import Fault, Faults
-from tenscontrol.simulation.health import AccuracyWarning, Given, HealthLimits
+from tenscontrol.simulation.health import (
+    AccuracyWarning,
+    BarCrossingWarning,
+    Given,
+    HealthLimits,
+)
 from tenscontrol.simulation.loop import Loop, SimulationError, support_offset
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.structure import (
@@ -178,6 +183,8 @@ def simulate(
     -----
     AccuracyWarning
         If the motion passes a limit: the integration was too coarse, or nodes sink deep.
+    BarCrossingWarning
+        Once, if bars pass through each other; see :attr:`Health.crossings`.
     ControlWarning
         Once, if the run ends away from the reference of its controller, or many programs were not
         solved; see :attr:`ControlRecord.problems`.
@@ -310,6 +317,7 @@ def simulate(
             machine_code=truth("machine_code", machine_code, "whether to compile the steps"),
             degree=_degree(held, what, winches),
             offset=offset,
+            watches_bars=limits is None or limits.crossings is not None,
         )
         loop.given = _given(
             law is None,
@@ -382,7 +390,14 @@ def _given(in_open_loop: bool, **arguments: object) -> Given:
 def check_health(run: Trajectory, limits: HealthLimits) -> None:
     """Warn or raise where the motion passes a limit."""
     health = run.health_of(limits.names)
+    every = limits.passed(health)
+    limits = replace(limits, crossings=None)
     passed = limits.passed(health)
+    crossed = "; ".join(text for text in every if text not in passed)
+    if crossed and limits.action == "raise":
+        raise SimulationError(crossed, run)
+    if crossed:
+        warnings.warn(crossed, BarCrossingWarning, stacklevel=3)
     if not passed:
         return
     finer = "a smaller tolerance" if run.step is None else f"a step below {run.step:g} s"

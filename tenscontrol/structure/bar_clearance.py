@@ -372,18 +372,25 @@ class BarMotion:
         if self.crossings:
             first = self.crossings[0]
             return BarClearance(0.0, first.time, first.bars)
-        least = _Least()
-        if self.has_pairs and not self._kept.count:
-            found = bar_distances(self._structure, self._nodes[:, :, 0])
-            least.see(found.distance, self._time[:1].repeat(len(found.pairs)), found.pairs)
-        elif self.has_pairs:
-            pairs, k, _ = self._close(self._base, least)
-            coarse = ~np.isin(self._key(self._base, pairs, k), self._made_finer)
-            for motion, some, at in [(self._base, pairs[coarse], k[coarse]), *self._finer]:
-                self._see_between(motion, some, at, least)
+        if not self.has_pairs:
+            return None
+        with np.errstate(over="ignore", invalid="ignore"):
+            least = self._least()
         if not np.isfinite(least.distance):
             return None
         return BarClearance(least.distance, least.time, least.bars)
+
+    def _least(self) -> _Least:
+        least, base = _Least(), self._base
+        if not base.count:
+            found = bar_distances(self._structure, self._nodes[:, :, 0])
+            least.see(found.distance, self._time[:1].repeat(len(found.pairs)), found.pairs)
+            return least
+        pairs, k, _ = self._close(base, least)
+        coarse = ~np.isin(self._key(base, pairs, k), self._made_finer)
+        for motion, some, at in [(base, pairs[coarse], k[coarse]), *self._finer]:
+            self._see_between(motion, some, at, least)
+        return least
 
     @cached_property
     def _base(self) -> _Intervals:

@@ -8,13 +8,14 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
+from math import ceil
 from threading import local
 
 import casadi as ca
 import numpy as np
 
 from tenscontrol.control import Controller
-from tenscontrol.dynamics import Equation, Model, Pieces, compiled, compiler
+from tenscontrol.dynamics import Equation, Model, Pieces, compiled, compiler, unpack_states
 from tenscontrol.integrate import (
     METHODS,
     Choice,
@@ -23,6 +24,7 @@ from tenscontrol.integrate import (
     Integrator,
     Lanes,
     Method,
+    Span,
     Work,
     choose,
     not_finite,
@@ -33,6 +35,7 @@ from tenscontrol.simulation.batch.compiled_loop import MOST_CONTROLLERS, Compile
 from tenscontrol.simulation.health import Given, Quantities, by_node
 from tenscontrol.simulation.loop import step_doubling_error
 from tenscontrol.simulation.trajectory import Trajectory
+from tenscontrol.structure import BarMotion
 from tenscontrol.validation import LARGEST, FloatArray, IntArray, refuse_memory
 
 # Runs in a call, and numbers that it may return.
@@ -392,11 +395,7 @@ class Runner:
         structure, held = model.structure, scene.entry(scene.input, run)
         assert held is not None  # refused where it changes in time
         nodes, velocities = self.nodes[run], self.velocities[run]
-        # The span of each state kept: the start belongs to the first.
-        of = np.array([0, len(self.spans) - 1])
-        if not self._ends_alone:
-            outputs = np.repeat(np.arange(len(self.spans)), [span.outputs for span in self.spans])
-            of = np.concatenate([outputs[:1], outputs])
+        of = self._span_of
         inputs: FloatArray = np.broadcast_to(held[:, None], (len(held), len(of)))
         if self.command is not None:
             inputs = self.command[run][:, of]
@@ -415,21 +414,14 @@ class Runner:
         if choice.setting == "tolerance":
             error = choice.value * work.steps
         else:
-            lanes = self._lanes
-            advance = self._of_run(run).advance if lanes is None else lanes.advance_one
-            states = np.vstack([by_node(part)[structure.free_rows] for part in (nodes, velocities)])
-
-            def interval(k: int) -> tuple[FloatArray, FloatArray]:
-                span = self.spans[of[k + 1]]
-                u = scene.held_inputs(run, run + 1, span, self._shares)[0]
-                u[: len(inputs)] = inputs[:, k + 1]
-                return states[:, k], u
-
+            rows = structure.free_rows
+            states = np.vstack([by_node(part)[rows] for part in (nodes, velocities)])
             error = step_doubling_error(
-                advance, choice.value, structure, self.time, states, interval
-            )
+                self._advance_of(run), choice.value, structure, self.time, states,
+                partial(self._interval, run),
+            )  # fmt: skip
         damped = model.strings is not None and model.strings.is_damped
-        return Trajectory(
+        found = Trajectory(
             structure, self.time, nodes, velocities,
             inputs if scene.input == "rest_length" else None, choice, work,
             conserves_energy=self.command is None
@@ -443,6 +435,63 @@ class Runner:
                 shared=partial(self._function, run, model) if self._shares else None,
             ),
         )  # fmt: skip
+        vars(found).update(_bars=self.bars(run))
+        return found
+
+    def bars(self, run: int) -> BarMotion:
+        """Return the bars over a run, up to where it is good; all nodes were kept."""
+        there = np.isfinite(self.nodes[run]).all(axis=(0, 1))
+        nodes, velocities = self.nodes[run][:, :, there], self.velocities[run][:, :, there]
+        structure, steps = self.scene.model.structure, 0
+        if run in self._work:
+            steps = self._work[run].steps
+        elif self.how.step is not None:
+            steps = ceil(self.end_time[run] / self.how.step)
+        # From one output to the next the input is one polynomial in time.
+        has_input = not self._ends_alone or len(self.spans) == 1
+        again = partial(self._again, run) if has_input else None
+        return BarMotion(structure, self.time[there], nodes, velocities, again, steps)
+
+    @property
+    def _span_of(self) -> IntArray:
+        """The span of each state kept: the start belongs to the first."""
+        if self._ends_alone:
+            return np.array([0, len(self.spans) - 1])
+        outputs = np.repeat(np.arange(len(self.spans)), [span.outputs for span in self.spans])
+        return np.concatenate([outputs[:1], outputs])
+
+    def _advance_of(self, run: int) -> Callable[..., Span]:
+        """Return what integrates a run."""
+        return self._of_run(run).advance if self._lanes is None else self._lanes.advance_one
+
+    def _interval(self, run: int, k: int) -> tuple[FloatArray, FloatArray]:
+        """Return the state and the input of a run at the beginning of an interval of outputs."""
+        place = self._span_of[k + 1]
+        span = self.spans[place]
+        u = self.scene.held_inputs(run, run + 1, span, self._shares)[0]
+        if self.command is not None:
+            command = self.command[run][:, place]
+            u[: len(command)] = command
+        if span.time is not None:
+            u[-1] += self.time[k] - span.start
+        ends = self.nodes[run][:, :, k], self.velocities[run][:, :, k]
+        rows = self.scene.model.structure.free_rows
+        return np.concatenate([each.ravel(order="F")[rows] for each in ends]), u
+
+    def _again(
+        self, run: int, first: int, last: int, parts: int
+    ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+        """Return times, nodes and velocities from one interval of outputs to another, in parts."""
+        if self._span_of[first + 1] != self._span_of[last + 1]:
+            return None
+        begin, end = self.time[first], self.time[last + 1]
+        state, u = self._interval(run, first)
+        try:
+            states = self._advance_of(run)(state, u, end - begin, parts).states
+        except (IntegrationError, KeyboardInterrupt):
+            return None
+        every = unpack_states(self.scene.model.structure, np.column_stack([state, states]))
+        return begin + (end - begin) * np.arange(parts + 1) / parts, *every
 
     def _function(self, run: int, model: Model, name: str) -> tuple[ca.Function, list[FloatArray]]:
         """Return a function of the model of a run, compiled where all runs share it, and inputs."""
