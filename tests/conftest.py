@@ -2,6 +2,7 @@
 
 import gc
 import signal
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -22,6 +23,15 @@ settings.load_profile("tenscontrol")
 # A shell starts what runs in its background with Ctrl-C ignored, and tests of it would fail there.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_collection_modifyitems(items):
+    """Scenes that try the numerics may have bars that cross; examples and pages may not."""
+    tests = Path(__file__).parent
+    for item in items:
+        if tests in item.path.parents and item.path.parent != tests:
+            warning = "ignore::tenscontrol.simulation.BarCrossingWarning"
+            item.add_marker(pytest.mark.filterwarnings(warning))
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -146,6 +146,13 @@ def test_simulation(printed):
         assert row(text, "MuJoCo RK4, step 1e-3")[0] < 1e-5
 
 
+def test_bar_crossings(printed):
+    text = printed("bar_crossings", "--stages 4 --repeats 1")
+    assert row(text, "ball, 5 s")[2] == 0
+    for label in ("prism, 1.5 s", "prism, ends alone"):
+        assert row(text, label)[2:] == [12, 0.1386]
+
+
 @needs_compiler
 @needs("jax", "bench")
 def test_batch(printed, monkeypatch):

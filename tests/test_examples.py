@@ -83,6 +83,8 @@ def test_ground_lander():
         assert values[least] > 0.9 * height / found["LENGTH"]
     assert list(found["best"].values()) == sorted(found["best"].values())
     assert found["error"] < 1e-4
+    assert not found["run"].health.crossings
+    assert found["soft"].health.crossings
 
 
 def test_ground_thrown_prisms():

@@ -98,9 +98,11 @@ def values(tmp_path_factory):
         run.choice,
         run.work,
         run.health,
+        run.health.clearance,
+        tc.structure.BarCrossing(0.5, (0, 1)),
         grown,
         grown.rows[0],
-        tc.simulate_many(
+        batch := tc.simulate_many(
             model,
             0.01,
             rest_length=start.rest_length,
@@ -108,6 +110,7 @@ def values(tmp_path_factory):
             step=0.01,
             machine_code=False,
         ),
+        batch.crossings,
         tc.HealthLimits(),
         tc.Profile([0.0, 1.0], np.ones((9, 2))),
         tc.CutString(string=3, time=1.0),

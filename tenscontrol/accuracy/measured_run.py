@@ -23,7 +23,13 @@ from tenscontrol.dynamics import (
     unpack_states,
 )
 from tenscontrol.integrate import METHODS, Method, Work
-from tenscontrol.simulation import AccuracyWarning, SimulationError, Trajectory, simulate
+from tenscontrol.simulation import (
+    AccuracyWarning,
+    HealthLimits,
+    SimulationError,
+    Trajectory,
+    simulate,
+)
 from tenscontrol.validation import FloatArray, choice, items, positive_number
 
 # Steps by the fastest rate of the case, and tolerances, from coarse to fine.
@@ -281,7 +287,8 @@ class Bench:
                     case.model, case.duration, case.nodes, case.velocities,
                     external_force=case.external_force, method=method,
                     output_step=case.duration / len(self._reference.time),
-                    machine_code=self._machine_code, error="none", **options,
+                    machine_code=self._machine_code, error="none",
+                    limits=HealthLimits(crossings=None), **options,
                 )  # fmt: skip
 
         began = process_time()

@@ -39,7 +39,7 @@ from tenscontrol.validation import truth as checked_truth
 VERDICTS = ("accurate", "in part", "warned", "stopped", "refused", "too long", "unknown", "SILENT")
 
 # What the runs are to warn of.
-_LIMITS = HealthLimits(position_error=ASKED)
+_LIMITS = HealthLimits(position_error=ASKED, crossings=None)
 
 # Length at which reasons are cut off in what is kept.
 _LONGEST = 200

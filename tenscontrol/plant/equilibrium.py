@@ -23,9 +23,9 @@ from tenscontrol.plant.stance import (
 )
 from tenscontrol.statics import Prestress, balanced, member_forces
 from tenscontrol.structure import (
+    BarCrossing,
+    BarMotion,
     Structure,
-    bar_distances,
-    crossing,
     free_coordinates,
     refuse_load_without_support,
     refuse_moved_supports,
@@ -63,8 +63,8 @@ _ROUND_OFF = 1e-16
 # Without a load, strings that all pull less than this part of that force are slack.
 _SLACK = 1e-10
 
-# Iterations of the optimizer at most, and shapes that are looked at on the way from the start.
-_ITERATIONS, _WAY = 500, 40
+# Iterations of the optimizer at most.
+_ITERATIONS = 500
 
 # Curvature of the energy below this fraction of the stiffest string's is none.
 _FLAT = 1e-9
@@ -116,8 +116,10 @@ def equilibrium(
     -------
     Prestress
         Its ``structure`` has the shape found, its ``external_force`` is all
-        that acts, weights included. For a model with ground it is a :class:`Stance`, with the
-        ``contacts`` and the margin against ``tipping``.
+        that acts, weights included. Its ``crossings`` are the bars that pass through each other on
+        the straight way from the shape at the start; ``clearance`` says how near bars come in the
+        one found. For a model with ground it is a :class:`Stance`, with the ``contacts`` and the
+        margin against ``tipping``.
 
     Raises
     ------
@@ -221,8 +223,17 @@ def equilibrium(
         rest = Stance(**vars(rest), contacts=contacts, least_stiffness=softest)
     if kind == "rest_length":
         _warn_of_slack(rest, forces.live)
-    _warn_of_crossing(structure, start, settled.nodes)
-    return rest
+    crossings = _crossings(structure, start, settled.nodes)
+    if crossings:
+        i, j = crossings[0].bars
+        warnings.warn(
+            f"bars {i} and {j} pass through each other on the way from the shape at the start to "
+            "the equilibrium found: a real structure cannot move like this. If this is not meant, "
+            "start from nodes on the other side",
+            UserWarning,
+            stacklevel=2,
+        )
+    return replace(rest, crossings=crossings)
 
 
 def _strained(model: Model, kind: str, held: FloatArray) -> FloatArray:
@@ -257,33 +268,17 @@ def _warn_of_slack(rest: Prestress, live: np.ndarray) -> None:
     )
 
 
-def _warn_of_crossing(structure: Structure, start: FloatArray, end: FloatArray) -> None:
-    """Warn if bars pass through one another on the straight way between two shapes."""
+def _crossings(structure: Structure, start: FloatArray, end: FloatArray) -> tuple[BarCrossing, ...]:
+    """Return the bars that pass through each other on the straight way between two shapes."""
     if len(structure.bars) < 2 or structure.dimension == 2:
-        return
+        return ()
     if len(structure.fixed_rows) == 0:  # turned back to where it was
         middle = start.mean(axis=1, keepdims=True)
         there = end - end.mean(axis=1, keepdims=True)
         U, _, Vt = np.linalg.svd(there @ (start - middle).T)
         mirror = np.diag([1.0, 1.0, np.sign(np.linalg.det(Vt.T @ U.T))])
         end = Vt.T @ mirror @ U.T @ there + middle
-    before = bar_distances(structure, start)
-    farthest = float(np.linalg.norm(end - start, axis=0).max())
-    if before.least > 2 * farthest:  # too far apart to meet
-        return
-    for step in np.linspace(0, 1, _WAY)[1:]:
-        after = bar_distances(structure, start + step * (end - start))
-        pair = crossing(before, after)
-        if pair is not None:
-            warnings.warn(
-                f"bars {pair[0]} and {pair[1]} pass through each other on the way from the shape "
-                "at the start to the equilibrium found: a real structure cannot move like this. "
-                "If this is not meant, start from nodes on the other side",
-                UserWarning,
-                stacklevel=3,
-            )
-            return
-        before = after
+    return BarMotion(structure, np.array([0.0, 1.0]), np.stack([start, end], axis=-1)).crossings
 
 
 def own_input(model: Model, rest_length: object, force_density: object) -> tuple[object, object]:

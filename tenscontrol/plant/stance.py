@@ -97,7 +97,7 @@ class Stance(Prestress):
     Attributes
     ----------
     structure, force_density, bar_force_density : see :class:`~tenscontrol.statics.Prestress`
-    external_force, residual, self_stress_states, mechanisms : see there
+    external_force, residual, self_stress_states, mechanisms, crossings : see there
         Self-stress and mechanisms are those of the structure without its contacts.
     contacts : StanceContacts
     least_stiffness : float

@@ -186,7 +186,7 @@ def animate(
     >>> from pathlib import Path
     >>> import tenscontrol as tc
     >>> model = tc.Model(tc.prism())
-    >>> run = tc.simulate(model, 0.2, force_density=[17.3205] * 6 + [9.0] * 3, step=1e-3)
+    >>> run = tc.simulate(model, 0.15, force_density=[17.3205] * 6 + [9.0] * 3, step=1e-3)
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     path = tc.plot.animate(run, Path(folder) / "prism.gif", fps=10)
     ...     path.name, path.stat().st_size > 0

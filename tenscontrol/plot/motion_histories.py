@@ -354,7 +354,8 @@ def health(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, 
     estimated; ``"energy"``; ``"momentum"``, the change since the start; and ``"bar_length_error"``,
     the largest of all bars, if there are bars. All but the energy have logarithmic scales: a
     straight rise of the error says that the motion magnifies errors. What is below round-off is
-    drawn at round-off. The time in which the motion is not to be trusted is shaded.
+    drawn at round-off. The time in which the motion is not to be trusted is shaded. Times at which
+    bars pass through each other are marked on the lowest time axis.
 
     Parameters
     ----------
@@ -376,7 +377,7 @@ def health(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, 
     --------
     >>> import matplotlib.pyplot as plt, tenscontrol as tc
     >>> model = tc.Model(tc.prism())
-    >>> run = tc.simulate(model, 0.2, force_density=[17.3205] * 6 + [9.0] * 3, step=1e-3)
+    >>> run = tc.simulate(model, 0.15, force_density=[17.3205] * 6 + [9.0] * 3, step=1e-3)
     >>> panels = tc.plot.health(run)
     >>> list(panels), panels["bar_length_error"].ax.get_yscale()
     (['error', 'energy', 'momentum', 'bar_length_error'], 'log')
@@ -418,6 +419,11 @@ def health(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, 
             panels[name] = replace(panels[name], references=references)
             legend_above(ax)
         panels[name] = _with_doubt(panels[name], run)
+    if run.bar_crossings:
+        times = np.array([each.time for each in run.bar_crossings])
+        crossed = ["bars cross"] * len(times)
+        panels[name] = mark_statuses(panels[name], times, crossed, {"bars cross": "x"})
+        legend_above(panels[name].ax)
     return panels
 
 

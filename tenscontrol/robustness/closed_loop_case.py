@@ -309,7 +309,7 @@ class ClosedLoopCase:
                 controller=self.controller, input=self.input, winches=self.winches,
                 rest_length=self.rest_length, force_density=self.force_density,
                 sample_time=self.sample_time, step=self.step, faults=self.faults,
-                limits=HealthLimits(action="raise"), estimator=self.estimator,
+                limits=HealthLimits(crossings=None, action="raise"), estimator=self.estimator,
                 sensors=_varied_sensors(sensors, parameters),
                 seed=None if self.estimator is None else int(rng.integers(2**63)),
             )  # fmt: skip

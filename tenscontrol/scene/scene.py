@@ -305,7 +305,7 @@ def load_scene(file: str | Path, allow_code: bool = False) -> Scene:
     ... [prestress]
     ... force_density = {top = 17.3205, bottom = 17.3205, vertical = 9.0}
     ... [run]
-    ... duration = 0.5
+    ... duration = 0.15
     ... step = 1e-3
     ... '''
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -313,7 +313,7 @@ def load_scene(file: str | Path, allow_code: bool = False) -> Scene:
     ...     _ = file.write_text(text, encoding="utf-8")
     ...     scene = tc.load_scene(file)
     >>> scene.structure, scene.input, scene.simulate()
-    (Structure(6 nodes, 3 bars, 9 strings), 'force_density', Trajectory(0.5 s, 501 states, rk4))
+    (Structure(6 nodes, 3 bars, 9 strings), 'force_density', Trajectory(0.15 s, 151 states, rk4))
     """
     if not isinstance(file, str | Path):
         raise wrong_kind("file", file, "a path")

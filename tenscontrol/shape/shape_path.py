@@ -28,8 +28,8 @@ from tenscontrol.shape.shape_search import STIFF
 from tenscontrol.shape.target import PLACES, ShapeTarget, moved_as_one_body
 from tenscontrol.statics import Prestress
 from tenscontrol.structure import (
+    BarMotion,
     bar_distances,
-    crossing,
     free_coordinates,
     left_by_supports,
     refuse_moved_supports,
@@ -430,14 +430,14 @@ def _least_clearance(problem: ShapeProblem, waypoints: list[Waypoint]) -> float:
     """Return the least distance of bars on the way, or raise where they pass through each other."""
     structure = problem.model.structure
     shapes = [problem.read(point.values)[0] for point in waypoints]
-    distances = [bar_distances(structure, nodes) for nodes in shapes]
-    for k in range(1, len(distances)):
-        pair = crossing(distances[k - 1], distances[k])
-        if pair is not None:
-            raise PathError(
-                f"bars {pair[0]} and {pair[1]} would pass through each other, "
-                f"{100 * waypoints[k].place:.3g} % of the way to the goal. Add intermediate "
-                "shapes that lead them past each other's ends",
-                rest_at(problem, waypoints[k - 1]),
-            )
-    return min(each.least for each in distances)
+    places = np.array([point.place for point in waypoints])
+    motion = BarMotion(structure, places, np.stack(shapes, axis=-1))
+    if motion.crossings:
+        (i, j), place = motion.crossings[0].bars, motion.crossings[0].time
+        raise PathError(
+            f"bars {i} and {j} would pass through each other, {100 * place:.3g} % of the way to "
+            "the goal. Add intermediate shapes that lead them past each other's ends",
+            rest_at(problem, waypoints[max(0, int(np.searchsorted(places, place)) - 1)]),
+        )
+    least = [bar_distances(structure, nodes).least for nodes in shapes]
+    return min(least) if motion.clearance is None else motion.clearance.distance

@@ -1,10 +1,11 @@
 """Open- and closed-loop simulation."""
 
-from tenscontrol.simulation.batch import Batch, checked_controller, simulate_many
+from tenscontrol.simulation.batch import Batch, BatchCrossings, checked_controller, simulate_many
 from tenscontrol.simulation.contacts import ContactRecord
 from tenscontrol.simulation.faults import CutString, Fault, Faults, LostMeasurement, StuckWinch
 from tenscontrol.simulation.health import (
     AccuracyWarning,
+    BarCrossingWarning,
     ControlRecord,
     Given,
     Health,
@@ -17,7 +18,9 @@ from tenscontrol.simulation.trajectory import Trajectory, load_run
 
 __all__ = [
     "AccuracyWarning",
+    "BarCrossingWarning",
     "Batch",
+    "BatchCrossings",
     "ContactRecord",
     "ControlRecord",
     "CutString",

@@ -15,6 +15,7 @@ from tenscontrol.control import UNSOLVED, Fallback, Status
 from tenscontrol.dynamics import Model, evaluate_columns
 from tenscontrol.integrate import Work
 from tenscontrol.simulation.observation import EstimateRecord
+from tenscontrol.structure import BarClearance, BarCrossing
 from tenscontrol.validation import (
     FloatArray,
     choice,
@@ -22,6 +23,7 @@ from tenscontrol.validation import (
     instance,
     is_unlimited,
     positive_number,
+    whole_number,
 )
 
 # Limits on what is no error of the integration, and what to do.
@@ -43,6 +45,10 @@ _UNSOLVED_SHARE = 0.05
 
 class AccuracyWarning(RuntimeWarning):
     """A motion that is not accurate, or probably not what was meant."""
+
+
+class BarCrossingWarning(RuntimeWarning):
+    """Bars pass through each other, which the model lets them do and real ones cannot."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +87,15 @@ class Health:
     rest_length_error : float or None
         Estimate of the largest error of a rest length that motors set, as part of the size: see
         :class:`~tenscontrol.actuation.MotorRecord`. None without motors.
+    crossings : tuple of BarCrossing, or None
+        Bars that pass through each other, in order of time. None in the plane, and with less than
+        two bars.
+    clearance : BarClearance or None
+        Least distance between the axes of two bars without a common node, m; None if there are
+        none, and in the plane.
+    unresolved_intervals : int
+        Number of intervals between outputs in which bars may cross unseen: outputs are too far
+        apart to tell, and the motion between them could not be integrated again.
     """
 
     energy_error: float | None
@@ -97,6 +112,9 @@ class Health:
     impulse_error: float | None = None
     fall: float | None = None
     rest_length_error: float | None = None
+    crossings: tuple[BarCrossing, ...] | None = None
+    clearance: BarClearance | None = None
+    unresolved_intervals: int = 0
 
 
 @dataclass(frozen=True)
@@ -115,9 +133,12 @@ class HealthLimits:
         As part of the size of the structure.
     steps, evaluations, switches : float, optional
         Counts.
+    crossings : int, optional
+        How many times bars may pass through each other, at least 0. With None it is not looked for
+        at the end of a run, and from its outputs alone when :attr:`Trajectory.health` is asked.
     action : {"warn", "raise"}
-        What happens where a limit is passed: an :class:`AccuracyWarning`, or a
-        :class:`SimulationError` that carries the motion.
+        What happens where a limit is passed: an :class:`AccuracyWarning`, of crossings a
+        :class:`BarCrossingWarning`, or a :class:`SimulationError` that carries the motion.
 
     Raises
     ------
@@ -129,7 +150,7 @@ class HealthLimits:
     >>> import tenscontrol as tc
     >>> model = tc.Model(tc.prism())
     >>> limits = tc.HealthLimits(bar_length_error=1e-9, action="raise")
-    >>> run = tc.simulate(model, 1.0, force_density=[17.3205] * 6 + [9.0] * 3, limits=limits)
+    >>> run = tc.simulate(model, 0.1, force_density=[17.3205] * 6 + [9.0] * 3, limits=limits)
     >>> run.health.bar_length_error < 1e-9
     True
     """
@@ -147,6 +168,7 @@ class HealthLimits:
     fall: float | None = None
     impulse_error: float | None = None
     rest_length_error: float | None = 2e-3
+    crossings: int | None = 0
 
     def __post_init__(self) -> None:
         choice("action", self.action, ("warn", "raise"))
@@ -156,6 +178,8 @@ class HealthLimits:
                 continue
             if is_unlimited(value):
                 object.__setattr__(self, each.name, None)
+            elif each.name == "crossings":
+                whole_number(each.name, value, 0)
             else:
                 positive_number(each.name, value, "a limit; None or inf for none")
 
@@ -177,10 +201,14 @@ class HealthLimits:
         list of str
         """
         instance("health", health, Health, "health of a trajectory")
-        found = []
+        found: list[str] = []
         for each in fields(self):
             limit = getattr(self, each.name)
             if each.name == "action" or limit is None:
+                continue
+            if each.name == "crossings":
+                if len(health.crossings or ()) > limit:
+                    found.append(_passing(health.crossings or ()))
                 continue
             source = health if hasattr(health, each.name) else health.work
             value = getattr(source, each.name)
@@ -191,6 +219,17 @@ class HealthLimits:
                     why = f" of the size from {health.trusted_until:.4g} s on"
                 found.append(f"{what} {value:.2g} is above its limit {limit:g}{why}")
         return found
+
+
+def _passing(crossings: tuple[BarCrossing, ...]) -> str:
+    """Return the sentence on bars that pass through each other."""
+    (i, j), more = crossings[0].bars, len(crossings) - 1
+    rest = f", and {more} more such crossing{'s' * (more > 1)} up to {crossings[-1].time:.4g} s"
+    return (
+        f"bars {i} and {j} pass through each other at {crossings[0].time:.4g} s"
+        f"{rest * (more > 0)}, which real bars cannot. Hold other inputs, keep bars apart by "
+        "clearance(...) in MPC, or accept it by HealthLimits(crossings=None)"
+    )
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from itertools import pairwise
 from math import ceil
 from typing import Any
@@ -38,7 +38,7 @@ from tenscontrol.simulation.error_estimate import Motion, Path, Stage
 from tenscontrol.simulation.faults import Faults
 from tenscontrol.simulation.health import BLOCK, ControlRecord, Given, Quantities
 from tenscontrol.simulation.trajectory import Trajectory
-from tenscontrol.structure import carried_by_supports, node_mass
+from tenscontrol.structure import BarMotion, carried_by_supports, node_mass
 from tenscontrol.validation import FloatArray, frozen, positive_number
 
 # A support whose place changes by more than this part of the size at once jumps; supports whose
@@ -117,6 +117,7 @@ class Loop:
     given: Given = field(default_factory=Given)
     estimates_error: bool = True
     error_limit: float = 0.01
+    watches_bars: bool = True  # whether bars that cross are looked for at the end
 
     def __post_init__(self) -> None:
         self._method = method_of(self.method)
@@ -380,6 +381,33 @@ class Loop:
         before[:, first] = np.column_stack([starts[i] for i in of[first]])
         return Segments(self, of, begins, ends, before, states)
 
+    def _again(
+        self, first: int, last: int, parts: int
+    ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+        """Return times, nodes and velocities from one interval between states kept to another.
+
+        In equal parts; None if the motion cannot be integrated again.
+        """
+        kept = self._segments
+        stretch = self.spans[kept.of[first + 1]]
+        if kept.of[first + 1] != kept.of[last + 1]:
+            return None
+        try:
+            piece = kept.again(first + 1, last + 1, parts)
+        except (IntegrationError, KeyboardInterrupt):
+            return None
+        time = np.append(piece.begins, piece.ends[-1:])
+        states = np.column_stack([piece.before, piece.after[:, -1]])
+        inputs = np.repeat(stretch.coefficients[:, :, None], len(time), axis=2)
+        d, n = self.model.structure.nodes.shape
+        motion = self.all_nodes(states, inputs, time - stretch.origin)
+        nodes, velocities = motion.reshape(2, n, d, -1).swapaxes(1, 2)
+        return time, nodes, velocities
+
+    @cached_property
+    def _segments(self) -> Segments:
+        return self.segments()
+
     def _packed(self, coefficients: FloatArray, time: float) -> FloatArray:
         if not self.degree:  # values held are the input
             return coefficients[:, 0]
@@ -457,6 +485,9 @@ class Loop:
             _quantities=quantities,
         )
         vars(run).update(known)
+        if self.watches_bars:
+            bars = BarMotion(structure, time, nodes, velocities, self._again, self.work.steps)
+            vars(run).update(_bars=bars.searched())
         return run
 
     def _estimated_error(self) -> FloatArray | None:

@@ -47,7 +47,7 @@ from tenscontrol.simulation.contacts import ContactRecord
 from tenscontrol.simulation.faults import CutString, LostMeasurement, StuckWinch
 from tenscontrol.simulation.health import ControlRecord, Given, Unsaved
 from tenscontrol.simulation.observation import EstimateRecord
-from tenscontrol.structure import Structure
+from tenscontrol.structure import BarClearance, BarCrossing, Structure
 from tenscontrol.validation import FloatArray, IntArray, file_path
 
 #: Version of the form; files of a later one are refused.
@@ -60,14 +60,17 @@ EVALUATED = (
     "bar_length_error",
 )  # fmt: skip
 
+#: What it finds out about its bars, likewise.
+OF_BARS = ("bar_crossings", "bar_clearance", "unresolved_intervals")
+
 # Nothing else is made from a file.
 _RECORDS = {
     kind.__name__: kind
     for kind in (
-        Choice, ContactRecord, ControlRecord, CutString, ElasticStrings, EstimateRecord,
-        FeedbackLinearizationStatistics, FilterStatistics, Ground, HertzGround, LinearStrings,
-        LostMeasurement, Motor, MotorRecord, MPCStatistics, NMPCStatistics, OutputLimit, Profile,
-        Reference, SmoothGround, Structure, StuckWinch, Winches, Work,
+        BarClearance, BarCrossing, Choice, ContactRecord, ControlRecord, CutString, ElasticStrings,
+        EstimateRecord, FeedbackLinearizationStatistics, FilterStatistics, Ground, HertzGround,
+        LinearStrings, LostMeasurement, Motor, MotorRecord, MPCStatistics, NMPCStatistics,
+        OutputLimit, Profile, Reference, SmoothGround, Structure, StuckWinch, Winches, Work,
     )
 }  # fmt: skip
 _WORDS: dict[str, type[StrEnum]] = {"Status": Status, "Fallback": Fallback}
@@ -92,6 +95,8 @@ _PARTS: dict[str, type | tuple[type, ...]] = {
     "error": (_ARRAY, NoneType),
     "rest_length": (_ARRAY, NoneType), "time": _ARRAY, "nodes": _ARRAY, "velocities": _ARRAY,
     "released_energy": _ARRAY, **dict.fromkeys(EVALUATED, _ARRAY),
+    "bar_crossings": (tuple, NoneType), "bar_clearance": (BarClearance, NoneType),
+    "unresolved_intervals": int,
 }  # fmt: skip
 
 # Arrays by the name of the attribute, with the letters of their dimensions: one letter, one length.

@@ -19,7 +19,12 @@ from tenscontrol.plant import given_load, held_value, own_input
 from tenscontrol.progress import progress_bar
 from tenscontrol.simulation.closed_loop import run_closed_loop
 from tenscontrol.simulation.faults import Fault, Faults
-from tenscontrol.simulation.health import AccuracyWarning, Given, HealthLimits
+from tenscontrol.simulation.health import (
+    AccuracyWarning,
+    BarCrossingWarning,
+    Given,
+    HealthLimits,
+)
 from tenscontrol.simulation.loop import Loop, SimulationError, support_offset
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.structure import (
@@ -183,6 +188,8 @@ def simulate(
     -----
     AccuracyWarning
         If the motion passes a limit: the integration was too coarse, or nodes sink deep.
+    BarCrossingWarning
+        Once, if bars pass through each other; see :attr:`Health.crossings`.
     ControlWarning
         Once, if the run ends away from the reference of its controller, or many programs were not
         solved; see :attr:`ControlRecord.problems`.
@@ -323,6 +330,7 @@ def simulate(
             degree=_degree(held, what, winches),
             offset=offset,
             estimates_error=error == "estimate",
+            watches_bars=limits is None or limits.crossings is not None,
         )
         limits = HealthLimits() if limits is None else limits
         loop.error_limit = limits.position_error or loop.error_limit
@@ -408,7 +416,14 @@ def _sampling_note(given: Given, start: float, end: float) -> str:
 def check_health(run: Trajectory, limits: HealthLimits) -> None:
     """Warn or raise where the motion passes a limit."""
     health = run.health_of(limits.names)
+    every = limits.passed(health)
+    limits = replace(limits, crossings=None)
     passed = limits.passed(health)
+    crossed = "; ".join(text for text in every if text not in passed)
+    if crossed and limits.action == "raise":
+        raise SimulationError(crossed, run)
+    if crossed:
+        warnings.warn(crossed, BarCrossingWarning, stacklevel=3)
     if not passed:
         return
     text = "; ".join(passed)

@@ -26,13 +26,14 @@ from tenscontrol.simulation.health import (
 )
 from tenscontrol.simulation.run_file import (
     EVALUATED,
+    OF_BARS,
     dataset,
     model_parts,
     read_run,
     write_run,
     write_table,
 )
-from tenscontrol.structure import Structure, moving_mass
+from tenscontrol.structure import BarClearance, BarCrossing, BarMotion, Structure, moving_mass
 from tenscontrol.validation import FloatArray, IntArray
 from tenscontrol.web_page import View, Viewable
 
@@ -145,9 +146,11 @@ class Trajectory(Viewable):
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle and copy with all that has not been evaluated yet, and without the model."""
-        for name in EVALUATED:
+        for name in (*EVALUATED, *OF_BARS):
             getattr(self, name)
-        return vars(self) | {"_quantities": None}
+        return {name: v for name, v in vars(self).items() if name != "_bars"} | {
+            "_quantities": None
+        }
 
     @property
     def _of_model(self) -> Quantities:
@@ -249,6 +252,27 @@ class Trajectory(Viewable):
         error -= self.structure.bar_length[:, None]
         return read_only(error)
 
+    @cached_property
+    def _bars(self) -> BarMotion:
+        """The bars over the run; :class:`Loop` gives one that may have been integrated again."""
+        states = self.time, self.nodes, self.velocities
+        return BarMotion(self.structure, *states, steps=self.work.steps)
+
+    @cached_property
+    def bar_crossings(self) -> tuple[BarCrossing, ...] | None:
+        """Bars that pass through each other; see :class:`Health`."""
+        return self._bars.crossings if self._bars.has_pairs else None
+
+    @cached_property
+    def bar_clearance(self) -> BarClearance | None:
+        """Least distance between the axes of two bars; see :class:`Health`."""
+        return self._bars.clearance
+
+    @cached_property
+    def unresolved_intervals(self) -> int:
+        """Number of intervals between outputs in which bars may cross unseen."""
+        return self._bars.unresolved
+
     def _evaluated(self, name: str, *more: FloatArray) -> list[FloatArray]:
         return self._of_model.of(name, self.nodes, self.velocities, *more)
 
@@ -292,6 +316,9 @@ class Trajectory(Viewable):
             work=self.work,
             fall=self._fall,
             rest_length_error=self._rest_length_error,
+            crossings=self.bar_crossings if "crossings" in names else None,
+            clearance=self.bar_clearance if "clearance" in names else None,
+            unresolved_intervals=self.unresolved_intervals if "crossings" in names else 0,
             **({} if self.contacts is None else self._of_ground(self.contacts)),
         )
 
@@ -419,6 +446,16 @@ class Trajectory(Viewable):
             lines.append(f"{what:18}{self.work.switches} times")
         if self.contacts is not None:
             lines += self.contacts.summary().splitlines()
+        if self.bar_crossings:
+            first = self.bar_crossings[0]
+            times, (i, j) = len(self.bar_crossings), first.bars
+            often = f"{times} times, first" if times > 1 else "once,"
+            lines.append(f"bars cross        {often} {i} and {j} at {first.time:.4g} s")
+        if self.unresolved_intervals:
+            lines.append(
+                f"bars not seen     in {self.unresolved_intervals} of {len(self.time) - 1} "
+                "intervals: output_step is too long"
+            )
         if (fall := self._fall) is not None:
             lines.append(f"fell              {fall:.2g} sizes below z = 0: there is no ground")
         if self.work.missed:
@@ -479,7 +516,7 @@ class Trajectory(Viewable):
         if isinstance(found, Quantities):
             parts = model_parts(found.model)
             more = {"model": parts, "moved": found.moved, "load": found.load}
-        evaluated = {name: getattr(self, name) for name in EVALUATED}
+        evaluated = {name: getattr(self, name) for name in (*EVALUATED, *OF_BARS)}
         return write_run(path, {**values, "ground": ground, **more, **evaluated})
 
     def to_csv(self, path: str | Path) -> Path:
@@ -576,7 +613,7 @@ def load_run(path: str | Path) -> Trajectory:
     array([0.1, 0.2])
     """
     found = read_run(path)
-    evaluated = {name: found.pop(name) for name in EVALUATED}
+    evaluated = {name: found.pop(name) for name in (*EVALUATED, *OF_BARS)}
     evaluated["_momenta"] = [evaluated.pop(name) for name in ("momentum", "angular_momentum")]
     ground, made, moved, load = (found.pop(name) for name in ("ground", "model", "moved", "load"))
     if isinstance(made, Model):

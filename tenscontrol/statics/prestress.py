@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -21,7 +21,13 @@ from tenscontrol.statics.stability import (
     stability,
     tangent_stiffness,
 )
-from tenscontrol.structure import Structure, free_coordinates, rigid_basis
+from tenscontrol.structure import (
+    BarCrossing,
+    Structure,
+    bar_distances,
+    free_coordinates,
+    rigid_basis,
+)
 from tenscontrol.validation import (
     MOST_RUNS,
     FloatArray,
@@ -82,6 +88,9 @@ class Prestress:
     mechanisms : int
         Number of independent small motions, rigid-body motion not counted,
         that change no member length to first order.
+    crossings : tuple of BarCrossing
+        Of an :func:`equilibrium`: bars that pass through each other on the straight way from the
+        shape at its start, by share of the way. Empty where there is none.
     """
 
     structure: Structure
@@ -91,6 +100,18 @@ class Prestress:
     residual: float
     self_stress_states: int
     mechanisms: int
+    crossings: tuple[BarCrossing, ...] = field(default=(), kw_only=True)
+
+    @property
+    def clearance(self) -> float:
+        """Least distance between the axes of two bars without a common node, m.
+
+        Infinite where there are none, and in the plane, where bars lie in layers.
+        """
+        structure = self.structure
+        if structure.dimension == 2:
+            return np.inf
+        return bar_distances(structure, structure.nodes).least
 
     @property
     def slack_strings(self) -> IntArray:

@@ -1,9 +1,13 @@
 """What a tensegrity structure is: nodes, bars, strings, masses."""
 
-from tenscontrol.structure.bar_geometry import (
+from tenscontrol.structure.bar_clearance import (
+    BarClearance,
+    BarCrossing,
     BarDistances,
+    BarMotion,
     bar_distances,
-    crossing,
+)
+from tenscontrol.structure.bar_geometry import (
     refuse_strings_without_length,
     refuse_wrong_bar_lengths,
     restore_bar_lengths,
@@ -39,7 +43,10 @@ from tenscontrol.structure.supports import (
 
 __all__ = [
     "STRUCTURE_KEYS",
+    "BarClearance",
+    "BarCrossing",
     "BarDistances",
+    "BarMotion",
     "Block",
     "Structure",
     "affine_motions",
@@ -47,7 +54,6 @@ __all__ = [
     "bar_rows",
     "block_mass",
     "carried_by_supports",
-    "crossing",
     "different_members",
     "free_coordinates",
     "from_table",

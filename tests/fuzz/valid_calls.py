@@ -141,7 +141,9 @@ RESULTS = {
     "shape.TippingPath",
     "control.ControlWarning",
     "simulation.AccuracyWarning",
+    "simulation.BarCrossingWarning",
     "simulation.Batch",
+    "simulation.BatchCrossings",
     "simulation.ContactRecord",
     "simulation.ControlRecord",
     "simulation.EstimateRecord",
@@ -152,6 +154,8 @@ RESULTS = {
     "statics.Prestress",
     "statics.Stability",
     "statics.TangentStiffness",
+    "structure.BarClearance",
+    "structure.BarCrossing",
 }
 
 # Bases of a user's own classes and enumerations: nobody makes one of them.

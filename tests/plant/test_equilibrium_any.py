@@ -171,7 +171,19 @@ def test_bars_that_pass_through_each_other_are_told():
     ).T
     structure = tc.Structure(nodes, [[0, 1], [2, 3]], [[2, 4], [3, 5]], 1.0, fixed=[0, 1, 4, 5])
     with pytest.warns(UserWarning, match="bars 0 and 1 pass through each other"):
-        tc.equilibrium(model_of(structure, gravity=1.0), rest_length=0.1)
+        rest = tc.equilibrium(model_of(structure, gravity=1.0), rest_length=0.1)
+    (only,) = rest.crossings
+    height = rest.structure.nodes[2, 2]  # straight down from 0.5 m, the axis of the other at 0 m
+    assert only.bars == (0, 1)
+    assert only.time == pytest.approx(0.5 / (0.5 - height))
+    assert rest.clearance == pytest.approx(-height)
+    again = tc.equilibrium(model_of(rest.structure, gravity=1.0), rest_length=0.1)
+    assert again.crossings == ()
+
+
+def test_a_shape_in_the_plane_has_no_clearance():
+    flat = tc.library.snelson_x(dimension=2)
+    assert tc.prestress(flat, 1.0).clearance == np.inf
 
 
 def test_only_what_was_given_is_blamed():

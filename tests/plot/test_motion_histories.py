@@ -207,6 +207,15 @@ class TestHealth:
         assert drawn[199] < 1e-12
         assert np.isclose(drawn[200], 0.5)
 
+    def test_bars_that_cross_are_marked(self, prism, slack_run):
+        assert tc.plot.health(slack_run)["bar_length_error"].marks == {}
+        run = tc.simulate(tc.Model(prism), 0.3, force_density=[17.3205] * 6 + [9.0] * 3, step=1e-3)
+        panel = tc.plot.health(run)["bar_length_error"]
+        times = [each.time for each in run.health.crossings]
+        assert len(times) == 3
+        assert panel.marks["bars cross"].get_xdata().tolist() == times
+        assert "bars cross (×3)" in [text.get_text() for text in panel.ax.get_legend().get_texts()]
+
     def test_a_structure_at_rest_is_drawn(self, prism, rest):
         run = tc.simulate(tc.Model(prism), 0.01, force_density=rest.force_density, step=1e-3)
         still = with_values(

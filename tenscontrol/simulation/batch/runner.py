@@ -7,13 +7,14 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
 from functools import partial
+from math import ceil
 from threading import local
 
 import casadi as ca
 import numpy as np
 
 from tenscontrol.control import Controller
-from tenscontrol.dynamics import Equation, Model, Pieces, compiled, compiler
+from tenscontrol.dynamics import Equation, Model, Pieces, compiled, compiler, unpack_states
 from tenscontrol.integrate import (
     METHODS,
     Choice,
@@ -22,6 +23,7 @@ from tenscontrol.integrate import (
     Integrator,
     Lanes,
     Method,
+    Span,
     Work,
     choose,
     not_finite,
@@ -32,6 +34,7 @@ from tenscontrol.simulation.batch.compiled_loop import MOST_CONTROLLERS, Compile
 from tenscontrol.simulation.error_estimate import Motion, Path, Resolved, Stage
 from tenscontrol.simulation.health import Given, Quantities, by_node
 from tenscontrol.simulation.trajectory import Trajectory
+from tenscontrol.structure import BarMotion
 from tenscontrol.validation import LARGEST, FloatArray, IntArray, refuse_memory
 
 # Runs in a call, and numbers that it may return.
@@ -432,11 +435,7 @@ class Runner:
         structure, held = model.structure, scene.entry(scene.input, run)
         assert held is not None  # refused where it changes in time
         nodes, velocities = self.nodes[run], self.velocities[run]
-        # The span of each state kept: the start belongs to the first.
-        of = np.array([0, len(self.spans) - 1])
-        if not self._ends_alone:
-            outputs = np.repeat(np.arange(len(self.spans)), [span.outputs for span in self.spans])
-            of = np.concatenate([outputs[:1], outputs])
+        of = self._span_of
         inputs: FloatArray = np.broadcast_to(held[:, None], (len(held), len(of)))
         if self.command is not None:
             inputs = self.command[run][:, of]
@@ -447,7 +446,7 @@ class Runner:
         load = load.reshape(structure.nodes.shape, order="F")
         loaded, free = bool(load.any()), not len(structure.fixed_rows)
         damped = model.strings is not None and model.strings.is_damped
-        return Trajectory(
+        found = Trajectory(
             structure, self.time, nodes, velocities,
             inputs if scene.input == "rest_length" else None, choice, self._work_of(run),
             conserves_energy=self.command is None
@@ -461,6 +460,63 @@ class Runner:
                 shared=partial(self._function, run, model) if self._shares else None,
             ),
         )  # fmt: skip
+        vars(found).update(_bars=self.bars(run))
+        return found
+
+    def bars(self, run: int) -> BarMotion:
+        """Return the bars over a run, up to where it is good; all nodes were kept."""
+        there = np.isfinite(self.nodes[run]).all(axis=(0, 1))
+        nodes, velocities = self.nodes[run][:, :, there], self.velocities[run][:, :, there]
+        structure, steps = self.scene.model.structure, 0
+        if run in self._work:
+            steps = self._work[run].steps
+        elif self.how.step is not None:
+            steps = ceil(self.end_time[run] / self.how.step)
+        # From one output to the next the input is one polynomial in time.
+        has_input = not self._ends_alone or len(self.spans) == 1
+        again = partial(self._again, run) if has_input else None
+        return BarMotion(structure, self.time[there], nodes, velocities, again, steps)
+
+    @property
+    def _span_of(self) -> IntArray:
+        """The span of each state kept: the start belongs to the first."""
+        if self._ends_alone:
+            return np.array([0, len(self.spans) - 1])
+        outputs = np.repeat(np.arange(len(self.spans)), [span.outputs for span in self.spans])
+        return np.concatenate([outputs[:1], outputs])
+
+    def _advance_of(self, run: int) -> Callable[..., Span]:
+        """Return what integrates a run."""
+        return self._resolved(run, self.choice.value).advance
+
+    def _interval(self, run: int, k: int) -> tuple[FloatArray, FloatArray]:
+        """Return the state and the input of a run at the beginning of an interval of outputs."""
+        place = self._span_of[k + 1]
+        span = self.spans[place]
+        u = self.scene.held_inputs(run, run + 1, span, self._shares)[0]
+        if self.command is not None:
+            command = self.command[run][:, place]
+            u[: len(command)] = command
+        if span.time is not None:
+            u[-1] += self.time[k] - span.start
+        ends = self.nodes[run][:, :, k], self.velocities[run][:, :, k]
+        rows = self.scene.model.structure.free_rows
+        return np.concatenate([each.ravel(order="F")[rows] for each in ends]), u
+
+    def _again(
+        self, run: int, first: int, last: int, parts: int
+    ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+        """Return times, nodes and velocities from one interval of outputs to another, in parts."""
+        if self._span_of[first + 1] != self._span_of[last + 1]:
+            return None
+        begin, end = self.time[first], self.time[last + 1]
+        state, u = self._interval(run, first)
+        try:
+            states = self._advance_of(run)(state, u, end - begin, parts).states
+        except (IntegrationError, KeyboardInterrupt):
+            return None
+        every = unpack_states(self.scene.model.structure, np.column_stack([state, states]))
+        return begin + (end - begin) * np.arange(parts + 1) / parts, *every
 
     def _work_of(self, run: int) -> Work:
         work = self._work.get(run)

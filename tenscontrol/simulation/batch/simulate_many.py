@@ -11,6 +11,7 @@ import os
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
@@ -31,6 +32,7 @@ from tenscontrol.validation import (
     FloatArray,
     IntArray,
     choice,
+    freeze_arrays,
     index_list,
     instance,
     positive_number,
@@ -42,6 +44,28 @@ _INTERRUPTED = "interrupted"
 
 # Runs whose error is estimated, and that are named in a warning.
 _SAMPLE, _NAMED = 32, 8
+
+
+@dataclass(frozen=True, eq=False)
+class BatchCrossings:
+    """Bars that pass through each other in the runs of a batch.
+
+    Attributes
+    ----------
+    count : ndarray of int, shape (runs,)
+        How many times.
+    first_time : ndarray, shape (runs,)
+        When bars cross first, s; NaN where none do.
+    unresolved_intervals : ndarray of int, shape (runs,)
+        Intervals between outputs in which bars may cross unseen, as in :class:`Health`.
+    """
+
+    count: IntArray
+    first_time: FloatArray
+    unresolved_intervals: IntArray
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,6 +153,32 @@ class Batch:
         if limits is not None:
             check_health(found, limits)
         return found
+
+    @cached_property
+    def crossings(self) -> BatchCrossings | None:
+        """Bars that pass through each other, run by run; None in the plane and for a single bar.
+
+        It is looked for when it is first read. Where outputs are too far apart to tell, the motion
+        between them is integrated again, at about the cost of the run; but not if start and end
+        alone are kept under inputs that change.
+
+        Raises
+        ------
+        ValueError
+            If not all nodes were kept.
+        """
+        if self.structure.dimension == 2 or len(self.structure.bars) < 2:
+            return None
+        if len(self.kept_nodes) < self.structure.nodes.shape[1]:
+            raise ValueError("runs have some of their nodes only: leave keep_nodes out")
+        assert self._runner is not None  # made by simulate_many
+        runs = [self._runner.bars(run).searched() for run in range(len(self.completed))]
+        first = [each.crossings[0].time if each.crossings else np.nan for each in runs]
+        return BatchCrossings(
+            np.array([len(each.crossings) for each in runs]),
+            np.array(first),
+            np.array([each.unresolved for each in runs]),
+        )
 
     def __repr__(self) -> str:
         done, runs = int(self.completed.sum()), len(self.completed)

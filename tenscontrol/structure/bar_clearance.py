@@ -1,0 +1,706 @@
+"""Distances between the axes of bars, in a shape and over a motion, and bars that cross."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from math import ceil
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from tenscontrol.structure.structure import Structure
+from tenscontrol.validation import FloatArray, IntArray
+
+# Of up to so many bars all pairs are looked at; of more, those near by, and to begin with so many
+# that are nearest to each.
+_FEW_BARS, _NEIGHBOURS = 64, 9
+
+# Nodes may be this much faster between states than they are at them, if there are so many intervals
+# at least, or as many as steps. With fewer, the motion is integrated again first.
+_FASTER, _FEWEST = 2.0, 16
+
+# Intervals that share one bound of the motion, and pairs in intervals that are taken in one go.
+_BLOCK, _TOGETHER = 16, 20_000
+
+# Places in an interval at which two bars are measured that come near each other, halvings of the
+# time in which they cross, and rounds in which the least distance is found between two places.
+_PLACES, _HALVINGS, _ROUNDS = np.linspace(0.0, 1.0, 33), 16, 3
+
+# The cubic over two intervals is off by 16 times the one over each, if the motion is smooth.
+_OFF_BY = 4.0
+
+# An interval is integrated again in so many parts, then in so many times more; at first in as many
+# as it has steps, up to the second. It has at most this many parts, and so have all of them
+# together beside half as many as the run has steps.
+_PARTS, _STEPS, _MOST_PARTS = 4, 64, 4_096
+
+# As parts of the size: what needs no closer look; bars that touch; those that stay in one plane;
+# motions that have run away; and those that are taken beside the mean of the nodes. Of the least
+# distance, the part by which it may be missed.
+_EXACT, _TOUCHING, _ROUND_OFF, _AWAY, _DRIFT, _MISSED = 1e-6, 1e-6, 1e-9, 1e9, 0.05, 1e-3
+
+#: ``again(first, last, parts)``: times (parts + 1,), nodes and velocities (d, n, parts + 1) of some
+#: intervals of a motion in equal parts, both ends included; None if they cannot be integrated.
+Again = Callable[[int, int, int], tuple[FloatArray, FloatArray, FloatArray] | None]
+
+
+# Pairs of bars that may cross, by structure.
+_PAIRS: WeakKeyDictionary[Structure, IntArray] = WeakKeyDictionary()
+
+
+@dataclass(frozen=True, eq=False)
+class BarDistances:
+    """Distances between the axes of all p pairs of bars that share no node.
+
+    ``side`` is the sign of the volume that two bars span; 0 where they are nearest at an end, so
+    that one can go around the other, and in the plane, where bars lie in layers. ``nearest`` is
+    where along its length each of two lines is nearest to the other, 0 at the start of the bar and
+    1 at its end; of parallel bars, anywhere.
+    """
+
+    pairs: IntArray  # (p, 2)
+    distance: FloatArray  # (p,), m
+    side: FloatArray  # (p,)
+    nearest: FloatArray  # (p, 2)
+
+    @property
+    def least(self) -> float:
+        """The smallest distance, m; infinite for a single bar."""
+        return float(self.distance.min(initial=np.inf))
+
+
+def bar_distances(structure: Structure, nodes: FloatArray) -> BarDistances:
+    """Return how far the bars are from one another in a shape."""
+    pairs = _all_pairs(structure.bars)
+    corners = _corners(structure.bars, nodes[:, :, None], pairs, np.zeros(len(pairs), dtype=int))
+    distance, s, t, inside = _apart(corners)
+    side = np.zeros(len(pairs))
+    if structure.dimension == 3:
+        side = np.where(inside, np.sign(_volume(corners)), 0.0)
+    return BarDistances(pairs, distance, side, np.column_stack([s, t]))
+
+
+def _all_pairs(bars: IntArray) -> IntArray:
+    """Return all pairs of bars that share no node, shape (p, 2)."""
+    return _without_joined(bars, np.column_stack(np.triu_indices(len(bars), 1)))
+
+
+def _without_joined(bars: IntArray, pairs: IntArray) -> IntArray:
+    ends = bars[pairs]
+    joined = (ends[:, 0, :, None] == ends[:, 1, None, :]).any(axis=(1, 2))
+    return np.asarray(pairs[~joined])
+
+
+def _corners(bars: IntArray, nodes: FloatArray, pairs: IntArray, k: IntArray) -> FloatArray:
+    """Return where ends of first bars are, from ends of second ones, shape (3, d, m).
+
+    From start to start, from start to end, and from end to start, in columns k of nodes (d, n, K).
+    """
+    a, b, c, d = np.moveaxis(nodes[:, bars[pairs].reshape(-1, 4), k[:, None]], 2, 0)
+    return np.stack([a - c, b - c, a - d])
+
+
+def _apart(corners: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, np.ndarray]:
+    """Return how far bars are apart, where their lines are nearest, and if that is inside both."""
+    w, u, v = corners[0], corners[1] - corners[0], corners[0] - corners[2]
+    uu, vv, uv = (u * u).sum(0), (v * v).sum(0), (u * v).sum(0)
+    uw, vw = (u * w).sum(0), (v * w).sum(0)
+    across = uu * vv - uv**2
+    slanted = across > 1e-12 * uu * vv
+    scale = np.where(slanted, across, 1.0)
+    s, t = (uv * vw - vv * uw) / scale, (uu * vw - uv * uw) / scale
+    # Two lines are nearest within both bars, or else at an end of one of them.
+    inside = slanted & (s > 0) & (s < 1) & (t > 0) & (t < 1)
+    distance = np.where(inside, np.linalg.norm(w + s * u - t * v, axis=0), np.inf)
+    for s_end in (0.0, 1.0):
+        t_near = np.clip((vw + s_end * uv) / vv, 0.0, 1.0)
+        distance = np.minimum(distance, np.linalg.norm(w + s_end * u - t_near * v, axis=0))
+    for t_end in (0.0, 1.0):
+        s_near = np.clip((t_end * uv - uw) / uu, 0.0, 1.0)
+        distance = np.minimum(distance, np.linalg.norm(w + s_near * u - t_end * v, axis=0))
+    return distance, s, t, inside
+
+
+def _volume(corners: FloatArray) -> FloatArray:
+    """Return the volume that two bars span, in space, m³."""
+    w, u, v = corners[0], corners[1] - corners[0], corners[0] - corners[2]
+    return np.asarray((np.cross(u, v, axis=0) * w).sum(axis=0))
+
+
+@dataclass(frozen=True)
+class BarCrossing:
+    """Two bars that pass through each other.
+
+    Attributes
+    ----------
+    time : float
+        s; between two shapes, the share of the way.
+    bars : tuple of int
+        The two bars, the lower number first.
+    """
+
+    time: float
+    bars: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class BarClearance:
+    """The least distance between the axes of two bars over a motion.
+
+    Attributes
+    ----------
+    distance : float
+        m; 0 where bars cross.
+    time : float
+        When it is so small, s; between two shapes, the share of the way.
+    bars : tuple of int
+        The two bars, the lower number first.
+    """
+
+    distance: float
+    time: float
+    bars: tuple[int, int]
+
+
+@dataclass(eq=False)
+class _Intervals:
+    """A motion, cubic in each of K intervals."""
+
+    begin: FloatArray  # (K,), s
+    length: FloatArray
+    nodes: tuple[FloatArray, FloatArray]  # at both ends, (d, n, K) each
+    rates: tuple[FloatArray, FloatArray] | None  # of nodes that move in straight lines None
+    follows: np.ndarray  # whether an interval begins where the one before ends
+    origin: IntArray  # the interval of the motion given that each is part of
+
+    @classmethod
+    def between(
+        cls, time: FloatArray, nodes: FloatArray, velocities: FloatArray | None, origin: IntArray
+    ) -> _Intervals:
+        """Return the intervals between states."""
+        rates = None if velocities is None else (velocities[:, :, :-1], velocities[:, :, 1:])
+        moves, follows = (nodes[:, :, :-1], nodes[:, :, 1:]), np.arange(len(time) - 1) > 0
+        return cls(time[:-1], np.diff(time), moves, rates, follows, origin)
+
+    @classmethod
+    def joined(cls, parts: list[_Intervals]) -> _Intervals:
+        """Return the intervals of several motions."""
+        flat = [
+            (each.begin, each.length, *each.nodes, *(each.rates or ()), each.follows, each.origin)
+            for each in parts
+        ]
+        begin, length, x0, x1, *rates, follows, origin = (
+            np.concatenate(each, axis=-1) for each in zip(*flat, strict=True)
+        )
+        ends = (rates[0], rates[1]) if rates else None
+        return cls(begin, length, (x0, x1), ends, follows, origin)
+
+    @property
+    def count(self) -> int:
+        return len(self.begin)
+
+    def cubics(self, bars: IntArray, pairs: IntArray, k: IntArray) -> FloatArray:
+        """Return control points of the motion of corners in intervals, (4, 3, d, m)."""
+        first, last = (_corners(bars, each, pairs, k) for each in self.nodes)
+        if self.rates is None:
+            third = (last - first) / 3
+            return np.stack([first, first + third, last - third, last])
+        h = self.length[k] / 3
+        out, into = (h * _corners(bars, each, pairs, k) for each in self.rates)
+        return np.stack([first, first + out, last - into, last])
+
+    def strays(self, nodes: IntArray | None = None) -> FloatArray:
+        """Return how far nodes may be, between two states, from both, m, shape (n,).
+
+        Of some nodes, beside what all of them do alike.
+        """
+        found = np.zeros(self.nodes[0].shape[1])
+        if self.rates is None:
+            return found
+        some, first, end = slice(None) if nodes is None else nodes, *self.rates
+        end = end[:, :, -1]
+        if nodes is not None:
+            first, end = _beside_mean(first[:, nodes]), _beside_mean(end[:, nodes])
+        low, high = _bounds(first, end)
+        speed = np.linalg.norm(np.maximum(-low, high), axis=0)
+        found[some] = _FASTER / 2 * float(self.length.max()) * speed
+        return found
+
+    def error(self, bars: IntArray, pairs: IntArray, k: IntArray) -> FloatArray:
+        """Return estimates of how far corners may be off the cubics in intervals, (m,), m.
+
+        By how far the cubic over an interval and one beside it is off the state between them.
+        """
+        if self.rates is None:
+            return np.zeros(len(k))
+        worst = np.full(len(k), -1.0)
+        for second in (k, k + 1):
+            there = np.flatnonzero((second > 0) & (second < self.count))
+            there = there[self.follows[second[there]]]
+            after, before, some = second[there], second[there] - 1, pairs[there]
+            h = self.length[before], self.length[after]
+            whole, share = h[0] + h[1], h[0] / (h[0] + h[1])
+            ends = [
+                _corners(bars, each[i], some, at)
+                for each in (self.nodes, self.rates)
+                for i, at in ((0, before), (1, after))
+            ]
+            out, into = (whole / 3 * each for each in ends[2:])
+            cubic = np.stack([ends[0], ends[0] + out, ends[1] - into, ends[1]])
+            off = _largest(_at(cubic, share) - _corners(bars, self.nodes[0], some, after))
+            turned = _rate(cubic, share) / whole - _corners(bars, self.rates[0], some, after)
+            off = np.maximum(off, np.minimum(*h) / 4 * _largest(turned))
+            worst[there] = np.maximum(worst[there], off / _OFF_BY)
+        return np.where(worst < 0, np.inf, worst)
+
+
+def _beside_mean(nodes: FloatArray) -> FloatArray:
+    """Return nodes, or rates, beside what all of them do alike: that brings no bars together."""
+    return np.asarray(nodes - nodes.mean(axis=1, keepdims=True))
+
+
+def _bounds(first: FloatArray, end: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return bounds of a motion with these values as intervals begin, and at its end."""
+    return np.minimum(first.min(axis=2), end), np.maximum(first.max(axis=2), end)
+
+
+def _at(cubic: FloatArray, s: FloatArray) -> FloatArray:
+    """Return cubics with these control points (4, ..., m) at shares s, (m,) or (m, places)."""
+    a, b, c, d = cubic if s.ndim == 1 else cubic[..., None]
+    r = 1 - s
+    return np.asarray(r**3 * a + 3 * r * s * (r * b + s * c) + s**3 * d)
+
+
+def _rate(cubic: FloatArray, s: FloatArray) -> FloatArray:
+    a, b, c, d = cubic
+    r = 1 - s
+    return np.asarray(3 * (r**2 * (b - a) + 2 * r * s * (c - b) + s**2 * (d - c)))
+
+
+def _largest(corners: FloatArray) -> FloatArray:
+    """Return the largest of the lengths of all four corners."""
+    fourth = corners[1] + corners[2] - corners[0]
+    lengths = [np.linalg.norm(each, axis=-2) for each in (*corners, fourth)]
+    return np.asarray(np.max(lengths, axis=0))
+
+
+@dataclass(eq=False)
+class _Least:
+    """The least distance seen so far, when, and of which bars."""
+
+    distance: float = np.inf
+    time: float = 0.0
+    bars: tuple[int, int] = (0, 0)
+
+    @property
+    def limit(self) -> float:
+        """Nothing above it is worth a look, m."""
+        return (1 - _MISSED) * self.distance
+
+    def see(self, distance: FloatArray, time: FloatArray, pairs: IntArray) -> None:
+        """Take the least of these, if it is less."""
+        if len(distance) and distance.min() < self.distance:
+            k = int(distance.argmin())
+            i, j = pairs[k].tolist()
+            self.distance, self.time, self.bars = float(distance[k]), float(time[k]), (i, j)
+
+
+class BarMotion:
+    """The bars of a structure over a motion: which of them cross, and how near they come.
+
+    Between two states each node moves along the cubic with their positions and velocities. For bars
+    a → b and c → d without a common node, ``v = ((N_b − N_a) × (N_d − N_c)) · (N_c − N_a)`` is a
+    polynomial in time there. They cross where it changes sign and the points of the two lines that
+    are nearest to each other are on both bars. Pairs are looked at only when they may be within
+    reach, so that costs grow with the number of bars. In the plane bars lie in layers: there are no
+    crossings, and no clearance. The same holds for bars that touch in the shape of the structure.
+
+    Parameters
+    ----------
+    structure : Structure
+    time : ndarray, shape (T,)
+        s, ascending.
+    nodes : ndarray, shape (d, n, T)
+        m.
+    velocities : ndarray, shape (d, n, T), optional
+        m/s; if not given, nodes move in straight lines from one shape to the next.
+    again : callable, optional
+        Integrates again where states are too far apart to tell; see :data:`Again`.
+    steps : int
+        Steps of the run, 0 where they are not known. They say how well the states resolve it, and
+        in how many parts intervals are integrated again.
+    """
+
+    def __init__(
+        self, structure: Structure, time: FloatArray, nodes: FloatArray,
+        velocities: FloatArray | None = None, again: Again | None = None, steps: int = 0,
+    ) -> None:  # fmt: skip
+        self._structure, self._bars, self._again = structure, structure.bars, again
+        self._size = float(np.ptp(structure.nodes, axis=1).max())
+        self.has_pairs = structure.dimension == 3 and len(self._bars) > 1 and len(time) > 0
+        count, far = len(time), _AWAY * self._size
+        if self.has_pairs and not (nodes.min() > -far and nodes.max() < far):
+            count = int((~(np.abs(nodes) < far).all(axis=(0, 1))).argmax())
+            self.has_pairs = count > 0
+        rates = None if velocities is None else velocities[:, :, :count]
+        where = np.arange(max(0, count - 1))
+        self._kept = _Intervals.between(time[:count], nodes[:, :, :count], rates, where)
+        self._time, self._nodes, self._left = time, nodes, _MOST_PARTS + steps // 2
+        # Fewer states than steps may be too few to bound the motion.
+        self._is_short = velocities is not None and len(where) < _FEWEST
+        self._is_short &= not 0 < steps <= len(where)
+        self._parts = int(np.clip(steps // max(1, len(where)), _PARTS, _STEPS))
+        # Intervals that were integrated again, with the pairs and places that asked for it.
+        self._finer: list[tuple[_Intervals, IntArray, IntArray]] = []
+        self._made_finer = np.zeros(0, dtype=int)
+
+    @property
+    def crossings(self) -> tuple[BarCrossing, ...]:
+        """The crossings in order of time."""
+        return self._found[0]
+
+    @property
+    def unresolved(self) -> int:
+        """Number of intervals whose states are too few to tell whether bars cross in them."""
+        return self._found[1]
+
+    @cached_property
+    def clearance(self) -> BarClearance | None:
+        """The least distance of all, to a thousandth of it; None without two bars apart."""
+        if self.crossings:
+            first = self.crossings[0]
+            return BarClearance(0.0, first.time, first.bars)
+        if not self.has_pairs:
+            return None
+        with np.errstate(over="ignore", invalid="ignore"):
+            least = self._least()
+        if not np.isfinite(least.distance):
+            return None
+        return BarClearance(least.distance, least.time, least.bars)
+
+    def _least(self) -> _Least:
+        least, base = _Least(), self._base
+        if not base.count:
+            found = bar_distances(self._structure, self._nodes[:, :, 0])
+            least.see(found.distance, self._time[:1].repeat(len(found.pairs)), found.pairs)
+            return least
+        pairs, k, _ = self._close(base, least)
+        coarse = ~np.isin(self._key(base, pairs, k), self._made_finer)
+        for motion, some, at in [(base, pairs[coarse], k[coarse]), *self._finer]:
+            self._see_between(motion, some, at, least)
+        return least
+
+    @cached_property
+    def _base(self) -> _Intervals:
+        """The motion, integrated again if it has too few states to bound it."""
+        kept, parts = self._kept, self._parts
+        if self._again is None or not self._is_short:
+            return kept
+        parts = max(parts, ceil(_FEWEST / kept.count))
+        # In one go where intervals are equally long, under one input.
+        if np.ptp(kept.length) < 1e-6 * kept.length[0]:
+            whole = self._integrated(0, kept.count - 1, parts)
+            if whole is not None:
+                return whole
+        pieces = [self._integrated(k, k, parts) for k in range(kept.count)]
+        found = [piece for piece in pieces if piece is not None]
+        return _Intervals.joined(found) if len(found) == len(pieces) else kept
+
+    def _integrated(self, first: int, last: int, parts: int) -> _Intervals | None:
+        """Return intervals, each in parts, or None if they are not integrated again."""
+        count = parts * (last - first + 1)
+        if self._again is None or count > self._left:
+            return None
+        found = self._again(first, last, count)
+        if found is None:
+            return None
+        self._left -= count
+        return _Intervals.between(*found, np.repeat(np.arange(first, last + 1), parts))
+
+    # ---- which pairs, and when ----
+
+    def _close(
+        self, motion: _Intervals, least: _Least | None
+    ) -> tuple[IntArray, IntArray, FloatArray]:
+        """Return pairs, intervals, and the errors there, in which bars may meet.
+
+        Or in which they may come nearer than the least distance known, which is updated.
+        """
+        half, first, end = motion.count // 2, motion.nodes[0], motion.nodes[1][:, :, -1]
+        nodes = None
+        if np.abs((end - first[:, :, 0]).mean(axis=1)).max() > _DRIFT * self._size:  # as in a fall
+            nodes = np.arange(first.shape[1])
+            first, end = _beside_mean(first), _beside_mean(end)
+        middle, (low, high) = first[:, :, half], _bounds(first, end)
+        moved = np.linalg.norm(np.maximum(high - middle, middle - low), axis=0)
+        reach = (moved + motion.strays(nodes))[self._bars].max(axis=1)
+        pairs = self._pairs_within(middle, reach, least, float(motion.begin[half]))
+        apart = self._apart_at(motion, pairs, np.full(len(pairs), half), least)
+        pairs = pairs[apart - reach[pairs].sum(axis=1) <= _limit(least)]
+        if not len(pairs):
+            return pairs, np.zeros(0, dtype=int), np.zeros(0)
+        strays = motion.strays(np.unique(self._bars[pairs]))
+        found = [
+            self._close_within(motion, pairs[p], k, strays, least)
+            for p, k in self._close_blocks(motion, pairs, strays, least)
+        ]
+        some, k, error = (np.concatenate(each) for each in zip(*found, strict=True))
+        return some, k, error
+
+    def _apart_at(
+        self, motion: _Intervals, pairs: IntArray, k: IntArray, least: _Least | None
+    ) -> FloatArray:
+        """Return distances at the beginning of intervals."""
+        apart = _apart(_corners(self._bars, motion.nodes[0], pairs, k))[0]
+        if least is not None:
+            least.see(apart, motion.begin[k], pairs)
+        return apart
+
+    def _pairs_within(
+        self, nodes: FloatArray, reach: FloatArray, least: _Least | None, time: float
+    ) -> IntArray:
+        """Return pairs whose bars may meet if each moves by its reach, (p, 2).
+
+        Or may come nearer than the least distance known.
+        """
+        bars = self._bars
+        if len(bars) <= _FEW_BARS:
+            return self._every()
+        from scipy.spatial import cKDTree
+
+        ends = nodes[:, bars]
+        middles = ends.mean(axis=2).T
+        radius = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=0) / 2 + reach
+        if least is not None:
+            _, near = cKDTree(middles).query(middles, _NEIGHBOURS)
+            own = np.repeat(np.arange(len(bars)), _NEIGHBOURS)
+            pairs = np.sort(np.column_stack([own, near.ravel()]), axis=1)
+            pairs = self._separate(_without_joined(bars, pairs[pairs[:, 0] != pairs[:, 1]]))
+            corners = _corners(bars, nodes[:, :, None], pairs, np.zeros(len(pairs), dtype=int))
+            least.see(_apart(corners)[0], np.full(len(pairs), time), pairs)
+            if not len(pairs):  # all neighbours share a node
+                return self._every()
+        extra = _limit(least)
+        # By size, so that a large bar does not make all others neighbours.
+        kinds = np.floor(np.log2(radius / radius.min())).astype(int)
+        members = [np.flatnonzero(kinds == kind) for kind in np.unique(kinds)]
+        trees, found = [cKDTree(middles[each]) for each in members], []
+        for a, (mine, tree) in enumerate(zip(members, trees, strict=True)):
+            within = 2 * radius[mine].max() + extra
+            found.append(mine[tree.query_pairs(within, output_type="ndarray")])
+            for others, other in zip(members[a + 1 :], trees[a + 1 :], strict=True):
+                within = radius[mine].max() + radius[others].max() + extra
+                pairs = tree.sparse_distance_matrix(other, within, output_type="ndarray")
+                found.append(np.column_stack([mine[pairs["i"]], others[pairs["j"]]]))
+        pairs = np.sort(np.concatenate(found), axis=1)
+        i, j = pairs.T
+        apart = np.linalg.norm(middles[i] - middles[j], axis=1) - radius[i] - radius[j]
+        return self._separate(_without_joined(bars, pairs[apart <= extra]))
+
+    def _every(self) -> IntArray:
+        """Return all pairs that do not touch in the shape of the structure, made once for it."""
+        found = _PAIRS.get(self._structure)
+        if found is None:
+            found = _PAIRS[self._structure] = self._separate(_all_pairs(self._bars))
+        return found
+
+    def _separate(self, pairs: IntArray) -> IntArray:
+        """Return pairs without those that touch in the shape of the structure."""
+        nodes = self._structure.nodes[:, :, None]
+        apart = _apart(_corners(self._bars, nodes, pairs, np.zeros(len(pairs), dtype=int)))[0]
+        return np.asarray(pairs[apart > _TOUCHING * self._size])
+
+    def _close_blocks(
+        self, motion: _Intervals, pairs: IntArray, strays: FloatArray, least: _Least | None
+    ) -> Iterator[tuple[IntArray, IntArray]]:
+        """Yield pairs, by their place, and intervals of blocks in which these may be close."""
+        count, nodes = motion.count, np.unique(self._bars[pairs])
+        ends = motion.nodes[0][:, nodes], motion.nodes[1][:, nodes, -1:]
+        x = _beside_mean(np.concatenate(ends, axis=2))
+        starts = np.arange(0, count, _BLOCK)
+        stops = np.minimum(starts + _BLOCK, count)
+        middle = np.minimum(starts + _BLOCK // 2, count - 1)
+        there = x[:, :, middle]
+        low = np.minimum(np.minimum.reduceat(x, starts, axis=2), x[:, :, stops])
+        high = np.maximum(np.maximum.reduceat(x, starts, axis=2), x[:, :, stops])
+        moved = np.linalg.norm(np.maximum(high - there, there - low), axis=0)
+        moved += strays[nodes][:, None]
+        places = np.searchsorted(nodes, self._bars[pairs])
+        reach = moved[places].max(axis=2)
+        step = max(1, _TOGETHER // len(starts))
+        for first in range(0, len(pairs), step):
+            some = slice(first, first + step)
+            a, b = (there[:, places[some, :, end]] for end in (0, 1))
+            centre, half = (a + b) / 2, np.linalg.norm(b - a, axis=0) / 2 + reach[some]
+            gap = np.linalg.norm(centre[:, :, 0] - centre[:, :, 1], axis=0) - half.sum(axis=1)
+            p, block = np.nonzero(gap <= _limit(least))
+            p += first
+            apart = self._apart_at(motion, pairs[p], middle[block], least)
+            close = np.flatnonzero(apart - reach[p, :, block].sum(axis=1) <= _limit(least))
+            k = starts[block[close]][:, None] + np.arange(_BLOCK)
+            p = np.broadcast_to(p[close][:, None], k.shape)
+            inside = k < stops[block[close]][:, None]
+            yield p[inside], k[inside]
+
+    def _close_within(
+        self, motion: _Intervals, pairs: IntArray, k: IntArray, strays: FloatArray,
+        least: _Least | None,
+    ) -> tuple[IntArray, IntArray, FloatArray]:  # fmt: skip
+        """Return pairs, intervals and errors in which bars may be close, of some intervals."""
+        found = []
+        for first in range(0, max(1, len(k)), _TOGETHER):
+            some, at = pairs[first : first + _TOGETHER], k[first : first + _TOGETHER]
+            apart = self._apart_at(motion, some, at, least)
+            if motion.rates is not None:
+                within = 2 * strays[self._bars[some]].max(axis=2).sum(axis=1)
+                close = apart - within <= _limit(least)
+                some, at, apart = some[close], at[close], apart[close]
+            way = _largest(np.diff(motion.cubics(self._bars, some, at), axis=0).swapaxes(0, 1))
+            error = np.zeros(len(at))
+            if least is None:
+                error = motion.error(self._bars, some, at)
+            close = apart - way.sum(axis=0) - error <= _limit(least)
+            found.append((some[close], at[close], error[close]))
+        some, at, error = (np.concatenate(each) for each in zip(*found, strict=True))
+        return some, at, error
+
+    def _see_between(self, motion: _Intervals, pairs: IntArray, k: IntArray, least: _Least) -> None:
+        """Look for the least distance within intervals."""
+        for first in range(0, len(k), _TOGETHER // 8):
+            some, at = pairs[first : first + _TOGETHER // 8], k[first : first + _TOGETHER // 8]
+            cubic = motion.cubics(self._bars, some, at)
+            distance = _apart(_at(cubic, _PLACES[None]))[0]
+            item, place = np.unravel_index(distance.argmin(), distance.shape)
+            one, s, step = slice(item, item + 1), float(_PLACES[place]), _PLACES[1]
+            for _ in range(_ROUNDS):
+                near = np.clip(s + step * (2 * _PLACES - 1), 0, 1)
+                step *= 2 * _PLACES[1]
+                distance = _apart(_at(cubic[..., one], near[None]))[0][0]
+                s = float(near[distance.argmin()])
+            time = motion.begin[at[item]] + s * motion.length[at[item]]
+            least.see(distance.min()[None], np.array([time]), some[one])
+
+    # ---- crossings ----
+
+    def _key(self, motion: _Intervals, pairs: IntArray, k: IntArray) -> IntArray:
+        """Return a number for each pair in each interval of the motion given."""
+        pair = pairs[:, 0] * len(self._bars) + pairs[:, 1]
+        return np.asarray(pair * (self._kept.count + 1) + motion.origin[k])
+
+    def searched(self) -> BarMotion:
+        """Return it after the search for crossings, which keeps nothing to integrate with."""
+        assert self._found is not None  # evaluated by asking
+        return self
+
+    @cached_property
+    def _found(self) -> tuple[tuple[BarCrossing, ...], int]:
+        """Crossings, and the number of intervals that could not be resolved."""
+        with np.errstate(over="ignore", invalid="ignore"):  # of motions that run away
+            found = self._searched() if self.has_pairs and self._kept.count else ((), 0)
+        self._again = None  # which holds all that was integrated with
+        return found
+
+    def _searched(self) -> tuple[tuple[BarCrossing, ...], int]:
+        motion, events, unresolved = self._base, list[BarCrossing](), set[int]()
+        if self._is_short and motion is self._kept:
+            unresolved |= set(range(self._kept.count))
+        pairs, k, error = self._close(motion, None)
+        parts = self._parts if motion is self._kept else _PARTS * motion.count // self._kept.count
+        while len(k):
+            more, sure = self._crossed(motion, pairs, k, error)
+            # All of a pair in an interval is looked at again, or nothing.
+            key = self._key(motion, pairs, k)
+            finer = np.isin(key, key[~sure])
+            pieces = dict[int, _Intervals]()
+            for origin in np.unique(motion.origin[k[finer]]).tolist():
+                piece = self._integrated(origin, origin, parts) if parts <= _MOST_PARTS else None
+                if piece is None:
+                    unresolved.add(origin)
+                else:
+                    pieces[origin] = piece
+            finer &= np.isin(motion.origin[k], list(pieces))
+            events += [
+                BarCrossing(float(time), (int(pairs[i, 0]), int(pairs[i, 1])))
+                for i, time in more
+                if not finer[i]
+            ]
+            if motion is not self._base:
+                self._finer.append((motion, pairs[~finer], k[~finer]))
+            if not pieces:
+                break
+            again, first = np.unique(key[finer], return_index=True)
+            self._made_finer = np.concatenate([self._made_finer, again])
+            origins, some = motion.origin[k[finer]][first], pairs[finer][first]
+            motion = _Intervals.joined(list(pieces.values()))
+            place = np.searchsorted(list(pieces), origins) * parts
+            k = (place[:, None] + np.arange(parts)).ravel()
+            pairs = np.repeat(some, parts, axis=0)
+            error = motion.error(self._bars, pairs, k)
+            parts *= _PARTS
+        # Those that are together, up to round-off, by the numbers of their bars.
+        tick = _ROUND_OFF * float(self._kept.length.sum())
+        events.sort(key=lambda each: (round(each.time / tick), each.bars))
+        return tuple(events), len(unresolved)
+
+    def _crossed(
+        self, motion: _Intervals, pairs: IntArray, k: IntArray, error: FloatArray
+    ) -> tuple[list[tuple[int, float]], np.ndarray]:
+        """Return crossings, by place and time, and whether the states tell them for sure."""
+        sure, events = np.ones(len(k), dtype=bool), list[tuple[int, float]]()
+        for first in range(0, len(k), _TOGETHER // 8):
+            some = np.arange(first, min(first + _TOGETHER // 8, len(k)))
+            cubic = motion.cubics(self._bars, pairs[some], k[some])
+            corners = _at(cubic, _PLACES[None])
+            distance, volume = _apart(corners)[0], _volume(corners)
+            u, v = corners[1] - corners[0], corners[0] - corners[2]
+            area = np.linalg.norm(u, axis=0) * np.linalg.norm(v, axis=0)
+            apart = (np.abs(volume) > _ROUND_OFF * self._size * area).any(axis=1)
+            item, low, high = _sign_changes(cubic, volume)
+            item, low, high = (each[apart[item]] for each in (item, low, high))
+            here = cubic[..., item]
+            after = _volume(_at(here, high)) >= 0
+            for _ in range(_HALVINGS if len(item) else 0):
+                middle = (low + high) / 2
+                late = (_volume(_at(here, middle)) >= 0) == after
+                low, high = np.where(late, low, middle), np.where(late, middle, high)
+            left, right = (np.abs(_volume(_at(here, each))) for each in (low, high))
+            share = low + (high - low) * left / np.where(left > 0, left + right, 1.0)
+            inside = _apart(_at(here, share))[3]
+            item, share = item[inside], share[inside]
+            time = motion.begin[k[some[item]]] + share * motion.length[k[some[item]]]
+            events += zip(some[item].tolist(), time.tolist(), strict=True)
+            # Between two places bars come nearer by less than this.
+            fastest = 3 * _largest(np.diff(cubic, axis=0).swapaxes(0, 1)).max(axis=0)
+            nearest = distance.min(axis=1) - fastest * _PLACES[1] / 2
+            ends, off = np.minimum(distance[:, 0], distance[:, -1]), 2 * error[some]
+            once = np.bincount(item, minlength=len(some)) == 1
+            sure[some] = (nearest > off) | (once & (ends > off)) | (off <= _EXACT * self._size)
+        return events, sure
+
+
+def _limit(least: _Least | None) -> float:
+    """Return the distance above which bars need no closer look, m."""
+    return 0.0 if least is None else least.limit
+
+
+def _sign_changes(cubic: FloatArray, volume: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Return items and the shares between which their volumes, (m, places), change sign."""
+    positive, step = volume >= 0, _PLACES[1]
+    item, place = np.nonzero(positive[:, 1:] != positive[:, :-1])
+    brackets = [(item, _PLACES[place], _PLACES[place + 1])]
+    # Twice between two places: where the volume is least between two that are alike.
+    size = np.abs(volume)
+    before, here, after = size[:, :-2], size[:, 1:-1], size[:, 2:]
+    alike = (positive[:, :-2] == positive[:, 1:-1]) & (positive[:, 1:-1] == positive[:, 2:])
+    bend = before - 2 * here + after
+    item, place = np.nonzero(alike & (here <= before) & (here <= after) & (bend > 0))
+    change = (before - after)[item, place] / (2 * bend[item, place])
+    least = _PLACES[place + 1] + step * change
+    if len(item):
+        other = (_volume(_at(cubic[..., item], least)) >= 0) != positive[item, place + 1]
+        item, place, least = item[other], place[other], least[other]
+        brackets += [(item, _PLACES[place], least), (item, least, _PLACES[place + 2])]
+    items, low, high = (np.concatenate(each) for each in zip(*brackets, strict=True))
+    return items, low, high
