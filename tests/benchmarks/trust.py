@@ -353,8 +353,9 @@ def timed_scene(task: tuple[int, str, float]) -> tuple[int, Run, float, str] | N
 def print_implicit(seeds: Sequence[int], given) -> None:
     """Print where energy_momentum fails although cvodes is right."""
     tasks = [(seed, given.cache, given.limit) for seed in seeds]
-    results = [each for each in mapped(implicit_scene, tasks, given.jobs, "scenes") if each]
-    print(f"cvodes is right on {len(results)} of {len(seeds)} scenes")
+    done = list(mapped(implicit_scene, tasks, given.jobs, "scenes"))
+    results = [each for each in done if each]
+    print(f"cvodes is right on {len(results)} of {len(done)} scenes")
     for setting in ("T/400", "1e-6"):
         some = [run for runs in results for run in runs if run.setting == setting]
         failed = [run for run in some if run.status != "ok"]
