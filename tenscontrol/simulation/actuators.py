@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cached_property
-
 import numpy as np
 
 from tenscontrol.actuation import (
@@ -19,6 +17,7 @@ from tenscontrol.actuation import (
 )
 from tenscontrol.control import BaseController, Command
 from tenscontrol.dynamics import Evaluator, Pieces
+from tenscontrol.properties import cached_property
 from tenscontrol.simulation.loop import Loop
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.structure import same_members, to_segments, to_strings

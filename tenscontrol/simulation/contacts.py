@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from typing import Any, Protocol
 
 import casadi as ca
@@ -12,6 +12,7 @@ import numpy as np
 
 from tenscontrol.dynamics import ContactLaw, Equation, Model, evaluate_columns, polynomial_at
 from tenscontrol.integrate import Choice, IntegrationError, Integrator, Work
+from tenscontrol.properties import cached_property
 from tenscontrol.validation import FloatArray, IntArray, frozen
 
 # Nodes and weights of Lobatto's quadrature of order 8, over parts from 0 to 1.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Container
 from dataclasses import dataclass, field, fields
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +11,7 @@ import numpy as np
 
 from tenscontrol.dynamics import ContactLaw, Model
 from tenscontrol.integrate import Choice, Work
+from tenscontrol.properties import cached_property
 from tenscontrol.simulation.contacts import ContactRecord, drawn_ground
 from tenscontrol.simulation.faults import Fault
 from tenscontrol.simulation.health import (

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass, replace
-from functools import cached_property
 from time import perf_counter
 from typing import Unpack, final
 
@@ -27,6 +26,7 @@ from tenscontrol.control.mpc.sparse import Sparse, SparseSubproblem
 from tenscontrol.control.mpc.stages import LeastDistance, LeastDistanceArrays
 from tenscontrol.control.status import Command, ControlWarning, Fallback, Status
 from tenscontrol.plant import LinearPlant, ReferencePreview
+from tenscontrol.properties import cached_property
 from tenscontrol.validation import FloatArray, frozen, instance, number, truth, whole_number
 
 # Sequential quadratic programming has converged when no input changes by more, in its unit.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
 from math import ceil
 from typing import Any
 
@@ -12,6 +11,7 @@ import numpy as np
 
 from tenscontrol.dynamics import Model, Pieces, weights
 from tenscontrol.plant import held_value
+from tenscontrol.properties import cached_property
 from tenscontrol.simulation.closed_loop import samples
 from tenscontrol.simulation.simulate import (
     changes_in_time,
