@@ -262,7 +262,7 @@ def long_run(result: LongRun, *, ax: Axes | None = None) -> Curves:
     if drift.name == "energy" and result.energy_scale > 0:
         scale, label = result.energy_scale, f"{label},\npart of what is exchanged"
     else:
-        label = f"{label}, {drift.unit}"
+        label = f"{label}, {drift.unit}".replace("^2", "²")
     (line,) = ax.plot(result.time, drift.error / scale, color=PALETTE[0], linewidth=0.7)
     line.set_label(f"{result.method} at {result.setting:g}, {result.work.steps} steps")
     middle, level = float(result.time.mean()), float(drift.error.mean())

@@ -150,7 +150,7 @@ class ContactRecord:
         nodes = list(self.node_impulse)
         if not nodes:
             return "ground            nothing touched it"
-        some = ", ".join(map(str, nodes[:8])) + (", …" if len(nodes) > 8 else "")
+        some = ", ".join(map(str, nodes[:8])) + (", ..." if len(nodes) > 8 else "")
         damped, rubbed = (float(w[:, -1].sum()) for w in (self.damping_work, self.friction_work))
         return (
             f"ground            touched by node{'s' * (len(nodes) > 1)} {some}, "

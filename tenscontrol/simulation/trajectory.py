@@ -338,7 +338,7 @@ class Trajectory(Viewable):
             f"{self.evaluations} evaluations",
             *self._details(),
             f"energy            {self.energy[0]:.6g} J at start, {self.energy[-1]:.6g} J at end",
-            f"momentum change   {momentum:.1e} kg m/s, angular {angular:.1e} kg m²/s",
+            f"momentum change   {momentum:.1e} kg m/s, angular {angular:.1e} kg m^2/s",
             f"bar-length error  {drift:.1e} m",
         ]
         if self.control is not None:
