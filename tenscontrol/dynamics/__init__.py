@@ -35,10 +35,12 @@ from tenscontrol.dynamics.machine_code import (
     Compiled,
     Compiler,
     CompilerError,
+    CompilerWarning,
     compiled,
     compiled_library,
     compiled_source,
     compiler,
+    if_compiled,
 )
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.profile import Pieces, Profile, as_pieces, polynomial_at
@@ -58,6 +60,7 @@ __all__ = [
     "Compiled",
     "Compiler",
     "CompilerError",
+    "CompilerWarning",
     "ContactLaw",
     "Contacts",
     "Coordinates",
@@ -88,6 +91,7 @@ __all__ = [
     "coordinates",
     "evaluate_columns",
     "exclusive",
+    "if_compiled",
     "normal_basis",
     "on_one_thread",
     "pack_state",

@@ -23,7 +23,7 @@ from tenscontrol.control.mpc.settings import (
 )
 from tenscontrol.control.mpc.solvers import QPSolver
 from tenscontrol.control.mpc.sparse import Sparse, SparseSubproblem
-from tenscontrol.control.mpc.stages import LeastDistance, LeastDistanceArrays
+from tenscontrol.control.mpc.stages import LeastDistance, LeastDistanceArrays, has_compiled_program
 from tenscontrol.control.status import Command, ControlWarning, Fallback, Status
 from tenscontrol.plant import LinearPlant, ReferencePreview
 from tenscontrol.properties import cached_property
@@ -97,6 +97,7 @@ class NMPCLaw(PredictiveLaw):
         """Return the SQP subproblem with its solver."""
         if self.settings.solver in ("auto", "daqp"):
             compiled = self.settings.solver == "auto" and self.model.back_end == "machine code"
+            compiled = compiled and has_compiled_program()
             given = self.problem, self.row_bounds, self.settings.max_iterations, self.bounds
             if compiled:
                 return LeastDistance(*given, tolerance=self.linearization_tolerance)

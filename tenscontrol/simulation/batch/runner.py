@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.control import Controller
-from tenscontrol.dynamics import Equation, Model, Pieces, compiled, compiler
+from tenscontrol.dynamics import Equation, Model, Pieces, compiled, compiler, if_compiled
 from tenscontrol.integrate import (
     METHODS,
     Choice,
@@ -455,7 +455,7 @@ class Runner:
 
         def build() -> ca.Function:
             function = shared.of_parameters(name, names) if names else getattr(shared, name)
-            code = compiled(function) if self.how.machine_code else None
+            code = if_compiled(lambda: compiled(function)) if self.how.machine_code else None
             return function if code is None else code.function
 
         key = "shared", name, tuple(names), self.how.machine_code and compiler()

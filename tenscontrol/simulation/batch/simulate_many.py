@@ -183,8 +183,8 @@ def simulate_many(
     keep_nodes : array_like of int, optional
         Nodes that are kept; all if not given.
     machine_code : bool
-        Whether to compile. Without it, or a compiler, the numbers are the same, some ten times
-        as late; ``batch.choice.back_end`` says what ran.
+        Whether to compile. Without it, or a compiler that works, the numbers are the same, some ten
+        times as late; ``batch.choice.back_end`` says what ran, and a warning why a compiler failed.
     threads : int, optional
         All processors if not given.
     progress : bool
