@@ -24,7 +24,16 @@ from tenscontrol.dynamics.forms import loops_functions, mapped_functions, member
 from tenscontrol.dynamics.machine_code import compiler, if_compiled
 from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.structure import Structure, node_mass
-from tenscontrol.validation import FloatArray, choice, frozen, instance, shaped, truth, whole_number
+from tenscontrol.validation import (
+    FloatArray,
+    choice,
+    frozen,
+    instance,
+    items,
+    shaped,
+    truth,
+    whole_number,
+)
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -363,7 +372,8 @@ class Model:
         known = {"bar_mass": len(structure.bars), "point_mass": structure.nodes.shape[1]}
         known = {} if structure.blocks else known
         known |= {each.name: len(structure.strings) for each in (fields(law) if law else ())}
-        return tuple((choice("parameters", name, known), known[name]) for name in names)
+        given = items("parameters", names, "names")
+        return tuple((choice("parameters", name, known), known[name]) for name in given)
 
     def _flat_functions(
         self, structure: Structure, law: StringLaw | None, load: FloatArray, layout: InputLayout,

@@ -120,7 +120,7 @@ def refuse_untouched_nodes(bars: IntArray, segments: IntArray, count: int) -> No
         raise ValueError(
             f"nothing touches node {untouched[0]}"
             + (f" (nor {len(untouched) - 1} more)" if len(untouched) > 1 else "")
-            + "; remove it, or join it by a bar or a string"
+            + ": it is in nodes, and in none of bars and strings; remove it, or join it"
         )
 
 

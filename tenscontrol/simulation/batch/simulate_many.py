@@ -106,6 +106,9 @@ class Batch:
             If the motion passes a limit with ``action="raise"``.
         """
         run = whole_number("run", run, 0, len(self.completed) - 1)
+        if limits is not None:
+            how = "make them by HealthLimits(bar_length_error=...)"
+            instance("limits", limits, HealthLimits, how)
         assert self._runner is not None  # made by simulate_many
         scene, why = self._runner.scene, None
         if not self.completed[run]:
@@ -256,7 +259,8 @@ def simulate_many(
     )  # fmt: skip
     kept = np.arange(model.structure.nodes.shape[1])
     if keep_nodes is not None:
-        kept = indices("keep_nodes", float_array("keep_nodes", keep_nodes), len(kept), "nodes")
+        given_nodes = np.atleast_1d(float_array("keep_nodes", keep_nodes))
+        kept = indices("keep_nodes", given_nodes, len(kept), "nodes")
     runner = None
     with keeping("runs are done, the others are NaN", lambda: 0 if runner is None else runner.done):
         if step is not None:
