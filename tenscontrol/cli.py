@@ -80,7 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             finally:
                 output.flush()  # what --help printed too
     except OSError as error:
-        print(f"tenscontrol: {_told(error)}", file=sys.stderr)
+        print(f"tenscontrol: {_told(error)}", file=messages)
         return 2
     return _CLOSED if output.closed and not status else status
 
