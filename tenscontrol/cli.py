@@ -8,7 +8,7 @@ import os
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext, redirect_stdout, suppress
+from contextlib import contextmanager, nullcontext, redirect_stderr, redirect_stdout, suppress
 from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO, cast
@@ -28,7 +28,11 @@ _CLOSED = 141
 
 
 class _Output:
-    """The standard output. What is written after the reader closed the pipe is dropped."""
+    """The standard output, for any terminal and any reader.
+
+    What is written after the reader closed the pipe is dropped. Signs that the terminal cannot show
+    are written by their codes.
+    """
 
     def __init__(self, stream: TextIO) -> None:
         self._stream, self.closed = stream, False
@@ -36,7 +40,11 @@ class _Output:
     def write(self, text: str) -> int:
         """Write a text, unless the pipe is closed."""
         with self._dropping():
-            self._stream.write(text)
+            try:
+                self._stream.write(text)
+            except UnicodeEncodeError as error:
+                shown = text.encode(error.encoding, "backslashreplace").decode(error.encoding)
+                self._stream.write(shown)
         return len(text)
 
     def flush(self) -> None:
@@ -63,15 +71,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     After Ctrl-C or SIGTERM it keeps what is done, says so in a line, and returns 130 or 143. If
     the reader of a pipe goes away, it finishes without a message, and returns 141.
     """
-    output = _Output(sys.stdout or StringIO())  # there is none if the shell closed it
+    # There are no streams where the shell closed them, and under pythonw.
+    output, messages = _Output(sys.stdout or StringIO()), sys.stderr or StringIO()
     try:
-        with redirect_stdout(cast(TextIO, output)):
+        with redirect_stdout(cast(TextIO, output)), redirect_stderr(messages):
             try:
                 status = _run(arguments)
             finally:
                 output.flush()  # what --help printed too
     except OSError as error:
-        print(f"tenscontrol: {_told(error)}", file=sys.stderr)
+        print(f"tenscontrol: {_told(error)}", file=messages)
         return 2
     return _CLOSED if output.closed and not status else status
 

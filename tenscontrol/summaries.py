@@ -18,7 +18,7 @@ from tenscontrol.simulation import ControlRecord, Trajectory
 
 def json_text(summary: Mapping[str, Any]) -> str:
     """Return a summary as JSON; numbers that are not known or not finite are null."""
-    return json.dumps(_plain(summary), indent=2, allow_nan=False, ensure_ascii=False)
+    return json.dumps(_plain(summary), indent=2, allow_nan=False)
 
 
 def _plain(value: Any) -> Any:

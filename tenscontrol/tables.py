@@ -17,7 +17,7 @@ Cell = str | float | int | None
 def shown(value: Cell, form: str = ".1e") -> str:
     """Return a cell as people read it, floats in a format; what is not known is a dash."""
     if value is None or (isinstance(value, float) and isnan(value)):
-        return "–"
+        return "-"
     return format(value, form) if isinstance(value, float) else str(value)
 
 

@@ -224,6 +224,8 @@ def refuse_fractions(name: str, array: FloatArray) -> None:
 
 def indices(name: str, value: FloatArray, count: int, of: str, noun: str = "") -> IntArray:
     """Return whole numbers from 0 to ``count - 1``, shape (k,), or say which one is not."""
+    if value.ndim != 1:
+        raise ValueError(f"{name} has shape {value.shape}, expected (k,): a number for each")
     refuse_fractions(name, value)
     bad = np.flatnonzero((value < 0) | (value >= count))
     if len(bad):

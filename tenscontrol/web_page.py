@@ -11,7 +11,6 @@ import re
 from abc import ABC, abstractmethod
 from base64 import b64encode
 from dataclasses import dataclass
-from functools import cached_property
 from html import escape
 from os import PathLike
 from pathlib import Path
@@ -20,6 +19,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from tenscontrol.files import write_file
+from tenscontrol.properties import cached_property
 from tenscontrol.validation import FloatArray, IntArray, file_path, float_array
 
 # What a page holds at most: states of a motion, and numbers, of 4 bytes each. A notebook holds

@@ -82,6 +82,25 @@ def test_a_folder_is_used_from_outside_through_its_init_only():
     assert wrong == []
 
 
+# ---- what it prints ----
+
+
+def test_texts_to_print_are_in_ascii():
+    """Some terminals and pipes can print nothing else."""
+    printed = ("summary", "table", "__str__", "__repr__")
+    found = [
+        f"{place(path)}:{text.lineno}: {text.value!r}"
+        for path in SOURCES
+        for node in ast.walk(tree(path))
+        if isinstance(node, ast.FunctionDef)
+        and (node.name in printed or place(path) in ("tables.py", "demo/tour.py"))
+        for text in ast.walk(ast.Module(node.body[1:], []))  # without the docstring
+        if isinstance(text, ast.Constant) and isinstance(text.value, str)
+        if not text.value.isascii()
+    ]
+    assert found == []
+
+
 # ---- its files ----
 
 

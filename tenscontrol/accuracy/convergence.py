@@ -81,14 +81,14 @@ class ConvergenceOrder:
             for i in range(len(self.step))
         ]
         if np.isfinite(self.order):
-            fit = f"{self.method}: order {self.order:.2f} ± {self.deviation:.2f}"
+            fit = f"{self.method}: order {self.order:.2f} +/- {self.deviation:.2f}"
         else:
             fit = f"{self.method}: no order, as fewer than {_LEAST_RUNS} runs are clean"
         fit += f"; {self.switches} switches, reference good to {self.reference_error:.1e} m"
         return fit + "\n\n" + aligned(["step s", "error m", "order", "fitted"], rows, left=0)
 
     def __repr__(self) -> str:
-        return f"ConvergenceOrder({self.method}, {self.order:.2f} ± {self.deviation:.2f})"
+        return f"ConvergenceOrder({self.method}, {self.order:.2f} +/- {self.deviation:.2f})"
 
 
 def convergence_order(

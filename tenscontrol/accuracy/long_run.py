@@ -125,7 +125,7 @@ class LongRun:
                 drift.unit,
                 shown(drift.largest),
                 shown(float(drift.error[-1]), "+.1e"),
-                f"{drift.slope:+.1e} ± {drift.half_width:.1e}",
+                f"{drift.slope:+.1e} +/- {drift.half_width:.1e}",
                 "cannot be told from zero" if drift.is_zero else "drifts",
             ]
             for drift in self.drifts
@@ -276,7 +276,7 @@ class _Recorder:
         if self._has_momentum:
             rows["momentum", "kg m/s"] = found.momentum - start.momentum
             angular = found.angular_momentum - start.angular_momentum
-            rows["angular momentum", "kg m²/s"] = angular
+            rows["angular momentum", "kg m^2/s"] = angular
         if len(self._case.structure.bars):
             rows["bar length", "m"] = found.stretch
         for key, values in rows.items():

@@ -86,11 +86,11 @@ class StabilityMap:
             step, rate = self.step[i, j], self.rate[i, j]
             case = [f"{self.stiffness[i]:.3g}", f"{self.mass_ratio[j]:.3g}", f"{rate:.4g}"]
             rows.append([*case, f"{step:.3g}", f"{step * rate:.3f}"])
-        head = ["stiffness N/m", "mass ratio", "ω 1/s", "largest stable h s", "h ω"]
-        return f"{self.method}: h ω by {theory}\n\n" + aligned(head, rows, left=0)
+        head = ["stiffness N/m", "mass ratio", "rate 1/s", "largest stable h s", "h times rate"]
+        return f"{self.method}: h times rate by {theory}\n\n" + aligned(head, rows, left=0)
 
     def __repr__(self) -> str:
-        return f"StabilityMap({self.method}, {len(self.stiffness)} × {len(self.mass_ratio)})"
+        return f"StabilityMap({self.method}, {len(self.stiffness)} x {len(self.mass_ratio)})"
 
 
 def stability_map(

@@ -326,7 +326,7 @@ class SuiteResult:
 def _cell(row: Verdict | None) -> str:
     """Return what came of a run in a word or a number."""
     if row is None:  # interrupted before it
-        return "–"
+        return "-"
     if row.verdict in ("accurate", "in part"):
         text = f"{row.error:.0e}" + (" (w)" if row.reason else "")
     elif row.verdict in ("warned", "SILENT"):

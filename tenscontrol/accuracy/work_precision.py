@@ -97,7 +97,7 @@ class Ratios:
                 shown(float(self.ratio[i, j]), ".3g") if self.reached[i, j] else "not reached"
                 for j in range(len(self.against))
             ]
-            rows.append([f"{error:.0e}", self.best[i] or "–", shown(float(self.time[i])), *cells])
+            rows.append([f"{error:.0e}", self.best[i] or "-", shown(float(self.time[i])), *cells])
         return aligned(head, rows, left=2)
 
     def __repr__(self) -> str:
@@ -270,7 +270,7 @@ class WorkPrecision:
     def table(self) -> str:
         """Return all runs as text, with what was compared above and what failed below.
 
-        Errors marked ≲ are not resolved by the reference. Energy is as part of
+        Errors marked ``<~`` are not resolved by the reference. Energy is as part of
         what the motion exchanges, momentum in kg m/s, angular momentum in
         kg m²/s; ``bars m`` is how far a bar is off its length.
         """
@@ -299,7 +299,7 @@ class WorkPrecision:
         if row.failure:
             error = "failed"
         else:
-            error = ("" if self.is_resolved(row) else "≲") + shown(row.error)
+            error = ("" if self.is_resolved(row) else "<~") + shown(row.error)
         figures = [
             row.relative_error,
             row.end_error,

@@ -19,7 +19,6 @@ from tenscontrol.validation import (
     member_parameters,
     non_negative,
     one_or_per_string,
-    per_member,
     positive,
     vector,
 )
@@ -203,12 +202,23 @@ class Motor:
             raise ValueError(f"{name} has shape {array.shape}, expected (α,) or (α, K)")
         if zero is None and self.zero is None:
             raise ValueError("zero is not known: give the rest length at which the angle is 0, m")
-        length = per_member("zero", self.zero if zero is None else zero, len(array), "string")
+        length = _for_each("zero", self.zero if zero is None else zero, name, array)
         positive("zero", length, "rest length in m")
-        lever = per_member("drum_radius / gear_ratio", self.lever, len(array), "string")
+        lever = _for_each("drum_radius / gear_ratio", self.lever, name, array)
         if array.ndim == 2:
             return array, length[:, None], lever[:, None]
         return array, length, lever
+
+
+def _for_each(label: str, value: object, name: str, array: FloatArray) -> FloatArray:
+    """Return a number of motors for each row of an array that is called ``name``."""
+    found = float_array(label, value)
+    if found.shape not in ((), (len(array),)):
+        raise ValueError(
+            f"{name} has shape {array.shape}, and {label} {found.shape}: expected one number for "
+            "all strings, or as many"
+        )
+    return np.broadcast_to(found, len(array)).copy()
 
 
 def each_motor(motor: Motor, count: int) -> EachMotor:

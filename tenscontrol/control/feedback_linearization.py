@@ -154,7 +154,7 @@ class FeedbackLinearization(Controller):
     >>> bool((command.value >= 0).all()), command.value.shape
     (True, (9,))
     >>> print(command)  # the mechanism of the prism
-    error dynamics not reached: off by up to 1 m/s²
+    error dynamics not reached: off by up to 1 m/s^2
     """
 
     def __init__(
@@ -307,7 +307,7 @@ class FeedbackLinearization(Controller):
         self._records.append((residual, unbounded, at_bound, answer.iterations))
         if residual <= self._unreached:
             return Command(gamma)
-        return Command(gamma, Status.UNREACHED, detail=f"off by up to {rounded_up(residual)} m/s²")
+        return Command(gamma, Status.UNREACHED, detail=f"off by up to {rounded_up(residual)} m/s^2")
 
     def _fall_back(self, status: Status, iterations: int = 0) -> Command:
         """Return γ of the operating point; a limit of change allows a step towards it."""
@@ -318,7 +318,7 @@ class FeedbackLinearization(Controller):
     def __repr__(self) -> str:
         a, b = self._rates
         return (
-            f"FeedbackLinearization({self.plant!r}, a = {a:.4g} 1/s, b = {b:.4g} 1/s², "
+            f"FeedbackLinearization({self.plant!r}, a = {a:.4g} 1/s, b = {b:.4g} 1/s^2, "
             f"sample time {self.sample_time} s)"
         )
 

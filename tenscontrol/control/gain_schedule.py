@@ -142,7 +142,7 @@ class GainSchedule(Controller):
         return self._controllers[self._active].fall_back(status)
 
     def __repr__(self) -> str:
-        return f"GainSchedule({len(self._controllers)} controllers, {self._controllers[0]!r} …)"
+        return f"GainSchedule({len(self._controllers)} controllers, {self._controllers[0]!r} ...)"
 
 
 def _refuse_other(name: str, one: Controller, first: Controller) -> None:

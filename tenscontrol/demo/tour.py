@@ -74,8 +74,8 @@ def show_equilibrium(structure: Structure) -> Prestress:
     print("1. Equilibrium")
     gamma, _ = prism_force_density(3, TOP_FORCE_DENSITY)
     rest = prestress(structure, gamma)
-    print(f"   γ_t = {gamma[0]:.4f} N/m, γ_v = √3 γ_t = {gamma[-1]:.4f} N/m: ", end="")
-    print(f"largest unbalanced force {rest.residual:.1e} N")
+    print(f"   gamma_t = {gamma[0]:.4f} N/m, gamma_v = sqrt(3) gamma_t = {gamma[-1]:.4f} N/m")
+    print(f"   largest unbalanced force {rest.residual:.1e} N")
     print(
         f"   {rest.self_stress_states} state of self-stress, {rest.mechanisms} mechanism; "
         f"stable: {_yes(rest.is_stable)}, super-stable: {_yes(rest.is_super_stable)}"
@@ -83,7 +83,7 @@ def show_equilibrium(structure: Structure) -> Prestress:
     try:
         prestress(structure, gamma * np.repeat([1, 1, 1.01], 3))
     except ValueError as refusal:
-        print(f"   γ_v 1 % higher is refused: {str(refusal).split('. ')[0]}")
+        print(f"   gamma_v 1 % higher is refused: {str(refusal).split('. ')[0]}")
     return rest
 
 
@@ -118,7 +118,7 @@ def show_lqr(model: Model, plant: LinearPlant) -> LQR:
     print("   closed-loop poles, 1/s:")
     upper = regulator.poles[regulator.poles.imag >= 0]
     for row in np.array_split(upper[np.argsort(upper.real)], 3):
-        print("   " + "".join(f"  {pole.real:8.3f} ± {pole.imag:6.3f}j" for pole in row))
+        print("   " + "".join(f"  {pole.real:8.3f} +/- {pole.imag:6.3f}j" for pole in row))
     print(
         f"   real parts {regulator.poles.real.min():.2f} to "
         f"{regulator.poles.real.max():.2f} 1/s; Riccati residual {regulator.riccati_residual:.0e}"
@@ -163,7 +163,7 @@ def show_mpc(model: Model, rest: Prestress) -> Morph:
         f"   height {morph.height[0]:.4f} m -> {morph.height[-1]:.6f} m in {DURATION:g} s: ", end=""
     )
     print(f"error {1e3 * morph.height_error:+.3f} mm")
-    print(f"   smallest γ {run.force_density.min():.3f} N/m; largest winch rate {rate:.3f} m/s")
+    print(f"   smallest gamma {run.force_density.min():.3f} N/m; largest winch rate {rate:.3f} m/s")
     print(f"   winches too slow in {(record.rate_limited > 0).sum()} samples")
     print(
         f"   {len(solve)} commands, {np.median(solve):.2f} ms median, "

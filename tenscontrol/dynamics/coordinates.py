@@ -7,7 +7,6 @@ reduced ones the mass matrix is the identity.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
@@ -22,6 +21,7 @@ from tenscontrol.dynamics.tangent import (
     normal_basis,
     refuse_large,
 )
+from tenscontrol.properties import cached_property
 from tenscontrol.structure import (
     Block,
     Structure,

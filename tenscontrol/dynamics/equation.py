@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -13,6 +12,7 @@ from tenscontrol.dynamics.contact_laws import Contacts
 from tenscontrol.dynamics.evaluator import Prepared, builds
 from tenscontrol.dynamics.kernel import Masses
 from tenscontrol.dynamics.string_laws import StringLaw
+from tenscontrol.properties import cached_property
 from tenscontrol.structure import Structure, free_coordinates
 from tenscontrol.validation import FloatArray, float_array
 

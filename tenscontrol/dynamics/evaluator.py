@@ -11,10 +11,11 @@ from __future__ import annotations
 
 import copyreg
 import os
-from collections import OrderedDict, deque
+from collections import deque
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
-from functools import cache, cached_property, wraps
+from functools import cache, wraps
+from itertools import count
 from queue import SimpleQueue
 from threading import Lock, RLock, get_ident
 from traceback import clear_frames
@@ -23,6 +24,7 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 import casadi as ca
 import numpy as np
 
+from tenscontrol.properties import cached_property
 from tenscontrol.validation import FloatArray
 
 _Arguments = ParamSpec("_Arguments")
@@ -35,7 +37,28 @@ BUILDING: Any = RLock()
 # What threading.Condition uses of a lock as well.
 _is_mine, _release, _restore = BUILDING._is_owned, BUILDING._release_save, BUILDING._acquire_restore  # noqa: SLF001
 
-_SOLVING = Lock()
+
+class ProcessLock:
+    """A lock that each process has for itself.
+
+    A child that is forked while a thread holds the lock does not have that thread: it would wait
+    for ever. What the lock guards must bear that another call on it was never finished.
+    """
+
+    def __init__(self) -> None:
+        self._locks: dict[int, Any] = {}
+
+    def __enter__(self) -> None:
+        self._of_process().acquire()
+
+    def __exit__(self, *_: object) -> None:
+        self._of_process().release()
+
+    def _of_process(self) -> Any:
+        return self._locks.setdefault(os.getpid(), Lock())
+
+
+_SOLVING = ProcessLock()
 
 # CasADi's objects dropped by threads that did not hold the lock, until a thread that does frees
 # them: waiting in ``__del__`` could wait for ever.
@@ -87,7 +110,6 @@ class built(cached_property[_Value]):  # noqa: N801, as cached_property
 
     def __get__(self, instance: object, owner: type[Any] | None = None) -> Any:
         """Return the value, built under the lock."""
-        # Taken first: in Python 3.11 a cached_property has a lock of its own.
         with BUILDING:
             return super().__get__(instance, owner)
 
@@ -159,7 +181,7 @@ class _OneThread:
     """
 
     def __init__(self) -> None:
-        self._lock, self._within = Lock(), 0
+        self._lock, self._within = ProcessLock(), 0
         self._limits: Any = None
 
     def __enter__(self) -> None:
@@ -177,14 +199,8 @@ class _OneThread:
                 self._limits.restore_original_limits()
                 _matrix_libraries()[1]()
 
-    def unlock(self) -> None:
-        """Begin in a child that was forked: a thread that it does not have may hold the lock."""
-        self._lock = Lock()
-
 
 _ONE_THREAD = _OneThread()
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_ONE_THREAD.unlock)
 
 
 def on_one_thread(function: Callable[_Arguments, _Value]) -> Callable[_Arguments, _Value]:
@@ -262,8 +278,10 @@ class Prepared:
     """Functions and matrices by key: bounded, thread-safe, and left out of pickles and copies."""
 
     def __init__(self) -> None:
-        self._kept: OrderedDict[Hashable, Any] = OrderedDict()
-        self._lock = Lock()
+        # Each value with the number of its last use. There is no lock for what is done in one
+        # operation: a child that is forked meanwhile would wait for it.
+        self._kept: dict[Hashable, list[Any]] = {}
+        self._uses = count()
 
     def get(self, key: Hashable, build: Callable[[], _Value]) -> _Value:
         """Return what was built for a key; the first time, build it: anything but None.
@@ -280,19 +298,19 @@ class Prepared:
         return value
 
     def _find(self, key: Hashable) -> Any:
-        with self._lock:
-            value = self._kept.get(key)
-            if value is not None:
-                self._kept.move_to_end(key)
-            return value
+        found = self._kept.get(key)
+        if found is None:
+            return None
+        found[1] = next(self._uses)
+        return found[0]
 
     def _keep(self, key: Hashable, value: _Value) -> _Value:
-        with self._lock:
-            # While a compiler ran, another thread may have been first.
-            value = self._kept.setdefault(key, value)
-            dropped = [self._kept.popitem(last=False) for _ in range(len(self._kept) - _MOST)]
-        del dropped
-        return value
+        """Keep a value, by the thread that holds the lock."""
+        # While a compiler ran, another thread may have been first.
+        kept: _Value = self._kept.setdefault(key, [value, next(self._uses)])[0]
+        while len(self._kept) > _MOST:
+            del self._kept[min(self._kept, key=lambda each: self._kept[each][1])]
+        return kept
 
     def __reduce__(self) -> tuple[type[Prepared], tuple[()]]:
         """Pickle and copy as an empty store."""

@@ -16,13 +16,15 @@ import stat
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+import warnings
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
 from time import perf_counter, time
+from typing import TypeVar
 
 import casadi as ca
 import numpy as np
@@ -75,8 +77,15 @@ _ADVICE = (
 )
 
 
+_Value = TypeVar("_Value")
+
+
 class CompilerError(RuntimeError):
     """A C compiler that is not there, or does not do its work."""
+
+
+class CompilerWarning(RuntimeWarning):
+    """Something could not be compiled and runs uncompiled: the same numbers, later."""
 
 
 @dataclass(frozen=True)
@@ -417,6 +426,24 @@ def compiled(function: ca.Function, timeout: float = 600.0) -> Compiled | None:
     loaded = _load(function.name(), library)
     seconds = perf_counter() - began
     return Compiled(loaded, library, seconds, cached, kept.temporary, found)
+
+
+def if_compiled(make: Callable[[], _Value]) -> _Value | None:
+    """Return what is compiled, or None with a warning if the compiler or the cache folder fails.
+
+    A library that another user may have written is refused all the same.
+    """
+    try:
+        return make()
+    except PermissionError:
+        raise
+    except (CompilerError, OSError) as error:
+        warnings.warn(
+            f"runs uncompiled, which takes several times as long: {error}",
+            CompilerWarning,
+            stacklevel=2,
+        )
+        return None
 
 
 def compiled_source(source: str, names: tuple[str, ...]) -> tuple[ca.Function, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +21,7 @@ from tenscontrol.dynamics.equation import (
 )
 from tenscontrol.dynamics.evaluator import Prepared, built
 from tenscontrol.dynamics.forms import loops_functions, mapped_functions, members_alone
-from tenscontrol.dynamics.machine_code import compiler
+from tenscontrol.dynamics.machine_code import compiler, if_compiled
 from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.structure import Structure, node_mass
 from tenscontrol.validation import (
@@ -29,6 +29,7 @@ from tenscontrol.validation import (
     choice,
     frozen,
     instance,
+    items,
     node_forces,
     truth,
     whole_number,
@@ -319,7 +320,7 @@ class Model:
         form = "flat" if sizes else form
         if form == "auto":
             small = self._prepared.get("small", lambda: _is_small(self._structure))
-            form = "flat" if small else "mapped" if compiler() is None else "loops"
+            form = "flat" if small else "mapped" if compiler() is None else "auto"
         degree = whole_number("degree", degree, 0, _MOST_DEGREE)
         truth("load_input", load_input, "whether the load is an input")
         truth("offset_input", offset_input, "whether supports move")
@@ -331,7 +332,7 @@ class Model:
         if load_input:
             load = np.zeros_like(load)
 
-        def build() -> Equation:
+        def build(form: str) -> Equation:
             make = {"flat": self._flat_functions, "mapped": mapped_functions}.get(
                 form, loops_functions
             )
@@ -346,9 +347,20 @@ class Model:
                 slope, gap, force, damped, self._structure, law, constant, form, layout, contacts
             )
 
-        # Another compiler makes another library.
-        by = compiler() if form == "loops" else None
-        return self._prepared.get(("equation", input, load.tobytes(), form, layout, by), build)
+        def of(form: str, make: Callable[[], Equation]) -> Equation:
+            # Another compiler makes another library.
+            by = compiler() if form in ("auto", "loops") else None
+            return self._prepared.get(("equation", input, load.tobytes(), form, layout, by), make)
+
+        def loops() -> Equation:
+            return of("loops", lambda: build("loops"))
+
+        def mapped() -> Equation:
+            return of("mapped", lambda: build("mapped"))
+
+        if form == "auto":
+            return of("auto", lambda: if_compiled(loops) or mapped())
+        return of(form, lambda: build(form))
 
     def _parameter_sizes(
         self, names: Sequence[str], law: StringLaw | None
@@ -357,7 +369,8 @@ class Model:
         known = {"bar_mass": len(structure.bars), "point_mass": structure.nodes.shape[1]}
         known = {} if structure.blocks else known
         known |= {each.name: len(structure.strings) for each in (fields(law) if law else ())}
-        return tuple((choice("parameters", name, known), known[name]) for name in names)
+        given = items("parameters", names, "names")
+        return tuple((choice("parameters", name, known), known[name]) for name in given)
 
     def _flat_functions(
         self, structure: Structure, law: StringLaw | None, load: FloatArray, layout: InputLayout,

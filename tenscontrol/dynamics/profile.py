@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import pairwise
 from math import comb
 from typing import Any, final
@@ -12,6 +11,7 @@ from typing import Any, final
 import numpy as np
 
 from tenscontrol.interrupt import check
+from tenscontrol.properties import cached_property
 from tenscontrol.validation import FloatArray, IntArray, choice, float_array, frozen, vector
 
 # How a profile goes from one value to the next.

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
-from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self, final
 
 import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics.evaluator import Prepared, SharedEvaluator
+from tenscontrol.properties import cached_property
 from tenscontrol.validation import (
     FloatArray,
     frozen,

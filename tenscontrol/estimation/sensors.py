@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
+from tenscontrol.properties import cached_property
 from tenscontrol.structure import Structure
 from tenscontrol.validation import (
     MOST_SAMPLES,

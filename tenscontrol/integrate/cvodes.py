@@ -5,13 +5,19 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from threading import Lock
 from typing import Any, final
 
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import ColumnEvaluator, Equation, Evaluator, SharedEvaluator, builds
+from tenscontrol.dynamics import (
+    ColumnEvaluator,
+    Equation,
+    Evaluator,
+    ProcessLock,
+    SharedEvaluator,
+    builds,
+)
 from tenscontrol.integrate.events import BAND, CHATTER, first_crossing, refuse_chatter
 from tenscontrol.integrate.integrator import (
     IntegrationError,
@@ -55,7 +61,7 @@ class _Solvers:
     slopes: ca.Function  # at the start and all states of a window
     gap: ca.Function | None  # of each string; None where none can go slack
     weight: int  # evaluations that a Jacobian counts as
-    calling: Lock  # solvers are shared, and keep the figures of their last call
+    calling: ProcessLock  # solvers are shared, and keep the figures of their last call
 
 
 @final
@@ -120,7 +126,7 @@ class CVODES(Integrator):
             ),
             gap,
             jacobian_weight(scaled, state_jacobian(scaled, is_expandable(equation))),
-            Lock(),
+            ProcessLock(),
         )
 
     def advance(

@@ -10,7 +10,7 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Equation, SharedEvaluator, compiled_source, compiler
+from tenscontrol.dynamics import Equation, SharedEvaluator, compiled_source, compiler, if_compiled
 from tenscontrol.integrate.dop853_loop import loop_source
 from tenscontrol.integrate.events import (
     FLAT,
@@ -204,7 +204,7 @@ def _compiled_turns(
 ) -> tuple[tuple[ca.Function, ...], str]:
     """Return so many turns of the loop in C, what finds the largest frequency, and a projection.
 
-    Or nothing, where it is not wanted, or there is no compiler.
+    Or nothing, where it is not wanted, or no compiler works.
     """
     if not wanted or compiler() is None:
         return (), "virtual machine"
@@ -228,7 +228,8 @@ def _compiled_turns(
         "FLAT": FLAT,
     }  # fmt: skip
     source = loop_source(functions, sizes, numbers, _CARRIED, _coefficients(), _interpolant_error())
-    return compiled_source(source, ("turns", "largest", "exact")), "machine code"
+    code = if_compiled(lambda: compiled_source(source, ("turns", "largest", "exact")))
+    return ((), "virtual machine") if code is None else (code, "machine code")
 
 
 def _coefficients() -> Any:

@@ -11,7 +11,7 @@ from typing import TypeVar
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import ContactLaw, Equation, SharedEvaluator, compiled
+from tenscontrol.dynamics import ContactLaw, Equation, SharedEvaluator, compiled, if_compiled
 from tenscontrol.structure import Structure, moving_mass, node_mass
 from tenscontrol.validation import (
     LARGEST,
@@ -124,13 +124,13 @@ def checked_tolerance(tolerance: object, least: float = 100 * float(np.finfo(flo
 
 
 def in_machine_code(equation: Equation, step: ca.Function, wanted: bool) -> tuple[ca.Function, str]:
-    """Return steps in machine code, if that is wanted and there is a compiler, and what runs them.
+    """Return steps in machine code, if that is wanted and a compiler works, and what runs them.
 
     Where the forces are compiled loops already, the steps around them stay with CasADi.
     """
     if equation.form == "loops":
         return step, "machine code for the forces"
-    code = compiled(step) if wanted else None
+    code = if_compiled(lambda: compiled(step)) if wanted else None
     return (step, "virtual machine") if code is None else (code.function, "machine code")
 
 

@@ -16,7 +16,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Equation, compiled_library, compiler
+from tenscontrol.dynamics import Equation, compiled_library, compiler, if_compiled
 from tenscontrol.dynamics.forms import C_EXPORT
 from tenscontrol.integrate.events import (
     COUNTS,
@@ -134,16 +134,20 @@ class Lanes:
 
     @classmethod
     def of(cls, integrator: object, equation: Equation, project: bool) -> Lanes | None:
-        """Return the lanes of an integrator, or None where there is no compiler or no such code."""
+        """Return the lanes of an integrator, or None where no compiler works or no code is."""
         if not isinstance(integrator, FixedStep) or equation.form != "flat" or compiler() is None:
             return None
         key = "lanes", type(integrator), project, compiler()
 
-        def build() -> tuple[Path | None]:
+        def build() -> Path | None:
             source = lanes_source(integrator.smooth_step(project), equation)
-            return (None if source is None else compiled_library(source),)
+            if source is None:
+                return None
+            library = compiled_library(source)
+            ctypes.CDLL(str(library))  # which a system may refuse
+            return library
 
-        (library,) = equation.prepared.get(key, build)
+        (library,) = equation.prepared.get(key, lambda: (if_compiled(build),))
         return None if library is None else cls(integrator, equation, library)
 
     @property

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import pairwise, zip_longest
 from math import factorial
 from typing import Any, NamedTuple, TypeVar, final
@@ -28,6 +27,7 @@ from tenscontrol.dynamics import Equation, kernel
 from tenscontrol.integrate.fixed_step import FixedStep
 from tenscontrol.integrate.multipliers import Coupled
 from tenscontrol.integrate.projection import Bodies
+from tenscontrol.properties import cached_property
 
 # What a kick changes: velocities, or a state with them.
 _At = TypeVar("_At")

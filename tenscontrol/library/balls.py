@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from tenscontrol.library.sizes import of_sizes
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, positive_number
 
 _GOLDEN = (1 + np.sqrt(5)) / 2
 
 
+@of_sizes
 def six_bar_ball(bar_length: float = 1.7, bar_mass: object = 1.0) -> Structure:
     """Return the six-bar ball, or expandable octahedron: three pairs of parallel bars.
 
@@ -67,6 +69,7 @@ def six_bar_ball(bar_length: float = 1.7, bar_mass: object = 1.0) -> Structure:
     )
 
 
+@of_sizes
 def truncated_tetrahedron(bar_length: float = 1.0, bar_mass: object = 1.0) -> Structure:
     """Return the truncated tetrahedron: six bars in four triangles, which six strings join.
 
@@ -107,6 +110,7 @@ def truncated_tetrahedron(bar_length: float = 1.0, bar_mass: object = 1.0) -> St
     return _ball(face, _half_turn([0, 0, 1]), _half_turn([0, 1, 0]), bar_length, bar_mass)
 
 
+@of_sizes
 def twelve_bar_ball(bar_length: float = 1.0, bar_mass: object = 1.0) -> Structure:
     """Return the twelve-bar ball: a net like a truncated octahedron, six squares joined by strings.
 
@@ -145,6 +149,7 @@ def twelve_bar_ball(bar_length: float = 1.0, bar_mass: object = 1.0) -> Structur
     return _ball(face, edge, _half_turn([0, 1, 1]), bar_length, bar_mass)
 
 
+@of_sizes
 def thirty_bar_ball(bar_length: float = 1.0, bar_mass: object = 1.0) -> Structure:
     """Return the thirty-bar ball: a net like a truncated icosahedron, twelve pentagons joined.
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from tenscontrol.library.sizes import of_sizes
 from tenscontrol.structure import Structure, refuse_many_members
 from tenscontrol.validation import choice, positive_number, truth, whole_number
 
 
+@of_sizes
 def class2_tower(
     stages: int = 2,
     sides: int = 3,
@@ -95,6 +97,7 @@ def class2_tower(
     )
 
 
+@of_sizes
 def arm(
     sections: int = 2, length: float = 1.0, height: float = 1.0, bar_mass: object = 1.0
 ) -> Structure:
@@ -154,6 +157,7 @@ def arm(
     )
 
 
+@of_sizes
 def stedy_arm(bar_length: float = 1.0, bar_mass: object = 1.0) -> Structure:
     """Return the planar arm of STEDY: triangles of bars about two joints, in strings.
 
@@ -211,6 +215,7 @@ def stedy_arm(bar_length: float = 1.0, bar_mass: object = 1.0) -> Structure:
     )
 
 
+@of_sizes
 def spine(
     vertebrae: int = 2,
     leg_length: float = 0.15,

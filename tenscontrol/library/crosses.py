@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from tenscontrol.library.sizes import of_sizes
 from tenscontrol.structure import Structure, refuse_many_members
 from tenscontrol.validation import positive_number, truth, whole_number
 
 
+@of_sizes
 def snelson_x(
     width: float = 1.0, height: float = 1.0, dimension: int = 2, bar_mass: object = 1.0
 ) -> Structure:
@@ -60,6 +62,7 @@ def snelson_x(
     )
 
 
+@of_sizes
 def kite(
     width: float = 2.0,
     height: float = 2.0,
@@ -121,6 +124,7 @@ def kite(
     )
 
 
+@of_sizes
 def d_bar(
     width: float = 2.0, height: float = 2.0, dimension: int = 2, bar_mass: object = 1.0
 ) -> Structure:
@@ -177,6 +181,7 @@ def d_bar(
     )
 
 
+@of_sizes
 def d_bar_3d(
     sides: int = 3, radius: float = 0.6, height: float = 1.6, bar_mass: object = 1.0
 ) -> Structure:
@@ -237,6 +242,7 @@ def d_bar_3d(
     )
 
 
+@of_sizes
 def t_bar(
     width: float = 2.0,
     height: float = 1.0,

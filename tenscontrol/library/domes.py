@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from tenscontrol.library.sizes import of_sizes
 from tenscontrol.structure import Structure, refuse_many_members
 from tenscontrol.validation import FloatArray, IntArray, number, positive_number, whole_number
 
 
+@of_sizes
 def geiger_dome(
     sides: int = 6,
     hoops: int = 1,
@@ -83,6 +85,7 @@ def geiger_dome(
     )
 
 
+@of_sizes
 def levy_dome(
     sides: int = 6,
     hoops: int = 2,
@@ -159,6 +162,7 @@ def levy_dome(
     )
 
 
+@of_sizes
 def cable_net(
     rows: int = 5,
     columns: int = 5,
@@ -236,6 +240,7 @@ def cable_net(
     )
 
 
+@of_sizes
 def wheel(
     spokes: int = 12, radius: float = 0.3, width: float = 0.1, bar_mass: object = 0.1
 ) -> Structure:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property, wraps
+from functools import wraps
 from itertools import pairwise
 from typing import TYPE_CHECKING, Concatenate, ParamSpec, TypeVar, overload
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from tenscontrol.actuation import Winches
 from tenscontrol.dynamics import Coordinates, Model, Prepared, on_one_thread, refuse_large
+from tenscontrol.properties import cached_property
 from tenscontrol.structure import Structure, to_segments
 from tenscontrol.validation import (
     FloatArray,

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
 
 import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import Contacts, Model
+from tenscontrol.properties import cached_property
 from tenscontrol.statics import Prestress, equilibrium_matrix
 from tenscontrol.structure import Structure, bar_rows, free_coordinates, rigid_motions
 from tenscontrol.validation import (

@@ -18,6 +18,7 @@ from tenscontrol.plot.style import (
     PALETTE,
     REFERENCE_COLOR,
     REFERENCE_WIDTH,
+    closes_on_error,
     decade_ticks,
     dress,
     flat_axes,
@@ -39,6 +40,7 @@ _NAME_MOVES = (0.0, 6.0, -6.0, 11.0, -11.0, 22.0, -22.0, 33.0)
 _SIZE = (6.8, 4.4)
 
 
+@closes_on_error
 def work_precision(result: WorkPrecision, *, ax: Axes | None = None) -> Curves:
     """Draw run time over error, one marker for each run: down and to the right is better.
 
@@ -108,6 +110,7 @@ def work_precision(result: WorkPrecision, *, ax: Axes | None = None) -> Curves:
     return Curves(ax, lines, {"reference": reference}, {})
 
 
+@closes_on_error
 def convergence_order(result: ConvergenceOrder, *, ax: Axes | None = None) -> Curves:
     """Draw error over step with the fitted line and a triangle of its slope.
 
@@ -168,6 +171,7 @@ def convergence_order(result: ConvergenceOrder, *, ax: Axes | None = None) -> Cu
     return Curves(ax, {result.method: (fitted, others)}, references, {})
 
 
+@closes_on_error
 def stability_map(result: StabilityMap, *, ax: Axes | None = None) -> Curves:
     """Draw the largest stable step over stiffness, a curve for each mass ratio.
 
@@ -225,6 +229,7 @@ def stability_map(result: StabilityMap, *, ax: Axes | None = None) -> Curves:
     return Curves(ax, lines, references, {})
 
 
+@closes_on_error
 def long_run(result: LongRun, *, ax: Axes | None = None) -> Curves:
     """Draw the error of the energy over a long run, with its slope.
 
@@ -262,7 +267,7 @@ def long_run(result: LongRun, *, ax: Axes | None = None) -> Curves:
     if drift.name == "energy" and result.energy_scale > 0:
         scale, label = result.energy_scale, f"{label},\npart of what is exchanged"
     else:
-        label = f"{label}, {drift.unit}"
+        label = f"{label}, {drift.unit}".replace("^2", "²")
     (line,) = ax.plot(result.time, drift.error / scale, color=PALETTE[0], linewidth=0.7)
     line.set_label(f"{result.method} at {result.setting:g}, {result.work.steps} steps")
     middle, level = float(result.time.mean()), float(drift.error.mean())
@@ -283,6 +288,7 @@ def long_run(result: LongRun, *, ax: Axes | None = None) -> Curves:
     return Curves(ax, {drift.name: (line,)}, {"slope": slope}, {})
 
 
+@closes_on_error
 def growth(result: Growth, quantity: str = "seconds", *, ax: Axes | None = None) -> Curves:
     """Draw processor time or memory of each stage over the number of members.
 

@@ -8,7 +8,14 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from tenscontrol.plot.histories import Curves, draw_curves, mark_statuses
-from tenscontrol.plot.style import PALETTE, checked_indices, curve_style, legend_above, panel_axes
+from tenscontrol.plot.style import (
+    PALETTE,
+    checked_indices,
+    closes_on_error,
+    curve_style,
+    legend_above,
+    panel_axes,
+)
 from tenscontrol.simulation import Trajectory
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, instance
@@ -17,6 +24,7 @@ from tenscontrol.validation import FloatArray, instance
 _MARKERS = {"partly used": "|", "lost": "x", "refused": "v", "waiting": ".", "started anew": "s"}
 
 
+@closes_on_error
 def estimate(
     run: Trajectory, *, strings: Sequence[int] = (0,), axes: Sequence[Axes] | None = None
 ) -> dict[str, Curves]:

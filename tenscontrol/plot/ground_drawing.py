@@ -18,6 +18,7 @@ from tenscontrol.plot.style import (
     GROUND,
     NORMAL,
     PALETTE,
+    closes_on_error,
     curve_style,
     dress,
     marker_style,
@@ -150,6 +151,7 @@ def touching(record: ContactRecord | None, k: int) -> IntArray:
     return np.unique(record.node[record.normal_force[:, k] > 0])
 
 
+@closes_on_error
 def contacts(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, Curves]:
     """Draw what touched the ground, the forces there, and what was lost.
 

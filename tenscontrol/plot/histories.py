@@ -11,6 +11,7 @@ from matplotlib.lines import Line2D
 
 from tenscontrol.plot.style import (
     PALETTE,
+    closes_on_error,
     curve_style,
     dress,
     flat_axes,
@@ -46,6 +47,7 @@ class Curves:
     marks: dict[str, Line2D]
 
 
+@closes_on_error
 def history(
     time: object,
     series: Mapping[str, object],

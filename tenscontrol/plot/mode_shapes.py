@@ -12,7 +12,14 @@ import numpy as np
 
 from tenscontrol.plant import LinearPlant, Modes
 from tenscontrol.plot.structure_drawing import Drawing, draw, frame, new_view
-from tenscontrol.plot.style import PALETTE, SMALL, SMALL_FAINT, checked_indices, given_axes
+from tenscontrol.plot.style import (
+    PALETTE,
+    SMALL,
+    SMALL_FAINT,
+    checked_indices,
+    closes_on_error,
+    given_axes,
+)
 from tenscontrol.validation import FloatArray, instance, positive_number
 
 _COLUMNS = 3
@@ -55,6 +62,7 @@ class ModeShape:
         return self.displaced.ax
 
 
+@closes_on_error
 def mode_shapes(
     plant: LinearPlant,
     modes: Modes,

@@ -15,6 +15,7 @@ from tenscontrol.plot.style import (
     REFERENCE_COLOR,
     REFERENCE_WIDTH,
     checked_indices,
+    closes_on_error,
     decade_ticks,
     legend_above,
     reference_style,
@@ -88,6 +89,7 @@ def _with_doubt(panel: Curves, run: Trajectory) -> Curves:
     return panel
 
 
+@closes_on_error
 def trajectory(
     run: Trajectory,
     *,
@@ -283,6 +285,7 @@ def _with_statuses(panel: Curves, control: ControlRecord) -> Curves:
     return panel
 
 
+@closes_on_error
 def motors(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, Curves]:
     """Draw what the motors of the winches, or of force-controlled cables, did.
 
@@ -347,6 +350,7 @@ def motors(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, 
     return panels
 
 
+@closes_on_error
 def health(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, Curves]:
     """Draw what tells whether to trust a motion.
 
@@ -427,6 +431,7 @@ def health(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, 
     return panels
 
 
+@closes_on_error
 def tracking(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, Curves]:
     """Draw how well a controller did, sample by sample.
 

@@ -12,7 +12,14 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.text import Annotation
 
-from tenscontrol.plot.style import PALETTE, dress, flat_axes, legend_above, marker_style
+from tenscontrol.plot.style import (
+    PALETTE,
+    closes_on_error,
+    dress,
+    flat_axes,
+    legend_above,
+    marker_style,
+)
 from tenscontrol.validation import float_array
 
 # Poles closer than this fraction of the largest are drawn as one: round-off
@@ -50,6 +57,7 @@ class PoleMap:
     multiplicities: dict[str, tuple[Annotation, ...]]
 
 
+@closes_on_error
 def poles(poles: object, *, ax: Axes | None = None) -> PoleMap:
     """Draw poles in the complex plane, the stable half of which is shaded.
 

@@ -28,6 +28,7 @@ from tenscontrol.plot.style import (
     NORMAL,
     MemberStyle,
     checked_axes,
+    closes_on_error,
     dress,
     marker_style,
 )
@@ -404,6 +405,7 @@ def sample(label: str, **style: Any) -> Line2D:
     return Line2D([], [], label=label, **style)
 
 
+@closes_on_error
 def structure(
     structure: Structure | Prestress | ShapeTarget | Trajectory,
     nodes: object = None,

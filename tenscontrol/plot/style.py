@@ -6,14 +6,15 @@ and in how dark they are.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import wraps
 from io import BytesIO
 from math import ceil
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -26,6 +27,9 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from tenscontrol.files import write_file
 from tenscontrol.validation import file_path, index_list, instance, wrong_kind
+
+_Arguments = ParamSpec("_Arguments")
+_Value = TypeVar("_Value")
 
 # Okabe & Ito (2008), without the yellow, which is lost on white paper.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#E69F00", "#56B4E9")
@@ -113,6 +117,22 @@ def reference_style(position: int) -> dict[str, Any]:
     """Return colour, dashes and width of the reference line at this position."""
     dashes = DASHES[(position + 1) % len(DASHES)]
     return {"color": REFERENCE_COLOR, "linestyle": dashes, "linewidth": REFERENCE_WIDTH}
+
+
+def closes_on_error(function: Callable[_Arguments, _Value]) -> Callable[_Arguments, _Value]:
+    """Close the new figures of a call that raises: nobody else has them but pyplot."""
+
+    @wraps(function)
+    def drawing(*args: _Arguments.args, **kwargs: _Arguments.kwargs) -> _Value:
+        before = set(plt.get_fignums())
+        try:
+            return function(*args, **kwargs)
+        except BaseException:
+            for number in set(plt.get_fignums()) - before:
+                plt.close(number)
+            raise
+
+    return drawing
 
 
 def flat_axes(ax: object, size: tuple[float, float] = (_WIDTH, _SINGLE_HEIGHT)) -> Axes:

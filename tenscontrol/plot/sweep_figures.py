@@ -16,6 +16,7 @@ from tenscontrol.plot.style import (
     PALETTE,
     REFERENCE_COLOR,
     REFERENCE_WIDTH,
+    closes_on_error,
     dress,
     legend_above,
     marker_style,
@@ -57,6 +58,7 @@ class SweepDrawing:
     limit: Line2D | None
 
 
+@closes_on_error
 def sweep(
     report: SweepReport,
     figure: str,

@@ -58,7 +58,9 @@ class DemandCheck:
     unit: str
 
     def __str__(self) -> str:
-        wanted = f"{self.low:.6g}" if self.low == self.high else f"{self.low:.6g}–{self.high:.6g}"
+        wanted = f"{self.low:.6g}"
+        if self.low != self.high:
+            wanted += f" to {self.high:.6g}"
         return (
             f"{self.name} is {self.found:.6g} {self.unit}, wanted {wanted} {self.unit}, "
             f"missed by {self.missed:.3g} {self.unit}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cached_property, partial
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -20,6 +20,7 @@ from tenscontrol.actuation import (
 )
 from tenscontrol.control import BaseController, Command
 from tenscontrol.dynamics import Evaluator, Pieces
+from tenscontrol.properties import cached_property
 from tenscontrol.simulation.contacts import Segments
 from tenscontrol.simulation.loop import Loop
 from tenscontrol.simulation.trajectory import Trajectory

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from typing import Any, Protocol
 
 import casadi as ca
@@ -12,6 +12,7 @@ import numpy as np
 
 from tenscontrol.dynamics import ContactLaw, Equation, Model, evaluate_columns, polynomial_at
 from tenscontrol.integrate import Choice, IntegrationError, Integrator, Work
+from tenscontrol.properties import cached_property
 from tenscontrol.validation import FloatArray, IntArray, frozen
 
 # Nodes and weights of Lobatto's quadrature of order 8, over parts from 0 to 1.
@@ -149,7 +150,7 @@ class ContactRecord:
         nodes = list(self.node_impulse)
         if not nodes:
             return "ground            nothing touched it"
-        some = ", ".join(map(str, nodes[:8])) + (", …" if len(nodes) > 8 else "")
+        some = ", ".join(map(str, nodes[:8])) + (", ..." if len(nodes) > 8 else "")
         damped, rubbed = (float(w[:, -1].sum()) for w in (self.damping_work, self.friction_work))
         return (
             f"ground            touched by node{'s' * (len(nodes) > 1)} {some}, "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import partial
 from itertools import pairwise
 from math import ceil
 from typing import Any
@@ -33,6 +33,7 @@ from tenscontrol.integrate import (
     method_of,
 )
 from tenscontrol.interrupt import finishing
+from tenscontrol.properties import cached_property
 from tenscontrol.simulation.contacts import Segments, record_contacts
 from tenscontrol.simulation.error_estimate import Motion, Path, Stage
 from tenscontrol.simulation.faults import Faults

@@ -151,8 +151,8 @@ def simulate(
     machine_code : bool
         Whether to compile the steps by the C compiler of the machine: the same
         numbers, several times as fast, after some seconds for the first run.
-        Where there is no compiler, or the method cannot be compiled, the steps
-        run in CasADi's virtual machine; see ``run.choice.back_end``.
+        Where there is no compiler, or it fails, or the method cannot be compiled,
+        the steps run in CasADi's virtual machine; see ``run.choice.back_end``.
     limits : HealthLimits, optional
         Limits on the figures in ``run.health``; ``HealthLimits()`` if not given.
     error : {"estimate", "none"}
@@ -193,6 +193,9 @@ def simulate(
     ControlWarning
         Once, if the run ends away from the reference of its controller, or many programs were not
         solved; see :attr:`ControlRecord.problems`.
+    CompilerWarning
+        A RuntimeWarning: the compiler or the folder of its libraries fails, and the run goes on
+        uncompiled.
     InterruptionWarning
         A RuntimeWarning: Ctrl-C or SIGTERM ended the run, and the motion up to there is returned,
         with its control record, from the main thread. Before the first step there is no motion:

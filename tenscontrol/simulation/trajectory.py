@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Container
 from dataclasses import dataclass, field, fields
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +11,7 @@ import numpy as np
 
 from tenscontrol.dynamics import ContactLaw, Model
 from tenscontrol.integrate import Choice, Work
+from tenscontrol.properties import cached_property
 from tenscontrol.simulation.contacts import ContactRecord, drawn_ground
 from tenscontrol.simulation.faults import Fault
 from tenscontrol.simulation.health import (
@@ -385,7 +385,7 @@ class Trajectory(Viewable):
             f"{self.evaluations} evaluations",
             *self._details(),
             f"energy            {self.energy[0]:.6g} J at start, {self.energy[-1]:.6g} J at end",
-            f"momentum change   {momentum:.1e} kg m/s, angular {angular:.1e} kg m²/s",
+            f"momentum change   {momentum:.1e} kg m/s, angular {angular:.1e} kg m^2/s",
             f"bar-length error  {drift:.1e} m",
         ]
         if self.control is not None:

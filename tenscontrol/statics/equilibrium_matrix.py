@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tenscontrol.properties import cached_property
 from tenscontrol.statics.inertia import held_factors, nearly_null
 from tenscontrol.structure import Structure, is_movable, left_by_supports, rigid_motions
 from tenscontrol.validation import FloatArray, instance, refuse_memory

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tenscontrol.properties import cached_property
 from tenscontrol.validation import FloatArray, IntArray
 
 if TYPE_CHECKING:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tenscontrol.properties import cached_property
 from tenscontrol.statics.equilibrium_matrix import (
     MemberForces,
     is_small,

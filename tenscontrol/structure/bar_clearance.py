@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from math import ceil
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from tenscontrol.properties import cached_property
 from tenscontrol.structure.structure import Structure
 from tenscontrol.validation import FloatArray, IntArray
 

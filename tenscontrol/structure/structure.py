@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
+from tenscontrol.properties import cached_property
 from tenscontrol.structure.blocks import Block, find_blocks
 from tenscontrol.structure.connectivity import (
     checked_members,

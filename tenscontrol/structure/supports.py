@@ -121,6 +121,6 @@ def refuse_load_without_support(structure: Structure, load: FloatArray) -> None:
     resultant[np.unique(structure.fixed_rows % structure.dimension)] = 0.0  # something holds it
     if np.abs(resultant).max() > 1e-9 * np.abs(load).sum():
         raise ValueError(
-            f"no equilibrium: the structure has no support, and its weights and loads add up to "
-            f"{load.sum(axis=1)} N. Fix some nodes, Structure(..., fixed=[...])"
+            f"no equilibrium: the structure has no support, and its weights and external_force "
+            f"add up to {load.sum(axis=1)} N. Fix some nodes, Structure(..., fixed=[...])"
         )

@@ -172,7 +172,7 @@ def test_what_bounds_leave_unreached_is_reported():
     # Nothing pulls the prism together but the vertical strings: all others are slack.
     left = found[30.5].largest_residual
     assert left > 10.0
-    assert status[30.5] == f"{Status.UNREACHED}: off by up to {rounded_up(left)} m/s²"
+    assert status[30.5] == f"{Status.UNREACHED}: off by up to {rounded_up(left)} m/s^2"
     assert found[30.5].status_count == {Status.UNREACHED: 1}
     assert found[30.5].at_bound[0] == 9
     for each in found.values():

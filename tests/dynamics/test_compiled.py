@@ -1,6 +1,7 @@
 """Compiled functions: the same bits as CasADi's, kept in the cache, and nobody else's code."""
 
 import dataclasses
+import errno
 import os
 import select
 import shutil
@@ -9,6 +10,7 @@ import stat
 import subprocess
 import sys
 import time
+import warnings
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -17,8 +19,9 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
+from tenscontrol.control.mpc import stages
 from tenscontrol.dynamics import Evaluator, machine_code
-from tenscontrol.dynamics.machine_code import CompilerError, compiled, compiler
+from tenscontrol.dynamics.machine_code import CompilerError, CompilerWarning, compiled, compiler
 from tests.dynamics.scenes import paper_force_density, rest_lengths
 
 PROJECT = Path(__file__).parents[2]
@@ -343,6 +346,75 @@ def test_a_broken_compiler_is_reported(monkeypatch, tmp_path, cache, text, messa
     with pytest.raises(CompilerError, match=message):
         compiled(square())
     assert list(cache.iterdir()) == []
+
+
+@pytest.fixture(params=["broken", "unloadable", "full"])
+def failing(request, tmp_path, monkeypatch):
+    """A compiler that fails, or no room for its code; returns what the warning says."""
+    if request.param == "full":
+
+        def write_file(path, *_, **__):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+
+        monkeypatch.setattr(machine_code, "write_file", write_file)
+        return "No space left on device"
+    if os.name == "nt":
+        pytest.skip("a shell script stands for the compiler")
+    text, said = {
+        "broken": ("echo out of order >&2; exit 3", "(?s)exit status 3.*out of order"),
+        "unloadable": ("echo rubbish > function.so", "function|invalid ELF|too short"),
+    }[request.param]
+    path = script(tmp_path / "broken", f'[ "$1" = --version ] && exit 0\n{text}')
+    monkeypatch.setenv("TENSCONTROL_COMPILER", str(path))
+    return said
+
+
+@needs_compiler
+class TestAFailingCompilerStopsNothing:
+    def model(self):
+        return tc.Model(tc.prism(), strings=tc.LinearStrings(100.0))
+
+    @pytest.mark.parametrize("method", [{"method": "rk4", "step": 1e-3}, {"method": "dop853"}])
+    def test_one_run(self, failing, method):
+        plain = tc.simulate(self.model(), 0.01, rest_length=1.0, **method)
+        with pytest.warns(CompilerWarning, match=failing):
+            run = tc.simulate(self.model(), 0.01, rest_length=1.0, machine_code=True, **method)
+        assert run.choice.back_end == "virtual machine"
+        np.testing.assert_array_equal(run.nodes, plain.nodes)
+
+    @pytest.mark.parametrize("method", [{"method": "rk4", "step": 1e-3}, {"method": "dop853"}])
+    def test_many_runs(self, failing, method):
+        given = {"rest_length": np.array([[1.0], [1.1]]) + np.zeros(9), **method}
+        plain = tc.simulate_many(self.model(), 0.01, machine_code=False, **given)
+        with pytest.warns(CompilerWarning, match=failing):
+            batch = tc.simulate_many(self.model(), 0.01, **given)
+        with warnings.catch_warnings(action="ignore", category=CompilerWarning):
+            energy = batch.trajectory(1).energy
+        assert batch.choice.back_end == "virtual machine"
+        np.testing.assert_array_equal(batch.nodes, plain.nodes)
+        assert np.isfinite(energy).all()
+
+    def test_a_large_structure(self, failing):
+        model = tc.Model(tc.prism_tower(30), strings=tc.LinearStrings(100.0))
+        with pytest.warns(CompilerWarning, match=failing):
+            equation = model.equation("rest_length")
+        assert equation.form == "mapped"
+        assert model.equation("rest_length") is equation  # nothing is tried again
+
+    def test_controllers(self, failing):
+        stages._library.cache_clear()
+        plant = tc.linearize(
+            self.model(), tc.prestress(tc.prism(), force_density=17.3205), input="rest_length"
+        )
+        nodes, still = tc.prism().nodes, np.zeros((3, 6))
+        plain = tc.NMPC(plant, sample_time=0.02, horizon=3).command(0.0, nodes, still).value
+        with pytest.warns(CompilerWarning, match=failing):
+            controller = tc.NMPC(plant, sample_time=0.02, horizon=3, machine_code=True)
+        value = controller.command(0.0, nodes, still).value
+        np.testing.assert_allclose(value, plain, rtol=1e-9)
+        with pytest.warns(CompilerWarning, match=failing):
+            found = tc.MPC(plant, sample_time=0.02, horizon=30).command(0.0, nodes, still)
+        assert found.status == "ok"
 
 
 @needs_shell

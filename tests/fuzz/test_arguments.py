@@ -36,6 +36,13 @@ def test_outcomes_are_told_apart(monkeypatch):
     assert told(lambda plant: tc.prism(sides=0)) == "error without the name"
 
 
+def test_bounds_may_be_infinite_but_not_nan():
+    found = [arguments.not_finite({"high": x}, "", set()) for x in (np.inf, np.full(2, np.inf))]
+    assert found == ["", ""]
+    assert arguments.not_finite({"high": np.array([1.0, np.nan])}, "", set())
+    assert arguments.not_finite({"mean": np.inf}, "", set())
+
+
 def test_no_argument_reaches_what_does_not_check_it():
     finds = arguments.run(400, seed=0, least_share=1.0)
     assert len(finds) >= 400

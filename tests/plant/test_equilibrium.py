@@ -103,7 +103,9 @@ def test_a_load_given_at_the_call_is_the_load_built_in():
 def test_what_nothing_holds_is_refused():
     """Under gravity and without a support there is no least energy."""
     model = tc.Model(tc.prism(), strings=tc.LinearStrings(100.0), gravity=GRAVITY)
-    with pytest.raises(ValueError, match="the structure has no support, and its weights"):
+    with pytest.raises(
+        ValueError, match="the structure has no support, and its weights and external_force"
+    ):
         tc.equilibrium(model, rest_length=0.7)
 
 

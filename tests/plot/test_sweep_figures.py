@@ -83,3 +83,13 @@ def test_a_single_number_drawn_is_not_enough():
     )
     with pytest.raises(ValueError, match="report has 1 numbers that vary, expected at least 2"):
         tc.plot.sweep(found, "first")
+
+
+def test_an_error_leaves_no_empty_figure(report, monkeypatch):
+    import matplotlib.pyplot as plt
+
+    below = -report.figure("value")
+    monkeypatch.setattr(type(report), "figure", lambda *_: below)
+    with pytest.raises(ValueError, match="no logarithm"):
+        tc.plot.sweep(report, "value", logarithmic=True)
+    assert plt.get_fignums() == []

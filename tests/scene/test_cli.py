@@ -1,5 +1,6 @@
 """The command, called as the shell calls it."""
 
+import io
 import json
 import os
 import re
@@ -385,3 +386,32 @@ def test_view_without_plotly_says_how_to_get_it(tmp_path, capsys, scene, monkeyp
     said = refused(capsys, "view", scene, "--output", tmp_path)
     assert "pip install 'tenscontrol[view]'" in said
     assert not (tmp_path / "view.html").exists()
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "cp437"])
+def test_a_terminal_that_cannot_print_every_sign(tmp_path, monkeypatch, scene, encoding):
+    stream = io.TextIOWrapper(io.BytesIO(), encoding=encoding, newline="")
+    monkeypatch.setattr(sys, "stdout", stream)
+    folder = tmp_path / "\N{GREEK SMALL LETTER GAMMA}"
+    assert main(["simulate", str(scene), "--output", str(folder)]) == 0
+    stream.flush()
+    said = stream.buffer.getvalue().decode(encoding)
+    assert "\\u03b3" in said
+    assert "kg m^2/s" in said
+    assert stream.errors == "strict"  # the stream is the user's
+
+
+def test_without_any_streams(tmp_path, monkeypatch, scene):
+    monkeypatch.setattr(sys, "stdout", None)
+    monkeypatch.setattr(sys, "stderr", None)
+    assert main(["simulate", str(scene), "--output", str(tmp_path / "run")]) == 0
+    assert main(["simulate", str(tmp_path / "missing.toml")]) == 2
+
+
+def test_what_is_told_does_not_get_among_the_results(tmp_path, monkeypatch, capsys, scene):
+    monkeypatch.setattr(sys, "stderr", None)
+    given = ["accuracy", str(scene), "--methods", "rk4", "--csv", "--output", str(tmp_path)]
+    assert main(given) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("method,")
+    assert "accuracy.csv" not in out

@@ -174,6 +174,8 @@ def test_some_nodes_are_kept():
     assert np.array_equal(some.nodes, every.nodes[:, :, [4, 3]])
     assert np.array_equal(some.velocities, every.velocities[:, :, [4, 3]])
     assert some.nodes.shape == (RUNS, 3, 2, 2)
+    one = tc.simulate_many(model, 0.1, N, V, keep_nodes=4, **given)
+    np.testing.assert_array_equal(one.nodes, every.nodes[:, :, 4:5])
 
 
 @pytest.mark.parametrize(
@@ -185,7 +187,11 @@ def test_some_nodes_are_kept():
         ({"rest_length": np.ones((2, 9)), "vary": {"colour": [1, 2]}}, "vary"),
         ({"rest_length": np.ones((2, 9)), "vary": {"stiffness": [1, 2, 3]}}, "3 runs"),
         ({}, "expected one of rest_length, force_density and controller, found none"),
+        ({"rest_length": np.ones((2, 9)), "vary": {"stiffness": 1j}}, "vary.*stiffness.*runs, 9"),
+        ({"rest_length": np.ones((2, 9)), "vary": {"stiffness": 2.0}}, "vary.*stiffness.*runs, 9"),
+        ({"rest_length": np.ones((2, 9)), "nodes": np}, "nodes"),
         ({"rest_length": np.ones((2, 9)), "keep_nodes": [6]}, "keep_nodes"),
+        ({"rest_length": np.ones((2, 9)), "keep_nodes": [[1, 2]]}, r"keep_nodes.*\(1, 2\)"),
         ({"rest_length": np.ones((2, 9)), "method": "rk4", "step": None}, "step"),
         ({"rest_length": np.ones((2, 9)), "external_force": np.ones((2, 3, 6))}, "no load"),
         ({"rest_length": np.ones((10**6, 9)), "output_step": 1e-3}, "GB of memory"),
@@ -289,6 +295,8 @@ def test_a_run_that_is_not_whole_is_no_trajectory():
         batch.trajectory(3)
     with pytest.raises(ValueError, match="run"):
         batch.trajectory(RUNS)
+    with pytest.raises(TypeError, match=r"limits is .*HealthLimits"):
+        batch.trajectory(0, {"energy": 1.0})
     with pytest.raises(tc.simulation.SimulationError, match="bar length error"):
         batch.trajectory(0, tc.HealthLimits(bar_length_error=1e-15, action="raise"))
     some = tc.simulate_many(model, 0.1, N[:2], keep_nodes=[4], **how | {"rest_length": 0.9})

@@ -34,9 +34,8 @@ from tenscontrol.control.mpc.settings import (
 )
 from tenscontrol.control.mpc.solvers import DAQPSolver, QPSolver
 from tenscontrol.control.mpc.sparse import Sparse
-from tenscontrol.control.mpc.stages import LinearProgram
+from tenscontrol.control.mpc.stages import LinearProgram, has_compiled_program
 from tenscontrol.control.status import Command, ControlWarning, Fallback, Status
-from tenscontrol.dynamics import compiler
 from tenscontrol.plant import (
     LinearPlant,
     Preview,
@@ -322,7 +321,8 @@ def form_of(problem: MPCProblem, form: str, settings: MPCSettings) -> Form | Non
     if choice("form", form, _FORMS) == "auto":
         largest = _LARGEST_CONDENSED.get(solver_kind(settings, dense=True), _LARGEST_OF_OTHERS)
         form = "condensed" if count <= largest else "sparse"
-        if automatic and (form == "sparse" or (count >= _SMALLEST_STAGES and compiler())):
+        large = count >= _SMALLEST_STAGES
+        if automatic and (form == "sparse" or (large and has_compiled_program())):
             form = "stages"
     if form == "stages":
         if not automatic:

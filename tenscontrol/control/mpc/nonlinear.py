@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass, replace
-from functools import cached_property
 from time import perf_counter
 from typing import Unpack, final
 
@@ -24,9 +23,10 @@ from tenscontrol.control.mpc.settings import (
 )
 from tenscontrol.control.mpc.solvers import QPSolver
 from tenscontrol.control.mpc.sparse import Sparse, SparseSubproblem
-from tenscontrol.control.mpc.stages import LeastDistance, LeastDistanceArrays
+from tenscontrol.control.mpc.stages import LeastDistance, LeastDistanceArrays, has_compiled_program
 from tenscontrol.control.status import Command, ControlWarning, Fallback, Status
 from tenscontrol.plant import LinearPlant, ReferencePreview
+from tenscontrol.properties import cached_property
 from tenscontrol.validation import FloatArray, frozen, instance, number, truth, whole_number
 
 # Sequential quadratic programming has converged when no input changes by more, in its unit.
@@ -97,6 +97,7 @@ class NMPCLaw(PredictiveLaw):
         """Return the SQP subproblem with its solver."""
         if self.settings.solver in ("auto", "daqp"):
             compiled = self.settings.solver == "auto" and self.model.back_end == "machine code"
+            compiled = compiled and has_compiled_program()
             given = self.problem, self.row_bounds, self.settings.max_iterations, self.bounds
             if compiled:
                 return LeastDistance(*given, tolerance=self.linearization_tolerance)

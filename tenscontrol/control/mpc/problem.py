@@ -16,13 +16,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from tenscontrol.control.status import Status
 from tenscontrol.plant import Preview, StringMap
+from tenscontrol.properties import cached_property
 from tenscontrol.validation import BoolArray, FloatArray, IntArray, freeze_arrays, frozen
 
 if TYPE_CHECKING:

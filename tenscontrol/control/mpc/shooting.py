@@ -14,7 +14,7 @@ from tenscontrol.control.mpc.problem import (
     StageJacobians,
     Triple,
 )
-from tenscontrol.dynamics import Evaluator, builds, built, compiled
+from tenscontrol.dynamics import Evaluator, builds, built, compiled, if_compiled
 from tenscontrol.plant import (
     LinearPlant,
     acceleration_response,
@@ -81,7 +81,7 @@ def repeated(function: ca.Function, count: int) -> ca.Function:
 
 def executable(function: ca.Function, machine_code: bool) -> tuple[ca.Function, str]:
     """Return a function, compiled where that is wished and can be, and what evaluates it."""
-    code = compiled(function) if machine_code else None
+    code = if_compiled(lambda: compiled(function)) if machine_code else None
     return (function, "virtual machine") if code is None else (code.function, "machine code")
 
 

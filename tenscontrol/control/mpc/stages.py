@@ -29,7 +29,7 @@ from tenscontrol.control.mpc.problem import (
 )
 from tenscontrol.control.mpc.solvers import active_set_source, least_distance, stages_source
 from tenscontrol.control.status import Status
-from tenscontrol.dynamics import compiled_library, compiler
+from tenscontrol.dynamics import compiled_library, compiler, if_compiled
 from tenscontrol.validation import FloatArray, IntArray
 
 # Of a limit, in its unit: what round-off may leave of it.
@@ -53,6 +53,11 @@ def _library() -> ctypes.CDLL:
     library = ctypes.CDLL(str(compiled_library(text)))
     library.stages_program_size.restype = ctypes.c_size_t
     return library
+
+
+def has_compiled_program() -> bool:
+    """Whether there is a compiler, and it compiles the program."""
+    return compiler() is not None and if_compiled(_library) is not None
 
 
 @cache
@@ -450,7 +455,7 @@ class LinearProgram:
     def __init__(
         self, problem: MPCProblem, row_bounds: Pair, max_iterations: int, bounds: Pair
     ) -> None:
-        kind = LeastDistanceArrays if compiler() is None else LeastDistance
+        kind = LeastDistance if has_compiled_program() else LeastDistanceArrays
         self.program = kind(problem, row_bounds, max_iterations, bounds, alike=True)
         self._problem, self._row_bounds = problem, row_bounds
         self._data: StageData | None = None

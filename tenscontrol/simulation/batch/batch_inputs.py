@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
 from math import ceil
 from typing import Any
 
@@ -12,6 +11,7 @@ import numpy as np
 
 from tenscontrol.dynamics import Model, Pieces, weights
 from tenscontrol.plant import held_value, refuse_load
+from tenscontrol.properties import cached_property
 from tenscontrol.simulation.closed_loop import samples
 from tenscontrol.simulation.simulate import (
     changes_in_time,
@@ -71,7 +71,11 @@ def given_by_run(model: Model, vary: object, **values: object) -> dict[str, Floa
     for name, value in (vary or {}).items():
         size = sizes[choice("vary", name, sizes)]
         label = f"vary[{name!r}]"
-        wanted = (len(value), size) if _axes(value) == 2 else (len(value),)
+        axes = _axes(value)
+        if axes == 0 or axes > 2:
+            expected = f"an array of shape (runs,) or (runs, {size}): one a run, or one a run and"
+            raise wrong_kind(label, value, f"{expected} member")
+        wanted = (len(value), size) if axes == 2 else (len(value),)
         array = measured(label, value, wanted, "one a run, or one a run and member")
         if array.ndim == 1:
             array = np.outer(array, _down(d) if name == "gravity" else np.ones(size))
@@ -93,9 +97,10 @@ def given_by_run(model: Model, vary: object, **values: object) -> dict[str, Floa
 def _axes(value: Any) -> int:
     """Return the number of axes; -1 for rows of different lengths, refused where they are read."""
     try:
-        return np.ndim(value)
+        axes = np.ndim(value)
     except ValueError:
         return -1
+    return axes if isinstance(axes, int) else 0  # what is no array may have any ``ndim``
 
 
 def _down(dimension: int) -> FloatArray:

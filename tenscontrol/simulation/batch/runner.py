@@ -14,7 +14,15 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.control import Controller
-from tenscontrol.dynamics import Equation, Model, Pieces, compiled, compiler, unpack_states
+from tenscontrol.dynamics import (
+    Equation,
+    Model,
+    Pieces,
+    compiled,
+    compiler,
+    if_compiled,
+    unpack_states,
+)
 from tenscontrol.integrate import (
     METHODS,
     Choice,
@@ -573,7 +581,7 @@ class Runner:
 
         def build() -> ca.Function:
             function = shared.of_parameters(name, names) if names else getattr(shared, name)
-            code = compiled(function) if self.how.machine_code else None
+            code = if_compiled(lambda: compiled(function)) if self.how.machine_code else None
             return function if code is None else code.function
 
         key = "shared", name, tuple(names), self.how.machine_code and compiler()

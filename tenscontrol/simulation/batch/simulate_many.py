@@ -11,7 +11,6 @@ import os
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
@@ -21,6 +20,7 @@ from tenscontrol.integrate import Choice, Method, method_of
 from tenscontrol.interrupt import keeping
 from tenscontrol.plant import own_input
 from tenscontrol.progress import progress_bar
+from tenscontrol.properties import cached_property
 from tenscontrol.simulation.batch.batch_inputs import BatchInputs, given_by_run
 from tenscontrol.simulation.batch.compiled_loop import checked_controller
 from tenscontrol.simulation.batch.runner import HowToIntegrate, Runner
@@ -139,6 +139,9 @@ class Batch:
             If the motion passes a limit with ``action="raise"``.
         """
         run = whole_number("run", run, 0, len(self.completed) - 1)
+        if limits is not None:
+            how = "make them by HealthLimits(bar_length_error=...)"
+            instance("limits", limits, HealthLimits, how)
         assert self._runner is not None  # made by simulate_many
         scene, why = self._runner.scene, None
         if not self.completed[run]:
@@ -243,8 +246,8 @@ def simulate_many(
     keep_nodes : array_like of int, or of bool, shape (n,), optional
         Nodes that are kept, or a mask of them; all if not given.
     machine_code : bool
-        Whether to compile. Without it, or a compiler, the numbers are the same, some ten times
-        as late; ``batch.choice.back_end`` says what ran.
+        Whether to compile. Without it, or a compiler that works, the numbers are the same, some ten
+        times as late; ``batch.choice.back_end`` says what ran, and a warning why a compiler failed.
     threads : int, optional
         All processors if not given.
     error : {"sample", "all", "none"}
