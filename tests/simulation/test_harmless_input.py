@@ -71,7 +71,11 @@ def test_a_load_of_zero_needs_no_model_that_takes_one(load):
         np.testing.assert_allclose(batch.nodes[1, :, :, -1], bare.nodes[:, :, -1], atol=1e-14)
 
 
-@pytest.mark.parametrize("load", [1.0, np.ones((3, 6)), lambda time: np.zeros((3, 6))], ids=repr)
+@pytest.mark.parametrize(
+    "load",
+    [1.0, np.ones((3, 6)), lambda time: np.zeros((3, 6))],
+    ids=["number", "array", "function"],
+)
 def test_another_load_does(load):
     with pytest.raises(ValueError, match=r"takes no load|has shape"):
         tc.simulate(MODEL, 0.1, force_density=GAMMA, external_force=load)
