@@ -16,6 +16,7 @@ from tenscontrol.integrate.events import BAND, CHATTER, first_crossing, refuse_c
 from tenscontrol.integrate.integrator import (
     IntegrationError,
     IntegrationInterrupt,
+    IntegrationPause,
     Integrator,
     Report,
     Span,
@@ -40,6 +41,9 @@ _MOST_STEPS = 2_000
 
 # A call as short as this part of the span that still fails has met the end of the motion.
 _SHORTEST = 1e-12
+
+# The first window of a motion that may take so many evaluations only, as part of the span.
+_FIRST = 1e-3
 
 # A landing is sought so many times at most: it is Newton's method with an almost exact start.
 _NEWTON_STEPS = 8
@@ -93,6 +97,11 @@ class CVODES(Integrator):
         self._slopes = Evaluator(self._solvers.slopes)
         gap = self._solvers.gap
         self._gap_of = None if gap is None else ColumnEvaluator(gap)
+
+    @property
+    def cost(self) -> float:
+        """See :attr:`Integrator.cost`."""
+        return 1.0 + 0.2 * self._equation.states
 
     def _gap_scale(self, held: FloatArray) -> float:
         """Return the largest length that round-off in a gap is a part of, m."""
@@ -151,6 +160,8 @@ class CVODES(Integrator):
             # A state that is not finite is looked for, so NumPy need not warn of it.
             with interruptible(), np.errstate(over="ignore", invalid="ignore", divide="ignore"):
                 motion.begin(state / scale)
+                if self.limit < np.inf:  # a call does not end before its window does
+                    motion.shorten(_FIRST * duration)
                 while motion.now < duration:
                     check()
                     window = motion.next_window()
@@ -163,6 +174,13 @@ class CVODES(Integrator):
                     if report is not None:
                         report(motion.now)
                     motion.switch()
+                    if motion.now < duration and motion.work.evaluations >= self.limit:
+                        ends = np.column_stack([states[:, :done], motion.state])
+                        ends = self._projected(ends * scale[:, None])
+                        if ends.shape[1] <= done:
+                            raise FloatingPointError(NOT_RIGID)
+                        so_far = Span(ends[:, :-1], motion.work)
+                        raise IntegrationPause(motion.now, ends[:, -1], so_far)
             exact = self._projected(states * scale[:, None])
             if exact.shape[1] < outputs:
                 raise FloatingPointError(NOT_RIGID)
@@ -208,6 +226,10 @@ class _Motion:
         if self._gap_of is not None:
             gap = self._gap(self._gap_of, state[:, None], np.zeros(1))
             self._taut = (gap[:, 0] > 0).astype(float)
+
+    def shorten(self, window: float) -> None:
+        """Begin with a window of a length, s; the following ones grow as the steps do."""
+        self._window = window
 
     def next_window(self) -> _Window:
         """Integrate over one window, up to its end or the first switch within it."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from math import ceil
 
 import numpy as np
@@ -25,6 +26,7 @@ from tenscontrol.integrate import (
     Integrator,
     Method,
     Span,
+    Watched,
     Work,
     choose,
     method_of,
@@ -184,15 +186,24 @@ class Loop:
                 "your own that evaluates the input by equation.ahead(u, t), give "
                 "Method(follows=True)"
             )
+        integrator: Integrator
+        if self._method is None and chosen.setting == "tolerance":
+            make = partial(self._made, chosen)
+            integrator = Watched(equation, chosen.method, make, self.duration, self.now)
+        else:
+            integrator = self._made(chosen, method)
+        self.choice = replace(chosen, back_end=integrator.back_end)
+        return integrator
+
+    def _made(self, chosen: Choice, method: Method | str) -> Integrator:
+        """Return the integrator of a method, with the setting that was chosen."""
+        method = METHODS[method] if isinstance(method, str) else method
+        equation = self._equation
         if method.differentiates and equation.form == "loops":
             equation = self._equation_of("mapped")
         # Not what the user says of a method that he has not chosen, and that needs no projection.
         project = self.project if method.drifts or self._method is not None else None
-        integrator = method.integrator(
-            equation, chosen.value, chosen.setting, project, self.machine_code
-        )
-        self.choice = replace(chosen, back_end=integrator.back_end)
-        return integrator
+        return method.integrator(equation, chosen.value, chosen.setting, project, self.machine_code)
 
     def run(
         self, state: FloatArray, held: FloatArray | tuple[FloatArray, FloatArray] | Pieces,
@@ -394,6 +405,7 @@ class Loop:
     def _trajectory(self, stopped: str | None) -> Trajectory:
         assert self.choice is not None  # made before the first span
         assert self.integrator is not None  # made with it
+        self.choice = replace(self.choice, changes=self.integrator.changes)
         model, structure, strings = self.model, self.model.structure, self.model.strings
         control = None if self.record is None else self.record()
         spans = self.spans
@@ -437,7 +449,8 @@ class Loop:
             off = linear - linear[:, :1] - given
             contacts = replace(contacts, impulse_error=float(np.abs(off).max()))
             # How far that takes the centre of mass.
-            if error is not None and not (self._method or METHODS[self.choice.method]).locates:
+            used = [self._method or METHODS[name] for name in self.choice.methods]
+            if error is not None and not all(method.locates for method in used):
                 moved = np.cumsum((off[:, 1:] + off[:, :-1]) / 2 * np.diff(time), axis=1)
                 reach = float(model.mass_matrix().sum() * np.ptp(structure.nodes, axis=1).max())
                 error += _BY_CENTRE * float(np.abs(moved).max(initial=0.0)) / reach

@@ -40,7 +40,7 @@ from tenscontrol.dynamics import (
 )
 from tenscontrol.estimation import FilterStatistics
 from tenscontrol.files import read_file, write_file
-from tenscontrol.integrate import Choice, Work
+from tenscontrol.integrate import Choice, MethodChange, Work
 from tenscontrol.plant import Reference
 from tenscontrol.simulation.contacts import ContactRecord
 from tenscontrol.simulation.faults import CutString, LostMeasurement, StuckWinch
@@ -65,8 +65,8 @@ _RECORDS = {
     for kind in (
         Choice, ContactRecord, ControlRecord, CutString, ElasticStrings, EstimateRecord,
         FeedbackLinearizationStatistics, FilterStatistics, Ground, HertzGround, LinearStrings,
-        LostMeasurement, Motor, MotorRecord, MPCStatistics, NMPCStatistics, OutputLimit, Profile,
-        Reference, SmoothGround, Structure, StuckWinch, Winches, Work,
+        LostMeasurement, MethodChange, Motor, MotorRecord, MPCStatistics, NMPCStatistics,
+        OutputLimit, Profile, Reference, SmoothGround, Structure, StuckWinch, Winches, Work,
     )
 }  # fmt: skip
 _WORDS: dict[str, type[StrEnum]] = {"Status": Status, "Fallback": Fallback}

@@ -16,7 +16,7 @@ from tenscontrol.estimation import KalmanFilter, Sensors
 from tenscontrol.integrate import Method, Projector, largest_frequency, state_scale
 from tenscontrol.interrupt import InterruptionWarning, interruptible
 from tenscontrol.plant import held_value
-from tenscontrol.progress import progress_bar
+from tenscontrol.progress import long_run_note, progress_bar
 from tenscontrol.simulation.closed_loop import run_closed_loop
 from tenscontrol.simulation.faults import Fault, Faults
 from tenscontrol.simulation.health import AccuracyWarning, Given, HealthLimits
@@ -127,8 +127,9 @@ def simulate(
         ``structure.fixed``. See the notes.
     method : str or Method
         ``"auto"``, one of :data:`METHODS`, or a :class:`Method` of your own. ``"auto"`` is
-        ``"rk4"`` where ``step`` is given; else it chooses by the largest string frequency,
-        and says so in ``run.choice``.
+        ``"rk4"`` where ``step`` is given; else it chooses by the largest string frequency, and
+        goes on with another method where that gets further for its work, or where the first one
+        fails. ``run.choice`` says which, from when and why.
     tolerance : float
         Error allowed a step of a method that chooses its own steps, as part of
         the size of the structure and of its characteristic speed.
@@ -150,7 +151,8 @@ def simulate(
     limits : HealthLimits, optional
         Limits on the figures in ``run.health``; ``HealthLimits()`` if not given.
     progress : bool
-        Whether to show a progress bar; never shown away from a terminal.
+        Whether to show a progress bar; never shown away from a terminal. Without one, the logger
+        ``"tenscontrol"`` says once how long a run takes, if that is more than 20 s.
     estimator : KalmanFilter, optional
         The controller then receives the estimate in place of the motion, and the estimator the
         applied input. It is reset first. It must have the sample time of the controller, and
@@ -334,7 +336,8 @@ def simulate(
             state = pack_state(model.structure, N, V)
         try:
             end = loop.now + duration
-            with progress_bar(end, shown=True) if progress else nullcontext() as loop.report:
+            told = progress_bar(end, shown=True) if progress else long_run_note(loop.now, end)
+            with told as loop.report:
                 if law is None:
                     assert held is not None  # one of the two is given
                     loop.run(state, held, duration)

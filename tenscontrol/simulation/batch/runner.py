@@ -23,6 +23,8 @@ from tenscontrol.integrate import (
     Integrator,
     Lanes,
     Method,
+    MethodChange,
+    Watched,
     Work,
     choose,
     not_finite,
@@ -97,6 +99,8 @@ class Runner:
         self._counts, self._work = np.zeros((scene.count, Lanes.counts)), dict[int, Work]()
         self._threads, self._has_no_memory = local(), False
         self._loops_made: list[CompiledLoops] = []
+        self._watches = False
+        self._changes: dict[int, tuple[MethodChange, ...]] = {}  # of methods, run by run
         self._prepare()
 
     def _prepare(self) -> None:
@@ -126,6 +130,7 @@ class Runner:
                 f"method {method.name!r} takes inputs that are constant over a step only, but "
                 "an input changes in time"
             )
+        self._watches = how.method is None and chosen.setting == "tolerance"
         self._method = method
         self._project = how.project if method.drifts or how.method is not None else None
         self.choice = chosen
@@ -187,8 +192,13 @@ class Runner:
         return damping is None or bool((damping > 0).any(axis=1).all())
 
     def _integrator(self, equation: Equation, machine_code: bool) -> Integrator:
-        return self._method.integrator(
-            equation, self.choice.value, self.choice.setting, self._project, machine_code
+        return self._made(self._method, equation, machine_code)
+
+    def _made(self, method: Method, equation: Equation, machine_code: bool) -> Integrator:
+        how = self.how
+        project = how.project if method.drifts or how.method is not None else None
+        return method.integrator(
+            equation, self.choice.value, self.choice.setting, project, machine_code
         )
 
     # ---- blocks ----
@@ -334,6 +344,8 @@ class Runner:
                 self._end(run, span.start + error.time, str(error))
             except _StopError:
                 break
+            if self._watches:
+                self._changes[run] = integrator.changes
             kept[i, : found.states.shape[1]] = found.states.T
             self._work[run] = self._work.get(run, Work()) + found.work
             self.switches[run] += found.work.switches
@@ -356,12 +368,25 @@ class Runner:
     def _made_for(self, run: int) -> Integrator:
         """Return a new integrator: of the equation that all share, or of the run's own."""
         code = self.how.machine_code
+        if self._watches:
+            return self._watched(self.scene.model if self._shares else self.scene.model_of(run))
         if self._shares:
             return self._integrator(self._shared, code)
         equation = self._equation(self.scene.model_of(run), "auto", ())
         if self._method.differentiates and equation.form == "loops":
             equation = self._equation(self.scene.model_of(run), "mapped", ())
         return self._integrator(equation, code)
+
+    def _watched(self, model: Model) -> Integrator:
+        equation = self._equation(model, "auto", ())
+
+        def make(name: str) -> Integrator:
+            method = METHODS[name]
+            is_mapped = method.differentiates and equation.form == "loops"
+            of = self._equation(model, "mapped", ()) if is_mapped else equation
+            return self._made(method, of, self.how.machine_code)
+
+        return Watched(equation, self.choice.method, make, self.scene.duration)
 
     def _end(self, run: int, time: float, why: str) -> None:
         self.end_time[run] = time
@@ -431,7 +456,8 @@ class Runner:
         damped = model.strings is not None and model.strings.is_damped
         return Trajectory(
             structure, self.time, nodes, velocities,
-            inputs if scene.input == "rest_length" else None, choice, work,
+            inputs if scene.input == "rest_length" else None,
+            replace(choice, changes=self._changes.get(run, ())), work,
             conserves_energy=self.command is None
             and not (scene.input == "rest_length" and damped),
             conserves_momentum=not loaded and free, control=None,
