@@ -251,6 +251,8 @@ class _Motion:
         while True:
             end = self._end()
             span = end - self.now
+            if span <= 0:  # windows have become shorter than time is told apart
+                raise FloatingPointError("the step size vanishes")
             states, stats = self._call(self._solvers.window, self.state, self.now, span)
             if states is None:
                 if span <= _SHORTEST * self._times[-1]:
