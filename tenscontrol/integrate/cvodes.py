@@ -93,6 +93,7 @@ class CVODES(Integrator):
         self._projected = Projector(equation, project)
         self.tolerance = checked_tolerance(tolerance)
         self._scale: FloatArray | None = None  # set by the first motion
+        self._window = 0.0  # s, with which the last motion ended
         self._solvers = self._kept(self._build, self.tolerance)
         self._slopes = Evaluator(self._solvers.slopes)
         gap = self._solvers.gap
@@ -161,7 +162,7 @@ class CVODES(Integrator):
             with interruptible(), np.errstate(over="ignore", invalid="ignore", divide="ignore"):
                 motion.begin(state / scale)
                 if self.limit < np.inf:  # a call does not end before its window does
-                    motion.shorten(_FIRST * duration)
+                    motion.shorten(self._window or _FIRST * duration)
                 while motion.now < duration:
                     check()
                     window = motion.next_window()
@@ -174,6 +175,7 @@ class CVODES(Integrator):
                     if report is not None:
                         report(motion.now)
                     motion.switch()
+                    self._window = motion.window
                     if motion.now < duration and motion.work.evaluations >= self.limit:
                         ends = np.column_stack([states[:, :done], motion.state])
                         ends = self._projected(ends * scale[:, None])
@@ -214,7 +216,7 @@ class _Motion:
         self._solvers, self._slopes, self._gap_of, self._band = solvers, slopes, gap, band
         self._held, self._moves, self._scale = given
         self._times = times
-        self._window = np.inf  # longest window, s
+        self.window = np.inf  # longest one, s
         self._taut = np.zeros(0)
         self._crossed: FloatArray | None = None  # 1 for each string that switches now
         self._landings = deque([-float(times[-1])], maxlen=CHATTER)
@@ -229,7 +231,7 @@ class _Motion:
 
     def shorten(self, window: float) -> None:
         """Begin with a window of a length, s; the following ones grow as the steps do."""
-        self._window = window
+        self.window = window
 
     def next_window(self) -> _Window:
         """Integrate over one window, up to its end or the first switch within it."""
@@ -257,18 +259,18 @@ class _Motion:
             if states is None:
                 if span <= _SHORTEST * self._times[-1]:
                     raise FloatingPointError("the step size vanishes")
-                self._window = span / 4
+                self.window = span / 4
                 continue
             if self._gap_of is None:
-                self._window *= 2  # all that is left, unless a call had to be cut short
+                self.window *= 2  # all that is left, unless a call had to be cut short
                 break
             # As many states as steps, about: the last step tells, the first ones are tiny.
             fitting = 1.5 * grid * stats["hlast"] * span
-            self._window = float(np.clip(fitting, span / 16, 4 * span))
+            self.window = float(np.clip(fitting, span / 16, 4 * span))
             if stats["nsteps"] <= _COARSE * grid or span <= _SHORTEST * self._times[-1]:
                 break
             # Its last step may be long where the first ones are many.
-            self._window = min(self._window, span / 2)
+            self.window = min(self.window, span / 2)
         nodes = np.column_stack([self.state, states])
         return _Window(np.linspace(self.now, end, grid + 1), nodes, self._slopes_at)
 
@@ -342,11 +344,11 @@ class _Motion:
         following = int(np.searchsorted(times, now, side="right"))
         whole = now == 0.0 or times[following - 1] == now
         # times[-1] may be off by a bit, so outputs are counted rather than divided by.
-        fitting = self._window / (times[-1] / len(times))
+        fitting = self.window / (times[-1] / len(times))
         most = min(fitting, len(times) - following, self._solvers.grid)
         if whole and most >= 1:
             return float(times[following - 1 + 2 ** int(np.log2(most))])
-        return float(min(times[following], now + self._window))
+        return float(min(times[following], now + self.window))
 
     def _call(
         self, solver: ca.Function, state: FloatArray, start: float, span: float

@@ -91,6 +91,7 @@ class Watched(Integrator):
         self._now = start
         self._end = start + positive_number("duration", duration, "s")
         self._failed: set[str] = set()
+        self._is_over = False
         self._spent, self._budget = 0.0, _FREE
         self._reviewed = start, 0.0  # time of the last review, and what was spent by then
         self.back_end = self._method(first)[0].back_end
@@ -105,12 +106,13 @@ class Watched(Integrator):
     ) -> Span:
         """See :meth:`Integrator.advance`."""
         state, held, duration, outputs = self._checked(state, held, duration, outputs, report)
-        if self._now >= self._end - _SAME * duration:  # a part of the motion again, afterwards
+        if self._is_over:  # a part of the motion again
             method, _ = self._method(self._at_work)
             method.limit = np.inf
             return method.advance(state, held, duration, outputs, report)
         span = _Given(held, duration, outputs, self._equation.layout.degree > 0, report)
         motion = _Motion(0.0, state)
+        self._is_over = True  # if nothing else is said below
         try:
             while motion.time < duration:
                 if self._spent < self._budget:
@@ -122,6 +124,7 @@ class Watched(Integrator):
         except KeyboardInterrupt:  # of what is told of the time
             raise IntegrationInterrupt(motion.time, motion.span()) from None
         self._now += duration
+        self._is_over = self._now >= self._end - _SAME * duration
         return motion.span()
 
     def _go_on(self, span: _Given, motion: _Motion) -> None:
@@ -191,7 +194,6 @@ class Watched(Integrator):
         budget = max(_LEAST_TRIAL, self._spent * (_TRIAL if failure is None else 1.0))
         rates: dict[str, float] = {}
         trials: dict[str, _Motion] = {}
-        why = "" if failure is None else str(failure)
         for name in (each for each in WATCHED if each not in self._failed):
             before = self._spent
             ahead, ended = self._leg(name, span, motion, budget, None)
@@ -201,12 +203,14 @@ class Watched(Integrator):
                 raise IntegrationInterrupt(motion.time, motion.span())
             if ended is not None:
                 self._failed.add(name)
-                if name == self._at_work:
-                    failure, why = ended, str(ended)
+                if name == self._at_work:  # which may be what the others have no budget for
+                    motion.give_up(trials)
+                    self._compare(span, motion, ended)
+                    return
             elif failure is None or ahead.time > failure.time:
                 rates[name] = (ahead.time - motion.time) / max(self._spent - before, 1.0)
         if not rates:
-            assert failure is not None  # the method at work has failed, else it has a rate
+            assert failure is not None  # else the method at work has a rate
             motion.give_up(trials)
             tried = ", ".join(trials) or "none"
             raise IntegrationError(
@@ -218,10 +222,10 @@ class Watched(Integrator):
         if old in rates and rates[best] <= _BETTER * rates[old]:
             best = old
         if best != old:
-            if old in rates:
-                why = (
-                    f"for the same work it got {rates[best] / rates[old]:.2g} times as far as {old}"
-                )
+            why = str(failure)
+            if failure is None:
+                ratio = rates[best] / max(rates[old], 1e-6 * rates[best])
+                why = f"for the same work it got {ratio:.2g} times as far as {old}"
             self.changes = (*self.changes, MethodChange(self._now + motion.time, best, why))
             self._at_work = best
         motion.append(trials.pop(best))
