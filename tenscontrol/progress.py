@@ -1,12 +1,17 @@
-"""A progress bar over simulated time, or over whatever is counted."""
+"""A progress bar over simulated time, or over whatever is counted, and a word on long runs."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from logging import getLogger
+from time import perf_counter
 
 from tenscontrol.validation import truth
+
+# A run of more than the first, s, is told how long it takes; it is estimated after the second.
+_LONG, _ASK = 20.0, 5.0
 
 
 @contextmanager
@@ -40,3 +45,37 @@ def _has_terminal() -> bool:
     if stream is None or getattr(stream, "closed", False):
         return False
     return hasattr(stream, "isatty") and stream.isatty()
+
+
+@contextmanager
+def long_run_note(start: float, end: float) -> Iterator[Callable[[float], None]]:
+    """Yield a function that is told the simulated time reached, s, and logs once if it takes long.
+
+    How long depends on the machine, so it is no warning, which a user may have made an error. The
+    logger ``"tenscontrol"`` has it as one; without any settings, Python writes that to stderr.
+    """
+    began, is_said = perf_counter(), False
+
+    def report(reached: float) -> None:
+        nonlocal is_said
+        taken = perf_counter() - began
+        if is_said or taken < _ASK or reached <= start:
+            return
+        whole = taken * (end - start) / (reached - start)
+        if whole > _LONG:
+            is_said = True
+            getLogger("tenscontrol").warning(
+                "simulate: %.3g s of %.3g s of motion took %.0f s; at this rate the run takes "
+                "%s in all. progress=True shows a bar; Ctrl-C ends the run, with the motion up "
+                "to there",
+                reached - start, end - start, taken, _readable(whole),
+            )  # fmt: skip
+
+    yield report
+
+
+def _readable(seconds: float) -> str:
+    for unit, length in (("days", 86_400.0), ("hours", 3_600.0), ("minutes", 60.0)):
+        if seconds >= 2 * length:
+            return f"{seconds / length:.2g} {unit}"
+    return f"{seconds:.0f} s"

@@ -7,7 +7,9 @@ from tenscontrol.integrate.fixed_step import RK4, FixedStep, not_finite
 from tenscontrol.integrate.integrator import (
     IntegrationError,
     IntegrationInterrupt,
+    IntegrationPause,
     Integrator,
+    MethodChange,
     Report,
     Span,
     Work,
@@ -19,6 +21,7 @@ from tenscontrol.integrate.lanes import Lanes
 from tenscontrol.integrate.methods import METHODS, Choice, Method, choose, method_of
 from tenscontrol.integrate.projection import Projector
 from tenscontrol.integrate.rattle import Rattle, Rattle4, Rattle6, splitting
+from tenscontrol.integrate.watched import Watched
 
 __all__ = [
     "CVODES",
@@ -30,15 +33,18 @@ __all__ = [
     "FixedStep",
     "IntegrationError",
     "IntegrationInterrupt",
+    "IntegrationPause",
     "Integrator",
     "Lanes",
     "Method",
+    "MethodChange",
     "Projector",
     "Rattle",
     "Rattle4",
     "Rattle6",
     "Report",
     "Span",
+    "Watched",
     "Work",
     "choose",
     "contact_frequency",

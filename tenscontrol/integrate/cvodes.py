@@ -22,6 +22,7 @@ from tenscontrol.integrate.events import BAND, CHATTER, first_crossing, refuse_c
 from tenscontrol.integrate.integrator import (
     IntegrationError,
     IntegrationInterrupt,
+    IntegrationPause,
     Integrator,
     Report,
     Span,
@@ -46,6 +47,9 @@ _MOST_STEPS = 2_000
 
 # A call as short as this part of the span that still fails has met the end of the motion.
 _SHORTEST = 1e-12
+
+# The first window of a motion that may take so many evaluations only, as part of the span.
+_FIRST = 1e-3
 
 # A landing is sought so many times at most: it is Newton's method with an almost exact start.
 _NEWTON_STEPS = 8
@@ -95,10 +99,16 @@ class CVODES(Integrator):
         self._projected = Projector(equation, project)
         self.tolerance = checked_tolerance(tolerance)
         self._scale: FloatArray | None = None  # set by the first motion
+        self._window = 0.0  # s, with which the last motion ended
         self._solvers = self._kept(self._build, self.tolerance)
         self._slopes = Evaluator(self._solvers.slopes)
         gap = self._solvers.gap
         self._gap_of = None if gap is None else ColumnEvaluator(gap)
+
+    @property
+    def cost(self) -> float:
+        """See :attr:`Integrator.cost`."""
+        return 1.0 + 0.2 * self._equation.states
 
     def _gap_scale(self, held: FloatArray) -> float:
         """Return the largest length that round-off in a gap is a part of, m."""
@@ -157,6 +167,8 @@ class CVODES(Integrator):
             # A state that is not finite is looked for, so NumPy need not warn of it.
             with interruptible(), np.errstate(over="ignore", invalid="ignore", divide="ignore"):
                 motion.begin(state / scale)
+                if self.limit < np.inf:  # a call does not end before its window does
+                    motion.shorten(self._window or _FIRST * duration)
                 while motion.now < duration:
                     check()
                     window = motion.next_window()
@@ -169,6 +181,14 @@ class CVODES(Integrator):
                     if report is not None:
                         report(motion.now)
                     motion.switch()
+                    self._window = motion.window
+                    if motion.now < duration and motion.work.evaluations >= self.limit:
+                        ends = np.column_stack([states[:, :done], motion.state])
+                        ends = self._projected(ends * scale[:, None])
+                        if ends.shape[1] <= done:
+                            raise FloatingPointError(NOT_RIGID)
+                        so_far = Span(ends[:, :-1], motion.work)
+                        raise IntegrationPause(motion.now, ends[:, -1], so_far)
             exact = self._projected(states * scale[:, None])
             if exact.shape[1] < outputs:
                 raise FloatingPointError(NOT_RIGID)
@@ -202,7 +222,7 @@ class _Motion:
         self._solvers, self._slopes, self._gap_of, self._band = solvers, slopes, gap, band
         self._held, self._moves, self._scale = given
         self._times = times
-        self._window = np.inf  # longest window, s
+        self.window = np.inf  # longest one, s
         self._taut = np.zeros(0)
         self._crossed: FloatArray | None = None  # 1 for each string that switches now
         self._landings = deque([-float(times[-1])], maxlen=CHATTER)
@@ -214,6 +234,10 @@ class _Motion:
         if self._gap_of is not None:
             gap = self._gap(self._gap_of, state[:, None], np.zeros(1))
             self._taut = (gap[:, 0] > 0).astype(float)
+
+    def shorten(self, window: float) -> None:
+        """Begin with a window of a length, s; the following ones grow as the steps do."""
+        self.window = window
 
     def next_window(self) -> _Window:
         """Integrate over one window, up to its end or the first switch within it."""
@@ -235,22 +259,24 @@ class _Motion:
         while True:
             end = self._end()
             span = end - self.now
+            if span <= 0:  # windows have become shorter than time is told apart
+                raise FloatingPointError("the step size vanishes")
             states, stats = self._call(self._solvers.window, self.state, self.now, span)
             if states is None:
                 if span <= _SHORTEST * self._times[-1]:
                     raise FloatingPointError("the step size vanishes")
-                self._window = span / 4
+                self.window = span / 4
                 continue
             if self._gap_of is None:
-                self._window *= 2  # all that is left, unless a call had to be cut short
+                self.window *= 2  # all that is left, unless a call had to be cut short
                 break
             # As many states as steps, about: the last step tells, the first ones are tiny.
             fitting = 1.5 * grid * stats["hlast"] * span
-            self._window = float(np.clip(fitting, span / 16, 4 * span))
+            self.window = float(np.clip(fitting, span / 16, 4 * span))
             if stats["nsteps"] <= _COARSE * grid or span <= _SHORTEST * self._times[-1]:
                 break
             # Its last step may be long where the first ones are many.
-            self._window = min(self._window, span / 2)
+            self.window = min(self.window, span / 2)
         nodes = np.column_stack([self.state, states])
         return _Window(np.linspace(self.now, end, grid + 1), nodes, self._slopes_at)
 
@@ -324,11 +350,11 @@ class _Motion:
         following = int(np.searchsorted(times, now, side="right"))
         whole = now == 0.0 or times[following - 1] == now
         # times[-1] may be off by a bit, so outputs are counted rather than divided by.
-        fitting = self._window / (times[-1] / len(times))
+        fitting = self.window / (times[-1] / len(times))
         most = min(fitting, len(times) - following, self._solvers.grid)
         if whole and most >= 1:
             return float(times[following - 1 + 2 ** int(np.log2(most))])
-        return float(min(times[following], now + self._window))
+        return float(min(times[following], now + self.window))
 
     def _call(
         self, solver: ca.Function, state: FloatArray, start: float, span: float

@@ -30,6 +30,7 @@ from tenscontrol.integrate.events import (
 from tenscontrol.integrate.integrator import (
     IntegrationError,
     IntegrationInterrupt,
+    IntegrationPause,
     Integrator,
     Report,
     Span,
@@ -118,6 +119,14 @@ class DOP853(Integrator):
         self._chunk, self._start, self._largest, self._turns, self.back_end, exact = built
         self._projected = Projector(equation, project, exact)
 
+    @property
+    def cost(self) -> float:
+        """See :attr:`Integrator.cost`."""
+        states = self._equation.states
+        if self.back_end == "machine code":
+            return 0.02 + 0.005 * states
+        return 5.0 + 0.025 * states if self._equation.form == "loops" else 0.3 + 0.1 * states
+
     def _build(self, project: bool, machine_code: bool) -> tuple[Any, ...]:
         """Return what `__init__` keeps."""
         equation = self._equation
@@ -187,6 +196,9 @@ class DOP853(Integrator):
                     )
                 if report is not None:
                     report(told["time"])
+                if told["time"] < duration and _work(told).evaluations >= self.limit:
+                    reached = Span(self._projected(states[:, :done]), _work(told))
+                    raise IntegrationPause(told["time"], carried[:n], reached)
             exact = self._projected(states[:, :-1])
             if (count := exact.shape[1]) < outputs - 1:
                 stopped = f"dop853 stopped after {spacing * count:.6g} s: {NOT_RIGID}"

@@ -46,7 +46,8 @@ class Work:
     steps : int
         Steps taken.
     rejections : int
-        Steps that were tried and thrown away, because their error was too large.
+        Steps that were tried and thrown away, because their error was too large or another method
+        got further.
     evaluations : int
         Evaluations of the right-hand side, or of the forces.
     switches : int
@@ -83,6 +84,23 @@ class Span:
     work: Work
 
 
+@dataclass(frozen=True)
+class MethodChange:
+    """Another method that went on with a motion.
+
+    Attributes
+    ----------
+    time : float
+        From when on, s.
+    method : str
+    reason : str
+    """
+
+    time: float
+    method: str
+    reason: str
+
+
 class IntegrationError(ArithmeticError):
     """An integration that could not go on.
 
@@ -97,6 +115,26 @@ class IntegrationError(ArithmeticError):
     def __init__(self, message: str, time: float, span: Span) -> None:
         super().__init__(message)
         self.time = time
+        self.span = span
+
+
+class IntegrationPause(Exception):  # noqa: N818 (nothing is wrong)
+    """An integration that used the evaluations that :attr:`Integrator.limit` leaves it.
+
+    Attributes
+    ----------
+    time : float
+        Time reached within the span, s.
+    state : ndarray, shape (states,)
+        x at that time.
+    span : Span
+        The states at the output times up to it.
+    """
+
+    def __init__(self, time: float, state: FloatArray, span: Span) -> None:
+        super().__init__("paused")
+        self.time = time
+        self.state = state
         self.span = span
 
 
@@ -168,6 +206,12 @@ class Integrator(ABC):
     #: ``"machine code for the forces"``.
     back_end = "virtual machine"
 
+    #: Evaluations after which :meth:`advance` raises :class:`IntegrationPause`, where it can.
+    limit = float("inf")
+
+    #: Methods that took over from the first one.
+    changes: tuple[MethodChange, ...] = ()
+
     def __init__(
         self, equation: Equation, project: bool = False, machine_code: bool = False
     ) -> None:
@@ -175,6 +219,14 @@ class Integrator(ABC):
         truth("project", project, "whether to make bar lengths exact after each step")
         truth("machine_code", machine_code, "whether to compile the steps")
         self._equation = equation
+
+    @property
+    def cost(self) -> float:
+        """What an evaluation takes with all work around it, in about microseconds.
+
+        It follows from sizes, and is no measurement: the same on every machine.
+        """
+        return 1.0
 
     def _checked(
         self, state: FloatArray, held: FloatArray, duration: float, outputs: int, report: object

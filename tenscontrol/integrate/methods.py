@@ -11,7 +11,12 @@ from tenscontrol.integrate.cvodes import CVODES
 from tenscontrol.integrate.dop853 import DOP853
 from tenscontrol.integrate.energy_momentum import EnergyMomentum
 from tenscontrol.integrate.fixed_step import RK4
-from tenscontrol.integrate.integrator import Integrator, contact_frequency, largest_frequency
+from tenscontrol.integrate.integrator import (
+    Integrator,
+    MethodChange,
+    contact_frequency,
+    largest_frequency,
+)
 from tenscontrol.integrate.rattle import Rattle, Rattle4, Rattle6
 from tenscontrol.validation import (
     FloatArray,
@@ -199,6 +204,7 @@ class Choice:
     Attributes
     ----------
     method : str
+        The one that the run began with.
     setting : {"step", "tolerance"}
         What its accuracy is set by.
     value : float
@@ -206,6 +212,8 @@ class Choice:
     reason : str
     back_end : str
         What runs the steps.
+    changes : tuple of MethodChange
+        Other methods that went on, from when and why. Only ``"auto"`` goes on with another one.
     """
 
     method: str
@@ -213,6 +221,12 @@ class Choice:
     value: float
     reason: str
     back_end: str = "virtual machine"
+    changes: tuple[MethodChange, ...] = ()
+
+    @property
+    def methods(self) -> tuple[str, ...]:
+        """All methods of the run, in the order in which they were at work."""
+        return (self.method, *(change.method for change in self.changes))
 
 
 def choose(
@@ -223,11 +237,11 @@ def choose(
     tolerance: float,
     step: float | None,
 ) -> Choice:
-    """Return the method for a scene.
+    """Return the method to begin with for a scene.
 
-    Where the user gives a step, the method is RK4. Else it is the one of order
-    8 with steps of its own, unless the fastest string, or the ground, would force it to far more
-    steps than the motion needs: then the implicit one.
+    Where the user gives a step, the method is RK4. Else it is the one of order 8 with steps of its
+    own, unless the fastest string would force it to far more steps than the motion needs: then the
+    implicit one. The ground does so only while something touches it, which is not known before.
     """
     strings, ground = (of(equation, state, held) for of in (largest_frequency, contact_frequency))
     frequency, where = max(strings, ground), " (ground)" if ground > strings else ""
@@ -241,7 +255,7 @@ def choose(
         if where and step * ground > _STABLE:
             scene += f", and steps follow the ground up to {_STABLE / ground:.1g} s only"
         return Choice("rk4", "step", step, f"a step is given; {scene}")
-    needed = frequency * duration / _STABLE
+    needed = strings * duration / _STABLE
     if needed > _MOST_STEPS:
         return Choice(
             "energy_momentum",

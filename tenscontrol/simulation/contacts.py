@@ -41,6 +41,9 @@ _FASTER = 2.0
 # first.
 _PIECES, _PIECES_A_STEP = 1_000, 0.5
 
+# Evaluations that this may take in any case; else it takes as many as the run did.
+_EVALUATIONS = 50_000
+
 # Parts that are integrated again in one go: the motion leaves that of the run no further than these
 # let it.
 _TOGETHER = 32
@@ -232,17 +235,21 @@ class Segments:
             some._accelerations = [each[:, k] for each in self._accelerations]
         return some
 
-    def again(self, first: int, last: int, parts: int) -> Segments:
-        """Return the time from one to another in equal parts, integrated again from its begin."""
+    def again(self, first: int, last: int, parts: int) -> tuple[Segments, int]:
+        """Return the time from one to another in equal parts, integrated again from its begin.
+
+        With the evaluations that this took.
+        """
         loop, begin, end = self.loop, self.begins[first], self.ends[last]
         stretch, integrator = loop.spans[self.of[first]], loop.integrator
         assert integrator is not None  # made before there are segments
         held = loop.equation.layout.packed(stretch.coefficients, float(begin) - stretch.origin)
-        after = integrator.advance(self.before[:, first], held, float(end - begin), parts).states
+        span = integrator.advance(self.before[:, first], held, float(end - begin), parts)
+        after = span.states
         times = begin + (end - begin) * np.arange(parts + 1) / parts
         before = np.column_stack([self.before[:, first], after[:, :-1]])
         of = np.full(parts, self.of[first])
-        return Segments(loop, of, times[:-1], times[1:], before, after)
+        return Segments(loop, of, times[:-1], times[1:], before, after), span.work.evaluations
 
     def groups(self, counts: IntArray, most: int) -> list[IntArray]:
         """Return which follow on one another and are equally long, with equal counts."""
@@ -443,6 +450,7 @@ class _Recorder:
         They are off by so much, as part of what is exact, and change in work, J.
         """
         left = _PIECES + _PIECES_A_STEP * parts.loop.work.steps
+        evaluations = max(_EVALUATIONS, parts.loop.work.evaluations)
         for level in range(_LEVELS + 1):
             # Errors fall by the sixth power of the length. A power of two, so that many are alike.
             wanted = 2 ** np.ceil(np.log2(2 * np.clip(off, 1, _MOST**6) ** (1 / 6)))
@@ -456,14 +464,27 @@ class _Recorder:
             parts, kept, found, counts = parts.take(bad), kept[bad], found.take(bad), counts[bad]
             if not len(kept):
                 return
-            pieces = []
+            pieces, again = [], 0  # segments that are integrated again: the first ones
             try:
                 for group in parts.groups(counts, _TOGETHER):
-                    pieces.append(parts.again(group[0], group[-1], int(counts[group].sum())))
+                    if evaluations <= 0:
+                        break
+                    piece, cost = parts.again(group[0], group[-1], int(counts[group].sum()))
+                    pieces.append(piece)
+                    evaluations -= cost
+                    again = int(group[-1]) + 1
             except (IntegrationError, KeyboardInterrupt):
                 self.error = np.inf
                 self._done.append((parts, kept, found))
                 return
+            if again < len(kept):  # the others are as exact as they are
+                rest, done = np.arange(again, len(kept)), np.arange(again)
+                self.error += float(change[bad][rest].sum())
+                self._done.append((parts.take(rest), kept[rest], found.take(rest)))
+                if not again:
+                    return
+                parts, kept, found = parts.take(done), kept[done], found.take(done)
+                counts = counts[done]
             left -= int(counts.sum())
             finer, owner = _joined(pieces), np.repeat(np.arange(len(kept)), counts)
             kept = kept[owner]

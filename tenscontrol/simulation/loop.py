@@ -28,6 +28,7 @@ from tenscontrol.integrate import (
     Integrator,
     Method,
     Span,
+    Watched,
     Work,
     choose,
     method_of,
@@ -182,18 +183,33 @@ class Loop:
                 "your own that evaluates the input by equation.ahead(u, t), give "
                 "Method(follows=True)"
             )
+        self.choice = chosen
+        integrator = self._integrator_for(chosen.value)
+        self.choice = replace(chosen, back_end=integrator.back_end)
+        return integrator
+
+    def _integrator_for(self, value: float) -> Integrator:
+        """Return an integrator of the whole motion, with a step or tolerance.
+
+        One that is watched begins with the method that was last at work.
+        """
+        assert self.choice is not None  # made before it
+        last = self.choice.methods[-1]
+        if self._method is None and self.choice.setting == "tolerance":
+            begin = self.spans[0].time[0] if self.spans else self.now
+            make = partial(self._made, value)
+            return Watched(self._equation, last, make, self.duration, float(begin))
+        return self._made(value, last)
+
+    def _made(self, value: float, name: str) -> Integrator:
+        """Return the integrator of a method, with a step or tolerance."""
+        assert self.choice is not None  # made before it
+        method, equation = self._method or METHODS[name], self._equation
         if method.differentiates and equation.form == "loops":
             equation = self._equation_of("mapped")
         # Not what the user says of a method that he has not chosen, and that needs no projection.
         project = self.project if method.drifts or self._method is not None else None
-
-        def integrator(value: float) -> Integrator:
-            return method.integrator(equation, value, chosen.setting, project, self.machine_code)
-
-        self._integrator_for, self._order = integrator, method.order
-        made = integrator(chosen.value)
-        self.choice = replace(chosen, back_end=made.back_end)
-        return made
+        return method.integrator(equation, value, self.choice.setting, project, self.machine_code)
 
     def run(
         self, state: FloatArray, held: FloatArray | tuple[FloatArray, FloatArray] | Pieces,
@@ -394,7 +410,7 @@ class Loop:
         if kept.of[first + 1] != kept.of[last + 1]:
             return None
         try:
-            piece = kept.again(first + 1, last + 1, parts)
+            piece, _ = kept.again(first + 1, last + 1, parts)
         except (IntegrationError, KeyboardInterrupt):
             return None
         time = np.append(piece.begins, piece.ends[-1:])
@@ -426,6 +442,7 @@ class Loop:
     def _trajectory(self, stopped: str | None) -> Trajectory:
         assert self.choice is not None  # made before the first span
         assert self.integrator is not None  # made with it
+        self.choice = replace(self.choice, changes=self.integrator.changes)
         model, structure, strings = self.model, self.model.structure, self.model.strings
         control = None if self.record is None else self.record()
         spans = self.spans
@@ -506,7 +523,8 @@ class Loop:
         motion = Motion(
             self.model.structure, self.spans[0].begin, stages,
             Path(np.arange(positions.shape[1]), positions, switches), np.arange(half),
-            self.choice.setting, self.choice.value, self._order,
+            self.choice.setting, self.choice.value,
+            (self._method or METHODS[self.choice.methods[-1]]).order,
             self._integrator_for, self._equation.layout.later,
         )  # fmt: skip
         try:

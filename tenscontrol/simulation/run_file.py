@@ -40,7 +40,7 @@ from tenscontrol.dynamics import (
 )
 from tenscontrol.estimation import FilterStatistics
 from tenscontrol.files import opened_file, write_file
-from tenscontrol.integrate import Choice, Work
+from tenscontrol.integrate import Choice, MethodChange, Work
 from tenscontrol.parsing import parse_json
 from tenscontrol.plant import Reference
 from tenscontrol.simulation.contacts import ContactRecord
@@ -69,8 +69,9 @@ _RECORDS = {
     for kind in (
         BarClearance, BarCrossing, Choice, ContactRecord, ControlRecord, CutString, ElasticStrings,
         EstimateRecord, FeedbackLinearizationStatistics, FilterStatistics, Ground, HertzGround,
-        LinearStrings, LostMeasurement, Motor, MotorRecord, MPCStatistics, NMPCStatistics,
-        OutputLimit, Profile, Reference, SmoothGround, Structure, StuckWinch, Winches, Work,
+        LinearStrings, LostMeasurement, MethodChange, Motor, MotorRecord, MPCStatistics,
+        NMPCStatistics, OutputLimit, Profile, Reference, SmoothGround, Structure, StuckWinch,
+        Winches, Work,
     )
 }  # fmt: skip
 _WORDS: dict[str, type[StrEnum]] = {"Status": Status, "Fallback": Fallback}

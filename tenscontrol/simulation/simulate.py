@@ -16,7 +16,7 @@ from tenscontrol.estimation import KalmanFilter, Sensors
 from tenscontrol.integrate import Choice, Method, Projector, largest_frequency, state_scale
 from tenscontrol.interrupt import InterruptionWarning, interruptible
 from tenscontrol.plant import given_load, held_value, own_input
-from tenscontrol.progress import progress_bar
+from tenscontrol.progress import long_run_note, progress_bar
 from tenscontrol.simulation.closed_loop import run_closed_loop
 from tenscontrol.simulation.faults import Fault, Faults
 from tenscontrol.simulation.health import (
@@ -133,8 +133,9 @@ def simulate(
         ``structure.fixed``. See the notes.
     method : str or Method
         ``"auto"``, one of :data:`METHODS`, or a :class:`Method` of your own. ``"auto"`` is
-        ``"rk4"`` where ``step`` is given; else it chooses by the largest string frequency,
-        and says so in ``run.choice``.
+        ``"rk4"`` where ``step`` is given; else it chooses by the largest string frequency, and
+        goes on with another method where that gets further for its work, or where the first one
+        fails. ``run.choice`` says which, from when and why.
     tolerance : float
         Error allowed a step of a method that chooses its own steps, as part of
         the size of the structure and of its characteristic speed.
@@ -160,7 +161,8 @@ def simulate(
         resolution. With a tolerance it takes about as long as the run, with a fixed step half as
         long.
     progress : bool
-        Whether to show a progress bar; never shown away from a terminal.
+        Whether to show a progress bar; never shown away from a terminal. Without one, the logger
+        ``"tenscontrol"`` says once how long a run takes, if that is more than 20 s.
     estimator : KalmanFilter, optional
         The controller then receives the estimate in place of the motion, and the estimator the
         applied input. It is reset first. It must have the sample time of the controller, and
@@ -362,7 +364,8 @@ def simulate(
         loop.note = "; ".join(note for note in notes if note) or None
         try:
             end = loop.now + duration
-            with progress_bar(end, shown=True) if progress else nullcontext() as loop.report:
+            told = progress_bar(end, shown=True) if progress else long_run_note(loop.now, end)
+            with told as loop.report:
                 if law is None:
                     assert held is not None  # one of the two is given
                     loop.run(state, held, duration)

@@ -118,7 +118,7 @@ class Trajectory(Viewable):
 
     @property
     def method(self) -> str:
-        """Name of the integration method."""
+        """Name of the integration method that the run began with; see ``choice.methods``."""
         return self.choice.method
 
     @property
@@ -380,8 +380,9 @@ class Trajectory(Viewable):
         drift = np.abs(self.bar_length_error).max(initial=0.0)
         momentum = np.ptp(self.momentum, axis=1).max()
         angular = np.ptp(self.angular_momentum, axis=1).max()
+        methods = ", then ".join(self.choice.methods)
         lines = [
-            f"{self.time[-1]:g} s by {self.method}, {step}: {self.steps} steps, "
+            f"{self.time[-1]:g} s by {methods}, {step}: {self.steps} steps, "
             f"{self.evaluations} evaluations",
             *self._details(),
             f"energy            {self.energy[0]:.6g} J at start, {self.energy[-1]:.6g} J at end",
@@ -431,6 +432,8 @@ class Trajectory(Viewable):
             lines.append(f"fault             {fault.label} from {fault.start:g} s{until}")
         if self.choice.reason != "asked for":
             lines.append(f"method            {self.choice.reason}")
+        for change in self.choice.changes:
+            lines.append(f"from {change.time:<12g} {change.method}: {change.reason}")
         if self.choice.back_end != "virtual machine":
             lines.append(f"steps run in      {self.choice.back_end}")
         if self.error is not None:

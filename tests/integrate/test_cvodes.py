@@ -5,6 +5,7 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.dynamics import pack_state, smooth_equation, unpack_states
+from tenscontrol.integrate import IntegrationError
 from tenscontrol.integrate.cvodes import CVODES
 from tests.dynamics.scenes import paper_force_density, rest_lengths
 from tests.integrate.test_rk4 import oscillator
@@ -86,3 +87,13 @@ def test_massive_strings_follow_the_oracle():
     assert len(switches) > 0
     assert run.work.switches > 0
     assert np.abs(unpack_states(structure, run.states)[0] - exact[:, :, 1:]).max() < 1e-8
+
+
+def test_windows_that_round_off_makes_empty_end_the_motion(prism, monkeypatch):
+    """After ever shorter windows between switches, time does not go on any more."""
+    monkeypatch.setattr("tenscontrol.integrate.cvodes._Motion._end", lambda motion: motion.now)
+    lengths = rest_lengths(prism, paper_force_density(9.0), 100.0)
+    model = tc.Model(prism, strings=tc.LinearStrings(100.0))
+    state = pack_state(prism, prism.nodes, np.zeros((3, 6)))
+    with pytest.raises(IntegrationError, match="the step size vanishes"):
+        CVODES(model.equation("rest_length"), 1e-6).advance(state, lengths, 0.3, 3)

@@ -1,5 +1,7 @@
 """The method for stiff strings: order, what it conserves, stability, and what it costs."""
 
+from itertools import combinations
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -363,6 +365,37 @@ def test_a_step_that_newton_does_not_solve_is_halved():
     assert np.abs(energies - energies[0]).max() < 1e-9 * energies[0]
 
 
+@pytest.mark.parametrize("setting", ["step", "tolerance"])
+@pytest.mark.parametrize("flatness", [1e-2, 1e-4])
+def test_flat_bodies_of_redundant_bars_converge(setting, flatness):
+    """Ten bars between five points, nearly in a plane: J nearly loses rank, multipliers are large.
+
+    The length of bars must not be held by the difference of two squares: its round-off,
+    magnified by one over the flatness, stopped the iteration.
+    """
+    random = np.random.default_rng(2)
+    nodes = random.uniform(-1.0, 1.0, (3, 7)) * np.array([[1.0], [1.0], [flatness]])
+    structure = tc.Structure(
+        nodes,
+        bars=list(combinations(range(5), 2)),
+        strings=[[5, i] for i in range(5)] + [[6, 0], [6, 2], [6, 5]],
+        bar_mass=10.0 ** random.uniform(-2.0, 2.0, 10),
+        string_node_mass=1.0,
+    )
+    model = tc.Model(structure)
+    start = pack_state(structure, nodes, np.zeros((3, 7)))
+    held = random.uniform(1.0, 5.0, 8)
+    options = {"step": {"step": 1e-3}, "tolerance": {"tolerance": 1e-7}}[setting]
+    equation = model.equation("force_density", form="mapped")
+    span = EnergyMomentum(equation, **options).advance(start, held, 0.4, 4)
+    exact = DOP853(equation, 1e-10).advance(start, held, 0.4, 4)
+    moved = np.abs(exact.states - start[:, None])[:21].max()
+    assert moved > 0.3
+    assert np.abs(span.states - exact.states)[:21].max() < 1e-4
+    # Two iterations and the one that sees that nothing is left, where most steps take fewer.
+    assert span.work.evaluations < 2 * 3.5 * (span.work.steps * (1 if setting == "step" else 3))
+
+
 def test_a_motion_that_runs_away_stops_with_what_was_good():
     """A point mass between strings that push, which no string does: γ < 0 held."""
     structure = tc.Structure(
@@ -411,7 +444,8 @@ def test_work_is_counted(prism):
     assert span.work.steps == 100
     assert span.work.rejections == span.work.switches == span.work.missed == 0
     assert 2 * 2 * 100 <= span.work.evaluations <= 2 * 3 * 100
-    np.testing.assert_allclose(times, [0.025, 0.05, 0.075, 0.1], rtol=1e-12)
+    assert (np.diff(times) > 0).all()
+    assert np.abs(np.subtract.outer([0.025, 0.05, 0.075, 0.1], times)).min(axis=1).max() < 1e-15
 
 
 @pytest.mark.parametrize("outputs", [1, 7, 200])

@@ -404,3 +404,38 @@ def test_contacts_are_saved_with_the_run(ball, tmp_path):
         np.testing.assert_array_equal(saved["contacts_begin"], ball.usual.contacts.begin)
     (ground,) = tc.load_run(file).ground
     assert repr(ground) == repr(ball.usual.ground[0])
+
+
+def test_contacts_cost_no_more_than_the_run(monkeypatch):
+    """A light node on stiff ground, in short steps: six times as much without a bound."""
+    monkeypatch.setattr("tenscontrol.simulation.contacts._EVALUATIONS", 0)
+    evaluations = []
+
+    class Counted(tc.integrate.Integrator):
+        name = "counted"
+
+        def __init__(self, equation, tolerance):
+            super().__init__(equation)
+            self._within = tc.integrate.EnergyMomentum(equation, tolerance=tolerance)
+
+        def advance(self, *given):
+            span = self._within.advance(*given)
+            evaluations.append(span.work.evaluations)
+            return span
+
+    method = tc.integrate.Method(
+        "counted", ("tolerance",), "counts", Counted,
+        drifts=False, compiles=False, differentiates=True, follows=True, locates=False,
+    )  # fmt: skip
+    nodes = np.array([[0, 0, 0.0], [0.3, 0, 0.02], [0, 0.3, 0.05], [0.25, 0.2, 0.3]]).T
+    pairs = [[0, 1], [1, 2], [2, 0], [0, 3], [1, 3], [2, 3]]
+    structure = tc.Structure(nodes, [], pairs, [], point_mass=[0.5, 0.6, 0.7, 1e-3])
+    ground = tc.Ground(1e6, friction=1.0, slip_speed=0.01)
+    model = tc.Model(structure, strings=tc.LinearStrings(2e3), gravity=9.81, ground=ground)
+    run = tc.simulate(
+        model, 0.02, rest_length=0.9 * structure.string_length(), method=method, tolerance=1e-5,
+        output_step=1e-3, limits=tc.HealthLimits(energy_error=None, position_error=None),
+    )  # fmt: skip
+    assert run.contacts.work_error > 0
+    assert run.evaluations == evaluations[0]
+    assert sum(evaluations[1:]) < 1.5 * run.evaluations

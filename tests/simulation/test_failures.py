@@ -71,8 +71,11 @@ def test_a_failure_in_the_first_step_leaves_the_start():
 def test_the_adaptive_method_fails_loudly_too():
     """A tolerance so loose that a bar loses its length and with it its direction."""
     model = tc.Model(tc.prism(), strings=tc.LinearStrings(1e4))
+    options = {"rest_length": tight(), "tolerance": 1e-2, "project": False}
     with pytest.raises(tc.simulation.SimulationError, match="dop853 stopped after") as info:
-        tc.simulate(model, 2.0, rest_length=tight(), tolerance=1e-2, project=False)
+        tc.simulate(model, 2.0, method="dop853", **options)
+    with pytest.warns(RuntimeWarning, match="bar length error .* smaller tolerance"):
+        assert "dop853 stopped after" in tc.simulate(model, 2.0, **options).choice.changes[0].reason
     run = info.value.trajectory
     assert 0 < run.time[-1] < 2.0
     assert np.isfinite(run.nodes).all()

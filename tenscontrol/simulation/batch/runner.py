@@ -31,7 +31,9 @@ from tenscontrol.integrate import (
     Integrator,
     Lanes,
     Method,
+    MethodChange,
     Span,
+    Watched,
     Work,
     choose,
     not_finite,
@@ -107,6 +109,8 @@ class Runner:
         self._counts, self._work = np.zeros((scene.count, Lanes.counts)), dict[int, Work]()
         self._threads, self._has_no_memory = local(), False
         self._loops_made: list[CompiledLoops] = []
+        self._watches = False
+        self._changes: dict[int, tuple[MethodChange, ...]] = {}  # of methods, run by run
         self._prepare()
 
     def _prepare(self) -> None:
@@ -136,6 +140,7 @@ class Runner:
                 f"method {method.name!r} takes inputs that are constant over a step only, but "
                 "an input changes in time"
             )
+        self._watches = how.method is None and chosen.setting == "tolerance"
         self._method = method
         self._project = how.project if method.drifts or how.method is not None else None
         self.choice = chosen
@@ -200,9 +205,14 @@ class Runner:
         self, equation: Equation, machine_code: bool, value: float | None = None
     ) -> Integrator:
         value = self.choice.value if value is None else value
-        return self._method.integrator(
-            equation, value, self.choice.setting, self._project, machine_code
-        )
+        return self._made(self._method, equation, machine_code, value)
+
+    def _made(
+        self, method: Method, equation: Equation, machine_code: bool, value: float
+    ) -> Integrator:
+        how = self.how
+        project = how.project if method.drifts or how.method is not None else None
+        return method.integrator(equation, value, self.choice.setting, project, machine_code)
 
     # ---- blocks ----
 
@@ -382,6 +392,8 @@ class Runner:
                 self._end(run, span.start + error.time, str(error))
             except _StopError:
                 break
+            if self._watches:
+                self._changes[run] = integrator.changes
             kept[i, : found.states.shape[1]] = found.states.T
             self._work[run] = self._work.get(run, Work()) + found.work
             self.switches[run] += found.work.switches
@@ -407,12 +419,30 @@ class Runner:
         ``value`` is its step or tolerance, that of the batch if not given.
         """
         code = self.how.machine_code
+        if self._watches:
+            return self._watched(run, self.choice.value if value is None else value)
         if self._shares:
             return self._integrator(self._shared, code, value)
         equation = self._equation(self.scene.model_of(run), "auto", ())
         if self._method.differentiates and equation.form == "loops":
             equation = self._equation(self.scene.model_of(run), "mapped", ())
         return self._integrator(equation, code, value)
+
+    def _watched(self, run: int, value: float) -> Integrator:
+        model = self.scene.model if self._shares else self.scene.model_of(run)
+        equation = self._equation(model, "auto", ())
+
+        def make(name: str) -> Integrator:
+            method = METHODS[name]
+            is_mapped = method.differentiates and equation.form == "loops"
+            of = self._equation(model, "mapped", ()) if is_mapped else equation
+            return self._made(method, of, self.how.machine_code, value)
+
+        return Watched(equation, self._methods_of(run)[-1], make, self.scene.duration)
+
+    def _methods_of(self, run: int) -> tuple[str, ...]:
+        """Return the methods of a run that were at work, in order."""
+        return replace(self.choice, changes=self._changes.get(run, ())).methods
 
     def _end(self, run: int, time: float, why: str) -> None:
         self.end_time[run] = time
@@ -456,7 +486,8 @@ class Runner:
         damped = model.strings is not None and model.strings.is_damped
         found = Trajectory(
             structure, self.time, nodes, velocities,
-            inputs if scene.input == "rest_length" else None, choice, self._work_of(run),
+            inputs if scene.input == "rest_length" else None,
+            replace(choice, changes=self._changes.get(run, ())), self._work_of(run),
             conserves_energy=self.command is None
             and not (scene.input == "rest_length" and damped),
             conserves_momentum=not loaded and free, control=None,
@@ -556,7 +587,8 @@ class Runner:
         motion = Motion(
             structure, scene.states(run, run + 1)[0][0], stages,
             Path(columns, positions, int(self.switches[run] + self.missed[run])),
-            self._from[is_known], self.choice.setting, self.choice.value, self._method.order,
+            self._from[is_known], self.choice.setting, self.choice.value,
+            (self.how.method or METHODS[self._methods_of(run)[-1]]).order,
             partial(self._resolved, run), self._equation(scene.model, "auto", ()).layout.later,
         )  # fmt: skip
         return np.concatenate([[0.0], motion.estimated_error()])

@@ -1,0 +1,322 @@
+"""Integration by the method that gets furthest: what ``method="auto"`` does by tolerance."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import final
+
+import numpy as np
+
+from tenscontrol.dynamics import Equation
+from tenscontrol.integrate.integrator import (
+    IntegrationError,
+    IntegrationInterrupt,
+    IntegrationPause,
+    Integrator,
+    MethodChange,
+    Report,
+    Span,
+    Work,
+)
+from tenscontrol.validation import FloatArray, choice, positive_number
+
+#: The methods that it chooses from.
+WATCHED = ("dop853", "cvodes", "energy_momentum")
+
+# Costs in µs: what a method may spend before others are tried, and what a trial may at least.
+_FREE, _LEAST_TRIAL = 5e4, 2e4
+
+# What a trial may spend, as part of all that was spent before.
+_TRIAL = 0.125
+
+# What making the other methods costs, µs: in all, and for each state.
+_MAKING, _MAKING_A_STATE = 1e5, 8e2
+
+# Another method goes on where it gets so many times as far as the one at work.
+_BETTER = 1.5
+
+# Times closer than this part of the time between outputs are the same.
+_SAME = 1e-9
+
+
+@final
+class Watched(Integrator):
+    """Begins with one method, and goes on with another one where that gets further.
+
+    The method at work is left alone up to a budget. If the rest of the motion would then cost more
+    than what was spent, all methods go on from there by a trial each. The one that gets furthest
+    for its cost goes on from where its trial ended, until it has spent as much as everything before
+    has; then they are compared again. So trials take little of the whole, and so does the work of
+    methods that are left. A method that fails is not tried again, if another one gets past that
+    place; else the motion ends there.
+
+    Costs are counts of evaluations times :attr:`Integrator.cost`, not times of a clock: a script
+    gives the same numbers each time. :attr:`changes` says which method went on, from when and why.
+    Steps of trials that were given up are rejections in :class:`Work`.
+
+    Parameters
+    ----------
+    equation : Equation
+    first : str
+        The method to begin with, one of :data:`WATCHED`.
+    make : callable
+        ``(name) -> Integrator``, called when a method is needed for the first time.
+    duration : float
+        Length of the whole motion, s. It may be advanced in several spans; what is advanced after
+        that is left to the method that was at work at its end.
+    start : float
+        Time at which the motion begins, s, from which :attr:`changes` counts.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument does not fit.
+    """
+
+    name = "auto"
+
+    def __init__(
+        self,
+        equation: Equation,
+        first: str,
+        make: Callable[[str], Integrator],
+        duration: float,
+        start: float = 0.0,
+    ) -> None:
+        super().__init__(equation)
+        self._make = make
+        self._made: dict[str, tuple[Integrator, float]] = {}  # methods with their costs
+        self._at_work = choice("first", first, WATCHED)
+        self._now = start
+        self._end = start + positive_number("duration", duration, "s")
+        self._failed: set[str] = set()
+        self._is_shortened = False
+        self._is_over = False
+        self._spent, self._budget = 0.0, _FREE
+        self._reviewed = start, 0.0  # time of the last review, and what was spent by then
+        self.back_end = self._method(first)[0].back_end
+
+    def shorten(self) -> None:
+        """See :meth:`Integrator.shorten`."""
+        self._is_shortened = True
+        for method, _ in self._made.values():
+            method.shorten()
+
+    def advance(
+        self,
+        state: FloatArray,
+        held: FloatArray,
+        duration: float,
+        outputs: int,
+        report: Report | None = None,
+    ) -> Span:
+        """See :meth:`Integrator.advance`."""
+        state, held, duration, outputs = self._checked(state, held, duration, outputs, report)
+        if self._is_over:  # a part of the motion again
+            method, _ = self._method(self._at_work)
+            method.limit = np.inf
+            return method.advance(state, held, duration, outputs, report)
+        span = _Given(held, duration, outputs, self._equation.layout.degree > 0, report)
+        motion = _Motion(0.0, state)
+        self._is_over = True  # if nothing else is said below
+        try:
+            while motion.time < duration:
+                if self._spent < self._budget:
+                    self._go_on(span, motion)
+                else:
+                    self._review(span, motion)
+        except IntegrationInterrupt:
+            raise
+        except KeyboardInterrupt:  # of what is told of the time
+            raise IntegrationInterrupt(motion.time, motion.span()) from None
+        self._now += duration
+        self._is_over = self._now >= self._end - _SAME * duration
+        return motion.span()
+
+    def _go_on(self, span: _Given, motion: _Motion) -> None:
+        """Go on by the method at work, up to its budget."""
+        budget = self._budget - self._spent
+        ahead, ended = self._leg(self._at_work, span, motion, budget, span.report)
+        motion.append(ahead)
+        if isinstance(ended, IntegrationInterrupt):
+            raise IntegrationInterrupt(ended.time, motion.span())
+        if ended is not None:
+            self._failed.add(self._at_work)
+            self._compare(span, motion, ended)
+
+    def _method(self, name: str) -> tuple[Integrator, float]:
+        """Return a method and what an evaluation costs."""
+        if name not in self._made:
+            method = self._make(name)
+            if self._is_shortened:
+                method.shorten()
+            self._made[name] = method, method.cost
+        return self._made[name]
+
+    def _leg(
+        self, name: str, span: _Given, start: _Motion, budget: float, report: Report | None
+    ) -> tuple[_Motion, IntegrationError | IntegrationInterrupt | None]:
+        """Return the motion from a place on, by a method within a budget, and what ended it."""
+        method, cost = self._method(name)
+        ahead = _Motion(start.time, start.state, start.done)
+        before = self._spent
+        while ahead.time < span.duration:
+            method.limit = max((budget - (self._spent - before)) / cost, 1.0)
+            origin = ahead.time
+            told = None if report is None else _later(report, origin)
+            rest = span.rest(ahead)
+            try:
+                found = method.advance(ahead.state, span.inputs(origin), *rest, told)
+            except IntegrationPause as pause:
+                self._spent += cost * pause.span.work.evaluations
+                ahead.take(pause.span, span)
+                ahead.time, ahead.state = origin + pause.time, pause.state
+                span.settle(ahead)
+                return ahead, None
+            except (IntegrationError, IntegrationInterrupt) as error:
+                self._spent += cost * error.span.work.evaluations
+                ahead.take(error.span, span)
+                error.time += origin
+                return ahead, error
+            self._spent += cost * found.work.evaluations
+            ahead.take(found, span)
+        return ahead, None
+
+    def _review(self, span: _Given, motion: _Motion) -> None:
+        """Compare the methods if the rest of the motion would cost more than what was spent."""
+        now = self._now + motion.time
+        since, before = self._reviewed
+        others = _MAKING + _MAKING_A_STATE * self._equation.states
+        rest = (self._end - now) * (self._spent - before)
+        if rest > max(self._spent, others) * (now - since):
+            self._compare(span, motion)
+        self._set_budget(motion)
+
+    def _compare(
+        self, span: _Given, motion: _Motion, failure: IntegrationError | None = None
+    ) -> None:
+        """Go on by the method that gets furthest for its cost.
+
+        After a failure a method has as much as was spent before to get past that place.
+        """
+        budget = max(_LEAST_TRIAL, self._spent * (_TRIAL if failure is None else 1.0))
+        rates: dict[str, float] = {}
+        trials: dict[str, _Motion] = {}
+        for name in (each for each in WATCHED if each not in self._failed):
+            before = self._spent
+            ahead, ended = self._leg(name, span, motion, budget, None)
+            trials[name] = ahead
+            if isinstance(ended, IntegrationInterrupt):
+                motion.give_up(trials)
+                raise IntegrationInterrupt(motion.time, motion.span())
+            if ended is not None:
+                self._failed.add(name)
+                if name == self._at_work:  # which may be what the others have no budget for
+                    motion.give_up(trials)
+                    self._compare(span, motion, ended)
+                    return
+            elif failure is None or ahead.time > failure.time:
+                rates[name] = (ahead.time - motion.time) / max(self._spent - before, 1.0)
+        if not rates:
+            assert failure is not None  # else the method at work has a rate
+            motion.give_up(trials)
+            tried = ", ".join(trials) or "none"
+            raise IntegrationError(
+                f"{failure}. Of the other methods ({tried}) none got past that place",
+                failure.time,
+                motion.span(),
+            )
+        old, best = self._at_work, max(rates, key=lambda name: rates[name])
+        if old in rates and rates[best] <= _BETTER * rates[old]:
+            best = old
+        if best != old:
+            why = str(failure)
+            if failure is None:
+                ratio = rates[best] / max(rates[old], 1e-6 * rates[best])
+                why = f"for the same work it got {ratio:.2g} times as far as {old}"
+            self.changes = (*self.changes, MethodChange(self._now + motion.time, best, why))
+            self._at_work = best
+        motion.append(trials.pop(best))
+        motion.give_up(trials)
+        self._set_budget(motion)
+        if span.report is not None:
+            span.report(motion.time)
+
+    def _set_budget(self, motion: _Motion) -> None:
+        """Leave the method at work alone until it has spent as much as everything before has."""
+        self._budget = 2 * self._spent
+        self._reviewed = self._now + motion.time, self._spent
+
+
+@dataclass(eq=False)
+class _Motion:
+    """A motion up to a time."""
+
+    time: float  # within the span, s
+    state: FloatArray
+    done: int = 0  # outputs up to then
+    columns: list[FloatArray] = field(default_factory=list)  # states at the outputs
+    work: Work = field(default_factory=Work)
+
+    def take(self, found: Span, span: _Given) -> None:
+        """Append outputs that follow one another."""
+        self.work += found.work
+        if found.states.shape[1]:
+            self.columns.append(found.states)
+            self.done += found.states.shape[1]
+            self.time, self.state = span.time_of(self.done), found.states[:, -1]
+
+    def append(self, ahead: _Motion) -> None:
+        """Append a motion that goes on from this one."""
+        self.time, self.state, self.done = ahead.time, ahead.state, ahead.done
+        self.columns += ahead.columns
+        self.work += ahead.work
+
+    def give_up(self, trials: Mapping[str, _Motion]) -> None:
+        """Count the work of motions that are not gone on with."""
+        for each in trials.values():
+            tried = each.work.steps + each.work.rejections
+            self.work += Work(rejections=tried, evaluations=each.work.evaluations)
+
+    def span(self) -> Span:
+        """Return the outputs so far."""
+        nothing = np.empty((len(self.state), 0))
+        return Span(np.hstack([nothing, *self.columns]), self.work)
+
+
+@dataclass(frozen=True, eq=False)
+class _Given:
+    """A span that a method is to advance over."""
+
+    held: FloatArray
+    duration: float
+    outputs: int
+    moves: bool  # whether inputs are polynomials in time
+    report: Report | None
+
+    def time_of(self, done: int) -> float:
+        """Return the time of an output; 0 is the start."""
+        return self.duration if done == self.outputs else self.duration * done / self.outputs
+
+    def rest(self, motion: _Motion) -> tuple[float, int]:
+        """Return the duration and the outputs up to the end, or to the next output if between."""
+        if motion.time == self.time_of(motion.done):
+            return self.duration - motion.time, self.outputs - motion.done
+        return self.time_of(motion.done + 1) - motion.time, 1
+
+    def inputs(self, time: float) -> FloatArray:
+        """Return the input of a span that begins at a time within this one."""
+        if not self.moves:
+            return self.held
+        return np.append(self.held[:-1], self.held[-1] + time)
+
+    def settle(self, motion: _Motion) -> None:
+        """Put a motion that ended next to the time of an output there."""
+        following = self.time_of(motion.done + 1)
+        if following - motion.time <= _SAME * self.duration / self.outputs:
+            motion.take(Span(motion.state[:, None], Work()), self)
+
+
+def _later(report: Report, by: float) -> Report:
+    return lambda time: report(by + time)
