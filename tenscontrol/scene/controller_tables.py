@@ -209,7 +209,11 @@ def _run_file(path: Path) -> ModuleType:
     module = module_from_spec(ModuleSpec(name, loader, origin=str(path)))
     module.__file__ = str(path)
     sys.modules[name] = module  # dataclasses and pickle look for it there
-    loader.exec_module(module)
+    try:
+        loader.exec_module(module)
+    except BaseException:
+        del sys.modules[name]  # as import does: others read the files of modules that are there
+        raise
     return module
 
 

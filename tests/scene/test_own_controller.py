@@ -189,6 +189,7 @@ def test_links_that_lead_out_and_pipes_are_refused(loaded, tmp_path):
     os.mkfifo(tmp_path / "pipe.py")
     with pytest.raises(SceneError, match=r"pipe\.py is not loaded: .*is a pipe or a device"):
         loaded('function = "pipe.py:hold"')
+    assert "_scene_pipe" not in sys.modules
     outside = tmp_path.parent / "outside.py"
     (tmp_path / "link.py").symlink_to(outside)
     with pytest.raises(SceneError, match=rf"function is the file {outside}, expected one in the"):
