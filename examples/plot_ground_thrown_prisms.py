@@ -35,6 +35,8 @@ velocities = speed[:, :, None] + np.cross(spin[:, :, None], arms[None], axis=1)
 batch = tc.simulate_many(
     model, DURATION, velocities=velocities, rest_length=lengths, step=STEP, output_step=0.01,
     vary={"stiffness": rng.uniform(800.0, 1200.0, RUNS)},
+    # Bounces magnify errors: where many throws end can be told, not where one of them does.
+    error="none",
 )  # fmt: skip
 
 # %%

@@ -77,8 +77,9 @@ class Scene:
         return load
 
     def simulate(self, **options) -> tc.Trajectory:
-        """Run the scene by the package."""
+        """Run the scene by the package; bars may cross, of which the oracle knows nothing."""
         options[self.input] = self.value
+        options.setdefault("limits", tc.HealthLimits(crossings=None))
         return tc.simulate(self.model, self.duration, velocities=self.velocities, **options)
 
     def located(

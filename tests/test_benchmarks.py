@@ -153,6 +153,14 @@ def test_bar_crossings(printed):
         assert row(text, label)[2:] == [12, 0.1386]
 
 
+def test_missed_switches(printed):
+    text = printed("missed_switches", "--stages 10 --methods rk4 --steps 0.004 0.0005")
+    for place in range(2):
+        _, found, missed, of_all = row(text, "rk4 ", place)[:4]
+        assert found > missed >= 0
+        assert 0.95 < of_all < 1.05
+
+
 @needs_compiler
 @needs("jax", "bench")
 def test_batch(printed, monkeypatch):

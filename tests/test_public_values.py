@@ -97,6 +97,7 @@ def values(tmp_path_factory):
         estimator.statistics,
         run.choice,
         run.work,
+        tc.integrate.MethodChange(0.1, "cvodes", "it got twice as far"),
         run.health,
         run.health.clearance,
         tc.structure.BarCrossing(0.5, (0, 1)),

@@ -140,6 +140,8 @@ class Motion:
         Makes the integrator for another value.
     later : callable
         ``(held, time) -> held`` of a span that begins a time later, s.
+    starts : ndarray, shape (states, stages), optional
+        States at the beginning of the stages, of a motion that a controller corrects.
     """
 
     structure: Structure
@@ -152,9 +154,22 @@ class Motion:
     order: int
     integrator: Callable[[float], Resolved]
     later: Callable[[FloatArray, float], FloatArray]
+    starts: FloatArray | None = None
 
-    def estimated_error(self) -> FloatArray:
+    def estimated_error(self, limit: float) -> FloatArray:
         """Return the error of the nodes at each output that was kept, as part of the size.
+
+        Under a controller the inputs are replayed. An unstable structure that the loop holds would
+        leave under them, where the loop corrects what is wrong. So above a limit it is the errors
+        of the stages, added up, if they are less.
+        """
+        found = self._from_another()
+        if self.starts is not None and len(found) and float(found.max()) > limit:
+            found = np.minimum(found, self._added(self.starts))
+        return found
+
+    def _from_another(self) -> FloatArray:
+        """Return the error by another motion, under the same inputs.
 
         The motion is integrated again at another resolution. What magnifies errors magnifies the
         difference as much, so that it tells the global error, not that of a step. With a tolerance
@@ -182,6 +197,37 @@ class Motion:
             divisor = 2 ** self._order_seen(coarse) - 1
             found[np.maximum.accumulate(found) < _SATURATED] *= min(1.0, _SAFETY / divisor)
         return found
+
+    def _added(self, starts: FloatArray) -> FloatArray:
+        """Return the errors made in the stages, each from the state at its beginning, added up.
+
+        An error of velocities counts by how far it leads in the time in which the motion covers the
+        size. Of fixed steps, half of them are taken for comparison.
+        """
+        factor = _TIGHTER if self.setting == "tolerance" else 0.5
+        integrator, half = self.integrator(factor * self.value), len(self.start) // 2
+        integrator.shorten()
+        speed = float(np.abs(starts[half:]).max())
+        reach = self._size / speed if speed > 0 else 0.0
+        rates = starts[half + self.rows]
+        found, before, first = [], 0.0, 0
+        for i, stage in enumerate(self.stages):
+            try:
+                span = integrator.advance(starts[:, i], stage.held, stage.length, stage.outputs)
+            except IntegrationError:
+                rest = sum(each.outputs for each in self.stages[i:])
+                found.append(np.full(rest, np.inf))
+                break
+            columns = np.arange(first, first + stage.outputs)
+            off = self._distance(self.path.at(columns), span.states[self.rows])
+            found.append(before + off)
+            led = 0.0
+            if i + 1 < len(self.stages):
+                end = span.states[half + self.rows, -1:]
+                led = reach * float(self._distance(rates[:, i + 1 : i + 2], end)[0])
+            before += max(float(off[-1]), led)
+            first += stage.outputs
+        return _SAFETY * np.concatenate(found)
 
     def _order_seen(self, coarse: Path) -> float:
         """Return the order by which differences grow with the step, at most that of the method."""
@@ -258,5 +304,8 @@ class Motion:
         first = np.flatnonzero(np.diff(node, prepend=-1))
         with np.errstate(over="ignore", invalid="ignore"):
             apart = np.sqrt(np.add.reduceat((one - other) ** 2, first).max(axis=0))
-        size = float(np.ptp(structure.nodes, axis=1).max())
-        return np.where(np.isfinite(apart), apart / size, np.inf)
+        return np.where(np.isfinite(apart), apart / self._size, np.inf)
+
+    @property
+    def _size(self) -> float:
+        return float(np.ptp(self.structure.nodes, axis=1).max())

@@ -26,6 +26,9 @@ from tenscontrol.validation import (
     whole_number,
 )
 
+# The error, as part of the size, up to which a motion is trusted unless the user says otherwise.
+ERROR_LIMIT = 0.01
+
 # Limits on what is no error of the integration, and what to do.
 _PHYSICAL = {
     "penetration": ", as part of the size: give the ground more stiffness",
@@ -159,7 +162,7 @@ class HealthLimits:
     momentum_change: float | None = None
     angular_momentum_change: float | None = None
     bar_length_error: float | None = 1e-3
-    position_error: float | None = 0.01
+    position_error: float | None = ERROR_LIMIT
     steps: float | None = None
     evaluations: float | None = None
     switches: float | None = None

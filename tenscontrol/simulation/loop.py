@@ -38,7 +38,7 @@ from tenscontrol.properties import cached_property
 from tenscontrol.simulation.contacts import Segments, record_contacts
 from tenscontrol.simulation.error_estimate import Motion, Path, Stage
 from tenscontrol.simulation.faults import Faults
-from tenscontrol.simulation.health import BLOCK, ControlRecord, Given, Quantities
+from tenscontrol.simulation.health import BLOCK, ERROR_LIMIT, ControlRecord, Given, Quantities
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.structure import BarMotion, carried_by_supports, node_mass
 from tenscontrol.validation import FloatArray, frozen, positive_number
@@ -118,7 +118,7 @@ class Loop:
     note: str | None = None
     given: Given = field(default_factory=Given)
     estimates_error: bool = True
-    error_limit: float = 0.01
+    error_limit: float = ERROR_LIMIT
     watches_bars: bool = True  # whether bars that cross are looked for at the end
 
     def __post_init__(self) -> None:
@@ -512,23 +512,27 @@ class Loop:
         """Return an estimate of the error of the nodes at all times kept; None if interrupted."""
         assert self.choice is not None  # made before the first span
         stages, half = [], len(self.model.structure.free_rows)
-        for before, span in pairwise(self.spans):
+        for i, (before, span) in enumerate(pairwise(self.spans)):
             start = float(before.time[-1])
             held = self._packed(span.coefficients, start - span.origin)
-            begin = partial(self._pushed, held=held, jump=span.jump)
+            # The motion is kept from after a jump at its start on.
+            begin = partial(self._pushed, held=held, jump=span.jump if i else None)
             length = float(span.time[-1]) - start
             stages.append(Stage(length, len(span.time), held, begin))
         positions = np.hstack([span.states[:half] for span in self.spans[1:]])
         switches = self.work.switches + self.work.missed
+        starts = None
+        if self.record is not None:  # a controller corrects the motion
+            starts = np.column_stack([span.begin for span in self.spans[1:]])
         motion = Motion(
             self.model.structure, self.spans[0].begin, stages,
             Path(np.arange(positions.shape[1]), positions, switches), np.arange(half),
             self.choice.setting, self.choice.value,
             (self._method or METHODS[self.choice.methods[-1]]).order,
-            self._integrator_for, self._equation.layout.later,
+            self._integrator_for, self._equation.layout.later, starts,
         )  # fmt: skip
         try:
-            return frozen(np.concatenate([[0.0], motion.estimated_error()]))
+            return frozen(np.concatenate([[0.0], motion.estimated_error(self.error_limit)]))
         except KeyboardInterrupt:
             return None
 

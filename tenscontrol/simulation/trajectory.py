@@ -16,6 +16,7 @@ from tenscontrol.simulation.contacts import ContactRecord, drawn_ground
 from tenscontrol.simulation.faults import Fault
 from tenscontrol.simulation.health import (
     BLOCK,
+    ERROR_LIMIT,
     ControlRecord,
     Given,
     Health,
@@ -106,7 +107,7 @@ class Trajectory(Viewable):
     released_energy: FloatArray
     stopped: str | None = None
     error: FloatArray | None = None
-    error_limit: float = 0.01
+    error_limit: float = ERROR_LIMIT
     faults: tuple[Fault, ...] = ()
     note: str | None = None
     contacts: ContactRecord | None = None

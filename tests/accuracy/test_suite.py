@@ -213,7 +213,7 @@ def test_the_estimate_is_near_the_error(prism_case, method, step):
         output_step=5.0 / (len(run.time) - 1),
     )  # fmt: skip
     error = np.linalg.norm(run.nodes - exact.nodes, axis=0).max() / case.size
-    assert error / 2 < run.error.max() < 10 * error
+    assert error / 2 < run.error.max() < 30 * error
 
 
 def test_long_steps_that_conserve_energy_are_told():

@@ -61,7 +61,7 @@ _FIXED = ("rk4", "rattle", "rattle4", "rattle6", "energy_momentum")
 _STEPS, _OUTPUTS = (200, 800, 3200), (None, 5, 2)
 
 # Sinking deep into soft ground is no error of the integration.
-_LIMITS = tc.HealthLimits(penetration=None)
+_LIMITS = tc.HealthLimits(penetration=None, crossings=None)
 
 # Processor time of one run, s.
 _SECONDS = 60.0

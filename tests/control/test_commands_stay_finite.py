@@ -36,7 +36,7 @@ BAD = {
     "complex": np.ones(9) * 1j,
     "truths": np.ones(9, dtype=bool),
     "masked": np.ma.ones(9),
-    "column": np.ones((9, 1)),
+    "row": np.ones((1, 9)),
     "shape of nans": np.full((3, 6), NAN),
     "transposed": np.ones((6, 3)),
     "ragged": [[1.0], [1.0, 2.0]],
@@ -153,7 +153,7 @@ def test_estimates_stay_finite(prediction):
     states, wound = len(filter_.poles), held_plant().rest_length
     exact = filter_.sensors.measure(nodes())
     for method in (filter_.update, filter_.predict, lambda bad: filter_.reset(state=bad)):
-        for bad in ("text", "nan", "eight", "complex", "truths", "masked", "column", "ragged"):
+        for bad in ("text", "nan", "eight", "complex", "truths", "masked", "row", "ragged"):
             with pytest.raises((TypeError, ValueError)):
                 method(BAD[bad])
     for bad in (np.full((states, states), NAN), -np.eye(states), np.triu(np.ones((states,) * 2))):

@@ -174,6 +174,7 @@ class TestHealth:
         panels = tc.plot.health(slack_run)
         labels = {name: panel.ax.get_ylabel() for name, panel in panels.items()}
         assert labels == {
+            "error": "error of nodes,\npart of the size",
             "energy": "energy, J",
             "momentum": "momentum change,\nkg m/s, kg m²/s",
             "bar_length_error": "bar-length error, m",
@@ -229,7 +230,7 @@ class TestHealth:
         assert np.isfinite(panels["momentum"].ax.get_ylim()).all()
 
     def test_wrong_axes_are_named(self, slack_run, flat):
-        with pytest.raises(ValueError, match="axes has 1 entries, expected 3: one for each of ene"):
+        with pytest.raises(ValueError, match="axes has 1 entries, expected 4: one for each of err"):
             tc.plot.health(slack_run, axes=[flat])
         with pytest.raises(TypeError, match="run is a str"):
             tc.plot.health("run")

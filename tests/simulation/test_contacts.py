@@ -434,7 +434,7 @@ def test_contacts_cost_no_more_than_the_run(monkeypatch):
     model = tc.Model(structure, strings=tc.LinearStrings(2e3), gravity=9.81, ground=ground)
     run = tc.simulate(
         model, 0.02, rest_length=0.9 * structure.string_length(), method=method, tolerance=1e-5,
-        output_step=1e-3, limits=tc.HealthLimits(energy_error=None, position_error=None),
+        output_step=1e-3, limits=tc.HealthLimits(energy_error=None), error="none",
     )  # fmt: skip
     assert run.contacts.work_error > 0
     assert run.evaluations == evaluations[0]

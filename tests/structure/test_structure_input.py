@@ -74,7 +74,7 @@ STRUCTURE = [
     refused("strings self-connected", lambda: line(strings=[[0, 0], [2, 3]]), ValueError,
             r"strings\[0\] joins node 0 to itself"),
     refused("node untouched", lambda: line(nodes=np.arange(15.0).reshape(3, 5)), ValueError,
-            r"nothing touches node 4: it is in nodes, and in none of bars and strings"),
+            r"nothing touches node 4; remove it, join it by a bar or a string, or fix it"),
     refused("several nodes untouched", lambda: line(nodes=np.arange(18.0).reshape(3, 6)),
             ValueError, r"nothing touches node 4 \(nor 1 more\)"),
     refused("bar of no length", lambda: line(nodes=[[0, 1, 1, 3], [0] * 4, [0] * 4]), ValueError,

@@ -42,7 +42,7 @@ from tenscontrol.interrupt import check
 from tenscontrol.simulation.batch.batch_inputs import MASSES, BatchInputs, InputSpan
 from tenscontrol.simulation.batch.compiled_loop import MOST_CONTROLLERS, CompiledLoops
 from tenscontrol.simulation.error_estimate import Motion, Path, Resolved, Stage
-from tenscontrol.simulation.health import Given, Quantities, by_node
+from tenscontrol.simulation.health import ERROR_LIMIT, Given, Quantities, by_node
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.structure import BarMotion
 from tenscontrol.validation import LARGEST, FloatArray, IntArray, refuse_memory
@@ -584,14 +584,21 @@ class Runner:
             columns = columns[-1:]
         is_known = self._from >= 0
         positions = by_node(self.nodes[run])[is_known, 1:]
+        starts = None
+        whole = len(self.kept) == structure.nodes.shape[1]
+        if self.command is not None and whole and not self._ends_alone:
+            first = np.cumsum([0, *(span.outputs for span in self.spans[:-1])])
+            halves = (by_node(each[run])[:, first] for each in (self.nodes, self.velocities))
+            starts = np.vstack([each[structure.free_rows] for each in halves])
         motion = Motion(
             structure, scene.states(run, run + 1)[0][0], stages,
             Path(columns, positions, int(self.switches[run] + self.missed[run])),
             self._from[is_known], self.choice.setting, self.choice.value,
             (self.how.method or METHODS[self._methods_of(run)[-1]]).order,
             partial(self._resolved, run), self._equation(scene.model, "auto", ()).layout.later,
+            starts,
         )  # fmt: skip
-        return np.concatenate([[0.0], motion.estimated_error()])
+        return np.concatenate([[0.0], motion.estimated_error(ERROR_LIMIT)])
 
     def _resolved(self, run: int, value: float) -> Resolved:
         """Return what integrates a run with another step or tolerance."""

@@ -24,7 +24,7 @@ from tenscontrol.properties import cached_property
 from tenscontrol.simulation.batch.batch_inputs import BatchInputs, given_by_run
 from tenscontrol.simulation.batch.compiled_loop import checked_controller
 from tenscontrol.simulation.batch.runner import HowToIntegrate, Runner
-from tenscontrol.simulation.health import AccuracyWarning, HealthLimits
+from tenscontrol.simulation.health import ERROR_LIMIT, AccuracyWarning, HealthLimits
 from tenscontrol.simulation.simulate import check_health, finer
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.structure import Structure
@@ -357,15 +357,13 @@ def simulate_many(
 
 def _warn_of_errors(errors: FloatArray, used: Choice) -> None:
     """Warn of runs whose error passes its limit."""
-    limit = HealthLimits().position_error
-    assert limit is not None  # by default there is one
     looked_at = np.isfinite(errors[:, 0])
-    wrong = np.flatnonzero((errors > limit).any(axis=1))
+    wrong = np.flatnonzero((errors > ERROR_LIMIT).any(axis=1))
     if len(wrong):
         named = ", ".join(map(str, wrong[:_NAMED].tolist())) + ", …" * (len(wrong) > _NAMED)
         warnings.warn(
             f"the error of {len(wrong)} of the {looked_at.sum()} runs that were looked at passes "
-            f"{limit:g} of the size: of {named}. batch.error says when. Try {finer(used)}",
+            f"{ERROR_LIMIT:g} of the size: of {named}. batch.error says when. Try {finer(used)}",
             AccuracyWarning,
             stacklevel=3,
         )
