@@ -3,12 +3,12 @@
 ====================  =======  =====  ==============================================
 call                  at most  0.1.0  what it is
 ====================  =======  =====  ==============================================
-``MPC(...)``          18       31     on a new plant of the prism, in force densities
+``MPC(...)``          19       31     on a new plant of the prism, in force densities
 ``MPC.command``       10       18     the second of a controller
 ``NMPC.command``      12       22     the second of a controller
 ``LQR.command``       10       7      the second of a controller
 a function            5        –      the second command of a ``FunctionController``
-``simulate``          25       44     one sample with that MPC
+``simulate``          30       44     one sample with that MPC
 ====================  =======  =====  ==============================================
 
 The numbers of 0.1.0 were counted by this test. A file counts if a function of it is called.
@@ -79,7 +79,7 @@ def test_building_an_mpc(scene):
     fresh = tc.linearize(scene.model, scene.rest)  # nothing is prepared for it
     with files_passed() as found:
         tc.MPC(fresh, **scene.usual)
-    count(found, "MPC(...)", 18)
+    count(found, "MPC(...)", 19)
 
 
 @pytest.mark.parametrize(
@@ -121,4 +121,4 @@ def test_a_simulated_sample(scene):
     with files_passed() as found:
         run = tc.simulate(scene.model, SAMPLE, controller=mpc, step=1e-3)
     assert len(run.control.status) == 1
-    count(found, "one simulated sample", 26)
+    count(found, "one simulated sample", 30)

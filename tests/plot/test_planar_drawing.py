@@ -35,7 +35,7 @@ def planar_run(free_run):
     still = np.zeros((2, len(time)))
     run = replace(
         free_run, structure=rails, time=time, nodes=nodes, velocities=np.zeros_like(nodes),
-        released_energy=still[0],
+        released_energy=still[0], error=still[0],
     )  # fmt: skip
     # What a run evaluates when it is read.
     vars(run).update(
@@ -143,7 +143,7 @@ def test_a_planar_motion_has_histories_and_an_animation(planar_run, tmp_path):
     with pytest.raises(ValueError, match="directions is 'z', expected letters out of 'xy'"):
         tc.plot.trajectory(planar_run, directions="z")
     health = tc.plot.health(planar_run)
-    assert list(health) == ["energy", "momentum", "bar_length_error"]
+    assert list(health) == ["error", "energy", "momentum", "bar_length_error"]
     rails = planar_run.structure
     path = tc.plot.animate(planar_run, tmp_path / "run.gif", fps=20, target=rails.nodes, dpi=50)
     with Image.open(path) as gif:

@@ -103,7 +103,7 @@ def test_an_interrupted_run_returns_the_part_done(example, monkeypatch, method, 
 
     original = Evaluator.__call__
     duration = 60.0 if method == "dop853" else 5.0
-    longer = {"method": method, "output_step": 1e-2, **options}
+    longer = {"method": method, "output_step": 1e-2, "error": "none", **options}
     whole = tc.simulate(model, duration, rest_length=lengths, **longer)
     monkeypatch.setattr(Evaluator, "__call__", call)
     with pytest.warns(RuntimeWarning, match=r"stopped at .* interrupted"):

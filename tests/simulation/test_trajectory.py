@@ -48,7 +48,7 @@ def test_every_array_is_read_only(weighted_run):
     names = [*EVALUATED, *(field.name for field in fields(weighted_run))]
     values = [getattr(weighted_run, name) for name in names]
     arrays = [value for value in values if isinstance(value, np.ndarray)]
-    assert len(arrays) == 11
+    assert len(arrays) == 12
     assert not any(array.flags.writeable for array in arrays)
     with pytest.raises(FrozenInstanceError):
         weighted_run.nodes = None

@@ -155,7 +155,7 @@ def test_joined_bars_are_restored_with_supports_in_place(seed, size):
     try:
         mended = restore_bar_lengths(structure, shaken)
     except ValueError as error:  # nearly singular shapes do not reach so far
-        assume("near by" not in str(error))
+        assume("near this one" not in str(error))
         raise
     length = np.linalg.norm(structure.bar_vectors(mended), axis=0)
     moving = ~np.isin(structure.bars, structure.fixed).all(axis=1)
