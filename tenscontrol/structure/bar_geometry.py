@@ -69,6 +69,14 @@ def restore_bar_lengths(structure: Structure, nodes: object) -> FloatArray:
     moved[:, end] += share[:, 1] * change
     for block in structure.blocks:
         moved = restore_block(structure, block, moved)
+        length = np.linalg.norm(structure.bar_vectors(moved)[:, block.bars], axis=0)
+        off = np.abs(length / structure.bar_length[block.bars] - 1)
+        if off.max() > _TOLERANCE:  # a mirrored shape of a body, which its redundant bars forbid
+            raise ValueError(
+                f"in nodes, the redundant bars among {sorted(block.bars.tolist())} cannot have "
+                f"their lengths in a shape near this one: bar {block.bars[off.argmax()]} is off by "
+                f"{off.max():.1e} of its length; give a shape nearer to one that they can have"
+            )
     return moved
 
 

@@ -25,9 +25,6 @@ _STEP, _OFF = 1e-3, 1e-8
 # Newton's steps at most, and squared lengths that may be called restored when they get no better.
 _MOST, _EXACT = 30, 1e-12
 
-# And those of redundant bars, which follow from the others.
-_REDUNDANT = 1e-9
-
 
 class Jointed(Protocol):
     """What a block needs to know of the structure that it is a part of."""
@@ -250,13 +247,7 @@ def restore_block(structure: Jointed, block: Block, nodes: FloatArray) -> FloatA
         excess = ((vectors**2).sum(axis=0) - length**2) / 2
         off = float(np.abs(excess / length**2).max())
         if off < _EXACT and off >= best:
-            every = structure.bar_length[block.bars]
-            start, end = structure.bars[block.bars].T
-            found = ((nodes[:, end] - nodes[:, start]) ** 2).sum(axis=0)
-            best = float(np.abs(found / every**2 - 1).max())
-            if best < _REDUNDANT:
-                return nodes
-            break  # a mirrored shape of a body, which redundant bars do not have
+            return nodes
         best = min(best, off)
         try:
             factors = splu(_saddle(mass, bar_rows(structure, bars, nodes)[:, rows]))
