@@ -142,6 +142,8 @@ class Motion:
         ``(held, time) -> held`` of a span that begins a time later, s.
     starts : ndarray, shape (states, stages), optional
         States at the beginning of the stages, of a motion that a controller corrects.
+    report : callable, optional
+        Told the time reached by another motion, s.
     """
 
     structure: Structure
@@ -155,6 +157,7 @@ class Motion:
     integrator: Callable[[float], Resolved]
     later: Callable[[FloatArray, float], FloatArray]
     starts: FloatArray | None = None
+    report: Callable[[float], None] | None = None
 
     def estimated_error(self, limit: float) -> FloatArray:
         """Return the error of the nodes at each output that was kept, as part of the size.
@@ -250,7 +253,7 @@ class Motion:
         if factor < 1:
             integrator.shorten()
         columns, positions = [np.zeros(0, int)], [self.start[self.rows, None][:, :0]]
-        first, switches, left = 0, 0, part * sum(stage.length for stage in self.stages)
+        first, switches, now, left = 0, 0, 0.0, part * sum(stage.length for stage in self.stages)
         for stage in self.stages:
             if left <= 0:
                 break
@@ -269,6 +272,9 @@ class Motion:
                 except IntegrationError as error:
                     span = error.span
                 reached = span.states.shape[1]
+                now += some * time
+                if self.report is not None:
+                    self.report(now)
                 columns.append(first + passed - 1 + every * np.arange(1, reached + 1))
                 positions.append(span.states[self.rows])
                 switches += span.work.switches + span.work.missed

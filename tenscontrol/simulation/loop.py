@@ -118,6 +118,7 @@ class Loop:
     note: str | None = None
     given: Given = field(default_factory=Given)
     estimates_error: bool = True
+    report_of_error: Callable[[float], None] | None = None  # of the time reached, s
     error_limit: float = ERROR_LIMIT
     watches_bars: bool = True  # whether bars that cross are looked for at the end
 
@@ -529,7 +530,7 @@ class Loop:
             Path(np.arange(positions.shape[1]), positions, switches), np.arange(half),
             self.choice.setting, self.choice.value,
             (self._method or METHODS[self.choice.methods[-1]]).order,
-            self._integrator_for, self._equation.layout.later, starts,
+            self._integrator_for, self._equation.layout.later, starts, self.report_of_error,
         )  # fmt: skip
         try:
             return frozen(np.concatenate([[0.0], motion.estimated_error(self.error_limit)]))

@@ -381,7 +381,9 @@ def simulate(
             if not loop.spans or interruption.whole:
                 raise
             stopped = f"stopped at {loop.now:.6g} s of motion: interrupted"
-        run = loop.trajectory(stopped)
+        estimates = progress and error == "estimate" and stopped is None
+        with progress_bar(duration, estimates, label="estimating error") as loop.report_of_error:
+            run = loop.trajectory(stopped)
     if stopped is not None or interruption.signal is not None:
         what = stopped or "was interrupted at its end, and is complete"
         warnings.warn(f"the simulation {what}", InterruptionWarning, stacklevel=2)
