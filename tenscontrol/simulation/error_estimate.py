@@ -22,6 +22,9 @@ _TIGHTER, _SAFETY, _LOOSER = 0.1, 2.0, 8.0
 # A tenth of so tight a tolerance is lost in round-off: ten times it is taken.
 _TIGHT = 1e-12
 
+# Parts of the time in which an estimate is at least that in the part before.
+_WINDOWS = 20
+
 # Steps of twice the length are taken where they are fewer than this part.
 _FEWER = 0.75
 
@@ -169,7 +172,24 @@ class Motion:
         found = self._from_another()
         if self.starts is not None and len(found) and float(found.max()) > limit:
             found = np.minimum(found, self._added(self.starts))
-        return found
+        return self._without_dips(found)
+
+    def _without_dips(self, found: FloatArray) -> FloatArray:
+        """Return estimates that are at least those of just before: motions may meet for once."""
+        ends = np.cumsum([stage.length for stage in self.stages])
+        begins = ends - [stage.length for stage in self.stages]
+        parts = (np.arange(1, stage.outputs + 1) / stage.outputs for stage in self.stages)
+        time = np.concatenate(
+            [
+                begin + stage.length * part
+                for begin, stage, part in zip(begins, self.stages, parts, strict=True)
+            ]
+        )[self.path.columns]
+        window = np.minimum((time / ends[-1] * _WINDOWS).astype(int), _WINDOWS - 1)
+        largest = np.zeros(_WINDOWS + 1)
+        np.maximum.at(largest, window + 1, found)
+        least: FloatArray = np.maximum(found, largest[window])
+        return least
 
     def _from_another(self) -> FloatArray:
         """Return the error by another motion, under the same inputs.
