@@ -169,7 +169,7 @@ class Motion:
         leave under them, where the loop corrects what is wrong. So above a limit it is the errors
         of the stages, added up, if they are less.
         """
-        found = self._from_another()
+        found = self._from_another(limit)
         if self.starts is not None and len(found) and float(found.max()) > limit:
             found = np.minimum(found, self._added(self.starts))
         return self._without_dips(found)
@@ -191,7 +191,7 @@ class Motion:
         least: FloatArray = np.maximum(found, largest[window])
         return least
 
-    def _from_another(self) -> FloatArray:
+    def _from_another(self, limit: float) -> FloatArray:
         """Return the error by another motion, under the same inputs.
 
         The motion is integrated again at another resolution. What magnifies errors magnifies the
@@ -199,7 +199,8 @@ class Motion:
         it is twice the difference from a tenth of it. With fixed steps it is the difference from
         steps of twice the length; for methods of order 4 and 6 divided by what the order allows, as
         far as steps of four times the length show it in the first part of the motion, and only
-        where as many switches were found. Infinite from where no other motion can be found.
+        where as many switches were found. Longer steps of these may be much worse: where they pass
+        the limit, half the step decides. Infinite from where no other motion can be found.
         """
         if self.setting == "tolerance":
             if self.order <= 2:
@@ -219,6 +220,8 @@ class Motion:
         if self.order > 2 and coarse.switches == self.path.switches:
             divisor = 2 ** self._order_seen(coarse) - 1
             found[np.maximum.accumulate(found) < _SATURATED] *= min(1.0, _SAFETY / divisor)
+        if self.order > 2 and float(found.max()) > limit:
+            found = np.minimum(found, _SAFETY * self._difference(self._again(0.5)))
         return found
 
     def _added(self, starts: FloatArray) -> FloatArray:
