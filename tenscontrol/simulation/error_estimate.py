@@ -267,8 +267,10 @@ class Motion:
             np.maximum.accumulate(self._distance(one.at(columns), other.at(columns)))[at]
             for one, other in pairs
         )
-        ratio = float((more / np.maximum(less, np.finfo(float).tiny)).min())
-        return float(np.clip(np.log2(max(ratio, 1.0)), 1.0, self.order))
+        orders = np.log2(np.maximum(more / np.maximum(less, np.finfo(float).tiny), 1.0))
+        if orders.max() > self.order + 1:  # the longest steps are not stable, and show nothing
+            return 1.0
+        return float(np.clip(orders.min(), 1.0, self.order))
 
     def _again(self, factor: float, part: float = 1.0) -> Path:
         """Return the motion for a value by a factor larger, over a first part of the time."""
