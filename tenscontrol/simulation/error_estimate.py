@@ -32,6 +32,9 @@ _FEWER = 0.75
 # and the times in it, as parts of it, at which it is looked for.
 _OF_ORDER, _SEEN_AT = 0.2, (0.25, 0.5, 0.75, 1.0)
 
+# Half the step must stay so many times below the limit where twice the step passed it.
+_CLEARLY = 3.0
+
 # A difference above this part of the size no longer grows with the step, and shows no order.
 _SATURATED = 0.05
 
@@ -200,7 +203,8 @@ class Motion:
         steps of twice the length; for methods of order 4 and 6 divided by what the order allows, as
         far as steps of four times the length show it in the first part of the motion, and only
         where as many switches were found. Longer steps of these may be much worse: where they pass
-        the limit, half the step decides. Infinite from where no other motion can be found.
+        the limit, and half the step stays clearly below, that counts. Infinite from where no other
+        motion can be found.
         """
         if self.setting == "tolerance":
             if self.order <= 2:
@@ -221,7 +225,9 @@ class Motion:
             divisor = 2 ** self._order_seen(coarse) - 1
             found[np.maximum.accumulate(found) < _SATURATED] *= min(1.0, _SAFETY / divisor)
         if self.order > 2 and float(found.max()) > limit:
-            found = np.minimum(found, _SAFETY * self._difference(self._again(0.5)))
+            finer = _SAFETY * self._difference(self._again(0.5))
+            if _CLEARLY * float(finer.max()) < limit:
+                return finer
         return found
 
     def _added(self, starts: FloatArray) -> FloatArray:
@@ -231,8 +237,7 @@ class Motion:
         size. Of fixed steps, half of them are taken for comparison.
         """
         factor = _TIGHTER if self.setting == "tolerance" else 0.5
-        integrator, half = self.integrator(factor * self.value), len(self.start) // 2
-        integrator.shorten()
+        integrator, half = self._integrator_of(factor), len(self.start) // 2
         speed = float(np.abs(starts[half:]).max())
         reach = self._size / speed if speed > 0 else 0.0
         rates = starts[half + self.rows]
@@ -274,9 +279,7 @@ class Motion:
 
     def _again(self, factor: float, part: float = 1.0) -> Path:
         """Return the motion for a value by a factor larger, over a first part of the time."""
-        integrator, state = self.integrator(factor * self.value), self.start
-        if factor < 1:
-            integrator.shorten()
+        integrator, state = self._integrator_of(factor), self.start
         columns, positions = [np.zeros(0, int)], [self.start[self.rows, None][:, :0]]
         first, switches, now, left = 0, 0, 0.0, part * sum(stage.length for stage in self.stages)
         for stage in self.stages:
@@ -308,6 +311,16 @@ class Motion:
                 state = span.states[:, -1] if reached else state
             first += stage.outputs
         return Path(np.concatenate(columns), np.hstack(positions), switches)
+
+    def _integrator_of(self, factor: float) -> Resolved:
+        """Return the integrator for a value by a factor larger than what was taken."""
+        value = self.value
+        if self.setting == "step":  # outputs may lie closer
+            value = max(each.spacing / _steps(each.spacing, value) for each in self.stages)
+        integrator = self.integrator(factor * value)
+        if factor < 1:
+            integrator.shorten()
+        return integrator
 
     def _strides(self, stage: Stage, factor: float) -> list[tuple[int, int]]:
         if self.setting == "step":

@@ -225,3 +225,15 @@ def test_the_oracle_agrees_with_what_is_called_exact():
     nodes, _ = oracle.integrate(structure.nodes, np.zeros((3, 3)), np.array([0.0, 1.0, 2.0]))
     exact = tc.simulate(model, 2.0, rest_length=18.0, tolerance=1e-12, output_step=1.0)
     np.testing.assert_allclose(exact.nodes, nodes, atol=1e-7)
+
+
+@pytest.mark.parametrize("method", STEPPING)
+def test_a_step_longer_than_the_time_between_outputs_is_no_other_one(example, method):
+    """Steps are cut to reach the outputs: half of the step asked for would be the same."""
+    model, lengths = example
+    kept = {"rest_length": lengths, "output_step": 0.02}
+    exact = tc.simulate(model, 2.0, **kept, tolerance=1e-12)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", AccuracyWarning)
+        run = tc.simulate(model, 2.0, **kept, method=method, step=0.1)
+    assert run.error.max() > 0.5 * off(run, exact).max()
