@@ -421,6 +421,7 @@ def health(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, 
             line = ax.axhline(run.error_limit, label="limit", **reference_style(1))
             references = {**panels[name].references, "limit": line}
             panels[name] = replace(panels[name], references=references)
+            ax.set_ylim(top=max(ax.get_ylim()[1], 5 * run.error_limit))
             legend_above(ax)
         panels[name] = _with_doubt(panels[name], run)
     if run.bar_crossings:
