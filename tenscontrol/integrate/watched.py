@@ -8,7 +8,7 @@ from typing import final
 
 import numpy as np
 
-from tenscontrol.dynamics import Equation
+from tenscontrol.dynamics import Equation, InputLayout
 from tenscontrol.integrate.integrator import (
     IntegrationError,
     IntegrationInterrupt,
@@ -117,7 +117,7 @@ class Watched(Integrator):
             method, _ = self._method(self._at_work)
             method.limit = np.inf
             return method.advance(state, held, duration, outputs, report)
-        span = _Given(held, duration, outputs, self._equation.layout.degree > 0, report)
+        span = _Given(held, duration, outputs, self._equation.layout, report)
         motion = _Motion(0.0, state)
         self._is_over = True  # if nothing else is said below
         try:
@@ -292,7 +292,7 @@ class _Given:
     held: FloatArray
     duration: float
     outputs: int
-    moves: bool  # whether inputs are polynomials in time
+    layout: InputLayout
     report: Report | None
 
     def time_of(self, done: int) -> float:
@@ -307,9 +307,7 @@ class _Given:
 
     def inputs(self, time: float) -> FloatArray:
         """Return the input of a span that begins at a time within this one."""
-        if not self.moves:
-            return self.held
-        return np.append(self.held[:-1], self.held[-1] + time)
+        return self.layout.later(self.held, time)
 
     def settle(self, motion: _Motion) -> None:
         """Put a motion that ended next to the time of an output there."""

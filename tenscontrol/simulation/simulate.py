@@ -274,8 +274,8 @@ def simulate(
     choice("error", error, ("estimate", "none"))
     if project is not None:
         truth("project", project, "whether to make bar lengths exact after each step")
-    if limits is not None:
-        instance("limits", limits, HealthLimits, "make them by HealthLimits(bar_length_error=...)")
+    limits = HealthLimits() if limits is None else limits
+    instance("limits", limits, HealthLimits, "make them by HealthLimits(bar_length_error=...)")
     if estimator is not None:
         how = "make one by KalmanFilter(plant, sensors, sample_time=...)"
         instance("estimator", estimator, KalmanFilter, how)
@@ -335,9 +335,8 @@ def simulate(
             degree=_degree(held, what, winches),
             offset=offset,
             estimates_error=error == "estimate",
-            watches_bars=limits is None or limits.crossings is not None,
+            watches_bars=limits.crossings is not None,
         )
-        limits = HealthLimits() if limits is None else limits
         loop.error_limit = limits.position_error or loop.error_limit
         loop.given = _given(
             law is None,

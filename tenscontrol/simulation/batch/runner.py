@@ -111,6 +111,7 @@ class Runner:
         self._loops_made: list[CompiledLoops] = []
         self._watches = False
         self._changes: dict[int, tuple[MethodChange, ...]] = {}  # of methods, run by run
+        self._errors: dict[int, FloatArray] = {}  # of the runs that were looked at
         self._prepare()
 
     def _prepare(self) -> None:
@@ -142,7 +143,6 @@ class Runner:
             )
         self._watches = how.method is None and chosen.setting == "tolerance"
         self._method = method
-        self._project = how.project if method.drifts or how.method is not None else None
         self.choice = chosen
         steps = isinstance(method.make, type) and issubclass(method.make, FixedStep)
         self._shares = not scene.parameters or (steps and self._can_share())
@@ -169,7 +169,8 @@ class Runner:
         method = self._method
         if not method.drifts:
             return False
-        return method.projects if self._project is None else self._project
+        project = self._project_of(method)
+        return method.projects if project is None else project
 
     def _first(self) -> tuple[int | None, FloatArray | None]:
         for run in range(self.scene.count):
@@ -210,9 +211,12 @@ class Runner:
     def _made(
         self, method: Method, equation: Equation, machine_code: bool, value: float
     ) -> Integrator:
-        how = self.how
-        project = how.project if method.drifts or how.method is not None else None
+        project = self._project_of(method)
         return method.integrator(equation, value, self.choice.setting, project, machine_code)
+
+    def _project_of(self, method: Method) -> bool | None:
+        """Return what the user says, unless the method was chosen and needs no projection."""
+        return self.how.project if method.drifts or self.how.method is not None else None
 
     # ---- blocks ----
 
@@ -571,6 +575,11 @@ class Runner:
 
         At each time kept, of a run that was completed. Commands of a controller are replayed.
         """
+        if run not in self._errors:
+            self._errors[run] = self._estimated_error(run)
+        return self._errors[run]
+
+    def _estimated_error(self, run: int) -> FloatArray:
         scene, structure = self.scene, self.scene.model.structure
         stages = []
         for number, span in enumerate(self.spans):
