@@ -312,21 +312,6 @@ def test_nmpc_large(printed, nothing_compiled):
             assert found[name][5] == pytest.approx(1.0, abs=1e-3)
 
 
-@needs_compiler
-@needs("piqp", "piqp")
-def test_partial_condensing(printed):
-    text = printed(
-        "partial_condensing",
-        "--structures 1 --starts 1 --samples 3 --horizon 4 --blocks 1 2 4 --interior",
-    )
-    assert "prism: 2 programs of 18 states and 9 inputs a stage" in text
-    assert row(text, "                  1 ")[1:4:2] == [1.0, 1.0]
-    assert len(row(text, "                  4 ")) == 6
-    assert text.count("(0 not solved)") == 3
-    # The same program, whatever is eliminated from it.
-    assert float(re.search(r"plans at most (\S+) of an input apart", text)[1]) < 1e-5
-
-
 def test_nmpc_commits(printed):
     text = printed("nmpc_commits", "--old . --starts 1 --back_ends interpreted")
     assert "interpreted: virtual machine and virtual machine, 24 samples each" in text
