@@ -156,6 +156,11 @@ def print_trust(seeds: Sequence[int], given) -> None:
         for setting in sorted({run.setting for run in some}):
             same = [run for run in some if run.setting == setting]
             print(row(f"{same[0].method} {setting}", same))
+    print_failures(runs, given.methods, states)
+
+
+def print_failures(runs: Sequence[Run], methods: Sequence[str], states: dict[int, str]) -> None:
+    """Print the seeds of what is wrong, stopped or failed."""
     for title, chosen in (
         ("wrong without a warning", lambda run: run.is_wrong and not run.warned),
         (
@@ -166,7 +171,7 @@ def print_trust(seeds: Sequence[int], given) -> None:
         ("failed otherwise, or took too long", lambda run: run.status in ("failed", "too long")),
     ):
         print(f"{title}:")
-        for method in given.methods:
+        for method in methods:
             seeds_of = sorted({r.seed for r in runs if r.method == method and chosen(r)})
             if seeds_of:
                 print(f"  {method}: {' '.join(map(str, seeds_of))}")

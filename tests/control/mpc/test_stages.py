@@ -71,43 +71,8 @@ def dense_solution(problem, bounds, row_bounds, plan, motion, rows, given):
         end = tuple(np.concatenate(pair) for pair in zip(end, inputs(N - 1), strict=True))
         aim = np.r_[aim, data.input_reference[N - 1]]
     add(problem.terminal_weight, end, aim)
-    limits = []
-
-    def limit(value, low, high, unit):
-        matrix, constant = value
-        limits.append((matrix / unit, (low - constant) / unit, (high - constant) / unit))
-
-    for k in range(N):
-        limit(inputs(k), *bounds, level)
-        if problem.change is not None:
-            (matrix, constant), before = inputs(k), inputs(k - 1)
-            change = matrix - before[0], constant - (before[1] if k else previous)
-            limit(change, -problem.change, problem.change, level)
-        for i in range(p):
-            matrix = np.zeros((1, unknowns))
-            constant = rows.values[k, i : i + 1].copy()
-            for slope, value in zip(
-                rows.slopes, (states[k], inputs(k), states[k + 1]), strict=True
-            ):
-                matrix += slope[k].T[i : i + 1] @ value[0]
-                constant += slope[k].T[i] @ value[1]
-            unit, at = problem.rows.scale[i], N * a + k * p + i
-            price = problem.rows.penalty[i] * unit
-            low, high = row_bounds[0][i], row_bounds[1][i]
-            hessian[at, at] = 1.0
-            if np.isinf(price):
-                limit((matrix, constant), low, high, unit)
-                continue
-            hessian[at, at], gradient[at] = price, price
-            for sign, least, most in ((-1, -np.inf, high), (1, low, np.inf)):
-                relaxed = matrix.copy()
-                relaxed[0, at] = sign * unit
-                limit((relaxed, constant), least, most, unit)
-            zero = np.zeros((1, unknowns))
-            zero[0, at] = 1.0
-            limit((zero, np.zeros(1)), 0.0, np.inf, 1.0)
-    matrix, low, high = (
-        np.concatenate([np.atleast_1d(part) for part in each]) for each in zip(*limits, strict=True)
+    matrix, low, high = dense_limits(
+        problem, bounds, (rows, row_bounds), previous, inputs, states, (hessian, gradient)
     )
     scale = problem.cost_scale
     hessian, gradient = scale * hessian, scale * gradient
@@ -121,6 +86,56 @@ def dense_solution(problem, bounds, row_bounds, plan, motion, rows, given):
         flag,
         np.array([m @ x + c for m, c in states]),
         np.array([m @ x + c for m, c in (inputs(k) for k in range(N))]),
+    )
+
+
+def dense_limits(problem, bounds, row_limits, previous, inputs, states, cost):
+    """Return the limits on inputs, changes and rows, and add the cost of violations."""
+    (rows, row_bounds), (hessian, gradient) = row_limits, cost
+    N, a, unknowns = problem.length, problem.input_matrix.shape[1], len(gradient)
+    limits = []
+
+    def limit(value, low, high, unit):
+        matrix, constant = value
+        limits.append((matrix / unit, (low - constant) / unit, (high - constant) / unit))
+
+    def limit_row(value, i, violation):
+        matrix, constant = value
+        unit = problem.rows.scale[i]
+        price = problem.rows.penalty[i] * unit
+        low, high = row_bounds[0][i], row_bounds[1][i]
+        hessian[violation, violation] = 1.0
+        if np.isinf(price):
+            limit(value, low, high, unit)
+            return
+        hessian[violation, violation], gradient[violation] = price, price
+        for sign, least, most in ((-1, -np.inf, high), (1, low, np.inf)):
+            relaxed = matrix.copy()
+            relaxed[0, violation] = sign * unit
+            limit((relaxed, constant), least, most, unit)
+        zero = np.zeros((1, unknowns))
+        zero[0, violation] = 1.0
+        limit((zero, np.zeros(1)), 0.0, np.inf, 1.0)
+
+    for k in range(N):
+        limit(inputs(k), *bounds, problem.level)
+        if problem.change is not None:
+            (matrix, constant), before = inputs(k), inputs(k - 1)
+            change = matrix - before[0], constant - (before[1] if k else previous)
+            limit(change, -problem.change, problem.change, problem.level)
+        count = 0 if rows is None else len(problem.rows.scale)
+        for i in range(count):
+            matrix = np.zeros((1, unknowns))
+            constant = rows.values[k, i : i + 1].copy()
+            for slope, value in zip(
+                rows.slopes, (states[k], inputs(k), states[k + 1]), strict=True
+            ):
+                matrix += slope[k].T[i : i + 1] @ value[0]
+                constant += slope[k].T[i] @ value[1]
+            limit_row((matrix, constant), i, N * a + k * count + i)
+    return (
+        np.concatenate([np.atleast_1d(part) for part in parts])
+        for parts in zip(*limits, strict=True)
     )
 
 
