@@ -71,7 +71,7 @@ def test_a_moving_picture_of_a_part_of_a_second(tmp_path):
 def test_set_up_is_two_commands_and_the_figure_is_there():
     (first, second, *_) = re.findall(r"```sh\n(.*?)\n```", README, flags=re.DOTALL)
     assert first.endswith("tenscontrol demo")
-    assert second.endswith("pytest")
+    assert second.endswith("python -m pytest -n auto --dist loadfile")
     assert "\n" not in first + second
     (figure,) = re.findall(r"!\[.*?\]\((.*?)\)", README)
     assert Path(__file__).parent.parent.joinpath(figure).exists()
