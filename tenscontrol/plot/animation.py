@@ -199,6 +199,26 @@ def animate(
     is_film = place.suffix.lower() == ".mp4"
     if is_film:
         _ffmpeg(place)
+    rate, count, dots = _frames(run, fps, duration, dpi)
+    eye = float_array("view", view)
+    if eye.shape != (2,):
+        raise ValueError(f"view has shape {eye.shape}, expected (2,): elevation and azimuth")
+    motion = float_array("run.nodes", run.nodes)
+    float_array("run.force_density", run.force_density)
+    goal = None if target is None else run.structure.checked_nodes("target", target)
+    times = np.linspace(run.time[0], run.time[-1], count)
+    scene = _Scene(run, _sampled(run, motion, times), goal, eye, dots)
+    if is_film:
+        write_mp4(place, scene.canvas, scene.pictures(times), rate)
+    else:
+        write_gif(place, scene.canvas, scene.pictures(times), count, rate)
+    return place
+
+
+def _frames(
+    run: Trajectory, fps: float, duration: float | None, dpi: int
+) -> tuple[float, int, int]:
+    """Return frames a second, their number, and pixels an inch, after checking them."""
     rate = positive_number("fps", fps, "1/s")
     if not _SLOWEST <= rate <= _FASTEST:
         raise ValueError(
@@ -215,64 +235,71 @@ def animate(
             f"duration is {length:g} s, which at fps={rate:g} and dpi={dots} makes {pixels:.1e} "
             f"pixels, expected at most {_MOST_PIXELS:.0e}: give a shorter one, or fewer of them"
         )
-    eye = float_array("view", view)
-    if eye.shape != (2,):
-        raise ValueError(f"view has shape {eye.shape}, expected (2,): elevation and azimuth")
-    motion = float_array("run.nodes", run.nodes)
-    float_array("run.force_density", run.force_density)
-    goal = None
-    if target is not None:
-        goal = run.structure.checked_nodes("target", target)
-    times = np.linspace(run.time[0], run.time[-1], max(2, round(length * rate)))
-    shapes, gammas, states = _sampled(run, motion, times)
-    figure = Figure(figsize=SIZE, dpi=dots)
-    canvas: Any = FigureCanvasAgg(figure)  # its methods have no types
-    d = run.structure.dimension
-    fill_figure(figure, d)
-    ax = new_view(figure, d)
-    samples = legend_samples(run.structure, any(is_slack(gamma).any() for gamma in gammas.T))
-    samples += ground_samples(run.ground)
-    if goal is not None:
-        draw(ax, run.structure, goal, FAINT)
-        samples.append(sample("target", color=FAINT.bar_color, linewidth=FAINT.bar_width))
-    drawing = draw(ax, run.structure, shapes[:, :, 0], NORMAL)
-    everywhere = [shapes.reshape(d, -1)]
-    everywhere += [near_ground(run.ground, everywhere[0])]
-    frame(ax, everywhere if goal is None else [*everywhere, goal], grow=False)
-    label_view(ax)
-    if d == 3:
-        ax.view_init(elev=float(eye[0]), azim=float(eye[1]))
-    if run.ground:
-        ground, marks = add_ground(ax, run.ground, np.zeros((d, 0)), len(run.structure.bars))
-        drawing = replace(drawing, ground=ground, touching=marks)
-    figure.legend(handles=samples, loc="upper left", frameon=False, fontsize="small", ncols=5 - d)
-    clock = figure.text(0.97, 0.96, "", ha="right", va="top")
-    # Axes and legend stand still: they are drawn once, and what moves upon a copy of them.
-    members = [each for each in (*ax.collections, *ax.lines) if each not in drawing.ground]
-    moving = [*sorted(members, key=lambda each: each.get_zorder()), clock]
-    for artist in moving:
-        artist.set_animated(True)
-    canvas.draw()
-    still = canvas.copy_from_bbox(figure.bbox)
+    return rate, max(2, round(length * rate)), dots
 
-    def pictures() -> Iterator[None]:
+
+class _Scene:
+    """Axes and legend, which stand still and are drawn once, and what moves upon a copy of them."""
+
+    def __init__(
+        self,
+        run: Trajectory,
+        sampled: tuple[FloatArray, FloatArray, IntArray],
+        goal: FloatArray | None,
+        eye: FloatArray,
+        dots: int,
+    ) -> None:
+        self._run, self._sampled = run, sampled
+        shapes, gammas, _ = sampled
+        d = self._dimension = run.structure.dimension
+        figure = Figure(figsize=SIZE, dpi=dots)
+        canvas: Any = FigureCanvasAgg(figure)  # its methods have no types
+        self.canvas = canvas
+        fill_figure(figure, d)
+        ax = self._ax = new_view(figure, d)
+        samples = legend_samples(run.structure, any(is_slack(gamma).any() for gamma in gammas.T))
+        samples += ground_samples(run.ground)
+        if goal is not None:
+            draw(ax, run.structure, goal, FAINT)
+            samples.append(sample("target", color=FAINT.bar_color, linewidth=FAINT.bar_width))
+        drawing = draw(ax, run.structure, shapes[:, :, 0], NORMAL)
+        everywhere = [shapes.reshape(d, -1)]
+        everywhere += [near_ground(run.ground, everywhere[0])]
+        frame(ax, everywhere if goal is None else [*everywhere, goal], grow=False)
+        label_view(ax)
+        if d == 3:
+            ax.view_init(elev=float(eye[0]), azim=float(eye[1]))
+        if run.ground:
+            ground, marks = add_ground(ax, run.ground, np.zeros((d, 0)), len(run.structure.bars))
+            drawing = replace(drawing, ground=ground, touching=marks)
+        figure.legend(
+            handles=samples, loc="upper left", frameon=False, fontsize="small", ncols=5 - d
+        )
+        self._drawing = drawing
+        self._clock = figure.text(0.97, 0.96, "", ha="right", va="top")
+        members = [
+            artist for artist in (*ax.collections, *ax.lines) if artist not in drawing.ground
+        ]
+        self._moving = [*sorted(members, key=lambda artist: artist.get_zorder()), self._clock]
+        for artist in self._moving:
+            artist.set_animated(True)
+        canvas.draw()
+        self._still = canvas.copy_from_bbox(figure.bbox)
+
+    def pictures(self, times: FloatArray) -> Iterator[None]:
+        """Draw one frame after the other on the canvas."""
+        shapes, gammas, states = self._sampled
         frames = zip(times, np.moveaxis(shapes, 2, 0), gammas.T, states, strict=True)
         for time, shape, gamma, state in frames:
-            drawing.update(shape, gamma, touching(run.contacts, state))
-            clock.set_text(f"t = {time:.2f} s")
-            canvas.restore_region(still)
-            if d == 3:
-                for lines in ax.collections:
+            self._drawing.update(shape, gamma, touching(self._run.contacts, state))
+            self._clock.set_text(f"t = {time:.2f} s")
+            self.canvas.restore_region(self._still)
+            if self._dimension == 3:
+                for lines in self._ax.collections:
                     lines.do_3d_projection()
-            for artist in moving:
-                artist.draw(canvas.get_renderer())
+            for artist in self._moving:
+                artist.draw(self.canvas.get_renderer())
             yield
-
-    if is_film:
-        write_mp4(place, canvas, pictures(), rate)
-    else:
-        write_gif(place, canvas, pictures(), len(times), rate)
-    return place
 
 
 def _sampled(
