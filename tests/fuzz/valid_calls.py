@@ -223,7 +223,6 @@ WITHIN = {
     "dynamics.Equation.symbols",
     "dynamics.Equation.ahead",
     "dynamics.Equation.of_strings",
-    "GainSchedule.reference_nodes",
     "LQR.reference_nodes",
     "MPC.reference_nodes",
     "NMPC.reference_nodes",
@@ -231,7 +230,6 @@ WITHIN = {
     "control.BaseController.reference_nodes",
     "control.Controller.fall_back",
     "control.Controller.reset",
-    "control.Controller.take_over",
     "plant.LinearPlant.refuse_long_sample_time",
     "dynamics.Coordinates.laid_over",
     "dynamics.Coordinates.state_of",
@@ -316,11 +314,6 @@ def own_controller():
     return tc.FunctionController(
         prism(), own_law, input="force_density", sample_time=0.02, equilibrium_input=gamma()
     )
-
-
-@cache
-def schedule():
-    return tc.GainSchedule([regulator(), regulator()])
 
 
 def fresh(make):
@@ -1023,7 +1016,6 @@ call(
     },
     share=0.2,
 )
-call("GainSchedule", lambda: {"controllers": [regulator(), regulator()]})
 call(
     "FunctionController",
     lambda: {
@@ -1059,7 +1051,6 @@ CONTROLLERS = {
     "MPC": frozen_mpc,
     "NMPC": frozen_nmpc,
     "FeedbackLinearization": frozen_linearizing,
-    "GainSchedule": schedule,
     "FunctionController": own_controller,
     "deploy.CompiledController": compiled,
 }
@@ -1077,8 +1068,6 @@ for kind, make in CONTROLLERS.items():
     )
     own = base if kind in ("control.Controller", "MPC", "NMPC", "FeedbackLinearization") else kind
     call(f"{own}.applied, {kind}", lambda: {"value": gamma()}, on, share, after)
-    own = base if kind in ("control.Controller", "FeedbackLinearization") else kind
-    call(f"{own}.take_over, {kind}", lambda: {"command": gamma()}, on, share, after)
     own = base if kind == "control.Controller" else kind
     call(f"{own}.reset", on=on, share=0.1, after=after)
     if f"{kind}.follow" in members():
