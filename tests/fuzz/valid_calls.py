@@ -1564,11 +1564,6 @@ def written(name, text):
     return scratch(name)
 
 
-CROSS = """
-nodes: {a: [0, 0, 0], b: [0, 5, 0], c: [5, 5, 1], d: [5, 0, 1]}
-pair_groups: {rod: [[a, c], [b, d]], cable: [[a, b], [b, c], [c, d], [d, a]]}
-builders: {rod: {class: tgRodInfo}, cable: {class: tgBasicActuatorInfo}}
-"""
 call(
     "exchange.to_mujoco",
     lambda: {
@@ -1590,7 +1585,6 @@ call(
         "tolerance": 1e-6,
     },
 )
-call("exchange.from_ntrt", lambda: {"path": written("x.yaml", CROSS), "length_unit": 0.1})
 call(
     "exchange.from_csv",
     lambda: {
@@ -1600,15 +1594,6 @@ call(
 )
 call("exchange.to_vtk", lambda: {"source": prism(), "path": scratch("prism.vtp")})
 call("exchange.to_vtk, run", lambda: {"source": run(), "path": scratch("run.pvd")}, share=0.2)
-call(
-    "exchange.to_gltf",
-    lambda: {"source": run(), "path": scratch("run.glb"), "bar_radius": 0.01},
-    share=0.5,
-)
-call(
-    "exchange.to_urdf",
-    lambda: {"structure": prism(), "path": scratch("prism.urdf"), "bar_radius": 0.01},
-)
 
 # ---- robustness ----
 
