@@ -51,7 +51,7 @@ from tenscontrol.validation import (
     truth,
     whole_number,
 )
-from tenscontrol.web_page import View, Viewable
+from tenscontrol.viewable import Viewable
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,16 +96,6 @@ class ShapePath(Viewable):
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
-
-    def view(self) -> View:
-        """Return a view to be played in a browser.
-
-        Returns
-        -------
-        View
-        """
-        what = f"path of {self.time[-1]:g} s"
-        return View(what, self.model.structure, self.nodes, self.time, self.force_density)
 
     def reference(self, times: object = None) -> Reference:
         """Return the path as the reference of a controller, as in ``MPC(..., reference=...)``.
