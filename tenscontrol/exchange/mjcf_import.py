@@ -90,7 +90,6 @@ class _Assembly:
         self.same: list[int] = []
         self.mass: dict[int, float] = {}
         self.rolling: list[tuple[int, int]] = []
-        self.planar = any(kind == "hinge" for body in document.bodies for kind, *_ in body.joints)
         places = [geom.place for body in document.bodies for geom in body.geoms if geom.ends
                   is not None] + [at for _, at in document.sites.values()]  # fmt: skip
         if not places:
@@ -102,9 +101,13 @@ class _Assembly:
         for own, at in document.sites.values():
             self._site_of.setdefault(self.group[own], at)
         joints = [joint for body in document.bodies for joint in body.joints]
-        across = any(kind != "slide" or abs(axis[1]) > _SAME for kind, _, axis in joints)
-        self._slides_flat = bool(joints) and not across
-        self._thickness = 0.0
+        self.planar = any(kind == "hinge" for kind, *_ in joints)
+        #: Whether all moves in the plane of x and z.
+        self.flat = self.planar or (
+            bool(joints)
+            and all(kind == "slide" and abs(axis[1]) <= _SAME for kind, _, axis in joints)
+            and self._off_plane() <= _SAME * self.size
+        )
 
     def imported(self) -> Imported:
         """Return the model."""
@@ -136,6 +139,15 @@ class _Assembly:
         for i, body in enumerate(self.document.bodies):
             found.append(i if body.joints or i == 0 else found[body.parent])
         return found
+
+    def _off_plane(self) -> float:
+        """Return how far bars, masses and sites are from the plane of x and z at most, m."""
+        points = [position for _, position in self.document.sites.values()]
+        for body in self.document.bodies:
+            points += [geom.place for geom in body.geoms if geom.kind != "plane"]
+            points += [end for geom in body.geoms if geom.ends is not None for end in geom.ends]
+            points += [body.inertial[1]] if body.inertial is not None else []
+        return float(np.abs(np.array(points)[:, 1]).max())
 
     # ---- spots ----
 
@@ -182,7 +194,6 @@ class _Assembly:
         (key,) = self._keys(group, at, 0.0)
         self._cells.setdefault(key, []).append(len(self.spots))
         self._first_of.setdefault(group, len(self.spots))
-        self._thickness = max(self._thickness, abs(float(at[1])))
         self.spots.append((group, at))
         self.same.append(len(self.same))
         return len(self.spots) - 1
@@ -314,7 +325,7 @@ class _Assembly:
 
     def _held(self, body: Placed, slides: Sequence[FloatArray]) -> list[int]:
         """Return the axes along which slides do not let a body move."""
-        every = [0, 2] if self._flat() else [0, 1, 2]
+        every = [0, 2] if self.flat else [0, 1, 2]
         if np.linalg.matrix_rank(slides) < len(slides):
             raise ValueError(f"body {body.name!r} slides twice along one axis")
         span = np.linalg.qr(np.array(slides).T)[0]
@@ -326,10 +337,6 @@ class _Assembly:
                 "axes: what rollers hold is an axis"
             )
         return [axis for axis in every if along[axis] <= _SAME]
-
-    def _flat(self) -> bool:
-        """Whether all moves in the plane of x and z."""
-        return self.planar or (self._slides_flat and self._thickness <= _SAME * self.size)
 
     def _constraints(self) -> None:
         for element, given in self.document.members("equality"):
@@ -409,7 +416,7 @@ class _Assembly:
         at: dict[int, int] = {i: node[self._first(i)] for i in range(len(self.spots))}
         bars = [self.bars[i] for i in _numbered([bar[0] for bar in self.bars])]
         order = _numbered([given.get("name", "") for _, given in self.tendons])
-        keep = [0, 2] if self._flat() else [0, 1, 2]
+        keep = [0, 2] if self.flat else [0, 1, 2]
         N = np.array([self.spots[first][1] for first in firsts]).T
         if len(keep) == 2 and np.abs(N[1]).max(initial=0.0) > _SAME * self.size:
             raise ValueError("the MJCF has hinges, and nodes off the plane of x and z")
