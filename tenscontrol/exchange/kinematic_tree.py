@@ -1,4 +1,4 @@
-"""A structure as a tree of rigid bodies with joints, as MuJoCo and URDF describe mechanisms."""
+"""A structure as a tree of rigid bodies with joints, as MuJoCo describes mechanisms."""
 
 from __future__ import annotations
 
