@@ -234,11 +234,13 @@ class _Document:
             if body.bar is not None:
                 self._bar(element, body.bar, body.origin)
             for node in body.nodes:
-                at = start[:, node] - body.origin
-                self._site(element, node, at)
-                self._balls(element, node, at, weights[i])
+                position = start[:, node] - body.origin
+                self._site(element, node, position)
+                self._balls(element, node, position, weights[i])
                 if body.bar is not None and structure.point_mass[node]:
-                    payload = SubElement(element, "body", name=f"mass{node}", pos=_numbers(at))
+                    payload = SubElement(
+                        element, "body", name=f"mass{node}", pos=_numbers(position)
+                    )
                     _inertial(payload, np.zeros(3), structure.point_mass[node], 0.0)
 
     def _bar(self, element: Element, bar: int, origin: FloatArray) -> Element:
@@ -246,8 +248,8 @@ class _Document:
         ends_text = _numbers(ends.ravel())
         return SubElement(element, "geom", {"class": "bar"}, name=f"bar{bar}", fromto=ends_text)
 
-    def _site(self, element: Element, node: int, at: FloatArray) -> None:
-        SubElement(element, "site", name=f"n{node}", pos=_numbers(at))
+    def _site(self, element: Element, node: int, position: FloatArray) -> None:
+        SubElement(element, "site", name=f"n{node}", pos=_numbers(position))
 
     def _loops(self, step: float) -> None:
         """Join the bodies that close loops, at a node that is part of the second."""
@@ -277,7 +279,7 @@ class _Document:
                 conaffinity="0", rgba="0.8 0.8 0.75 1",
             )  # fmt: skip
 
-    def _balls(self, element: Element, node: int, at: FloatArray, inverse: float) -> None:
+    def _balls(self, element: Element, node: int, position: FloatArray, inverse: float) -> None:
         """Add a ball for each law that acts on a node.
 
         MuJoCo's parameters are accelerations, by the inverse mass of the body.
@@ -288,8 +290,8 @@ class _Document:
             damping = _linear_damping(law, inverse)
             SubElement(
                 element, "geom", name=f"ball{node}_{i}", size=_number(_BALL * self.size),
-                pos=_numbers(at), mass="0", contype="0", conaffinity=str(1 << i), priority="1",
-                condim="3", friction=_numbers([law.friction, 0, 0]),
+                pos=_numbers(position), mass="0", contype="0", conaffinity=str(1 << i),
+                priority="1", condim="3", friction=_numbers([law.friction, 0, 0]),
                 solref=_numbers([-law.stiffness * inverse, -damping * inverse]),
                 solimp=_numbers([_IMPEDANCE, _IMPEDANCE]),
             )  # fmt: skip
@@ -396,10 +398,10 @@ def _linear_damping(law: Ground, inverse: float) -> float:
 
 def _force(gain: tuple[float, ...], bias: tuple[float, ...] = ()) -> dict[str, str]:
     """Return the law of an actuator, gain × control + bias, each affine in length and rate."""
-    found = {"gainprm": _numbers(gain), "forcerange": _numbers(_PULLING)}
+    actuator = {"gainprm": _numbers(gain), "forcerange": _numbers(_PULLING)}
     if len(gain) > 1:
-        found["gaintype"] = "affine"
-    return found | ({"biastype": "affine", "biasprm": _numbers(bias)} if bias else {})
+        actuator["gaintype"] = "affine"
+    return actuator | ({"biastype": "affine", "biasprm": _numbers(bias)} if bias else {})
 
 
 def _inertial(element: Element, centre: FloatArray, mass: float, inertia: float) -> None:
