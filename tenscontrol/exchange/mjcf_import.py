@@ -87,7 +87,7 @@ class _Assembly:
         self.bar_of: dict[int, int] = {}
         self.spots: list[tuple[int, FloatArray]] = []
         self.names: dict[int, list[str]] = {}
-        self.same: list[int] = []
+        self.joined: list[tuple[int, int]] = []  # pairs of spots
         self.mass: dict[int, float] = {}
         self.rolling: list[tuple[int, int]] = []
         geoms = [geom for body in document.bodies for geom in body.geoms]
@@ -196,21 +196,13 @@ class _Assembly:
         self._cells.setdefault(key, []).append(len(self.spots))
         self._first_of.setdefault(group, len(self.spots))
         self.spots.append((group, position))
-        self.same.append(len(self.same))
         return len(self.spots) - 1
-
-    def _first(self, spot: int) -> int:
-        while self.same[spot] != spot:
-            self.same[spot] = self.same[self.same[spot]]  # the next time it is half as far
-            spot = self.same[spot]
-        return spot
 
     def _join(self, one: int, other: int, subject: str) -> None:
         apart = float(np.linalg.norm(self.spots[one][1] - self.spots[other][1]))
         if apart > max(self.tolerance, _SAME) * self.size:
             raise ValueError(f"{subject} joins places {apart:.3g} m apart; give a larger tolerance")
-        low, high = sorted((self._first(one), self._first(other)))
-        self.same[high] = low
+        self.joined.append((one, other))
 
     # ---- bars and masses ----
 
@@ -398,20 +390,31 @@ class _Assembly:
             self.tendons.append((element, given))
         return paths, groups
 
+    def _nodes(self) -> tuple[list[int], list[int]]:
+        """Return the first spot of each node, in the order of their names, and each spot's node."""
+        from scipy.sparse import coo_array
+        from scipy.sparse.csgraph import connected_components
+
+        count, pairs = len(self.spots), np.array(self.joined, dtype=np.int64).reshape(-1, 2)
+        graph = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(count, count))
+        _, component = connected_components(graph, directed=False)
+        _, firsts = np.unique(component, return_index=True)
+        names: list[list[str]] = [[] for _ in firsts]
+        for spot, own in self.names.items():
+            names[component[spot]] += own
+        order = np.argsort(firsts)
+        order = order[_numbered([min(names[i], default="") for i in order])]
+        return firsts[order].tolist(), np.argsort(order)[component].tolist()
+
     def _structure(self, paths: list[list[int]], groups: list[str]) -> tuple[Structure, list[int]]:
         """Return the structure, and the order of its strings among the tendons."""
         for name, (body, where) in self.document.sites.items():  # of nodes without strings
             if self.group[body] in self.bar_of or self.group[body] == 0:
                 for spot in self._spots_at(self.group[body], where):
                     self.names.setdefault(spot, []).append(name)
-        firsts = sorted({self._first(i) for i in range(len(self.spots))})
-        labels: dict[int, list[str]] = {}
-        for spot, names in self.names.items():
-            labels.setdefault(self._first(spot), []).extend(names)
-        least = [min(labels.get(first, ()), default="") for first in firsts]
-        firsts = [firsts[i] for i in _numbered(least)]
-        node = {first: i for i, first in enumerate(firsts)}
-        node_of: dict[int, int] = {i: node[self._first(i)] for i in range(len(self.spots))}
+        if not self.spots:
+            raise ValueError("the MJCF has sites, and neither capsules nor tendons over them")
+        firsts, node_of = self._nodes()
         bars = [self.bars[i] for i in _numbered([bar[0] for bar in self.bars])]
         order = _numbered([given.get("name", "") for _, given in self.tendons])
         keep = [0, 2] if self.flat else [0, 1, 2]

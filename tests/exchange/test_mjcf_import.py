@@ -181,6 +181,8 @@ def test_files_are_read_by_their_path(tmp_path):
         ("<actuator>", '<equality><joint joint1="x"/></equality><actuator>', "constraint <joint>"),
         ("<tendon>\n", '<tendon><fixed name="f"/>\n', "'f' is <fixed>, not spatial"),
         ('pos="0 0 2"', 'pos="0 0"', "pos='0 0', expected 3 numbers"),
+        (FOREIGN, "<mujoco><worldbody><site/><site name='a'/></worldbody></mujoco>",
+         "neither capsules nor tendons"),
     ],
 )  # fmt: skip
 def test_what_is_not_understood_is_named(old, new, message):
