@@ -97,8 +97,8 @@ def _of_run(shown: Trajectory) -> View:
 
 @_view_of.register
 def _of_path(shown: ShapePath) -> View:
-    what = f"path of {shown.time[-1]:g} s"
-    return View(what, shown.model.structure, shown.nodes, shown.time, shown.force_density)
+    title = f"path of {shown.time[-1]:g} s"
+    return View(title, shown.model.structure, shown.nodes, shown.time, shown.force_density)
 
 
 @_view_of.register
@@ -108,7 +108,7 @@ def _of_modes(shown: Modes) -> View:
         f"{i}: {frequency} Hz, {label}"
         for i, (frequency, label) in enumerate(zip(frequencies, shown.label, strict=True))
     ]
-    what = f"{len(names)} mode{'s' * (len(names) != 1)}"
+    title = f"{len(names)} mode{'s' * (len(names) != 1)}"
     shapes = shown.shape if names else None
     nodes = shown.nodes[:, :, None]
-    return View(what, shown.structure, nodes, shapes=shapes, labels=tuple(names))
+    return View(title, shown.structure, nodes, shapes=shapes, labels=tuple(names))
