@@ -98,9 +98,6 @@ from .control import (
     FunctionController as FunctionController,
 )
 from .control import (
-    GainSchedule as GainSchedule,
-)
-from .control import (
     OutputLimit as OutputLimit,
 )
 from .control import (
@@ -243,7 +240,6 @@ __all__ = [
     "ElasticStrings",
     "FeedbackLinearization",
     "FunctionController",
-    "GainSchedule",
     "Ground",
     "HealthLimits",
     "Height",

@@ -237,9 +237,9 @@ def _modes(options: argparse.Namespace) -> None:
 
 
 def _view(options: argparse.Namespace) -> None:
+    from tenscontrol.plot import plotly_js
     from tenscontrol.scene import load_scene
     from tenscontrol.simulation import Trajectory, load_run
-    from tenscontrol.web_page import plotly_js
 
     plotly_js()  # where it is missing, say so before the simulation
     is_run = options.scene.suffix == ".npz"

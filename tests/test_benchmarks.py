@@ -412,7 +412,7 @@ def test_exported_models(printed):
 
 
 def test_morph(printed, nothing_compiled):
-    text = printed("morph", "1000 --plants 1 --rate 1")
+    text = printed("morph", "1000 --rate 1 --interpreted")
     stiffness, pieces, height, twist, node, gamma, tension, rate, *_ = row(text, " ")
     assert (stiffness, pieces, rate) == (1000, 20, 1.0)
     assert max(height, node) < 1.0  # mm; one plant is not enough at this rate

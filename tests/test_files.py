@@ -94,7 +94,6 @@ READERS = {
     "nodes": (".csv", lambda path: tc.exchange.from_csv(path, path)),
     "members": (".csv", lambda path: tc.exchange.from_csv(_nodes(path), path)),
     "MJCF": (".xml", tc.exchange.from_mujoco),
-    "NTRT": (".yaml", tc.exchange.from_ntrt),
     "sweep": (".jsonl", tc.robustness.SweepReport.load),
 }
 
@@ -109,8 +108,6 @@ def _nodes(path):
 @pytest.mark.parametrize("name", READERS)
 def test_readers_refuse_at_once_what_is_no_file_or_too_large(name, tmp_path):
     ending, read = READERS[name]
-    if name == "NTRT":
-        pytest.importorskip("yaml", reason="PyYAML comes with the extra yaml")
     path = tmp_path / f"file{ending}"
     refused = OSError if name != "scene" else tc.scene.SceneError
     for make, message in (

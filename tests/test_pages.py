@@ -39,7 +39,7 @@ def ran(page, **instead):
 
 def test_mpc():
     with pytest.warns(RuntimeWarning, match=r"no string reaches 1 mode of .*at 2\.013 Hz"):
-        names = ran("mpc", **{"path.plants(8": "path.plants(2"})
+        names = ran("mpc")
     run = names["run"]
     assert np.abs(run.control.winch_rate).max() < 0.15 + 1e-9
     assert set(run.control.status) == {"ok"}

@@ -1,4 +1,4 @@
-"""Controllers: LQR, MPC, nonlinear MPC, feedback linearization, gain schedules, functions."""
+"""Controllers: LQR, MPC, nonlinear MPC, feedback linearization, functions."""
 
 from tenscontrol.control.controller import BaseController, Controller
 from tenscontrol.control.feedback_linearization import (
@@ -6,7 +6,6 @@ from tenscontrol.control.feedback_linearization import (
     FeedbackLinearizationStatistics,
 )
 from tenscontrol.control.function_controller import FunctionController, as_controller
-from tenscontrol.control.gain_schedule import GainSchedule
 from tenscontrol.control.held_loop import HeldLoop, held_loop
 from tenscontrol.control.lqr import LQR
 from tenscontrol.control.mpc import (
@@ -35,7 +34,6 @@ __all__ = [
     "FeedbackLinearization",
     "FeedbackLinearizationStatistics",
     "FunctionController",
-    "GainSchedule",
     "HeldLoop",
     "MPCSettings",
     "MPCStatistics",

@@ -49,7 +49,7 @@ _SPREAD, _FAR = 10.0, 1e6
 _SPEED = 10.0
 
 # Methods of controllers that use what they remember of the samples before.
-_WITH_MEMORY = {"applied", "command", "fall_back", "follow", "prepare", "reset", "take_over"}
+_WITH_MEMORY = {"applied", "command", "fall_back", "follow", "prepare", "reset"}
 
 
 class MeasurementCheck:
@@ -366,10 +366,7 @@ class BaseController(ABC):
         TypeError, ValueError
             If it is not finite or has the wrong shape.
         """
-        self._previous_input = self._checked_input("value", value)
-
-    def _checked_input(self, name: str, value: object) -> FloatArray:
-        return frozen(shaped(name, value, self._low.shape, "one per string"))
+        self._previous_input = frozen(shaped("value", value, self._low.shape, "one per string"))
 
     @property
     def _previous_within_bounds(self) -> FloatArray:
@@ -400,22 +397,6 @@ class BaseController(ABC):
         """Forget everything that was measured, planned or applied."""
         self._previous_input = None
         self._status_count, self._fallback_count = Counter(), Counter()
-
-    @exclusive
-    def take_over(self, command: object) -> None:
-        """Take over from another controller: plans from this one's own commands are dropped.
-
-        Parameters
-        ----------
-        command : array_like, shape (α,)
-            The previous input.
-
-        Raises
-        ------
-        TypeError, ValueError
-            If it is not finite or has the wrong shape.
-        """
-        self._previous_input = self._checked_input("command", command)
 
     @abstractmethod
     def _decide(self, time: float, state: FloatArray) -> Command:
@@ -526,12 +507,6 @@ class Controller(BaseController):
     def reset(self) -> None:
         """See :meth:`BaseController.reset`."""
         super().reset()
-        self._predicted = None
-
-    @exclusive
-    def take_over(self, command: object) -> None:
-        """See :meth:`BaseController.take_over`."""
-        super().take_over(command)
         self._predicted = None
 
     @exclusive

@@ -176,11 +176,6 @@ class FunctionController(BaseController):
         super().applied(value)
         self._tell("applied", self._previous_input)
 
-    def take_over(self, command: object) -> None:
-        """Take over from another controller: as :meth:`applied`."""
-        super().take_over(command)
-        self._tell("applied", self._previous_input)
-
     def _tell(self, method: str, *arguments: object) -> None:
         own = _own(method, self._given)
         if own is not None:

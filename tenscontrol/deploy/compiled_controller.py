@@ -112,11 +112,6 @@ class CompiledController(Controller):
         assert self._previous_input is not None  # just set
         self._set_applied(np.ascontiguousarray(self._previous_input))
 
-    def take_over(self, command: object) -> None:
-        """See :meth:`Controller.take_over`; an estimated load is forgotten too."""
-        self.reset()
-        self.applied(command)
-
     def _measure(
         self, nodes: FloatArray, velocities: FloatArray
     ) -> tuple[FloatArray, Status | None]:

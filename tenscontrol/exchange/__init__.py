@@ -1,21 +1,15 @@
 """Structures and runs that go to and come from other programs, a file a format."""
 
 from tenscontrol.exchange.csv_tables import from_csv
-from tenscontrol.exchange.gltf import to_gltf
 from tenscontrol.exchange.imported import Imported
 from tenscontrol.exchange.mjcf_export import to_mujoco
 from tenscontrol.exchange.mjcf_import import from_mujoco
-from tenscontrol.exchange.ntrt import from_ntrt
-from tenscontrol.exchange.urdf import to_urdf
 from tenscontrol.exchange.vtk import to_vtk
 
 __all__ = [
     "Imported",
     "from_csv",
     "from_mujoco",
-    "from_ntrt",
-    "to_gltf",
     "to_mujoco",
-    "to_urdf",
     "to_vtk",
 ]

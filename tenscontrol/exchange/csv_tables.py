@@ -196,8 +196,8 @@ def _node(table: _Table, row: _Row, side: str, names: dict[str, int], count: int
 
 def _have(table: _Table, rows: Sequence[_Row], column: str) -> bool:
     """Whether all rows have a value in a column; ValueError if only some have."""
-    found = [bool(row.get(column)) for row in rows]
-    if any(found) and not all(found):
-        bare = rows[found.index(False)]
+    is_given = [bool(row.get(column)) for row in rows]
+    if any(is_given) and not all(is_given):
+        bare = rows[is_given.index(False)]
         raise ValueError(f"{table.cell(bare, column)} is empty, and other strings have one")
-    return bool(found) and all(found)
+    return bool(is_given) and all(is_given)

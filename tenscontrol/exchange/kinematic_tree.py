@@ -1,4 +1,4 @@
-"""A structure as a tree of rigid bodies with joints, as MuJoCo and URDF describe mechanisms."""
+"""A structure as a tree of rigid bodies with joints, as MuJoCo describes mechanisms."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ def in_space(vectors: FloatArray) -> FloatArray:
     """Return columns in space, shape (3, k), of columns in space or in the plane, (d, k)."""
     if len(vectors) == 3:
         return vectors
-    found = np.zeros((3, vectors.shape[1]))
-    found[_PLANE] = vectors
-    return found
+    columns = np.zeros((3, vectors.shape[1]))
+    columns[_PLANE] = vectors
+    return columns
 
 
 def axes_of(dimension: int) -> FloatArray:
@@ -94,7 +94,7 @@ class KinematicTree:
 
         Bars do not spin. Angular velocities are in rad/s, of a body relative to its parent.
         """
-        V, spins, found = in_space(velocities), np.zeros((len(self.bodies) + 1, 3)), []
+        V, spins, rates = in_space(velocities), np.zeros((len(self.bodies) + 1, 3)), []
         for i, body in enumerate(self.bodies):
             if body.bar is not None:
                 start, end = self.structure.bars[body.bar]
@@ -102,25 +102,25 @@ class KinematicTree:
                 spins[i] = np.cross(arm, V[:, end] - V[:, start]) / (arm @ arm)
                 centre = 0.5 * (V[:, start] + V[:, end])
             turning = spins[i] - spins[body.parent]  # the last row is the world's
-            at = centre if body.pivot is None else V[:, body.pivot]
+            velocity = centre if body.pivot is None else V[:, body.pivot]
             for joint in body.joints:
                 if joint.kind == "slide":
-                    found.append([joint.axis @ at])
+                    rates.append([joint.axis @ velocity])
                 elif joint.kind == "hinge":
-                    found.append([joint.axis @ turning])
+                    rates.append([joint.axis @ turning])
                 else:
-                    found.append([*at, *turning] if joint.kind == "free" else turning)
-        return np.concatenate(found) if found else np.zeros(0)
+                    rates.append([*velocity, *turning] if joint.kind == "free" else turning)
+        return np.concatenate(rates) if rates else np.zeros(0)
 
     def start_coordinates(self) -> FloatArray:
         """Return the coordinates of the joints in the start, with unit quaternions."""
         still = [1.0, 0.0, 0.0, 0.0]
-        found = [
+        coordinates = [
             [*body.origin, *still] if joint.kind == "free" else
             still if joint.kind == "ball" else [0.0]
             for body in self.bodies for joint in body.joints
         ]  # fmt: skip
-        return np.concatenate(found) if found else np.zeros(0)
+        return np.concatenate(coordinates) if coordinates else np.zeros(0)
 
     def inverse_weights(self) -> FloatArray:
         """Return how far a unit force moves each body's centre of mass, 1/kg: the mean over axes.
@@ -151,8 +151,8 @@ class KinematicTree:
             mass += body.mass * centres[i].T @ centres[i] + body.inertia * turns[i].T @ turns[i]
             for node in body.nodes:
                 carried = 0.0 if body.bar is None else self.structure.point_mass[node]
-                at = moves[i] + _crossed(turns[i], self.start[:, node] - body.origin)
-                mass += carried * at.T @ at
+                jacobian = moves[i] + _crossed(turns[i], self.start[:, node] - body.origin)
+                mass += carried * jacobian.T @ jacobian
         inverse = [np.trace(J @ np.linalg.solve(mass, J.T)) / 3 if count else 0.0 for J in centres]
         return np.array(inverse)
 
@@ -191,14 +191,14 @@ class _Growth:
             mass = float(self.structure.point_mass[node])
             self._add(f"node{node}", WORLD, None, node, self._slides(node), mass)
         order = self._depth_first()
-        place = {old: new for new, old in enumerate(order)} | {WORLD: WORLD}
+        number = {old: new for new, old in enumerate(order)} | {WORLD: WORLD}
         bodies = (self.bodies[old] for old in order)
         return KinematicTree(
             self.structure,
             self.start,
-            tuple(replace(body, parent=place[body.parent]) for body in bodies),
-            tuple(place[self.home[node]] for node in range(self.structure.nodes.shape[1])),
-            tuple((node, place[one], place[other]) for node, one, other in self.loops),
+            tuple(replace(body, parent=number[body.parent]) for body in bodies),
+            tuple(number[self.home[node]] for node in range(self.structure.nodes.shape[1])),
+            tuple((node, number[one], number[other]) for node, one, other in self.loops),
         )
 
     def _depth_first(self) -> list[int]:
@@ -220,7 +220,7 @@ class _Growth:
 
     def _on_rollers(self) -> list[int]:
         """Put a bar on each roller, and return the nodes where more can hang."""
-        found: list[int] = []
+        reached: list[int] = []
         nodes = [node for node in self.held if node in self.bars_at]
         for node in nodes:
             free = [bar for bar in self.bars_at[node] if bar in self.left]
@@ -232,8 +232,8 @@ class _Growth:
                 )
             # A bar whose other end is on no support leaves other supports theirs.
             bar = min(free, key=lambda b: self._other(b, node) in (*nodes, *self.structure.fixed))
-            found += self._hang(bar, node, WORLD, (*self._slides(node), self.turning))
-        return found
+            reached += self._hang(bar, node, WORLD, (*self._slides(node), self.turning))
+        return reached
 
     def _floating(self, bar: int) -> list[int]:
         free: tuple[Joint, ...] = (Joint("free"),)

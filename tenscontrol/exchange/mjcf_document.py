@@ -44,7 +44,7 @@ class Geom:
 
     name: str
     kind: str
-    place: FloatArray
+    position: FloatArray
     ends: FloatArray | None  # (2, 3)
     mass: float
 
@@ -55,8 +55,8 @@ class Placed:
 
     name: str
     parent: int
-    turn: FloatArray  # (3, 3)
-    place: FloatArray
+    rotation: FloatArray  # (3, 3)
+    position: FloatArray
     joints: list[tuple[str, FloatArray, FloatArray]] = field(default_factory=list)
     geoms: list[Geom] = field(default_factory=list)
     inertial: tuple[float, FloatArray, float] | None = None  # kg, place, mean moment in kg m²
@@ -98,20 +98,20 @@ class MjcfDocument:
 
     def members(self, section: str) -> list[tuple[Element, dict[str, str]]]:
         """Return the elements of a section with all their attributes."""
-        found = []
-        for part in self.root.findall(section):
-            for element in part:
+        elements = []
+        for block in self.root.findall(section):
+            for element in block:
                 kind = section if section in ("tendon", "equality") else element.tag
-                found.append((element, self._attributes(element, "main", kind)))
-        return found
+                elements.append((element, self._attributes(element, "main", kind)))
+        return elements
 
     def gravity(self) -> FloatArray:
         """Return the acceleration of free fall, m/s²."""
         return numbers(self._child("option").attrib, "gravity", 3, "0 0 -9.81")
 
     def _child(self, tag: str) -> Element:
-        found = self.root.find(tag)
-        return Element(tag) if found is None else found
+        child = self.root.find(tag)
+        return Element(tag) if child is None else child
 
     # ---- defaults ----
 
@@ -137,39 +137,39 @@ class MjcfDocument:
     def _read_body(self, element: Element, number: int, around: str) -> None:
         body = self.bodies[number]
         around = element.get("childclass", around)
-        for part in element:
-            given = self._attributes(part, around)
-            if part.tag == "body":
-                turn, place = self._frame(given, body)
+        for child in element:
+            given = self._attributes(child, around)
+            if child.tag == "body":
+                rotation, position = self._frame(given, body)
                 name = given.get("name", f"body {len(self.bodies)}")
                 self._numbers[name] = len(self.bodies)
-                self.bodies.append(Placed(name, number, turn, place))
-                self._read_body(part, len(self.bodies) - 1, around)
-            elif part.tag in ("joint", "freejoint"):
-                kind = "free" if part.tag == "freejoint" else given.get("type", "hinge")
-                at = body.place + body.turn @ numbers(given, "pos", 3, "0 0 0")
-                axis = body.turn @ numbers(given, "axis", 3, "0 0 1")
-                body.joints.append((kind, at, _unit(axis, "an axis")))
+                self.bodies.append(Placed(name, number, rotation, position))
+                self._read_body(child, len(self.bodies) - 1, around)
+            elif child.tag in ("joint", "freejoint"):
+                kind = "free" if child.tag == "freejoint" else given.get("type", "hinge")
+                anchor = body.position + body.rotation @ numbers(given, "pos", 3, "0 0 0")
+                axis = body.rotation @ numbers(given, "axis", 3, "0 0 1")
+                body.joints.append((kind, anchor, _unit(axis, "an axis")))
                 if any(any(row(given, key)) for key in _OF_JOINTS):
                     self.notes.append(f"springs and friction of {body.name!r}'s joint are left out")
-            elif part.tag == "geom":
+            elif child.tag == "geom":
                 body.geoms.append(self._geom(given, body))
-            elif part.tag == "site":
+            elif child.tag == "site":
                 if "name" in given:
                     self.sites[given["name"]] = number, self._frame(given, body)[1]
-            elif part.tag == "inertial":
+            elif child.tag == "inertial":
                 if self._child("compiler").get("inertiafromgeom") != "true":
                     body.inertial = self._inertial(given, body)
-            elif part.tag not in _IGNORED:
+            elif child.tag not in _IGNORED:
                 raise ValueError(
-                    f"body {body.name!r} of the MJCF has <{part.tag}>, which is not understood"
+                    f"body {body.name!r} of the MJCF has <{child.tag}>, which is not understood"
                 )
 
     def _frame(self, given: dict[str, str], body: Placed) -> tuple[FloatArray, FloatArray]:
-        place = body.place + body.turn @ numbers(given, "pos", 3, "0 0 0")
-        return body.turn @ self._turn(given), place
+        position = body.position + body.rotation @ numbers(given, "pos", 3, "0 0 0")
+        return body.rotation @ self._rotation(given), position
 
-    def _turn(self, given: dict[str, str]) -> FloatArray:
+    def _rotation(self, given: dict[str, str]) -> FloatArray:
         """Return the rotation that an element gives in one of MuJoCo's ways, shape (3, 3)."""
         from scipy.spatial.transform import Rotation
 
@@ -179,8 +179,8 @@ class MjcfDocument:
         if "euler" in given:
             angles = numbers(given, "euler", 3)
             # Small letters are axes that turn along, which SciPy writes in capitals.
-            turn = Rotation.from_euler(self._sequence.swapcase(), angles, degrees=self._degrees)
-            return np.asarray(turn.as_matrix())
+            rotation = Rotation.from_euler(self._sequence.swapcase(), angles, degrees=self._degrees)
+            return np.asarray(rotation.as_matrix())
         if "axisangle" in given:
             *axis, angle = numbers(given, "axisangle", 4)
             unit = _unit(np.array(axis), "an axis")
@@ -199,31 +199,31 @@ class MjcfDocument:
 
     def _geom(self, given: dict[str, str], body: Placed) -> Geom:
         kind, name = given.get("type", "sphere"), given.get("name", "")
-        turn, place = self._frame(given, body)
+        rotation, position = self._frame(given, body)
         size = row(given, "size") or [0.0]
         ends = None
         if kind in ("capsule", "cylinder"):
             if "fromto" in given:
                 local = numbers(given, "fromto", 6).reshape(2, 3)
-                ends = body.place + local @ body.turn.T
+                ends = body.position + local @ body.rotation.T
             elif len(size) > 1:
-                ends = place + np.outer([-size[1], size[1]], turn[:, 2])
+                ends = position + np.outer([-size[1], size[1]], rotation[:, 2])
             else:
                 raise ValueError(f"geom {name!r} has neither fromto nor a half-length in size")
-            place = ends.mean(axis=0)
+            position = ends.mean(axis=0)
         if "mass" in given:
             mass = number(given, "mass")
         else:
             density = number(given, "density", _DENSITY)
             counts = density and (ends is not None or body is not self.bodies[0])
             mass = density * _volume(kind, size, ends) if counts else 0.0
-        return Geom(name, kind, place, ends, mass)
+        return Geom(name, kind, position, ends, mass)
 
     def _inertial(self, given: dict[str, str], body: Placed) -> tuple[float, FloatArray, float]:
-        _, place = self._frame(given, body)
+        _, position = self._frame(given, body)
         moments = (row(given, "diaginertia") or row(given, "fullinertia", "0 0 0"))[:3]
         # Of a thin bar two are equal and the third less, or made equal.
-        return number(given, "mass"), place, float(np.median(moments))
+        return number(given, "mass"), position, float(np.median(moments))
 
 
 def _volume(kind: str, size: list[float], ends: FloatArray | None) -> float:
@@ -246,20 +246,20 @@ def row(given: Mapping[str, str], key: str, default: str = "") -> list[float]:
     """Return the numbers of an attribute, or of what it is if it is not given."""
     text = given.get(key, default)
     try:
-        found = [float(part) for part in text.split()] if len(text) <= _MOST_LETTERS else [np.nan]
+        values = [float(word) for word in text.split()] if len(text) <= _MOST_LETTERS else [np.nan]
     except ValueError:
-        found = [np.nan]
-    if not np.isfinite(found).all():
+        values = [np.nan]
+    if not np.isfinite(values).all():
         raise ValueError(f"the MJCF has {key}={text!r:.60}, expected numbers")
-    return found
+    return values
 
 
 def numbers(given: Mapping[str, str], key: str, count: int, default: str = "") -> FloatArray:
     """Return so many numbers of an attribute."""
-    found = np.array(row(given, key, default))
-    if len(found) != count:
+    values = np.array(row(given, key, default))
+    if len(values) != count:
         raise ValueError(f"the MJCF has {key}={given.get(key, '')!r:.60}, expected {count} numbers")
-    return found
+    return values
 
 
 def number(given: Mapping[str, str], key: str, default: str = "") -> float:
@@ -267,11 +267,11 @@ def number(given: Mapping[str, str], key: str, default: str = "") -> float:
     return float(numbers(given, key, 1, default)[0])
 
 
-def _unit(vector: FloatArray, what: str) -> FloatArray:
+def _unit(vector: FloatArray, noun: str) -> FloatArray:
     """Return a direction as a vector of length 1."""
     length = float(np.linalg.norm(vector))
     if not length:
-        raise ValueError(f"the MJCF has {what} of length 0, expected a direction")
+        raise ValueError(f"the MJCF has {noun} of length 0, expected a direction")
     return np.asarray(vector / length)
 
 
@@ -310,15 +310,15 @@ class _Reader:
     def _start(self, tag: str, attributes: dict[str, str]) -> None:
         self._depth += 1
         self._count += 1
-        for have, most, what in (
+        for count, limit, noun in (
             (self._depth, _MOST_DEPTH, "levels of elements within elements"),
             (self._count, _MOST_ELEMENTS, "elements"),
             (len(attributes), _MOST_ATTRIBUTES, "attributes in an element"),
         ):
-            if have > most:
+            if count > limit:
                 line = self._parser.CurrentLineNumber
                 raise ValueError(
-                    f"{self._where} has more than {most:,} {what}, the most that are read: "
+                    f"{self._where} has more than {limit:,} {noun}, the most that are read: "
                     f"line {line}, <{tag:.60}>"
                 )
         self._made.start(tag, attributes)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
@@ -10,7 +10,7 @@ from xml.etree.ElementTree import Element, SubElement
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import ElasticStrings, Ground, LinearStrings, Model, StringLaw
+from tenscontrol.dynamics import ElasticStrings, Ground, LinearStrings, Model
 from tenscontrol.exchange.kinematic_tree import WORLD, KinematicTree, in_space
 from tenscontrol.plant import held_value
 from tenscontrol.simulation import checked_load, initial_state
@@ -151,14 +151,6 @@ def _held(model: Model, rest_length: object, force_density: object, actuators: s
     return held_value(model, rest_length, force_density)
 
 
-def _spring_stiffness(law: StringLaw | None, rest_length: FloatArray) -> FloatArray:
-    """Return the stiffness of strings that are springs at held rest lengths, N/m, shape (α,)."""
-    if isinstance(law, ElasticStrings):
-        return np.asarray(law.axial_rigidity / rest_length)
-    assert isinstance(law, LinearStrings)  # others were refused
-    return law.stiffness
-
-
 class _Document:
     """The elements of a model, and their text."""
 
@@ -170,6 +162,10 @@ class _Document:
         self.kind, self.actuators = kind, actuators
         self.tree = KinematicTree.of(self.structure, nodes)
         self.length = self.structure.string_length(nodes)
+        self.force_density = held
+        if kind == "rest_length":
+            assert model.strings is not None  # rest lengths without a law were refused
+            self.force_density = model.strings.force_density(self.length, held)
         self.size = float(np.ptp(nodes, axis=1).max())
         self.load, self.own_load = load, load - (model.constant_force - model.built_in_load)
         self.grounds = [(_flat(law), set(of.tolist())) for law, of, _ in (model.contacts or ())]
@@ -238,11 +234,13 @@ class _Document:
             if body.bar is not None:
                 self._bar(element, body.bar, body.origin)
             for node in body.nodes:
-                at = start[:, node] - body.origin
-                self._site(element, node, at)
-                self._balls(element, node, at, weights[i])
+                position = start[:, node] - body.origin
+                self._site(element, node, position)
+                self._balls(element, node, position, weights[i])
                 if body.bar is not None and structure.point_mass[node]:
-                    payload = SubElement(element, "body", name=f"mass{node}", pos=_numbers(at))
+                    payload = SubElement(
+                        element, "body", name=f"mass{node}", pos=_numbers(position)
+                    )
                     _inertial(payload, np.zeros(3), structure.point_mass[node], 0.0)
 
     def _bar(self, element: Element, bar: int, origin: FloatArray) -> Element:
@@ -250,8 +248,8 @@ class _Document:
         ends_text = _numbers(ends.ravel())
         return SubElement(element, "geom", {"class": "bar"}, name=f"bar{bar}", fromto=ends_text)
 
-    def _site(self, element: Element, node: int, at: FloatArray) -> None:
-        SubElement(element, "site", name=f"n{node}", pos=_numbers(at))
+    def _site(self, element: Element, node: int, position: FloatArray) -> None:
+        SubElement(element, "site", name=f"n{node}", pos=_numbers(position))
 
     def _loops(self, step: float) -> None:
         """Join the bodies that close loops, at a node that is part of the second."""
@@ -281,7 +279,7 @@ class _Document:
                 conaffinity="0", rgba="0.8 0.8 0.75 1",
             )  # fmt: skip
 
-    def _balls(self, element: Element, node: int, at: FloatArray, inverse: float) -> None:
+    def _balls(self, element: Element, node: int, position: FloatArray, inverse: float) -> None:
         """Add a ball for each law that acts on a node.
 
         MuJoCo's parameters are accelerations, by the inverse mass of the body.
@@ -292,8 +290,8 @@ class _Document:
             damping = _linear_damping(law, inverse)
             SubElement(
                 element, "geom", name=f"ball{node}_{i}", size=_number(_BALL * self.size),
-                pos=_numbers(at), mass="0", contype="0", conaffinity=str(1 << i), priority="1",
-                condim="3", friction=_numbers([law.friction, 0, 0]),
+                pos=_numbers(position), mass="0", contype="0", conaffinity=str(1 << i),
+                priority="1", condim="3", friction=_numbers([law.friction, 0, 0]),
                 solref=_numbers([-law.stiffness * inverse, -damping * inverse]),
                 solimp=_numbers([_IMPEDANCE, _IMPEDANCE]),
             )  # fmt: skip
@@ -310,57 +308,45 @@ class _Document:
         if not len(structure.strings):
             return
         tendons = SubElement(self.root, "tendon")
-        springs, actuate = self._springs(), self._actuation()
         paths = structure.paths or structure.strings.tolist()
         for k, path in enumerate(paths):
-            group = f"string-{structure.string_groups[k]}"
-            tendon = SubElement(tendons, "spatial", {"name": f"s{k}", "class": group} | springs(k))
+            named = {"name": f"s{k}", "class": f"string-{structure.string_groups[k]}"}
+            tendon = SubElement(tendons, "spatial", named | self._spring(k))
             for node in path:
                 SubElement(tendon, "site", site=f"n{node}")
-            if actuate is not None:
-                start, own = actuate(k)
-                self._actuator({"name": f"s{k}", "tendon": f"s{k}"} | own, start)
+            if self.actuators != "none":
+                start, force = self._actuation(k)
+                self._actuator({"name": f"s{k}", "tendon": f"s{k}"} | force, start)
 
-    def _springs(self) -> Callable[[int], dict[str, str]]:
-        """Return the spring of a tendon by its string."""
-        held, law, zero = self.held, self.model.strings, np.zeros_like(self.held)
+    def _spring(self, k: int) -> dict[str, str]:
+        """Return the spring of the tendon of a string."""
+        law, held = self.model.strings, float(self.held[k])
         if self.actuators == "rest_length":
-            return lambda k: {"springlength": _numbers([0.0, held[k]])}
+            return {"springlength": _numbers([0.0, held])}
         if self.actuators != "none":
-            return lambda k: {}
-        stiffness, rest, damping = held, zero, zero  # T = γ l is a spring without rest length
-        if self.kind == "rest_length":
-            stiffness, rest = _spring_stiffness(law, held), held
-            damping = np.zeros_like(held) if law is None else law.damping
-        return lambda k: {
-            "stiffness": _number(stiffness[k]),
-            "springlength": _numbers([0.0, rest[k]]),
-            **({"damping": _number(damping[k])} if damping[k] else {}),
-        }
-
-    def _actuation(self) -> Callable[[int], tuple[float, dict[str, str]]] | None:
-        """Return the control at the start and the force law of an actuator by its string."""
-        law, held = self.model.strings, self.held
-        if self.actuators == "none":
-            return None
-        if self.actuators == "rest_length":
-            if isinstance(law, ElasticStrings):
-                rigid = law.axial_rigidity  # T = EA (l/l0 − 1) is linear in 1/l0
-                return lambda k: (
-                    1 / held[k], _force((0.0, -rigid[k], 0.0), (rigid[k], 0.0, -law.damping[k]))
-                )  # fmt: skip
+            return {}
+        if self.kind == "force_density":  # T = γ l is a spring without rest length
+            return {"stiffness": _number(held), "springlength": _numbers([0.0, 0.0])}
+        if isinstance(law, ElasticStrings):
+            stiffness = law.axial_rigidity[k] / held
+        else:
             assert isinstance(law, LinearStrings)  # others were refused
-            return lambda k: (
-                held[k],
-                _force((law.stiffness[k],), (0.0, -law.stiffness[k], -law.damping[k])),
-            )
-        gamma = held
-        if self.kind == "rest_length":
-            assert law is not None  # rest lengths without a law were refused
-            gamma = law.force_density(self.length, held)
+            stiffness = law.stiffness[k]
+        spring = {"stiffness": _number(stiffness), "springlength": _numbers([0.0, held])}
+        return spring | ({"damping": _number(law.damping[k])} if law.damping[k] else {})
+
+    def _actuation(self, k: int) -> tuple[float, dict[str, str]]:
+        """Return the control at the start and the force law of the actuator of a string."""
+        law, held = self.model.strings, float(self.held[k])
         if self.actuators == "force_density":
-            return lambda k: (gamma[k], _force((0.0, -1.0, 0.0)))
-        return lambda k: (gamma[k] * self.length[k], _force((-1.0,)))
+            return self.force_density[k], _force((0.0, -1.0, 0.0))
+        if self.actuators == "tension":
+            return self.force_density[k] * self.length[k], _force((-1.0,))
+        if isinstance(law, ElasticStrings):
+            rigidity = law.axial_rigidity[k]  # T = EA (l/l0 − 1) is linear in 1/l0
+            return 1 / held, _force((0.0, -rigidity, 0.0), (rigidity, 0.0, -law.damping[k]))
+        assert isinstance(law, LinearStrings)  # others were refused
+        return held, _force((law.stiffness[k],), (0.0, -law.stiffness[k], -law.damping[k]))
 
     def _actuator(self, attributes: dict[str, str], control: float) -> None:
         actuators = self.root.find("actuator")
@@ -412,10 +398,10 @@ def _linear_damping(law: Ground, inverse: float) -> float:
 
 def _force(gain: tuple[float, ...], bias: tuple[float, ...] = ()) -> dict[str, str]:
     """Return the law of an actuator, gain × control + bias, each affine in length and rate."""
-    found = {"gainprm": _numbers(gain), "forcerange": _numbers(_PULLING)}
+    actuator = {"gainprm": _numbers(gain), "forcerange": _numbers(_PULLING)}
     if len(gain) > 1:
-        found["gaintype"] = "affine"
-    return found | ({"biastype": "affine", "biasprm": _numbers(bias)} if bias else {})
+        actuator["gaintype"] = "affine"
+    return actuator | ({"biastype": "affine", "biasprm": _numbers(bias)} if bias else {})
 
 
 def _inertial(element: Element, centre: FloatArray, mass: float, inertia: float) -> None:

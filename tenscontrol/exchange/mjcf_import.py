@@ -87,24 +87,28 @@ class _Assembly:
         self.bar_of: dict[int, int] = {}
         self.spots: list[tuple[int, FloatArray]] = []
         self.names: dict[int, list[str]] = {}
-        self.same: list[int] = []
+        self.joined: list[tuple[int, int]] = []  # pairs of spots
         self.mass: dict[int, float] = {}
         self.rolling: list[tuple[int, int]] = []
-        self.planar = any(kind == "hinge" for body in document.bodies for kind, *_ in body.joints)
-        places = [geom.place for body in document.bodies for geom in body.geoms if geom.ends
-                  is not None] + [at for _, at in document.sites.values()]  # fmt: skip
-        if not places:
+        geoms = [geom for body in document.bodies for geom in body.geoms]
+        positions = [geom.position for geom in geoms if geom.ends is not None]
+        positions += [position for _, position in document.sites.values()]
+        if not positions:
             raise ValueError("the MJCF has neither capsules nor sites: no bars, no strings")
-        self.size = max(float(np.ptp(places, axis=0).max()), 1e-300)
+        self.size = max(float(np.ptp(positions, axis=0).max()), 1e-300)
         self._cells: dict[tuple[float, ...], list[int]] = {}  # spots by group and place
         self._first_of: dict[int, int] = {}  # spots by group
         self._site_of: dict[int, FloatArray] = {}  # places by group
-        for own, at in document.sites.values():
-            self._site_of.setdefault(self.group[own], at)
+        for own, position in document.sites.values():
+            self._site_of.setdefault(self.group[own], position)
         joints = [joint for body in document.bodies for joint in body.joints]
-        across = any(kind != "slide" or abs(axis[1]) > _SAME for kind, _, axis in joints)
-        self._slides_flat = bool(joints) and not across
-        self._thickness = 0.0
+        self.planar = any(kind == "hinge" for kind, *_ in joints)
+        #: Whether all moves in the plane of x and z.
+        self.flat = self.planar or (
+            bool(joints)
+            and all(kind == "slide" and abs(axis[1]) <= _SAME for kind, _, axis in joints)
+            and self._off_plane() <= _SAME * self.size
+        )
 
     def imported(self) -> Imported:
         """Return the model."""
@@ -132,73 +136,73 @@ class _Assembly:
 
     def _groups(self) -> list[int]:
         """Return for each body the first of those that it is welded to; 0 is the world."""
-        found: list[int] = []
+        groups: list[int] = []
         for i, body in enumerate(self.document.bodies):
-            found.append(i if body.joints or i == 0 else found[body.parent])
-        return found
+            groups.append(i if body.joints or i == 0 else groups[body.parent])
+        return groups
+
+    def _off_plane(self) -> float:
+        """Return how far bars, masses and sites are from the plane of x and z at most, m."""
+        points = [position for _, position in self.document.sites.values()]
+        for body in self.document.bodies:
+            points += [geom.position for geom in body.geoms if geom.kind != "plane"]
+            points += [end for geom in body.geoms if geom.ends is not None for end in geom.ends]
+            points += [body.inertial[1]] if body.inertial is not None else []
+        return float(np.abs(np.array(points)[:, 1]).max())
 
     # ---- spots ----
 
-    def _spot(self, number: int, at: FloatArray, what: str) -> int:
+    def _spot(self, number: int, position: FloatArray, subject: str) -> int:
         """Return the spot of a place on a body, made if it is part of the world or a point."""
         group = self.group[number]
         if group and group in self.bar_of:
             _, start, end, _ = self.bars[self.bar_of[group]]
             ends = np.array([self.spots[start][1], self.spots[end][1]])
-            apart = np.linalg.norm(ends - at, axis=1)
+            apart = np.linalg.norm(ends - position, axis=1)
             length = float(np.linalg.norm(ends[1] - ends[0]))
             if apart.min() > self.tolerance * length:
                 raise ValueError(
-                    f"{what} is {apart.min():.3g} m from the nearer end of its bar "
+                    f"{subject} is {apart.min():.3g} m from the nearer end of its bar "
                     f"{self.bars[self.bar_of[group]][0]!r}, expected at most "
                     f"{self.tolerance * length:.3g} m; give a larger tolerance to put it there"
                 )
             return (start, end)[int(apart.argmin())]
-        there = self._spots_at(group, at)
-        if there:
-            return there[0]
+        spots = self._spots_at(group, position)
+        if spots:
+            return spots[0]
         if group and group in self._first_of:
             raise ValueError(
-                f"{what} is on body {self.document.bodies[group].name!r}, which has no bar and "
+                f"{subject} is on body {self.document.bodies[group].name!r}, which has no bar and "
                 "another place already: a body without a capsule is a point here"
             )
-        return self._new_spot(group, at)
+        return self._new_spot(group, position)
 
-    def _spots_at(self, group: int, at: FloatArray) -> list[int]:
+    def _spots_at(self, group: int, position: FloatArray) -> list[int]:
         """Return the spots of a group at a place."""
-        near = (i for key in self._keys(group, at, 1.0) for i in self._cells.get(key, ()))
+        near = (i for key in self._keys(group, position, 1.0) for i in self._cells.get(key, ()))
         off = _SAME * self.size
-        return sorted(i for i in near if np.linalg.norm(self.spots[i][1] - at) <= off)
+        return sorted(i for i in near if np.linalg.norm(self.spots[i][1] - position) <= off)
 
-    def _keys(self, group: int, at: FloatArray, reach: float) -> set[tuple[float, ...]]:
+    def _keys(self, group: int, position: FloatArray, reach: float) -> set[tuple[float, ...]]:
         """Return the cells within reach, 1 for one place: at most two along an axis."""
         with np.errstate(over="ignore"):  # far away all is in one cell
-            place = at / (_SAME * self.size)
-            low, high = np.floor((place - reach) / 2), np.floor((place + reach) / 2)
+            scaled = position / (_SAME * self.size)
+            low, high = np.floor((scaled - reach) / 2), np.floor((scaled + reach) / 2)
         along = zip(low.tolist(), high.tolist(), strict=True)
         return {(group, *cell) for cell in product(*along)}
 
-    def _new_spot(self, group: int, at: FloatArray) -> int:
-        (key,) = self._keys(group, at, 0.0)
+    def _new_spot(self, group: int, position: FloatArray) -> int:
+        (key,) = self._keys(group, position, 0.0)
         self._cells.setdefault(key, []).append(len(self.spots))
         self._first_of.setdefault(group, len(self.spots))
-        self._thickness = max(self._thickness, abs(float(at[1])))
-        self.spots.append((group, at))
-        self.same.append(len(self.same))
+        self.spots.append((group, position))
         return len(self.spots) - 1
 
-    def _first(self, spot: int) -> int:
-        while self.same[spot] != spot:
-            self.same[spot] = self.same[self.same[spot]]  # the next time it is half as far
-            spot = self.same[spot]
-        return spot
-
-    def _join(self, one: int, other: int, what: str) -> None:
+    def _join(self, one: int, other: int, subject: str) -> None:
         apart = float(np.linalg.norm(self.spots[one][1] - self.spots[other][1]))
         if apart > max(self.tolerance, _SAME) * self.size:
-            raise ValueError(f"{what} joins places {apart:.3g} m apart; give a larger tolerance")
-        low, high = sorted((self._first(one), self._first(other)))
-        self.same[high] = low
+            raise ValueError(f"{subject} joins places {apart:.3g} m apart; give a larger tolerance")
+        self.joined.append((one, other))
 
     # ---- bars and masses ----
 
@@ -220,11 +224,11 @@ class _Assembly:
                 mass = geom.mass if own else self._own_mass(body, geom.ends)
                 self.bars.append((name, spots[0], spots[1], mass))
 
-    def _world_or_new(self, group: int, at: FloatArray) -> int:
+    def _world_or_new(self, group: int, position: FloatArray) -> int:
         if group:
-            return self._new_spot(group, at)
-        there = self._spots_at(0, at)
-        return there[0] if there else self._new_spot(0, at)
+            return self._new_spot(group, position)
+        spots = self._spots_at(0, position)
+        return spots[0] if spots else self._new_spot(0, position)
 
     def _own_mass(self, body: Placed, ends: FloatArray) -> float:
         """Return the mass of a bar whose body says it, with its centre in the middle."""
@@ -249,12 +253,12 @@ class _Assembly:
             own = any(geom.ends is not None for geom in body.geoms)
             parts: list[tuple[float, FloatArray, str]] = []
             if body.inertial is None:
-                parts = [(g.mass, g.place, g.name) for g in body.geoms if g.ends is None]
+                parts = [(g.mass, g.position, g.name) for g in body.geoms if g.ends is None]
             elif not own:
                 parts = [(body.inertial[0], body.inertial[1], body.name)]
-            for mass, at, name in parts:
+            for mass, position, name in parts:
                 if mass > 0:
-                    spot = self._spot(i, at, f"the mass of {name or body.name!r}")
+                    spot = self._spot(i, position, f"the mass of {name or body.name!r}")
                     self.mass[spot] = self.mass.get(spot, 0.0) + mass
 
     # ---- joints ----
@@ -265,24 +269,24 @@ class _Assembly:
                 continue
             kinds = [kind for kind, *_ in body.joints]
             slides = [axis for kind, _, axis in body.joints if kind == "slide"]
-            turning = [at for kind, at, _ in body.joints if kind in ("ball", "hinge")]
+            turning = [position for kind, position, _ in body.joints if kind in ("ball", "hinge")]
             self._refuse_joints(body, kinds, len(turning), i)
             if kinds == ["free"]:
                 if i not in self.bar_of:
                     self._spot(i, self._point(i), f"body {body.name!r}")
                 continue
-            at = turning[0] if turning else self._point(i)
+            position = turning[0] if turning else self._point(i)
             held = self._held(body, slides) if slides else [0, 1, 2]
             if len(slides) and not len(held):
                 if i not in self.bar_of:
-                    self._spot(i, at, f"body {body.name!r}")
+                    self._spot(i, position, f"body {body.name!r}")
                 continue
-            spot = self._spot(i, at, f"the joint of body {body.name!r}")
+            spot = self._spot(i, position, f"the joint of body {body.name!r}")
             if slides:
                 self.rolling += [(spot, axis) for axis in held]
             else:
                 where = f"the joint of body {body.name!r}"
-                self._join(spot, self._spot(body.parent, at, where), where)
+                self._join(spot, self._spot(body.parent, position, where), where)
 
     def _refuse_joints(self, body: Placed, kinds: list[str], turning: int, number: int) -> None:
         allowed = {"free", "ball", "hinge", "slide"}
@@ -310,11 +314,11 @@ class _Assembly:
         """Return where a body without a bar is: at its spot, else at its site or its origin."""
         if number in self._first_of:
             return self.spots[self._first_of[number]][1]
-        return self._site_of.get(number, self.document.bodies[number].place)
+        return self._site_of.get(number, self.document.bodies[number].position)
 
     def _held(self, body: Placed, slides: Sequence[FloatArray]) -> list[int]:
         """Return the axes along which slides do not let a body move."""
-        every = [0, 2] if self._flat() else [0, 1, 2]
+        every = [0, 2] if self.flat else [0, 1, 2]
         if np.linalg.matrix_rank(slides) < len(slides):
             raise ValueError(f"body {body.name!r} slides twice along one axis")
         span = np.linalg.qr(np.array(slides).T)[0]
@@ -327,25 +331,21 @@ class _Assembly:
             )
         return [axis for axis in every if along[axis] <= _SAME]
 
-    def _flat(self) -> bool:
-        """Whether all moves in the plane of x and z."""
-        return self.planar or (self._slides_flat and self._thickness <= _SAME * self.size)
-
     def _constraints(self) -> None:
         for element, given in self.document.members("equality"):
             if element.tag != "connect":
                 raise ValueError(f"the MJCF has the constraint <{element.tag}>, which no bar has")
-            what = f"the constraint {given.get('name', 'connect')!r}"
+            subject = f"the constraint {given.get('name', 'connect')!r}"
             if "site1" in given:
                 sites = (self._site(given.get(name, "")) for name in ("site1", "site2"))
-                spots = [self._spot(*site, what) for site in sites]
+                spots = [self._spot(*site, subject) for site in sites]
             else:
                 number = self.document.numbered(given.get("body1", ""))
                 other = self.document.numbered(given.get("body2", "world"))
                 body = self.document.bodies[number]
-                at = body.place + body.turn @ numbers(given, "anchor", 3)
-                spots = [self._spot(i, at, what) for i in (number, other)]
-            self._join(spots[0], spots[1], what)
+                position = body.position + body.rotation @ numbers(given, "anchor", 3)
+                spots = [self._spot(i, position, subject) for i in (number, other)]
+            self._join(spots[0], spots[1], subject)
 
     def _site(self, name: str) -> tuple[int, FloatArray]:
         if name not in self.document.sites:
@@ -367,20 +367,17 @@ class _Assembly:
             for _, given in tendons
         ]
         for (element, given), pulls in zip(tendons, pulling, strict=True):
+            tendon = f"tendon {given.get('name', '')!r}"
             if any(pulling) and not pulls:
-                self._note(f"tendon {given.get('name', '')!r} pulls by nothing and is left out")
+                self._note(f"{tendon} pulls by nothing and is left out")
                 continue
             if element.tag != "spatial":
-                raise ValueError(
-                    f"tendon {given.get('name', '')!r} is <{element.tag}>, not spatial"
-                )
+                raise ValueError(f"{tendon} is <{element.tag}>, not spatial")
             path = []
-            for part in element:
-                if part.tag != "site":
-                    raise ValueError(
-                        f"tendon {given.get('name', '')!r} runs over a <{part.tag}>, expected sites"
-                    )
-                name = part.get("site", "")
+            for point in element:
+                if point.tag != "site":
+                    raise ValueError(f"{tendon} runs over a <{point.tag}>, expected sites")
+                name = point.get("site", "")
                 spot = self._spot(*self._site(name), f"site {name!r}")
                 self.names.setdefault(spot, []).append(name)
                 path.append(spot)
@@ -393,37 +390,48 @@ class _Assembly:
             self.tendons.append((element, given))
         return paths, groups
 
+    def _nodes(self) -> tuple[list[int], list[int]]:
+        """Return the first spot of each node, in the order of their names, and each spot's node."""
+        from scipy.sparse import coo_array
+        from scipy.sparse.csgraph import connected_components
+
+        count, pairs = len(self.spots), np.array(self.joined, dtype=np.int64).reshape(-1, 2)
+        graph = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(count, count))
+        _, component = connected_components(graph, directed=False)
+        _, firsts = np.unique(component, return_index=True)
+        names: list[list[str]] = [[] for _ in firsts]
+        for spot, own in self.names.items():
+            names[component[spot]] += own
+        order = np.argsort(firsts)
+        order = order[_numbered([min(names[i], default="") for i in order])]
+        return firsts[order].tolist(), np.argsort(order)[component].tolist()
+
     def _structure(self, paths: list[list[int]], groups: list[str]) -> tuple[Structure, list[int]]:
         """Return the structure, and the order of its strings among the tendons."""
         for name, (body, where) in self.document.sites.items():  # of nodes without strings
             if self.group[body] in self.bar_of or self.group[body] == 0:
                 for spot in self._spots_at(self.group[body], where):
                     self.names.setdefault(spot, []).append(name)
-        firsts = sorted({self._first(i) for i in range(len(self.spots))})
-        labels: dict[int, list[str]] = {}
-        for spot, names in self.names.items():
-            labels.setdefault(self._first(spot), []).extend(names)
-        least = [min(labels.get(first, ()), default="") for first in firsts]
-        firsts = [firsts[i] for i in _numbered(least)]
-        node = {first: i for i, first in enumerate(firsts)}
-        at: dict[int, int] = {i: node[self._first(i)] for i in range(len(self.spots))}
+        if not self.spots:
+            raise ValueError("the MJCF has sites, and neither capsules nor tendons over them")
+        firsts, node_of = self._nodes()
         bars = [self.bars[i] for i in _numbered([bar[0] for bar in self.bars])]
         order = _numbered([given.get("name", "") for _, given in self.tendons])
-        keep = [0, 2] if self._flat() else [0, 1, 2]
+        keep = [0, 2] if self.flat else [0, 1, 2]
         N = np.array([self.spots[first][1] for first in firsts]).T
         if len(keep) == 2 and np.abs(N[1]).max(initial=0.0) > _SAME * self.size:
             raise ValueError("the MJCF has hinges, and nodes off the plane of x and z")
         mass = np.zeros(len(firsts))
         for spot, kg in self.mass.items():
-            mass[at[spot]] += kg
-        held = {at[i] for i, (group, _) in enumerate(self.spots) if group == 0}
+            mass[node_of[spot]] += kg
+        held = {node_of[i] for i, (group, _) in enumerate(self.spots) if group == 0}
         fixed = sorted(held)
         mass[fixed] = 0.0
-        rollers = [(at[spot], "xyz"[keep.index(axis)]) for spot, axis in self.rolling]
+        rollers = [(node_of[spot], "xyz"[keep.index(axis)]) for spot, axis in self.rolling]
         structure = Structure(
             N[keep],
-            np.array([(at[start], at[end]) for _, start, end, _ in bars]).reshape(-1, 2),
-            [[at[spot] for spot in paths[i]] for i in order],
+            np.array([(node_of[start], node_of[end]) for _, start, end, _ in bars]).reshape(-1, 2),
+            [[node_of[spot] for spot in paths[i]] for i in order],
             [kg for *_, kg in bars],
             string_groups=[groups[i] for i in order],
             fixed=fixed,
@@ -437,12 +445,12 @@ class _Assembly:
     ) -> tuple[StringLaw | None, FloatArray | None]:
         """Return the string law and the rest lengths, as far as tendons and actuators say them."""
         driven = self._driven()
-        found = [self._spring(self.tendons[i][1], driven) for i in order]
-        if not found or any(spring is None for spring in found):
-            if found:
+        given = [self._spring(self.tendons[i][1], driven) for i in order]
+        if not given or any(spring is None for spring in given):
+            if given:
                 self._note("strings have no stiffness: a model of force densities")
             return None, None
-        springs = [spring for spring in found if spring is not None]
+        springs = [spring for spring in given if spring is not None]
         kinds = {elastic for elastic, *_ in springs}
         if len(kinds) > 1:
             raise ValueError("some tendons have constant stiffness, others constant rigidity")
@@ -459,19 +467,19 @@ class _Assembly:
 
     def _driven(self) -> dict[str, tuple[bool, float, float]]:
         """Return, by tendon, whether an actuator has constant EA, its stiffness and damping."""
-        found = {}
+        driven = {}
         for element, given in self.document.members("actuator"):
             name = given.get("tendon")
             gain = [*row(given, "gainprm", "1"), 0.0, 0.0, 0.0]
             bias = [*row(given, "biasprm"), 0.0, 0.0, 0.0]
             if element.tag == "position" and name:
-                found[name] = False, number(given, "kp", "1"), number(given, "kv", "0")
+                driven[name] = False, number(given, "kp", "1"), number(given, "kv", "0")
             elif element.tag == "general" and name and given.get("biastype") == "affine":
                 elastic = given.get("gaintype") == "affine"
-                found[name] = elastic, bias[0] if elastic else gain[0], -bias[2]
+                driven[name] = elastic, bias[0] if elastic else gain[0], -bias[2]
             elif name:
                 self._note("actuators that set forces are left out")
-        return found
+        return driven
 
     def _spring(
         self, given: dict[str, str], driven: dict[str, tuple[bool, float, float]]
@@ -493,8 +501,8 @@ class _Assembly:
 
 def _numbered(names: Sequence[str]) -> list[int]:
     """Return the order by the numbers that names end in, if all have one of their own."""
-    found = [re.search(r"(\d+)$", name[-_DIGITS:]) for name in names]
-    ends = [int(match.group(1)) for match in found if match]
+    matches = [re.search(r"(\d+)$", name[-_DIGITS:]) for name in names]
+    ends = [int(match.group(1)) for match in matches if match]
     if len(ends) < len(names) or len(set(ends)) < len(names):
         return list(range(len(names)))
     return sorted(range(len(names)), key=ends.__getitem__)

@@ -52,15 +52,15 @@ def to_vtk(source: Structure | Trajectory, path: object) -> list[Path]:
     --------
     >>> import pathlib, tempfile, tenscontrol as tc
     >>> folder = pathlib.Path(tempfile.mkdtemp())
-    >>> [each.name for each in tc.exchange.to_vtk(tc.prism(), folder / "prism.vtp")]
+    >>> [file.name for file in tc.exchange.to_vtk(tc.prism(), folder / "prism.vtp")]
     ['prism.vtp']
     """
     if isinstance(source, Structure):
-        place = file_path("path", path, [".vtp"])
-        return [write_file(place, _poly_data(source, source.nodes))]
+        file = file_path("path", path, [".vtp"])
+        return [write_file(file, _poly_data(source, source.nodes))]
     if not isinstance(source, Trajectory):
         raise wrong_kind("source", source, "Structure or Trajectory")
-    place = file_path("path", path, [".pvd"])
+    file = file_path("path", path, [".pvd"])
     count = len(source.time)
     if count > _MOST_FRAMES:
         raise ValueError(
@@ -72,12 +72,12 @@ def to_vtk(source: Structure | Trajectory, path: object) -> list[Path]:
     listed = SubElement(collection, "Collection")
     files = []
     for k, time in enumerate(source.time.tolist()):
-        frame = place.with_name(f"{place.stem}_{k:0{digits}d}.vtp")
+        frame = file.with_name(f"{file.stem}_{k:0{digits}d}.vtp")
         gamma = source.force_density[:, k]
         text = _poly_data(source.structure, source.nodes[..., k], source.velocities[..., k], gamma)
         files.append(write_file(frame, text, flush=False))
         SubElement(listed, "DataSet", timestep=repr(time), file=frame.name)
-    return [write_file(place, _text(collection)), *files]
+    return [write_file(file, _text(collection)), *files]
 
 
 def _poly_data(
@@ -115,7 +115,7 @@ def _poly_data(
 
 def _in_space(columns: FloatArray) -> FloatArray:
     """Return rows of three, the third 0 in the plane."""
-    return np.vstack([columns, np.zeros((3 - len(columns), columns.shape[1]))]).T
+    return np.pad(columns, [(0, 3 - len(columns)), (0, 0)]).T
 
 
 def _array(parent: Element, name: str, values: FloatArray | IntArray) -> None:

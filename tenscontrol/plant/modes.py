@@ -24,7 +24,7 @@ from tenscontrol.validation import (
     instance,
     whole_number,
 )
-from tenscontrol.web_page import View, Viewable
+from tenscontrol.viewable import Viewable
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array, csr_array
@@ -96,25 +96,6 @@ class Modes(Viewable):
         for i, label in enumerate(self.label):
             lines.append(f"{i:4d}  {self.frequency[i]:12.5f}  {self.damping[i]:7.4f}  {label}")
         return "\n".join(lines)
-
-    def view(self) -> View:
-        """Return a view to be turned in a browser, with a choice of mode and a slider of amplitude.
-
-        Returns
-        -------
-        View
-        """
-        frequencies = [
-            f"{frequency:#.4g}" if frequency > 0 else "0" for frequency in self.frequency
-        ]
-        names = [
-            f"{i}: {frequency} Hz, {label}"
-            for i, (frequency, label) in enumerate(zip(frequencies, self.label, strict=True))
-        ]
-        shapes = self.shape if names else None
-        rest = self.nodes[:, :, None]
-        what = f"{len(names)} mode{'s' * (len(names) != 1)}"
-        return View(what, self.structure, rest, shapes=shapes, labels=tuple(names))
 
     def __len__(self) -> int:
         return len(self.label)

@@ -27,8 +27,9 @@ from tenscontrol.plot.style import (
 from tenscontrol.simulation import ContactRecord, Trajectory
 from tenscontrol.validation import FloatArray, IntArray, instance
 
-# Points along each side of a curved ground.
-_POINTS = 33
+# Points along each side of a curved ground, and how far beyond the nodes a surface reaches, as a
+# part of the size.
+_POINTS, _BEYOND = 33, 0.15
 
 # Contacts with a curve of their own name: those with the largest impulse.
 _NAMED = 6
@@ -114,6 +115,26 @@ def _below(ax: Any, law: ContactLaw, box: FloatArray) -> list[Any]:
     ax.add_patch(filled)
     (edge,) = ax.plot(*line.T, color="0.45", linewidth=1.2, zorder=0.5, scalex=False, scaley=False)
     return [filled, edge]
+
+
+def ground_surface(law: ContactLaw, points: FloatArray) -> FloatArray | None:
+    """Return a grid (d, a, b) on the ground near points (d, k), b = 1 in the plane.
+
+    None if the ground is farther away than the size of the points.
+    """
+    d, size = len(points), float(np.ptp(points, axis=1).max())
+    is_curved = isinstance(law.height, ca.Function)
+    up = np.eye(d)[-1] if is_curved else law.up(d)
+    along = np.linalg.svd(up[None])[2][1:]  # the directions in the ground
+    extent, count = along @ points, _POINTS if is_curved else 2
+    lower, upper = extent.min(axis=1) - _BEYOND * size, extent.max(axis=1) + _BEYOND * size
+    mesh = np.meshgrid(*np.linspace(lower, upper, count).T, indexing="ij")
+    across = along.T @ np.stack([coordinate.ravel() for coordinate in mesh])
+    height = _heights(law.height, *across[:-1]) if is_curved else np.array(law.height)
+    gap = up @ points
+    if gap.min() - height.max() > size or height.min() - gap.max() > size:
+        return None
+    return np.asarray((across + up[:, None] * height).reshape(d, count, -1))
 
 
 def _heights(height: ca.Function, *across: FloatArray) -> FloatArray:

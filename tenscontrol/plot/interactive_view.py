@@ -1,18 +1,20 @@
-"""A view to be turned, played and scrubbed in a browser."""
+"""Views of structures, runs, modes and paths, to be turned in a browser."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import singledispatch
 
 import numpy as np
 
 from tenscontrol.plant import Modes
+from tenscontrol.plot.ground_drawing import ground_surface
 from tenscontrol.plot.structure_drawing import checked_force_density
+from tenscontrol.plot.web_page import View
 from tenscontrol.shape import ShapePath
 from tenscontrol.simulation import Trajectory
 from tenscontrol.structure import Structure
 from tenscontrol.validation import wrong_kind
-from tenscontrol.web_page import View
 
 
 def view(
@@ -53,16 +55,60 @@ def view(
     >>> tc.plot.view(ball, force_density=tc.prestress(ball, 20.0).force_density)
     View('structure: 12 nodes, 6 bars, 24 strings')
     """
-    if not isinstance(shown, Structure | Trajectory | Modes | ShapePath):
-        raise wrong_kind(
-            "shown", shown, "a Structure, a Trajectory of simulate, Modes or a ShapePath"
-        )
-    found = shown.view()
+    page = _view_of(shown)
     if force_density is None:
-        return found
+        return page
     if not isinstance(shown, Structure):
         raise ValueError(
             f"force_density is given, but shown is {shown!r}: expected a Structure beside it"
         )
     gamma = checked_force_density(shown, force_density)
-    return replace(found, force_density=np.asarray(gamma)[:, None])
+    return replace(page, force_density=np.asarray(gamma)[:, None])
+
+
+@singledispatch
+def _view_of(shown: object) -> View:
+    raise wrong_kind("shown", shown, "a Structure, a Trajectory of simulate, Modes or a ShapePath")
+
+
+@_view_of.register
+def _of_structure(shown: Structure) -> View:
+    return View("structure", shown, shown.nodes[:, :, None])
+
+
+@_view_of.register
+def _of_run(shown: Trajectory) -> View:
+    points = shown.nodes.reshape(len(shown.nodes), -1)
+    surfaces = (ground_surface(law, points) for law in shown.ground)
+    pressed = None
+    if shown.contacts is not None:
+        pressed = np.zeros(shown.nodes.shape[1:], dtype=bool)
+        np.logical_or.at(pressed, shown.contacts.node, shown.contacts.normal_force > 0)
+    return View(
+        f"run of {shown.time[-1]:g} s by {shown.method}",
+        shown.structure,
+        shown.nodes,
+        shown.time,
+        shown.force_density,
+        ground=tuple(grid for grid in surfaces if grid is not None),
+        pressed=pressed,
+    )
+
+
+@_view_of.register
+def _of_path(shown: ShapePath) -> View:
+    title = f"path of {shown.time[-1]:g} s"
+    return View(title, shown.model.structure, shown.nodes, shown.time, shown.force_density)
+
+
+@_view_of.register
+def _of_modes(shown: Modes) -> View:
+    frequencies = [f"{frequency:#.4g}" if frequency > 0 else "0" for frequency in shown.frequency]
+    names = [
+        f"{i}: {frequency} Hz, {label}"
+        for i, (frequency, label) in enumerate(zip(frequencies, shown.label, strict=True))
+    ]
+    title = f"{len(names)} mode{'s' * (len(names) != 1)}"
+    shapes = shown.shape if names else None
+    nodes = shown.nodes[:, :, None]
+    return View(title, shown.structure, nodes, shapes=shapes, labels=tuple(names))

@@ -156,7 +156,6 @@ COMMENTS: Mapping[str, str] = MappingProxyType(
         "max_iterations": "most iterations of the solver",
         "time_limit": "most computing time of a command",
         "solver": 'quadratic programs are solved by "auto", "daqp", "osqp" or "piqp"',
-        "plants": "number of linear models along the reference",
         "frequency": "natural frequency of the error",
         "regularization": "cost of force densities away from the prestress",
         "function": 'a function of your own: "file.py:name" or "module:name"',

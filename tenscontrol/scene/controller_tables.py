@@ -16,10 +16,8 @@ import numpy as np
 
 from tenscontrol.actuation import Motor, Winches
 from tenscontrol.control import (
-    MPC,
     BaseController,
     Controller,
-    GainSchedule,
     OutputLimit,
     as_controller,
 )
@@ -36,7 +34,6 @@ from tenscontrol.shape import (
     NodesAt,
     ShapeTarget,
     Twist,
-    plants_along,
     shape_path,
     shape_target,
 )
@@ -45,7 +42,6 @@ from tenscontrol.statics import Prestress
 from tenscontrol.structure import Structure, whole_strings
 from tenscontrol.validation import (
     LARGEST_SEED,
-    MOST_DESIGNS,
     FloatArray,
     non_negative,
     positive_number,
@@ -87,7 +83,7 @@ def build_controller(
         table.need("max_force_density")
     arguments: dict[str, Any] = {
         key: per_string(table, key, structure) if isinstance(value, dict) else value
-        for key, value in table.without("kind", "input", "plants").items()
+        for key, value in table.without("kind", "input").items()
     }
     if "tracked" in table:
         rows = [_row(entry, structure) for entry in _entries(table, "tracked", schema.TRACKED)]
@@ -103,8 +99,6 @@ def build_controller(
     # A law in continuous time knows neither speeds in a sample nor ramps through it.
     if kind != "feedback_linearization" and input == "rest_length" and "sample_time" in table:
         arguments["winches"] = winches
-    if "plants" in table:
-        return _schedule(table, model, arguments, input)
     with table.checked():
         plant = linearize(model, rest, input=input)
         controller: Controller = schema.CONTROLLERS[kind](plant, **arguments)
@@ -215,24 +209,6 @@ def _run_file(path: Path) -> ModuleType:
         del sys.modules[name]  # as import does: others read the files of modules that are there
         raise
     return module
-
-
-def _schedule(table: Table, model: Model, arguments: dict[str, Any], input: str) -> GainSchedule:
-    """Return MPCs designed along the reference, which take turns."""
-    if "reference" not in table:
-        raise table.error(
-            "plants",
-            f"in {table.title}, plants is a number of shapes along the reference, but there is "
-            "none: add "
-            "[[controller.reference]]",
-        )
-    with table.checked("plants"):
-        count = whole_number("plants", table.need("plants"), 1, MOST_DESIGNS)
-    reference: Reference = arguments["reference"]
-    assert reference.force_density is not None  # it is a path of equilibria
-    with table.checked():
-        plants = plants_along(model, reference.nodes, reference.force_density, count, input)
-        return GainSchedule([MPC(plant, **arguments) for plant in plants])
 
 
 def _build_reference(

@@ -266,13 +266,11 @@ def load_scene(file: str | Path, allow_code: bool = False) -> Scene:
         ``kind = "mpc"``, ``"nmpc"``, ``"feedback_linearization"`` or ``"lqr"`` with the arguments
         of :class:`MPC`, :class:`NMPC`, :class:`FeedbackLinearization` or :class:`LQR`. ``input`` as
         for :func:`linearize`; with ``"rest_length"``, MPC and NMPC know the winches of the scene.
-        It is designed about the prestress, on the structure with its strings whole. With
-        ``plants = 8``, MPCs are designed at eight shapes along the reference and take turns as a
-        :class:`GainSchedule`. ``kind = "python"`` is a controller of your own, for which
-        loading the scene runs code, if ``allow_code`` is true: ``function = "laws.py:damper"``, a
-        file in the folder of the scene or below it, or ``"package.module:damper"``, a module that
-        Python imports; or ``factory``, which is called as
-        ``factory(plant, **settings)`` with the linear plant and the table
+        It is designed about the prestress, on the structure with its strings whole.
+        ``kind = "python"`` is a controller of your own, for which loading the scene runs code, if
+        ``allow_code`` is true: ``function = "laws.py:damper"``, a file in the folder of the scene
+        or below it, or ``"package.module:damper"``, a module that Python imports; or ``factory``,
+        which is called as ``factory(plant, **settings)`` with the linear plant and the table
         ``[controller.settings]``, and returns a function or a controller; ``input``,
         ``sample_time``, ``low``, ``high`` and ``max_change`` as for :class:`FunctionController`,
         ``input`` that of the run if not given.

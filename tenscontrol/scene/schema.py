@@ -192,7 +192,7 @@ _MEANINGS: Keys = {
         (TRUTH, "", "diagonals shape_gives ramp load floating continuous"),
         (WHOLE, "", "sides iterations seed node relative_to string"),
         (WHOLE, "", "stages sections vertebrae hoops spokes rows columns dimension"),
-        (WHOLE, "", "horizon max_iterations plants substeps delay patience version"),
+        (WHOLE, "", "horizon max_iterations substeps delay patience version"),
         (NUMBER, "m", "radius height top_radius disturbance low high"),
         (NUMBER, "m", "bar_length leg_length length width spacing rise sag"),
         (NUMBER, "s", "duration step output_step sample_time time_limit start time until"),
@@ -314,11 +314,7 @@ CONTROLLERS: Mapping[str, Callable[..., Controller]] = _named(
     lqr=LQR, mpc=MPC, nmpc=NMPC, feedback_linearization=FeedbackLinearization
 )
 CONTROLLER_KEYS: Mapping[str, Keys] = MappingProxyType(
-    {
-        kind: _keys("kind input", make, damping=(NUMBER, ""))
-        | _keys("plants" if kind == "mpc" else "")
-        for kind, make in CONTROLLERS.items()
-    }
+    {kind: _keys("kind input", make, damping=(NUMBER, "")) for kind, make in CONTROLLERS.items()}
     | {
         "python": _keys(
             "kind function factory settings input sample_time low high max_change",

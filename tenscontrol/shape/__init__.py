@@ -3,7 +3,7 @@
 from tenscontrol.shape.demands import Demand, Height, NodesAt, PointAt, Twist
 from tenscontrol.shape.equilibrium_path import PathError
 from tenscontrol.shape.rolling import RollingGait, RollingStep
-from tenscontrol.shape.shape_path import ShapePath, plants_along, shape_path
+from tenscontrol.shape.shape_path import ShapePath, shape_path
 from tenscontrol.shape.symmetry import RotationalSymmetry
 from tenscontrol.shape.target import DemandCheck, ShapeError, ShapeTarget, shape_target
 from tenscontrol.shape.tipping import TippingError, TippingPath, tipping_path
@@ -24,7 +24,6 @@ __all__ = [
     "TippingError",
     "TippingPath",
     "Twist",
-    "plants_along",
     "shape_path",
     "shape_target",
     "tipping_path",

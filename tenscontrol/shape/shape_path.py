@@ -51,7 +51,7 @@ from tenscontrol.validation import (
     truth,
     whole_number,
 )
-from tenscontrol.web_page import View, Viewable
+from tenscontrol.viewable import Viewable
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,16 +96,6 @@ class ShapePath(Viewable):
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
-
-    def view(self) -> View:
-        """Return a view to be played in a browser.
-
-        Returns
-        -------
-        View
-        """
-        what = f"path of {self.time[-1]:g} s"
-        return View(what, self.model.structure, self.nodes, self.time, self.force_density)
 
     def reference(self, times: object = None) -> Reference:
         """Return the path as the reference of a controller, as in ``MPC(..., reference=...)``.
@@ -174,29 +164,26 @@ class ShapePath(Viewable):
         >>> [round(float(plant.nodes[2, 0]), 3) for plant in path.plants(3, input="rest_length")]
         [1.0, 0.964, 0.925]
         """
-        return plants_along(self.model, self.nodes, self.force_density, count, input)
+        count = whole_number("count", count, 1, MOST_DESIGNS)
+        distance = np.linalg.norm(np.diff(self.nodes, axis=2), axis=(0, 1))
+        travel = np.concatenate([[0.0], np.cumsum(distance)])
+        shares = np.linspace(0.0, 1.0, count) if count > 1 else np.array([0.5])
+        indices = [int(np.argmin(np.abs(travel - share * travel[-1]))) for share in shares]
+        load = self.model.constant_force
+        return tuple(
+            linearize(
+                self.model,
+                OperatingPoint(self.nodes[:, :, k], self.force_density[:, k], load),
+                input=input,
+            )
+            for k in indices
+        )
 
     def __repr__(self) -> str:
         return (
             f"ShapePath({self.model.structure!r}, {len(self.time)} shapes in "
             f"{self.time[-1]:.4g} s, residual {self.residual:.1e} N)"
         )
-
-
-def plants_along(
-    model: Model, nodes: FloatArray, force_density: FloatArray, count: int, input: str
-) -> tuple[LinearPlant, ...]:
-    """Return plants at some of T equilibria, (d, n, T) and (α, T); see ShapePath.plants."""
-    count = whole_number("count", count, 1, MOST_DESIGNS)
-    travel = np.linalg.norm(np.diff(nodes, axis=2), axis=(0, 1))
-    gone = np.concatenate([[0.0], np.cumsum(travel)])
-    shares = np.linspace(0.0, 1.0, count) if count > 1 else np.array([0.5])
-    places = [int(np.argmin(np.abs(gone - share * gone[-1]))) for share in shares]
-    load = model.constant_force
-    return tuple(
-        linearize(model, OperatingPoint(nodes[:, :, k], force_density[:, k], load), input=input)
-        for k in places
-    )
 
 
 def shape_path(

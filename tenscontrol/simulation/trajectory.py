@@ -12,7 +12,7 @@ import numpy as np
 from tenscontrol.dynamics import ContactLaw, Model
 from tenscontrol.integrate import Choice, Work
 from tenscontrol.properties import cached_property
-from tenscontrol.simulation.contacts import ContactRecord, drawn_ground
+from tenscontrol.simulation.contacts import ContactRecord
 from tenscontrol.simulation.faults import Fault
 from tenscontrol.simulation.health import (
     BLOCK,
@@ -36,7 +36,7 @@ from tenscontrol.simulation.run_file import (
 )
 from tenscontrol.structure import BarClearance, BarCrossing, BarMotion, Structure, moving_mass
 from tenscontrol.validation import FloatArray, IntArray
-from tenscontrol.web_page import View, Viewable
+from tenscontrol.viewable import Viewable
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -465,17 +465,6 @@ class Trajectory(Viewable):
         if self.work.missed:
             lines.append(f"not located       {self.work.missed} switches more, within a step")
         return lines
-
-    def view(self) -> View:
-        """Return a view to be played in a browser.
-
-        Returns
-        -------
-        View
-        """
-        what = f"run of {self.time[-1]:g} s by {self.method}"
-        ground = drawn_ground(self.ground, self.contacts, self.nodes)
-        return View(what, self.structure, self.nodes, self.time, self.force_density, **ground)
 
     def save(self, path: str | Path) -> Path:
         """Write the run to a file, from which :func:`load_run` makes an equal one.

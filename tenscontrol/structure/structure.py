@@ -37,7 +37,7 @@ from tenscontrol.validation import (
     shaped,
     vector,
 )
-from tenscontrol.web_page import View, Viewable
+from tenscontrol.viewable import Viewable
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
@@ -239,15 +239,6 @@ class Structure(Viewable):
                 "expected at least one segment of each"
             )
         return frozen(parent)
-
-    def view(self) -> View:
-        """Return a view of the reference shape, to be turned in a browser.
-
-        Returns
-        -------
-        View
-        """
-        return View("structure", self, self.nodes[:, :, None])
 
     def __repr__(self) -> str:
         return (

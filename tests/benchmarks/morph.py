@@ -1,15 +1,13 @@
 """A prism lowered from 1.0 m to 0.7 m, twisted by 20 degrees, and brought back, by winches.
 
 Run: ``python -m tests.benchmarks.morph``, with ``--jumps`` for winches that jump at the start of a
-sample, ``--plants 1`` for fewer plants, ``--rate 0.4`` for faster winches, ``--nmpc`` for one
-nonlinear MPC in place of MPCs in turn (with its times: compiled, or not with ``--interpreted``),
+sample, ``--rate 0.4`` for faster winches, ``--interpreted`` for a controller that is not compiled,
 or with stiffnesses in N/m. Some minutes: the integrator follows strings of up to 25,000 rad/s.
 
-Twelve strings, rest lengths held, 0.02 s samples. MPC is designed on strings without mass, at
-eight shapes of the way, nonlinear MPC half way. The plant has strings of 5 % of the mass of the
-bars, each in two segments, with a damping of c = 0.02 √k: about 2 % of critical for the bars on
-their strings, as rope and wire have. The error is the largest of the last 0.5 s of rest at the goal
-and at the start.
+Twelve strings, rest lengths held, 0.02 s samples. One nonlinear MPC is designed half way, on
+strings without mass. The plant has strings of 5 % of the mass of the bars, each in two segments,
+with a damping of c = 0.02 √k: about 2 % of critical for the bars on their strings, as rope and
+wire have. The error is the largest of the last 0.5 s of rest at the goal and at the start.
 """
 
 from __future__ import annotations
@@ -27,7 +25,7 @@ TOP, BOTTOM = [0, 1, 2], [3, 4, 5]
 SHAPES = ((1.0, -35.0), (0.7, -55.0))  # m and degrees, start and goal
 LEVEL, LEAST, LARGEST_TENSION = 17.32, 2.0, 45.0  # N/m, N/m, N
 RANGE, RATE = (0.4, 1.3), 0.1  # m, m/s
-SAMPLE, HORIZON, PLANTS = 0.02, 10, 8
+SAMPLE, HORIZON = 0.02, 10
 SEGMENTS, MASS_SHARE = 2, 0.05
 REST = 1.0  # s, at the goal and at the end
 
@@ -52,7 +50,7 @@ class Morphed:
     controller: tc.control.Controller
 
 
-def morph(stiffness, pieces, rate=RATE, plants=PLANTS, nonlinear=False, machine_code=True):
+def morph(stiffness, pieces, rate=RATE, machine_code=True):
     """Return what becomes of the prism on its way there and back."""
     damping = 0.02 * np.sqrt(stiffness)
     prism = tc.prism(diagonals=True)
@@ -71,22 +69,17 @@ def morph(stiffness, pieces, rate=RATE, plants=PLANTS, nonlinear=False, machine_
     path = tc.shape_path(model, start, goal, winches=winches, step=SAMPLE, min_force_density=LEAST)
     there = path.reference()
     reference = there.then(there.reversed(), pause=REST)
-    limits = {
-        "reference": reference,
-        "winches": winches,
-        "min_force_density": LEAST,
-        "max_tension": LARGEST_TENSION,
-    }
-    if nonlinear:
-        (half,) = path.plants(1, "rest_length")
-        controller = tc.NMPC(
-            half, horizon=HORIZON, sample_time=SAMPLE, machine_code=machine_code, **limits
-        )
-    else:
-        controller = tc.GainSchedule([
-            tc.MPC(plant, horizon=HORIZON, sample_time=SAMPLE, **limits)
-            for plant in path.plants(plants, "rest_length")
-        ])  # fmt: skip
+    (half,) = path.plants(1, "rest_length")
+    controller = tc.NMPC(
+        half,
+        horizon=HORIZON,
+        sample_time=SAMPLE,
+        reference=reference,
+        winches=winches,
+        min_force_density=LEAST,
+        max_tension=LARGEST_TENSION,
+        machine_code=machine_code,
+    )
     mass = MASS_SHARE * prism.bar_mass.sum() / len(prism.strings)
     massive = tc.subdivide(start.prestress.structure, SEGMENTS, string_mass=mass)
     segments = tc.structure.segment_counts(massive)
@@ -172,9 +165,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("stiffness", nargs="*", type=float, default=list(PIECES))
     parser.add_argument("--jumps", action="store_true")
-    parser.add_argument("--plants", type=int, default=PLANTS)
     parser.add_argument("--rate", type=float, default=RATE)
-    parser.add_argument("--nmpc", action="store_true")
     parser.add_argument("--interpreted", action="store_true")
     given = parser.parse_args(arguments)
     print("k, N/m  pieces  height, mm  twist, deg  node, mm  γ, N/m  tension, N  "
@@ -182,10 +173,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for stiffness in given.stiffness:
         pieces = 1 if given.jumps else PIECES[stiffness]
         try:
-            made = morph(
-                stiffness, pieces, rate=given.rate, plants=given.plants, nonlinear=given.nmpc,
-                machine_code=not given.interpreted,
-            )  # fmt: skip
+            made = morph(stiffness, pieces, rate=given.rate, machine_code=not given.interpreted)
         except tc.simulation.SimulationError as error:
             print(f"{stiffness:6.0e}  {pieces:6d}  {error}", flush=True)
             continue
@@ -197,15 +185,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
             f"{'' if made.in_range else '  out of range'}",
             flush=True,
         )
-        if given.nmpc:
-            work = made.controller.statistics
-            step = (work.preparation_time + work.feedback_time)[1:] / SAMPLE
-            print(
-                f"        step / sample time: median {np.median(step):.2f}, 99th percentile "
-                f"{np.percentile(step, 99):.2f}; changes of the active set: median "
-                f"{np.median(work.iterations):.0f}, most {work.iterations.max()}",
-                flush=True,
-            )
+        work = made.controller.statistics
+        step = (work.preparation_time + work.feedback_time)[1:] / SAMPLE
+        print(
+            f"        step / sample time: median {np.median(step):.2f}, 99th percentile "
+            f"{np.percentile(step, 99):.2f}; changes of the active set: median "
+            f"{np.median(work.iterations):.0f}, most {work.iterations.max()}",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

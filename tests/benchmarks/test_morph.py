@@ -7,11 +7,10 @@ from tests.benchmarks.morph import LARGEST_TENSION, LEAST, morph
 pytestmark = pytest.mark.benchmark
 
 
-@pytest.mark.parametrize(("stiffness", "pieces", "nonlinear"), [(1e3, 5, False), (1e3, 5, True)])
-def test_a_prism_goes_there_and_back_within_all_limits(stiffness, pieces, nonlinear):
+def test_a_prism_goes_there_and_back_within_all_limits():
     """The benchmark, with winches that are faster: 0.4 m/s."""
     rate = 0.4
-    made = morph(stiffness, pieces, rate=rate, plants=4, nonlinear=nonlinear, machine_code=False)
+    made = morph(1e3, 5, rate=rate, machine_code=False)
     assert made.height_error < 1e-4
     assert made.twist_error < 0.01
     assert made.node_error < 1e-4

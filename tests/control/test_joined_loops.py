@@ -155,14 +155,3 @@ def test_a_law_in_force_densities_with_rest_lengths_held():
     law = tc.LQR(plant, sample_time=SAMPLE)
     found = held_loop(plant, law.gain, sample_time=SAMPLE)
     assert found.designed_radius == pytest.approx(np.abs(law.poles).max(), rel=1e-9)
-
-
-def test_controllers_at_several_shapes_take_turns():
-    plant = plant_of(arm(), "force_density", None)
-    laws = [tc.LQR(plant, sample_time=SAMPLE), tc.LQR(plant, sample_time=SAMPLE)]
-    schedule = tc.GainSchedule(laws)
-    command = schedule.command(0.0, pushed(plant), np.zeros_like(plant.nodes))
-    assert command.value.shape == (3,)
-    other = tc.LQR(plant_of(d_bar(), "force_density", None), sample_time=SAMPLE)
-    with pytest.raises(ValueError, match="other bars"):
-        tc.GainSchedule([laws[0], other])

@@ -30,10 +30,6 @@ def regulator():
     )
 
 
-def schedule():
-    return tc.GainSchedule([scenes.with_load(), scenes.with_load()])
-
-
 def nonlinear_winding():
     """By implicit steps, whose programs OSQP scales."""
     strings = tc.LinearStrings(1e4, damping=2.0)
@@ -45,7 +41,7 @@ def nonlinear_winding():
 
 
 KINDS = [
-    regulator, shape_control, schedule, scenes.of_force_density, scenes.of_rest_length,
+    regulator, shape_control, scenes.of_force_density, scenes.of_rest_length,
     scenes.with_load, scenes.winding, scenes.nonlinear, scenes.nonlinear_of_rest_length,
     scenes.nonlinear_with_load, nonlinear_winding,
 ]  # fmt: skip

@@ -73,17 +73,10 @@ def test_there_is_no_prediction_error_where_nothing_was_predicted():
     assert mpc.prediction_error is None
     mpc.command(4 * SAMPLE, nodes, STILL)
     assert mpc.prediction_error < 1e-6
-    mpc.take_over(plant().equilibrium_input)
+    mpc.reset()
     mpc.command(5 * SAMPLE, nodes, STILL)
     assert mpc.prediction_error is None
     assert tc.LQR(plant()).prediction_error is None
-
-
-def test_a_schedule_tells_of_the_controller_in_use():
-    schedule = tc.GainSchedule([law(tc.MPC), law(tc.MPC)])
-    for k in range(2):
-        schedule.command(SAMPLE * k, plant().nodes, STILL)
-    assert schedule.prediction_error < 1e-6
 
 
 # ---- the summary ----

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
+from tenscontrol.control import Status
 from tenscontrol.demo import tour as demo
 from tenscontrol.dynamics.machine_code import compiler
 from tests.deploy import scenes
@@ -99,9 +100,7 @@ def test_lqr(held, tmp_path):
         given = pair.command(k * scenes.SAMPLE, nodes, 0.05 * rng.normal(size=(3, 6)))
         pair.applied(given.value + (0.3 * change * rng.normal(size=9) if k % 7 == 0 else 0.0))
     scenes.check(pair, solved=False)
-    taken = plant.equilibrium_input + change * rng.normal(size=9)
-    for each in (pair.one, pair.other):
-        each.take_over(taken)
+    pair.applied(plant.equilibrium_input + change * rng.normal(size=9))
     pair.command(10.0, plant.to_nodes(np.full(9, 0.03)), STILL)
     holds = "previous input held" if held == "rest_length" else "equilibrium held"
     assert set(pair.statuses[1]) == {
@@ -109,12 +108,12 @@ def test_lqr(held, tmp_path):
     }  # fmt: skip
 
 
-def test_a_schedule_says_why_the_code_falls_back(tmp_path):
-    """It judges a measurement before the code does; no bar is three times as long as it is."""
+def test_the_code_falls_back_as_asked(tmp_path):
+    """Where somebody else has judged the measurement."""
     plant = scenes.plant("rest_length")
     lqr = tc.LQR(plant, *tc.energy_weights(plant), sample_time=scenes.SAMPLE)
     pair = lqr, tc.generate_c(lqr, tmp_path / "code").compile()
-    found = [tc.GainSchedule([each]).command(0.0, 3 * plant.nodes, STILL) for each in pair]
+    found = [each.fall_back(Status.MEASUREMENT_NOT_PLAUSIBLE) for each in pair]
     assert [str(each) for each in found] == ["measurement not plausible: equilibrium held"] * 2
     np.testing.assert_array_equal(*[each.value for each in found])
 

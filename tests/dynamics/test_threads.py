@@ -183,13 +183,13 @@ REFUSED = "in use by another thread"
 
 class TestMemory:
     @pytest.mark.parametrize("name", fuzz.TOGETHER)
-    @pytest.mark.parametrize("method", ["command", "reset", "applied", "take_over", "follow"])
+    @pytest.mark.parametrize("method", ["command", "reset", "applied", "follow"])
     def test_a_controller_refuses_a_second_thread(self, name, method):
         controller = fuzz.TOGETHER[name]
         value = controller.plant.equilibrium_input
         given = {
             "command": (0.0, fuzz.PRISM.nodes, STILL), "reset": (), "applied": (value,),
-            "take_over": (value,), "follow": (fuzz.PRISM.nodes,),
+            "follow": (fuzz.PRISM.nodes,),
         }[method]  # fmt: skip
         with controller.in_use:
             with pytest.raises(RuntimeError, match=f"{type(controller).__name__} is {REFUSED}"):

@@ -11,16 +11,13 @@ PAGE = Path(__file__).parents[2] / "docs" / "exchange.rst"
 
 def test_the_page_on_other_programs_runs(tmp_path, monkeypatch, capsys):
     pytest.importorskip("mujoco", reason="MuJoCo comes with the extra test")
-    pytest.importorskip("yaml", reason="PyYAML comes with the extra yaml")
     monkeypatch.chdir(tmp_path)
     blocks = re.findall(r".. code-block:: python\n\n((?:   .*\n|\n)+)", PAGE.read_text("utf-8"))
-    assert len(blocks) == 6
+    assert len(blocks) == 5
     names: dict = {}
     exec(textwrap.dedent("".join(blocks)), names)
     assert capsys.readouterr().out.splitlines()[1] == "Structure(12 nodes, 6 bars, 24 strings)"
     assert names["error"] < 1e-7
     assert names["found"].structure.structure_class == 1
-    assert names["cross"].structure.bar_length.max() < 1.0
     assert names["frame"].structure.rollers == ((1, "y"),)
-    made = {path.name for path in tmp_path.iterdir()}
-    assert {"ball.glb", "ball.pvd", "ball.urdf"} <= made
+    assert (tmp_path / "ball.pvd").exists()

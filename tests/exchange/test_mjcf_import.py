@@ -181,12 +181,30 @@ def test_files_are_read_by_their_path(tmp_path):
         ("<actuator>", '<equality><joint joint1="x"/></equality><actuator>', "constraint <joint>"),
         ("<tendon>\n", '<tendon><fixed name="f"/>\n', "'f' is <fixed>, not spatial"),
         ('pos="0 0 2"', 'pos="0 0"', "pos='0 0', expected 3 numbers"),
+        (FOREIGN, "<mujoco><worldbody><site/><site name='a'/></worldbody></mujoco>",
+         "neither capsules nor tendons"),
     ],
 )  # fmt: skip
 def test_what_is_not_understood_is_named(old, new, message):
     assert old in FOREIGN
     with pytest.raises(ValueError, match=message):
         tc.exchange.from_mujoco(FOREIGN.replace(old, new))
+
+
+def test_a_node_that_slides_in_a_plane_among_supports_beside_it_is_on_a_roller():
+    text = """<mujoco><worldbody>
+    <site name="a" pos="0 1 0"/><site name="b" pos="2 -1 0"/><site name="c" pos="1 0 3"/>
+    <body pos="1 0 1"><joint type="slide"/><joint type="slide" axis="1 0 0"/>
+    <geom size="0.1" mass="1"/><site name="p"/></body></worldbody><tendon>
+    <spatial stiffness="10"><site site="a"/><site site="p"/></spatial>
+    <spatial stiffness="10"><site site="b"/><site site="p"/></spatial>
+    <spatial stiffness="10"><site site="c"/><site site="p"/></spatial></tendon></mujoco>"""
+    found = tc.exchange.from_mujoco(text).structure
+    ((node, axis),) = found.rollers
+    np.testing.assert_array_equal(found.nodes[:, node], [1, 0, 1])
+    assert axis == "y"
+    level = text.replace('"0 1 0"', '"0 0 0"').replace('"2 -1 0"', '"2 0 0"')
+    assert tc.exchange.from_mujoco(level).structure.dimension == 2
 
 
 WRONG = (None, "", "x", "nan", "0", "-1 0", "1 2 3")

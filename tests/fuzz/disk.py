@@ -71,9 +71,7 @@ WRITERS = {
     "figure.svg": lambda path: tc.plot.save_figure(figure(), path),
     "run.gif": lambda path: tc.plot.animate(run(), path, fps=20, dpi=40),
     "run.html": lambda path: run().to_html(path),
-    "run.glb": lambda path: tc.exchange.to_gltf(run(), path),
     "shape.vtp": lambda path: tc.exchange.to_vtk(run().structure, path),
-    "shape.urdf": lambda path: tc.exchange.to_urdf(run().structure, path),
     "code": lambda path: tc.generate_c(controller(), path),
 }
 

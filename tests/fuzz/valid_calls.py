@@ -223,7 +223,6 @@ WITHIN = {
     "dynamics.Equation.symbols",
     "dynamics.Equation.ahead",
     "dynamics.Equation.of_strings",
-    "GainSchedule.reference_nodes",
     "LQR.reference_nodes",
     "MPC.reference_nodes",
     "NMPC.reference_nodes",
@@ -231,7 +230,6 @@ WITHIN = {
     "control.BaseController.reference_nodes",
     "control.Controller.fall_back",
     "control.Controller.reset",
-    "control.Controller.take_over",
     "plant.LinearPlant.refuse_long_sample_time",
     "dynamics.Coordinates.laid_over",
     "dynamics.Coordinates.state_of",
@@ -316,11 +314,6 @@ def own_controller():
     return tc.FunctionController(
         prism(), own_law, input="force_density", sample_time=0.02, equilibrium_input=gamma()
     )
-
-
-@cache
-def schedule():
-    return tc.GainSchedule([regulator(), regulator()])
 
 
 def fresh(make):
@@ -1023,7 +1016,6 @@ call(
     },
     share=0.2,
 )
-call("GainSchedule", lambda: {"controllers": [regulator(), regulator()]})
 call(
     "FunctionController",
     lambda: {
@@ -1059,7 +1051,6 @@ CONTROLLERS = {
     "MPC": frozen_mpc,
     "NMPC": frozen_nmpc,
     "FeedbackLinearization": frozen_linearizing,
-    "GainSchedule": schedule,
     "FunctionController": own_controller,
     "deploy.CompiledController": compiled,
 }
@@ -1077,8 +1068,6 @@ for kind, make in CONTROLLERS.items():
     )
     own = base if kind in ("control.Controller", "MPC", "NMPC", "FeedbackLinearization") else kind
     call(f"{own}.applied, {kind}", lambda: {"value": gamma()}, on, share, after)
-    own = base if kind in ("control.Controller", "FeedbackLinearization") else kind
-    call(f"{own}.take_over, {kind}", lambda: {"command": gamma()}, on, share, after)
     own = base if kind == "control.Controller" else kind
     call(f"{own}.reset", on=on, share=0.1, after=after)
     if f"{kind}.follow" in members():
@@ -1575,11 +1564,6 @@ def written(name, text):
     return scratch(name)
 
 
-CROSS = """
-nodes: {a: [0, 0, 0], b: [0, 5, 0], c: [5, 5, 1], d: [5, 0, 1]}
-pair_groups: {rod: [[a, c], [b, d]], cable: [[a, b], [b, c], [c, d], [d, a]]}
-builders: {rod: {class: tgRodInfo}, cable: {class: tgBasicActuatorInfo}}
-"""
 call(
     "exchange.to_mujoco",
     lambda: {
@@ -1601,7 +1585,6 @@ call(
         "tolerance": 1e-6,
     },
 )
-call("exchange.from_ntrt", lambda: {"path": written("x.yaml", CROSS), "length_unit": 0.1})
 call(
     "exchange.from_csv",
     lambda: {
@@ -1611,15 +1594,6 @@ call(
 )
 call("exchange.to_vtk", lambda: {"source": prism(), "path": scratch("prism.vtp")})
 call("exchange.to_vtk, run", lambda: {"source": run(), "path": scratch("run.pvd")}, share=0.2)
-call(
-    "exchange.to_gltf",
-    lambda: {"source": run(), "path": scratch("run.glb"), "bar_radius": 0.01},
-    share=0.5,
-)
-call(
-    "exchange.to_urdf",
-    lambda: {"structure": prism(), "path": scratch("prism.urdf"), "bar_radius": 0.01},
-)
 
 # ---- robustness ----
 
@@ -1746,13 +1720,9 @@ call("plot.view", lambda: {"shown": prism(), "force_density": gamma()}, share=0.
 call("plot.View.html", on=view, share=0.03)
 call("plot.View.figure", on=view, share=0.1)
 call("plot.View.save", lambda: {"path": scratch("view.html")}, view, 0.03)
-call("Structure.view", on=prism, share=0.1)
 call("Structure.to_html", lambda: {"path": scratch("page.html")}, prism, 0.03)
-call("plant.Modes.view", on=lambda: tc.modes(plant()), share=0.1)
 call("plant.Modes.to_html", lambda: {"path": scratch("page.html")}, lambda: tc.modes(plant()), 0.03)
-call("shape.ShapePath.view", on=short_path, share=0.1)
 call("shape.ShapePath.to_html", lambda: {"path": scratch("page.html")}, short_path, 0.03)
-call("simulation.Trajectory.view", on=run, share=0.1)
 call("simulation.Trajectory.to_html", lambda: {"path": scratch("page.html")}, run, 0.03)
 call("plot.convergence_order", lambda: {"result": order(), "ax": flat()}, share=0.2)
 call("plot.estimate", lambda: {"run": closed_run(), "strings": [0, 1], "axes": None}, share=0.1)

@@ -7,12 +7,10 @@ import tenscontrol as tc
 from tests.control.test_control_input import short_path
 
 
-def test_a_run_a_path_and_modes_are_viewed_as_by_their_own_method(free_run, plant):
+def test_a_notebook_shows_a_run_a_path_and_modes_as_a_view_does(free_run, plant):
     for shown in (free_run, short_path(), tc.modes(plant)):
-        view = tc.plot.view(shown)
-        own = shown.view()
-        assert view.title == own.title
-        np.testing.assert_array_equal(view.nodes, own.nodes)
+        figure = shown._repr_mimebundle_()["application/vnd.plotly.v1+json"]
+        assert figure == tc.plot.view(shown).figure()
 
 
 def test_a_structure_takes_a_force_density(prism):

@@ -100,41 +100,6 @@ def test_winches_ramp_in_substeps(load):
     assert len(seen) > 3 * len(np.unique(jumping.rest_length[0].round(9)))
 
 
-def test_plants_along_the_reference(load):
-    scene = load(
-        PLAIN
-        + """[controller]
-kind = "mpc"
-input = "rest_length"
-horizon = 5
-sample_time = 0.02
-plants = 3
-[[controller.reference]]
-time = 1.0
-height = 0.9
-[[controller.reference]]
-start = 1.5
-time = 2.0
-height = 0.8
-[winches]
-rate = 1.0
-"""
-    )
-    schedule = scene.controller
-    assert isinstance(schedule, tc.GainSchedule)
-    plants = [each.plant for each in schedule.controllers]
-    heights = [plant.nodes[2, :3].mean() - plant.nodes[2, 3:].mean() for plant in plants]
-    np.testing.assert_allclose(heights, [1.0, 0.9, 0.8], atol=0.01)
-    assert heights[0] == pytest.approx(1.0, abs=1e-9)
-    assert heights[2] == pytest.approx(0.8, abs=1e-3)
-    for plant in plants:  # each at rest under the force densities of the way
-        shape = replace(scene.structure, nodes=plant.nodes)
-        assert tc.prestress(shape, plant.force_density).residual < 1e-6
-    run = replace(scene, duration=3.0, step=1e-3).simulate()
-    assert schedule.active == 2
-    assert run.nodes[2, :3, -1].mean() - run.nodes[2, 3:, -1].mean() == pytest.approx(0.8, abs=2e-3)
-
-
 def test_the_reference_says_which_force_densities_hold_it(load):
     """Twelve strings balance in one shape in many ways; those of the path are wanted."""
     model = tc.Model(tc.prism(diagonals=True), strings=tc.LinearStrings(200.0))

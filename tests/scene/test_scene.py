@@ -980,18 +980,6 @@ BROKEN = {
         PRISM + LQR + "time_limit = 0.1\n",
         r":13: \[controller\] with kind = 'lqr' has no key 'time_limit'",
     ),
-    "plants of nmpc": (
-        PRISM + MPC.replace("mpc", "nmpc") + "max_force_density = 60\nplants = 2\n",
-        r":16: \[controller\] with kind = 'nmpc' has no key 'plants'",
-    ),
-    "plants without reference": (
-        PRISM + MPC + "max_force_density = 60\nplants = 2\n",
-        r":16: .*plants is a number of shapes along the reference, but there is none",
-    ),
-    "no plants": (
-        PRISM + MPC + "max_force_density = 60\nplants = 0\n" + AIM + "time = 1.0\nheight = 0.9\n",
-        r":16: .*plants is 0, expected a whole number of at least 1",
-    ),
     "ramp": (
         PRISM + LQR + "[winches]\nramp = 4\n",
         r":14: in \[winches\], ramp is 4, expected true or false",

@@ -274,6 +274,55 @@ def test_the_reference_is_the_path_and_stands_still_outside():
 # ---- what cannot be ----
 
 
+def test_plants_lie_along_the_path_evenly():
+    plants = path().plants(4, "rest_length")
+    np.testing.assert_allclose(plants[0].nodes, path().nodes[:, :, 0])
+    np.testing.assert_allclose(plants[-1].nodes, path().nodes[:, :, -1])
+    for plant in plants:
+        k = int(np.abs(path().nodes - plant.nodes[:, :, None]).max(axis=(0, 1)).argmin())
+        np.testing.assert_array_equal(plant.force_density, path().force_density[:, k])
+        np.testing.assert_allclose(plant.rest_length, path().rest_length[:, k], rtol=1e-12)
+        assert np.abs(plant.drift).max() < 1e-9
+    heights = [plant.nodes[2, 0] for plant in plants]
+    np.testing.assert_allclose(np.diff(heights), np.diff(heights).mean(), rtol=0.25)
+    (middle,) = path().plants(1, "force_density")
+    assert middle.input == "force_density"
+    assert middle.nodes[2, 0] == pytest.approx((1.0 + 0.925) / 2, abs=0.01)
+
+
+def test_a_reference_turned_round_and_continued():
+    there = path().reference()
+    whole = there.then(there.reversed(), pause=0.5)
+    assert whole.time[-1] == pytest.approx(2 * there.time[-1] + 0.5)
+    for what in ("nodes", "force_density"):
+        values = getattr(whole, what)
+        np.testing.assert_array_equal(values, values[..., ::-1])
+        np.testing.assert_array_equal(values[..., : len(there.time)], getattr(there, what))
+    bare = tc.Reference(there.time, there.nodes)
+    assert bare.reversed().then(bare, pause=1.0).force_density is None
+
+
+def test_force_densities_of_a_reference_say_which_prestress_is_wanted():
+    """Twelve strings balance in one shape in many ways."""
+    model = tc.Model(tc.prism(diagonals=True), strings=tc.LinearStrings(1e3))
+    twist = Twist(np.radians(-45.0), TOP, BOTTOM)
+    soft, firm = (
+        shape_target(model, twist, force_density=level, min_force_density=1.0)
+        for level in (10.0, 20.0)
+    )
+    plant = tc.linearize(model, soft.prestress, input="rest_length")
+    reference = tc.Reference([0.0], firm.nodes[:, :, None], firm.force_density[:, None])
+    mpc = tc.MPC(plant, horizon=5, sample_time=0.02, reference=reference)
+    np.testing.assert_allclose(
+        mpc.command(0.0, firm.nodes, np.zeros((3, 6))).value, firm.rest_length, atol=1e-6
+    )
+    mpc.follow(firm.nodes)  # the shape alone: the prestress stays near that of the plant
+    held = tc.to_force_density(
+        model, firm.nodes, mpc.command(0.0, firm.nodes, np.zeros((3, 6))).value
+    )
+    assert held.mean() < 0.7 * firm.force_density.mean()
+
+
 def test_bars_do_not_pass_through_one_another():
     # The mirror image. Stable equilibria with taut strings lead to it, through crossing bars.
     mirror = tc.prism(handedness="right").nodes

@@ -444,7 +444,7 @@ class MPC(PredictiveController):
         found.append(
             f"the reference at {end:g} s is outside the range of the linear plant: there the "
             "closed loop "
-            f"{what}. Linearize nearer to it, or use NMPC or a GainSchedule"
+            f"{what}. Linearize nearer to it, or use NMPC"
         )
         return found
 
@@ -481,17 +481,14 @@ class MPC(PredictiveController):
     def reset(self) -> None:
         """See :meth:`PredictiveController.reset`."""
         super().reset()
-        self._forget_plan()
-        self._iterations: list[int] = []
-        if not isinstance(self._solver, LinearProgram):
-            self._solver.reset()
-
-    def _forget_plan(self) -> None:
         # What the last solved program was, and its plan once it is asked for.
         self._solved: tuple[FloatArray, StageData, FloatArray, FloatArray] | None = None
         self._planned: FloatArray | None = None
         self._used = 0
         self._forget_guess()
+        self._iterations: list[int] = []
+        if not isinstance(self._solver, LinearProgram):
+            self._solver.reset()
 
     def _forget_guess(self) -> None:
         self._guess: Pair | None = None
@@ -507,13 +504,6 @@ class MPC(PredictiveController):
             # Solved to a tolerance: what is left outside the bounds is cut off.
             self._planned = clipped(self._law.inputs(*self._solved), self._low, self._high)
         return self._planned
-
-    def take_over(self, command: object) -> None:
-        """See :meth:`Controller.take_over`."""
-        super().take_over(command)
-        self._forget_plan()
-        if self._observer is not None:
-            self._observer.expect(None)
 
     def _stage_data(self, time: float) -> StageData:
         """Return the data of this sample: those of the last one where nothing moves."""

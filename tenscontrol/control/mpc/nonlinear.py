@@ -356,12 +356,6 @@ class NMPC(PredictiveController):
         self._records: list[tuple[float, ...]] = []
         self._preparing = 0.0
 
-    def take_over(self, command: object) -> None:
-        """See :meth:`Controller.take_over`."""
-        super().take_over(command)
-        self._plan.clear()
-        self._followed, self._seen = 0, None
-
     def prepare(self) -> None:
         """Linearize along the plan, moved on by a sample: all that needs no measurement.
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.web_page import View
+from tenscontrol.plot.web_page import View
 
 
 def held(page):
@@ -150,7 +150,7 @@ def test_damped_modes_are_turned_to_the_phase_of_their_largest_real_part():
     rest = tc.prestress(tower, min_force_density=20.0)
     modes = tc.modes(tc.linearize(model, rest, input="rest_length"))
     assert np.iscomplexobj(modes.shape)
-    spec = held(modes.view().html())
+    spec = held(tc.plot.view(modes).html())
     shape = (len(modes), tower.nodes.shape[1], 3)
     real, imaginary = (numbers(spec[part], *shape) for part in ("real", "imaginary"))
     np.testing.assert_allclose(np.linalg.norm(real, axis=2).max(axis=1), 1.0, rtol=1e-5)
@@ -159,11 +159,11 @@ def test_damped_modes_are_turned_to_the_phase_of_their_largest_real_part():
 
 
 def test_a_page_of_many_modes_holds_the_first_of_them(ball, monkeypatch):
-    monkeypatch.setattr("tenscontrol.web_page._MOST_NUMBERS", 3 * 2 * 36)
+    monkeypatch.setattr("tenscontrol.plot.web_page._MOST_NUMBERS", 3 * 2 * 36)
     modes = tc.modes(tc.linearize(tc.Model(ball), tc.prestress(ball, 20.0)))
-    spec = held(modes.view().html())
+    spec = held(tc.plot.view(modes).html())
     assert len(modes) > 3
-    assert spec["labels"] == list(modes.view().labels[:3])
+    assert spec["labels"] == list(tc.plot.view(modes).labels[:3])
     np.testing.assert_allclose(
         np.abs(numbers(spec["real"], 3, 12, 3)),
         np.abs(modes.shape[..., :3].transpose(2, 1, 0)),
@@ -183,7 +183,7 @@ def test_modes_know_their_structure_and_place(ball):
     few = tc.modes(plant, 3)
     assert few.structure is ball
     np.testing.assert_array_equal(few.nodes, plant.nodes)
-    assert len(pickle.loads(pickle.dumps(few)).view().labels) == 3
+    assert len(tc.plot.view(pickle.loads(pickle.dumps(few))).labels) == 3
 
 
 def test_without_plotly_the_error_names_the_extra(ball, monkeypatch, tmp_path):
@@ -201,7 +201,7 @@ def test_a_page_ends_in_html(ball, path):
 
 
 def test_nothing_is_loaded_before_a_page_is_written():
-    code = "import sys, tenscontrol as tc; tc.prism().view().figure()"
+    code = "import sys, tenscontrol as tc; tc.plot.view(tc.prism()).figure()"
     code += "; sys.exit('plotly' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0
 
@@ -209,6 +209,6 @@ def test_nothing_is_loaded_before_a_page_is_written():
 def test_open_shows_the_page_in_the_browser(ball, monkeypatch):
     shown = []
     monkeypatch.setattr("webbrowser.open", shown.append)
-    path = ball.view().open()
+    path = tc.plot.view(ball).open()
     assert shown == [path.as_uri()]
     assert path.read_text("utf-8").startswith("<!DOCTYPE html>")

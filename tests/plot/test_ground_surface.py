@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.simulation.contacts import drawn_ground
+from tenscontrol.plot.ground_drawing import ground_surface
 
 
 def ball():
@@ -13,13 +13,14 @@ def ball():
 
 
 def motion(height=1.0):
-    """Two states of a ball, the second a metre along x."""
-    return ball().nodes[:, :, None] + np.array([[0.0, 1.0], [0.0, 0.0], [height, height]])[:, None]
+    """Points of two states of a ball, the second a metre along x."""
+    first = ball().nodes + np.array([[0.0], [0.0], [height]])
+    return np.hstack([first, first + np.array([[1.0], [0.0], [0.0]])])
 
 
 def test_a_plane_reaches_beyond_the_motion_and_lies_on_its_height():
     nodes = motion()
-    (grid,) = drawn_ground([tc.Ground(stiffness=1e3, height=0.2)], None, nodes)["ground"]
+    grid = ground_surface(tc.Ground(stiffness=1e3, height=0.2), nodes)
     assert grid.shape == (3, 2, 2)
     np.testing.assert_allclose(grid[2], 0.2)
     for axis in (0, 1):
@@ -30,14 +31,14 @@ def test_a_plane_reaches_beyond_the_motion_and_lies_on_its_height():
 def test_a_tilted_plane_contains_its_points():
     normal = np.array([0.6, 0.0, 0.8])
     law = tc.Ground(stiffness=1e3, normal=normal, height=-0.3)
-    (grid,) = drawn_ground([law], None, motion())["ground"]
+    grid = ground_surface(law, motion())
     np.testing.assert_allclose(normal @ grid.reshape(3, -1), -0.3)
 
 
 def test_a_curved_ground_has_the_height_of_its_function():
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
     law = tc.Ground(stiffness=1e3, height=ca.Function("h", [x, y], [0.1 * ca.sin(x) + 0.2 * y]))
-    (grid,) = drawn_ground([law], None, motion())["ground"]
+    grid = ground_surface(law, motion())
     assert grid.shape == (3, 33, 33)
     np.testing.assert_allclose(grid[2], 0.1 * np.sin(grid[0]) + 0.2 * grid[1], atol=1e-12)
 
@@ -45,8 +46,8 @@ def test_a_curved_ground_has_the_height_of_its_function():
 def test_in_the_plane_it_is_a_line():
     x = ca.SX.sym("x")
     law = tc.Ground(stiffness=1e3, height=ca.Function("h", [x], [x**2]))
-    nodes = tc.library.d_bar().nodes[:, :, None]
-    curve, line = drawn_ground([law, tc.Ground(stiffness=1e3)], None, nodes)["ground"]
+    nodes = tc.library.d_bar().nodes
+    curve, line = (ground_surface(each, nodes) for each in (law, tc.Ground(stiffness=1e3)))
     assert curve.shape == (2, 33, 1)
     np.testing.assert_allclose(curve[1], curve[0] ** 2)
     assert line.shape == (2, 2, 1)
@@ -55,7 +56,7 @@ def test_in_the_plane_it_is_a_line():
 
 @pytest.mark.parametrize("height", [-50.0, 50.0])
 def test_a_ground_that_is_far_away_is_left_out(height):
-    assert drawn_ground([tc.Ground(stiffness=1e3, height=height)], None, motion())["ground"] == ()
+    assert ground_surface(tc.Ground(stiffness=1e3, height=height), motion()) is None
 
 
 def test_nodes_that_press_are_those_with_a_normal_force():
@@ -63,7 +64,9 @@ def test_nodes_that_press_are_those_with_a_normal_force():
     gamma = tc.prestress(ball(), 200.0).force_density
     start = ball().nodes + np.array([[0.0], [0.0], [0.05 - ball().nodes[2].min()]])
     run = tc.simulate(model, 0.2, start, force_density=gamma, step=1e-3)
-    found = drawn_ground(run.ground, run.contacts, run.nodes)["pressed"]
+    view = tc.plot.view(run)
+    assert len(view.ground) == 1
+    found = view.pressed
     depth = -run.nodes[2]
     assert found.any()
     assert not found[depth < 0].any()

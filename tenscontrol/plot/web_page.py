@@ -1,4 +1,4 @@
-"""A web page with a structure, a motion or modes, to be turned by the mouse. It takes arrays only.
+"""A web page with a structure, a motion or modes, to be turned by the mouse.
 
 The page is one file that needs no network: plotly.js is part of it. Only here is plotly used. The
 figure is made here; ``web_page.js`` moves it.
@@ -8,18 +8,18 @@ from __future__ import annotations
 
 import json
 import re
-from abc import ABC, abstractmethod
 from base64 import b64encode
 from dataclasses import dataclass
 from html import escape
 from os import PathLike
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from tenscontrol.files import write_file
 from tenscontrol.properties import cached_property
+from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, IntArray, file_path, float_array
 
 # What a page holds at most: states of a motion, and numbers, of 4 bytes each. A notebook holds
@@ -54,34 +54,6 @@ _BAR_WIDTH, _STRING_WIDTH, _NODE_SIZE, _FEW, _LEAST_SHARE = 10.0, 4.0, 5.0, 60, 
 _HEIGHT = 640  # pixels in a notebook
 
 
-class Members(Protocol):
-    """What is drawn of a structure; see ``Structure``."""
-
-    @property
-    def bars(self) -> IntArray:
-        """Start and end node of each bar, shape (β, 2)."""
-
-    @property
-    def segments(self) -> IntArray:
-        """Start and end node of each straight part of a string, shape (s, 2)."""
-
-    @property
-    def segment_string(self) -> IntArray:
-        """The string that each part belongs to, shape (s,)."""
-
-    @property
-    def strings(self) -> IntArray:
-        """Start and end node of each string, shape (α, 2)."""
-
-    @property
-    def fixed(self) -> IntArray:
-        """The nodes that are held."""
-
-    @property
-    def rollers(self) -> tuple[tuple[int, str], ...]:
-        """Nodes that are held along an axis, and the axis."""
-
-
 @dataclass(frozen=True, eq=False)
 class View:
     """What is turned in a browser. Made by :func:`tenscontrol.plot.view`.
@@ -113,7 +85,7 @@ class View:
     """
 
     what: str
-    members: Members
+    members: Structure
     nodes: FloatArray
     time: FloatArray | None = None
     force_density: FloatArray | None = None
@@ -521,39 +493,6 @@ class View:
             _at(nodes, self._index["bars"]),
         ]
         return [*lines, *(_at(nodes, self._index[name]) for name in ("nodes", "supports"))]
-
-
-class Viewable(ABC):
-    """What can be shown on a web page and in Jupyter."""
-
-    @abstractmethod
-    def view(self) -> View:
-        """Return a view to be turned in a browser."""
-
-    def to_html(self, path: str | PathLike[str]) -> Path:
-        """Write a web page on which it can be turned and played, and return its path.
-
-        The page is one file and needs no network.
-
-        Parameters
-        ----------
-        path : str or path
-            Where to write; ends in ``.html``. A file that is there is replaced.
-
-        Raises
-        ------
-        TypeError, ValueError
-            If ``path`` is no path, or does not end in ``.html``.
-        ImportError
-            If plotly is not installed: ``pip install 'tenscontrol[view]'``.
-        OSError
-            If the file cannot be written: a file that was there is as it was.
-        """
-        return self.view().save(path)
-
-    def _repr_mimebundle_(self, include: object = None, exclude: object = None) -> dict[str, Any]:
-        """Return what Jupyter shows: data alone, since its own plotly.js draws it."""
-        return {"text/plain": repr(self), "application/vnd.plotly.v1+json": self.view().figure()}
 
 
 def _text(name: str) -> str:
