@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from tenscontrol.control.status import Command, Fallback, Status
+from tenscontrol.control.command import Command, Fallback
 from tenscontrol.dynamics import Exclusive, exclusive
 from tenscontrol.plant import (
     INPUTS,
@@ -21,6 +21,7 @@ from tenscontrol.plant import (
     unreached_modes,
     warn_of_left_alone,
 )
+from tenscontrol.status import Status
 from tenscontrol.structure import Structure
 from tenscontrol.validation import (
     FloatArray,

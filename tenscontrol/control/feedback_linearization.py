@@ -8,10 +8,10 @@ from typing import final
 
 import numpy as np
 
+from tenscontrol.control.command import Command, Fallback
 from tenscontrol.control.controller import Controller
 from tenscontrol.control.held_loop import warn_of_slow_errors
 from tenscontrol.control.mpc import OSQPSolver, QPSolution
-from tenscontrol.control.status import Command, Fallback, Status
 from tenscontrol.dynamics import Evaluator
 from tenscontrol.plant import (
     LinearPlant,
@@ -22,6 +22,7 @@ from tenscontrol.plant import (
     largest_change,
     tracked_motion,
 )
+from tenscontrol.status import Status
 from tenscontrol.validation import (
     FloatArray,
     choice,

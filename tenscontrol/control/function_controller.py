@@ -8,9 +8,10 @@ from typing import Any, final
 
 import numpy as np
 
+from tenscontrol.control.command import Command
 from tenscontrol.control.controller import BaseController
-from tenscontrol.control.status import Command, Status
 from tenscontrol.plant import INPUTS, SHORTEST
+from tenscontrol.status import Status
 from tenscontrol.structure import Structure, whole_strings
 from tenscontrol.validation import (
     FloatArray,

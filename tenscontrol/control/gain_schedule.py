@@ -7,9 +7,10 @@ from typing import Any, final
 
 import numpy as np
 
+from tenscontrol.control.command import Command
 from tenscontrol.control.controller import Controller
-from tenscontrol.control.status import Command, Status
 from tenscontrol.plant import Modes
+from tenscontrol.status import Status
 from tenscontrol.validation import FloatArray, instance
 
 

@@ -7,11 +7,11 @@ from typing import final
 import numpy as np
 
 from tenscontrol.actuation import Winches
+from tenscontrol.control.command import Command
 from tenscontrol.control.controller import (
     Controller,
     warn_of_unreached,
 )
-from tenscontrol.control.status import Command, Status
 from tenscontrol.plant import (
     LinearPlant,
     input_bounds,
@@ -22,6 +22,7 @@ from tenscontrol.plant import (
     regulator,
     sampled,
 )
+from tenscontrol.status import Status
 from tenscontrol.validation import FloatArray, frozen, instance, positive_number, weight_matrix
 
 

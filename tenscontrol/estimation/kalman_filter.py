@@ -14,10 +14,8 @@ from tenscontrol.estimation.correction import Correction
 from tenscontrol.estimation.filter_design import FilterDesign, filter_design
 from tenscontrol.estimation.sensors import Sensors
 from tenscontrol.plant import LinearPlant, Modes, acceleration_response, warn_of_left_alone
+from tenscontrol.status import Status
 from tenscontrol.validation import FloatArray, IntArray, frozen, measured, shaped
-
-OK, PARTLY, LOST, REFUSED = "ok", "partly used", "lost", "refused"
-WAITING, RESTARTED = "waiting", "started anew"
 
 # From one start anew to the next, without a good sample between, the spread grows by this.
 _WIDER = 10.0
@@ -46,7 +44,7 @@ class Estimate:
         Standard deviation of each coordinate of the nodes, m, to first order.
     length_deviation : ndarray, shape (α,)
         That of the length of each string, m.
-    status : str
+    status : Status
         ``"ok"`` if all readings were used, ``"partly used"``, ``"lost"`` if none came,
         ``"refused"`` if those that came were, ``"waiting"`` for the first ones while delayed,
         ``"started anew"`` if the filter was taken to be wrong.
@@ -59,7 +57,7 @@ class Estimate:
     covariance: FloatArray
     node_deviation: FloatArray
     length_deviation: FloatArray
-    status: str
+    status: Status
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +66,7 @@ class FilterStatistics:
 
     Attributes
     ----------
-    status_count : dict of str to int
+    status_count : dict of Status to int
         How often each status came.
     used, lost, not_finite, refused : ndarray of int, shape (readings,)
         How often each reading was used, did not come, was infinite, or was refused by the gate.
@@ -81,7 +79,7 @@ class FilterStatistics:
         How often the filter was taken to be wrong and started anew.
     """
 
-    status_count: dict[str, int]
+    status_count: dict[Status, int]
     used: IntArray
     lost: IntArray
     not_finite: IntArray
@@ -96,24 +94,24 @@ class Tally:
 
     def __init__(self, readings: int) -> None:
         self._counts = np.zeros((4, readings), dtype=np.int64)
-        self._rows: list[tuple[str, float, int]] = []
+        self._rows: list[tuple[Status, float, int]] = []
         self._restarts = 0
         self._fresh = False
 
     @property
-    def last(self) -> str:
+    def last(self) -> Status:
         """Status of the last sample."""
         return self._rows[-1][0]
 
     def wait(self) -> None:
         """Count a sample at which nothing can have arrived."""
-        self._close(WAITING, np.nan, 0)
+        self._close(Status.WAITING, np.nan, 0)
 
     def start_over(self, after: bool = False) -> None:
         """Count a restart: at the sample to be counted next, or after the last one."""
         self._restarts += 1
         if after:
-            self._rows[-1] = (RESTARTED, *self._rows[-1][1:])
+            self._rows[-1] = (Status.RESTARTED, *self._rows[-1][1:])
         else:
             self._fresh = True
 
@@ -123,15 +121,15 @@ class Tally:
         """Count a sample by which readings were lost, usable and used."""
         self._counts += np.array([passed, lost, ~usable & ~lost, usable & ~passed])
         if passed.all():
-            status = OK
+            status = Status.OK
         elif passed.any():
-            status = PARTLY
+            status = Status.PARTLY_USED
         else:
-            status = LOST if lost.all() else REFUSED
+            status = Status.LOST if lost.all() else Status.REFUSED
         self._close(status, nis, entries)
 
-    def _close(self, status: str, nis: float, entries: int) -> None:
-        self._rows.append((RESTARTED if self._fresh else status, nis, entries))
+    def _close(self, status: Status, nis: float, entries: int) -> None:
+        self._rows.append((Status.RESTARTED if self._fresh else status, nis, entries))
         self._fresh = False
 
     def statistics(self) -> FilterStatistics:

@@ -10,6 +10,7 @@ from typing import ClassVar, Required, Self, TypedDict
 import numpy as np
 
 from tenscontrol.actuation import Winches
+from tenscontrol.control.command import ControlWarning
 from tenscontrol.control.controller import Controller, warn_of_unreached
 from tenscontrol.control.disturbance import LoadModel, LoadObserver, load_observer
 from tenscontrol.control.mpc.constraints import OutputLimit, broken_limits, output_block
@@ -21,7 +22,6 @@ from tenscontrol.control.mpc.problem import (
     string_block,
 )
 from tenscontrol.control.mpc.solvers import DAQPSolver, OSQPSolver, PIQPSolver, QPSolver
-from tenscontrol.control.status import ControlWarning
 from tenscontrol.plant import (
     LinearPlant,
     OperatingPoint,

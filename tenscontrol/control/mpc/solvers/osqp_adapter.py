@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from tenscontrol.control.mpc.solvers.solver import QPSolution, QPSolver, check_values
-from tenscontrol.control.status import Status
+from tenscontrol.status import Status
 from tenscontrol.validation import FloatArray, program_vectors
 
 if TYPE_CHECKING:

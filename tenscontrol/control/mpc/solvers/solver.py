@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tenscontrol.control.status import Status
+from tenscontrol.status import Status
 from tenscontrol.validation import FloatArray
 
 if TYPE_CHECKING:
