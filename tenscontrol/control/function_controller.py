@@ -10,8 +10,9 @@ import numpy as np
 
 from tenscontrol.control.command import Command
 from tenscontrol.control.controller import BaseController
-from tenscontrol.plant import INPUTS, SHORTEST
+from tenscontrol.plant import INPUTS
 from tenscontrol.status import Status
+from tenscontrol.string_bounds import commanded_rest_lengths
 from tenscontrol.structure import Structure, whole_strings
 from tenscontrol.validation import (
     FloatArray,
@@ -136,7 +137,7 @@ class FunctionController(BaseController):
         by_length = choice("input", input, INPUTS) == "rest_length"
         count = len(structure.strings)
         if low is None:
-            low = SHORTEST * structure.string_length(structure.nodes) if by_length else 0.0
+            low = commanded_rest_lengths(structure.string_length())[0] if by_length else 0.0
         low = per_member("low", low, count, "string")
         if by_length:
             positive("low", low, "rest length in m")

@@ -21,7 +21,6 @@ from tenscontrol.plant.equilibrium import (
 )
 from tenscontrol.plant.linear_plant import (
     INPUTS,
-    SHORTEST,
     LinearPlant,
     Sampled,
     SparsePlant,
@@ -81,7 +80,6 @@ from tenscontrol.plant.string_outputs import (
 
 __all__ = [
     "INPUTS",
-    "SHORTEST",
     "STRINGS_MOVE_NO_CENTRE",
     "Controllability",
     "LeftSpace",

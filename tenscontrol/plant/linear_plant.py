@@ -13,6 +13,7 @@ import numpy as np
 from tenscontrol.actuation import Winches
 from tenscontrol.dynamics import Coordinates, Model, Prepared, on_one_thread, refuse_large
 from tenscontrol.properties import cached_property
+from tenscontrol.string_bounds import commanded_rest_lengths, string_bounds
 from tenscontrol.structure import Structure, to_segments
 from tenscontrol.validation import (
     FloatArray,
@@ -53,9 +54,6 @@ _NOISE = 1e-13
 _SYMMETRIC = 1e-9
 
 INPUTS = ("force_density", "rest_length")
-
-# Least rest length commanded, as part of that at the operating point, or of the string's length.
-SHORTEST = 0.01
 
 
 class _Made:
@@ -531,39 +529,41 @@ def clusters(values: FloatArray) -> list[tuple[int, int]]:
 
 
 def input_bounds(
-    plant: LinearPlant, max_force_density: object, winches: Winches | None = None
+    plant: LinearPlant,
+    max_force_density: object,
+    winches: Winches | None = None,
+    min_force_density: object = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Return least and largest command, shape (α,) each, or raise naming what does not fit."""
-    count = plant.B.shape[1]
     if plant.input == "rest_length":
         if not is_unlimited(max_force_density):
             raise ValueError(
                 "max_force_density limits plants with input='force_density'; this one has "
                 "input='rest_length', and winches limit rest lengths"
             )
-        least, most = SHORTEST * plant.equilibrium_input, np.full(count, np.inf)
-        if winches is not None:
-            winches.refuse_out_of_range("plant.rest_length", plant.equilibrium_input)
-            if winches.shortest is not None:
-                least = np.maximum(least, winches.shortest)
-            if winches.longest is not None:
-                most = np.minimum(most, winches.longest)
-        return least, most
+        if winches is None:
+            return commanded_rest_lengths(plant.equilibrium_input)
+        winches.refuse_out_of_range("plant.rest_length", plant.equilibrium_input)
+        wound = winches.range(len(plant.equilibrium_input))
+        return commanded_rest_lengths(plant.equilibrium_input, wound)
     if winches is not None:
         raise ValueError(
             "winches limit rest lengths, but plant has input='force_density'; linearize with "
             "input='rest_length'"
         )
-    high = limit_per_member("max_force_density", max_force_density, count, "string")
-    positive("max_force_density", high, "force density in N/m")
-    over = np.flatnonzero(plant.force_density > high)
-    if len(over):
-        i = over[0]
-        raise ValueError(
-            f"max_force_density[{i}] is {high[i]:g} N/m, but string {i} has "
-            f"{plant.force_density[i]:g} N/m at the operating point; expected at least that"
-        )
-    return np.zeros(count), high
+    gamma = plant.force_density
+    bounds = string_bounds(len(gamma), min_force_density, max_force_density)
+    for name, limit, is_beyond, expected in (
+        ("max_force_density", bounds.high, gamma > bounds.high, "least"),
+        ("min_force_density", bounds.low, gamma < bounds.low, "most"),
+    ):
+        if is_beyond.any():
+            i = int(is_beyond.argmax())
+            raise ValueError(
+                f"{name}[{i}] is {limit[i]:g} N/m, but string {i} has {gamma[i]:g} N/m at the "
+                f"operating point; expected at {expected} that"
+            )
+    return bounds.low, bounds.high
 
 
 def largest_change(

@@ -22,7 +22,7 @@ from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, instance
 
 # Marks for what became of readings, told apart by their form.
-_MARKERS = {
+_MARKERS: dict[str, str] = {
     Status.PARTLY_USED: "|", Status.LOST: "x", Status.REFUSED: "v", Status.WAITING: ".",
     Status.RESTARTED: "s",
 }  # fmt: skip

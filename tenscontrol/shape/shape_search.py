@@ -291,15 +291,7 @@ def _finished(
     nodes, gamma = problem.read(values)
     structure = replace(model.structure, nodes=nodes)
     length = structure.string_length()
-    low, high = limits.bounds.low, limits.bounds.highest
-    if limits.bounds.rest_length is not None:
-        assert model.strings is not None  # checked with the winches
-        law, (shortest, longest) = model.strings, limits.bounds.rest_length
-        tight, loose = shortest > 0, np.isfinite(longest)
-        most = law.force_density(length, np.where(tight, shortest, length))
-        least = law.force_density(length, np.where(loose, longest, length))
-        high = np.where(tight, np.minimum(high, most), high)
-        low = np.where(loose, np.maximum(low, least), low)
+    low, high = limits.bounds.at_lengths(length, model.strings)
     if (low <= high).all():
         chosen = choose_force_density(structure, model.constant_force, limits, low, high, kind)
         gamma = gamma if chosen is None else chosen
