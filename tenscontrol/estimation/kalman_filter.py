@@ -11,7 +11,7 @@ import numpy as np
 from tenscontrol.actuation import Winches
 from tenscontrol.dynamics import Evaluator, Exclusive, exclusive
 from tenscontrol.estimation.correction import Correction
-from tenscontrol.estimation.filter_design import FilterDesign, filter_design
+from tenscontrol.estimation.filter_design import FilterDesign, FilterSettings, filter_design
 from tenscontrol.estimation.sensors import Sensors
 from tenscontrol.plant import LinearPlant, Modes, acceleration_response, warn_of_left_alone
 from tenscontrol.status import Status
@@ -270,22 +270,18 @@ class KalmanFilter:
         start_spread: float = 0.03,
         winches: Winches | None = None,
     ) -> None:
-        self._begin(
-            *filter_design(
-                plant,
-                sensors,
-                sample_time=sample_time,
-                process_noise=process_noise,
-                load=load,
-                load_noise=load_noise,
-                prediction=prediction,
-                gate=gate,
-                patience=patience,
-                start=start,
-                start_spread=start_spread,
-                winches=winches,
-            )
+        settings = FilterSettings(
+            sample_time=sample_time,
+            process_noise=process_noise,
+            load=load,
+            load_noise=load_noise,
+            prediction=prediction,
+            gate=gate,
+            patience=patience,
+            start_spread=start_spread,
+            winches=winches,
         )
+        self._begin(*filter_design(plant, sensors, settings, start))
         warn_of_left_alone(
             self.left_alone,
             "no reading shows and no string reaches",
@@ -307,7 +303,9 @@ class KalmanFilter:
         self._design = design
         self._size = len(design.start)
         self._motion = None if design.motion is None else Evaluator(design.motion)
-        self._correction = Correction(design.plant, design.sensors, design.outputs, design.gate)
+        self._correction = Correction(
+            design.plant, design.sensors, design.outputs, design.settings.gate
+        )
         structure, T = design.plant.model.structure, design.plant.basis
         by_node = T.reshape(-1, structure.dimension, T.shape[1]).swapaxes(0, 1)
         ends = structure.segments
@@ -338,7 +336,7 @@ class KalmanFilter:
     @property
     def sample_time(self) -> float:
         """Sample time, s."""
-        return self._design.sample_time
+        return self._design.settings.sample_time
 
     @property
     def input(self) -> str:
@@ -348,7 +346,7 @@ class KalmanFilter:
     @property
     def substeps(self) -> int:
         """Steps of the ramp of the input in a sample; 1 without a ramp."""
-        return self._design.substeps
+        return self._design.settings.substeps
 
     @property
     def statistics(self) -> FilterStatistics:
@@ -485,7 +483,7 @@ class KalmanFilter:
         found = self._correction.fit(y, usable, self._z, self._P, self._previous_input)
         if 2 * int(found.passed.sum()) < int(usable.sum()):
             self._mostly_refused += 1
-            late = self._mostly_refused - self._design.patience
+            late = self._mostly_refused - self._design.settings.patience
             if late >= 0:
                 self._P = self._design.start_covariance * _WIDER**late
                 self._tally.start_over()
@@ -510,7 +508,7 @@ class KalmanFilter:
                 if moved.ramp:
                     z = z + moved.by_previous @ (start - rest)
         else:
-            transition, count = np.eye(len(z)), design.substeps
+            transition, count = np.eye(len(z)), design.settings.substeps
             for left in range(count - 1, -1, -1):
                 # A ramp is held at the middle of each substep.
                 share = (left + 0.5) / count if count > 1 else 0.0
@@ -543,7 +541,7 @@ class KalmanFilter:
             nodes=frozen(nodes),
             velocities=frozen(self.plant.to_velocities(z[:r], z[r : 2 * r])),
             load=frozen((self._force @ z[2 * r :]).reshape(shape, order="F"))
-            if self._design.load
+            if self._design.settings.load
             else None,
             state=frozen(z),
             covariance=frozen(P),
