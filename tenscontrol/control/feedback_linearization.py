@@ -185,10 +185,9 @@ class FeedbackLinearization(Controller):
                 "max_force_density is None, expected a positive number in N/m, or inf for no limit"
             )
         sample_time = positive_number("sample_time", sample_time, "s")
-        bounds = input_bounds(plant, max_force_density)
-        super().__init__(
-            plant, sample_time, *bounds, largest_change(plant, max_change, None, sample_time)
-        )
+        low, high = input_bounds(plant, max_force_density)
+        change = largest_change(plant.input, len(low), max_change, None, sample_time)
+        super().__init__(plant, sample_time, low, high, change)
         self._rates = error_rates(frequency, damping, sample_time)
         self._settings = {"rates": self._rates}
         matrix = _combinations(plant, tracked)

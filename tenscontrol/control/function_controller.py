@@ -10,7 +10,7 @@ import numpy as np
 
 from tenscontrol.control.command import Command
 from tenscontrol.control.controller import BaseController
-from tenscontrol.plant import INPUTS
+from tenscontrol.plant import INPUTS, largest_change
 from tenscontrol.status import Status
 from tenscontrol.string_bounds import commanded_rest_lengths
 from tenscontrol.structure import Structure, whole_strings
@@ -19,7 +19,6 @@ from tenscontrol.validation import (
     choice,
     frozen,
     instance,
-    is_unlimited,
     limit_per_member,
     measured,
     non_negative,
@@ -144,19 +143,12 @@ class FunctionController(BaseController):
         else:
             non_negative("low", low, "a string can only pull")
         high = limit_per_member("high", high, count, "string")
-        max_change = None if is_unlimited(max_change) else max_change
-        if max_change is not None:
-            if sample_time is None:
-                raise ValueError(
-                    "max_change limits changes from sample to sample: give sample_time, s"
-                )
-            max_change = limit_per_member("max_change", max_change, count, "string")
-            positive("max_change", max_change, f"change of {input.replace('_', ' ')}")
+        change = largest_change(input, count, max_change, None, sample_time)
         if equilibrium_input is not None:
             usual = per_member("equilibrium_input", equilibrium_input, count, "string")
             equilibrium_input = frozen(usual)
         super().__init__(
-            structure, input, sample_time, low, high, max_change,
+            structure, input, sample_time, low, high, change,
             equilibrium_input=equilibrium_input,
         )  # fmt: skip
         self._what = f"the command of {self.label}"

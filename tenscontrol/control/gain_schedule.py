@@ -11,6 +11,7 @@ from tenscontrol.control.command import Command
 from tenscontrol.control.controller import Controller
 from tenscontrol.plant import Modes
 from tenscontrol.status import Status
+from tenscontrol.structure import different_members
 from tenscontrol.validation import FloatArray, instance
 
 
@@ -154,12 +155,12 @@ def _refuse_other(name: str, one: Controller, first: Controller) -> None:
             raise ValueError(
                 f"{name} has {what} {found!r}, expected {expected!r}, that of the first"
             )
-    structures = [each.plant.commanded for each in (one, first)]
-    for what in ("bars", "strings", "segments", "fixed", "fixed_rows"):
-        if not np.array_equal(*(getattr(each, what) for each in structures)):
-            raise ValueError(
-                f"{name} was designed on a structure with other {what} than the first one"
-            )
+    ours, theirs = one.plant.commanded, first.plant.commanded
+    different = different_members(ours, theirs)
+    if different:
+        raise ValueError(
+            f"{name} was designed on {ours!r}, but the first on {theirs!r} with {different}"
+        )
     if one.plant.degrees_of_freedom != first.plant.degrees_of_freedom:
         raise ValueError(
             f"{name} was designed in {one.plant.degrees_of_freedom} coordinates, expected "

@@ -132,7 +132,7 @@ class LQR(Controller):
         if sample_time is not None:
             sample_time = positive_number("sample_time", sample_time, "s")
         bounds = input_bounds(plant, max_force_density, winches)
-        change = largest_change(plant, max_change, winches, sample_time)
+        change = largest_change(plant.input, inputs, max_change, winches, sample_time)
         if sample_time is None and winches is not None and winches.ramp:
             raise ValueError(
                 f"winches.substeps is {winches.substeps}: rest lengths are ramps over samples, so "

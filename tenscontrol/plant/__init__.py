@@ -19,14 +19,13 @@ from tenscontrol.plant.equilibrium import (
     own_input,
     refuse_load,
 )
+from tenscontrol.plant.input_bounds import input_bounds, largest_change
 from tenscontrol.plant.linear_plant import (
     INPUTS,
     LinearPlant,
     Sampled,
     SparsePlant,
     acceleration_response,
-    input_bounds,
-    largest_change,
     sampled,
     state_units,
 )

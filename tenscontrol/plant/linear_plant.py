@@ -10,19 +10,14 @@ from typing import TYPE_CHECKING, Concatenate, ParamSpec, TypeVar, overload
 
 import numpy as np
 
-from tenscontrol.actuation import Winches
 from tenscontrol.dynamics import Coordinates, Model, Prepared, on_one_thread, refuse_large
 from tenscontrol.properties import cached_property
-from tenscontrol.string_bounds import commanded_rest_lengths, string_bounds
 from tenscontrol.structure import Structure, to_segments
 from tenscontrol.validation import (
     FloatArray,
     IntArray,
     freeze_arrays,
     frozen,
-    is_unlimited,
-    limit_per_member,
-    positive,
     positive_number,
 )
 
@@ -526,62 +521,3 @@ def clusters(values: FloatArray) -> list[tuple[int, int]]:
     breaks = np.flatnonzero(np.diff(values) > _EQUAL * np.abs(values[1:]) + noise) + 1
     edges = [0, *breaks.tolist(), len(values)]
     return list(pairwise(edges)) if len(values) else []
-
-
-def input_bounds(
-    plant: LinearPlant,
-    max_force_density: object,
-    winches: Winches | None = None,
-    min_force_density: object = None,
-) -> tuple[FloatArray, FloatArray]:
-    """Return least and largest command, shape (α,) each, or raise naming what does not fit."""
-    if plant.input == "rest_length":
-        if not is_unlimited(max_force_density):
-            raise ValueError(
-                "max_force_density limits plants with input='force_density'; this one has "
-                "input='rest_length', and winches limit rest lengths"
-            )
-        if winches is None:
-            return commanded_rest_lengths(plant.equilibrium_input)
-        winches.refuse_out_of_range("plant.rest_length", plant.equilibrium_input)
-        wound = winches.range(len(plant.equilibrium_input))
-        return commanded_rest_lengths(plant.equilibrium_input, wound)
-    if winches is not None:
-        raise ValueError(
-            "winches limit rest lengths, but plant has input='force_density'; linearize with "
-            "input='rest_length'"
-        )
-    gamma = plant.force_density
-    bounds = string_bounds(len(gamma), min_force_density, max_force_density)
-    for name, limit, is_beyond, expected in (
-        ("max_force_density", bounds.high, gamma > bounds.high, "least"),
-        ("min_force_density", bounds.low, gamma < bounds.low, "most"),
-    ):
-        if is_beyond.any():
-            i = int(is_beyond.argmax())
-            raise ValueError(
-                f"{name}[{i}] is {limit[i]:g} N/m, but string {i} has {gamma[i]:g} N/m at the "
-                f"operating point; expected at {expected} that"
-            )
-    return bounds.low, bounds.high
-
-
-def largest_change(
-    plant: LinearPlant, max_change: object, winches: Winches | None, sample_time: float | None
-) -> FloatArray | None:
-    """Return the largest change of a command in a sample, shape (α,), or None for any."""
-    count = plant.B.shape[1]
-    change = None
-    if not is_unlimited(max_change):
-        change = limit_per_member("max_change", max_change, count, "string")
-        positive("max_change", change, f"change of {plant.input.replace('_', ' ')}")
-    rate = None if winches is None else winches.largest_rate
-    if sample_time is None:
-        if change is not None or rate is not None:
-            name = "max_change" if change is not None else "winches.rate"
-            raise ValueError(f"{name} limits changes from sample to sample: give sample_time, s")
-        return None
-    if rate is not None:
-        reach = limit_per_member("winches.rate", rate, count, "string") * sample_time
-        change = reach if change is None else np.minimum(change, reach)
-    return change

@@ -289,7 +289,7 @@ CONTROL = [
             ValueError, r"controllers\[1\] has input 'rest_length', expected 'force_density'"),
     refused("Schedule of two structures",
             lambda: tc.GainSchedule([regulator(None), pentagon_regulator()]), ValueError,
-            r"controllers\[1\] was designed on a structure with other bars"),
+            r"controllers\[1\] was designed on .* but the first on .* with 10 and 6 nodes"),
     refused("diagonals text", lambda: tc.prism(diagonals="yes"), TypeError, r"diagonals is 'yes'"),
     refused("plants of no count", lambda: short_path().plants(0, "rest_length"), ValueError,
             r"count is 0, expected .*at least 1"),
