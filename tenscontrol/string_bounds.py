@@ -18,9 +18,6 @@ from tenscontrol.validation import (
 # γ is kept below what a string can have by this fraction.
 _SHORT_OF_LIMIT = 1e-6
 
-# Least rest length commanded, as part of that at the operating point, or of the string's length.
-_SHORTEST = 0.01
-
 
 @dataclass(frozen=True, eq=False)
 class StringBounds:
@@ -115,16 +112,3 @@ def string_bounds(
             f"{largest[i]:g} N/m by its law"
         )
     return StringBounds(low, high, largest, rest_length)
-
-
-def commanded_rest_lengths(
-    usual: FloatArray, rest_length: tuple[FloatArray, FloatArray] | None = None
-) -> tuple[FloatArray, FloatArray]:
-    """Return the least and the largest rest length commanded, m, shape (α,) each.
-
-    At least a hundredth of the usual one, and within the shortest and the longest that are given.
-    """
-    low, high = _SHORTEST * usual, np.full(len(usual), np.inf)
-    if rest_length is not None:
-        low, high = np.maximum(low, rest_length[0]), rest_length[1]
-    return low, high

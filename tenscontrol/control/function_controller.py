@@ -10,9 +10,8 @@ import numpy as np
 
 from tenscontrol.control.command import Command
 from tenscontrol.control.controller import BaseController
-from tenscontrol.plant import INPUTS, largest_change
+from tenscontrol.plant import INPUTS, largest_change, rest_length_bounds
 from tenscontrol.status import Status
-from tenscontrol.string_bounds import commanded_rest_lengths
 from tenscontrol.structure import Structure, whole_strings
 from tenscontrol.validation import (
     FloatArray,
@@ -136,7 +135,7 @@ class FunctionController(BaseController):
         by_length = choice("input", input, INPUTS) == "rest_length"
         count = len(structure.strings)
         if low is None:
-            low = commanded_rest_lengths(structure.string_length())[0] if by_length else 0.0
+            low = rest_length_bounds(structure.string_length())[0] if by_length else 0.0
         low = per_member("low", low, count, "string")
         if by_length:
             positive("low", low, "rest length in m")

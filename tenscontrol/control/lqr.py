@@ -127,8 +127,6 @@ class LQR(Controller):
             R = natural_R if R is None else R
         state_weight = weight_matrix("Q", Q, states, definite=False)
         input_weight = weight_matrix("R", R, inputs, definite=True)
-        if winches is not None:
-            instance("winches", winches, Winches, "make them by Winches(rate=...)")
         if sample_time is not None:
             sample_time = positive_number("sample_time", sample_time, "s")
         bounds = input_bounds(plant, max_force_density, winches)

@@ -19,7 +19,7 @@ from tenscontrol.plant.equilibrium import (
     own_input,
     refuse_load,
 )
-from tenscontrol.plant.input_bounds import input_bounds, largest_change
+from tenscontrol.plant.input_bounds import input_bounds, largest_change, rest_length_bounds
 from tenscontrol.plant.linear_plant import (
     INPUTS,
     LinearPlant,
@@ -135,6 +135,7 @@ __all__ = [
     "refuse_unreachable",
     "regulator",
     "regulator_riccati",
+    "rest_length_bounds",
     "riccati_residual",
     "sampled",
     "sampled_dynamics",

@@ -6,8 +6,11 @@ import numpy as np
 
 from tenscontrol.actuation import Winches
 from tenscontrol.plant.linear_plant import LinearPlant
-from tenscontrol.string_bounds import commanded_rest_lengths, string_bounds
-from tenscontrol.validation import FloatArray, is_unlimited, limit_per_member, positive
+from tenscontrol.string_bounds import string_bounds
+from tenscontrol.validation import FloatArray, instance, is_unlimited, limit_per_member, positive
+
+# Least rest length commanded, as part of that at the operating point, or of the string's length.
+_SHORTEST = 0.01
 
 
 def input_bounds(
@@ -17,17 +20,15 @@ def input_bounds(
     min_force_density: object = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Return least and largest command, shape (α,) each, or raise naming what does not fit."""
+    if winches is not None:
+        instance("winches", winches, Winches, "make them by Winches(rate=...)")
     if plant.input == "rest_length":
         if not is_unlimited(max_force_density):
             raise ValueError(
                 "max_force_density limits plants with input='force_density'; this one has "
                 "input='rest_length', and winches limit rest lengths"
             )
-        if winches is None:
-            return commanded_rest_lengths(plant.equilibrium_input)
-        winches.refuse_out_of_range("plant.rest_length", plant.equilibrium_input)
-        wound = winches.range(len(plant.equilibrium_input))
-        return commanded_rest_lengths(plant.equilibrium_input, wound)
+        return rest_length_bounds(plant.equilibrium_input, winches, "plant.rest_length")
     if winches is not None:
         raise ValueError(
             "winches limit rest lengths, but plant has input='force_density'; linearize with "
@@ -46,6 +47,22 @@ def input_bounds(
                 f"operating point; expected at {expected} that"
             )
     return bounds.low, bounds.high
+
+
+def rest_length_bounds(
+    usual: FloatArray, winches: Winches | None = None, name: str = "rest_length"
+) -> tuple[FloatArray, FloatArray]:
+    """Return least and largest rest length commanded, m, shape (α,) each.
+
+    At least a hundredth of the usual one, and what winches reach; ``name`` is that of the usual
+    ones in the message that they do not reach them.
+    """
+    low, high = _SHORTEST * usual, np.full(len(usual), np.inf)
+    if winches is not None:
+        winches.refuse_out_of_range(name, usual)
+        shortest, high = winches.range(len(usual))
+        low = np.maximum(low, shortest)
+    return low, high
 
 
 def largest_change(

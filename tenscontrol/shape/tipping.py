@@ -11,8 +11,7 @@ import numpy as np
 
 from tenscontrol.actuation import Winches
 from tenscontrol.dynamics import Model, SharedEvaluator, builds, kernel
-from tenscontrol.plant import convex_hull, held_value
-from tenscontrol.string_bounds import commanded_rest_lengths
+from tenscontrol.plant import convex_hull, held_value, rest_length_bounds
 from tenscontrol.structure import bar_distances, restore_bar_lengths
 from tenscontrol.validation import (
     FloatArray,
@@ -258,12 +257,9 @@ class TippingPlanner:
         self.home = held_value(model, rest_length, None)
         self.size = float(np.ptp(structure.nodes, axis=1).max())
         self.gravity = weight / float(structure.bar_mass.sum() + structure.point_mass.sum())
-        wound = None
         if winches is not None:
             instance("winches", winches, Winches, "make them by Winches(rate=...)")
-            winches.refuse_out_of_range("rest_length", self.home)
-            wound = winches.range(len(self.home))
-        self._low, self._high = commanded_rest_lengths(self.home, wound)
+        self._low, self._high = rest_length_bounds(self.home, winches)
         self._clearance = number("clearance", clearance, "m")
         self._conditions = model.prepared.get("tipping", lambda: _conditions(model))
 
