@@ -61,8 +61,6 @@ def freeze_arrays(record: object) -> None:
 # To Python and NumPy they are whole numbers.
 _NO_NUMBERS = (bool, np.timedelta64)
 
-_LARGEST_OF_PROGRAM = 1e20
-
 _KIND = {"b": "bool", "c": "complex", "U": "text (str)", "S": "bytes", "M": "datetime"}
 
 
@@ -130,29 +128,6 @@ def _real_array(name: str, value: object) -> FloatArray:
         )
     with np.errstate(over="ignore"):  # of a longer kind of float: infinite
         return given.astype(float)
-
-
-def program_vectors(
-    q: FloatArray,
-    l: FloatArray,  # noqa: E741 - the letters of quadratic programs
-    u: FloatArray,
-    shape: tuple[int, int],
-) -> tuple[bool, bool]:
-    """Return whether vectors of a program are usable, and bounds do not cross; A has this shape.
-
-    A solver takes 1e30 for infinite, and loses its digits long before. What is not a number may
-    poison it for good.
-    """
-    for name, vector, size in (("q", q, shape[1]), ("l", l, shape[0]), ("u", u, shape[0])):
-        if vector.shape != (size,):
-            raise ValueError(f"{name} has shape {vector.shape}, expected ({size},)")
-    # What is not a number is the largest and the least, and comparisons with it are false.
-    usable = (
-        np.abs(q).max(initial=0.0) < _LARGEST_OF_PROGRAM
-        and l.max(initial=0.0) < _LARGEST_OF_PROGRAM
-        and u.min(initial=0.0) > -_LARGEST_OF_PROGRAM
-    )
-    return bool(usable), bool((l <= u).all())
 
 
 def shaped(name: str, value: object, shape: tuple[int, ...], meaning: str) -> FloatArray:

@@ -302,6 +302,30 @@ class Winches:
         """Whether motors have a lag or an inertia: they never jump."""
         return self.motor is not None and bool(self.motor.lag.any() or self.motor.inertia.any())
 
+    def range(self, count: int) -> tuple[FloatArray, FloatArray]:
+        """Return the shortest and the longest rest length of each of so many strings, m.
+
+        Parameters
+        ----------
+        count : int
+            α.
+
+        Returns
+        -------
+        shortest, longest : ndarray, shape (α,)
+
+        Raises
+        ------
+        TypeError, ValueError
+            If it is no such number, or the limits are of another number of strings.
+        """
+        count = whole_number("count", count, 0)
+        low = np.asarray(0.0 if self.shortest is None else self.shortest)
+        high = np.asarray(np.inf if self.longest is None else self.longest)
+        for name, limit in (("shortest", low), ("longest", high)):
+            one_or_per_string(f"winches.{name}", limit, count)
+        return np.full(count, low), np.full(count, high)
+
     def refuse_out_of_range(self, name: str, rest_length: FloatArray) -> None:
         """Raise if a rest length is out of the range of its winch, and name the string.
 
@@ -312,17 +336,15 @@ class Winches:
         rest_length : ndarray, shape (α,)
             m.
         """
-        low, high = _range(self)
         rest_length = float_array("rest_length", rest_length)
-        shape = np.broadcast_shapes(np.shape(low), np.shape(high))
-        if rest_length.ndim != 1 or shape not in ((), rest_length.shape):
+        if rest_length.ndim != 1:
             raise ValueError(f"rest_length has shape {rest_length.shape}, expected one per string")
+        low, high = self.range(len(rest_length))
         out = np.flatnonzero((rest_length < low) | (rest_length > high))
         if len(out):
             i = out[0]
-            least, most = (np.broadcast_to(limit, rest_length.shape)[i] for limit in (low, high))
             raise ValueError(
-                f"{name}[{i}] is {rest_length[i]:g} m, expected {least:g} to {most:g} m: "
+                f"{name}[{i}] is {rest_length[i]:g} m, expected {low[i]:g} to {high[i]:g} m: "
                 "the range of the winches"
             )
 
@@ -345,11 +367,9 @@ class Winches:
             )
         positive("current", start, "rest length in m")
         positive("wanted", goal, "rest length in m")
-        for name, *_ in _UNITS:
-            value = getattr(self, name)
-            if value is not None:
-                one_or_per_string(name, value, len(start))
-        within = np.clip(goal, *_range(self))
+        if self.rate is not None:
+            one_or_per_string("rate", self.rate, len(start))
+        within = np.clip(goal, *self.range(len(start)))
         rate = self.largest_rate
         reach = np.inf if rate is None else rate * sample_time
         reached = np.clip(within, start - reach, start + reach)
@@ -358,12 +378,6 @@ class Winches:
             frozen(np.flatnonzero(reached != within)),
             frozen(np.flatnonzero(within != goal)),
         )
-
-
-def _range(winches: Winches) -> tuple[FloatArray | float, FloatArray | float]:
-    """Return the shortest and the longest rest length, m."""
-    low = 0.0 if winches.shortest is None else winches.shortest
-    return low, np.inf if winches.longest is None else winches.longest
 
 
 # Moves at once, with any torque.
@@ -443,7 +457,7 @@ class Drive:
         self._start = self.position
         if self._winches.has_drive:
             self._start = self.reference
-            self._target = np.clip(wanted, *_range(self._winches))
+            self._target = np.clip(wanted, *self._winches.range(len(wanted)))
             self._move = replace(self._move, rate_limited=self._move.rate_limited[:0])
         self._slow = np.zeros(len(wanted), dtype=bool)
         self._weak = np.zeros(len(wanted), dtype=bool)

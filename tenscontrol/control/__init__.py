@@ -1,5 +1,6 @@
 """Controllers: LQR, MPC, nonlinear MPC, feedback linearization, functions."""
 
+from tenscontrol.control.command import Command, ControlWarning, Fallback
 from tenscontrol.control.controller import BaseController, Controller
 from tenscontrol.control.feedback_linearization import (
     FeedbackLinearization,
@@ -19,13 +20,12 @@ from tenscontrol.control.mpc import (
     QPSolver,
     clearance,
 )
-from tenscontrol.control.status import UNSOLVED, Command, ControlWarning, Fallback, Status
+from tenscontrol.status import Status
 
 __all__ = [
     "LQR",
     "MPC",
     "NMPC",
-    "UNSOLVED",
     "BaseController",
     "Command",
     "ControlWarning",

@@ -8,10 +8,10 @@ from typing import final
 
 import numpy as np
 
+from tenscontrol.control.command import Command, Fallback
 from tenscontrol.control.controller import Controller
 from tenscontrol.control.held_loop import warn_of_slow_errors
 from tenscontrol.control.mpc import OSQPSolver, QPSolution
-from tenscontrol.control.status import Command, Fallback, Status
 from tenscontrol.dynamics import Evaluator
 from tenscontrol.plant import (
     LinearPlant,
@@ -22,6 +22,7 @@ from tenscontrol.plant import (
     largest_change,
     tracked_motion,
 )
+from tenscontrol.status import Status
 from tenscontrol.validation import (
     FloatArray,
     choice,
@@ -184,10 +185,9 @@ class FeedbackLinearization(Controller):
                 "max_force_density is None, expected a positive number in N/m, or inf for no limit"
             )
         sample_time = positive_number("sample_time", sample_time, "s")
-        bounds = input_bounds(plant, max_force_density)
-        super().__init__(
-            plant, sample_time, *bounds, largest_change(plant, max_change, None, sample_time)
-        )
+        low, high = input_bounds(plant, max_force_density)
+        change = largest_change(plant.input, len(low), max_change, None, sample_time)
+        super().__init__(plant, sample_time, low, high, change)
         self._rates = error_rates(frequency, damping, sample_time)
         self._settings = {"rates": self._rates}
         matrix = _combinations(plant, tracked)

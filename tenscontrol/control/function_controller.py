@@ -8,16 +8,16 @@ from typing import Any, final
 
 import numpy as np
 
+from tenscontrol.control.command import Command
 from tenscontrol.control.controller import BaseController
-from tenscontrol.control.status import Command, Status
-from tenscontrol.plant import INPUTS, SHORTEST
+from tenscontrol.plant import INPUTS, largest_change, rest_length_bounds
+from tenscontrol.status import Status
 from tenscontrol.structure import Structure, whole_strings
 from tenscontrol.validation import (
     FloatArray,
     choice,
     frozen,
     instance,
-    is_unlimited,
     limit_per_member,
     measured,
     non_negative,
@@ -135,26 +135,19 @@ class FunctionController(BaseController):
         by_length = choice("input", input, INPUTS) == "rest_length"
         count = len(structure.strings)
         if low is None:
-            low = SHORTEST * structure.string_length(structure.nodes) if by_length else 0.0
+            low = rest_length_bounds(structure.string_length())[0] if by_length else 0.0
         low = per_member("low", low, count, "string")
         if by_length:
             positive("low", low, "rest length in m")
         else:
             non_negative("low", low, "a string can only pull")
         high = limit_per_member("high", high, count, "string")
-        max_change = None if is_unlimited(max_change) else max_change
-        if max_change is not None:
-            if sample_time is None:
-                raise ValueError(
-                    "max_change limits changes from sample to sample: give sample_time, s"
-                )
-            max_change = limit_per_member("max_change", max_change, count, "string")
-            positive("max_change", max_change, f"change of {input.replace('_', ' ')}")
+        change = largest_change(input, count, max_change, None, sample_time)
         if equilibrium_input is not None:
             usual = per_member("equilibrium_input", equilibrium_input, count, "string")
             equilibrium_input = frozen(usual)
         super().__init__(
-            structure, input, sample_time, low, high, max_change,
+            structure, input, sample_time, low, high, change,
             equilibrium_input=equilibrium_input,
         )  # fmt: skip
         self._what = f"the command of {self.label}"

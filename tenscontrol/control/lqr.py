@@ -7,11 +7,11 @@ from typing import final
 import numpy as np
 
 from tenscontrol.actuation import Winches
+from tenscontrol.control.command import Command
 from tenscontrol.control.controller import (
     Controller,
     warn_of_unreached,
 )
-from tenscontrol.control.status import Command, Status
 from tenscontrol.plant import (
     LinearPlant,
     input_bounds,
@@ -22,6 +22,7 @@ from tenscontrol.plant import (
     regulator,
     sampled,
 )
+from tenscontrol.status import Status
 from tenscontrol.validation import FloatArray, frozen, instance, positive_number, weight_matrix
 
 
@@ -126,12 +127,10 @@ class LQR(Controller):
             R = natural_R if R is None else R
         state_weight = weight_matrix("Q", Q, states, definite=False)
         input_weight = weight_matrix("R", R, inputs, definite=True)
-        if winches is not None:
-            instance("winches", winches, Winches, "make them by Winches(rate=...)")
         if sample_time is not None:
             sample_time = positive_number("sample_time", sample_time, "s")
         bounds = input_bounds(plant, max_force_density, winches)
-        change = largest_change(plant, max_change, winches, sample_time)
+        change = largest_change(plant.input, inputs, max_change, winches, sample_time)
         if sample_time is None and winches is not None and winches.ramp:
             raise ValueError(
                 f"winches.substeps is {winches.substeps}: rest lengths are ramps over samples, so "

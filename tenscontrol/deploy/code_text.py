@@ -14,10 +14,11 @@ from textwrap import shorten
 import casadi as ca
 import numpy as np
 
-from tenscontrol.control import Controller
+from tenscontrol.control import Controller, Fallback
 from tenscontrol.deploy.controllers import LawCode
 from tenscontrol.deploy.measurement_code import measurement
 from tenscontrol.dynamics import builds
+from tenscontrol.status import OF_ESTIMATES, Status
 from tenscontrol.validation import FloatArray
 
 # Numbers a line.
@@ -25,6 +26,9 @@ _PER_LINE = 6
 
 # How a C file ends: by a condition or a definition.
 _END = re.compile(r"^(#endif.*|};?)\n+\Z", re.MULTILINE)
+
+# A status in C is its position, and a fallback its position from 1 times this, added to it.
+_FALLBACK = 32
 
 _UNIT = {"force_density": "force densities, N/m", "rest_length": "rest lengths, m"}
 
@@ -40,6 +44,16 @@ def code_files(controller: Controller, law: LawCode, name: str) -> dict[str, str
     words = {
         "UNIT": _UNIT[controller.input],
         "SIZES": f"{sizes}\n#define {prefix}_STEP {controller.sample_time!r} /* sample time, s */",
+        "STATUSES": "\n".join(
+            f"#define {prefix}_{status.name} {number} /* {status} */"
+            for number, status in enumerate(Status)
+            if status not in OF_ESTIMATES
+        ),
+        "FALLBACKS": "\n".join(
+            f"#define {prefix}_{fallback.name} {_FALLBACK * number} /* {fallback} */"
+            for number, fallback in enumerate(Fallback, 1)
+        ),
+        "REASON": str(_FALLBACK - 1),
         "AXES": ", ".join("xyz"[: plant.nodes.shape[0]]),
         "NODES": str(plant.nodes.shape[1]),
         "COMMANDS": str(count),
@@ -58,6 +72,12 @@ def code_files(controller: Controller, law: LawCode, name: str) -> dict[str, str
         **_casadi(functions, name),
     }
     return texts | {f"{name}_{each}.h": text for each, text in law.headers.items()}
+
+
+def status_and_fallback(number: int) -> tuple[Status, Fallback | None]:
+    """Return what the number that a generated controller returns stands for."""
+    fallback, status = divmod(number, _FALLBACK)
+    return tuple(Status)[status], (None, *Fallback)[fallback]
 
 
 def _named(functions: dict[str, ca.Function], name: str) -> list[ca.Function]:

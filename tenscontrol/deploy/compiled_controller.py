@@ -11,34 +11,12 @@ from typing import Any, final
 
 import numpy as np
 
-from tenscontrol.control import Command, Controller, Fallback, Status
+from tenscontrol.control import Command, Controller
+from tenscontrol.deploy.code_text import status_and_fallback
 from tenscontrol.dynamics import CompilerError, compiler
 from tenscontrol.plant import LinearPlant
+from tenscontrol.status import Status
 from tenscontrol.validation import LONGEST_WAIT, FloatArray, positive_number
-
-# Status and fallback by their numbers in the C code: controller.h.
-_STATUSES = (
-    Status.OK,
-    Status.SATURATED,
-    Status.MEASUREMENT_NOT_FINITE,
-    Status.INACCURATE,
-    Status.INFEASIBLE,
-    Status.UNBOUNDED,
-    Status.OUT_OF_ITERATIONS,
-    Status.OUT_OF_TIME,
-    Status.NOT_CONVEX,
-    Status.INTERRUPTED,
-    Status.UNSOLVED,
-    Status.BAD_DATA,
-    Status.MEASUREMENT_NOT_PLAUSIBLE,
-    Status.INPUT_NOT_FINITE,
-)
-_FALLBACKS = (
-    None,
-    Fallback.PLAN_CONTINUED,
-    Fallback.PREVIOUS_INPUT_HELD,
-    Fallback.EQUILIBRIUM_HELD,
-)
 
 _VECTOR = np.ctypeslib.ndpointer(np.float64, flags="C")
 
@@ -120,8 +98,8 @@ class CompiledController(Controller):
 
     def _decide(self, time: float, state: FloatArray) -> Command:
         command = np.zeros(len(self._low))
-        status = self._run(time, *np.split(state, 2), command)
-        return Command(command, _STATUSES[status & 15], _FALLBACKS[status >> 4])
+        number = self._run(time, *np.split(state, 2), command)
+        return Command(command, *status_and_fallback(number))
 
     def _fall_back(self, status: Status) -> Command:
         # The code falls back for a measurement that is not finite, and returns that status.

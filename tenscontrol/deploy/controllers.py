@@ -208,7 +208,7 @@ def mpc_code(controller: MPC) -> LawCode:
         "TOLERANCE": _TOLERANCE,
     }
     arrays = {"price": program.price.ravel(), "response": program.response()}
-    templates = "program.c", "least_distance.c", "time_table.c", "mpc.c"
+    templates = "least_distance.c", "time_table.c", "mpc.c"
     headers = {"active_set": active_set_source()}
     return LawCode(templates, constants, arrays, matrices, (first, table), headers=headers)
 
@@ -274,7 +274,7 @@ def nmpc_code(controller: NMPC) -> LawCode:
         "", "", "limit_low", "limit_high", "price",
     )  # fmt: skip
     return LawCode(
-        templates=("program.c", "time_table.c", "nmpc.c"),
+        templates=("time_table.c", "nmpc.c"),
         constants={
             "HORIZON": N,
             "PLANNED": problem.input_count,

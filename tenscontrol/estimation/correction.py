@@ -106,15 +106,7 @@ class Correction:
         self._reading_of = sensors.reading_of
         self._rest = plant.equilibrium_input
         self.gate = Gate(sensors, gate)
-        # Bar vectors move by these rows; the bars of the reference have no part across themselves.
-        structure, T = plant.model.structure, plant.basis
         self._plant, self._r = plant, plant.degrees_of_freedom
-        alone = np.setdiff1d(np.arange(len(structure.bars)), structure.coupled_bars)
-        by_node = T.reshape(-1, len(plant.nodes), T.shape[1]).swapaxes(0, 1)
-        bars = by_node[:, structure.bars[alone, 1]] - by_node[:, structure.bars[alone, 0]]
-        self._bar_rows = bars.reshape(-1, T.shape[1])
-        self._axes = (structure.bar_vectors(plant.nodes) / structure.bar_length)[:, alone]
-        self._reach = structure.bar_length[alone] ** 2
 
     def fit(
         self,
@@ -188,13 +180,8 @@ class Correction:
         """Whether the coordinates reach the shape: no bar is turned by a right angle."""
         if not np.isfinite(z).all():
             return False
-        bars = (self._bar_rows @ z[: self._r]).reshape(self._axes.shape)
-        across = bars - (bars * self._axes).sum(axis=0) * self._axes
-        if not ((across**2).sum(axis=0) < self._reach).all():
+        try:
+            self._plant.to_nodes(z[: self._r])
+        except ValueError:
             return False
-        if self._plant.model.structure.blocks:
-            try:
-                self._plant.to_nodes(z[: self._r])
-            except ValueError:  # of joined bars, that they cannot keep their lengths
-                return False
         return True

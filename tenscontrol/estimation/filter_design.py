@@ -51,6 +51,47 @@ _LOAD_START = 0.3
 
 
 @dataclass(frozen=True, eq=False)
+class FilterSettings:
+    """Settings of a filter, checked; their meanings are those of :class:`KalmanFilter`."""
+
+    sample_time: float
+    process_noise: float
+    load: bool
+    load_noise: float
+    prediction: str
+    gate: float
+    patience: int
+    start_spread: float
+    winches: Winches | None
+
+    def __post_init__(self) -> None:
+        noise = "accelerations of the strings"
+        checked = {
+            "sample_time": positive_number("sample_time", self.sample_time, "s"),
+            "process_noise": positive_number("process_noise", self.process_noise, noise),
+            "load": truth("load", self.load, "whether to estimate an unknown load"),
+            "load_noise": positive_number("load_noise", self.load_noise, noise),
+            "prediction": choice("prediction", self.prediction, PREDICTIONS),
+            "gate": positive_number("gate", self.gate, "no unit, below 1"),
+            "patience": whole_number("patience", self.patience, least=1),
+            "start_spread": positive_number(
+                "start_spread", self.start_spread, "sizes of the structure"
+            ),
+        }
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
+        if self.gate >= 1:
+            raise ValueError(f"gate is {self.gate:g}, expected a probability above 0 and below 1")
+        if self.winches is not None:
+            instance("winches", self.winches, Winches, "make them by Winches(substeps=...)")
+
+    @property
+    def substeps(self) -> int:
+        """Parts of the ramp of the winches in a sample; 1 without a ramp."""
+        return 1 if self.winches is None else self.winches.substeps
+
+
+@dataclass(frozen=True, eq=False)
 class FilterDesign:
     """What a filter computes with, in the coordinates of ``plant``.
 
@@ -61,52 +102,29 @@ class FilterDesign:
 
     plant: LinearPlant
     sensors: Sensors
-    sample_time: float
-    load: bool
-    substeps: int
+    settings: FilterSettings
     sampled: Sampled
     process_covariance: FloatArray
     start_covariance: FloatArray
     start: FloatArray
     outputs: ca.Function
     motion: ca.Function | None
-    gate: float
-    patience: int
     left_alone: Modes
 
 
 def filter_design(
-    plant: LinearPlant,
-    sensors: Sensors,
-    *,
-    sample_time: float,
-    process_noise: float,
-    load: bool,
-    load_noise: float,
-    prediction: str,
-    gate: float,
-    patience: int,
-    start: object,
-    start_spread: float,
-    winches: Winches | None,
+    plant: LinearPlant, sensors: Sensors, settings: FilterSettings, start: object
 ) -> tuple[FilterDesign, FloatArray, tuple[FloatArray, FloatArray, np.ndarray, float]]:
-    """Return the design of a filter, the derivative C of its readings, and the Riccati solution.
-
-    Arguments are those of :class:`KalmanFilter`.
-    """
+    """Return the design of a filter, the derivative C of its readings, and the Riccati solution."""
     instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
     instance("sensors", sensors, Sensors, "make them by Sensors(structure=..., ...)")
-    sample_time = positive_number("sample_time", sample_time, "s")
+    sample_time, substeps = settings.sample_time, settings.substeps
     plant.refuse_long_sample_time(sample_time)
-    share = positive_number("process_noise", process_noise, "accelerations of the strings")
-    spread = positive_number("start_spread", start_spread, "sizes of the structure")
-    if positive_number("gate", gate, "no unit, below 1") >= 1:
-        raise ValueError(f"gate is {gate:g}, expected a probability above 0 and below 1")
-    truth("load", load, "whether to estimate an unknown load")
-    walk = positive_number("load_noise", load_noise, "accelerations of the strings")
-    patience = whole_number("patience", patience, least=1)
-    choice("prediction", prediction, PREDICTIONS)
-    substeps = _substeps(plant, winches)
+    if settings.winches is not None and plant.input != "rest_length":
+        raise ValueError(
+            f"winches set rest lengths, but plant has input={plant.input!r}; linearize with "
+            "input='rest_length'"
+        )
     if plant.coordinates.kind == "nodes":
         raise ValueError(
             "plant has 'nodes' coordinates, in which bars may stretch; linearize with "
@@ -120,17 +138,17 @@ def filter_design(
             f"{plant.model.structure!r} with {different}: give Sensors(structure=...) that of the "
             "plant, plant.model.structure"
         )
-    if prediction == "nonlinear":
+    if settings.prediction == "nonlinear":
         refuse_lost_place(plant)
     plant = observed_plant(plant, sensors)
     if not len(plant.A):
         raise ValueError("plant has no states, so there is nothing to estimate")
     C = output_matrix(plant, sensors)
     apart = unseen(plant, sensors, C)
-    if load:
+    if settings.load:
         refuse_unseen_loads(plant, sensors, C)
     pull = _pull(plant)
-    if prediction == "linear":
+    if settings.prediction == "linear":
         _refuse_fall(plant, pull)
     # No noise drives what is left alone: nothing would ever correct that.
     seen = apart.basis[:, : apart.count]
@@ -138,47 +156,32 @@ def filter_design(
     if apart.count < len(plant.A):
         by_load = seen @ (seen.T @ by_load)
     motion: ca.Function | None = None
-    if prediction == "nonlinear":
+    if settings.prediction == "nonlinear":
         motion = sampled_dynamics(plant, sample_time / substeps)[1]
     design = FilterDesign(
         plant=plant,
         sensors=sensors,
-        sample_time=sample_time,
-        load=False,
-        substeps=substeps,
+        settings=settings,
         sampled=sampled(plant, sample_time, substeps > 1),
-        process_covariance=(share * pull) ** 2 * by_load @ by_load.T,
-        start_covariance=_start(plant, spread, pull),
+        process_covariance=(settings.process_noise * pull) ** 2 * by_load @ by_load.T,
+        start_covariance=_start(plant, settings.start_spread, pull),
         start=_start_state(plant, start),
         outputs=output_function(plant, sensors),
         motion=motion,
-        gate=gate,
-        patience=patience,
         left_alone=apart.left_alone,
     )
-    push = share * pull * by_load
-    if load:
+    push = settings.process_noise * pull * by_load
+    if settings.load:
+        walk = settings.load_noise * pull
         design = _with_load(design, pull, walk)
         r = plant.degrees_of_freedom
         none = np.zeros((2 * r, r))
-        push = np.block([[push, none], [none[:r], walk * pull * np.eye(r)]])
+        push = np.block([[push, none], [none[:r], walk * np.eye(r)]])
         C = np.hstack([C, np.zeros((len(C), r))])
     # Where a load is estimated, nothing is unseen.
-    split = None if load else (apart.basis, apart.count)
+    split = None if settings.load else (apart.basis, apart.count)
     solution = filter_riccati(design.sampled.transition, push, C, sensors.noise, split)
     return design, frozen(C), solution
-
-
-def _substeps(plant: LinearPlant, winches: Winches | None) -> int:
-    if winches is None:
-        return 1
-    instance("winches", winches, Winches, "make them by Winches(substeps=...)")
-    if plant.input != "rest_length":
-        raise ValueError(
-            f"winches set rest lengths, but plant has input={plant.input!r}; linearize with "
-            "input='rest_length'"
-        )
-    return winches.substeps
 
 
 def _refuse_fall(plant: LinearPlant, pull: float) -> None:
@@ -240,26 +243,26 @@ def _start(plant: LinearPlant, spread: float, pull: float) -> FloatArray:
 def _with_load(design: FilterDesign, pull: float, walk: float) -> FilterDesign:
     """Return the design with the acceleration a that a load gives as states after z.
 
-    ``z⁺ = Φ z + … + Ψ a``, with Ψ what unit accelerations do in a sample, and
-    ``a⁺ = a + w'``: a random walk, w' in units of ``pull``, see ``_pull``.
+    ``z⁺ = Φ z + … + Ψ a``, with Ψ what unit accelerations do in a sample, and ``a⁺ = a + w'``: a
+    random walk, whose steps have the standard deviation ``walk``.
     """
-    by_load = acceleration_response(design.plant, design.sample_time)
+    settings = design.settings
+    by_load = acceleration_response(design.plant, settings.sample_time)
     size, r = by_load.shape
     eye, zero = np.eye(r), np.zeros((size, r))
     moved, none = design.sampled, np.zeros((r, design.plant.B.shape[1]))
 
-    def joined(of_state: FloatArray, share: float) -> FloatArray:
-        return np.block([[of_state, zero], [zero.T, (share * pull) ** 2 * eye]])
+    def joined(of_state: FloatArray, deviation: float) -> FloatArray:
+        return np.block([[of_state, zero], [zero.T, deviation**2 * eye]])
 
     motion = design.motion
     if motion is not None:
-        step = design.sample_time / design.substeps
+        step = settings.sample_time / settings.substeps
         in_step = acceleration_response(design.plant, step)
         key, linear = ("under_load", step), motion
         motion = design.plant.prepared.get(key, lambda: _under_load(linear, in_step))
     return replace(
         design,
-        load=True,
         sampled=replace(
             moved,
             transition=np.block([[moved.transition, by_load], [zero.T, eye]]),
@@ -268,7 +271,7 @@ def _with_load(design: FilterDesign, pull: float, walk: float) -> FilterDesign:
             drift=np.r_[moved.drift, np.zeros(r)],
         ),
         process_covariance=joined(design.process_covariance, walk),
-        start_covariance=joined(design.start_covariance, _LOAD_START),
+        start_covariance=joined(design.start_covariance, _LOAD_START * pull),
         start=np.r_[design.start, np.zeros(r)],
         outputs=output_function(design.plant, design.sensors, more=r),
         motion=motion,

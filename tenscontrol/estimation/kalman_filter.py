@@ -11,13 +11,11 @@ import numpy as np
 from tenscontrol.actuation import Winches
 from tenscontrol.dynamics import Evaluator, Exclusive, exclusive
 from tenscontrol.estimation.correction import Correction
-from tenscontrol.estimation.filter_design import FilterDesign, filter_design
+from tenscontrol.estimation.filter_design import FilterDesign, FilterSettings, filter_design
 from tenscontrol.estimation.sensors import Sensors
 from tenscontrol.plant import LinearPlant, Modes, acceleration_response, warn_of_left_alone
+from tenscontrol.status import Status
 from tenscontrol.validation import FloatArray, IntArray, frozen, measured, shaped
-
-OK, PARTLY, LOST, REFUSED = "ok", "partly used", "lost", "refused"
-WAITING, RESTARTED = "waiting", "started anew"
 
 # From one start anew to the next, without a good sample between, the spread grows by this.
 _WIDER = 10.0
@@ -46,7 +44,7 @@ class Estimate:
         Standard deviation of each coordinate of the nodes, m, to first order.
     length_deviation : ndarray, shape (α,)
         That of the length of each string, m.
-    status : str
+    status : Status
         ``"ok"`` if all readings were used, ``"partly used"``, ``"lost"`` if none came,
         ``"refused"`` if those that came were, ``"waiting"`` for the first ones while delayed,
         ``"started anew"`` if the filter was taken to be wrong.
@@ -59,7 +57,7 @@ class Estimate:
     covariance: FloatArray
     node_deviation: FloatArray
     length_deviation: FloatArray
-    status: str
+    status: Status
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +66,7 @@ class FilterStatistics:
 
     Attributes
     ----------
-    status_count : dict of str to int
+    status_count : dict of Status to int
         How often each status came.
     used, lost, not_finite, refused : ndarray of int, shape (readings,)
         How often each reading was used, did not come, was infinite, or was refused by the gate.
@@ -81,7 +79,7 @@ class FilterStatistics:
         How often the filter was taken to be wrong and started anew.
     """
 
-    status_count: dict[str, int]
+    status_count: dict[Status, int]
     used: IntArray
     lost: IntArray
     not_finite: IntArray
@@ -96,24 +94,24 @@ class Tally:
 
     def __init__(self, readings: int) -> None:
         self._counts = np.zeros((4, readings), dtype=np.int64)
-        self._rows: list[tuple[str, float, int]] = []
+        self._rows: list[tuple[Status, float, int]] = []
         self._restarts = 0
         self._fresh = False
 
     @property
-    def last(self) -> str:
+    def last(self) -> Status:
         """Status of the last sample."""
         return self._rows[-1][0]
 
     def wait(self) -> None:
         """Count a sample at which nothing can have arrived."""
-        self._close(WAITING, np.nan, 0)
+        self._close(Status.WAITING, np.nan, 0)
 
     def start_over(self, after: bool = False) -> None:
         """Count a restart: at the sample to be counted next, or after the last one."""
         self._restarts += 1
         if after:
-            self._rows[-1] = (RESTARTED, *self._rows[-1][1:])
+            self._rows[-1] = (Status.RESTARTED, *self._rows[-1][1:])
         else:
             self._fresh = True
 
@@ -123,15 +121,15 @@ class Tally:
         """Count a sample by which readings were lost, usable and used."""
         self._counts += np.array([passed, lost, ~usable & ~lost, usable & ~passed])
         if passed.all():
-            status = OK
+            status = Status.OK
         elif passed.any():
-            status = PARTLY
+            status = Status.PARTLY_USED
         else:
-            status = LOST if lost.all() else REFUSED
+            status = Status.LOST if lost.all() else Status.REFUSED
         self._close(status, nis, entries)
 
-    def _close(self, status: str, nis: float, entries: int) -> None:
-        self._rows.append((RESTARTED if self._fresh else status, nis, entries))
+    def _close(self, status: Status, nis: float, entries: int) -> None:
+        self._rows.append((Status.RESTARTED if self._fresh else status, nis, entries))
         self._fresh = False
 
     def statistics(self) -> FilterStatistics:
@@ -272,22 +270,18 @@ class KalmanFilter:
         start_spread: float = 0.03,
         winches: Winches | None = None,
     ) -> None:
-        self._begin(
-            *filter_design(
-                plant,
-                sensors,
-                sample_time=sample_time,
-                process_noise=process_noise,
-                load=load,
-                load_noise=load_noise,
-                prediction=prediction,
-                gate=gate,
-                patience=patience,
-                start=start,
-                start_spread=start_spread,
-                winches=winches,
-            )
+        settings = FilterSettings(
+            sample_time=sample_time,
+            process_noise=process_noise,
+            load=load,
+            load_noise=load_noise,
+            prediction=prediction,
+            gate=gate,
+            patience=patience,
+            start_spread=start_spread,
+            winches=winches,
         )
+        self._begin(*filter_design(plant, sensors, settings, start))
         warn_of_left_alone(
             self.left_alone,
             "no reading shows and no string reaches",
@@ -309,7 +303,9 @@ class KalmanFilter:
         self._design = design
         self._size = len(design.start)
         self._motion = None if design.motion is None else Evaluator(design.motion)
-        self._correction = Correction(design.plant, design.sensors, design.outputs, design.gate)
+        self._correction = Correction(
+            design.plant, design.sensors, design.outputs, design.settings.gate
+        )
         structure, T = design.plant.model.structure, design.plant.basis
         by_node = T.reshape(-1, structure.dimension, T.shape[1]).swapaxes(0, 1)
         ends = structure.segments
@@ -340,7 +336,7 @@ class KalmanFilter:
     @property
     def sample_time(self) -> float:
         """Sample time, s."""
-        return self._design.sample_time
+        return self._design.settings.sample_time
 
     @property
     def input(self) -> str:
@@ -350,7 +346,7 @@ class KalmanFilter:
     @property
     def substeps(self) -> int:
         """Steps of the ramp of the input in a sample; 1 without a ramp."""
-        return self._design.substeps
+        return self._design.settings.substeps
 
     @property
     def statistics(self) -> FilterStatistics:
@@ -487,7 +483,7 @@ class KalmanFilter:
         found = self._correction.fit(y, usable, self._z, self._P, self._previous_input)
         if 2 * int(found.passed.sum()) < int(usable.sum()):
             self._mostly_refused += 1
-            late = self._mostly_refused - self._design.patience
+            late = self._mostly_refused - self._design.settings.patience
             if late >= 0:
                 self._P = self._design.start_covariance * _WIDER**late
                 self._tally.start_over()
@@ -512,7 +508,7 @@ class KalmanFilter:
                 if moved.ramp:
                     z = z + moved.by_previous @ (start - rest)
         else:
-            transition, count = np.eye(len(z)), design.substeps
+            transition, count = np.eye(len(z)), design.settings.substeps
             for left in range(count - 1, -1, -1):
                 # A ramp is held at the middle of each substep.
                 share = (left + 0.5) / count if count > 1 else 0.0
@@ -545,7 +541,7 @@ class KalmanFilter:
             nodes=frozen(nodes),
             velocities=frozen(self.plant.to_velocities(z[:r], z[r : 2 * r])),
             load=frozen((self._force @ z[2 * r :]).reshape(shape, order="F"))
-            if self._design.load
+            if self._design.settings.load
             else None,
             state=frozen(z),
             covariance=frozen(P),

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import kernel
-from tenscontrol.estimation.sensors import KINDS, Sensors
+from tenscontrol.estimation.sensors import KINDS, Sensors, symbolic_readings
 from tenscontrol.plant import (
     LeftSpace,
     LinearPlant,
@@ -26,8 +26,8 @@ from tenscontrol.plant import (
     settled,
     state_units,
 )
-from tenscontrol.structure import Structure, left_by_supports, rigid_motions
-from tenscontrol.validation import FloatArray, IntArray, frozen
+from tenscontrol.structure import left_by_supports, rigid_motions
+from tenscontrol.validation import FloatArray, frozen
 
 # A rigid-body motion that moves the readings less than this fraction of another is not seen.
 _UNSEEN = 1e-9
@@ -62,39 +62,18 @@ def _output_function(plant: LinearPlant, sensors: Sensors, more: int) -> ca.Func
     z, u = ca.SX.sym("z", len(plant.A) + more), ca.SX.sym("u", plant.B.shape[1])
     near = near_symbol(plant)
     N, V = reduced_motion(plant, z[: len(plant.A)], near)
-    parts = []
-    if sensors.nodes is not None:
-        parts.append(ca.vec(N[:, sensors.nodes.tolist()]))
-    length, rate = (row.T for row in kernel.string_motion(structure, N, V))
-    if sensors.strings is not None:
-        parts.append(length[sensors.strings.tolist()])
-    if sensors.bars is not None:
-        bars = sensors.bars.tolist()
-        scale = ca.DM(1 / structure.bar_length[bars]).T
-        parts.append(
-            ca.vec(kernel.scale_columns(kernel.differences(N, structure.bars[bars]), scale))
-        )
-    if sensors.tension_strings is not None:
+    tension = ca.SX(len(structure.strings), 1)
+    if sensors.string_tension is not None:
+        length, rate = (row.T for row in kernel.string_motion(structure, N, V))
         gamma = model_input(plant, u)
         if plant.input == "rest_length":
             law = plant.model.strings
             assert law is not None  # linearize needs one for this input
             gamma = law.symbolic_force_density(length, gamma, rate)
-        parts.append((gamma * length)[sensors.tension_strings.tolist()])
-    if sensors.rate_bars is not None:
-        parts.append(_bar_rates(structure, N, V, sensors.rate_bars))
-    y = ca.vertcat(*parts)
+        tension = gamma * length
+    y = symbolic_readings(sensors, N, V, tension)
     results = settled(plant, z, near, [ca.densify(y), ca.densify(ca.jacobian(y, z))])
     return ca.Function("readings", [z, u], ca.cse(results))
-
-
-def _bar_rates(structure: Structure, N: Any, V: Any, which: IntArray) -> Any:
-    """Return angular velocities of bars, rad/s, bar by bar."""
-    ends, scale = structure.bars[which], ca.DM(1 / structure.bar_length[which] ** 2).T
-    b, moved = kernel.differences(N, ends), kernel.differences(V, ends)
-    planes = [(1, 2), (2, 0), (0, 1)][-1 if len(structure.nodes) == 2 else 0 :]
-    turned = [b[i, :] * moved[j, :] - b[j, :] * moved[i, :] for i, j in planes]
-    return ca.vec(kernel.scale_columns(ca.vertcat(*turned), scale))
 
 
 def output_matrix(plant: LinearPlant, sensors: Sensors) -> FloatArray:

@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, final
 
+import casadi as ca
 import numpy as np
 
+from tenscontrol.dynamics import SharedEvaluator, kernel
 from tenscontrol.properties import cached_property
 from tenscontrol.structure import Structure
 from tenscontrol.validation import (
@@ -28,7 +30,7 @@ from tenscontrol.validation import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import ArrayLike
 
@@ -237,43 +239,26 @@ class Sensors:
         TypeError, ValueError
             If an argument does not fit or is not finite, or a bar has no length.
         """
-        N = self.structure.checked_nodes("nodes", nodes)
-        parts = []
-        if self.node_position is not None:
-            parts.append(N[:, self.nodes].ravel(order="F"))
-        if self.string_length is not None:
-            parts.append(self.structure.string_length(N)[self.strings])
-        if self.bar_direction is not None:
-            vectors = self._bars(N, self.bars)
-            parts.append((vectors / np.linalg.norm(vectors, axis=0)).ravel(order="F"))
-        if self.string_tension is not None:
-            pulls = np.full(len(self.structure.strings), np.nan)
-            if tension is not None:
-                pulls = shaped("tension", tension, pulls.shape, "one per string, N")
-            parts.append(pulls[self.tension_strings])
-        if self.bar_rate is not None:
-            parts.append(self._rates(N, velocities))
-        return np.concatenate(parts)
+        structure, N = self.structure, self.structure.checked_nodes("nodes", nodes)
+        length = np.linalg.norm(structure.bar_vectors(N), axis=0)
+        for kind, which in (("bar_direction", self.bars), ("bar_rate", self.rate_bars)):
+            if getattr(self, kind) is not None and not length[which].all():
+                bar = int(length[which].argmin())
+                raise ValueError(f"nodes: bar {bar} of those measured has no length")
+        pulls, V = np.full(len(structure.strings), np.nan), np.full(N.shape, np.nan)
+        if self.string_tension is not None and tension is not None:
+            pulls = shaped("tension", tension, pulls.shape, "one per string, N")
+        if self.bar_rate is not None and velocities is not None:
+            V = structure.checked_nodes("velocities", velocities)
+        return self._read(N, V, pulls)[0]
 
-    def _bars(self, nodes: FloatArray, which: IntArray | None) -> FloatArray:
-        """Return vectors of some bars, shape (d, k), none of them without length."""
-        vectors = self.structure.bar_vectors(nodes)[:, which]
-        length = np.linalg.norm(vectors, axis=0)
-        if not length.all():
-            raise ValueError(f"nodes: bar {int(length.argmin())} of those measured has no length")
-        return vectors
-
-    def _rates(self, nodes: FloatArray, velocities: object) -> FloatArray:
-        """Return angular velocities of the bars that have a gyro, bar by bar."""
-        vectors = self._bars(nodes, self.rate_bars)
-        V = np.full(nodes.shape, np.nan)
-        if velocities is not None:
-            V = self.structure.checked_nodes("velocities", velocities)
-        start, end = self.structure.bars[self.rate_bars].T
-        moved = (V[:, end] - V[:, start]) / (vectors**2).sum(axis=0)
-        if len(nodes) == 2:
-            return np.asarray(vectors[0] * moved[1] - vectors[1] * moved[0])
-        return np.cross(vectors, moved, axis=0).ravel(order="F")
+    @cached_property
+    def _read(self) -> SharedEvaluator:
+        """Function ``(N, V, tension) -> y``."""
+        shape, count = self.structure.nodes.shape, len(self.structure.strings)
+        given = ca.SX.sym("N", *shape), ca.SX.sym("V", *shape), ca.SX.sym("tension", count)
+        y = ca.densify(symbolic_readings(self, *given))
+        return SharedEvaluator(ca.Function("readings", given, [ca.cse(y)]))
 
     def disturb(self, exact: object, generator: np.random.Generator) -> FloatArray:
         """Return y with noise, corrupt readings and losses; what is lost is NaN.
@@ -310,6 +295,35 @@ class Sensors:
     def __repr__(self) -> str:
         kinds = ", ".join(kind for _, _, kind, _ in self._taken)
         return f"Sensors({kinds}; {len(self.readings)} readings, delay {self.delay})"
+
+
+def symbolic_readings(sensors: Sensors, N: Any, V: Any, tension: Any) -> Any:
+    """Return y, shape (m,), of node positions and velocities, (d, n), and tensions, (α,)."""
+    structure = sensors.structure
+
+    def direction(which: IntArray) -> Any:
+        b = kernel.differences(N, structure.bars[which])
+        return kernel.scale_columns(b, 1 / kernel.length(b))
+
+    def rate(which: IntArray) -> Any:
+        b, moved = (kernel.differences(motion, structure.bars[which]) for motion in (N, V))
+        planes = [(1, 2), (2, 0), (0, 1)][-1 if structure.dimension == 2 else 0 :]
+        turned = [b[i, :] * moved[j, :] - b[j, :] * moved[i, :] for i, j in planes]
+        return kernel.scale_columns(ca.vertcat(*turned), 1 / kernel.dots(b, b))
+
+    readings: dict[str, Callable[[IntArray], Any]] = {
+        "node_position": lambda which: N[:, which.tolist()],
+        "string_length": lambda which: kernel.string_lengths(structure, N)[which.tolist()],
+        "bar_direction": direction,
+        "string_tension": lambda which: tension[which.tolist()],
+        "bar_rate": rate,
+    }
+    parts = [
+        readings[kind](getattr(sensors, chooser))
+        for kind, _, chooser, _ in KINDS
+        if getattr(sensors, kind) is not None
+    ]
+    return ca.vertcat(*map(ca.vec, parts))
 
 
 def _chosen(name: str, chosen: Any, count: int) -> IntArray:

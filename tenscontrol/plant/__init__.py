@@ -19,15 +19,13 @@ from tenscontrol.plant.equilibrium import (
     own_input,
     refuse_load,
 )
+from tenscontrol.plant.input_bounds import input_bounds, largest_change, rest_length_bounds
 from tenscontrol.plant.linear_plant import (
     INPUTS,
-    SHORTEST,
     LinearPlant,
     Sampled,
     SparsePlant,
     acceleration_response,
-    input_bounds,
-    largest_change,
     sampled,
     state_units,
 )
@@ -81,7 +79,6 @@ from tenscontrol.plant.string_outputs import (
 
 __all__ = [
     "INPUTS",
-    "SHORTEST",
     "STRINGS_MOVE_NO_CENTRE",
     "Controllability",
     "LeftSpace",
@@ -138,6 +135,7 @@ __all__ = [
     "refuse_unreachable",
     "regulator",
     "regulator_riccati",
+    "rest_length_bounds",
     "riccati_residual",
     "sampled",
     "sampled_dynamics",

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Concatenate, ParamSpec, TypeVar, overload
 
 import numpy as np
 
-from tenscontrol.actuation import Winches
 from tenscontrol.dynamics import Coordinates, Model, Prepared, on_one_thread, refuse_large
 from tenscontrol.properties import cached_property
 from tenscontrol.structure import Structure, to_segments
@@ -19,9 +18,6 @@ from tenscontrol.validation import (
     IntArray,
     freeze_arrays,
     frozen,
-    is_unlimited,
-    limit_per_member,
-    positive,
     positive_number,
 )
 
@@ -53,9 +49,6 @@ _NOISE = 1e-13
 _SYMMETRIC = 1e-9
 
 INPUTS = ("force_density", "rest_length")
-
-# Least rest length commanded, as part of that at the operating point, or of the string's length.
-SHORTEST = 0.01
 
 
 class _Made:
@@ -528,60 +521,3 @@ def clusters(values: FloatArray) -> list[tuple[int, int]]:
     breaks = np.flatnonzero(np.diff(values) > _EQUAL * np.abs(values[1:]) + noise) + 1
     edges = [0, *breaks.tolist(), len(values)]
     return list(pairwise(edges)) if len(values) else []
-
-
-def input_bounds(
-    plant: LinearPlant, max_force_density: object, winches: Winches | None = None
-) -> tuple[FloatArray, FloatArray]:
-    """Return least and largest command, shape (α,) each, or raise naming what does not fit."""
-    count = plant.B.shape[1]
-    if plant.input == "rest_length":
-        if not is_unlimited(max_force_density):
-            raise ValueError(
-                "max_force_density limits plants with input='force_density'; this one has "
-                "input='rest_length', and winches limit rest lengths"
-            )
-        least, most = SHORTEST * plant.equilibrium_input, np.full(count, np.inf)
-        if winches is not None:
-            winches.refuse_out_of_range("plant.rest_length", plant.equilibrium_input)
-            if winches.shortest is not None:
-                least = np.maximum(least, winches.shortest)
-            if winches.longest is not None:
-                most = np.minimum(most, winches.longest)
-        return least, most
-    if winches is not None:
-        raise ValueError(
-            "winches limit rest lengths, but plant has input='force_density'; linearize with "
-            "input='rest_length'"
-        )
-    high = limit_per_member("max_force_density", max_force_density, count, "string")
-    positive("max_force_density", high, "force density in N/m")
-    over = np.flatnonzero(plant.force_density > high)
-    if len(over):
-        i = over[0]
-        raise ValueError(
-            f"max_force_density[{i}] is {high[i]:g} N/m, but string {i} has "
-            f"{plant.force_density[i]:g} N/m at the operating point; expected at least that"
-        )
-    return np.zeros(count), high
-
-
-def largest_change(
-    plant: LinearPlant, max_change: object, winches: Winches | None, sample_time: float | None
-) -> FloatArray | None:
-    """Return the largest change of a command in a sample, shape (α,), or None for any."""
-    count = plant.B.shape[1]
-    change = None
-    if not is_unlimited(max_change):
-        change = limit_per_member("max_change", max_change, count, "string")
-        positive("max_change", change, f"change of {plant.input.replace('_', ' ')}")
-    rate = None if winches is None else winches.largest_rate
-    if sample_time is None:
-        if change is not None or rate is not None:
-            name = "max_change" if change is not None else "winches.rate"
-            raise ValueError(f"{name} limits changes from sample to sample: give sample_time, s")
-        return None
-    if rate is not None:
-        reach = limit_per_member("winches.rate", rate, count, "string") * sample_time
-        change = reach if change is None else np.minimum(change, reach)
-    return change

@@ -17,11 +17,15 @@ from tenscontrol.plot.style import (
     panel_axes,
 )
 from tenscontrol.simulation import Trajectory
+from tenscontrol.status import Status
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, instance
 
 # Marks for what became of readings, told apart by their form.
-_MARKERS = {"partly used": "|", "lost": "x", "refused": "v", "waiting": ".", "started anew": "s"}
+_MARKERS: dict[str, str] = {
+    Status.PARTLY_USED: "|", Status.LOST: "x", Status.REFUSED: "v", Status.WAITING: ".",
+    Status.RESTARTED: "s",
+}  # fmt: skip
 
 
 @closes_on_error

@@ -9,7 +9,6 @@ from itertools import cycle
 import numpy as np
 from matplotlib.axes import Axes
 
-from tenscontrol.control import Status
 from tenscontrol.plot.histories import Curves, checked_references, draw_curves, mark_statuses
 from tenscontrol.plot.style import (
     REFERENCE_COLOR,
@@ -22,6 +21,7 @@ from tenscontrol.plot.style import (
     timed_panels,
 )
 from tenscontrol.simulation import ControlRecord, CutString, Trajectory
+from tenscontrol.status import Status
 from tenscontrol.structure import Structure, moving_mass
 from tenscontrol.validation import FloatArray, choice, float_array, instance
 

@@ -12,7 +12,7 @@ from typing import Any, final
 import numpy as np
 
 from tenscontrol.actuation import Winches
-from tenscontrol.control import Controller, ControlWarning, Status, as_controller
+from tenscontrol.control import Controller, ControlWarning, as_controller
 from tenscontrol.dynamics import ContactLaw, Coordinates, Model, StringLaw, coordinates
 from tenscontrol.estimation import KINDS, KalmanFilter, Sensors
 from tenscontrol.plant import LinearPlant, checked_reference, held_value, own_input
@@ -27,6 +27,7 @@ from tenscontrol.simulation import (
     simulate,
     simulate_many,
 )
+from tenscontrol.status import Status
 from tenscontrol.structure import Structure, refuse_moved_supports, refuse_wrong_bar_lengths
 from tenscontrol.validation import (
     FloatArray,

@@ -1,4 +1,4 @@
-"""Level and bounds of the force densities in a shape, and the choice between them."""
+"""Choice of the force densities in a shape: their level, within bounds."""
 
 from __future__ import annotations
 
@@ -9,22 +9,15 @@ import numpy as np
 from tenscontrol.actuation import Winches
 from tenscontrol.dynamics import Model
 from tenscontrol.statics import least_distance, member_forces
+from tenscontrol.string_bounds import StringBounds, string_bounds
 from tenscontrol.structure import Structure, free_coordinates, is_movable
 from tenscontrol.validation import (
     FloatArray,
     IntArray,
     choice,
     instance,
-    limit_per_member,
-    non_negative,
-    one_or_per_string,
-    per_member,
-    positive,
     positive_number,
 )
-
-# γ is kept below what a string can have by this fraction.
-_SHORT_OF_LIMIT = 1e-6
 
 # In units of the level: what counts as zero, and what a null space is made of.
 _ZERO, _RANK = 1e-9, 1e-9
@@ -34,51 +27,10 @@ _NEWTON_STEPS = 100
 
 
 @dataclass(frozen=True, eq=False)
-class Bounds:
-    """Bounds of γ, N/m, and of rest lengths, m, shape (α,) each."""
-
-    low: FloatArray
-    high: FloatArray
-    largest: FloatArray  # γ that the string law allows
-    rest_length: tuple[FloatArray, FloatArray] | None  # shortest and longest, if winches bound them
-
-    @property
-    def highest(self) -> FloatArray:
-        """What the user and the string law allow, N/m."""
-        return np.minimum(self.high, self.largest)
-
-    def refuse_outside(self, name: str, gamma: FloatArray) -> None:
-        """Raise if γ of an end of a path is outside."""
-        slack = 1e-9 * float(gamma.max(initial=0.0))
-        out = np.flatnonzero((gamma < self.low - slack) | (gamma > self.high + slack))
-        if len(out):
-            i = out[0]
-            raise ValueError(
-                f"{name} has γ = {gamma[i]:g} N/m in string {i}, expected {self.low[i]:g} to "
-                f"{self.high[i]:g} N/m: min_force_density and max_force_density bound the ends too"
-            )
-
-    def refuse_rest_lengths(self, rest_length: FloatArray, time: FloatArray) -> None:
-        """Raise if a rest length, shape (α, T), leaves the range of its winch on the way."""
-        if self.rest_length is None:
-            return
-        low, high = self.rest_length
-        below = rest_length < low[:, None] * (1 - 1e-9)
-        out = np.argwhere(below | (rest_length > high[:, None] * (1 + 1e-9)))
-        if len(out):
-            i, k = out[out[:, 1].argmin()]
-            raise ValueError(
-                f"on the way, at {time[k]:.4g} s, string {i} needs a rest length of "
-                f"{rest_length[i, k]:.6g} m, expected {low[i]:g} to {high[i]:g} m: "
-                "the range of the winches"
-            )
-
-
-@dataclass(frozen=True, eq=False)
 class ForceLimits:
     """Level and bounds of the forces, and the least distance of bars."""
 
-    bounds: Bounds
+    bounds: StringBounds
     clearance: float  # m, 0 if not asked for
     level: float | None  # mean γ of the reference strings, N/m
     reference: IntArray
@@ -173,55 +125,28 @@ def checked_limits(
 
 def checked_bounds(
     model: Model, min_force_density: object, max_force_density: object, winches: Winches | None
-) -> Bounds:
-    """Return the bounds, or raise naming the argument."""
-    structure = model.structure
-    count = len(structure.strings)
+) -> StringBounds:
+    """Return the bounds of the strings of a model, or raise naming the argument."""
+    count = len(model.structure.strings)
     if count == 0:
         raise ValueError("the structure has no strings, so there is nothing to balance")
-    low = per_member("min_force_density", min_force_density, count, "string")
-    non_negative("min_force_density", low, "a string can only pull")
-    high = limit_per_member("max_force_density", max_force_density, count, "string")
-    positive("max_force_density", high, "force density in N/m")
-    over = np.flatnonzero(low > high)
-    if len(over):
-        i = over[0]
-        raise ValueError(
-            f"min_force_density[{i}] is {low[i]:g} N/m, more than max_force_density[{i}] = "
-            f"{high[i]:g} N/m"
-        )
-    largest = np.full(count, np.inf)
-    if model.strings is not None:
-        largest = model.strings.largest_force_density * (1 - _SHORT_OF_LIMIT) * np.ones(count)
-        soft = np.flatnonzero(low > largest)
-        if len(soft):
-            i = soft[0]
+    rest_length = None
+    if winches is not None:
+        instance("winches", winches, Winches, "make them by Winches(shortest=...)")
+        if model.strings is None:
             raise ValueError(
-                f"min_force_density[{i}] is {low[i]:g} N/m, but string {i} stays below "
-                f"{largest[i]:g} N/m by its law"
+                "winches bound rest lengths, but the model has no string law; "
+                "build it as Model(structure, strings=LinearStrings(stiffness=...))"
             )
-    return Bounds(low, high, largest, _rest_length_range(model, winches))
-
-
-def _rest_length_range(
-    model: Model, winches: Winches | None
-) -> tuple[FloatArray, FloatArray] | None:
-    if winches is None:
-        return None
-    instance("winches", winches, Winches, "make them by Winches(shortest=...)")
-    if model.strings is None:
-        raise ValueError(
-            "winches bound rest lengths, but the model has no string law; "
-            "build it as Model(structure, strings=LinearStrings(stiffness=...))"
-        )
-    count = len(model.structure.strings)
-    low = 0.0 if winches.shortest is None else winches.shortest
-    high = np.inf if winches.longest is None else winches.longest
-    for name, value in (("shortest", low), ("longest", high)):
-        one_or_per_string(f"winches.{name}", np.asarray(value), count)
-    if winches.shortest is None and winches.longest is None:
-        return None
-    return np.full(count, low), np.full(count, high)
+        if winches.shortest is not None or winches.longest is not None:
+            rest_length = winches.range(count)
+    return string_bounds(
+        count,
+        min_force_density,
+        max_force_density,
+        largest=np.inf if model.strings is None else model.strings.largest_force_density,
+        rest_length=rest_length,
+    )
 
 
 # ---- the forces chosen between the bounds ----

@@ -162,6 +162,65 @@ def turned_over(structure: Structure, before: FloatArray, after: FloatArray) -> 
     return False
 
 
+class _EquilibriumSearch:
+    """Search for equilibria near a shape, each nearer to the demands than the one before."""
+
+    def __init__(
+        self,
+        problem: ShapeProblem,
+        demanded: _DemandRows,
+        limits: ForceLimits,
+        kind: str,
+        start: FloatArray,
+    ) -> None:
+        self._problem, self._demanded, self._start = problem, demanded, start
+        level = ca.SX(0, 1)  # the equation of the level, if it is given
+        if limits.level is not None:
+            mean = ca.sum1(problem.gamma[limits.reference.tolist()]) / len(limits.reference)
+            level = mean / limits.level - 1
+        self._level, self._tensions = level, _orbit_bounds(problem, limits)
+        self._gamma = np.clip(limits.scale, limits.bounds.low, limits.bounds.high)
+        structure = problem.model.structure
+        S = kernel.differences(problem.nodes, structure.segments)
+        squares = kernel.dots(S, S).T / problem.size**2
+        segment_length = np.linalg.norm(structure.string_vectors(start), axis=0)
+        shortest = (_SHORT * segment_length / problem.size) ** 2
+        e, missed = ca.SX.sym("e", len(demanded.soft)), ca.SX(demanded.rows.numel(), 1)
+        missed[demanded.soft.tolist()] = e
+        stretch = problem.dependent_stretch
+        off = np.full(stretch.numel(), MIRRORED)
+        self._misses = e
+        self._rows = [
+            (stretch, -off, off),
+            (demanded.rows - missed, demanded.low, demanded.high),
+            (level, np.zeros(level.numel()), np.zeros(level.numel())),
+            (squares, shortest, np.full(len(shortest), np.inf)),
+        ]
+        home = problem.start(start, self._gamma)[: problem.positions.numel()]
+        self._away = ca.sumsqr(problem.positions - ca.DM(home))
+        self._forces = ca.SX(0)
+        if limits.level is None:
+            self._forces = _FORCES * _prestress_cost(problem, limits, kind)
+
+    def equilibria(self, nodes: FloatArray) -> Iterator[FloatArray]:
+        """Yield the unknowns of one equilibrium after the other, from a shape on."""
+        problem, e = self._problem, self._misses
+        for weights in _WEIGHTS:
+            guess = np.concatenate([problem.start(nodes, self._gamma), np.zeros(e.numel())])
+            for weight in weights:
+                objective = self._away + weight * ca.sumsqr(e) + self._forces
+                guess, success = problem.search(objective, self._rows, e, *self._tensions, guess)
+                if not success:
+                    break
+                values = _polished(problem, self._demanded, self._level, self._tensions, guess)
+                if values is not None and not turned_over(
+                    problem.model.structure, self._start, problem.read(values)[0]
+                ):
+                    yield values
+            else:
+                return
+
+
 @builds
 def solve_shape(
     model: Model,
@@ -174,57 +233,17 @@ def solve_shape(
     """Return the equilibrium nearest to the start that meets the demands, or misses them least."""
     problem = ShapeProblem(model, start, limits.scale, symmetry)
     demanded = _DemandRows(problem, demands, limits, start)
-    level = ca.SX(0, 1)  # the equation of the level, if it is given
-    if limits.level is not None:
-        mean = ca.sum1(problem.gamma[limits.reference.tolist()]) / len(limits.reference)
-        level = mean / limits.level - 1
-    low, high = _orbit_bounds(problem, limits)
-    gamma = np.clip(limits.scale, limits.bounds.low, limits.bounds.high)
-    forces = ca.SX(0) if level.numel() else _FORCES * _prestress_cost(problem, limits, kind)
-    S = kernel.differences(problem.nodes, model.structure.segments)
-    squares = kernel.dots(S, S).T / problem.size**2
-    segment_length = np.linalg.norm(model.structure.string_vectors(start), axis=0)
-    shortest = (_SHORT * segment_length / problem.size) ** 2
-    e, missed = ca.SX.sym("e", len(demanded.soft)), ca.SX(demanded.rows.numel(), 1)
-    missed[demanded.soft.tolist()] = e
-    stretch = problem.dependent_stretch
-    off = np.full(stretch.numel(), MIRRORED)
-    bounds = [
-        (stretch, -off, off),
-        (demanded.rows - missed, demanded.low, demanded.high),
-        (level, np.zeros(level.numel()), np.zeros(level.numel())),
-        (squares, shortest, np.full(len(shortest), np.inf)),
-    ]
-
-    def search(nodes: FloatArray) -> Iterator[FloatArray]:
-        """Yield equilibria, each nearer to the demands than the one before."""
-        for weights in _WEIGHTS:
-            guess = np.concatenate([problem.start(nodes, gamma), np.zeros(e.numel())])
-            for weight in weights:
-                away = ca.sumsqr(problem.positions - ca.DM(home[: problem.positions.numel()]))
-                objective = away + weight * ca.sumsqr(e) + forces
-                guess, success = problem.search(objective, bounds, e, low, high, guess)
-                if not success:
-                    break
-                values = _polished(problem, demanded, level, (low, high), guess)
-                if values is not None and not turned_over(
-                    model.structure, start, problem.read(values)[0]
-                ):
-                    yield values
-            else:
-                return
-
+    search = _EquilibriumSearch(problem, demanded, limits, kind, start)
     random = np.random.default_rng(0)
-    home = problem.start(start, gamma)
     best: Solved | None = None
     for k in range(1 + _NUDGES):
         aside = _NUDGE * problem.size * random.uniform(-1.0, 1.0, size=start.shape)
-        for values in search(start if k == 0 else start + aside):
+        for values in search.equilibria(start if k == 0 else start + aside):
             outside = float(np.linalg.norm(demanded.outside(values)))
             if best is None or outside < max(best.outside, MET):
-                found = _finished(problem, demanded, limits, kind, values, outside)
-                if best is None or best.outside > MET or found.margin > best.margin:
-                    best = found
+                solved = _finished(problem, demanded, limits, kind, values, outside)
+                if best is None or best.outside > MET or solved.margin > best.margin:
+                    best = solved
             if outside <= MET:
                 break
         if best is not None and best.outside <= MET and best.is_stable:
@@ -291,15 +310,7 @@ def _finished(
     nodes, gamma = problem.read(values)
     structure = replace(model.structure, nodes=nodes)
     length = structure.string_length()
-    low, high = limits.bounds.low, limits.bounds.highest
-    if limits.bounds.rest_length is not None:
-        assert model.strings is not None  # checked with the winches
-        law, (shortest, longest) = model.strings, limits.bounds.rest_length
-        tight, loose = shortest > 0, np.isfinite(longest)
-        most = law.force_density(length, np.where(tight, shortest, length))
-        least = law.force_density(length, np.where(loose, longest, length))
-        high = np.where(tight, np.minimum(high, most), high)
-        low = np.where(loose, np.maximum(low, least), low)
+    low, high = limits.bounds.at_lengths(length, model.strings)
     if (low <= high).all():
         chosen = choose_force_density(structure, model.constant_force, limits, low, high, kind)
         gamma = gamma if chosen is None else chosen

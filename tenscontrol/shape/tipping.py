@@ -11,7 +11,7 @@ import numpy as np
 
 from tenscontrol.actuation import Winches
 from tenscontrol.dynamics import Model, SharedEvaluator, builds, kernel
-from tenscontrol.plant import SHORTEST, convex_hull, held_value
+from tenscontrol.plant import convex_hull, held_value, rest_length_bounds
 from tenscontrol.structure import bar_distances, restore_bar_lengths
 from tenscontrol.validation import (
     FloatArray,
@@ -257,14 +257,9 @@ class TippingPlanner:
         self.home = held_value(model, rest_length, None)
         self.size = float(np.ptp(structure.nodes, axis=1).max())
         self.gravity = weight / float(structure.bar_mass.sum() + structure.point_mass.sum())
-        self._low, self._high = SHORTEST * self.home, np.full(len(self.home), np.inf)
         if winches is not None:
             instance("winches", winches, Winches, "make them by Winches(rate=...)")
-            winches.refuse_out_of_range("rest_length", self.home)
-            if winches.shortest is not None:
-                self._low = np.broadcast_to(winches.shortest, self.home.shape)
-            if winches.longest is not None:
-                self._high = np.broadcast_to(winches.longest, self.home.shape)
+        self._low, self._high = rest_length_bounds(self.home, winches)
         self._clearance = number("clearance", clearance, "m")
         self._conditions = model.prepared.get("tipping", lambda: _conditions(model))
 

@@ -11,10 +11,11 @@ import numpy as np
 from casadi import Function
 
 from tenscontrol.actuation import MotorRecord
-from tenscontrol.control import UNSOLVED, Fallback, Status
+from tenscontrol.control import Fallback
 from tenscontrol.dynamics import Model, evaluate_columns
 from tenscontrol.integrate import Work
 from tenscontrol.simulation.observation import EstimateRecord
+from tenscontrol.status import UNSOLVED, Status
 from tenscontrol.structure import BarClearance, BarCrossing
 from tenscontrol.validation import (
     FloatArray,

@@ -10,6 +10,7 @@ import numpy as np
 from tenscontrol.control import BaseController
 from tenscontrol.dynamics import Evaluator, Model, pack_state
 from tenscontrol.estimation import Estimate, FilterStatistics, KalmanFilter, Sensors
+from tenscontrol.status import Status
 from tenscontrol.structure import different_members, to_strings
 from tenscontrol.validation import LARGEST_SEED, FloatArray, frozen, instance, whole_number
 
@@ -34,7 +35,7 @@ class EstimateRecord:
         What arrived at each sample, NaN where nothing did.
     under_way : ndarray, shape (m, delay)
         What had been measured by the end, and had not arrived.
-    status : tuple of str, length K
+    status : tuple of Status, length K
         What became of it; see :class:`Estimate`.
     statistics : FilterStatistics
     """
@@ -47,11 +48,11 @@ class EstimateRecord:
     state: FloatArray
     measurement: FloatArray
     under_way: FloatArray
-    status: tuple[str, ...]
+    status: tuple[Status, ...]
     statistics: FilterStatistics
 
     @property
-    def status_count(self) -> dict[str, int]:
+    def status_count(self) -> dict[Status, int]:
         """How often each status came."""
         return dict(Counter(self.status))
 

@@ -27,7 +27,6 @@ from tenscontrol.control import (
     MPCStatistics,
     NMPCStatistics,
     OutputLimit,
-    Status,
 )
 from tenscontrol.dynamics import (
     ElasticStrings,
@@ -47,6 +46,7 @@ from tenscontrol.simulation.contacts import ContactRecord
 from tenscontrol.simulation.faults import CutString, LostMeasurement, StuckWinch
 from tenscontrol.simulation.health import ControlRecord, Given, Unsaved
 from tenscontrol.simulation.observation import EstimateRecord
+from tenscontrol.status import Status
 from tenscontrol.structure import BarClearance, BarCrossing, Structure
 from tenscontrol.validation import FloatArray, IntArray, file_path
 
@@ -115,7 +115,8 @@ _SHAPES = {
     "control_at_bound": "K", "control_estimate_time": "K", "control_estimate_nodes": "dmK",
     "control_estimate_velocities": "dmK", "control_estimate_node_deviation": "dmK",
     "control_estimate_length_deviation": "eK", "control_estimate_state": "xK",
-    "control_estimate_measurement": "yK", "control_motors_time": "T", "control_motors_angle": "wT",
+    "control_estimate_measurement": "yK", "control_estimate_status": "K",
+    "control_motors_time": "T", "control_motors_angle": "wT",
     "control_motors_speed": "wT", "control_motors_torque": "wT", "control_motors_power": "wT",
     "control_motors_energy": "wT", "control_motors_torque_limited": "K",
     "control_motors_zero": "w", "control_motors_angle_command": "wK",

@@ -21,6 +21,7 @@ from tenscontrol.statics.stability import (
     stability,
     tangent_stiffness,
 )
+from tenscontrol.string_bounds import string_bounds
 from tenscontrol.structure import (
     BarCrossing,
     Structure,
@@ -310,7 +311,8 @@ def prestress(
         hint = "prestress(structure, force_density=<one number>) finds force densities that balance"
         return balanced(structure, forces, gamma, load, "force_density does not balance", hint)
     level = None if given is None else positive_number("force_density", float(given), "N/m")
-    low, high = _bounds(alpha, min_force_density, max_force_density)
+    bounds = string_bounds(alpha, min_force_density, max_force_density, may_be_slack=True)
+    low, high = bounds.low, bounds.high
     as_high = level is None and min_force_density is None
     if as_high and not np.isfinite(high).all():
         raise ValueError(
@@ -318,25 +320,6 @@ def prestress(
             "largest force densities; give finite ones, or force_density or min_force_density"
         )
     return _found(structure, load, level, reference, low, high, as_high)
-
-
-def _bounds(alpha: int, least: object, most: object) -> tuple[FloatArray, FloatArray]:
-    """Return the least and the largest γ of each string, N/m."""
-    low, high = np.zeros(alpha), np.full(alpha, np.inf)
-    if least is not None:
-        low = per_member("min_force_density", least, alpha, "string")
-        non_negative("min_force_density", low, "a string can only pull")
-    if most is not None:
-        high = limit_per_member("max_force_density", most, alpha, "string")
-        non_negative("max_force_density", high, "a string can only pull")
-    crossed = np.flatnonzero(low > high)
-    if len(crossed):
-        i = crossed[0]
-        raise ValueError(
-            f"max_force_density[{i}] is {high[i]:g}, expected at least {low[i]:g}: "
-            f"min_force_density[{i}]"
-        )
-    return low, high
 
 
 def _found(

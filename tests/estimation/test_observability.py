@@ -9,7 +9,7 @@ from tests.estimation.conftest import EVERY, STEP
 
 
 def read(plant, sensors, z, u):
-    """Readings of a state by the nodes and the string law, away from CasADi."""
+    """All readings of a state by the nodes and the string law, away from CasADi."""
     r = len(z) // 2
     N, V = plant.to_nodes(z[:r]), plant.to_velocities(z[:r], z[r:])
     structure = plant.model.structure
@@ -18,7 +18,18 @@ def read(plant, sensors, z, u):
     gamma = u
     if plant.input == "rest_length":
         gamma = plant.model.strings.force_density(length, u, (S * Sd).sum(axis=0) / length)
-    return sensors.measure(N, gamma * length, V)
+    B, Bd = structure.bar_vectors(N), structure.bar_vectors(V)
+    size = np.linalg.norm(B, axis=0)
+    every = {
+        "node_position": N,
+        "string_length": length,
+        "bar_direction": B / size,
+        "string_tension": gamma * length,
+        "bar_rate": np.cross(B, Bd, axis=0) / size**2,
+    }
+    y = [every[kind].ravel(order="F") for kind in EVERY if getattr(sensors, kind) is not None]
+    np.testing.assert_allclose(sensors.measure(N, gamma * length, V), np.concatenate(y), atol=1e-12)
+    return np.concatenate(y)
 
 
 @pytest.mark.parametrize("kinds", [tuple(EVERY), *((kind,) for kind in EVERY)])

@@ -34,12 +34,12 @@ def main():
         found = {answer[0] for answer in answers}
         assert len(found) == 1, f"statuses depend on the start: {found}"
         statuses[answers[0][0]] += 1
-        if found != {"solved"}:
+        if found != {"ok"}:
             assert found == {"infeasible"}, found
             assert by_daqp(M, price, q, low, high) is None
         for status, x, y, count in answers:
             changes = max(changes, count)
-            if status == "solved":
+            if status == "ok":
                 worst = max(worst, optimality(M, price, q, low, high, x, y))
     print(f"{dict(statuses)}, largest error {worst:.1e}, at most {changes} changes of the set")
 

@@ -777,6 +777,11 @@ call(
     lambda: tc.Winches(rate=0.5, shortest=0.1, longest=np.full(9, 2.0)),
 )
 call(
+    "Winches.range",
+    lambda: {"count": 9},
+    lambda: tc.Winches(shortest=0.1, longest=np.full(9, 2.0)),
+)
+call(
     "Winches.refuse_out_of_range",
     lambda: {"name": "rest_length", "rest_length": rest_length()},
     lambda: tc.Winches(shortest=0.1, longest=np.full(9, 2.0)),

@@ -155,7 +155,7 @@ BOUNDS = [
             ValueError, r"^both ends of every string are fixed"),
     refused("bounds crossed",
             lambda: tc.prestress(prism(), min_force_density=2.0, max_force_density=1.0), ValueError,
-            r"^max_force_density\[0\] is 1, expected at least 2: min_force_density\[0\]"),
+            r"^min_force_density\[0\] is 2 N/m, more than max_force_density\[0\] = 1 N/m"),
     refused("bounds of given forces",
             lambda: tc.prestress(prism(), gamma(), min_force_density=1.0), ValueError,
             r"^force_density gives γ of every string"),

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Unpack, final
 
 import numpy as np
 
+from tenscontrol.control.command import Command, ControlWarning, Fallback
 from tenscontrol.control.controller import clipped
 from tenscontrol.control.held_loop import warn_of_held_lengths
 from tenscontrol.control.mpc.problem import (
@@ -35,12 +36,12 @@ from tenscontrol.control.mpc.settings import (
 from tenscontrol.control.mpc.solvers import DAQPSolver, QPSolver
 from tenscontrol.control.mpc.sparse import Sparse
 from tenscontrol.control.mpc.stages import LinearProgram, has_compiled_program
-from tenscontrol.control.status import Command, ControlWarning, Fallback, Status
 from tenscontrol.plant import (
     LinearPlant,
     Preview,
     ReferencePreview,
 )
+from tenscontrol.status import Status
 from tenscontrol.validation import FloatArray, choice, frozen, instance
 
 if TYPE_CHECKING:

@@ -10,6 +10,7 @@ from typing import Unpack, final
 import casadi as ca
 import numpy as np
 
+from tenscontrol.control.command import Command, ControlWarning, Fallback
 from tenscontrol.control.disturbance import LoadObserver
 from tenscontrol.control.mpc.problem import MPCProblem, Pair, StageData, Subproblem, Triple
 from tenscontrol.control.mpc.real_time_iteration import RealTimeIterate, TrajectoryModel
@@ -24,9 +25,9 @@ from tenscontrol.control.mpc.settings import (
 from tenscontrol.control.mpc.solvers import QPSolver
 from tenscontrol.control.mpc.sparse import Sparse, SparseSubproblem
 from tenscontrol.control.mpc.stages import LeastDistance, LeastDistanceArrays, has_compiled_program
-from tenscontrol.control.status import Command, ControlWarning, Fallback, Status
 from tenscontrol.plant import LinearPlant, ReferencePreview
 from tenscontrol.properties import cached_property
+from tenscontrol.status import Status
 from tenscontrol.validation import FloatArray, frozen, instance, number, truth, whole_number
 
 # Sequential quadratic programming has converged when no input changes by more, in its unit.

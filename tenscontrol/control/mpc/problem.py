@@ -20,9 +20,9 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from tenscontrol.control.status import Status
 from tenscontrol.plant import Preview, StringMap
 from tenscontrol.properties import cached_property
+from tenscontrol.status import Status
 from tenscontrol.validation import BoolArray, FloatArray, IntArray, freeze_arrays, frozen
 
 if TYPE_CHECKING:

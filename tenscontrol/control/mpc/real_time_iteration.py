@@ -29,7 +29,6 @@ from tenscontrol.control.mpc.shooting import (
     repeated,
     transposed_jacobians,
 )
-from tenscontrol.control.status import Status
 from tenscontrol.dynamics import Evaluator
 from tenscontrol.plant import (
     LinearPlant,
@@ -44,6 +43,7 @@ from tenscontrol.plant import (
     string_forces,
     with_jacobian,
 )
+from tenscontrol.status import Status
 from tenscontrol.validation import BoolArray, FloatArray, IntArray
 
 # At a shape that changes its stiffness by a tenth these leave 1e-5 of what was off.

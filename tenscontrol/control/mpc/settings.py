@@ -10,6 +10,7 @@ from typing import ClassVar, Required, Self, TypedDict
 import numpy as np
 
 from tenscontrol.actuation import Winches
+from tenscontrol.control.command import ControlWarning
 from tenscontrol.control.controller import Controller, warn_of_unreached
 from tenscontrol.control.disturbance import LoadModel, LoadObserver, load_observer
 from tenscontrol.control.mpc.constraints import OutputLimit, broken_limits, output_block
@@ -21,7 +22,6 @@ from tenscontrol.control.mpc.problem import (
     string_block,
 )
 from tenscontrol.control.mpc.solvers import DAQPSolver, OSQPSolver, PIQPSolver, QPSolver
-from tenscontrol.control.status import ControlWarning
 from tenscontrol.plant import (
     LinearPlant,
     OperatingPoint,
@@ -41,6 +41,7 @@ from tenscontrol.plant import (
     to_commanded_strings,
     to_model_strings,
 )
+from tenscontrol.string_bounds import string_bounds
 from tenscontrol.validation import (
     MOST_SAMPLES,
     FloatArray,
@@ -51,8 +52,6 @@ from tenscontrol.validation import (
     items,
     limit_per_member,
     limits,
-    non_negative,
-    per_member,
     positive,
     positive_number,
     weight_matrix,
@@ -346,7 +345,7 @@ def design(plant: LinearPlant, settings: MPCSettings, nonlinear: bool = False) -
         terminal_weight=cost,
         low=low - plant.equilibrium_input,
         high=high - plant.equilibrium_input,
-        change=largest_change(plant, settings.max_change, winches, sample_time),
+        change=largest_change(plant.input, len(low), settings.max_change, winches, sample_time),
         length=settings.horizon,
         level=level,
         feedback=gain,
@@ -362,21 +361,9 @@ def _command_range(plant: LinearPlant, settings: MPCSettings) -> tuple[FloatArra
         raise TypeError(
             "max_force_density is None, expected a positive number in N/m, or inf for no limit"
         )
-    high = input_bounds(plant, settings.max_force_density, settings.winches)[1]
-    least = _least_force_density(plant, settings)
-    over = np.flatnonzero(least > plant.force_density)
-    if len(over):
-        i = over[0]
-        raise ValueError(
-            f"min_force_density[{i}] is {least[i]:g} N/m, but string {i} has "
-            f"{plant.force_density[i]:g} N/m at the operating point; expected at most that"
-        )
-    return least, high
-
-
-def _least_force_density(plant: LinearPlant, settings: MPCSettings) -> FloatArray:
-    least = per_member("min_force_density", settings.min_force_density, plant.B.shape[1], "string")
-    return non_negative("min_force_density", least, "a string can only pull")
+    return input_bounds(
+        plant, settings.max_force_density, settings.winches, settings.min_force_density
+    )
 
 
 def _row_blocks(plant: LinearPlant, settings: MPCSettings, penalty: float) -> list[RowBlock]:
@@ -386,10 +373,9 @@ def _row_blocks(plant: LinearPlant, settings: MPCSettings, penalty: float) -> li
         return outputs
     blocks, count, strings = [], plant.B.shape[1], string_map(plant, plant.input)
     if plant.input == "rest_length":
-        largest = limit_per_member("max_force_density", settings.max_force_density, count, "string")
-        positive("max_force_density", largest, "force density in N/m")
-        high = to_model_strings(plant, "force_density", largest)
-        low = to_model_strings(plant, "force_density", _least_force_density(plant, settings))
+        bounds = string_bounds(count, settings.min_force_density, settings.max_force_density)
+        high = to_model_strings(plant, "force_density", bounds.high)
+        low = to_model_strings(plant, "force_density", bounds.low)
         if low[plant.slack].any():
             i = plant.slack[low[plant.slack].argmax()]
             raise ValueError(

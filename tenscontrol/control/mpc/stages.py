@@ -28,18 +28,12 @@ from tenscontrol.control.mpc.problem import (
     Triple,
 )
 from tenscontrol.control.mpc.solvers import active_set_source, least_distance, stages_source
-from tenscontrol.control.status import Status
 from tenscontrol.dynamics import compiled_library, compiler, if_compiled
+from tenscontrol.status import Status
 from tenscontrol.validation import FloatArray, IntArray
 
 # Of a limit, in its unit: what round-off may leave of it.
 STAGES_TOLERANCE = 1e-10
-
-# What the active-set method says.
-_STATUS = (
-    Status.OK, Status.INFEASIBLE, Status.OUT_OF_ITERATIONS, Status.OUT_OF_TIME, Status.BAD_DATA,
-    Status.INACCURATE,
-)  # fmt: skip
 
 _Stop = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p)
 _NEVER = _Stop()
@@ -228,12 +222,12 @@ class LeastDistance(Subproblem):
             stop = _Stop(lambda _: perf_counter() >= deadline)
         given = state, acting, data.reference, data.input_reference, data.drift, previous
         kept = [np.ascontiguousarray(part, float) for part in given]
-        status = self._solve(self._program, *map(_address, kept), stop)
+        status = tuple(Status)[self._solve(self._program, *map(_address, kept), stop)]
         plan = None
-        if status == 0:
+        if status is Status.OK:
             inputs = np.concatenate([acting[None], self._inputs[1:] + self._input_moves])
             plan = self._states + self._moves, inputs
-        return SubproblemSolution(_STATUS[status], self._count(self._program), plan)
+        return SubproblemSolution(status, self._count(self._program), plan)
 
 
 @final

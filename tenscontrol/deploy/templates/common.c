@@ -20,6 +20,8 @@ typedef struct {
 static double previous_input[CONTROLLER_COMMANDS];
 static int has_previous_input;
 
+static int iterations; /* changes of the active set in the last sample */
+
 static int all_finite(const double *values, int count)
 {
     int i;
@@ -119,23 +121,23 @@ static int fault_of(double time, const double *nodes, const double *velocities)
     int i;
     if (!isfinite(time) || !all_finite(nodes, CONTROLLER_COORDINATES) ||
         !all_finite(velocities, CONTROLLER_COORDINATES))
-        return CONTROLLER_NOT_FINITE;
+        return CONTROLLER_MEASUREMENT_NOT_FINITE;
     if (!within_spread(nodes, FARTHEST, SPREAD) ||
         !within_spread(velocities, LARGEST_VELOCITY, FASTEST))
-        return CONTROLLER_NOT_PLAUSIBLE;
+        return CONTROLLER_MEASUREMENT_NOT_PLAUSIBLE;
     for (i = 0; i < BARS; i++) {
         double square = squared_distance(nodes + DIMENSION * bar_start[i],
                                          nodes + DIMENSION * bar_end[i]);
         if (!(square >= shortest_square[i] && square <= longest_square[i]))
-            return CONTROLLER_NOT_PLAUSIBLE;
+            return CONTROLLER_MEASUREMENT_NOT_PLAUSIBLE;
     }
     for (i = 0; i < FIXED; i++)
         if (!(sqrt(squared_distance(nodes + DIMENSION * fixed_node[i], place + DIMENSION * i)) <=
               SUPPORT_DISTANCE))
-            return CONTROLLER_NOT_PLAUSIBLE;
+            return CONTROLLER_MEASUREMENT_NOT_PLAUSIBLE;
     for (i = 0; i < ROLLERS; i++)
         if (!(fabs(nodes[rolling[i]] - held_at[i]) <= SUPPORT_DISTANCE))
-            return CONTROLLER_NOT_PLAUSIBLE;
+            return CONTROLLER_MEASUREMENT_NOT_PLAUSIBLE;
     return CONTROLLER_OK;
 }
 

@@ -14,28 +14,13 @@ extern "C" {
 
 @SIZES@
 
-/* Why a command is not the decision of the controller: status & 15. */
-#define CONTROLLER_OK 0                     /* it is the decision */
-#define CONTROLLER_SATURATED 1              /* cut off at a bound, or at the largest change */
-#define CONTROLLER_NOT_FINITE 2             /* time or measurement not finite */
-#define CONTROLLER_INACCURATE 3             /* the program was ... solved inaccurately */
-#define CONTROLLER_INFEASIBLE 4             /* ... infeasible */
-#define CONTROLLER_UNBOUNDED 5              /* ... unbounded */
-#define CONTROLLER_OUT_OF_ITERATIONS 6      /* ... not solved in the iterations allowed */
-#define CONTROLLER_OUT_OF_TIME 7            /* ... not solved in the time allowed */
-#define CONTROLLER_NOT_CONVEX 8             /* ... not convex */
-#define CONTROLLER_INTERRUPTED 9            /* ... interrupted */
-#define CONTROLLER_UNSOLVED 10              /* ... not solved */
-#define CONTROLLER_BAD_DATA 11              /* ... made of data not finite or too large */
-#define CONTROLLER_NOT_PLAUSIBLE 12         /* a measurement that the structure cannot have */
-#define CONTROLLER_INPUT_NOT_FINITE 13      /* a decision that is not finite */
-#define CONTROLLER_REASON(status) ((status) & 15)
+/* Why a command is not the decision of the controller. */
+@STATUSES@
+#define CONTROLLER_REASON(status) ((status) & @REASON@)
 
-/* The fallback that was commanded: status & 48; 0 if the command is the decision. */
-#define CONTROLLER_PLAN_CONTINUED 16        /* the next input of the last plan */
-#define CONTROLLER_PREVIOUS_INPUT_HELD 32   /* what the actuators hold */
-#define CONTROLLER_EQUILIBRIUM_HELD 48      /* the input of the operating point */
-#define CONTROLLER_FALLBACK(status) ((status) & 48)
+/* The fallback that was commanded; 0 if the command is the decision. */
+@FALLBACKS@
+#define CONTROLLER_FALLBACK(status) ((status) & ~@REASON@)
 
 /* Forget all that was measured, planned or applied. Returns CONTROLLER_OK. */
 int controller_reset(void);
@@ -43,7 +28,8 @@ int controller_reset(void);
 /*
  * Decide on the command of the sample that starts now, once a sample.
  *
- *   time        s; matters only for a reference that moves, and is rounded to a whole sample
+ *   time        s; matters only for a reference that moves, and is rounded to a whole sample.
+ *               One that is not finite counts as a measurement that is not
  *   nodes       positions, m, CONTROLLER_COORDINATES numbers
  *   velocities  m/s, CONTROLLER_COORDINATES numbers
  *   command     out: CONTROLLER_COMMANDS numbers, @UNIT@; finite and within bounds, always
@@ -59,7 +45,7 @@ int controller_command(double time, const double *nodes, const double *velocitie
  *
  *   value       CONTROLLER_COMMANDS numbers, @UNIT@
  *
- * Returns CONTROLLER_OK, or CONTROLLER_NOT_FINITE, and then nothing was changed.
+ * Returns CONTROLLER_OK, or CONTROLLER_MEASUREMENT_NOT_FINITE, and then nothing was changed.
  */
 int controller_applied(const double *value);
 

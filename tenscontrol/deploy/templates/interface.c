@@ -31,7 +31,7 @@ int controller_command(double time, const double *nodes, const double *velocitie
 int controller_applied(const double *value)
 {
     if (!all_finite(value, CONTROLLER_COMMANDS))
-        return CONTROLLER_NOT_FINITE;
+        return CONTROLLER_MEASUREMENT_NOT_FINITE;
     set_previous_input(value);
     return CONTROLLER_OK;
 }

@@ -1,6 +1,8 @@
 
 /* ---- the quadratic program: min 1/2 |x|^2 + q'x + violations, low <= M x <= high ---- */
 
+#include "controller_active_set.h"
+
 /* Values from here on are no numbers of a program. */
 #define LARGEST 1e20
 
@@ -84,7 +86,7 @@ static int solve_program(void)
         program.placed = 1;
     }
     active_set_start(set, program.start);
-    reason = reason_of(active_set_solve(set, program.q, program.low, program.high, program.x));
+    reason = active_set_solve(set, program.q, program.low, program.high, program.x);
     iterations = set->iterations;
     if (reason == CONTROLLER_OK) { /* moved on by a sample */
         copy(program.start, set->y + STAGE_ROWS, ROWS - STAGE_ROWS);

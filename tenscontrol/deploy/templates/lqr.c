@@ -1,8 +1,6 @@
 
 /* ---- linear-quadratic regulator: u = u0 - K z, less H (previous input - u0) for ramps ---- */
 
-static int iterations; /* always 0 */
-
 static void forget(void)
 {
 }

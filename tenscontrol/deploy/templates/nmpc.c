@@ -1,6 +1,8 @@
 
 /* ---- nonlinear model predictive control by real-time iterations ---- */
 
+#include "controller_active_set.h"
+
 #define STAGES_WIDE /* no instructions but those that the compiler is told of */
 #include "controller_stages.h"
 
@@ -196,7 +198,7 @@ static int solve_program(const double *state, const double *row)
     status = stages_program_solve(&program.stages, state, previous_input, row + ROW_REFERENCE,
                                   row + ROW_ORIGIN, drift, previous, NULL);
     iterations = stages_program_iterations(&program.stages);
-    return reason_of(status);
+    return status;
 }
 
 /* Move the plan to the solution. Returns the largest change of an input, in its unit. */

@@ -56,12 +56,13 @@
 #define ACTIVE_SET_API static
 #endif
 
-#define ACTIVE_SET_SOLVED 0
-#define ACTIVE_SET_INFEASIBLE 1        /* hard rows contradict each other, or bounds cross */
-#define ACTIVE_SET_OUT_OF_ITERATIONS 2 /* ... or more rows are active than `most` */
-#define ACTIVE_SET_STOPPED 3           /* `stop` said so */
-#define ACTIVE_SET_BAD_DATA 4          /* q, bounds or rows are not finite */
-#define ACTIVE_SET_INACCURATE 5        /* a violation could not be brought below the tolerance */
+/* Statuses, by their numbers in tenscontrol/status.py. */
+#define ACTIVE_SET_OK 0
+#define ACTIVE_SET_INACCURATE 6        /* a violation could not be brought below the tolerance */
+#define ACTIVE_SET_INFEASIBLE 7        /* hard rows contradict each other, or bounds cross */
+#define ACTIVE_SET_OUT_OF_ITERATIONS 9 /* ... or more rows are active than `most` */
+#define ACTIVE_SET_OUT_OF_TIME 10      /* `stop` said so */
+#define ACTIVE_SET_BAD_DATA 14         /* q, bounds or rows are not finite */
 
 /* Rows that are reached at once, at most. */
 #ifndef ACTIVE_SET_BATCH
@@ -672,7 +673,7 @@ static int active_set_begin(ActiveSet *set, const double *q, const double *low,
         }
     }
     set->candidates = 0;
-    return ACTIVE_SET_SOLVED;
+    return ACTIVE_SET_OK;
 }
 
 /* Change the active set until all rows hold, all multipliers have their signs, or neither can be. */
@@ -686,7 +687,7 @@ static int active_set_iterate(ActiveSet *set, const double *q, const double *low
         double part = 1.0;
         int blocking, k;
         if (set->stop != NULL && set->stop(set->data))
-            return ACTIVE_SET_STOPPED;
+            return ACTIVE_SET_OUT_OF_TIME;
         if (set->iterations >= set->limit)
             return ACTIVE_SET_OUT_OF_ITERATIONS;
         active_set_residuals(set, x, low, high);
@@ -717,7 +718,7 @@ static int active_set_iterate(ActiveSet *set, const double *q, const double *low
         } else {
             int next = active_set_next(set, x, low, high, &enough);
             if (next < 0)
-                return next == -1 ? ACTIVE_SET_SOLVED : ACTIVE_SET_OUT_OF_ITERATIONS;
+                return next == -1 ? ACTIVE_SET_OK : ACTIVE_SET_OUT_OF_ITERATIONS;
             newest = set->active[next];
             active_set_append(set, next, set->product[newest] > high[newest] ? 1 : -1, 0);
             set->iterations++;
@@ -731,16 +732,16 @@ ACTIVE_SET_API int active_set_solve(ActiveSet *set, const double *q, const doubl
     int status;
     set->iterations = 0;
     status = active_set_begin(set, q, low, high);
-    if (status == ACTIVE_SET_SOLVED)
+    if (status == ACTIVE_SET_OK)
         status = active_set_iterate(set, q, low, high, x);
-    if (status == ACTIVE_SET_SOLVED) {
+    if (status == ACTIVE_SET_OK) {
         active_set_refine(set, q, low, high, x);
         if (!active_set_finite(x, set->columns))
             status = ACTIVE_SET_BAD_DATA;
         else if (active_set_inaccurate(set, low, high))
             status = ACTIVE_SET_INACCURATE;
     }
-    if (status != ACTIVE_SET_SOLVED)
+    if (status != ACTIVE_SET_OK)
         active_set_start(set, NULL);
     return status;
 }

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from tenscontrol.control.mpc.solvers.solver import QPSolution, QPSolver, check_values
-from tenscontrol.control.status import Status
-from tenscontrol.validation import FloatArray, IntArray, program_vectors
+from tenscontrol.control.mpc.solvers.solver import QPSolution, QPSolver, check_values, refused
+from tenscontrol.status import Status
+from tenscontrol.validation import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array
@@ -196,21 +196,13 @@ class DAQPSolver(QPSolver):
         deadline: float = np.inf,
     ) -> QPSolution:
         """See :meth:`QPSolver.solve`. Of a start, the active set counts."""
-        usable, ordered = program_vectors(q, l, u, self._shape)
-        if not usable or not ordered:
-            status = Status.INFEASIBLE if usable else Status.BAD_DATA
-            return QPSolution(status, None, None, 0)
+        answer = refused(q, l, u, self._shape, deadline)
+        if answer is not None:
+            return answer
         if len(self._violation) and not self._are_violations(q, l, u):
             self._prepare_without_violations()
-        limit = deadline - perf_counter()
-        if limit <= 0:
-            return QPSolution(Status.OUT_OF_TIME, None, None, 0)
         if start is not None:
-            multiplier = start[1]
-            if len(self._soft):
-                above, below = multiplier[self._high_row], multiplier[self._low_row]
-                multiplier = np.maximum(above, 0) + np.minimum(below, 0)
-            self._last = q, multiplier
+            self._last = q, self._of_rows(start[1])
         flag, given = 0, {}
         if not np.array_equal(q, self._q):
             # DAQP has prices of rows, and no slope at all where there is none, from its setup on.
@@ -241,6 +233,12 @@ class DAQPSolver(QPSolver):
         # What DAQP leaves then may start nothing.
         self._model, self._last, self._changed = None, None, False
         return QPSolution(_STATUS[flag], None, None, iterations)
+
+    def _of_rows(self, y: FloatArray) -> FloatArray:
+        """Return the multipliers of DAQP's rows, of which some have both bounds of a soft row."""
+        if not len(self._soft):
+            return y
+        return np.asarray(np.maximum(y[self._high_row], 0) + np.minimum(y[self._low_row], 0))
 
     def _states(self, q: FloatArray, multiplier: FloatArray) -> np.ndarray:
         active = self._none.copy()

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from tenscontrol.control.mpc.solvers.solver import QPSolution, QPSolver, check_values
-from tenscontrol.control.status import Status
-from tenscontrol.validation import FloatArray, program_vectors
+from tenscontrol.control.mpc.solvers.solver import QPSolution, QPSolver, check_values, refused
+from tenscontrol.status import Status
+from tenscontrol.validation import FloatArray
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array
@@ -138,14 +138,11 @@ class OSQPSolver(QPSolver):
         Of data that are refused OSQP would print a line, keep the old data, or be poisoned for
         good.
         """
-        usable, ordered = program_vectors(q, l, u, self._shape)
-        if not usable or not ordered:
-            status = Status.INFEASIBLE if usable else Status.BAD_DATA
-            return QPSolution(status, None, None, 0)
+        answer = refused(q, l, u, self._shape, deadline)
+        if answer is not None:
+            return answer
         if deadline < np.inf:
-            left = deadline - perf_counter()
-            if left <= 0:
-                return QPSolution(Status.OUT_OF_TIME, None, None, 0)
+            left = max(deadline - perf_counter(), np.finfo(float).tiny)
             self._solver.update_settings(time_limit=left + self._counted)
         self._solver.update(q=q, l=l, u=u)
         if start is not None:

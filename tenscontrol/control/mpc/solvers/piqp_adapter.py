@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from time import perf_counter
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from tenscontrol.control.mpc.solvers.solver import QPSolution, QPSolver, check_values
-from tenscontrol.control.status import Status
-from tenscontrol.validation import FloatArray, program_vectors
+from tenscontrol.control.mpc.solvers.solver import QPSolution, QPSolver, check_values, refused
+from tenscontrol.status import Status
+from tenscontrol.validation import FloatArray
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array, csc_matrix, csr_array
@@ -111,12 +110,9 @@ class PIQPSolver(QPSolver):
         deadline: float = np.inf,
     ) -> QPSolution:
         """See :meth:`QPSolver.solve`. A start counts for nothing."""
-        usable, ordered = program_vectors(q, l, u, self._shape)
-        if not usable or not ordered:
-            status = Status.INFEASIBLE if usable else Status.BAD_DATA
-            return QPSolution(status, None, None, 0)
-        if deadline < np.inf and deadline <= perf_counter():
-            return QPSolution(Status.OUT_OF_TIME, None, None, 0)
+        answer = refused(q, l, u, self._shape, deadline)
+        if answer is not None:
+            return answer
         if not np.array_equal(l == u, self._equal):
             self._set_up(l == u)
         # A factor below zero turns a bound round.

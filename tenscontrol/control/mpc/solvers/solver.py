@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from time import perf_counter
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tenscontrol.control.status import Status
+from tenscontrol.status import Status
 from tenscontrol.validation import FloatArray
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array
+
+# Numbers of a program are below this; a bound beyond it is none.
+_LARGEST = 1e20
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +115,36 @@ class QPSolver(ABC):
     @abstractmethod
     def reset(self) -> None:
         """Forget the last solution, and all that was adapted to it."""
+
+
+def refused(
+    q: FloatArray,
+    l: FloatArray,  # noqa: E741 - the letters of the problem
+    u: FloatArray,
+    shape: tuple[int, int],
+    deadline: float,
+) -> QPSolution | None:
+    """Return the answer to vectors that no solver should be given, or too late; None if fine.
+
+    A has this shape. A solver takes 1e30 for infinite, and loses its digits long before. What is
+    not a number may poison it for good.
+    """
+    for name, vector, size in (("q", q, shape[1]), ("l", l, shape[0]), ("u", u, shape[0])):
+        if vector.shape != (size,):
+            raise ValueError(f"{name} has shape {vector.shape}, expected ({size},)")
+    # What is not a number is the largest and the least, and comparisons with it are false.
+    usable = (
+        np.abs(q).max(initial=0.0) < _LARGEST
+        and l.max(initial=0.0) < _LARGEST
+        and u.min(initial=0.0) > -_LARGEST
+    )
+    if not usable:
+        return QPSolution(Status.BAD_DATA, None, None, 0)
+    if not (l <= u).all():
+        return QPSolution(Status.INFEASIBLE, None, None, 0)
+    if deadline < np.inf and deadline <= perf_counter():
+        return QPSolution(Status.OUT_OF_TIME, None, None, 0)
+    return None
 
 
 def check_values(A: FloatArray, nonzeros: int) -> None:

@@ -935,7 +935,7 @@ STAGES_API int stages_program_solve(StagesProgram *program, const double *state,
     program->moved = 0;
     status = active_set_solve(&program->set, program->none, program->lower, program->upper,
                               program->x);
-    if (status != ACTIVE_SET_SOLVED)
+    if (status != ACTIVE_SET_OK)
         return status;
     memcpy(program->y, program->set.y,
            (size_t)s->stages * (size_t)stages_rows(s) * sizeof(double));

@@ -10,9 +10,8 @@ import numpy as np
 from tenscontrol.control.mpc.solvers.c_source import active_set_source
 from tenscontrol.dynamics import compiler
 from tenscontrol.dynamics.machine_code import compiled_library
+from tenscontrol.status import Status
 from tenscontrol.validation import FloatArray
-
-STATUSES = ("solved", "infeasible", "out of iterations", "stopped", "bad data", "inaccurate")
 
 _CALLS = """
 typedef struct {
@@ -174,4 +173,4 @@ class ActiveSetProgram:
         given = [*arrays, x, y, counts]
         status = self._library.solve_set(_pointer(self._memory), stop_at, *map(_pointer, given))
         self.products, self.batches, self.reached = (int(count) for count in counts[1:])
-        return STATUSES[status], x, y, int(counts[0])
+        return tuple(Status)[status], x, y, int(counts[0])

@@ -1,45 +1,16 @@
-"""A command of a controller, its status and its fallback."""
+"""A command of a controller, and the fallback in place of its decision."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
 
+from tenscontrol.status import Status
 from tenscontrol.validation import FloatArray
-
-
-class Status(StrEnum):
-    """Status of a command: ok, or why it is not. Compare with ``is``."""
-
-    OK = "ok"
-    SATURATED = "saturated"
-    UNREACHED = "error dynamics not reached"
-    MEASUREMENT_NOT_FINITE = "measurement not finite"
-    MEASUREMENT_NOT_PLAUSIBLE = "measurement not plausible"
-    INPUT_NOT_FINITE = "input not finite"
-    # Of a quadratic program that was not solved.
-    INACCURATE = "solved inaccurately"
-    INFEASIBLE = "infeasible"
-    UNBOUNDED = "unbounded"
-    OUT_OF_ITERATIONS = "out of iterations"
-    OUT_OF_TIME = "out of time"
-    NOT_CONVEX = "not convex"
-    INTERRUPTED = "interrupted"
-    UNSOLVED = "unsolved"
-    BAD_DATA = "data not finite or too large"
 
 
 class ControlWarning(RuntimeWarning):
     """A closed loop that does not reach its reference, or cannot."""
-
-
-#: Statuses of a quadratic program that was not solved.
-UNSOLVED = frozenset(
-    {
-        Status.INACCURATE, Status.INFEASIBLE, Status.UNBOUNDED, Status.OUT_OF_ITERATIONS,
-        Status.OUT_OF_TIME, Status.NOT_CONVEX, Status.INTERRUPTED, Status.UNSOLVED, Status.BAD_DATA,
-    }
-)  # fmt: skip
 
 
 class Fallback(StrEnum):

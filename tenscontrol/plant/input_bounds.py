@@ -1,0 +1,85 @@
+"""Bounds of the inputs of a plant, and of their change from sample to sample."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tenscontrol.actuation import Winches
+from tenscontrol.plant.linear_plant import LinearPlant
+from tenscontrol.string_bounds import string_bounds
+from tenscontrol.validation import FloatArray, instance, is_unlimited, limit_per_member, positive
+
+# Least rest length commanded, as part of that at the operating point, or of the string's length.
+_SHORTEST = 0.01
+
+
+def input_bounds(
+    plant: LinearPlant,
+    max_force_density: object,
+    winches: Winches | None = None,
+    min_force_density: object = None,
+) -> tuple[FloatArray, FloatArray]:
+    """Return least and largest command, shape (α,) each, or raise naming what does not fit."""
+    if winches is not None:
+        instance("winches", winches, Winches, "make them by Winches(rate=...)")
+    if plant.input == "rest_length":
+        if not is_unlimited(max_force_density):
+            raise ValueError(
+                "max_force_density limits plants with input='force_density'; this one has "
+                "input='rest_length', and winches limit rest lengths"
+            )
+        return rest_length_bounds(plant.equilibrium_input, winches, "plant.rest_length")
+    if winches is not None:
+        raise ValueError(
+            "winches limit rest lengths, but plant has input='force_density'; linearize with "
+            "input='rest_length'"
+        )
+    gamma = plant.force_density
+    bounds = string_bounds(len(gamma), min_force_density, max_force_density)
+    for name, limit, is_beyond, expected in (
+        ("max_force_density", bounds.high, gamma > bounds.high, "least"),
+        ("min_force_density", bounds.low, gamma < bounds.low, "most"),
+    ):
+        if is_beyond.any():
+            i = int(is_beyond.argmax())
+            raise ValueError(
+                f"{name}[{i}] is {limit[i]:g} N/m, but string {i} has {gamma[i]:g} N/m at the "
+                f"operating point; expected at {expected} that"
+            )
+    return bounds.low, bounds.high
+
+
+def rest_length_bounds(
+    usual: FloatArray, winches: Winches | None = None, name: str = "rest_length"
+) -> tuple[FloatArray, FloatArray]:
+    """Return least and largest rest length commanded, m, shape (α,) each.
+
+    At least a hundredth of the usual one, and what winches reach; ``name`` is that of the usual
+    ones in the message that they do not reach them.
+    """
+    low, high = _SHORTEST * usual, np.full(len(usual), np.inf)
+    if winches is not None:
+        winches.refuse_out_of_range(name, usual)
+        shortest, high = winches.range(len(usual))
+        low = np.maximum(low, shortest)
+    return low, high
+
+
+def largest_change(
+    input: str, count: int, max_change: object, winches: Winches | None, sample_time: float | None
+) -> FloatArray | None:
+    """Return the largest change of so many inputs in a sample, shape (α,), or None for any."""
+    change = None
+    if not is_unlimited(max_change):
+        change = limit_per_member("max_change", max_change, count, "string")
+        positive("max_change", change, f"change of {input.replace('_', ' ')}")
+    rate = None if winches is None else winches.largest_rate
+    if sample_time is None:
+        if change is not None or rate is not None:
+            name = "max_change" if change is not None else "winches.rate"
+            raise ValueError(f"{name} limits changes from sample to sample: give sample_time, s")
+        return None
+    if rate is not None:
+        reach = limit_per_member("winches.rate", rate, count, "string") * sample_time
+        change = reach if change is None else np.minimum(change, reach)
+    return change
