@@ -275,15 +275,6 @@ def _ground_function(model: Model, contacts: Contacts) -> ca.Function:
     return ca.Function("ground_points", [N], [ca.densify(ca.horzcat(*parts))])
 
 
-def ground_energy(model: Model, nodes: ca.SX) -> ca.SX:
-    """Return what the ground stores under nodes, J."""
-    energy = ca.SX(0)
-    for law, which, _ in model.contacts or ():
-        at = nodes[:, which.tolist()]
-        energy += ca.sum2(law.stored_energy(law.sinking(at, 0 * at)[0]))
-    return energy
-
-
 def let_down(model: Model, start: FloatArray, load: FloatArray) -> FloatArray:
     """Return the nodes moved along the resultant of the load until one of them touches.
 
