@@ -31,6 +31,8 @@ from tenscontrol.dynamics.evaluator import (
     on_one_thread,
     solving,
 )
+from tenscontrol.dynamics.force import Force, Pass, Read, Write
+from tenscontrol.dynamics.forces import TERMS, Forces
 from tenscontrol.dynamics.machine_code import (
     Compiled,
     Compiler,
@@ -62,6 +64,7 @@ from tenscontrol.dynamics.tangent import (
 __all__ = [
     "BUILDING",
     "KINDS",
+    "TERMS",
     "ColumnEvaluator",
     "Compiled",
     "Compiler",
@@ -74,19 +77,24 @@ __all__ = [
     "Equation",
     "Evaluator",
     "Exclusive",
+    "Force",
+    "Forces",
     "Ground",
     "HertzGround",
     "InputLayout",
     "LinearStrings",
     "Model",
+    "Pass",
     "Pieces",
     "Prepared",
     "ProcessLock",
     "Profile",
+    "Read",
     "SharedEvaluator",
     "SmoothGround",
     "StringLaw",
     "Tangent",
+    "Write",
     "as_pieces",
     "builds",
     "built",

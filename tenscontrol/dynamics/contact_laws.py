@@ -512,7 +512,7 @@ class Contacts(Force):
     """
 
     argument = "ground"
-    conserves_energy = True  # a run records the work that contacts take
+    is_recorded = True
 
     laws: tuple[ContactLaw, ...]
     nodes: tuple[IntArray, ...]

@@ -129,7 +129,8 @@ class Force(ABC):
     differ from those here.
     """
 
-    #: The argument of a model that it is made from, its unit, and what it is, for scene files.
+    #: The argument of a model that it is made from. Where that is a number that scene files may
+    #: give in [loads]: its unit, and what it is.
     argument: ClassVar[str] = ""
     unit: ClassVar[str] = ""
     meaning: ClassVar[str] = ""
@@ -138,13 +139,10 @@ class Force(ABC):
     switches: int = 0
     #: Whether it depends on velocities.
     is_velocity_dependent: bool = False
-    #: Whether it acts between nodes, along with their momenta.
+    #: Whether it leaves linear and angular momentum as they are.
     conserves_momentum: bool = False
-
-    @property
-    def conserves_energy(self) -> bool:
-        """Whether what it takes from the motion is stored, or recorded."""
-        return not self.is_velocity_dependent
+    #: Whether runs record what it stores and what it takes from the energy.
+    is_recorded: bool = False
 
     @abstractmethod
     def passes(self, switched: bool) -> list[Pass]:

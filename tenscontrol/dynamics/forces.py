@@ -19,7 +19,7 @@ from tenscontrol.structure import Structure
 TERMS: dict[str, type[Any]] = {term.argument: term for term in (Contacts,)}
 
 
-def terms_of(structure: Structure, **arguments: object) -> tuple[Force, ...]:
+def terms_of(structure: Structure, arguments: dict[str, Any]) -> tuple[Force, ...]:
     """Return the forces that arguments of a model make, without those that are not there."""
     made = (TERMS[name].of_argument(structure, value) for name, value in arguments.items())
     return tuple(term for term in made if term is not None)
@@ -63,13 +63,18 @@ class Forces:
 
     @property
     def conserves_energy(self) -> bool:
-        """Whether what forces take from the motion is stored, or recorded."""
-        return all(term.conserves_energy for term in self)
+        """Whether what is taken from the energy is recorded."""
+        return not any(term.is_velocity_dependent and not term.is_recorded for term in self)
 
     @property
     def conserves_momentum(self) -> bool:
-        """Whether all act between nodes."""
+        """Whether all leave linear and angular momentum as they are."""
         return all(term.conserves_momentum for term in self)
+
+    def stored_energy(self, N: Any, u: Any) -> Any:
+        """Return what is stored, J, without what runs record; see :meth:`Force.stored_energy`."""
+        own = (term.stored_energy(N, u) for term in self if not term.is_recorded)
+        return sum(map(ca.sum1, own), type(N)(1, 1))
 
     def passes(self, switched: bool = True) -> list[list[Pass]]:
         """Return the passes of each force; see :meth:`Force.passes`."""

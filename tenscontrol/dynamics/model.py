@@ -133,11 +133,16 @@ class Model:
             fall = gravity_vector(gravity, structure.dimension)
         self._structure = structure
         self._strings = strings
-        self._terms = terms_of(structure, ground=ground)
+        others = {"ground": ground}
+        self._terms = terms_of(structure, others)
         self._external_force = takes_load
         masses = structure.bar_mass, structure.point_mass
         self._constant_force = frozen(load + weights(structure, fall, *masses))
         self._load, self._gravity = frozen(load), frozen(fall)
+        self._arguments = others | {
+            "structure": structure, "strings": strings, "external_force": takes_load or self._load,
+            "gravity": self._gravity,
+        }  # fmt: skip
         self._prepared = Prepared()
 
     @property
@@ -159,6 +164,38 @@ class Model:
     def contacts(self) -> Contacts | None:
         """The nodes that can touch the ground; None where there is none."""
         return self.forces("force_density").contacts
+
+    @property
+    def arguments(self) -> dict[str, Any]:
+        """What the model was made from, by name."""
+        return dict(self._arguments)
+
+    def replace(self, **arguments: Any) -> Model:
+        """Return the model with other arguments.
+
+        Parameters
+        ----------
+        **arguments
+            Of :class:`Model`, those that differ.
+
+        Returns
+        -------
+        Model
+
+        Raises
+        ------
+        TypeError, ValueError
+            As :class:`Model` does.
+
+        Examples
+        --------
+        >>> import tenscontrol as tc
+        >>> model = tc.Model(tc.prism(), strings=tc.LinearStrings(stiffness=100.0))
+        >>> heavy = model.replace(gravity=9.81)
+        >>> heavy.gravity, heavy.strings.stiffness[0]
+        (array([ 0.  ,  0.  , -9.81]), np.float64(100.0))
+        """
+        return Model(**(self._arguments | arguments))
 
     def forces(self, input: str) -> Forces:
         """Return the forces on the nodes, without loads and weights.
@@ -473,7 +510,8 @@ class Model:
     # ---- expressions ----
 
     def _string_force_density(self, s: dict[str, Any]) -> ca.Function:
-        gamma = self._strings_of(s).force_density(s["nodes"], s["velocities"], s["rest_length"])
+        strings = StringForce(self._structure, s.get("law") or self._needed_strings())
+        gamma = strings.force_density(s["nodes"], s["velocities"], s["rest_length"])
         return self._function("string_force_density", s, "x rest_length", gamma=gamma)
 
     def _kinetic_energy(self, s: dict[str, Any]) -> ca.Function:
@@ -482,16 +520,13 @@ class Model:
         return self._function("kinetic_energy", s, "x", energy=energy)
 
     def _potential_energy(self, s: dict[str, Any]) -> ca.Function:
-        stored = self.forces("force_density").strings.stored_energy(s["nodes"], s["gamma"])
-        return self._function("potential_energy", s, "x gamma", energy=ca.densify(ca.sum1(stored)))
+        stored = self.forces("force_density").stored_energy(s["nodes"], s["gamma"])
+        return self._function("potential_energy", s, "x gamma", energy=ca.densify(stored))
 
     def _elastic_energy(self, s: dict[str, Any]) -> ca.Function:
-        stored = self._strings_of(s).stored_energy(s["nodes"], s["rest_length"])
-        energy = ca.densify(ca.sum1(stored))
+        forces = Forces(self._structure, s.get("law") or self._needed_strings(), self._terms)
+        energy = ca.densify(forces.stored_energy(s["nodes"], s["rest_length"]))
         return self._function("elastic_energy", s, "x rest_length", energy=energy)
-
-    def _strings_of(self, s: dict[str, Any]) -> StringForce:
-        return StringForce(self._structure, s.get("law") or self._needed_strings())
 
     def _string_motion(self, s: dict[str, Any]) -> ca.Function:
         """``(x) -> (length, rate)``: of each string, m and m/s, shape (α,)."""
@@ -509,7 +544,7 @@ class Model:
         s["rate"] = ca.SX.sym("rate", len(self._structure.strings))
         x, rest = s["x"], s["rest_length"]
         length = kernel.string_lengths(self._structure, s["nodes"]).T
-        stored = self._strings_of(s).stored_energy(s["nodes"], rest)
+        stored = self.forces("rest_length").strings.stored_energy(s["nodes"], rest)
         # Each string stores by its own rest length alone.
         force = -ca.jtimes(stored, rest, ca.DM.ones(rest.shape))
         slope = -ca.jtimes(force, rest, ca.DM.ones(rest.shape))

@@ -426,8 +426,7 @@ def _minimize(
     nodes = ca.reshape(flat, *structure.nodes.shape)
     energies = _string_energies(model, kind, nodes, held, rounding)
     energy = ca.dot(weights, energies) - ca.dot(free_coordinates(structure, load), at)
-    if sticking is not None:
-        energy += model.forces(kind).contacts.stored_energy(nodes)
+    energy += sum(term.stored_energy(nodes) for term in model.forces(kind).terms)
     moving = structure.kept_bars
     B = kernel.differences(nodes, structure.bars[moving])
     stretch = (kernel.dots(B, B).T - ca.DM(structure.bar_length[moving] ** 2)) / 2

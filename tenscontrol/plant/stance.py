@@ -531,12 +531,12 @@ def standing_model(model: Model, stance: Stance) -> Model:
 
 def _standing(model: Model, nodes: FloatArray, feet: IntArray) -> Model:
     structure = _with_feet(model.structure, nodes, feet)
-    law, load = model.strings, model.constant_force
+    load = model.constant_force
     if not model.has_external_force:
-        return Model(structure, law, external_force=load)
+        return model.replace(structure=structure, external_force=load, gravity=None, ground=None)
     # All that is built in beside a load as an input are weights.
-    mass = model.mass_matrix().sum()
-    return Model(structure, law, external_force=True, gravity=load.sum(axis=1) / mass)
+    fall = load.sum(axis=1) / model.mass_matrix().sum()
+    return model.replace(structure=structure, gravity=fall, ground=None)
 
 
 def _with_feet(structure: Structure, nodes: FloatArray, feet: IntArray) -> Structure:

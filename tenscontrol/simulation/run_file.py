@@ -529,11 +529,7 @@ def _check_shapes(shapes: Mapping[str, tuple[int, ...]]) -> None:
 
 def model_parts(model: Model) -> dict[str, Any]:
     """Return what a model is made of, beside its structure."""
-    return {
-        "strings": model.strings,
-        "external_force": model.has_external_force or model.built_in_load,
-        "gravity": model.gravity,
-    }
+    return {k: v for k, v in model.arguments.items() if k not in ("structure", "ground")}
 
 
 def _model(structure: Structure, ground: Any, parts: Any) -> Model | Unsaved:
