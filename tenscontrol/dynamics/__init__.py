@@ -31,8 +31,8 @@ from tenscontrol.dynamics.evaluator import (
     on_one_thread,
     solving,
 )
-from tenscontrol.dynamics.force import Force, Pass, Read, Write
 from tenscontrol.dynamics.forces import TERMS, Forces
+from tenscontrol.dynamics.instructions import OPERATIONS, instructions, number_text
 from tenscontrol.dynamics.machine_code import (
     Compiled,
     Compiler,
@@ -64,6 +64,7 @@ from tenscontrol.dynamics.tangent import (
 __all__ = [
     "BUILDING",
     "KINDS",
+    "OPERATIONS",
     "TERMS",
     "ColumnEvaluator",
     "Compiled",
@@ -77,24 +78,20 @@ __all__ = [
     "Equation",
     "Evaluator",
     "Exclusive",
-    "Force",
     "Forces",
     "Ground",
     "HertzGround",
     "InputLayout",
     "LinearStrings",
     "Model",
-    "Pass",
     "Pieces",
     "Prepared",
     "ProcessLock",
     "Profile",
-    "Read",
     "SharedEvaluator",
     "SmoothGround",
     "StringLaw",
     "Tangent",
-    "Write",
     "as_pieces",
     "builds",
     "built",
@@ -106,7 +103,9 @@ __all__ = [
     "evaluate_columns",
     "exclusive",
     "if_compiled",
+    "instructions",
     "normal_basis",
+    "number_text",
     "on_one_thread",
     "pack_state",
     "polynomial_at",
