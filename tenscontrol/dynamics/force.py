@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from tenscontrol.validation import FloatArray, IntArray
+from tenscontrol.validation import IntArray
 
 # Arrays with a vector for each node; the others have a number for each string or switch.
 VECTORS = "pvfa"
@@ -114,7 +114,7 @@ def sum_on_nodes(passes: Iterable[Pass], arrays: Columns) -> Any:
     return ca.mtimes(ca.horzcat(*pushes), gather)
 
 
-def shared(values: Any) -> float | FloatArray:
+def shared(values: Any) -> Any:
     """Return the one number that all members share, if they do; symbols as they are."""
     if isinstance(values, ca.SX):
         return values
@@ -135,14 +135,20 @@ class Force(ABC):
     unit: ClassVar[str] = ""
     meaning: ClassVar[str] = ""
 
-    #: Number of switches: entries of ``taut``.
-    switches: int = 0
-    #: Whether it depends on velocities.
-    is_velocity_dependent: bool = False
     #: Whether it leaves linear and angular momentum as they are.
     conserves_momentum: bool = False
     #: Whether runs record what it stores and what it takes from the energy.
     is_recorded: bool = False
+
+    @property
+    def switches(self) -> int:
+        """Number of switches: entries of ``taut``."""
+        return 0
+
+    @property
+    def is_velocity_dependent(self) -> bool:
+        """Whether it depends on velocities."""
+        return False
 
     @abstractmethod
     def passes(self, switched: bool) -> list[Pass]:

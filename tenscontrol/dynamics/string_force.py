@@ -29,8 +29,16 @@ class StringForce(Force):
 
     def __init__(self, structure: Structure, law: StringLaw | None) -> None:
         self._structure, self._law = structure, law
-        self.switches = 0 if law is None else len(structure.strings)
-        self.is_velocity_dependent = law is not None and law.is_damped
+
+    @property
+    def switches(self) -> int:
+        """Number of strings that can go slack."""
+        return 0 if self._law is None else len(self._structure.strings)
+
+    @property
+    def is_velocity_dependent(self) -> bool:
+        """Whether a string is damped."""
+        return self._law is not None and self._law.is_damped
 
     def force_density(self, N: Any, Nd: Any, u: Any) -> Any:
         """Return γ of each string, N/m, shape (α, 1): the input, or what the law makes of it.
@@ -46,7 +54,7 @@ class StringForce(Force):
         length, rate = kernel.string_motion(self._structure, N, Nd)
         return self._law.symbolic_force_density(length.T, u, rate.T)
 
-    def stored_energy(self, N: Any, u: Any, length: Any = None) -> Any:
+    def stored_energy(self, N: Any, u: Any = None, length: Any = None) -> Any:
         """Return what each string stores, J, shape (α, 1); see :meth:`Force.stored_energy`.
 
         With other lengths than those of the nodes, m, shape (α, 1), if they are given.

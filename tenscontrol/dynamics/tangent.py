@@ -321,12 +321,10 @@ def _of_forces(
 
     d, size, count = len(nodes), nodes.size, len(model.structure.strings)
 
-    def build() -> tuple[list[tuple[Pass, ca.Function]], list[tuple[Pass, ca.Function]]]:
+    def build() -> list[list[tuple[Pass, ca.Function]]]:
         forces = model.forces(input)
-        return tuple(
-            [(over, _of_member(over, d)) for over in passes]
-            for passes in (forces.gap_passes(), chain(*forces.passes()))
-        )
+        kinds = forces.gap_passes(), chain(*forces.passes())
+        return [[(over, _of_member(over, d)) for over in passes] for passes in kinds]
 
     gaps, passes = model.prepared.get(("members at rest", input), build)
     taut = np.zeros(sum(over.count for over, _ in gaps))
@@ -340,6 +338,7 @@ def _of_forces(
     for over, function in passes:
         values, slopes = _at(over, function, still | {"taut": taut[None]})
         for write in over.writes:
+            assert write.at is not None  # forces are on nodes
             out = slice(d * write.output, d * write.output + d)
             rows = d * write.at + np.arange(d)[:, None]  # (d, k)
             np.add.at(push, rows, write.sign * values[out])

@@ -339,7 +339,9 @@ FAULT_KEYS: Mapping[str, Keys] = MappingProxyType(
 )
 
 # Forces of a model that are numbers.
-FORCE_KEYS: Keys = {name: (NUMBER, force.unit) for name, force in TERMS.items() if force.unit}
+FORCE_KEYS: dict[str, tuple[Kind, str]] = {
+    name: (NUMBER, force.unit) for name, force in TERMS.items() if force.unit
+}
 TABLES = _named(
     structure={key: each for keys in GENERATOR_KEYS.values() for key, each in keys.items()}
     | MEMBERS

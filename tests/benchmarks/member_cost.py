@@ -20,8 +20,7 @@ from unittest.mock import patch
 import numpy as np
 
 import tenscontrol as tc
-from tenscontrol.dynamics import Evaluator
-from tenscontrol.dynamics import Forces
+from tenscontrol.dynamics import Evaluator, Forces
 from tenscontrol.dynamics.forms import loops_source
 from tenscontrol.dynamics.machine_code import compiled_library, compiler
 from tenscontrol.dynamics.model import LARGEST_FLAT

@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.dynamics import Evaluator, pack_state
-from tenscontrol.dynamics import Forces
+from tenscontrol.dynamics import Evaluator, Forces, pack_state
 from tenscontrol.dynamics.forms import loops_source
 from tenscontrol.dynamics.machine_code import compiler
 from tenscontrol.dynamics.model import LARGEST_FLAT
