@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from itertools import chain
+from types import MappingProxyType
 from typing import Any
 
 import casadi as ca
@@ -16,7 +17,7 @@ from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.structure import Structure
 
 #: The forces beside those of strings and loads, by the argument of a model that they come from.
-TERMS: dict[str, type[Any]] = {term.argument: term for term in (Contacts,)}
+TERMS: Mapping[str, type[Any]] = MappingProxyType({term.argument: term for term in (Contacts,)})
 
 
 def terms_of(structure: Structure, arguments: dict[str, Any]) -> tuple[Force, ...]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from math import inf
+from types import MappingProxyType
 from typing import NamedTuple
 
 import casadi as ca
@@ -10,7 +12,7 @@ import casadi as ca
 #: Operations by CasADi's names without ``OP_``, and their C text: of numbers, or of short vectors
 #: with one entry a run, once ``TRUTH``, ``ONLY``, ``LARGER``, ``SMALLER``, ``POSITIVE`` and
 #: ``CALL``, ``CALL_2`` (a function of the C library, entry by entry) are defined. None for none.
-OPERATIONS: dict[str, str | None] = {
+OPERATIONS: Mapping[str, str | None] = MappingProxyType({
     "ASSIGN": "{0}",
     "ADD": "{0} + {1}",
     "SUB": "{0} - {1}",
@@ -47,7 +49,7 @@ OPERATIONS: dict[str, str | None] = {
             "EXPM1", "HYPOT", "REMAINDER", "CONST", "INPUT", "OUTPUT",
         )
     ),
-}  # fmt: skip
+})  # fmt: skip
 
 _NAMES = {getattr(ca, f"OP_{name}"): name for name in OPERATIONS}
 

@@ -339,9 +339,9 @@ FAULT_KEYS: Mapping[str, Keys] = MappingProxyType(
 )
 
 # Forces of a model that are numbers.
-FORCE_KEYS: dict[str, tuple[Kind, str]] = {
-    name: (NUMBER, force.unit) for name, force in TERMS.items() if force.unit
-}
+FORCE_KEYS: Keys = MappingProxyType(
+    {name: (NUMBER, force.unit) for name, force in TERMS.items() if force.unit}
+)
 TABLES = _named(
     structure={key: each for keys in GENERATOR_KEYS.values() for key, each in keys.items()}
     | MEMBERS
@@ -349,7 +349,7 @@ TABLES = _named(
     skin=_keys("", skin),
     subdivide=_keys("", subdivide),
     strings=_keys("law stiffness axial_rigidity damping per"),
-    loads=_keys("gravity forces") | FORCE_KEYS,
+    loads=_keys("gravity forces") | {**FORCE_KEYS},
     ground={key: each for keys in GROUND_KEYS.values() for key, each in keys.items()},
     prestress=_keys(
         "force_density min_force_density max_force_density reference per shape_gives",
