@@ -239,7 +239,12 @@ class JointFriction(Force):
             others.setdefault(start, []).append(end)
             others.setdefault(end, []).append(start)
         joints = [(i, *two) for i, ends in others.items() for two in combinations(ends, 2)]
-        return cls(coefficient, np.array(joints).T) if coefficient and joints else None
+        if not (coefficient and joints):
+            return None
+        friction = cls(coefficient, np.array(joints).T)
+        # In space a bar does not pass on torques about itself: angular momentum is lost there.
+        friction.conserves_momentum = structure.dimension == 2
+        return friction
 
     def passes(self, switched):
         def torque(columns):

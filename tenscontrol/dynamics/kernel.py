@@ -140,19 +140,13 @@ def segment_force_density(structure: Structure, S: Symbolic, gamma: Symbolic) ->
     return tension[:, structure.segment_string.tolist()] / each
 
 
-def string_motion(
-    structure: Structure, N: Symbolic, Nd: Symbolic, rest_length: Symbolic | None = None
-) -> tuple[Symbolic, Symbolic]:
-    """Return length and rate of each string, m and m/s, shape (1, α).
-
-    With rest lengths, shape (1, α), lengths are those at which a string can pull.
-    """
+def string_motion(structure: Structure, N: Symbolic, Nd: Symbolic) -> tuple[Symbolic, Symbolic]:
+    """Return length and rate of each string, m and m/s, shape (1, α)."""
     S, Sd = differences(N, structure.segments), differences(Nd, structure.segments)
-    if not structure.has_clusters:
-        each = length(S) if rest_length is None else pulling_length(S, rest_length)
-        return each, length_rate(S, Sd, each)
     each = string_length(structure, S)
     rate = length_rate(S, Sd, each)
+    if not structure.has_clusters:
+        return each, rate
     return string_sums(structure, each), string_sums(structure, rate)
 
 

@@ -237,15 +237,16 @@ def _motion(
 
 
 def refuse_lost_place(plant: LinearPlant) -> None:
-    """Raise if forces of the ground depend on where the structure is, and coordinates do not say.
+    """Raise if forces depend on where the structure is and moves, and coordinates do not say.
 
     Where supports leave no rigid-body motion, internal coordinates say it.
     """
-    frame = plant.coordinates
-    if plant.model.contacts is not None and frame.kind == "internal" and frame.is_loose:
+    frame, terms = plant.coordinates, plant.model.forces("force_density").terms
+    outer = [term.argument for term in terms if not term.conserves_momentum]
+    if outer and frame.kind == "internal" and frame.is_loose:
         raise ValueError(
             "plant has internal coordinates, which leave out where the structure is, and its model "
-            "has ground, whose forces depend on that: linearize with coordinates='minimal'"
+            f"has {outer[0]}, whose forces depend on that: linearize with coordinates='minimal'"
         )
 
 
