@@ -141,7 +141,7 @@ class Model:
         self._load, self._gravity = frozen(load), frozen(fall)
         self._arguments = others | {
             "structure": structure, "strings": strings, "external_force": takes_load or self._load,
-            "gravity": self._gravity,
+            "gravity": self._gravity, "ground": self.ground,
         }  # fmt: skip
         self._prepared = Prepared()
 
