@@ -1,5 +1,6 @@
-"""One of each that docs/developing.rst tells how to add, added here without touching a folder."""
+"""One of each that docs/developing.rst tells how to add: outside of the package, or in a copy."""
 
+import inspect
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import tenscontrol as tc
 from tenscontrol.control import Command, Controller, Fallback
 from tenscontrol.dynamics import StringLaw
 from tenscontrol.integrate import Integrator, Method, Span, Work
+from tests.package_copy import PackageCopy
 
 STILL = np.zeros((3, 6))
 
@@ -203,6 +205,193 @@ def test_qp_solver():
     found = dense.command(0.0, nodes, STILL)
     assert found.status is tc.control.Status.OK
     np.testing.assert_allclose(found.value, wanted.value, atol=1e-4)
+
+
+# ---- force, in a copy of the package ----
+
+JOINT_FRICTION = '''\
+"""Viscous friction in the joints of bars that share nodes."""
+
+from itertools import combinations
+
+import numpy as np
+
+from tenscontrol.dynamics.force import Force, Pass, Read, Write
+from tenscontrol.dynamics.kernel import dots, scale_columns
+from tenscontrol.validation import number
+
+
+class JointFriction(Force):
+    """Torques −c (ω₁ − ω₂) and c (ω₁ − ω₂) on each two bars b at a node, with ω = b × ḃ/|b|²."""
+
+    argument, unit = "joint_friction", "N m s"
+    meaning = "viscous friction between bars that share a node"
+    is_velocity_dependent = True
+
+    def __init__(self, coefficient, joints):
+        self._coefficient, self._joints = coefficient, joints  # (3, k): a node, and two others
+
+    @classmethod
+    def of_argument(cls, structure, value):
+        coefficient = 0.0 if value is None else number("joint_friction", value, "N m s")
+        others = {}
+        for start, end in structure.bars.tolist():
+            others.setdefault(start, []).append(end)
+            others.setdefault(end, []).append(start)
+        joints = [(i, *two) for i, ends in others.items() for two in combinations(ends, 2)]
+        if not (coefficient and joints):
+            return None
+        friction = cls(coefficient, np.array(joints).T)
+        # In space a bar does not pass on torques about itself: angular momentum is lost there.
+        friction.conserves_momentum = structure.dimension == 2
+        return friction
+
+    def passes(self, switched):
+        def torque(columns):
+            b, rate = ([columns[f"{x}_{k}"] - columns[f"{x}_0"] for k in (1, 2)] for x in "pv")
+
+            def turned(i, arm):  # ω × r = (ḃ (b·r) − b (ḃ·r))/|b|²
+                to, off = scale_columns(rate[i], dots(b[i], arm)), dots(rate[i], arm)
+                return scale_columns(to - scale_columns(b[i], off), 1 / dots(b[i], b[i]))
+
+            def push(i):
+                slip = turned(i, b[i]) - turned(1 - i, b[i])
+                return scale_columns(slip, -self._coefficient / dots(b[i], b[i]))
+
+            return push(0), push(1)
+
+        ends = {f"{x}_{k}": Read(x, at) for x in "pv" for k, at in enumerate(self._joints)}
+        on = [Write("f", i, self._joints[k], s) for i in (0, 1) for k, s in ((i + 1, 1), (0, -1))]
+        return [Pass("joints", self._joints.shape[1], torque, ends, tuple(on), {})]
+'''
+
+
+# ---- force, what it does ----
+
+FOLDING = """
+import numpy as np, tenscontrol as tc
+mass, length, c = 1.5, 0.8, 0.1
+fold = tc.Structure([[0, length, 0], [0, 0, length]], [[0, 1], [0, 2]], [], mass, fixed=[0])
+model = tc.Model(fold, joint_friction=c)
+speeds = np.array([[0, 0, -0.6], [0, 0.4, 0]]) * length  # 0.4 and 0.6 rad/s
+slower = np.exp(-2 * c / (mass * length**2 / 3) * 0.5)
+for method, setting in (("dop853", {}), ("rk4", {"step": 5e-3}), ("rattle", {"step": 2e-4}),
+                        ("energy_momentum", {"step": 1e-3}), ("cvodes", {"tolerance": 1e-9})):
+    run = tc.simulate(model, 0.5, velocities=speeds, method=method, error="none", **setting)
+    b, v = (part[:, 1:, -1] - part[:, :1, -1] for part in (run.nodes, run.velocities))
+    spin = (b[0] * v[1] - b[1] * v[0]) / length**2
+    assert abs((spin[1] - spin[0]) / 0.2 / slower - 1) < 2e-5, (method, spin, slower)
+    assert abs(spin.sum() - 1.0) < 1e-6 and not run.conserves_energy
+    assert (np.diff(run.energy) < 0).all()
+"""
+
+FORMS = """
+from tenscontrol.dynamics import pack_state, tangent
+tower, gamma = tc.library.class2_tower(2), np.full(12, 10.0)
+model = tc.Model(tower, gravity=9.81, joint_friction=0.2)
+speeds = np.cos(np.arange(27.0)).reshape(3, 9) * ~np.isin(np.arange(9), tower.fixed)
+x, free_rows = pack_state(tower, tower.nodes, speeds), tower.free_rows
+slopes = [np.array(model.equation("force_density", form=form).slope(x, gamma, [])).ravel()
+          for form in ("flat", "mapped", "loops")]
+free = np.array(model.replace(joint_friction=None).dynamics(x, gamma)).ravel()
+assert max(np.abs(slopes[0] - other).max() for other in slopes[1:]) < 1e-12
+assert np.abs(slopes[0] - free).max() > 0.1
+force, (q, v) = model.equation("force_density", form="flat").force, np.split(x, 2)
+still, slow = (np.array(force(q, part, gamma, [])).ravel() for part in (0 * v, 1e-6 * v))
+found = tangent(model, tower.nodes, "force_density", gamma, model.constant_force).damping
+found = found[free_rows][:, free_rows]
+assert np.allclose(still - slow, 1e-6 * found @ v, atol=1e-12)
+"""
+
+
+# ---- force, where else it goes ----
+
+ELSEWHERE = """
+from pathlib import Path
+from tenscontrol.scene.comments import comment
+run = tc.simulate(model, 0.1, force_density=gamma, step=1e-3)
+again = tc.load_run(run.save("run.npz")).model
+assert again.arguments["joint_friction"] == model.arguments["joint_friction"] == 0.2
+tc.plot.trajectory(run)
+tables = ("structure", 'generator = "d_bar"'), ("prestress", "force_density = 10"), (
+    "loads", "joint_friction = 0.2"), ("run", "duration = 1")
+Path("scene.toml").write_text("".join(f"[{name}]\\n{line}\\n" for name, line in tables))
+scene = tc.load_scene("scene.toml")
+assert scene.model.arguments["joint_friction"] == 0.2
+assert comment("loads", "joint_friction", "N m s").endswith("between bars that share a node")
+try:
+    tc.exchange.to_mujoco(model, force_density=gamma)
+except ValueError as error:
+    assert "joint_friction, which is not exported" in str(error)
+else:
+    raise AssertionError("MuJoCo has no such force")
+rest, codes = tc.prestress(scene.structure, force_density=10.0), []
+for c in (None, 0.2):
+    plant = tc.linearize(scene.model.replace(joint_friction=c), rest)
+    assert (np.linalg.eigvals(plant.A).real.min() < -0.01) == (c is not None)
+    law = tc.NMPC(plant, horizon=2, sample_time=0.02, max_force_density=20.0)
+    code = tc.deploy.generate_c(law, f"code {c}")
+    codes.append("".join((code.folder / file).read_text() for file in code.files))
+assert len(codes[0]) < len(codes[1])
+"""
+
+
+def test_force_in_the_package(tmp_path):
+    copy, model = PackageCopy(tmp_path), "dynamics/model.py"
+    copy.add("dynamics/joint_friction.py", JOINT_FRICTION)
+    beside, line = "from tenscontrol.dynamics.string_force", "for term in (Contacts,)"
+    own = "from tenscontrol.dynamics.joint_friction import JointFriction\n"
+    copy.replace("dynamics/forces.py", beside, own + beside)
+    copy.replace("dynamics/forces.py", line, "for term in (Contacts, JointFriction)")
+    last, others = "Sequence[ContactLaw] | None = None,\n    )", '{"ground": ground}'
+    copy.replace(
+        model, last, last.replace("    )", "        joint_friction: object = None,\n    )")
+    )
+    copy.replace(model, others, '{"ground": ground, "joint_friction": joint_friction}')
+    copy.run(FOLDING + FORMS + ELSEWHERE)
+    assert len(copy.changed) == 3
+
+
+# ---- string law, in a copy of the package ----
+
+
+def test_string_law_in_the_package(tmp_path):
+    copy, names = PackageCopy(tmp_path), "dynamics/__init__.py"
+    head = "from dataclasses import dataclass\nimport casadi as ca\nimport numpy as np\n"
+    head += "from tenscontrol.dynamics.string_laws import StringLaw\n\n"
+    copy.add("dynamics/hardening.py", head + inspect.getsource(HardeningStrings))
+    beside = "from tenscontrol.dynamics.string_laws import"
+    own = "from tenscontrol.dynamics.hardening import HardeningStrings\n"
+    copy.replace(names, beside, own + beside)
+    copy.run("""
+import tenscontrol as tc, numpy as np
+prism = tc.prism()
+law = tc.dynamics.HardeningStrings(np.array(100.0), np.array(500.0))
+run = tc.simulate(tc.Model(prism, law), 0.1, rest_length=0.9 * prism.string_length(), step=1e-3)
+assert run.health.energy_error < 1e-6
+""")
+    assert len(copy.changed) == 2
+
+
+# ---- integrator, in a copy of the package ----
+
+
+def test_integrator_in_the_package(tmp_path):
+    copy, names = PackageCopy(tmp_path), "integrate/methods.py"
+    head = "import numpy as np\n"
+    head += "from tenscontrol.integrate.integrator import Integrator, Span, Work\n\n"
+    copy.add("integrate/heun.py", head + inspect.getsource(Heun))
+    beside = "from tenscontrol.integrate.integrator import"
+    copy.replace(names, beside, "from tenscontrol.integrate.heun import Heun\n" + beside)
+    own = "make = lambda equation, step, **_: Heun(equation, step)\n_ALL = (\n"
+    own += '    Method("heun", ("step",), "order 2", make, compiles=False),\n'
+    copy.replace(names, "_ALL = (\n", own)
+    copy.run("""
+import tenscontrol as tc
+run = tc.simulate(tc.Model(tc.prism()), 0.1, force_density=1.0, method="heun", step=1e-3)
+assert run.method == "heun"
+""")
+    assert len(copy.changed) == 2
 
 
 # ---- as the page says ----

@@ -208,13 +208,13 @@ def fastest_rate(case: Case) -> float:
     x, u, taut, _ = equation.symbols(ca.SX if is_expandable(equation) else ca.MX)
     jacobian = ca.Function("jacobian", [x, u, taut], [ca.jacobian(equation.slope(x, u, taut), x)])
     pulls, rates = np.ones(equation.switches), [1 / case.duration]
-    if equation.contacts is not None:
+    if equation.forces is not None and equation.contacts is not None:
         # Of nodes that stand still, however far above the ground: damping would say more there.
         n = equation.states // 2
         still = np.concatenate([case.state[:n], np.zeros(n)])
         stiffness = jacobian(still, case.value, pulls)[n:, :n]
         rates.append(float(np.sqrt(_largest_eigenvalue(stiffness))))
-        contacts = slice(equation.switches - equation.contacts.switches, None)
+        contacts = slice(equation.forces.strings.switches, None)
         depth = equation.gap(case.state, case.value)[0].full()[contacts, 0]
         pulls[contacts] = depth > 0
     return max(_largest_eigenvalue(jacobian(case.state, case.value, pulls)), *rates)

@@ -16,7 +16,6 @@ from tenscontrol.accuracy.case import Case, fastest_rate
 from tenscontrol.accuracy.converged_motion import ConvergedMotion, largest_distance
 from tenscontrol.accuracy.peers import Peer, steps_between
 from tenscontrol.dynamics import (
-    ContactLaw,
     builds,
     evaluate_columns,
     pack_state,
@@ -120,19 +119,17 @@ def invariants(case: Case, states: FloatArray) -> Invariants:
 @builds
 def _stored_in_ground(case: Case, nodes: FloatArray) -> FloatArray:
     """Return what contacts store, J, shape (T,), at positions of all nodes, m, (d, n, T)."""
-    d, _, count = nodes.shape
-    energy = np.zeros(count)
-    for i, (law, at, _) in enumerate(case.model.contacts or ()):
+    d, n, count = nodes.shape
 
-        def build(law: ContactLaw = law) -> ca.Function:
-            x = ca.SX.sym("x", d)
-            depth = law.sinking(x, 0 * x)[0]
-            return ca.Function("stored", [x], [ca.densify(law.stored_energy(depth))])
+    def build() -> ca.Function:
+        assert case.model.contacts is not None  # asked for where there is ground
+        x = ca.SX.sym("x", d * n)
+        stored = case.model.contacts.stored_energy(ca.reshape(x, d, n))
+        return ca.Function("stored", [x], [ca.densify(stored)])
 
-        function = case.equation().prepared.get(("stored in ground", i), build)
-        (stored,) = evaluate_columns(function, nodes[:, at].reshape(d, -1))
-        energy += stored.reshape(len(at), count).sum(axis=0)
-    return energy
+    function = case.equation().prepared.get("stored in ground", build)
+    (stored,) = evaluate_columns(function, nodes.swapaxes(0, 1).reshape(d * n, count))
+    return np.asarray(stored[0])
 
 
 def conserves_energy(case: Case) -> bool:
@@ -142,8 +139,8 @@ def conserves_energy(case: Case) -> bool:
 
 def conserves_momentum(case: Case) -> bool:
     """Return whether the motion conserves momentum: nothing acts from outside."""
-    held = len(case.structure.fixed_rows) or case.model.contacts is not None
-    return not case.load.any() and not held
+    forces = case.model.forces(case.input)
+    return not (case.load.any() or len(case.structure.fixed_rows)) and forces.conserves_momentum
 
 
 def deviations(

@@ -31,6 +31,8 @@ from tenscontrol.dynamics.evaluator import (
     on_one_thread,
     solving,
 )
+from tenscontrol.dynamics.forces import TERMS, Forces
+from tenscontrol.dynamics.instructions import OPERATIONS, instructions, number_text
 from tenscontrol.dynamics.machine_code import (
     Compiled,
     Compiler,
@@ -62,6 +64,8 @@ from tenscontrol.dynamics.tangent import (
 __all__ = [
     "BUILDING",
     "KINDS",
+    "OPERATIONS",
+    "TERMS",
     "ColumnEvaluator",
     "Compiled",
     "Compiler",
@@ -74,6 +78,7 @@ __all__ = [
     "Equation",
     "Evaluator",
     "Exclusive",
+    "Forces",
     "Ground",
     "HertzGround",
     "InputLayout",
@@ -98,7 +103,9 @@ __all__ = [
     "evaluate_columns",
     "exclusive",
     "if_compiled",
+    "instructions",
     "normal_basis",
+    "number_text",
     "on_one_thread",
     "pack_state",
     "polynomial_at",

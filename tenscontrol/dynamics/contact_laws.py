@@ -19,6 +19,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import kernel
+from tenscontrol.dynamics.force import Columns, Force, Pass, Read, Write
 from tenscontrol.structure import Structure
 from tenscontrol.validation import (
     LARGEST_WHOLE,
@@ -497,7 +498,7 @@ def checked_grounds(ground: object, structure: Structure) -> tuple[ContactLaw, .
 
 
 @dataclass(frozen=True, eq=False)
-class Contacts:
+class Contacts(Force):
     """The nodes that can touch the ground, by contact law, and their switches.
 
     Attributes
@@ -510,19 +511,25 @@ class Contacts:
         is smooth.
     """
 
+    argument = "ground"
+    is_recorded = True
+
     laws: tuple[ContactLaw, ...]
     nodes: tuple[IntArray, ...]
     switch: tuple[slice | None, ...]
 
     @classmethod
-    def of(cls, structure: Structure, laws: tuple[ContactLaw, ...]) -> Contacts:
-        """Return the contacts of what is not fixed.
+    def of_argument(cls, structure: Structure, ground: object) -> Contacts | None:
+        """Return the contacts of what is not fixed; None without ground.
 
         Parameters
         ----------
         structure : Structure
-        laws : tuple of ContactLaw
+        ground : ContactLaw or sequence of ContactLaw, or None
         """
+        laws = checked_grounds(ground, structure)
+        if not laws:
+            return None
         nodes, switch, count = [], [], 0
         for law in laws:
             some = structure.free
@@ -547,53 +554,50 @@ class Contacts:
         """Whether a force depends on velocities."""
         return any(law.is_velocity_dependent and len(nodes) for law, nodes, _ in self)
 
-    def forces(self, N: Any, Nd: Any, pressing: Any = None) -> Any:
-        """Return the forces of the ground on all nodes, N, shape (d, n).
+    def passes(self, switched: bool) -> list[Pass]:
+        """See :meth:`Force.passes`."""
+        passes = []
+        for i, (law, nodes, switch) in enumerate(self):
+            if len(nodes):
 
-        Parameters
-        ----------
-        N, Nd : casadi.SX or MX, shape (d, n)
-            Positions, m, and velocities, m/s.
-        pressing : casadi.SX, shape (switches, 1), optional
-            1 for each switch whose node has a force, 0 where it has none; as it is by the gaps if
-            not given.
-        """
-        forces = type(N)(*N.shape)
-        for law, nodes, switch in self:
-            at = nodes.tolist()
-            which = None if pressing is None or switch is None else pressing[switch].T
-            forces[:, at] = forces[:, at] + law.force(N[:, at], Nd[:, at], which)
-        return forces
+                def push(columns: Columns, law: ContactLaw = law) -> tuple[Any, ...]:
+                    return (law.force(columns["p"], columns["v"], columns.get("taut")),)
 
-    def mean_forces(self, before: Any, after: Any, h: Any) -> Any:
-        """Return the mean forces on all nodes over a way, N, shape (d, n).
+                reads = {"p": Read("p", nodes), "v": Read("v", nodes)}
+                if switched and switch is not None:
+                    reads["taut"] = Read("taut", np.arange(switch.start, switch.stop))
+                on = (Write("f", 0, nodes),)
+                passes.append(Pass(f"ground_{i}", len(nodes), push, reads, on, {}))
+        return passes
 
-        Parameters
-        ----------
-        before, after : casadi.SX or MX, shape (d, n)
-            Positions, m.
-        h : casadi.SX or MX
-            The time that the way takes, s.
-        """
+    def gap_passes(self) -> list[Pass]:
+        """See :meth:`Force.gap_passes`."""
+        passes = []
+        for i, (law, nodes, switch) in enumerate(self):
+            if len(nodes) and switch is not None:
+
+                def gap(columns: Columns, law: ContactLaw = law) -> tuple[Any, ...]:
+                    depth, rate, _ = law.sinking(columns["p"], columns["v"])
+                    return law.gap(depth, rate), rate
+
+                reads = {"p": Read("p", nodes), "v": Read("v", nodes)}
+                at = np.arange(switch.start, switch.stop)
+                writes = (Write("gap", 0, at), Write("rate", 1, at))
+                passes.append(Pass(f"ground_gaps_{i}", len(nodes), gap, reads, writes, {}))
+        return passes
+
+    def mean_force(self, before: Any, after: Any, u: Any, h: Any) -> Any:
+        """Return the mean forces on all nodes over a step; see :meth:`Force.mean_force`."""
         forces = type(before)(*before.shape)
         for law, nodes, _ in self:
             at = nodes.tolist()
             forces[:, at] = forces[:, at] + law.mean_force(before[:, at], after[:, at], h)
         return forces
 
-    def gaps(self, N: Any, Nd: Any) -> tuple[Any, Any]:
-        """Return the gap of each switch, m, and the rate of its depth, m/s, columns.
-
-        Parameters
-        ----------
-        N, Nd : casadi.SX or MX, shape (d, n)
-            Positions, m, and velocities, m/s.
-        """
-        gaps, rates = [type(N)(0, 1)], [type(N)(0, 1)]
-        for law, nodes, switch in self:
-            if switch is not None:
-                at = nodes.tolist()
-                depth, rate, _ = law.sinking(N[:, at], Nd[:, at])
-                gaps.append(law.gap(depth, rate).T)
-                rates.append(rate.T)
-        return ca.vertcat(*gaps), ca.vertcat(*rates)
+    def stored_energy(self, N: Any, u: Any = None) -> Any:
+        """Return what the ground stores under nodes, J; see :meth:`Force.stored_energy`."""
+        energy = type(N)(1, 1)
+        for law, nodes, _ in self:
+            at = N[:, nodes.tolist()]
+            energy += ca.sum2(law.stored_energy(law.sinking(at, 0 * at)[0]))
+        return energy

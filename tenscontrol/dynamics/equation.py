@@ -10,6 +10,7 @@ import numpy as np
 
 from tenscontrol.dynamics.contact_laws import Contacts
 from tenscontrol.dynamics.evaluator import Prepared, builds
+from tenscontrol.dynamics.forces import Forces
 from tenscontrol.dynamics.kernel import Masses
 from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.properties import cached_property
@@ -110,9 +111,8 @@ class Equation:
         velocities, N, node by node. None for an equation that is no structure's.
     velocity_dependent : bool
         Whether the force depends on the velocities: a string or the ground is damped, or rubs.
-    structure : Structure or None
-    law : StringLaw or None
-        The law of the strings where rest lengths are held; None where γ is.
+    forces : Forces or None
+        What acts on the nodes, beside the load. None for an equation that is no structure's.
     load : ndarray, shape (d, n), or None
         Constant force on every node, N; None for none, or where it is an input.
     form : {"flat", "mapped", "loops"}
@@ -120,8 +120,6 @@ class Equation:
         operations on all members at once (MX); loops over the members in C.
     input_layout : InputLayout or None
         What u holds; None for the values of the strings.
-    contacts : Contacts or None
-        The nodes that can touch the ground; None without ground.
     prepared : Prepared
         What integrators have built for this equation, for every later call; not for users.
     """
@@ -130,13 +128,26 @@ class Equation:
     gap: ca.Function
     force: ca.Function | None = None
     velocity_dependent: bool = False
-    structure: Structure | None = None
-    law: StringLaw | None = None
+    forces: Forces | None = None
     load: FloatArray | None = None
     form: str = "flat"
     input_layout: InputLayout | None = None
-    contacts: Contacts | None = None
     prepared: Prepared = field(default_factory=Prepared, init=False, repr=False)
+
+    @property
+    def structure(self) -> Structure | None:
+        """The structure, or None."""
+        return None if self.forces is None else self.forces.structure
+
+    @property
+    def law(self) -> StringLaw | None:
+        """The law of the strings where rest lengths are held; None where γ is."""
+        return None if self.forces is None else self.forces.law
+
+    @property
+    def contacts(self) -> Contacts | None:
+        """The nodes that can touch the ground; None without ground."""
+        return None if self.forces is None else self.forces.contacts
 
     @cached_property
     def layout(self) -> InputLayout:
@@ -186,10 +197,11 @@ class Equation:
         u : casadi.SX or MX, shape (inputs, 1)
         """
         of_strings = self.of_strings(u) if self.law is not None else type(u)(0, 1)
-        if self.contacts is None or self.structure is None:
+        if self.forces is None or not self.forces.terms:
             return of_strings
-        size = float(np.ptp(self.structure.nodes, axis=1).max())
-        return ca.vertcat(of_strings, ca.DM.ones(self.contacts.switches) * size)
+        size = float(np.ptp(self.forces.structure.nodes, axis=1).max())
+        others = self.switches - self.forces.strings.switches
+        return ca.vertcat(of_strings, ca.DM.ones(others) * size)
 
     def ahead(self, u: Any, time: Any) -> Any:
         """Return the expression of the input that begins a time later: of one held, itself.

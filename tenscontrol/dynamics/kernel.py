@@ -123,20 +123,9 @@ def scale_columns(columns: Symbolic, factors: Symbolic) -> Symbolic:
     return columns * ca.repmat(factors, columns.shape[0], 1)
 
 
-def node_forces(structure: Structure, N: Symbolic, gamma: Symbolic, W: Symbolic | None) -> Symbolic:
-    """Return F = W − N C_sᵀ γ̂ C_s, shape (d, n), N (eq. 2). Without load W is None."""
-    if len(structure.strings) == 0:
-        return type(N)(*N.shape) if W is None else W
-    S = differences(N, structure.segments)
-    return segment_forces(structure, S, segment_force_density(structure, S, gamma.T), W)
-
-
-def segment_forces(
-    structure: Structure, S: Symbolic, gamma: Symbolic, W: Symbolic | None
-) -> Symbolic:
-    """Return F, shape (d, n), N, from the vectors and γ of segments, shape (1, s), and the load."""
-    F = ca.mtimes(string_pull(S, gamma), _gather(structure.segments, structure.nodes.shape[1]))
-    return F if W is None else W + F
+def segment_forces(structure: Structure, S: Symbolic, gamma: Symbolic) -> Symbolic:
+    """Return −N C_sᵀ γ̂ C_s, shape (d, n), N (eq. 2), from S and γ of segments, shape (1, s)."""
+    return ca.mtimes(string_pull(S, gamma), _gather(structure.segments, structure.nodes.shape[1]))
 
 
 def segment_force_density(structure: Structure, S: Symbolic, gamma: Symbolic) -> Symbolic:
@@ -147,30 +136,24 @@ def segment_force_density(structure: Structure, S: Symbolic, gamma: Symbolic) ->
     if not structure.has_clusters:
         return gamma
     each = string_length(structure, S)
-    tension = gamma * _string_sums(structure, each)
+    tension = gamma * string_sums(structure, each)
     return tension[:, structure.segment_string.tolist()] / each
 
 
-def string_motion(
-    structure: Structure, N: Symbolic, Nd: Symbolic, rest_length: Symbolic | None = None
-) -> tuple[Symbolic, Symbolic]:
-    """Return length and rate of each string, m and m/s, shape (1, α).
-
-    With rest lengths, shape (1, α), lengths are those at which a string can pull.
-    """
+def string_motion(structure: Structure, N: Symbolic, Nd: Symbolic) -> tuple[Symbolic, Symbolic]:
+    """Return length and rate of each string, m and m/s, shape (1, α)."""
     S, Sd = differences(N, structure.segments), differences(Nd, structure.segments)
-    if not structure.has_clusters:
-        each = length(S) if rest_length is None else pulling_length(S, rest_length)
-        return each, length_rate(S, Sd, each)
     each = string_length(structure, S)
     rate = length_rate(S, Sd, each)
-    return _string_sums(structure, each), _string_sums(structure, rate)
+    if not structure.has_clusters:
+        return each, rate
+    return string_sums(structure, each), string_sums(structure, rate)
 
 
 def string_lengths(structure: Structure, N: Symbolic) -> Symbolic:
     """Return the length of each string, m, shape (1, α)."""
     each = string_length(structure, differences(N, structure.segments))
-    return _string_sums(structure, each) if structure.has_clusters else each
+    return string_sums(structure, each) if structure.has_clusters else each
 
 
 def bar_force_density(structure: Structure, N: Symbolic, Nd: Symbolic, F: Symbolic) -> Symbolic:
@@ -521,7 +504,7 @@ def _sparse(matrix: Any) -> ca.DM:
     return ca.DM.triplet(rows, columns, ca.DM(found.data), *found.shape)
 
 
-def _string_sums(structure: Structure, each: Symbolic) -> Symbolic:
+def string_sums(structure: Structure, each: Symbolic) -> Symbolic:
     """Return sums over the segments of each string, shape (1, α)."""
     of = structure.segment_string.tolist()
     ones = ca.DM.triplet(

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import kernel
-from tenscontrol.dynamics.contact_laws import ContactLaw, Contacts, checked_grounds
+from tenscontrol.dynamics.contact_laws import ContactLaw, Contacts
 from tenscontrol.dynamics.equation import (
     FORMS,
     Equation,
@@ -20,8 +20,10 @@ from tenscontrol.dynamics.equation import (
     weights,
 )
 from tenscontrol.dynamics.evaluator import Prepared, built
+from tenscontrol.dynamics.forces import Forces, terms_of
 from tenscontrol.dynamics.forms import loops_functions, mapped_functions, members_alone
 from tenscontrol.dynamics.machine_code import compiler, if_compiled
+from tenscontrol.dynamics.string_force import StringForce
 from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.structure import Structure, node_mass
 from tenscontrol.validation import (
@@ -131,12 +133,16 @@ class Model:
             fall = gravity_vector(gravity, structure.dimension)
         self._structure = structure
         self._strings = strings
-        laws = checked_grounds(ground, structure)
-        self._contacts = Contacts.of(structure, laws) if laws else None
+        others = {"ground": ground}
+        self._terms = terms_of(structure, others)
         self._external_force = takes_load
         masses = structure.bar_mass, structure.point_mass
         self._constant_force = frozen(load + weights(structure, fall, *masses))
         self._load, self._gravity = frozen(load), frozen(fall)
+        self._arguments = others | {
+            "structure": structure, "strings": strings, "external_force": takes_load or self._load,
+            "gravity": self._gravity, "ground": self.ground,
+        }  # fmt: skip
         self._prepared = Prepared()
 
     @property
@@ -152,12 +158,55 @@ class Model:
     @property
     def ground(self) -> tuple[ContactLaw, ...]:
         """The contact laws of the ground; empty where there is none."""
-        return () if self._contacts is None else self._contacts.laws
+        return () if self.contacts is None else self.contacts.laws
 
     @property
     def contacts(self) -> Contacts | None:
         """The nodes that can touch the ground; None where there is none."""
-        return self._contacts
+        return self.forces("force_density").contacts
+
+    @property
+    def arguments(self) -> dict[str, Any]:
+        """What the model was made from, by name."""
+        return dict(self._arguments)
+
+    def replace(self, **arguments: Any) -> Model:
+        """Return the model with other arguments.
+
+        Parameters
+        ----------
+        **arguments
+            Of :class:`Model`, those that differ.
+
+        Returns
+        -------
+        Model
+
+        Raises
+        ------
+        TypeError, ValueError
+            As :class:`Model` does.
+
+        Examples
+        --------
+        >>> import tenscontrol as tc
+        >>> model = tc.Model(tc.prism(), strings=tc.LinearStrings(stiffness=100.0))
+        >>> heavy = model.replace(gravity=9.81)
+        >>> heavy.gravity, heavy.strings.stiffness[0]
+        (array([ 0.  ,  0.  , -9.81]), np.float64(100.0))
+        """
+        return Model(**(self._arguments | arguments))
+
+    def forces(self, input: str) -> Forces:
+        """Return the forces on the nodes, without loads and weights.
+
+        Parameters
+        ----------
+        input : {"force_density", "rest_length"}
+            Input of the strings.
+        """
+        law = self._needed_strings() if input == "rest_length" else None
+        return Forces(self._structure, law, self._terms)
 
     @property
     def has_external_force(self) -> bool:
@@ -194,7 +243,8 @@ class Model:
     def acceleration(self) -> ca.Function:
         """``(N, Nd, gamma[, W]) -> Ndd``: node accelerations, shape (d, n), m/s²."""
         s = self._symbols()
-        return self._function("acceleration", s, "N Nd gamma W", Ndd=self._ndd(s, s["gamma"]))
+        Ndd = self._accelerations(s, self._on_nodes(s, "force_density"))
+        return self._function("acceleration", s, "N Nd gamma W", Ndd=Ndd)
 
     @built
     def bar_force_density(self) -> ca.Function:
@@ -234,7 +284,8 @@ class Model:
     def dynamics(self) -> ca.Function:
         """``(x, gamma[, W]) -> xdot``: the state equation with γ as the input."""
         s = self._symbols()
-        return self._function("dynamics", s, "x gamma W", xdot=self._xdot(s, s["gamma"]))
+        xdot = self._xdot(s, self._on_nodes(s, "force_density"))
+        return self._function("dynamics", s, "x gamma W", xdot=xdot)
 
     @built
     def rest_length_dynamics(self) -> ca.Function:
@@ -243,8 +294,7 @@ class Model:
         Raises ValueError if the model has no string law.
         """
         s = self._symbols()
-        gamma = self._law_force_density(s)
-        xdot = self._xdot(s, gamma)
+        xdot = self._xdot(s, self._on_nodes(s, "rest_length"))
         return self._function("rest_length_dynamics", s, "x rest_length W", xdot=xdot)
 
     def state_equation(self, input: str) -> ca.Function:
@@ -312,7 +362,8 @@ class Model:
         """
         choice("input", input, ("force_density", "rest_length"))
         choice("form", form, ("auto", *FORMS))
-        law = self._needed_strings() if input == "rest_length" else None
+        forces = self.forces(input)
+        law = forces.law
         load = self._constant_force
         if external_force is not None:
             load = load + node_forces("external_force", external_force, load.shape)
@@ -336,16 +387,12 @@ class Model:
             make = {"flat": self._flat_functions, "mapped": mapped_functions}.get(
                 form, loops_functions
             )
-            contacts = self._contacts
-            functions = make(self._structure, law, load, layout, contacts)
+            functions = make(forces, load, layout)
             symbol = ca.SX.sym if form == "flat" else ca.MX.sym
             slope, gap, force = in_time(functions, layout, law is not None, symbol)
-            damped = law is not None and (law.is_damped or "damping" in parameters)
-            damped |= contacts is not None and contacts.is_velocity_dependent
+            damped = forces.is_velocity_dependent or "damping" in parameters
             constant = frozen(load) if load.any() else None
-            return Equation(
-                slope, gap, force, damped, self._structure, law, constant, form, layout, contacts
-            )
+            return Equation(slope, gap, force, damped, forces, constant, form, layout)
 
         def of(form: str, make: Callable[[], Equation]) -> Equation:
             # Another compiler makes another library.
@@ -373,47 +420,37 @@ class Model:
         return tuple((choice("parameters", name, known), known[name]) for name in given)
 
     def _flat_functions(
-        self, structure: Structure, law: StringLaw | None, load: FloatArray, layout: InputLayout,
-        contacts: Contacts | None,
-    ) -> tuple[ca.Function, ...]:  # fmt: skip
+        self, forces: Forces, load: FloatArray, layout: InputLayout
+    ) -> tuple[ca.Function, ...]:
         """Return slope, gap and force, every member written out."""
-        s = self._symbols()
-        s["load"] = ca.sparsify(ca.DM(load)) if load.any() else None
+        structure, law, s = self._structure, forces.law, self._symbols()
+        acting = ca.sparsify(ca.DM(load)) if load.any() else None
         u = s["gamma"] if law is None else s["rest_length"]
         given = u
         own = {name: ca.SX.sym(name, size) for name, size in layout.parameters}
         if layout.load:
-            s["load"] = ca.SX.sym("load", *structure.nodes.shape)
-            given = ca.vertcat(given, ca.vec(s["load"]))
+            acting = ca.SX.sym("load", *structure.nodes.shape)
+            given = ca.vertcat(given, ca.vec(acting))
         if own:
             given, s["masses"] = ca.vertcat(given, *own.values()), kernel.Masses.of(structure, own)
             if law is not None:
-                law = law.with_parameters(own)
+                forces = Forces(structure, law.with_parameters(own), forces.terms)
+        ends = s["nodes"], s["velocities"]
         if layout.offset:
-            # Strings see where nodes are; bars only where they are beside their supports.
+            # Forces see where nodes are; bars only where they are beside their supports.
             offsets = [ca.SX.sym(name, *structure.nodes.shape) for name in ("offset", "rate")]
-            s["ends"], s["end_rates"] = s["nodes"] + offsets[0], s["velocities"] + offsets[1]
+            ends = s["nodes"] + offsets[0], s["velocities"] + offsets[1]
             given = ca.vertcat(given, *map(ca.vec, offsets))
-        taut, gap, rate = ca.SX.sym("taut", 0), ca.SX(0, 1), ca.SX(0, 1)
-        gamma = u
-        if law is not None:
-            rows = kernel.string_motion(structure, s["ends"], s["end_rates"], u.T)
-            length, rate = (row.T for row in rows)
-            taut = ca.SX.sym("taut", len(structure.strings))
-            gap = law.gap(length, u, rate)
-            gamma = taut * law.taut_force_density(length, u, rate)
-        if contacts is not None:
-            s["pressing"] = ca.SX.sym("pressing", contacts.switches)
-            gaps, rates = contacts.gaps(s["ends"], s["end_rates"])
-            taut, gap = ca.vertcat(taut, s["pressing"]), ca.vertcat(gap, gaps)
-            rate = ca.vertcat(rate, rates)
-        on_free = ca.densify(self._forces(s, gamma)[:, structure.free.tolist()])
-        forces = kernel.free_entries(structure, on_free)
+        taut = ca.SX.sym("taut", forces.switches)
+        on_nodes = forces.on_nodes(*ends, u, acting, taut)
+        on_free = ca.densify(on_nodes[:, structure.free.tolist()])
         q, v = (kernel.free_entries(structure, s[name]) for name in ("N", "Nd"))
+        on_free = kernel.free_entries(structure, on_free)
+        gaps = [ca.densify(part) for part in forces.gaps(*ends, u)]
         return (
-            ca.Function("slope", [s["x"], given, taut], [self._xdot(s, gamma)]),
-            ca.Function("gap", [s["x"], given], [ca.densify(gap), ca.densify(rate)]),
-            ca.Function("force", [q, v, given, taut], [forces]),
+            ca.Function("slope", [s["x"], given, taut], [self._xdot(s, on_nodes)]),
+            ca.Function("gap", [s["x"], given], gaps),
+            ca.Function("force", [q, v, given, taut], [on_free]),
         )
 
     @built
@@ -473,7 +510,8 @@ class Model:
     # ---- expressions ----
 
     def _string_force_density(self, s: dict[str, Any]) -> ca.Function:
-        gamma = self._law_force_density(s)
+        strings = StringForce(self._structure, s.get("law") or self._needed_strings())
+        gamma = strings.force_density(s["nodes"], s["velocities"], s["rest_length"])
         return self._function("string_force_density", s, "x rest_length", gamma=gamma)
 
     def _kinetic_energy(self, s: dict[str, Any]) -> ca.Function:
@@ -482,19 +520,12 @@ class Model:
         return self._function("kinetic_energy", s, "x", energy=energy)
 
     def _potential_energy(self, s: dict[str, Any]) -> ca.Function:
-        if self._structure.has_clusters:
-            square = kernel.string_lengths(self._structure, s["nodes"]) ** 2
-        else:
-            S = kernel.differences(s["nodes"], self._structure.strings)
-            square = kernel.dots(S, S)
-        energy = ca.densify(ca.mtimes(square, s["gamma"]) / 2)
-        return self._function("potential_energy", s, "x gamma", energy=energy)
+        stored = self.forces("force_density").stored_energy(s["nodes"], s["gamma"])
+        return self._function("potential_energy", s, "x gamma", energy=ca.densify(stored))
 
     def _elastic_energy(self, s: dict[str, Any]) -> ca.Function:
-        law = s.get("law") or self._needed_strings()
-        length = kernel.string_lengths(self._structure, s["nodes"]).T
-        stored = law.as_expressions().stored_energy(length, s["rest_length"])
-        energy = ca.densify(ca.sum1(stored))
+        forces = Forces(self._structure, s.get("law") or self._needed_strings(), self._terms)
+        energy = ca.densify(forces.stored_energy(s["nodes"], s["rest_length"]))
         return self._function("elastic_energy", s, "x rest_length", energy=energy)
 
     def _string_motion(self, s: dict[str, Any]) -> ca.Function:
@@ -513,7 +544,7 @@ class Model:
         s["rate"] = ca.SX.sym("rate", len(self._structure.strings))
         x, rest = s["x"], s["rest_length"]
         length = kernel.string_lengths(self._structure, s["nodes"]).T
-        stored = self._needed_strings().as_expressions().stored_energy(length, rest)
+        stored = self.forces("rest_length").strings.stored_energy(s["nodes"], rest)
         # Each string stores by its own rest length alone.
         force = -ca.jtimes(stored, rest, ca.DM.ones(rest.shape))
         slope = -ca.jtimes(force, rest, ca.DM.ones(rest.shape))
@@ -563,9 +594,6 @@ class Model:
             "rest_length": ca.SX.sym("rest_length", alpha),
             "nodes": nodes,
             "velocities": velocities,
-            # Of the ends of strings.
-            "ends": nodes,
-            "end_rates": velocities,
             "load": load if load.nnz() else None,
         }
 
@@ -576,32 +604,23 @@ class Model:
         given = [s[each] for each in names]
         return ca.Function(name, given, list(outputs.values()), names, list(outputs))
 
-    def _forces(self, s: dict[str, Any], gamma: Any) -> Any:
-        forces = kernel.node_forces(self._structure, s["ends"], gamma, s["load"])
-        if self._contacts is None:
-            return forces
-        pressing = s.get("pressing")
-        return forces + self._contacts.forces(s["ends"], s["end_rates"], pressing)
+    def _on_nodes(self, s: dict[str, Any], input: str) -> Any:
+        u = s["gamma" if input == "force_density" else input]
+        return self.forces(input).on_nodes(s["nodes"], s["velocities"], u, s["load"])
 
-    def _ndd(self, s: dict[str, Any], gamma: Any) -> Any:
-        forces = self._forces(s, gamma)
-        Ndd = kernel.accelerations(
-            self._structure, s["nodes"], s["velocities"], forces, s.get("masses")
-        )
-        return ca.densify(Ndd[:, self._structure.free.tolist()])
+    def _accelerations(self, s: dict[str, Any], forces: Any) -> Any:
+        """Return the accelerations of nodes that are not fixed."""
+        structure, motion = self._structure, (s["nodes"], s["velocities"])
+        Ndd = kernel.accelerations(structure, *motion, forces, s.get("masses"))
+        return ca.densify(Ndd[:, structure.free.tolist()])
 
-    def _xdot(self, s: dict[str, Any], gamma: Any) -> Any:
-        rates = s["Nd"], self._ndd(s, gamma)
+    def _xdot(self, s: dict[str, Any], forces: Any) -> Any:
+        rates = s["Nd"], self._accelerations(s, forces)
         return ca.vertcat(*(kernel.free_entries(self._structure, part) for part in rates))
 
     def _lambda(self, s: dict[str, Any]) -> Any:
-        forces = self._forces(s, s["gamma"])
+        forces = self._on_nodes(s, "force_density")
         return kernel.bar_force_density(self._structure, s["nodes"], s["velocities"], forces)
-
-    def _law_force_density(self, s: dict[str, Any]) -> Any:
-        law = s.get("law") or self._needed_strings()
-        length, rate = kernel.string_motion(self._structure, s["nodes"], s["velocities"])
-        return law.symbolic_force_density(length.T, s["rest_length"], rate.T)
 
     def _needed_strings(self) -> StringLaw:
         if self._strings is None:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics.contact_laws import ContactLaw
-from tenscontrol.dynamics.evaluator import SharedEvaluator, evaluate_columns
+from tenscontrol.dynamics.evaluator import evaluate_columns
+from tenscontrol.dynamics.force import Pass
 from tenscontrol.dynamics.model import Model
 from tenscontrol.structure import (
     Block,
@@ -286,20 +287,13 @@ def tangent(
     load : ndarray, shape (d, n)
         All of the load on the nodes, N.
     """
-    from scipy.sparse import block_array, csr_array, diags_array, eye_array, kron
+    from scipy.sparse import block_array, diags_array, eye_array, kron
     from scipy.sparse.linalg import splu
 
     structure = model.structure
     d, n = nodes.shape
-    force, damping = load.ravel(order="F").copy(), csr_array((d * n, d * n))
-    stiffness, by_input = csr_array((d * n, d * n)), csr_array((d * n, len(structure.strings)))
-    if len(structure.strings):
-        pull, stiffness, damping, by_input = _of_strings(model, nodes, input, held)
-        force += pull
-    for law, at, _ in model.contacts or ():
-        push, by_place, by_speed = _of_contacts(model, law, nodes, at)
-        force += push
-        stiffness, damping = stiffness + by_place, damping + by_speed
+    push, stiffness, damping, by_input = _of_forces(model, nodes, input, held)
+    force = load.ravel(order="F") + push
     mass = kron(node_mass(structure), eye_array(d), format="csr")
     free, kept = structure.free_rows, structure.kept_bars
     J = bar_rows(structure, kept, nodes)[:, free]
@@ -319,40 +313,72 @@ def tangent(
     )  # fmt: skip
 
 
-def _of_strings(
+def _of_forces(
     model: Model, nodes: FloatArray, input: str, held: Any
 ) -> tuple[FloatArray, csr_array, csr_array, csr_array]:
-    """Return the forces of the strings, K, D and E: of γ, or of the rest lengths of a law."""
-    from scipy.sparse import csr_array, diags_array, eye_array, kron
+    """Return the forces on all nodes at no velocity, N, shape (d n,), and K, D and E of them."""
+    from scipy.sparse import csr_array
 
-    structure = model.structure
-    d, n = nodes.shape
-    of, count = structure.segment_string, len(structure.strings)
-    vectors = nodes[:, structure.segments[:, 1]] - nodes[:, structure.segments[:, 0]]
-    each = np.sqrt((vectors**2).sum(axis=0))
-    length: FloatArray = np.bincount(of, each, minlength=count).astype(float)
-    gamma, along, by_rest, by_rate = held, np.zeros(count), np.ones(count), np.zeros(count)
-    if input == "rest_length":
-        gamma, along, by_rest, by_rate = _slopes(model, length, held)
-    # Segments of one string have one tension: γ of a segment is T/l, that of the string T/L.
-    several = np.bincount(of, minlength=count)[of] > 1
-    share = np.where(several, length[of] / np.maximum(each, 1e-300), 1.0)
-    own = gamma[of] * share
-    C = _ends(structure.segments, n)
-    whole = csr_array((np.ones(len(of)), (of, np.arange(len(of)))), shape=(count, len(of)))
-    by_gamma = -(whole @ _segment_rows(structure, vectors * share)).T
-    unit = _segment_rows(structure, _unit(vectors))
-    stiffness = kron(C.T @ diags_array(own) @ C, eye_array(d), format="csr")
-    damping = csr_array((d * n, d * n))
-    pull = whole @ unit
-    stretch = along * length + np.where(np.bincount(of[several], minlength=count) > 0, gamma, 0.0)
-    if stretch.any():
-        stiffness = stiffness + pull.T @ diags_array(stretch) @ pull
-    if several.any():
-        stiffness = stiffness - unit.T @ diags_array(np.where(several, own, 0.0)) @ unit
-    if by_rate.any():
-        damping = pull.T @ diags_array(by_rate * length) @ pull
-    return by_gamma @ gamma, stiffness, damping, csr_array(by_gamma @ diags_array(by_rest))
+    d, size, count = len(nodes), nodes.size, len(model.structure.strings)
+
+    def build() -> list[list[tuple[Pass, ca.Function]]]:
+        forces = model.forces(input)
+        kinds = forces.gap_passes(), chain(*forces.passes())
+        return [[(over, _of_member(over, d)) for over in passes] for passes in kinds]
+
+    gaps, passes = model.prepared.get(("members at rest", input), build)
+    taut = np.zeros(sum(over.count for over, _ in gaps))
+    still = {"p": nodes, "v": np.zeros_like(nodes), "u": np.reshape(held, (1, -1))}
+    for over, function in gaps:
+        at = over.writes[0].at
+        taut[slice(None, over.count) if at is None else at] = _at(over, function, still)[0][0] > 0
+    push = np.zeros(size)
+    # Rows, columns and values of the derivatives by each array.
+    entries: dict[str, list[IntArray | FloatArray]] = {array: [] for array in "pvu"}
+    for over, function in passes:
+        values, slopes = _at(over, function, still | {"taut": taut[None]})
+        for write in over.writes:
+            assert write.at is not None  # forces are on nodes
+            out = slice(d * write.output, d * write.output + d)
+            rows = d * write.at + np.arange(d)[:, None]  # (d, k)
+            np.add.at(push, rows, write.sign * values[out])
+            first = 0
+            for read in over.reads.values():
+                if read.array not in entries:
+                    continue
+                columns = (np.arange(over.count) if read.at is None else read.at)[None]
+                if read.array != "u":
+                    columns = d * columns + np.arange(d)[:, None]
+                block = write.sign * slopes[first : first + len(columns), out]  # (·, d, k)
+                places = np.broadcast_arrays(rows, columns[:, None])
+                entries[read.array].append(np.stack([*places, block]).reshape(3, -1))
+                first += len(columns)
+    found = []
+    for array, parts in entries.items():
+        rows, columns, slopes = np.hstack([np.zeros((3, 0)), *parts])
+        shape = (size, count if array == "u" else size)
+        found.append(csr_array((slopes, (rows.astype(int), columns.astype(int))), shape=shape))
+    return push, -found[0], -found[1], found[2]
+
+
+def _of_member(over: Pass, dimension: int) -> ca.Function:
+    """Return the outputs of a member, a column, and their slopes by what it reads of p, v and u."""
+    inputs, own, outputs = over.for_one(dimension)
+    value = ca.densify(ca.vertcat(*map(ca.vec, outputs)))
+    by = [inputs[name] for name, read in over.reads.items() if read.array in "pvu"]
+    slopes = ca.densify(ca.vec(ca.jacobian(value, ca.vertcat(*by))))
+    return ca.Function("member", [*inputs.values(), *own.values()], [value, slopes])
+
+
+def _at(over: Pass, function: ca.Function, arrays: dict[str, FloatArray]) -> list[FloatArray]:
+    """Return the outputs of members, shape (m, k), and their slopes, (·, m, k)."""
+    columns = []
+    for read in over.reads.values():
+        array = arrays[read.array]
+        columns.append(array[:, : over.count] if read.at is None else array[:, read.at])
+    own = [value for value in over.parameters.values() if not isinstance(value, float)]
+    values, slopes = evaluate_columns(function, *columns, *(np.atleast_2d(v) for v in own))
+    return [values, slopes.reshape(-1, len(values), over.count)]
 
 
 def string_stretch(structure: Structure, nodes: FloatArray) -> csr_array:
@@ -367,52 +393,6 @@ def string_stretch(structure: Structure, nodes: FloatArray) -> csr_array:
 
 def _unit(vectors: FloatArray) -> FloatArray:
     return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=0), 1e-300))
-
-
-def _slopes(model: Model, length: FloatArray, rest_length: Any) -> tuple[FloatArray, ...]:
-    """Return γ and its derivatives by the length, the rest length and the rate, at no rate."""
-
-    def build() -> SharedEvaluator:
-        assert model.strings is not None  # its input is the rest length
-        symbols = [ca.SX.sym(name, len(length)) for name in ("l", "l0", "rate")]
-        gamma = model.strings.symbolic_force_density(*symbols)
-        # Each string by its own length alone.
-        one = ca.DM.ones(len(length))
-        slopes = [ca.densify(ca.jtimes(gamma, each, one)) for each in symbols]
-        return SharedEvaluator(ca.Function("slopes", symbols, [ca.densify(gamma), *slopes]))
-
-    evaluator = model.prepared.get("slopes of strings", build)
-    found = evaluator(length, np.broadcast_to(rest_length, length.shape), np.zeros_like(length))
-    return tuple(part.ravel() for part in found)
-
-
-def _of_contacts(
-    model: Model, law: ContactLaw, nodes: FloatArray, at: Any
-) -> tuple[FloatArray, csr_array, csr_array]:
-    """Return the forces of a ground on some nodes, and their derivatives K and D."""
-    from scipy.sparse import csr_array
-
-    d, n = nodes.shape
-
-    def build() -> ca.Function:
-        place, speed = ca.SX.sym("n", d), ca.SX.sym("v", d)
-        push = law.force(place, speed)
-        slopes = [ca.densify(ca.vec(ca.jacobian(push, each))) for each in (place, speed)]
-        return ca.Function("contact_slopes", [place, speed], [ca.densify(push), *slopes])
-
-    function = model.prepared.get(("slopes of a ground", law), build)
-    places = nodes[:, at]
-    forces, *found = evaluate_columns(function, places, np.zeros_like(places))
-    every = np.zeros((d, n))
-    every[:, at] = forces
-    rows = d * at + np.arange(d)[:, None]  # (d, k)
-    row, column = np.tile(rows, (d, 1)), np.repeat(rows, d, axis=0)
-    matrices = (
-        csr_array((-part.ravel(), (row.ravel(), column.ravel())), shape=(d * n, d * n))
-        for part in found
-    )
-    by_place, by_speed = matrices
-    return every.ravel(order="F"), by_place, by_speed
 
 
 def _ends(pairs: Any, n: int) -> csr_array:

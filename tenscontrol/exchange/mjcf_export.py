@@ -10,7 +10,7 @@ from xml.etree.ElementTree import Element, SubElement
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import ElasticStrings, Ground, LinearStrings, Model
+from tenscontrol.dynamics import Contacts, ElasticStrings, Ground, LinearStrings, Model
 from tenscontrol.exchange.kinematic_tree import WORLD, KinematicTree, in_space
 from tenscontrol.plant import held_value
 from tenscontrol.simulation import checked_load, initial_state
@@ -112,6 +112,12 @@ def to_mujoco(
     choice("actuators", actuators, _ACTUATORS)
     choice("integrator", integrator, _INTEGRATORS)
     timestep = positive_number("step", step, "s")
+    for term in model.forces("force_density").terms:
+        if not isinstance(term, Contacts):
+            raise ValueError(
+                f"the model has {term.argument}, which is not exported to MuJoCo; leave it out by "
+                f"model.replace({term.argument}=None)"
+            )
     structure = model.structure
     N = structure.nodes if nodes is None else structure.checked_nodes("nodes", nodes)
     V = np.zeros_like(N)

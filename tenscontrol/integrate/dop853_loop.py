@@ -11,7 +11,13 @@ from typing import Any
 
 import casadi as ca
 
-from tenscontrol.dynamics.forms import C_EXPORT, C_HEAD, WIDE, external_interface, packed_source
+from tenscontrol.dynamics.forms import (
+    C_EXPORT,
+    C_HEAD,
+    PACKED_HEAD,
+    external_interface,
+    packed_source,
+)
 
 # Functions that are called so often that they are worth the time of the compiler.
 _OFTEN = ("slope", "room")
@@ -79,7 +85,7 @@ def loop_source(
             C_HEAD,
             kernels.dump(),
             C_EXPORT,
-            WIDE,
+            PACKED_HEAD,
             *packed,
             *(f"#define {name} {value}" for name, value in constants.items()),
             _TEXT % parts,

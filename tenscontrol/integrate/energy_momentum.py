@@ -10,7 +10,7 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Equation, Evaluator, StringLaw, kernel
+from tenscontrol.dynamics import Equation, Evaluator, kernel
 from tenscontrol.integrate.integrator import (
     IntegrationError,
     IntegrationInterrupt,
@@ -475,68 +475,29 @@ class _Held:
 
 
 def _mean_forces(equation: Equation, N0: Any, N1: Any, u: Any, h: Any) -> Any:
-    """Return the forces, shape (d, n), N, that do the work that the strings store.
+    """Return the forces, shape (d, n), N, that do the work that is stored: ``Force.mean_force``.
 
-    That is, of rest lengths, or force densities, as they are in the middle of the step.
-
-    The force density of a straight piece of string is 2 T̄/(l₀ + l₁), where T̄ is the mean of the
-    tension over the lengths that the whole string passes: a discrete gradient.
+    That is, of rest lengths, or force densities, and loads as they are in the middle of the step.
     """
-    structure, layout = equation.structure, equation.layout
-    assert structure is not None  # as in step_equations
-    load = None if equation.load is None else ca.sparsify(ca.DM(equation.load))
+    forces, layout = equation.forces, equation.layout
+    assert forces is not None  # as in step_equations
+    shape = forces.structure.nodes.shape
+    load = ca.SX(*shape) if equation.load is None else ca.sparsify(ca.DM(equation.load))
     # Inputs that change are those in the middle of the step.
     middle = layout.values(equation.ahead(u, h / 2))
     if layout.load:
         places = slice(layout.strings, layout.strings + layout.load)
-        load = ca.reshape(middle[places], *structure.nodes.shape)
+        load = ca.reshape(middle[places], *shape)
     if layout.offset:
         at_end = layout.values(equation.ahead(u, h))
         N0, N1 = (
-            N + ca.reshape(values[layout.count - layout.offset :], *structure.nodes.shape)
+            N + ca.reshape(values[layout.count - layout.offset :], *shape)
             for N, values in ((N0, layout.values(u)), (N1, at_end))
         )
     u = middle[: layout.strings] if layout.count > layout.strings else middle
-    if equation.contacts is not None:
-        pushed = equation.contacts.mean_forces(N0, N1, h)
-        load = pushed if load is None else load + pushed
-    if len(structure.strings) == 0:
-        return kernel.node_forces(structure, N0, u, load)
-    S0, S1 = (kernel.differences(N, structure.segments) for N in (N0, N1))
-    gamma = u.T
-    if equation.law is not None or structure.has_clusters:
-        pieces = [kernel.string_length(structure, S).T for S in (S0, S1)]
-        before, after = pieces
-        if structure.has_clusters:
-            before, after = (kernel.string_lengths(structure, N).T for N in (N0, N1))
-        if equation.law is None:
-            twice = u * (before + after)
-        else:
-            twice = _twice_mean_tension(equation.law, before, after, u, h)
-        if structure.has_clusters:
-            twice = twice[structure.segment_string.tolist(), 0]
-        gamma = (twice / (pieces[0] + pieces[1])).T
-    S = kernel.differences((N0 + N1) / 2, structure.segments)
-    return kernel.segment_forces(structure, S, gamma, load)
-
-
-def _twice_mean_tension(law: StringLaw, before: Any, after: Any, rest: Any, h: Any) -> Any:
-    """Return 2 T̄ of strings whose lengths and rest lengths are columns.
-
-    ``T̄ (l₁ − l₀)`` is the change of the stored energy. A string that is slack on a part of the way
-    pulls on the other part only. For laws in which the tension is linear in the length, the mean
-    over the taut part is the tension in its middle.
-    """
-    low, high = ca.fmax(before, rest), ca.fmax(after, rest)
-    was, is_ = before > rest, after > rest
-    change = after - before
-    crossing = was != is_
-    share = ca.if_else(crossing, (high - low) / ca.if_else(crossing, change, 1), was)
-    law = law.as_expressions()
-    tension = law.tension((low + high) / 2, rest)
-    if law.is_damped:
-        tension = ca.fmax(0, tension + law.damping * change / h)
-    return 2 * share * tension
+    for force in (*forces.terms, forces.strings):
+        load = load + force.mean_force(N0, N1, u, h)
+    return load
 
 
 def _of_length(B: Any, length: Any) -> Any:

@@ -129,12 +129,13 @@ def _crossed(equation: Equation, x: Any, x1: Any, u: Any, taut: Any, h: Any) -> 
     room0, room1 = sign * gap0 + band, sign * gap1 + band
     crossed = ca.logic_or(room1 < 0, _meet_outside(room0, room1, -sign * rate0, sign * rate1, h))
     if equation.velocity_dependent:
-        crossed = ca.logic_or(crossed, _damped_crossing(equation)(x, x1, u, taut, h))
+        damped = _damped_crossing(equation)(x, x1, u, taut, h, rate0, rate1)
+        crossed = ca.logic_or(crossed, damped)
     return crossed, room1 < 0
 
 
 def _damped_crossing(equation: Equation) -> ca.Function:
-    """Return ``(x, x1, u, taut, h) -> crossed`` of each switch where forces depend on velocities.
+    """Return ``(x, x1, u, taut, h, rate, rate1) -> crossed`` where forces depend on velocities.
 
     The border of a damped string has other tangents than its stretch: the middle of the step is
     looked at. And a slack string pulls as soon as its stretch grows through zero, however soon the
@@ -143,6 +144,7 @@ def _damped_crossing(equation: Equation) -> ca.Function:
     n = equation.states
     x, u, taut, h = equation.symbols()
     x1 = equation.symbol("x1", n)
+    rate, rate1 = (equation.symbol(name, equation.switches) for name in ("rate", "rate1"))
     later, sign, band = equation.ahead(u, h), 2 * taut - 1, BAND * equation.gap_scale(u)
     q, v, q1, v1 = x[: n // 2], x[n // 2 :], x1[: n // 2], x1[n // 2 :]
     middle = ca.vertcat((q + q1) / 2 + h / 8 * (v - v1), 1.5 / h * (q1 - q) - (v + v1) / 4)
@@ -151,11 +153,10 @@ def _damped_crossing(equation: Equation) -> ca.Function:
     still = ca.DM.zeros(n // 2)
     room0 = band - equation.gap(ca.vertcat(q, still), u)[0]
     room1 = band - equation.gap(ca.vertcat(q1, still), later)[0]
-    out, back = equation.gap(x, u)[1], -equation.gap(x1, later)[1]
-    dips = _meet_outside(room0, room1, out, back, h)
+    dips = _meet_outside(room0, room1, rate, -rate1, h)
     pulls = ca.logic_and(room0 > 0, ca.logic_or(room1 < 0, dips))
     outputs = [ca.logic_or(inside, ca.logic_and(taut == 0, pulls))]
-    return ca.Function("damped", [x, x1, u, taut, h], outputs)
+    return ca.Function("damped", [x, x1, u, taut, h, rate, rate1], outputs)
 
 
 def _meet_outside(room0: Any, room1: Any, out: Any, back: Any, h: Any) -> Any:

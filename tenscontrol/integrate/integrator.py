@@ -439,5 +439,5 @@ def _contact_rate(
 
 def _strings_alone(equation: Equation) -> FloatArray:
     """Return switches with all strings taut and nothing on the ground."""
-    contacts = 0 if equation.contacts is None else equation.contacts.switches
-    return np.concatenate([np.ones(equation.switches - contacts), np.zeros(contacts)])
+    strings = 0 if equation.forces is None else equation.forces.strings.switches
+    return (np.arange(equation.switches) < strings).astype(float)

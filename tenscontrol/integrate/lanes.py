@@ -16,7 +16,15 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Equation, compiled_library, compiler, if_compiled
+from tenscontrol.dynamics import (
+    OPERATIONS,
+    Equation,
+    compiled_library,
+    compiler,
+    if_compiled,
+    instructions,
+    number_text,
+)
 from tenscontrol.dynamics.forms import C_EXPORT
 from tenscontrol.integrate.events import (
     COUNTS,
@@ -42,81 +50,36 @@ from tenscontrol.validation import FloatArray, IntArray
 # Operations of a step up to which it is written out: compilers take half a millisecond for each.
 _MOST_WRITTEN = 30_000
 
-_INFIX = {ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_DIV: "/"}
-_COMPARED = {ca.OP_LT: "<", ca.OP_LE: "<=", ca.OP_EQ: "==", ca.OP_NE: "!="}
-# Written with two operands, or one; the second is then left out.
-_FORMS = {
-    ca.OP_ASSIGN: "{0}",
-    ca.OP_NEG: "-{0}",
-    ca.OP_SQ: "{0} * {0}",
-    ca.OP_TWICE: "{0} + {0}",
-    ca.OP_INV: "1.0 / {0}",
-    ca.OP_NOT: "TRUTH({0} == 0.0)",
-    ca.OP_AND: "TRUTH(({0} != 0.0) & ({1} != 0.0))",
-    ca.OP_OR: "TRUTH(({0} != 0.0) | ({1} != 0.0))",
-    ca.OP_IF_ELSE_ZERO: "ONLY({0} != 0.0, {1})",
-    ca.OP_FABS: "POSITIVE({0})",
-    ca.OP_FMAX: "CHOICE(({0} > {1}) | ({1} != {1}), {0}, {1})",
-    ca.OP_FMIN: "CHOICE(({0} < {1}) | ({1} != {1}), {0}, {1})",
-    **{op: f"{{0}} {sign} {{1}}" for op, sign in _INFIX.items()},
-    **{op: f"TRUTH({{0}} {sign} {{1}})" for op, sign in _COMPARED.items()},
-}
 
-# Functions of the C library, entry by entry.
-_CALLED = {
-    ca.OP_SQRT: "sqrt", ca.OP_EXP: "exp", ca.OP_LOG: "log", ca.OP_POW: "pow",
-    ca.OP_CONSTPOW: "pow", ca.OP_SIN: "sin", ca.OP_COS: "cos", ca.OP_TAN: "tan",
-    ca.OP_ASIN: "asin", ca.OP_ACOS: "acos", ca.OP_ATAN: "atan", ca.OP_ATAN2: "atan2",
-    ca.OP_SINH: "sinh", ca.OP_COSH: "cosh", ca.OP_TANH: "tanh", ca.OP_FLOOR: "floor",
-    ca.OP_CEIL: "ceil",
-}  # fmt: skip
-_OF_TWO = ("pow", "atan2")
+def lane_code(function: ca.Function) -> str | None:
+    """Return a C function ``name(const V *in0, …, V *out0, …)`` of a function of dense SX.
 
-
-def _operations(function: ca.Function) -> set[int]:
-    return {function.instruction_id(k) for k in range(function.n_instructions())}
-
-
-def _is_writable(function: ca.Function) -> bool:
-    """Whether a function is a list of operations that :func:`lane_code` knows."""
-    known = {*_FORMS, *_CALLED, ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST}
-    return bool(_operations(function) <= known)
-
-
-def lane_code(function: ca.Function) -> str:
-    """Return a C function ``name(const V *in0, …, V *out0, …)`` of a function of dense SX."""
+    None if it has operations that are not written so.
+    """
+    steps = instructions(function)
+    if steps is None:
+        return None
     values: dict[int, str] = {}
     lines = []
-    for k in range(function.n_instructions()):
-        op, to = function.instruction_id(k), function.instruction_output(k)
-        of = function.instruction_input(k)
-        if op == ca.OP_OUTPUT:
+    for k, (operation, to, of, constant) in enumerate(steps):
+        if operation == "OUTPUT":
             lines.append(f"out{to[0]}[{to[1]}] = {values[of[0]]};")
             continue
-        if op == ca.OP_INPUT:
+        if operation == "INPUT":
             text = f"in{of[0]}[{of[1]}]"
-        elif op == ca.OP_CONST:
-            text = f"ALL({_number(function.instruction_constant(k))})"
+        elif operation == "CONST":
+            text = f"ALL({number_text(constant)})"
         else:
-            operands = [values[each] for each in of]
-            if op in _CALLED:
-                text = f"each_{_CALLED[op]}({', '.join(operands)})"
-            else:
-                text = _FORMS[op].format(*operands)
+            form = OPERATIONS[operation]
+            if form is None:
+                return None
+            text = form.format(*(values[i] for i in of))
         values[to[0]] = f"t{k}"
         lines.append(f"const V t{k} = {text};")
     arguments = [f"const V *in{i}" for i in range(function.n_in())]
     arguments += [f"V *out{i}" for i in range(function.n_out())]
     body = "\n".join(f"  {line}" for line in lines)
     return f"LANES static void lanes_{function.name()}({', '.join(arguments)}) {{\n{body}\n}}\n"
-
-
-def _number(value: float) -> str:
-    if value != value:
-        return "NAN"
-    if value in (float("inf"), float("-inf")):
-        return "INFINITY" if value > 0 else "-INFINITY"
-    return repr(value)
 
 
 class Lanes:
@@ -230,8 +193,10 @@ def lanes_source(smooth: ca.Function, equation: Equation) -> str | None:
     if not smooth.is_a("SXFunction"):
         return None
     functions = _parts(smooth, equation)
-    count = sum(each.n_instructions() for each in functions)
-    if count > _MOST_WRITTEN or not all(map(_is_writable, functions)):
+    if sum(each.n_instructions() for each in functions) > _MOST_WRITTEN:
+        return None
+    written = [code for each in functions if (code := lane_code(each)) is not None]
+    if len(written) < len(functions):
         return None
     wide = has_wide_vectors()
     sizes = {
@@ -240,10 +205,8 @@ def lanes_source(smooth: ca.Function, equation: Equation) -> str | None:
         "POLISHES": POLISHES, "SUBSTEPS": SUBSTEPS, "REST": repr(REST),
         "LANES": '__attribute__((target("avx2")))' if wide else "",
     }  # fmt: skip
-    called = {_CALLED[op] for each in functions for op in _operations(each) & set(_CALLED)}
-    kinds = (f"{'EACH_OF_TWO' if name in _OF_TWO else 'EACH'}({name})" for name in sorted(called))
     texts = [f"#define {name} {value}" for name, value in sizes.items()]
-    texts += [C_EXPORT, _VECTORS, *kinds, *map(lane_code, functions)]
+    texts += [C_EXPORT, _VECTORS, *written]
     return "\n".join([*texts, _CUT if equation.switches else "", _RUN])
 
 
@@ -329,10 +292,11 @@ typedef long long M __attribute__((vector_size(8 * W)));
 #define TRUTH(mask) ONLY(mask, ALL(1.0))
 #define POSITIVE(x) ((V)((M)(x) & 0x7fffffffffffffffLL))
 #define CHOICE(mask, x, y) ((V)(((mask) & (M)(x)) | (~(mask) & (M)(y))))
-#define EACH(f) LANES static inline V each_##f(V x) \\
-  { for (int i = 0; i < W; ++i) x[i] = f(x[i]); return x; }
-#define EACH_OF_TWO(f) LANES static inline V each_##f(V x, V y) \\
-  { for (int i = 0; i < W; ++i) x[i] = f(x[i], y[i]); return x; }
+#define LARGER(x, y) CHOICE((x > y) | (y != y), x, y)
+#define SMALLER(x, y) CHOICE((x < y) | (y != y), x, y)
+#define CALL(f, x) ({ V to = x; for (int i = 0; i < W; ++i) to[i] = f(to[i]); to; })
+#define CALL_2(f, x, y) \\
+  ({ V to = x; for (int i = 0; i < W; ++i) to[i] = f(to[i], (y)[i]); to; })
 """
 
 # The lanes of ``cut`` are those with a switch in the step; the others go on with numbers that

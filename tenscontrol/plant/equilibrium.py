@@ -17,7 +17,6 @@ from tenscontrol.plant.stance import (
     StanceContacts,
     Sticking,
     contact_forces,
-    ground_energy,
     let_down,
     refuse_slip,
 )
@@ -427,8 +426,7 @@ def _minimize(
     nodes = ca.reshape(flat, *structure.nodes.shape)
     energies = _string_energies(model, kind, nodes, held, rounding)
     energy = ca.dot(weights, energies) - ca.dot(free_coordinates(structure, load), at)
-    if sticking is not None:
-        energy += ground_energy(model, nodes)
+    energy += sum(term.stored_energy(nodes) for term in model.forces(kind).terms)
     moving = structure.kept_bars
     B = kernel.differences(nodes, structure.bars[moving])
     stretch = (kernel.dots(B, B).T - ca.DM(structure.bar_length[moving] ** 2)) / 2
@@ -485,28 +483,15 @@ def _string_energies(model: Model, kind: str, nodes: Any, held: FloatArray, roun
 
     The segments of clusters are rounded where they are short: ``√(l² + rounding²)``.
     """
-    structure = model.structure
-    if len(held) == 0:
-        return ca.SX(0, 1)
+    structure, length = model.structure, None
     S = kernel.differences(nodes, structure.segments)
-    square = kernel.dots(S, S).T
-    if not structure.has_clusters:
-        if kind == "force_density":
-            return square * ca.DM(held) / 2
-        length = kernel.pulling_length(S, ca.DM(held).T).T
-    else:
+    if structure.has_clusters:
         size = float(np.ptp(structure.nodes, axis=1).max())
-        each = ca.sqrt(ca.fmax(square, (_EXACT * size) ** 2) + rounding**2)
-        count = len(structure.segments)
-        sums = ca.DM.triplet(
-            structure.segment_string.tolist(), list(range(count)), ca.DM.ones(count),
-            len(held), count,
-        )  # fmt: skip
-        length = ca.mtimes(sums, each)
-    if kind == "force_density":
-        return length**2 * ca.DM(held) / 2
-    assert model.strings is not None  # refused before
-    return model.strings.as_expressions().stored_energy(length, ca.DM(held))
+        each = ca.sqrt(ca.fmax(kernel.dots(S, S), (_EXACT * size) ** 2) + rounding**2)
+        length = kernel.string_sums(structure, each).T
+    elif kind == "rest_length":
+        length = kernel.pulling_length(S, ca.DM(held).T).T
+    return model.forces(kind).strings.stored_energy(nodes, ca.DM(held), length)
 
 
 def _optimized(

@@ -237,15 +237,16 @@ def _motion(
 
 
 def refuse_lost_place(plant: LinearPlant) -> None:
-    """Raise if forces of the ground depend on where the structure is, and coordinates do not say.
+    """Raise if forces depend on where the structure is and moves, and coordinates do not say.
 
     Where supports leave no rigid-body motion, internal coordinates say it.
     """
-    frame = plant.coordinates
-    if plant.model.contacts is not None and frame.kind == "internal" and frame.is_loose:
+    frame, terms = plant.coordinates, plant.model.forces("force_density").terms
+    outer = [term.argument for term in terms if not term.conserves_momentum]
+    if outer and frame.kind == "internal" and frame.is_loose:
         raise ValueError(
             "plant has internal coordinates, which leave out where the structure is, and its model "
-            "has ground, whose forces depend on that: linearize with coordinates='minimal'"
+            f"has {outer[0]}, whose forces depend on that: linearize with coordinates='minimal'"
         )
 
 
@@ -469,17 +470,11 @@ def with_jacobian(value: Any, *arguments: Any) -> ca.Function:
 
 def _forces(plant: LinearPlant, N: Any, V: Any, u: Any, taut: bool) -> Any:
     """Return the forces on all nodes, N, shape (d, n), of a motion of all nodes and an input."""
-    model, structure = plant.model, plant.model.structure
-    gamma, law = model_input(plant, u), model.strings
-    if plant.input == "rest_length" and taut:
-        gamma = string_forces(plant, plant.input, N, V, gamma)[0]
-    elif plant.input == "rest_length":
-        assert law is not None  # a rest length is held
-        length, rate = (row.T for row in kernel.string_motion(structure, N, V))
-        gamma = law.symbolic_force_density(length, gamma, rate)
+    model, held, kind = plant.model, model_input(plant, u), plant.input
+    if taut and kind == "rest_length":
+        held, kind = string_forces(plant, kind, N, V, held)[0], "force_density"
     load = plant.external_force if model.has_external_force else model.constant_force
-    forces = kernel.node_forces(structure, N, gamma, ca.sparsify(ca.DM(load)))
-    return forces if model.contacts is None else forces + model.contacts.forces(N, V)
+    return model.forces(kind).on_nodes(N, V, held, ca.sparsify(ca.DM(load)))
 
 
 def near_symbol(plant: LinearPlant) -> Any:

@@ -275,15 +275,6 @@ def _ground_function(model: Model, contacts: Contacts) -> ca.Function:
     return ca.Function("ground_points", [N], [ca.densify(ca.horzcat(*parts))])
 
 
-def ground_energy(model: Model, nodes: ca.SX) -> ca.SX:
-    """Return what the ground stores under nodes, J."""
-    energy = ca.SX(0)
-    for law, which, _ in model.contacts or ():
-        at = nodes[:, which.tolist()]
-        energy += ca.sum2(law.stored_energy(law.sinking(at, 0 * at)[0]))
-    return energy
-
-
 def let_down(model: Model, start: FloatArray, load: FloatArray) -> FloatArray:
     """Return the nodes moved along the resultant of the load until one of them touches.
 
@@ -540,12 +531,12 @@ def standing_model(model: Model, stance: Stance) -> Model:
 
 def _standing(model: Model, nodes: FloatArray, feet: IntArray) -> Model:
     structure = _with_feet(model.structure, nodes, feet)
-    law, load = model.strings, model.constant_force
+    load = model.constant_force
     if not model.has_external_force:
-        return Model(structure, law, external_force=load)
+        return model.replace(structure=structure, external_force=load, gravity=None, ground=None)
     # All that is built in beside a load as an input are weights.
-    mass = model.mass_matrix().sum()
-    return Model(structure, law, external_force=True, gravity=load.sum(axis=1) / mass)
+    fall = load.sum(axis=1) / model.mass_matrix().sum()
+    return model.replace(structure=structure, gravity=fall, ground=None)
 
 
 def _with_feet(structure: Structure, nodes: FloatArray, feet: IntArray) -> Structure:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
+from tenscontrol.dynamics import TERMS
+
 TABLE_COMMENTS: Mapping[str, str] = MappingProxyType(
     {
         "structure": "nodes, bars and strings: from a generator, or listed",
@@ -205,5 +207,5 @@ COMMENTS: Mapping[str, str] = MappingProxyType(
 
 def comment(place: str, key: str, unit: str) -> str:
     """Return unit and meaning of a key as a comment; ``place`` is its table or its generator."""
-    meaning = COMMENTS.get(f"{place}.{key}") or COMMENTS[key]
+    meaning = COMMENTS.get(f"{place}.{key}") or COMMENTS.get(key) or TERMS[key].meaning
     return f"# {unit}: {meaning}" if unit else f"# {meaning}"

@@ -22,6 +22,7 @@ from tenscontrol.scene.controller_tables import (
     build_winches,
 )
 from tenscontrol.scene.document import Document, Table, read_document
+from tenscontrol.scene.schema import FORCE_KEYS
 from tenscontrol.scene.structure_tables import (
     build_design,
     build_force_density,
@@ -323,8 +324,12 @@ def load_scene(file: str | Path, allow_code: bool = False) -> Scene:
     law, whole_law = laws or (None, None)
     load: Any = False if forces is None else forces
     ground = build_ground(document, structure)
-    with document.table("loads").checked():
-        model = Model(structure, strings=law, external_force=load, gravity=gravity, ground=ground)
+    loads = document.table("loads")
+    with loads.checked():
+        model = Model(
+            structure, strings=law, external_force=load, gravity=gravity, ground=ground,
+            **loads.given(*FORCE_KEYS),
+        )  # fmt: skip
     shape_gives = bool(document.table("prestress").get("shape_gives"))
     acting = model.constant_force
     if shape_gives or (ground and not _is_held(structure, acting)):
@@ -345,17 +350,13 @@ def load_scene(file: str | Path, allow_code: bool = False) -> Scene:
         with document.table("prestress").checked("shape_gives"):
             rest = equilibrium(model, **{input: given})
         structure, force_density = rest.structure, rest.force_density
-        model = Model(structure, strings=law, external_force=load, gravity=gravity, ground=ground)
+        model = model.replace(structure=structure)
     winches = build_winches(document, structure)
     _refuse_alone(document)
     controller = estimator = None
     if document.has("controller"):
         # Only designs need an equilibrium.
-        design = cache(
-            lambda: build_design(
-                document, structure, whole_law, gravity, forces, force_density, ground
-            )
-        )
+        design = cache(lambda: build_design(document, model, whole_law, forces, force_density))
         together = to_strings(structure, "force_density", force_density)
         whole = whole_strings(structure)
         controller = build_controller(document, design, whole, together, winches, input, allow_code)

@@ -24,6 +24,7 @@ from tenscontrol.control import (
     OutputLimit,
 )
 from tenscontrol.dynamics import (
+    TERMS,
     ContactLaw,
     ElasticStrings,
     Ground,
@@ -333,6 +334,10 @@ FAULT_KEYS: Mapping[str, Keys] = MappingProxyType(
     {kind: _keys("kind", fault) for kind, fault in FAULTS.items()}
 )
 
+# Forces of a model that are numbers.
+FORCE_KEYS: Keys = MappingProxyType(
+    {name: (NUMBER, force.unit) for name, force in TERMS.items() if force.unit}
+)
 TABLES = _named(
     structure={key: each for keys in GENERATOR_KEYS.values() for key, each in keys.items()}
     | MEMBERS
@@ -340,7 +345,7 @@ TABLES = _named(
     skin=_keys("", skin),
     subdivide=_keys("", subdivide),
     strings=_keys("law stiffness axial_rigidity damping per"),
-    loads=_keys("gravity forces"),
+    loads=_keys("gravity forces") | {**FORCE_KEYS},
     ground={key: each for keys in GROUND_KEYS.values() for key, each in keys.items()},
     prestress=_keys(
         "force_density min_force_density max_force_density reference per shape_gives",

@@ -244,20 +244,19 @@ def build_force_density(document: Document, structure: Structure, load: FloatArr
 
 def build_design(
     document: Document,
-    structure: Structure,
+    model: Model,
     law: StringLaw | None,
-    gravity: object,
     forces: FloatArray | None,
     gamma: FloatArray,
-    ground: tuple[ContactLaw, ...],
 ) -> tuple[Model, Prestress]:
     """Return the model with its strings whole, and its equilibrium, for the controller."""
+    structure = model.structure
     design = whole_strings(structure)
     count = design.nodes.shape[1]
     load: Any = False if forces is None else forces[:, :count]
-    there = [_on_first(each, count) for each in ground]
-    laws = [each for each in there if each is not None]
-    model = Model(design, strings=law, external_force=load, gravity=gravity, ground=laws)
+    on_first = (_on_first(each, count) for each in model.ground)
+    laws = [each for each in on_first if each is not None]
+    model = model.replace(structure=design, strings=law, external_force=load, ground=laws)
     with document.table("prestress").checked("force_density", "for a controller "):
         if design is not structure:
             together = to_strings(structure, "force_density", gamma)

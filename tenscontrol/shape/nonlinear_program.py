@@ -78,8 +78,8 @@ class ShapeProblem:
         self.positions, self.tensions, self.nodes = y, g, at
         self.gamma = level * ca.mtimes(_sparse(red.strings), g)
         bars = level * ca.mtimes(_sparse(self._bars), lam)
-        W = None if not load.any() else ca.sparsify(ca.DM(load))
-        F = kernel.node_forces(structure, at, self.gamma, W)
+        still, acting = ca.SX(*at.shape), ca.sparsify(ca.DM(load))
+        F = model.forces("force_density").on_nodes(at, still, self.gamma, acting)
         F += _bar_push(structure.bars, at, bars)
         body = ca.mtimes(ca.DM(self.neutral), w)
         arms = (at - ca.repmat(ca.DM(red.centre), 1, at.shape[1])) / self.size

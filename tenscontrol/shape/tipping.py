@@ -425,9 +425,7 @@ def _conditions(model: Model) -> SharedEvaluator:
     structure = model.structure
     q, rest = ca.SX.sym("q", structure.nodes.size), ca.SX.sym("rest", len(structure.strings))
     N = ca.reshape(q, *structure.nodes.shape)
-    assert model.strings is not None  # refused before
-    length = kernel.string_lengths(structure, N).T
-    energy = ca.sum1(model.strings.as_expressions().stored_energy(length, rest))
+    energy = ca.sum1(model.forces("rest_length").strings.stored_energy(N, rest))
     energy -= ca.dot(ca.DM(model.constant_force), N)
     B = kernel.differences(N, structure.bars[structure.kept_bars])
     stretch = (kernel.dots(B, B).T - ca.DM(structure.bar_length[structure.kept_bars] ** 2)) / 2

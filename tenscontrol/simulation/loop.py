@@ -444,7 +444,7 @@ class Loop:
         assert self.choice is not None  # made before the first span
         assert self.integrator is not None  # made with it
         self.choice = replace(self.choice, changes=self.integrator.changes)
-        model, structure, strings = self.model, self.model.structure, self.model.strings
+        model, structure, forces = self.model, self.model.structure, self.model.forces(self.input)
         control = None if self.record is None else self.record()
         spans = self.spans
         time = np.concatenate([s.time for s in spans])
@@ -486,10 +486,8 @@ class Loop:
             rest_length=inputs if self.input == "rest_length" else None,
             choice=self.choice,
             work=self.work,
-            conserves_energy=control is None
-            and not self.moves
-            and (self.input == "force_density" or not (strings and strings.is_damped)),
-            conserves_momentum=not loaded and free and contacts is None,
+            conserves_energy=control is None and not self.moves and forces.conserves_energy,
+            conserves_momentum=not loaded and free and forces.conserves_momentum,
             control=control,
             stopped=stopped,
             error=error,

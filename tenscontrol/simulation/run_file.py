@@ -29,6 +29,7 @@ from tenscontrol.control import (
     OutputLimit,
 )
 from tenscontrol.dynamics import (
+    OPERATIONS,
     ElasticStrings,
     Ground,
     HertzGround,
@@ -36,6 +37,7 @@ from tenscontrol.dynamics import (
     Model,
     Profile,
     SmoothGround,
+    instructions,
 )
 from tenscontrol.estimation import FilterStatistics
 from tenscontrol.files import opened_file, write_file
@@ -75,15 +77,6 @@ _RECORDS = {
     )
 }  # fmt: skip
 _WORDS: dict[str, type[StrEnum]] = {"Status": Status, "Fallback": Fallback}
-
-# Instructions of functions of numbers, by CasADi's names without OP_.
-_OPERATIONS = (
-    "ASSIGN", "ADD", "SUB", "MUL", "DIV", "NEG", "EXP", "LOG", "POW", "CONSTPOW", "SQRT", "SQ",
-    "TWICE", "SIN", "COS", "TAN", "ASIN", "ACOS", "ATAN", "LT", "LE", "EQ", "NE", "NOT", "AND",
-    "OR", "FLOOR", "CEIL", "FMOD", "FABS", "SIGN", "COPYSIGN", "IF_ELSE_ZERO", "ERF", "FMIN",
-    "FMAX", "INV", "SINH", "COSH", "TANH", "ASINH", "ACOSH", "ATANH", "ATAN2", "CONST", "INPUT",
-    "OUTPUT", "ERFINV", "LOG1P", "EXPM1", "HYPOT", "REMAINDER",
-)  # fmt: skip
 
 # The parts of a run; what is None or not there is so for a reason that the run says.
 _ARRAY = np.ndarray
@@ -234,15 +227,8 @@ def _instructions(function: ca.Function) -> list[list[Any]] | None:
         flat = function if function.is_a("SXFunction") else function.expand()
     except RuntimeError:  # it calls what has no expression
         return None
-    names = {getattr(ca, f"OP_{name}"): name for name in _OPERATIONS}
-    lines: list[list[Any]] = []
-    for k in range(flat.n_instructions()):
-        code = flat.instruction_id(k)
-        if code not in names:
-            return None
-        more = flat.instruction_constant(k) if code == ca.OP_CONST else 0.0
-        lines.append([names[code], flat.instruction_output(k), flat.instruction_input(k), more])
-    return lines
+    lines = instructions(flat)
+    return None if lines is None else [list(line) for line in lines]
 
 
 # ---- reading ----
@@ -493,7 +479,7 @@ def _function(name: str, names: list[str], lines: list[list[Any]]) -> ca.Functio
     work: dict[int, ca.SX] = {}
     result = ca.SX(1, 1)
     for code, into, of, constant in lines:
-        if code not in _OPERATIONS:
+        if code not in OPERATIONS:
             raise ValueError(f"the function {name} has the instruction {code!r:.20}")
         if code == "OUTPUT":
             result = work[of[0]]
@@ -530,11 +516,7 @@ def _check_shapes(shapes: Mapping[str, tuple[int, ...]]) -> None:
 
 def model_parts(model: Model) -> dict[str, Any]:
     """Return what a model is made of, beside its structure."""
-    return {
-        "strings": model.strings,
-        "external_force": model.has_external_force or model.built_in_load,
-        "gravity": model.gravity,
-    }
+    return {k: v for k, v in model.arguments.items() if k not in ("structure", "ground")}
 
 
 def _model(structure: Structure, ground: Any, parts: Any) -> Model | Unsaved:

@@ -20,7 +20,7 @@ from unittest.mock import patch
 import numpy as np
 
 import tenscontrol as tc
-from tenscontrol.dynamics import Evaluator
+from tenscontrol.dynamics import Evaluator, Forces
 from tenscontrol.dynamics.forms import loops_source
 from tenscontrol.dynamics.machine_code import compiled_library, compiler
 from tenscontrol.dynamics.model import LARGEST_FLAT
@@ -83,7 +83,7 @@ def cost(
     repeats = max(3, evaluated // members)
     by_hand, expected = time_by_hand(yardstick, tower, law, (x, u, taut), repeats)
     began = perf_counter()
-    library = compiled_library(loops_source(tower, law, np.zeros_like(tower.nodes)))
+    library = compiled_library(loops_source(Forces(tower, law), np.zeros_like(tower.nodes)))
     built = [perf_counter() - began]
     compiled, found = time_compiled(yardstick, library, tower, (x, u, taut), repeats)
     assert np.abs(found - expected).max() < 1e-11 * np.abs(expected).max()

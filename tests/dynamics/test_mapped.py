@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.dynamics import Evaluator, pack_state
+from tenscontrol.dynamics import Evaluator, Forces, pack_state
 from tenscontrol.dynamics.forms import loops_source
 from tenscontrol.dynamics.machine_code import compiler
 from tenscontrol.dynamics.model import LARGEST_FLAT
@@ -224,7 +224,7 @@ def test_only_the_tables_of_the_loops_grow(prism):
     def code(copies):
         structure = side_by_side(prism, copies)
         law = tc.LinearStrings(100.0).for_count(len(structure.strings))
-        source = loops_source(structure, law, np.zeros_like(structure.nodes))
+        source = loops_source(Forces(structure, law), np.zeros_like(structure.nodes))
         tables = [part.split("};")[0] for part in source.split("{\n")[1:] if "," in part[:4]]
         return sum(map(len, tables)), len(source) - sum(map(len, tables))
 
@@ -237,7 +237,7 @@ def test_shared_parameters_take_no_table():
     model, *_ = scene("tower", "linear")
     shared = tc.prism_tower(3)
     law, load = model.strings, np.zeros((3, 18))
-    assert "constant" not in loops_source(shared, law, load)
-    assert "constant" in loops_source(model.structure, law, load)
-    assert "load" not in loops_source(shared, law, load)
-    assert "places" not in loops_source(shared, law, load)
+    assert "constant" not in loops_source(Forces(shared, law), load)
+    assert "constant" in loops_source(Forces(model.structure, law), load)
+    assert "load" not in loops_source(Forces(shared, law), load)
+    assert "places" not in loops_source(Forces(shared, law), load)

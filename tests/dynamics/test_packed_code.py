@@ -11,7 +11,7 @@ from tenscontrol.dynamics import compiled_source, compiler
 from tenscontrol.dynamics.forms import (
     C_EXPORT,
     C_HEAD,
-    WIDE,
+    PACKED_HEAD,
     external_interface,
     packed_source,
 )
@@ -31,7 +31,7 @@ def compiled(function):
         f" {{ return {name}(arg, res, iw, w, mem); }}"
     )
     interface = external_interface("packed", sizes_in, sizes_out)
-    parts = [C_HEAD, types, C_EXPORT, WIDE, packed_source(function), call, interface]
+    parts = [C_HEAD, types, C_EXPORT, PACKED_HEAD, packed_source(function), call, interface]
     return compiled_source("\n".join(parts), ("packed",))[0]
 
 

@@ -41,7 +41,7 @@ def test_without_ground_the_ball_is_lost():
 def ground_forces(plant, run, parts):
     """Return the mean force of the ground on the nodes over each sample, N, shape (K, d, n)."""
     N, V = (ca.SX.sym(name, *plant.nodes.shape) for name in "NV")
-    force = ca.Function("force", [N, V], [plant.model.contacts.forces(N, V)])
+    force = ca.Function("force", [N, V], [plant.model.contacts.on_nodes(N, V)])
     each = [
         force(run.nodes[..., k], run.velocities[..., k]).full() for k in range(len(run.time) - 1)
     ]

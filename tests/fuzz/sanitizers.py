@@ -334,7 +334,7 @@ def loops(damping, supported):
     """The C text of the loops over the members, with its functions."""
     shown = model(damping, supported)
     load = np.ones_like(shown.structure.nodes)
-    source = loops_source(shown.structure, shown.strings, load)
+    source = loops_source(shown.forces("rest_length"), load)
     return [(name, source) for name in ("slope", "gap", "force")]
 
 

@@ -215,10 +215,12 @@ WITHIN = {
     "dynamics.ContactLaw.mean_force",
     "dynamics.ContactLaw.resultant",
     "dynamics.ContactLaw.up",
-    "dynamics.Contacts.of",
-    "dynamics.Contacts.forces",
-    "dynamics.Contacts.mean_forces",
-    "dynamics.Contacts.gaps",
+    *(
+        f"dynamics.Contacts.{name}"
+        for name in ("of_argument", "passes", "gap_passes", "on_nodes", "mean_force")
+    ),
+    "dynamics.Contacts.stored_energy",
+    "Model.forces",
     "dynamics.Equation.gap_scale",
     "dynamics.Equation.symbols",
     "dynamics.Equation.ahead",
@@ -694,6 +696,7 @@ call(
     },
 )
 call("Model.mass_matrix", on=elastic)
+call("Model.replace", lambda: {"gravity": 9.81}, elastic)
 call("Model.of_all_nodes", lambda: {"name": "kinetic_energy"}, elastic)
 call("Model.state_equation", lambda: {"input": "rest_length"}, elastic)
 call(

@@ -221,7 +221,7 @@ def test_a_ball_at_rest_presses_with_its_weight():
     N, V = (each[:, :, 0] for each in tc.dynamics.unpack_states(ball, end[:, None]))
     assert np.abs(V).max() < 1e-10
     N, V = ca.SX(ca.DM(N)), ca.SX(ca.DM(V))
-    forces = np.array(ca.evalf(model.contacts.forces(N, V)))
+    forces = np.array(ca.evalf(model.contacts.on_nodes(N, V)))
     np.testing.assert_allclose(forces.sum(axis=1), [0, 0, 6 * GRAVITY], rtol=0, atol=1e-10)
     assert np.count_nonzero(forces[2]) >= 3
 
@@ -333,7 +333,7 @@ def test_momentum_changes_by_the_mean_forces_of_the_ground():
     linear, _ = evaluate_columns(scene.model.momentum, states)
     shape = scene.structure.nodes.shape
     before, after = (ca.SX.sym(name, *shape) for name in ("before", "after"))
-    forces = scene.model.contacts.mean_forces(before, after, step)
+    forces = scene.model.contacts.mean_force(before, after, None, step)
     mean = ca.Function("mean", [ca.vec(before), ca.vec(after)], [ca.sum2(forces)])
     nodes = states[: len(states) // 2]
     pushed = evaluate_columns(mean, nodes[:, :-1], nodes[:, 1:])[0]

@@ -40,7 +40,7 @@ def controllers(plant, **more):
 def ground_force(model, nodes, velocities):
     """Forces of the ground on all nodes, N, by the law alone."""
     symbols = [ca.SX.sym(name, *nodes.shape) for name in ("N", "V")]
-    force = ca.Function("force", symbols, [model.contacts.forces(*symbols)])
+    force = ca.Function("force", symbols, [model.contacts.on_nodes(*symbols)])
     return np.array(force(nodes, velocities).full())
 
 

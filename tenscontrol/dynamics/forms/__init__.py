@@ -9,12 +9,12 @@ from tenscontrol.dynamics.forms.loops import (
     loops_source,
 )
 from tenscontrol.dynamics.forms.mapped import mapped_functions
-from tenscontrol.dynamics.forms.packed_code import WIDE, packed_source
+from tenscontrol.dynamics.forms.packed_code import PACKED_HEAD, packed_source
 
 __all__ = [
     "C_EXPORT",
     "C_HEAD",
-    "WIDE",
+    "PACKED_HEAD",
     "external_interface",
     "loops_functions",
     "loops_source",

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import kernel
-from tenscontrol.dynamics.forms.passes import Pass, Read, Write
+from tenscontrol.dynamics.force import Pass, Read, Write
 from tenscontrol.structure import Structure, block_mass
 from tenscontrol.validation import IntArray
 

@@ -8,63 +8,45 @@ hand costs, and as much a member in a large scene as in a small one.
 
 from __future__ import annotations
 
+from itertools import chain
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics.contact_laws import Contacts
 from tenscontrol.dynamics.equation import InputLayout
 from tenscontrol.dynamics.evaluator import evaluate_columns
+from tenscontrol.dynamics.force import VECTORS, Pass, Read, Write
+from tenscontrol.dynamics.forces import Forces
+from tenscontrol.dynamics.forms.body_passes import body_passes
 from tenscontrol.dynamics.forms.elimination import SOLVE, Elimination
-from tenscontrol.dynamics.forms.passes import (
-    Pass,
-    Read,
-    Write,
-    body_passes,
-    contact_passes,
-    gap_passes,
-    string_passes,
-)
 from tenscontrol.dynamics.machine_code import compiled_source
-from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, IntArray
 
-# Arrays with a vector for each node; the others have a number for each string or entry.
-_VECTORS = "pvfa"
-
 
 def loops_functions(
-    structure: Structure, law: StringLaw | None, load: FloatArray,
-    layout: InputLayout | None = None, contacts: Contacts | None = None,
-) -> tuple[ca.Function, ...]:  # fmt: skip
+    forces: Forces, load: FloatArray, layout: InputLayout
+) -> tuple[ca.Function, ...]:
     """Return slope, gap and force of :class:`Equation` in compiled C, without derivatives."""
-    source = loops_source(structure, law, load, layout, contacts)
-    return compiled_source(source, ("slope", "gap", "force"))
+    return compiled_source(loops_source(forces, load, layout), ("slope", "gap", "force"))
 
 
-def loops_source(
-    structure: Structure, law: StringLaw | None, load: FloatArray,
-    layout: InputLayout | None = None, contacts: Contacts | None = None,
-) -> str:  # fmt: skip
+def loops_source(forces: Forces, load: FloatArray, layout: InputLayout | None = None) -> str:
     """Return the C text: the functions of :class:`Equation` with CasADi's interface.
 
-    ``law`` is None where force densities are held; ``load`` are constant forces on all nodes, N,
-    shape (d, n). The values of ``layout`` are the input, displacements followed by their rates.
+    ``load`` are constant forces on all nodes, N, shape (d, n). The values of ``layout`` are the
+    input, displacements followed by their rates.
     """
-    strings, bodies = string_passes(structure, law), body_passes(structure)
-    gaps = [] if law is None else gap_passes(structure, law)
-    slacking = 0 if law is None else len(structure.strings)  # strings that can go slack
-    ground, ground_gaps = contact_passes(contacts, slacking)
-    strings, gaps = [*strings, *ground], [*gaps, *ground_gaps]
+    structure, switches = forces.structure, forces.switches
+    acting, bodies = list(chain(*forces.passes())), body_passes(structure)
+    gaps = forces.gap_passes()
     solver = Elimination(structure) if structure.blocks else None
-    passes = [*strings, *bodies, *gaps, *([] if solver is None else [solver.assembly])]
+    passes = [*acting, *bodies, *gaps, *([] if solver is None else [solver.assembly])]
     slots = _slots(structure)
     loops = [_Loop(each, structure.dimension, slots) for each in passes]
     calls = {loop.over.name: loop.call for loop in loops}
     d, states, alpha = structure.dimension, 2 * len(structure.free_rows), len(structure.strings)
-    switches = slacking + (0 if contacts is None else contacts.switches)
     supported = len(structure.fixed_rows) > 0
     entries, inputs, start = structure.nodes.size, alpha, _LOADED if load.any() else _UNLOADED
     sizes: dict[str, Any] = {}
@@ -121,7 +103,7 @@ def loops_source(
             *(loop.text for loop in loops),
             "" if solver is None else SOLVE % {"assembly": calls[solver.assembly.name]},
             _ENDS if "OFFSET_AT" in sizes else "",
-            _FORCES % {"start": start, "calls": called(strings)},
+            _FORCES % {"start": start, "calls": called(acting)},
             (_SLOPE_ROLLING if structure.rollers else _SLOPE) % {"ends": ends, "calls": slope},
             (_FORCE_SUPPORTED if supported else _FORCE_FREE) % {"ends": ends},
             _GAP % {"moved": moved, "calls": called(gaps)},
@@ -166,10 +148,7 @@ class _Loop:
     def _kernel_lines(self) -> list[str]:
         """Make the kernel of one member, and return the lines that call it."""
         over = self.over
-        inputs = {name: ca.SX.sym(name, self._width(read)) for name, read in over.reads.items()}
-        shared = {name: ca.DM(v) for name, v in over.parameters.items() if isinstance(v, float)}
-        own = {name: ca.SX.sym(name) for name in over.parameters if name not in shared}
-        outputs = over.kernel(inputs | shared | own)
+        inputs, own, outputs = over.for_one(self._dimension)
         # What depends on parameters only is worked out here, once.
         outputs, constants = _constants(outputs, own, over.parameters)
         lines = []
@@ -204,7 +183,7 @@ class _Loop:
         return [f"{write.array}[{place}] {how} {out}[{k}];" for k, place in enumerate(places)]
 
     def _width(self, access: Read | Write) -> int:
-        return self._dimension if access.array in _VECTORS else 1
+        return self._dimension if access.array in VECTORS else 1
 
     def _at(self, access: Read | Write) -> str:
         """Return the C expression of where the entries of a member begin."""

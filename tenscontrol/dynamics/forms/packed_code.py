@@ -11,29 +11,30 @@ from math import isfinite
 
 import casadi as ca
 
+from tenscontrol.dynamics.instructions import OPERATIONS, instructions, number_text
+
 # Longer functions take compilers too long.
 _MOST_OPERATIONS = 4000
 
-# The same operations, so the same numbers, in wider registers where the machine has them.
-WIDE = """\
+# Comes before packed code. WIDE: the same operations, so the same numbers, in wider registers where
+# the machine has them.
+PACKED_HEAD = """\
 #if defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && !defined(__clang__)
 #define WIDE __attribute__((target_clones("avx2", "default")))
 #else
 #define WIDE
-#endif"""
-
-_OPERATIONS = {
-    ca.OP_ASSIGN: "{0}", ca.OP_ADD: "{0} + {1}", ca.OP_SUB: "{0} - {1}", ca.OP_MUL: "{0} * {1}",
-    ca.OP_NEG: "-{0}", ca.OP_SQ: "{0} * {0}", ca.OP_TWICE: "2. * {0}",
-    ca.OP_FMAX: "fmax({0}, {1})", ca.OP_FMIN: "fmin({0}, {1})", ca.OP_FABS: "fabs({0})",
-    ca.OP_LT: "{0} < {1}", ca.OP_LE: "{0} <= {1}", ca.OP_IF_ELSE_ZERO: "{0} ? {1} : 0",
-}  # fmt: skip
+#endif
+#define TRUTH(x) (x)
+#define ONLY(is_so, x) ((is_so) ? (x) : 0)
+#define LARGER(x, y) fmax(x, y)
+#define SMALLER(x, y) fmin(x, y)
+#define POSITIVE(x) fabs(x)"""
 
 # What is brought together: names of vectors, and the operation on their entries.
 _PACKED = {
-    ca.OP_SQRT: ("root", "sqrt({0}[i])"),
-    ca.OP_DIV: ("quotient", "{0}[i] / {1}[i]"),
-    ca.OP_INV: ("inverse", "1. / {0}[i]"),
+    "SQRT": ("root", "sqrt({0}[i])"),
+    "DIV": ("quotient", "{0}[i] / {1}[i]"),
+    "INV": ("inverse", "1. / {0}[i]"),
 }
 
 
@@ -45,41 +46,40 @@ def packed_source(function: ca.Function) -> str | None:
     Operations come in layers: first what needs no root or quotient, then the roots and quotients of
     that, then what needs those, and so on.
     """
-    count = function.n_instructions() if function.is_a("SXFunction") else _MOST_OPERATIONS + 1
-    if count > _MOST_OPERATIONS:
+    if function.is_a("SXFunction") and function.n_instructions() > _MOST_OPERATIONS:
+        return None
+    steps = instructions(function)
+    if steps is None:
         return None
     # Of each entry of CasADi's work vector: its C expression, and the layer where it is known.
     known: dict[int, tuple[str, int]] = {}
     layers: defaultdict[int, list[str]] = defaultdict(list)
-    vectors: Counter[tuple[int, int]] = Counter()  # entries, by layer and operation
-    for k in range(count):
-        operation, given = function.instruction_id(k), function.instruction_input(k)
-        found = function.instruction_output(k)
-        if operation == ca.OP_CONST:
-            value = float(function.instruction_constant(k))
-            if not isfinite(value):
+    vectors: Counter[tuple[int, str]] = Counter()  # entries, by layer and operation
+    for k, (operation, to, of, constant) in enumerate(steps):
+        if operation == "CONST":
+            if not isfinite(constant):
                 return None
-            known[found[0]] = f"({value!r})", 0
-        elif operation == ca.OP_INPUT:
-            known[found[0]] = f"in{given[0]}[{given[1]}]", 0
-        elif operation == ca.OP_OUTPUT:
-            text, layer = known[given[0]]
-            layers[layer].append(f"out{found[0]}[{found[1]}] = {text};")
+            known[to[0]] = f"({number_text(constant)})", 0
+        elif operation == "INPUT":
+            known[to[0]] = f"in{of[0]}[{of[1]}]", 0
+        elif operation == "OUTPUT":
+            text, layer = known[of[0]]
+            layers[layer].append(f"out{to[0]}[{to[1]}] = {text};")
         else:
-            operands = [known[i][0] for i in given]
-            layer = max(known[i][1] for i in given)
+            operands = [known[i][0] for i in of]
+            layer = max(known[i][1] for i in of)
+            form = OPERATIONS[operation]
             if operation in _PACKED:
                 place = layer + 1, operation
-                for name, each in zip(_names(*place), operands, strict=False):
-                    layers[layer].append(f"{name}[{vectors[place]}] = {each};")
-                known[found[0]] = f"{_names(*place)[-1]}[{vectors[place]}]", layer + 1
+                for name, operand in zip(_names(*place), operands, strict=False):
+                    layers[layer].append(f"{name}[{vectors[place]}] = {operand};")
+                known[to[0]] = f"{_names(*place)[-1]}[{vectors[place]}]", layer + 1
                 vectors[place] += 1
-            elif operation in _OPERATIONS:
-                text = _OPERATIONS[operation].format(*operands)
-                layers[layer].append(f"const double a{k} = {text};")
-                known[found[0]] = f"a{k}", layer
-            else:
+            elif form is None or form.startswith("CALL"):
                 return None
+            else:
+                layers[layer].append(f"const double a{k} = {form.format(*operands)};")
+                known[to[0]] = f"a{k}", layer
     lines = [f"const double *restrict in{i} = arg[{i}];" for i in range(function.n_in())]
     lines += [f"double *restrict out{i} = res[{i}];" for i in range(function.n_out())]
     for place, size in vectors.items():
@@ -97,7 +97,7 @@ def packed_source(function: ca.Function) -> str | None:
     return f"WIDE static int {function.name()}({given}) {{\n  {body}\n}}\n"
 
 
-def _names(layer: int, operation: int) -> list[str]:
+def _names(layer: int, operation: str) -> list[str]:
     """Return the names of the vectors of operands, and that of the results."""
     name, text = _PACKED[operation]
     operands = ("of", "by")[: 1 + ("{1}" in text)]

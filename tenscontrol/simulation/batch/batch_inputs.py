@@ -169,10 +169,7 @@ class BatchInputs:
         strings = (
             replace(model.strings, **own) if model.strings is not None and own else model.strings
         )
-        load: object = model.has_external_force
-        if not load and model.built_in_load.any():
-            load = model.built_in_load
-        return Model(structure, strings, load, gravity, model.ground or None)
+        return model.replace(structure=structure, strings=strings, gravity=gravity)
 
     def single(self, run: int) -> FloatArray:
         """Return the state at the start of a run, checked as that of a single run is.

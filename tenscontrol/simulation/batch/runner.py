@@ -487,14 +487,13 @@ class Runner:
             load = scene.load
         load = load.reshape(structure.nodes.shape, order="F")
         loaded, free = bool(load.any()), not len(structure.fixed_rows)
-        damped = model.strings is not None and model.strings.is_damped
+        forces = model.forces(scene.input)
         found = Trajectory(
             structure, self.time, nodes, velocities,
             inputs if scene.input == "rest_length" else None,
             replace(choice, changes=self._changes.get(run, ())), self._work_of(run),
-            conserves_energy=self.command is None
-            and not (scene.input == "rest_length" and damped),
-            conserves_momentum=not loaded and free, control=None,
+            conserves_energy=self.command is None and forces.conserves_energy,
+            conserves_momentum=not loaded and free and forces.conserves_momentum, control=None,
             released_energy=np.zeros(len(of)), error=self.error(run),
             falls=free and float(model.constant_force[-1].sum()) < 0,
             given=Given({scene.input: held} if self.command is None else {}),

@@ -1,0 +1,58 @@
+"""Passes over members that turn the forces on nodes into accelerations."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from tenscontrol.dynamics import kernel
+from tenscontrol.dynamics.force import Columns, Pass, Read, Write, shared
+from tenscontrol.structure import Structure
+from tenscontrol.validation import FloatArray, IntArray
+
+
+def body_passes(structure: Structure) -> list[Pass]:
+    """Return the passes that turn the forces into accelerations of nodes outside of blocks."""
+    bars = structure.bars[structure.free_bars]
+    passes = [_free_bars(bars[:, 0], bars[:, 1], structure.bar_mass[structure.free_bars])]
+    hinge, tip = structure.hinged_pairs.T
+    passes.append(_swinging_bars(hinge, tip, structure.bar_mass[structure.swinging_bars]))
+    passes.append(_points(structure.string_nodes, structure.string_node_mass))
+    return [over for over in passes if over.count]
+
+
+def _free_bars(start: IntArray, end: IntArray, mass: FloatArray) -> Pass:
+    def accelerate(columns: Columns) -> tuple[Any, ...]:
+        B, Bd = (columns[f"{part}_end"] - columns[f"{part}_start"] for part in "pv")
+        at = columns["f_start"], columns["f_end"]
+        return kernel.free_bar(B, Bd, *at, columns["mass"])[:2]
+
+    reads = _ends(start, end) | {"f_start": Read("f", start), "f_end": Read("f", end)}
+    writes = (Write("a", 0, start), Write("a", 1, end))
+    return Pass("free_bars", len(start), accelerate, reads, writes, {"mass": shared(mass)})
+
+
+def _swinging_bars(hinge: IntArray, tip: IntArray, mass: FloatArray) -> Pass:
+    def accelerate(columns: Columns) -> tuple[Any, ...]:
+        B, Bd = (columns[f"{part}_end"] - columns[f"{part}_start"] for part in "pv")
+        return kernel.swinging_bar(B, Bd, columns["f_end"], columns["mass"])[:1]
+
+    reads = _ends(hinge, tip) | {"f_end": Read("f", tip)}
+    writes = (Write("a", 0, tip),)
+    return Pass("swinging_bars", len(tip), accelerate, reads, writes, {"mass": shared(mass)})
+
+
+def _points(nodes: IntArray, mass: FloatArray) -> Pass:
+    def accelerate(columns: Columns) -> tuple[Any, ...]:
+        return (kernel.point_acceleration(columns["f"], columns["mass"]),)
+
+    writes = (Write("a", 0, nodes),)
+    reads = {"f": Read("f", nodes)}
+    return Pass("points", len(nodes), accelerate, reads, writes, {"mass": shared(mass)})
+
+
+def _ends(start: IntArray, end: IntArray) -> dict[str, Read]:
+    return {
+        f"{part}_{name}": Read(part, nodes)
+        for part in "pv"
+        for name, nodes in (("start", start), ("end", end))
+    }
