@@ -197,7 +197,13 @@ from .simulation import (
     HealthLimits as HealthLimits,
 )
 from .simulation import (
+    Integration as Integration,
+)
+from .simulation import (
     LostMeasurement as LostMeasurement,
+)
+from .simulation import (
+    Scene as Scene,
 )
 from .simulation import (
     StuckWinch as StuckWinch,
@@ -247,6 +253,7 @@ __all__ = [
     "Ground",
     "HealthLimits",
     "Height",
+    "Integration",
     "KalmanFilter",
     "LinearStrings",
     "LostMeasurement",
@@ -260,6 +267,7 @@ __all__ = [
     "Profile",
     "Reference",
     "RotationalSymmetry",
+    "Scene",
     "Sensors",
     "Structure",
     "StuckWinch",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -11,8 +10,7 @@ import numpy as np
 from tenscontrol.dynamics import Equation, Model, builds, pack_state
 from tenscontrol.integrate import is_expandable
 from tenscontrol.plant import given_load, held_value
-from tenscontrol.scene import Scene
-from tenscontrol.simulation import checked_load, initial_state
+from tenscontrol.simulation import Scene, checked_load, initial_state
 from tenscontrol.structure import Structure, free_coordinates, restore_bar_lengths
 from tenscontrol.validation import (
     FloatArray,
@@ -157,22 +155,18 @@ def as_case(scene: object) -> Case:
         return scene
     instance("scene", scene, Scene, "make one by load_scene(file), or give a Case")
     assert isinstance(scene, Scene)  # checked just now
-    input = "force_density" if scene.rest_length is None else "rest_length"
-    notes = []
-    if scene.controller is not None:
-        words = input.replace("_", " ").replace("density", "densities").replace("length", "lengths")
-        notes.append(f"The controller of the scene is left out: {words} are held as at the start.")
-    if scene.faults:
-        notes.append(f"Its faults are left out: {', '.join(each.label for each in scene.faults)}.")
+    scene = scene.open_loop()
+    assert scene.input is not None  # found when it was made
     return Case(
         model=scene.model,
         duration=scene.duration,
         nodes=scene.nodes,
         velocities=scene.velocities,
-        input=input,
-        value=scene.force_density if scene.rest_length is None else scene.rest_length,
-        name=Path(scene.file).stem,
-        note=" ".join(notes),
+        input=scene.input,
+        value=scene.input_value,
+        external_force=scene.external_force,
+        name=scene.name,
+        note=scene.note,
     )
 
 

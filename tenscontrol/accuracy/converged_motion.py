@@ -16,7 +16,7 @@ import numpy as np
 from tenscontrol.accuracy.case import Case, as_case
 from tenscontrol.dynamics import Evaluator, builds, unpack_states
 from tenscontrol.integrate import DOP853
-from tenscontrol.scene import Scene
+from tenscontrol.simulation import Scene
 from tenscontrol.validation import MOST_RUNS, FloatArray, frozen, function, whole_number
 
 _TOLERANCE = 1e-13

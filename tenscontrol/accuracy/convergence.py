@@ -19,7 +19,7 @@ from tenscontrol.accuracy.measured_run import (
 )
 from tenscontrol.interrupt import keeping
 from tenscontrol.progress import progress_bar
-from tenscontrol.scene import Scene
+from tenscontrol.simulation import Scene
 from tenscontrol.tables import aligned, shown
 from tenscontrol.validation import MOST_RUNS, FloatArray, frozen, instance, whole_number
 

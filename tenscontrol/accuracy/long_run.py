@@ -17,7 +17,7 @@ from tenscontrol.accuracy.measured_run import (
 from tenscontrol.integrate import IntegrationError, IntegrationInterrupt, Work
 from tenscontrol.interrupt import keeping
 from tenscontrol.progress import progress_bar
-from tenscontrol.scene import Scene
+from tenscontrol.simulation import Scene
 from tenscontrol.tables import aligned, shown
 from tenscontrol.validation import (
     LARGEST,

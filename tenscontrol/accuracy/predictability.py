@@ -10,7 +10,7 @@ import numpy as np
 from tenscontrol.accuracy.case import Case, as_case, only_free, state_change
 from tenscontrol.integrate import DOP853
 from tenscontrol.interrupt import keeping
-from tenscontrol.scene import Scene
+from tenscontrol.simulation import Scene
 from tenscontrol.structure import Structure
 from tenscontrol.validation import (
     LARGEST_SEED,

@@ -27,7 +27,7 @@ from tenscontrol.accuracy.predictability import Predictability, predictability
 from tenscontrol.integrate import METHODS, Method
 from tenscontrol.interrupt import keeping
 from tenscontrol.progress import progress_bar
-from tenscontrol.scene import Scene
+from tenscontrol.simulation import Scene
 from tenscontrol.tables import aligned, markdown, shown, write_csv
 from tenscontrol.validation import (
     MOST_RUNS,

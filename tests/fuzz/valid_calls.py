@@ -132,7 +132,7 @@ RESULTS = {
     "robustness.SweepError",
     "robustness.SweepFailure",
     "robustness.SweepReport",
-    "scene.Scene",
+    "Scene",
     "scene.SceneError",
     "shape.DemandCheck",
     "shape.PathError",
@@ -150,7 +150,7 @@ RESULTS = {
     "simulation.ContactRecord",
     "simulation.ControlRecord",
     "simulation.EstimateRecord",
-    "simulation.Given",
+    "simulation.Arguments",
     "simulation.Health",
     "simulation.SimulationError",
     "simulation.Trajectory",
@@ -1407,9 +1407,9 @@ call("simulation.Trajectory.to_xarray", on=run, share=0.1)
 call("load_run", lambda: {"path": str(run().save(scratch("saved.npz")))}, share=0.3)
 call("simulation.ControlRecord.summary", on=lambda: closed_run().control)
 call("simulation.ContactRecord.summary", on=lambda: dropped_run().contacts)
-call("scene.Scene.simulate", lambda: {"progress": False, "start": None}, scene, 0.05)
+call("Scene.simulate", lambda: {"progress": False, "start": None}, scene, 0.05)
 call(
-    "scene.Scene.linearize",
+    "Scene.linearize",
     lambda: {"input": "rest_length", "coordinates": "internal"},
     resting_scene,
     0.2,

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.simulation.contacts import drawn_ground
+from tenscontrol.simulation.drawn_ground import drawn_ground
 
 
 def ball():

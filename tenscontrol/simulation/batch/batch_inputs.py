@@ -13,12 +13,8 @@ from tenscontrol.dynamics import Model, Pieces, weights
 from tenscontrol.plant import held_value, refuse_load
 from tenscontrol.properties import cached_property
 from tenscontrol.simulation.closed_loop import samples
-from tenscontrol.simulation.simulate import (
-    changes_in_time,
-    checked_inputs,
-    initial_state,
-    load_in_time,
-)
+from tenscontrol.simulation.inputs import changes_in_time, checked_inputs, load_in_time
+from tenscontrol.simulation.start import initial_state
 from tenscontrol.validation import (
     LARGEST,
     FloatArray,

@@ -39,10 +39,12 @@ from tenscontrol.integrate import (
     not_finite,
 )
 from tenscontrol.interrupt import check
+from tenscontrol.simulation.arguments import Arguments
 from tenscontrol.simulation.batch.batch_inputs import MASSES, BatchInputs, InputSpan
 from tenscontrol.simulation.batch.compiled_loop import MOST_CONTROLLERS, CompiledLoops
 from tenscontrol.simulation.error_estimate import Motion, Path, Resolved, Stage
-from tenscontrol.simulation.health import ERROR_LIMIT, Given, Quantities, by_node
+from tenscontrol.simulation.health import ERROR_LIMIT
+from tenscontrol.simulation.motion_functions import MotionFunctions, by_node
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.structure import BarMotion
 from tenscontrol.validation import LARGEST, FloatArray, IntArray, refuse_memory
@@ -497,8 +499,8 @@ class Runner:
             conserves_momentum=not loaded and free, control=None,
             released_energy=np.zeros(len(of)), error=self.error(run),
             falls=free and float(model.constant_force[-1].sum()) < 0,
-            given=Given({scene.input: held} if self.command is None else {}),
-            _quantities=Quantities(
+            given=Arguments({scene.input: held} if self.command is None else {}),
+            _functions=MotionFunctions(
                 model, False, inputs, load if loaded else None,
                 shared=partial(self._function, run, model) if self._shares else None,
             ),

@@ -25,7 +25,7 @@ from tenscontrol.simulation.batch.batch_inputs import BatchInputs, given_by_run
 from tenscontrol.simulation.batch.compiled_loop import checked_controller
 from tenscontrol.simulation.batch.runner import HowToIntegrate, Runner
 from tenscontrol.simulation.health import ERROR_LIMIT, AccuracyWarning, HealthLimits
-from tenscontrol.simulation.simulate import check_health, finer
+from tenscontrol.simulation.health_check import check_health, finer
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.structure import Structure
 from tenscontrol.validation import (
