@@ -29,9 +29,7 @@ from tenscontrol.validation import (
     FloatArray,
     IntArray,
     frozen,
-    instance,
     non_negative,
-    per_member,
     positive,
     shaped,
 )
@@ -61,15 +59,13 @@ class Actuators:
         plant_run: PlantRun,
         controller: BaseController,
         winches: Winches | None,
-        rest_length: object,
+        rest_length: FloatArray | None,
         sample_time: float,
         run: Trajectory | None,
     ) -> None:
         self._structure = plant_run.model.structure
         self._by_segment = _commands_parent(plant_run, controller)
         self._count = len(controller.commanded.strings)
-        if winches is not None:
-            instance("winches", winches, Winches, "make them by Winches(rate=...)")
         self._held = plant_run.input
         self._convert = plant_run.input == "rest_length" and controller.input == "force_density"
         if controller.input == "rest_length" and plant_run.input == "force_density":
@@ -95,21 +91,10 @@ class Actuators:
         self.start: FloatArray | None = None
         self._current: FloatArray | None = None
         if run is not None and rest_length is None:
-            kind = "force_density" if run.rest_length is None else "rest_length"
-            last = run.held if kind == plant_run.input else None
-            if last is not None and run.control is not None:
-                last, self._earlier = run.control.applied[:, -1], run.control.motors
-            elif last is not None:
-                last = self._to_strings(plant_run.input, last)
-            if plant_run.input == "rest_length":
-                rest_length = last
-            else:
-                self._current = last
-        if rest_length is not None:
-            lengths = per_member(
-                "rest_length", rest_length, self._count, "string of the controller"
-            )
-            self.start = positive("rest_length", lengths, "length in m")
+            self._go_on(run)
+        elif rest_length is not None:
+            self.start = self._current = rest_length
+        if self.start is not None:
             if winches is not None:
                 winches.refuse_out_of_range("rest_length", self.start)
         elif plant_run.input == "rest_length" and (
@@ -119,10 +104,20 @@ class Actuators:
                 "winches with a rate, substeps or a motor need rest_length, the rest lengths at "
                 "the start, m; to_rest_length(model, nodes, force_density) finds it"
             )
-        if self.start is not None:
-            self._current = self.start
         if self._convert:
             self._refuse_unreachable(controller.bounds[1])
+
+    def _go_on(self, run: Trajectory) -> None:
+        """Begin with what the actuators held at the end of a run."""
+        kind = "force_density" if run.rest_length is None else "rest_length"
+        if kind != self._held:
+            return
+        if run.control is None:
+            self._current = self._to_strings(kind, run.held)
+        else:
+            self._current, self._earlier = run.control.applied[:, -1], run.control.motors
+        if kind == "rest_length":
+            self.start = self._current
 
     @property
     def known(self) -> bool:

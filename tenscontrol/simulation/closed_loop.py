@@ -53,7 +53,7 @@ class ClosedLoop:
         run: PlantRun,
         controller: BaseController,
         sample_time: float | None,
-        rest_length: object,
+        rest_length: FloatArray | None,
         winches: Winches | None,
         estimation: tuple[KalmanFilter, Sensors | None, int | None] | None,
         start: Trajectory | None,

@@ -433,7 +433,7 @@ class _Reader:
         self._arrays, self._is_complete = arrays, is_complete
 
     def value(self, node: Any, place: str) -> Any:
-        """Return what a node says; what holds something unsaved is so itself."""
+        """Return what a node says."""
         if not isinstance(node, dict):
             if isinstance(node, list):
                 raise TypeError(f"{place} is a list, expected a value")
@@ -450,6 +450,11 @@ class _Reader:
                 return self._take(name, "bif")
             case {"function": [str(name), *names], "lines": lines}:
                 return _function(name, names, self.value(lines, place))
+        return self._container(node, place)
+
+    def _container(self, node: dict[str, Any], place: str) -> Any:
+        """Return what holds other values; what holds something unsaved is so itself."""
+        match node:
             case {"given": dict(items)}:
                 return Arguments(self._inside(items, place))
             case {"dict": dict(items), "keys": str(of)}:

@@ -68,7 +68,8 @@ class Scene:
     duration : float
         s.
     nodes, velocities : array_like, shape (d, n), optional
-        Motion at the start, m and m/s; the reference shape at rest if not given.
+        Motion at the start, m and m/s; the reference shape at rest if not given. None where a run
+        goes on, or supports move and it was not given.
     rest_length : float, array_like, shape (α,), Profile or callable, optional
         Rest lengths, m; with a controller those at the start, one per string that it commands.
     force_density : float, array_like, shape (α,), Profile or callable, optional
@@ -126,7 +127,7 @@ class Scene:
     rest_length: Any = None
     force_density: Any = None
     controller: Any = None
-    input: str | None = None
+    input: Any = None  # found below
     winches: Winches | None = None
     sample_time: float | None = None
     faults: Sequence[Fault] | None = ()
@@ -153,9 +154,8 @@ class Scene:
         self._check_loop()
         self._take_over_start()
         self._check_inputs()
-        _ = self.load
+        _ = self.loads, self.initial
         self._keep_arrays()
-        _ = self.initial
 
     def _check_loop(self) -> None:
         """Check the parts of a closed loop, each by itself."""
@@ -239,6 +239,11 @@ class Scene:
         if self.prestress is not None:
             gamma = held_value(self.model, None, self.prestress)
             object.__setattr__(self, "prestress", frozen(gamma))
+        if self.start is None and self.support_motion is None:
+            nodes = self.structure.nodes
+            for name, usual in (("nodes", nodes), ("velocities", np.zeros_like(nodes))):
+                if getattr(self, name) is None:
+                    object.__setattr__(self, name, usual)
         names = "nodes", "velocities", "rest_length", "force_density", "external_force"
         for name in (*names, "support_motion"):
             value = getattr(self, name)
@@ -255,7 +260,7 @@ class Scene:
     @property
     def size(self) -> float:
         """Largest extent of the structure at the start along an axis, m."""
-        nodes = self.structure.nodes if self.nodes is None else self.nodes
+        nodes = self.structure.nodes if self.nodes is None else self.nodes  # None: of a start
         return float(np.ptp(nodes, axis=1).max())
 
     @cached_property
@@ -263,7 +268,6 @@ class Scene:
         """The controller as the loop takes it; None in open loop."""
         if self.controller is None or isinstance(self.controller, BaseController):
             return self.controller
-        assert self.input is not None  # found before
         return as_controller(self.controller, self.structure, self.input, self.sample_time)
 
     @property
@@ -277,7 +281,6 @@ class Scene:
 
     @cached_property
     def _faults(self) -> Faults:
-        assert self.input is not None  # found before
         size = float(np.ptp(self.structure.nodes, axis=1).max())
         return Faults(self.faults, size, self.input)
 
@@ -289,7 +292,7 @@ class Scene:
         return checked_inputs(self.model, self.rest_length, self.force_density, *self._span)
 
     @cached_property
-    def load(self) -> FloatArray | Pieces:
+    def loads(self) -> FloatArray | Pieces:
         """All that acts on the nodes from outside, N, shape (d, n), or in time."""
         return load_in_time(self.model, self.external_force, *self._span)
 
@@ -314,7 +317,6 @@ class Scene:
             assert beside.nodes is not None  # of the run
             assert beside.velocities is not None  # of the run
             return frozen(pack_state(self.structure, beside.nodes, beside.velocities)), None
-        assert self.input is not None  # found before
         first = None if self.inputs is None else self.inputs.at(np.zeros(1))[:, 0]
         motion = beside.nodes, beside.velocities
         state, note = initial_state(self.model, *motion, self.input, first)
@@ -337,6 +339,17 @@ class Scene:
                 raise ValueError(f"{name} changes the input in time, expected one that is held")
         return frozen(held_value(self.model, self.rest_length, self.force_density))
 
+    @property
+    def load(self) -> FloatArray:
+        """Weights and external loads on the nodes, N, shape (d, n); ValueError if these change."""
+        for name, changes in (
+            ("external_force", isinstance(self.loads, Pieces)),
+            ("support_motion", self._supports is not None),
+        ):
+            if changes:
+                raise ValueError(f"{name} changes in time, expected a constant load")
+        return np.asarray(self.loads)
+
     def equation(self, derivatives: bool = False) -> Equation:
         """Return the state equation under the inputs and constant loads of the scene.
 
@@ -351,10 +364,6 @@ class Scene:
             If loads or supports change in time.
         """
         truth("derivatives", derivatives, "whether derivatives are needed")
-        if isinstance(self.load, Pieces) or self._supports is not None:
-            name = "external_force" if isinstance(self.load, Pieces) else "support_motion"
-            raise ValueError(f"{name} changes in time, expected a constant load")
-        assert self.input is not None  # found before
         load = self.load - self.model.constant_force
         equation = self.model.equation(self.input, load)
         if derivatives and equation.form == "loops":
@@ -389,8 +398,8 @@ class Scene:
         """
         if self.controller is None and not self.faults:
             return self
-        assert self.input is not None  # found when it was made
-        notes, held = [self.note] if self.note else [], {}
+        notes: list[str] = [self.note] if self.note else []
+        held: dict[str, Any] = {}
         if self.controller is not None:
             held = {"rest_length": None, self.input: self._held_at_start()}
             words = {"rest_length": "rest lengths", "force_density": "force densities"}[self.input]
@@ -400,7 +409,7 @@ class Scene:
         if self.faults:
             names = ", ".join(fault.label for fault in self.faults)
             notes.append(f"Its faults are left out: {names}.")
-        parts = dict.fromkeys(
+        parts: dict[str, Any] = dict.fromkeys(
             ("controller", "winches", "sample_time", "estimator", "sensors", "seed")
         )
         return replace(self, **parts, **held, faults=(), note=" ".join(notes))
@@ -451,7 +460,6 @@ class Scene:
                 f"the scene cannot be linearized, as it is not at rest: {error}"
             ) from error
         kind = self.input if input is None else input
-        assert kind is not None  # found when the scene was made
         return linearize(self.model, rest, kind, coordinates)
 
     def _design_force_density(self) -> FloatArray:
@@ -488,8 +496,12 @@ class Scene:
         truth("progress", progress, "whether to show a progress bar")
         if start is None:
             return run_scene(self, progress)
-        names = "nodes", "velocities", "rest_length", "force_density"
-        return run_scene(replace(self, start=start, **dict.fromkeys(names)), progress)
+        return run_scene(
+            replace(
+                self, start=start, nodes=None, velocities=None, rest_length=None, force_density=None
+            ),
+            progress,
+        )
 
     @cached_property
     def _degree(self) -> int:
@@ -507,11 +519,10 @@ class Scene:
         report : callable, optional
             It is told the time reached, s.
         """
-        assert self.input is not None  # found when the scene was made
         return PlantRun(
             self.model,
             self.input,
-            self.load,
+            self.loads,
             self.duration,
             self.integration,
             self._faults,

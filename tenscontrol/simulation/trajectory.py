@@ -442,6 +442,11 @@ class Trajectory(Viewable):
             lines.append(
                 f"trusted until     {self.trusted_until:.4g} s: error below {self.error_limit:g}"
             )
+        return lines + self._events()
+
+    def _events(self) -> list[str]:
+        """Return the lines on switches, contacts, bars and falls, where there are some."""
+        lines = []
         if self.work.rejections:
             lines.append(f"rejected steps    {self.work.rejections}")
         if self.work.switches:
