@@ -53,9 +53,6 @@ from . import (
 )
 from ._version import __version__ as __version__
 from .accuracy import (
-    Case as Case,
-)
-from .accuracy import (
     convergence_order as convergence_order,
 )
 from .accuracy import (
@@ -243,7 +240,6 @@ __all__ = [
     "LQR",
     "MPC",
     "NMPC",
-    "Case",
     "ClosedLoopCase",
     "CutString",
     "ElasticStrings",

@@ -117,7 +117,7 @@ def closed_loop(name, estimated=False):
 def case(duration=1.0):
     """Return the case of the accuracy reports."""
     value = paper_force_density(9.0)
-    return tc.Case(tc.Model(tc.prism()), duration, input="force_density", value=value)
+    return tc.Scene(tc.Model(tc.prism()), duration, force_density=value)
 
 
 def stiffness():

@@ -73,7 +73,7 @@ width = 0.02
     (one,) = load(DROP + FLAT).model.ground
     same_law(one, tc.Ground(5e3))
     assert load(DROP.replace("gravity = 9.81", "")).model.ground == ()
-    assert tc.Case(scene.model, 0.05, input="rest_length", value=scene.rest_length) is not None
+    assert tc.Scene(scene.model, 0.05, rest_length=scene.rest_length) is not None
 
 
 def test_the_shipped_drop_bounces_on_the_floor_and_off_the_wall():
