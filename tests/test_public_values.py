@@ -147,6 +147,7 @@ def values(tmp_path_factory):
     drift = tc.long_run(case, "rk4", 1e-3, steps=30, outputs=30)
     found += [
         case,
+        case.integration,
         compared,
         compared.rows[0],
         compared.reference,

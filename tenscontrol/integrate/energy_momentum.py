@@ -336,7 +336,8 @@ def step_equations(equation: Equation) -> StepEquations:
     """Return the equations of a step.
 
     Bars on their own turn by the Cayley map of the mean angular velocity, which keeps the length
-    whatever that velocity is. Bars that share nodes are held by multipliers, see :class:`LengthConstraints`.
+    whatever that velocity is. Bars that share nodes are held by multipliers, see
+    :class:`LengthConstraints`.
     """
     structure = equation.structure
     assert structure is not None  # checked by the integrator

@@ -31,7 +31,6 @@ from tenscontrol.validation import (
     FloatArray,
     IntArray,
     frozen,
-    positive_number,
     refuse_memory,
 )
 
@@ -44,8 +43,8 @@ _CLOSE = 1e-7
 class ClosedLoop:
     """A controller with its actuators and sensors, in a loop with a plant run.
 
-    ``rest_length`` are those at the start; ``observation`` is made of the estimator, the sensors
-    and the seed; ``start`` is the run to go on from.
+    ``rest_length`` are those at the start; ``estimation`` is the estimator, the sensors and the
+    seed; ``start`` is the run to go on from.
     """
 
     def __init__(
@@ -73,13 +72,11 @@ class ClosedLoop:
 
     def _begin(self, state: FloatArray) -> None:
         """Let controller and estimator begin, or go on."""
-        run, controller, actuators, start = (
-            self._run, self._controller, self._actuators, self._start
-        )  # fmt: skip
+        run, controller, start = self._run, self._controller, self._start
+        actuators = self._actuators
         if start is None:
             controller.reset()
-        # A controller that goes on knows its previous input, unless there is none or it did not
-        # come.
+        # A controller that goes on knows its previous input, unless there is none or it was lost.
         knows = start is not None and start.stopped is None and self._rest_length is None
         if actuators.known and not (knows and controller.status_count):
             N, _ = run.motion(state)
@@ -284,8 +281,6 @@ def _at_bound(controller: BaseController, command: FloatArray) -> IntArray:
 def _sample_time(
     controller: BaseController, sample_time: float | None, step: float | None
 ) -> float:
-    if sample_time is not None:
-        sample_time = positive_number("sample_time", sample_time, "s")
     if controller.sample_time is not None:
         if sample_time is not None and sample_time != controller.sample_time:
             raise ValueError(

@@ -40,6 +40,7 @@ from tenscontrol.validation import (
     choice,
     frozen,
     instance,
+    non_negative,
     per_member,
     positive,
     positive_number,
@@ -199,30 +200,33 @@ class Scene:
 
     def _check_inputs(self) -> None:
         """Check what the actuators hold, and which strings and winches fail."""
-        put = object.__setattr__
         if self.controller is None:
-            held = own_input(self.model, self.rest_length, self.force_density)
-            for name, value in zip(("rest_length", "force_density"), held, strict=True):
-                put(self, name, value)
             self._check_open_loop()
         else:
-            if self.force_density is not None:
-                raise ValueError("force_density is commanded by the controller; leave it out")
-            kind = "force_density" if self.model.strings is None else "rest_length"
-            if self.input is not None:
-                kind = choice("input", self.input, ("rest_length", "force_density"))
-            put(self, "input", kind)
-            count = len(self.law.commanded.strings) if self.law is not None else 0
-            if self.rest_length is not None and self.input == "rest_length":
-                where = "string of the controller"
-                lengths = per_member("rest_length", self.rest_length, count, where)
-                put(self, "rest_length", positive("rest_length", lengths, "length in m"))
-        put(self, "faults", self._faults.listed)
+            self._check_closed_loop()
+        object.__setattr__(self, "faults", self._faults.listed)
         winches = None if self.law is None else len(self.law.commanded.strings)
         self._faults.refuse_unknown(len(self.structure.strings), winches)
         _ = self.inputs
 
+    def _check_closed_loop(self) -> None:
+        put = object.__setattr__
+        if self.force_density is not None:
+            raise ValueError("force_density is commanded by the controller; leave it out")
+        kind = "force_density" if self.model.strings is None else "rest_length"
+        if self.input is not None:
+            kind = choice("input", self.input, ("rest_length", "force_density"))
+        put(self, "input", kind)
+        if self.rest_length is not None and kind == "rest_length" and self.law is not None:
+            count, what = len(self.law.commanded.strings), "string of the controller"
+            lengths = per_member("rest_length", self.rest_length, count, what)
+            put(self, "rest_length", positive("rest_length", lengths, "length in m"))
+
     def _check_open_loop(self) -> None:
+        put = object.__setattr__
+        rest_length, force_density = own_input(self.model, self.rest_length, self.force_density)
+        put(self, "rest_length", rest_length)
+        put(self, "force_density", force_density)
         if (self.rest_length is None) == (self.force_density is None):
             found = "neither" if self.rest_length is None else "both"
             raise ValueError(
@@ -232,12 +236,13 @@ class Scene:
         kind = "force_density" if self.rest_length is None else "rest_length"
         if self.input is not None and self.input != kind:
             raise ValueError(f"input is {self.input!r}, but {kind} is given and held")
-        object.__setattr__(self, "input", kind)
+        put(self, "input", kind)
 
     def _keep_arrays(self) -> None:
         """Hold arrays that nobody else can change."""
         if self.prestress is not None:
-            gamma = held_value(self.model, None, self.prestress)
+            gamma = per_member("prestress", self.prestress, len(self.structure.strings), "string")
+            gamma = non_negative("prestress", gamma, "a string can only pull")
             object.__setattr__(self, "prestress", frozen(gamma))
         if self.start is None and self.support_motion is None:
             nodes = self.structure.nodes
@@ -421,8 +426,7 @@ class Scene:
                 raise ValueError("the scene holds no force_density at its start: give prestress")
             return np.asarray(self.prestress)
         if self.prestress is not None:
-            found = to_rest_length(self.model, self.structure.nodes, self.prestress)
-            return found.rest_length
+            return to_rest_length(self.model, self.structure.nodes, self.prestress).rest_length
         if self.rest_length is None:
             raise ValueError(
                 "the scene has no rest lengths at its start: give rest_length, or prestress"
@@ -573,8 +577,8 @@ def run_scene(scene: Scene, progress: bool) -> Trajectory:
     how, stopped, loop = scene.integration, None, None
     with interruptible() as interruption:
         begin, end = scene.begin, scene.begin + scene.duration
-        told = progress_bar(end, shown=True) if progress else long_run_note(begin, end)
-        with told as report:
+        bar = progress_bar(end, shown=True) if progress else long_run_note(begin, end)
+        with bar as report:
             run = scene.plant_run(report)
             try:
                 if scene.law is None:
@@ -601,8 +605,8 @@ def run_scene(scene: Scene, progress: bool) -> Trajectory:
         with progress_bar(scene.duration, estimates, label="estimating error") as report_of_error:
             trajectory = _trajectory(scene, run, loop, stopped, report_of_error)
     if stopped is not None or interruption.signal is not None:
-        what = stopped or "was interrupted at its end, and is complete"
-        warnings.warn(f"the simulation {what}", InterruptionWarning, stacklevel=3)
+        outcome = stopped or "was interrupted at its end, and is complete"
+        warnings.warn(f"the simulation {outcome}", InterruptionWarning, stacklevel=3)
     if stopped is None:
         check_health(trajectory, how.limits, stacklevel=4)
         problems = [] if trajectory.control is None else trajectory.control.problems

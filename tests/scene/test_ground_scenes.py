@@ -98,12 +98,12 @@ def test_the_shipped_drop_bounces_on_the_floor_and_off_the_wall():
 def test_prestress_is_before_weights_where_only_the_ground_holds_them(load):
     falling = load(DROP + FLAT)
     free = load(DROP.replace("gravity = 9.81", ""))
-    np.testing.assert_array_equal(falling.force_density, free.force_density)
+    np.testing.assert_array_equal(falling.prestress, free.prestress)
     np.testing.assert_array_equal(falling.rest_length, free.rest_length)
     # Supports hold the weights: the balance is with them, though there is ground.
     standing, beside = load(HUNG), load(HUNG + FLAT)
-    np.testing.assert_allclose(np.diff(standing.force_density), -9.81, rtol=1e-9)
-    np.testing.assert_array_equal(standing.force_density, beside.force_density)
+    np.testing.assert_allclose(np.diff(standing.prestress), -9.81, rtol=1e-9)
+    np.testing.assert_array_equal(standing.prestress, beside.prestress)
 
 
 @pytest.mark.filterwarnings("ignore:no string reaches")

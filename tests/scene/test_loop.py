@@ -129,7 +129,7 @@ rate = 1.0
     for plant in plants:  # each at rest under the force densities of the way
         shape = replace(scene.structure, nodes=plant.nodes)
         assert tc.prestress(shape, plant.force_density).residual < 1e-6
-    run = replace(scene, duration=3.0, step=1e-3).simulate()
+    run = replace(scene, duration=3.0, integration=tc.Integration(step=1e-3)).simulate()
     assert schedule.active == 2
     assert run.nodes[2, :3, -1].mean() - run.nodes[2, 3:, -1].mean() == pytest.approx(0.8, abs=2e-3)
 

@@ -179,7 +179,7 @@ def test_values_of_segments_are_taken_as_they_are():
     whole, literal = shipped("prism_massive_strings"), shipped("prism_massive_literal")
     assert set(whole.model.strings.stiffness) == {400.0}
     assert set(literal.model.strings.stiffness) == {100.0}
-    np.testing.assert_allclose(whole.force_density, 4 * literal.force_density, rtol=1e-12)
+    np.testing.assert_allclose(whole.prestress, 4 * literal.prestress, rtol=1e-12)
     np.testing.assert_allclose(whole.rest_length, literal.rest_length, rtol=1e-12)
 
 

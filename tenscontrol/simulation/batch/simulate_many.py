@@ -366,7 +366,7 @@ def _inputs(
 def _nominal(model: Model, values: dict[str, Any], given: dict[str, FloatArray]) -> dict[str, Any]:
     """Return arguments of the scene that runs vary: of what differs something that it can have."""
     usual = {
-        "rest_length": model.structure.string_length(),
+        "rest_length": np.ones(len(model.structure.strings)),
         "force_density": np.zeros(len(model.structure.strings)),
         "external_force": 0.0,
     }
