@@ -52,9 +52,6 @@ _MASSES = {"bar_mass", "point_mass", "string_node_mass"}
 # Runs that go through the compiled loops together, and numbers of their motions.
 _MOST_TOGETHER, _MOST_NUMBERS = 64, 4_000_000
 
-# What a run must keep to count; where bars cross is not asked.
-_LIMITS = HealthLimits(crossings=None, action="raise")
-
 # The part of the run, at its end, in which the structure is to be at its place.
 _SETTLED = 0.1
 
@@ -224,7 +221,7 @@ class ClosedLoopCase:
                 nodes=self._start(parameters),
                 sensors=_varied_sensors(sensors, parameters),
                 seed=None if estimator is None else int(rng.integers(2**63)),
-                integration=replace(self.scene.integration, limits=_LIMITS),
+                integration=replace(self.scene.integration, limits=self._limits),
             ).simulate()
         if run.stopped is not None:
             raise SweepError(f"a simulation {run.stopped}")
@@ -323,7 +320,7 @@ class ClosedLoopCase:
         )  # fmt: skip
 
         def outcome(run: int) -> Outcome:
-            motion = batch.trajectory(run, _LIMITS)
+            motion = batch.trajectory(run, self._limits)
             commands, not_ok = batch.command, batch.commands_not_ok
             if commands is None or not_ok is None:
                 return self._judged(motion)
@@ -333,6 +330,11 @@ class ClosedLoopCase:
             if batch.completed[run]:
                 found[i] = partial(outcome, run)
         return found
+
+    @property
+    def _limits(self) -> HealthLimits:
+        """What a run must keep to count; where bars cross is not asked."""
+        return replace(self.scene.integration.limits, crossings=None, action="raise")
 
     def _model(self, parameters: Mapping[str, object]) -> Model:
         nominal_model = self.scene.model

@@ -4,7 +4,7 @@ from tenscontrol.simulation.arguments import Arguments
 from tenscontrol.simulation.batch import Batch, BatchCrossings, checked_controller, simulate_many
 from tenscontrol.simulation.contacts import ContactRecord
 from tenscontrol.simulation.control_record import ControlRecord
-from tenscontrol.simulation.faults import CutString, Fault, Faults, LostMeasurement, StuckWinch
+from tenscontrol.simulation.faults import CutString, Fault, LostMeasurement, StuckWinch
 from tenscontrol.simulation.health import AccuracyWarning, BarCrossingWarning, Health, HealthLimits
 from tenscontrol.simulation.inputs import checked_load
 from tenscontrol.simulation.integration import Integration
@@ -26,7 +26,6 @@ __all__ = [
     "CutString",
     "EstimateRecord",
     "Fault",
-    "Faults",
     "Health",
     "HealthLimits",
     "Integration",

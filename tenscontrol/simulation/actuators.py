@@ -30,6 +30,7 @@ from tenscontrol.validation import (
     IntArray,
     frozen,
     non_negative,
+    per_member,
     positive,
     shaped,
 )
@@ -116,8 +117,11 @@ class Actuators:
             self._current = self._to_strings(kind, run.held)
         else:
             self._current, self._earlier = run.control.applied[:, -1], run.control.motors
-        if kind == "rest_length":
-            self.start = self._current
+        if kind == "rest_length":  # the controller may command other strings than that of the run
+            where = "string of the controller"
+            self.start = self._current = per_member(
+                "rest_length", self._current, self._count, where
+            )
 
     @property
     def known(self) -> bool:

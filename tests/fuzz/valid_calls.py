@@ -181,6 +181,7 @@ WITHIN = {
     "simulation.Trajectory.health_of",
     "ClosedLoopCase.alone",
     "ClosedLoopCase.together",
+    "Scene.plant_run",
     "Model.of_parameters",
     "plot.View.open",
     *(
