@@ -20,7 +20,7 @@ prism = tc.prism()
 model = tc.Model(prism, strings=tc.LinearStrings(stiffness=100.0))
 gamma = np.repeat([17.3205, 17.3205, 9.0], 3)
 lengths = tc.to_rest_length(model, prism.nodes, gamma).rest_length
-case = tc.Case(model, 3.0, input="rest_length", value=lengths, name="prism with slack strings")
+case = tc.Scene(model, 3.0, rest_length=lengths, name="prism with slack strings")
 tc.plot.structure(prism, force_density=gamma)
 
 # %%

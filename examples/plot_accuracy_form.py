@@ -27,7 +27,7 @@ def let_go(vertical, name):
     """Return the prism let go with this force density in its vertical strings."""
     gamma = np.repeat([17.3205, 17.3205, vertical], 3)
     lengths = tc.to_rest_length(model, prism.nodes, gamma).rest_length
-    return tc.Case(model, 3.0, input="rest_length", value=lengths, name=name)
+    return tc.Scene(model, 3.0, rest_length=lengths, name=name)
 
 
 drawing = tc.plot.structure(prism, force_density=np.repeat([17.3205, 17.3205, 9.0], 3))
@@ -49,7 +49,7 @@ def across_switches(case, step):
     one = ca.Function("one", [x, u], [x + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4)])
     count = round(case.duration / OUTPUTS / step)
     states = one.fold(count).mapaccum(OUTPUTS)(
-        case.state, ca.repmat(case.value, 1, count * OUTPUTS)
+        case.state, ca.repmat(case.input_value, 1, count * OUTPUTS)
     )
     return unpack_states(case.structure, np.array(states))[0]
 

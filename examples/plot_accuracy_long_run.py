@@ -16,7 +16,7 @@ prism = tc.prism()
 model = tc.Model(prism, strings=tc.LinearStrings(stiffness=100.0))
 gamma = np.repeat([17.3205, 17.3205, 45.0], 3)
 lengths = tc.to_rest_length(model, prism.nodes, gamma).rest_length
-case = tc.Case(model, 1.0, input="rest_length", value=lengths)
+case = tc.Scene(model, 1.0, rest_length=lengths)
 
 # %%
 # 50,000 steps of 5 ms. The slope of a line through the error comes with its 95 %
@@ -40,7 +40,7 @@ def let_go(structure, gamma):
     """Return the motion from the shape of the structure with these force densities."""
     model = tc.Model(structure, strings=tc.LinearStrings(stiffness=100.0))
     lengths = tc.to_rest_length(model, structure.nodes, gamma).rest_length
-    return tc.Case(model, 5.0, input="rest_length", value=lengths)
+    return tc.Scene(model, 5.0, rest_length=lengths)
 
 
 short = np.repeat([17.3205, 17.3205, 9.0], 3)

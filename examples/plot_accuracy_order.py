@@ -22,7 +22,7 @@ prism = tc.prism()
 model = tc.Model(prism, strings=tc.LinearStrings(stiffness=100.0))
 gamma = np.repeat([17.3205, 17.3205, 9.0], 3)
 lengths = tc.to_rest_length(model, prism.nodes, gamma).rest_length
-case = tc.Case(model, 3.0, input="rest_length", value=lengths)
+case = tc.Scene(model, 3.0, rest_length=lengths)
 reference = tc.accuracy.converged_motion(case, outputs=30)
 print(reference.summary())
 
@@ -47,7 +47,7 @@ for step in steps:
     k4 = f(x + step * k3, u)
     one = ca.Function("one", [x, u], [x + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4)])
     count = round(case.duration / 30 / step)
-    states = one.fold(count).mapaccum(30)(case.state, ca.repmat(case.value, 1, 30 * count))
+    states = one.fold(count).mapaccum(30)(case.state, ca.repmat(case.input_value, 1, 30 * count))
     nodes = unpack_states(prism, np.array(states))[0]
     across.append(np.linalg.norm(nodes - reference.nodes, axis=0).max())
     print(f"step {step:g} s: error {across[-1]:.1e} m")

@@ -53,9 +53,14 @@ if __name__ != "__mp_main__":
     plant = tc.linearize(tc.Model(prism, strings=strings), rest, input="rest_length")
     mpc = tc.MPC(plant, horizon=8, sample_time=0.04, max_force_density=65.0, load_gain=0.1)
     for name, estimator in estimators(plant).items():
-        case = tc.ClosedLoopCase(
-            prism, strings, mpc, duration=2.0, step=1e-2, tolerance=TOLERANCE, estimator=estimator
+        scene = tc.Scene(
+            tc.Model(prism, strings=strings),
+            duration=2.0,
+            controller=mpc,
+            estimator=estimator,
+            integration=tc.Integration(step=1e-2),
         )
+        case = tc.ClosedLoopCase(scene, tolerance=TOLERANCE)
         reports[name] = tc.sweep(case, drawn, counts[name], seed=0)
         print(f"{name}: {reports[name].summary()}\n")
 

@@ -53,9 +53,6 @@ from . import (
 )
 from ._version import __version__ as __version__
 from .accuracy import (
-    Case as Case,
-)
-from .accuracy import (
     convergence_order as convergence_order,
 )
 from .accuracy import (
@@ -194,7 +191,13 @@ from .simulation import (
     HealthLimits as HealthLimits,
 )
 from .simulation import (
+    Integration as Integration,
+)
+from .simulation import (
     LostMeasurement as LostMeasurement,
+)
+from .simulation import (
+    Scene as Scene,
 )
 from .simulation import (
     StuckWinch as StuckWinch,
@@ -234,7 +237,6 @@ __all__ = [
     "LQR",
     "MPC",
     "NMPC",
-    "Case",
     "ClosedLoopCase",
     "CutString",
     "ElasticStrings",
@@ -243,6 +245,7 @@ __all__ = [
     "Ground",
     "HealthLimits",
     "Height",
+    "Integration",
     "KalmanFilter",
     "LinearStrings",
     "LostMeasurement",
@@ -256,6 +259,7 @@ __all__ = [
     "Profile",
     "Reference",
     "RotationalSymmetry",
+    "Scene",
     "Sensors",
     "Structure",
     "StuckWinch",

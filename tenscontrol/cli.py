@@ -20,8 +20,7 @@ from tenscontrol.options import command_parser
 
 if TYPE_CHECKING:
     from tenscontrol.accuracy import Peer
-    from tenscontrol.scene import Scene
-    from tenscontrol.simulation import Trajectory
+    from tenscontrol.simulation import Scene, Trajectory
 
 # Status of a command whose output nobody reads any more: that of other tools, 128 + SIGPIPE.
 _CLOSED = 141

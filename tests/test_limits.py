@@ -97,7 +97,7 @@ def test_shapes_of_a_path_are_counted():
 
 
 def test_outputs_are_counted():
-    case = tc.Case(tc.Model(prism()), 1.0, input="force_density", value=17.0)
+    case = tc.Scene(tc.Model(prism()), 1.0, force_density=17.0)
     for call in (
         lambda: tc.accuracy.converged_motion(case, 10**9),
         lambda: tc.convergence_order(case, "rk4", outputs=10**9),

@@ -12,6 +12,7 @@ import pytest
 
 import tenscontrol as tc
 from tests.public import public, public_classes, tree
+from tests.robustness.cases import loop_case
 
 PACKAGE = Path(tc.__file__).parent
 PROJECT = Path(__file__).parent.parent
@@ -141,11 +142,12 @@ def values(tmp_path_factory):
         tc.load_scene(PROJECT / "examples" / "scenes" / "prism_free.toml"),
         tc.exchange.from_mujoco(tc.exchange.to_mujoco(model, rest_length=start.rest_length)),
     ]
-    case = tc.Case(model, 0.05, input="force_density", value=rest.force_density)
+    case = tc.Scene(model, 0.05, force_density=rest.force_density)
     compared = tc.work_precision(case, ["rk4"], {"rk4": [0.01]}, repeats=1, outputs=5)
     drift = tc.long_run(case, "rk4", 1e-3, steps=30, outputs=30)
     found += [
         case,
+        case.integration,
         compared,
         compared.rows[0],
         compared.reference,
@@ -156,7 +158,7 @@ def values(tmp_path_factory):
         drift,
         drift.drifts[0],
     ]
-    loop = tc.ClosedLoopCase(
+    loop = loop_case(
         prism,
         model.strings,
         regulator,
@@ -249,13 +251,13 @@ def _given():
         "LinearStrings": {"stiffness": np.ones(9), "damping": np.ones(9)},
         "ElasticStrings": {"axial_rigidity": np.ones(9), "damping": np.ones(9)},
         "Ground": {"stiffness": 1e3, "normal": np.ones(3), "nodes": np.arange(3)},
-        "Case": {
+        "Scene": {
             "model": tc.Model(prism),
             "duration": 1.0,
             "nodes": prism.nodes.copy(),
             "velocities": np.zeros((3, 6)),
-            "input": "force_density",
-            "value": np.ones(9),
+            "force_density": np.ones(9),
+            "prestress": np.ones(9),
         },
         "OperatingPoint": point | {"external_force": np.ones((3, 6))},
         "Winches": {"rate": np.ones(9), "shortest": np.ones(9), "longest": np.ones(9)},

@@ -1,6 +1,5 @@
 """Error, run time and stability of integrators, measured on the user's own scene."""
 
-from tenscontrol.accuracy.case import Case, as_case
 from tenscontrol.accuracy.converged_motion import ConvergedMotion, converged_motion
 from tenscontrol.accuracy.convergence import ConvergenceOrder, convergence_order
 from tenscontrol.accuracy.growth import Growth, StopCost, growth
@@ -12,7 +11,6 @@ from tenscontrol.accuracy.stability_map import StabilityMap, stability_map
 from tenscontrol.accuracy.work_precision import Ratios, WorkPrecision, work_precision
 
 __all__ = [
-    "Case",
     "ConvergedMotion",
     "ConvergenceOrder",
     "Drift",
@@ -26,7 +24,6 @@ __all__ = [
     "StabilityMap",
     "StopCost",
     "WorkPrecision",
-    "as_case",
     "converged_motion",
     "convergence_order",
     "growth",

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from tenscontrol.accuracy.case import Case, as_case
+from tenscontrol.accuracy.open_loop import open_loop_of
 from tenscontrol.dynamics import Evaluator, builds, unpack_states
 from tenscontrol.integrate import DOP853
-from tenscontrol.scene import Scene
+from tenscontrol.simulation import Scene
 from tenscontrol.validation import MOST_RUNS, FloatArray, frozen, function, whole_number
 
 _TOLERANCE = 1e-13
@@ -73,7 +73,7 @@ class ConvergedMotion:
 
 
 def converged_motion(
-    scene: Case | Scene, outputs: int = 100, report: Callable[[float], None] | None = None
+    scene: Scene, outputs: int = 100, report: Callable[[float], None] | None = None
 ) -> ConvergedMotion:
     """Return a reference solution near the limit of double precision, with its error.
 
@@ -84,7 +84,7 @@ def converged_motion(
 
     Parameters
     ----------
-    scene : Case or Scene
+    scene : Scene
     outputs : int
         Number of equally spaced times, the last at the end.
     report : callable, optional
@@ -106,12 +106,12 @@ def converged_motion(
     >>> import numpy as np, tenscontrol as tc
     >>> prism = tc.prism()
     >>> gamma = np.repeat([17.3205, 17.3205, 9.0], 3)
-    >>> case = tc.Case(tc.Model(prism), 1.0, input="force_density", value=gamma)
+    >>> case = tc.Scene(tc.Model(prism), 1.0, force_density=gamma)
     >>> found = tc.accuracy.converged_motion(case, outputs=20)
     >>> found.nodes.shape, found.error < 1e-11
     ((3, 6, 20), True)
     """
-    case = as_case(scene)
+    case = open_loop_of(scene)
     count = whole_number("outputs", outputs, 1, MOST_RUNS)
     if report is not None:
         function("report", report, "it is told the time reached, s")
@@ -123,7 +123,9 @@ def converged_motion(
         if report is not None:
             report(float(time))
     states = np.column_stack(found)
-    span = DOP853(case.equation(), _TOLERANCE).advance(case.state, case.value, case.duration, count)
+    span = DOP853(case.equation(), _TOLERANCE).advance(
+        case.state, case.input_value, case.duration, count
+    )
     nodes, velocities = unpack_states(case.structure, states)
     error = largest_distance(nodes, unpack_states(case.structure, span.states)[0])
     switches = np.array(solver.switches)
@@ -147,7 +149,7 @@ class PiecewiseSolver:
     """SciPy's DOP853 on a case in smooth pieces, with the times of all ``switches``, s, located."""
 
     @builds
-    def __init__(self, case: Case) -> None:
+    def __init__(self, case: Scene) -> None:
         equation = case.equation()
         self._case = case
         self._slope = Evaluator(equation.slope)
@@ -156,7 +158,7 @@ class PiecewiseSolver:
         if self._can_switch:
             self._gap = Evaluator(equation.gap)
             self._gaps_within = Evaluator(equation.gap.map(len(_LOOKS)))
-            self._held_within = np.tile(case.value[:, None], (1, len(_LOOKS)))
+            self._held_within = np.tile(case.input_value[:, None], (1, len(_LOOKS)))
         self.switches: list[float] = []
 
     def states(self, times: FloatArray, tolerance: float) -> Iterator[FloatArray]:
@@ -199,7 +201,7 @@ class PiecewiseSolver:
         taut = pulls.astype(float)
 
         def slope(_: float, x: FloatArray) -> FloatArray:
-            rate = self._slope(x, self._case.value, taut)[0].copy()
+            rate = self._slope(x, self._case.input_value, taut)[0].copy()
             if not np.isfinite(rate).all():
                 # SciPy would shorten its step for ever.
                 raise ArithmeticError("the forces are no longer finite")
@@ -217,7 +219,7 @@ class PiecewiseSolver:
     def _gaps(self, state: FloatArray) -> FloatArray:
         if not self._can_switch:
             return np.zeros(0)
-        return self._gap(state, self._case.value)[0].copy()
+        return self._gap(state, self._case.input_value)[0].copy()
 
     def _comes_near(self, x0: FloatArray, x1: FloatArray, step: float, sign: FloatArray) -> bool:
         """Whether a string may reach the border in a step at twice its larger speed at the ends."""
@@ -225,8 +227,8 @@ class PiecewiseSolver:
             return False
         if self._is_damped:  # the border then moves with the speed
             return True
-        gap0, rate0 = (part.copy() for part in self._gap(x0, self._case.value))
-        gap1, rate1 = self._gap(x1, self._case.value)
+        gap0, rate0 = (part.copy() for part in self._gap(x0, self._case.input_value))
+        gap1, rate1 = self._gap(x1, self._case.input_value)
         way = 2 * step * np.maximum(np.abs(rate0), np.abs(rate1))
         return bool((sign * (gap0 + gap1) <= way + _BORDER).any())
 

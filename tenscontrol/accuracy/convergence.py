@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tenscontrol.accuracy.case import Case, as_case
 from tenscontrol.accuracy.converged_motion import ConvergedMotion, converged_motion
 from tenscontrol.accuracy.measured_run import (
     Bench,
@@ -17,9 +16,10 @@ from tenscontrol.accuracy.measured_run import (
     default_settings,
     method_named,
 )
+from tenscontrol.accuracy.open_loop import open_loop_of
 from tenscontrol.interrupt import keeping
 from tenscontrol.progress import progress_bar
-from tenscontrol.scene import Scene
+from tenscontrol.simulation import Scene
 from tenscontrol.tables import aligned, shown
 from tenscontrol.validation import MOST_RUNS, FloatArray, frozen, instance, whole_number
 
@@ -92,7 +92,7 @@ class ConvergenceOrder:
 
 
 def convergence_order(
-    scene: Case | Scene,
+    scene: Scene,
     method: str,
     steps: Sequence[float] | None = None,
     reference: ConvergedMotion | None = None,
@@ -103,7 +103,7 @@ def convergence_order(
 
     Parameters
     ----------
-    scene : Case or Scene
+    scene : Scene
     method : str
         One that takes a step, or a tolerance: then the mean step counts.
     steps : sequence of float, optional
@@ -138,12 +138,12 @@ def convergence_order(
     >>> import numpy as np, tenscontrol as tc
     >>> prism = tc.prism()
     >>> gamma = np.repeat([17.3205, 17.3205, 9.0], 3)
-    >>> case = tc.Case(tc.Model(prism), 0.5, input="force_density", value=gamma)
+    >>> case = tc.Scene(tc.Model(prism), 0.5, force_density=gamma)
     >>> found = tc.convergence_order(case, "rk4", [0.02, 0.01, 0.005, 0.0025])
     >>> 3.8 < found.order < 4.2
     True
     """
-    case = as_case(scene)
+    case = open_loop_of(scene)
     chosen = method_named(method)
     count = whole_number("outputs", outputs, 1, MOST_RUNS)
     if reference is not None:

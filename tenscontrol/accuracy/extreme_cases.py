@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tenscontrol.accuracy.case import Case, fastest_rate
+from tenscontrol.accuracy.open_loop import fastest_rate
 from tenscontrol.actuation import to_rest_length
 from tenscontrol.dynamics import (
     ContactLaw,
@@ -21,6 +21,7 @@ from tenscontrol.dynamics import (
 from tenscontrol.integrate import METHODS, largest_frequency
 from tenscontrol.library import class2_tower, d_bar, six_bar_ball, spine
 from tenscontrol.properties import cached_property
+from tenscontrol.simulation import Scene
 from tenscontrol.statics import prestress, prism_force_density
 from tenscontrol.structure import Structure, prism, segment_counts, spread_force_density, subdivide
 from tenscontrol.validation import FloatArray
@@ -68,7 +69,7 @@ class Extreme:
 
     group: str
     label: str
-    case: Case
+    case: Scene
     longer: float = 1.0
     outputs: int = 100
     turning: float = 0.0
@@ -93,7 +94,7 @@ class Extreme:
         if case.model.contacts is not None:
             strings = fastest_rate(case)
         elif len(case.structure.strings):
-            strings = largest_frequency(case.equation(), case.state, case.value)
+            strings = largest_frequency(case.equation(), case.state, case.input_value)
         return float(max(strings, self.turning, 1.0 / case.duration))
 
     @property
@@ -135,7 +136,7 @@ def _let_go(
     stiffness: Any = None,
     duration: float = 1.0,
     spin: float = 0.0,
-) -> Case:
+) -> Scene:
     """Return a prism let go with too little force in its vertical strings, turning as a whole."""
     parent = structure if structure.parent is None else structure.parent
     gamma = prism_force_density(3, level)[0].copy()
@@ -144,12 +145,10 @@ def _let_go(
     if structure.parent is not None:
         gamma = spread_force_density(structure, gamma)
     if stiffness is None:
-        return Case(
-            Model(structure), duration, velocities=turning, input="force_density", value=gamma
-        )
+        return Scene(Model(structure), duration, velocities=turning, force_density=gamma)
     model = Model(structure, strings=LinearStrings(stiffness=stiffness))
     lengths = to_rest_length(model, structure.nodes, gamma).rest_length
-    return Case(model, duration, velocities=turning, input="rest_length", value=lengths)
+    return Scene(model, duration, velocities=turning, rest_length=lengths)
 
 
 def _stiffness(powers: range = range(10)) -> Iterator[Extreme]:
@@ -197,12 +196,11 @@ def _free_bar(speeds: tuple[float, ...] = (1.0, 10.0, 100.0, 1e3)) -> Iterator[E
             ends = np.stack([-half, half], axis=1)
             return np.asarray(ends + drift[:, :, None] * time)
 
-        case = Case(
+        case = Scene(
             Model(bar),
             6 * np.pi / speed,
             velocities=turning + drift,
-            input="force_density",
-            value=np.zeros(0),
+            force_density=np.zeros(0),
         )
         yield Extreme(
             "free bar turning", f"{speed:g} rad/s", case, turning=speed, closed_form=motion
@@ -242,7 +240,7 @@ def _slack() -> Iterator[Extreme]:
     lengths = structure.string_length()
     kinds = (("for ever", 100.0, 2.0), ("until they catch", 1.05, 2.0), ("rattling", 1.05, 8.0))
     for label, part, duration in kinds:
-        case = Case(model, duration, velocities=away, input="rest_length", value=part * lengths)
+        case = Scene(model, duration, velocities=away, rest_length=part * lengths)
         yield Extreme("all strings slack", label, case, turning=1.0)
 
 
@@ -253,16 +251,14 @@ def _zero_length() -> Iterator[Extreme]:
     # The bars part at right angles to themselves, with a speed that no bar resists.
     parting = np.zeros((3, 4))
     parting[2] = [0.5, 0.0, -0.5, 0.0]
-    held = Case(
-        Model(joined), 4.0, velocities=parting, input="force_density", value=np.array([10.0, 0.5])
-    )
+    held = Scene(Model(joined), 4.0, velocities=parting, force_density=np.array([10.0, 0.5]))
     yield Extreme("string at zero length", "force density held", held)
     apart = nodes.copy()
     apart[2, 2:] += 0.2
     crossing = Structure(nodes=apart, bars=joined.bars, strings=joined.strings, bar_mass=1.0)
     model = Model(crossing, strings=LinearStrings(stiffness=[50.0, 1.0]))
     for rest in (0.1, 1e-3):
-        case = Case(model, 3.0, input="rest_length", value=np.array([rest, 1.5]))
+        case = Scene(model, 3.0, rest_length=np.array([rest, 1.5]))
         yield Extreme("string through zero length", f"rest length {rest:g} m", case)
 
 
@@ -329,7 +325,7 @@ def _class_2_tower() -> Iterator[Extreme]:
     for k, duration in ((1e2, 1.0), (1e6, 0.2)):
         model = Model(tower, strings=LinearStrings(stiffness=k))
         lengths = to_rest_length(model, nodes, gamma).rest_length
-        case = Case(model, duration, input="rest_length", value=lengths)
+        case = Scene(model, duration, rest_length=lengths)
         yield Extreme("class-2 tower", f"{k:g} N/m", case)
 
 
@@ -344,7 +340,7 @@ def _spine() -> Iterator[Extreme]:
     for k in (1e2, 1e4):
         model = Model(spine, strings=LinearStrings(stiffness=k), gravity=9.81)
         value = (1 - 5 / k) * spine.string_length()
-        case = Case(model, 0.3, input="rest_length", value=value)
+        case = Scene(model, 0.3, rest_length=value)
         yield Extreme("spine of redundant bars", f"{k:g} N/m", case)
 
 
@@ -357,7 +353,7 @@ def _chain() -> Iterator[Extreme]:
     for light in (1.0, 1e-6):
         mass = np.where(np.arange(count) % 2, 1.0, light)
         chain = Structure(nodes, bars, no_strings, bar_mass=mass, fixed=[0])
-        case = Case(Model(chain, gravity=9.81), 0.3, input="force_density", value=np.zeros(0))
+        case = Scene(Model(chain, gravity=9.81), 0.3, force_density=np.zeros(0))
         yield Extreme("chain of 20 bars", f"{light:g} beside 1 kg", case)
 
 
@@ -372,7 +368,7 @@ def _short_segment() -> Iterator[Extreme]:
         b = nodes[:, 2] - nodes[:, 3]
         up = np.array([0.0, 0.0, 1.0]) - b[2] / (b @ b) * b
         parting = np.outer(up, [0.0, 0.0, 0.5, 0.0])
-        case = Case(model, 1.0, velocities=parting, input="rest_length", value=np.array([0.9, 1.5]))
+        case = Scene(model, 1.0, velocities=parting, rest_length=np.array([0.9, 1.5]))
         yield Extreme("segment of a string", f"{gap:g} m", case)
 
 
@@ -384,7 +380,7 @@ def _d_bar() -> Iterator[Extreme]:
     for k in (1e2, 1e4):
         model = Model(d_bar, strings=LinearStrings(stiffness=k))
         value = np.array([1.2 - 10 / k, 1.6 + 1 / k])
-        case = Case(model, 2.0, input="rest_length", value=value)
+        case = Scene(model, 2.0, rest_length=value)
         yield Extreme("D-bar through slack", f"{k:g} N/m", case)
 
 
@@ -400,7 +396,7 @@ def _dropped(
     string_damping: float = 0.5,
     ground: type[ContactLaw] = Ground,
     **law: Any,
-) -> Case:
+) -> Scene:
     """Return a prism that stands askew above the ground, let go with a speed sideways.
 
     ``height`` is that of its lowest node, by its size of 1 m. Masses are 1 kg a bar.
@@ -415,7 +411,7 @@ def _dropped(
     centre = at.nodes.mean(axis=1, keepdims=True)
     moving = np.cross([spin, 0.0, spin], (at.nodes - centre).T).T
     moving[0] += 0.5
-    return Case(model, duration, velocities=moving, input="rest_length", value=lengths)
+    return Scene(model, duration, velocities=moving, rest_length=lengths)
 
 
 def _askew(structure: Structure) -> Structure:
@@ -442,7 +438,7 @@ def _ground_without_loss() -> Iterator[Extreme]:
     nodes = np.array([[-0.5, 0.5], [0.0, 0.0], [0.1, 0.1]])
     bar = Structure(nodes, [[0, 1]], np.zeros((0, 2), int), 2.0)
     model = Model(bar, gravity=_GRAVITY, ground=Ground(1e4))
-    case = Case(model, 10.0, input="force_density", value=np.zeros(0))
+    case = Scene(model, 10.0, force_density=np.zeros(0))
     yield Extreme("ground without loss", "a bar bounces for 10 s", case)
 
 
@@ -509,12 +505,11 @@ def _dropped_others() -> Iterator[Extreme]:
         floor = Ground(5e3, damping=0.3, friction=0.5, height=below)
         moving = np.zeros_like(structure.nodes)
         moving[0] = 0.5
-        case = Case(
+        case = Scene(
             Model(structure, strings=strings, gravity=_GRAVITY, ground=floor),
             0.4,
             velocities=moving,
-            input="rest_length",
-            value=lengths.rest_length,
+            rest_length=lengths.rest_length,
         )
         yield Extreme("drop of another structure", make.__name__, case)
 
@@ -551,10 +546,12 @@ def _ground_scale() -> Iterator[Extreme]:
             ground=replace(floor, stiffness=1e4 * length, height=length * float(floor.height)),
         )
         assert strings is not None  # of a prism
-        scaled = Case(
-            model, length * case.duration, velocities=case.velocities, input="rest_length",
-            value=length * case.value,
-        )  # fmt: skip
+        scaled = Scene(
+            model,
+            length * case.duration,
+            velocities=case.velocities,
+            rest_length=length * case.input_value,
+        )
         yield Extreme("drop of another scale", label, scaled)
 
 

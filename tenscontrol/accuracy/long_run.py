@@ -7,17 +7,17 @@ from itertools import pairwise
 
 import numpy as np
 
-from tenscontrol.accuracy.case import Case, as_case, fastest_rate
 from tenscontrol.accuracy.measured_run import (
     conserves_energy,
     conserves_momentum,
     invariants,
     method_named,
 )
+from tenscontrol.accuracy.open_loop import fastest_rate, open_loop_of
 from tenscontrol.integrate import IntegrationError, IntegrationInterrupt, Work
 from tenscontrol.interrupt import keeping
 from tenscontrol.progress import progress_bar
-from tenscontrol.scene import Scene
+from tenscontrol.simulation import Scene
 from tenscontrol.tables import aligned, shown
 from tenscontrol.validation import (
     LARGEST,
@@ -143,7 +143,7 @@ class LongRun:
 
 
 def long_run(
-    scene: Case | Scene,
+    scene: Scene,
     method: str,
     setting: float,
     steps: int = 1_000_000,
@@ -159,7 +159,7 @@ def long_run(
 
     Parameters
     ----------
-    scene : Case or Scene
+    scene : Scene
         Its duration does not count.
     method : str
     setting : float
@@ -197,12 +197,12 @@ def long_run(
     >>> import numpy as np, tenscontrol as tc
     >>> prism = tc.prism()
     >>> gamma = np.repeat([17.3205, 17.3205, 9.0], 3)
-    >>> case = tc.Case(tc.Model(prism), 1.0, input="force_density", value=gamma)
+    >>> case = tc.Scene(tc.Model(prism), 1.0, force_density=gamma)
     >>> found = tc.long_run(case, "rk4", 1e-3, steps=5000, outputs=200)
     >>> found.of("momentum").largest < 1e-12, found.of("bar length").largest < 1e-4
     (True, True)
     """
-    case = as_case(scene)
+    case = open_loop_of(scene)
     chosen = method_named(method)
     setting = positive_number("setting", setting, "s" if chosen.setting == "step" else "1")
     steps = whole_number("steps", steps, least=10)
@@ -219,7 +219,7 @@ def long_run(
         for first in range(0, outputs, _PART):
             count = min(_PART, outputs - first)
             try:
-                span = integrator.advance(state, case.value, spacing * count, count)
+                span = integrator.advance(state, case.input_value, spacing * count, count)
             except IntegrationInterrupt as error:
                 recorder.add(error.span.states)
                 work += error.span.work
@@ -256,7 +256,7 @@ def long_run(
 class _Recorder:
     """Keeps of states only how far conserved quantities have moved."""
 
-    def __init__(self, case: Case) -> None:
+    def __init__(self, case: Scene) -> None:
         self._case = case
         self._start = invariants(case, case.state[:, None])
         self._rows: dict[tuple[str, str], list[FloatArray]] = {}

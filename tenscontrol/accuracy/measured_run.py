@@ -12,8 +12,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscontrol.accuracy.case import Case, fastest_rate
 from tenscontrol.accuracy.converged_motion import ConvergedMotion, largest_distance
+from tenscontrol.accuracy.open_loop import fastest_rate
 from tenscontrol.accuracy.peers import Peer, steps_between
 from tenscontrol.dynamics import (
     builds,
@@ -25,6 +25,7 @@ from tenscontrol.integrate import METHODS, Method, Work
 from tenscontrol.simulation import (
     AccuracyWarning,
     HealthLimits,
+    Scene,
     SimulationError,
     Trajectory,
     simulate,
@@ -51,7 +52,7 @@ def method_named(name: object, argument: str = "method") -> Method:
     return METHODS[choice(argument, name, METHODS)]
 
 
-def default_settings(method: Method, case: Case) -> tuple[float, ...]:
+def default_settings(method: Method, case: Scene) -> tuple[float, ...]:
     """Return steps that fit the case, s, coarse to fine; or tolerances."""
     if method.setting == "tolerance":
         return _TOLERANCES
@@ -99,10 +100,10 @@ class Invariants:
         return self.kinetic + self.potential
 
 
-def invariants(case: Case, states: FloatArray) -> Invariants:
+def invariants(case: Scene, states: FloatArray) -> Invariants:
     """Return energies, momenta and bar-length errors of states, one a column."""
     model, structure = case.model, case.structure
-    held = np.tile(case.value[:, None], (1, states.shape[1]))
+    held = np.tile(case.input_value[:, None], (1, states.shape[1]))
     of_strings = model.potential_energy if case.input == "force_density" else model.elastic_energy
     (potential,) = evaluate_columns(of_strings, states, held)
     (kinetic,) = evaluate_columns(model.kinetic_energy, states)
@@ -117,7 +118,7 @@ def invariants(case: Case, states: FloatArray) -> Invariants:
 
 
 @builds
-def _stored_in_ground(case: Case, nodes: FloatArray) -> FloatArray:
+def _stored_in_ground(case: Scene, nodes: FloatArray) -> FloatArray:
     """Return what contacts store, J, shape (T,), at positions of all nodes, m, (d, n, T)."""
     d, n, count = nodes.shape
 
@@ -132,19 +133,19 @@ def _stored_in_ground(case: Case, nodes: FloatArray) -> FloatArray:
     return np.asarray(stored[0])
 
 
-def conserves_energy(case: Case) -> bool:
+def conserves_energy(case: Scene) -> bool:
     """Return whether the motion conserves energy: no string is damped, and no contact rubs."""
     return not case.equation().velocity_dependent
 
 
-def conserves_momentum(case: Case) -> bool:
+def conserves_momentum(case: Scene) -> bool:
     """Return whether the motion conserves momentum: nothing acts from outside."""
     forces = case.model.forces(case.input)
     return not (case.load.any() or len(case.structure.fixed_rows)) and forces.conserves_momentum
 
 
 def deviations(
-    case: Case, found: Invariants, reference: Invariants, start: Invariants
+    case: Scene, found: Invariants, reference: Invariants, start: Invariants
 ) -> dict[str, Any]:
     """Return how far a motion is from what it should conserve, as fields of :class:`Measurement`.
 
@@ -266,7 +267,7 @@ class TimedRun:
 class Bench:
     """Does runs of a case and judges them by its reference."""
 
-    def __init__(self, case: Case, reference: ConvergedMotion, machine_code: bool = False) -> None:
+    def __init__(self, case: Scene, reference: ConvergedMotion, machine_code: bool = False) -> None:
         self._case, self._reference, self._machine_code = case, reference, machine_code
         self._start = invariants(case, case.state[:, None])
         self._true = invariants(case, reference.states)
@@ -276,7 +277,7 @@ class Bench:
         """Return a run of one of our methods at a setting."""
         case = self._case
         row = Measurement(method.name, False, method.setting, setting)
-        options: dict[str, Any] = {method.setting: setting, case.input: case.value}
+        options: dict[str, Any] = {method.setting: setting, case.input: case.input_value}
 
         def run() -> Trajectory:
             with warnings.catch_warnings(action="ignore", category=AccuracyWarning):

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tenscontrol.accuracy.case import Case, as_case, only_free, state_change
+from tenscontrol.accuracy.open_loop import only_free, open_loop_of, state_change
 from tenscontrol.integrate import DOP853
 from tenscontrol.interrupt import keeping
-from tenscontrol.scene import Scene
+from tenscontrol.simulation import Scene
 from tenscontrol.structure import Structure
 from tenscontrol.validation import (
     LARGEST_SEED,
@@ -93,7 +93,7 @@ class Predictability:
 
 
 def predictability(
-    scene: Case | Scene,
+    scene: Scene,
     error: float = 1e-9,
     samples: int = 2,
     seed: int = 0,
@@ -107,7 +107,7 @@ def predictability(
 
     Parameters
     ----------
-    scene : Case or Scene
+    scene : Scene
     error : float
         Error that a comparison is to resolve, m.
     samples : int
@@ -136,12 +136,12 @@ def predictability(
     >>> import numpy as np, tenscontrol as tc
     >>> prism = tc.prism()
     >>> gamma = np.repeat([17.3205, 17.3205, 30.0], 3)
-    >>> case = tc.Case(tc.Model(prism), 1.0, input="force_density", value=gamma)
+    >>> case = tc.Scene(tc.Model(prism), 1.0, force_density=gamma)
     >>> found = tc.predictability(case)
     >>> found.is_limited, found.factor < 100
     (False, True)
     """
-    case = as_case(scene)
+    case = open_loop_of(scene)
     error = positive_number("error", error, "m")
     count = whole_number("outputs", outputs, 2, MOST_RUNS)
     if report is not None:
@@ -163,7 +163,7 @@ def predictability(
     return _judged(case, times[: len(growth)], np.array(growth), allowed, error)
 
 
-def _offset(case: Case, random: np.random.Generator) -> FloatArray:
+def _offset(case: Scene, random: np.random.Generator) -> FloatArray:
     """Return a change of the state that moves every node at random and stretches no bar."""
     structure = case.structure
     moves = np.zeros_like(case.nodes)
@@ -171,7 +171,7 @@ def _offset(case: Case, random: np.random.Generator) -> FloatArray:
     return state_change(case, _PERTURBATION * only_free(structure, moves))
 
 
-def _growths(case: Case, times: FloatArray, offsets: list[FloatArray]) -> Iterator[float]:
+def _growths(case: Scene, times: FloatArray, offsets: list[FloatArray]) -> Iterator[float]:
     """Yield the growth of the perturbation that has grown most, at each time."""
     structure = case.structure
     start = [_largest_move(structure, offset) for offset in offsets]
@@ -185,12 +185,14 @@ def _growths(case: Case, times: FloatArray, offsets: list[FloatArray]) -> Iterat
         )
 
 
-def _states(integrator: DOP853, case: Case, count: int, offset: FloatArray) -> Iterator[FloatArray]:
+def _states(
+    integrator: DOP853, case: Scene, count: int, offset: FloatArray
+) -> Iterator[FloatArray]:
     """Yield so many states of a motion, integrated part by part so that it can be broken off."""
     state, spacing = case.state + offset, case.duration / count
     for first in range(0, count, _PART):
         outputs = min(_PART, count - first)
-        span = integrator.advance(state, case.value, spacing * outputs, outputs)
+        span = integrator.advance(state, case.input_value, spacing * outputs, outputs)
         yield from span.states.T
         state = span.states[:, -1]
 
@@ -203,7 +205,7 @@ def _largest_move(structure: Structure, change: FloatArray) -> float:
 
 
 def _judged(
-    case: Case, times: FloatArray, growth: FloatArray, allowed: float, error: float
+    case: Scene, times: FloatArray, growth: FloatArray, allowed: float, error: float
 ) -> Predictability:
     """Return the growth with its rate and the horizon, at which it passes what is allowed."""
     small = growth <= _SMALL * case.size / _PERTURBATION

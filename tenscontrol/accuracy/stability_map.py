@@ -9,13 +9,14 @@ from types import MappingProxyType
 
 import numpy as np
 
-from tenscontrol.accuracy.case import Case, fastest_rate
 from tenscontrol.accuracy.measured_run import checked_settings, method_named
+from tenscontrol.accuracy.open_loop import fastest_rate
 from tenscontrol.actuation import to_rest_length
 from tenscontrol.dynamics import LinearStrings, Model, evaluate_columns
 from tenscontrol.integrate import IntegrationError, Method
 from tenscontrol.interrupt import keeping
 from tenscontrol.progress import progress_bar
+from tenscontrol.simulation import Scene
 from tenscontrol.statics import prestress
 from tenscontrol.structure import prism, restore_bar_lengths, spread_force_density, subdivide
 from tenscontrol.tables import aligned
@@ -97,7 +98,7 @@ def stability_map(
     method: str,
     stiffness: Sequence[float] = (1e2, 1e3, 1e4, 1e5),
     mass_ratio: Sequence[float] = (1e-1, 1e-2, 1e-3),
-    case: Callable[[float, float], Case] | None = None,
+    case: Callable[[float, float], Scene] | None = None,
     steps: int = 1000,
     progress: bool = False,
 ) -> StabilityMap:
@@ -116,7 +117,7 @@ def stability_map(
     mass_ratio : sequence of float
         Mass of a string node by that of a bar.
     case : callable, optional
-        ``(stiffness, mass_ratio) -> Case``, near rest; its duration does not
+        ``(stiffness, mass_ratio) -> Scene``, near rest; its duration does not
         count. If not given: a prism with bars of 1 kg under γ_t = 17.3205 N/m,
         each string cut in two, its nodes 1e-5 m off rest.
     steps : int
@@ -149,7 +150,7 @@ def stability_map(
     ratios = checked_settings("mass_ratio", mass_ratio, "1")[::-1]
     count = whole_number("steps", steps, 20, MOST_RUNS)
     make = prism_near_rest if case is None else case
-    function("case", make, "(stiffness, mass_ratio) -> Case")
+    function("case", make, "(stiffness, mass_ratio) -> Scene")
     limit = theoretical_limit(method)
     shape = (len(stiff), len(ratios))
     step, rate = np.full((2, *shape), np.nan)
@@ -157,7 +158,7 @@ def stability_map(
     with kept, progress_bar(step.size, progress, f"stability of {method}", "cases") as report:
         for i, j in np.ndindex(shape):
             each = make(stiff[i], ratios[j])
-            instance("what case(stiffness, mass_ratio) returns", each, Case, "make one by Case()")
+            instance("what case(stiffness, mass_ratio) returns", each, Scene, "make one by Scene()")
             fastest = fastest_rate(each)
             step[i, j] = _Probe(each, chosen, fastest, count).largest_step(limit)
             rate[i, j] = fastest
@@ -175,7 +176,7 @@ def stability_map(
 class _Probe:
     """Tries steps on one case."""
 
-    def __init__(self, case: Case, method: Method, rate: float, count: int) -> None:
+    def __init__(self, case: Scene, method: Method, rate: float, count: int) -> None:
         self._case, self._rate, self._count = case, rate, count
         # Steps are shortened to fit between outputs: with an output a step, one integrator,
         # which is costly to build, takes steps of any length.
@@ -219,7 +220,7 @@ class _Probe:
         for first in range(0, self._count, _PART):
             count = min(_PART, self._count - first)
             try:
-                span = self._integrator.advance(state, self._case.value, step * count, count)
+                span = self._integrator.advance(state, self._case.input_value, step * count, count)
             except IntegrationError:
                 return float("inf")
             with np.errstate(over="ignore", invalid="ignore"):
@@ -231,7 +232,7 @@ class _Probe:
         return largest
 
 
-def prism_near_rest(stiffness: float, mass_ratio: float) -> Case:
+def prism_near_rest(stiffness: float, mass_ratio: float) -> Scene:
     """Return a prism near rest with a point mass amid each string, of this stiffness, N/m."""
     segments, disturbance = 2, 1e-5
     bare = prism()
@@ -242,7 +243,7 @@ def prism_near_rest(stiffness: float, mass_ratio: float) -> Case:
     start = to_rest_length(model, structure.nodes, gamma).rest_length
     moves = np.random.default_rng(0).normal(size=structure.nodes.shape)
     nodes = restore_bar_lengths(structure, structure.nodes + disturbance * moves)
-    case = Case(model, 1.0, input="rest_length", value=start, name=f"k = {stiffness:g} N/m")
+    case = Scene(model, 1.0, rest_length=start, name=f"k = {stiffness:g} N/m")
     return replace(case, nodes=nodes)
 
 

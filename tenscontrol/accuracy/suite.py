@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from tenscontrol.accuracy.case import only_free, state_change
 from tenscontrol.accuracy.extreme_cases import ASKED, TOLERANCE, Extreme, extremes, methods
+from tenscontrol.accuracy.open_loop import only_free, state_change
 from tenscontrol.dynamics import unpack_states
 from tenscontrol.files import write_file
 from tenscontrol.integrate import CVODES, DOP853, EnergyMomentum, Integrator, Rattle6
@@ -123,7 +123,7 @@ def _methods(extreme: Extreme) -> tuple[Integrator, Integrator, str]:
 
 def _nodes(extreme: Extreme, integrator: Integrator, state: FloatArray) -> FloatArray:
     case = extreme.case
-    span = integrator.advance(state, case.value, case.duration, extreme.outputs)
+    span = integrator.advance(state, case.input_value, case.duration, extreme.outputs)
     return unpack_states(case.structure, span.states)[0]
 
 
@@ -193,7 +193,7 @@ def judge(extreme: Extreme, known: Truth, method: str) -> Verdict:
     if expected > allowed:
         reason = f"some {expected:.0e} evaluations, {allowed:.0e} are allowed"
         return Verdict(**row, verdict="too long", evaluations=expected, reason=reason)
-    given: dict[str, Any] = {case.input: case.value}
+    given: dict[str, Any] = {case.input: case.input_value}
     settings: dict[str, Any] = {**extreme.settings(method)}
     with warnings.catch_warnings(record=True, action="always") as caught:
         try:

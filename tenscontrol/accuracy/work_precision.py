@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from tenscontrol.accuracy.case import Case, as_case
 from tenscontrol.accuracy.converged_motion import ConvergedMotion, converged_motion
 from tenscontrol.accuracy.measured_run import (
     FINER,
@@ -22,12 +21,13 @@ from tenscontrol.accuracy.measured_run import (
     default_settings,
     method_named,
 )
+from tenscontrol.accuracy.open_loop import open_loop_of
 from tenscontrol.accuracy.peers import Peer
 from tenscontrol.accuracy.predictability import Predictability, predictability
 from tenscontrol.integrate import METHODS, Method
 from tenscontrol.interrupt import keeping
 from tenscontrol.progress import progress_bar
-from tenscontrol.scene import Scene
+from tenscontrol.simulation import Scene
 from tenscontrol.tables import aligned, markdown, shown, write_csv
 from tenscontrol.validation import (
     MOST_RUNS,
@@ -110,7 +110,7 @@ class WorkPrecision:
 
     Attributes
     ----------
-    case : Case
+    case : Scene
         As compared: its duration is cut where the motion cannot be predicted longer.
     rows : tuple of Measurement
         One for each run, also for those that failed.
@@ -125,7 +125,7 @@ class WorkPrecision:
         their own motions, at a setting 8 times finer than their finest.
     """
 
-    case: Case
+    case: Scene
     rows: tuple[Measurement, ...]
     reference: ConvergedMotion
     predictability: Predictability | None
@@ -324,7 +324,7 @@ class WorkPrecision:
 
 
 def work_precision(
-    scene: Case | Scene,
+    scene: Scene,
     methods: Sequence[str] | None = None,
     settings: Mapping[str, Sequence[float]] | None = None,
     peers: Sequence[Peer] = (),
@@ -345,7 +345,7 @@ def work_precision(
 
     Parameters
     ----------
-    scene : Case or Scene
+    scene : Scene
         Of a scene with a controller, the open loop with what its actuators
         hold at the start; the result says so.
     methods : sequence of str, optional
@@ -386,14 +386,14 @@ def work_precision(
     >>> import numpy as np, tenscontrol as tc
     >>> prism = tc.prism()
     >>> gamma = np.repeat([17.3205, 17.3205, 9.0], 3)
-    >>> case = tc.Case(tc.Model(prism), 0.5, input="force_density", value=gamma)
+    >>> case = tc.Scene(tc.Model(prism), 0.5, force_density=gamma)
     >>> found = tc.work_precision(
     ...     case, ["rk4"], {"rk4": [0.025, 0.0125]}, repeats=1, outputs=10)
     >>> coarse, fine = found.rows
     >>> coarse.steps, fine.steps, 12 < coarse.error / fine.error < 20
     (20, 40, True)
     """
-    case = as_case(scene)
+    case = open_loop_of(scene)
     finest = positive_number("finest", finest, "m")
     repeats = whole_number("repeats", repeats, 1, MOST_RUNS)
     outputs = whole_number("outputs", outputs, 1, MOST_RUNS)
@@ -459,7 +459,7 @@ def _checked_settings(
     return found
 
 
-def _refuse_other_times(reference: ConvergedMotion, case: Case) -> None:
+def _refuse_other_times(reference: ConvergedMotion, case: Scene) -> None:
     instance("reference", reference, ConvergedMotion, "make one by converged_motion(case)")
     end = float(reference.time[-1])
     if abs(end / case.duration - 1) > 1e-12:

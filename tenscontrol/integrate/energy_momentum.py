@@ -336,12 +336,13 @@ def step_equations(equation: Equation) -> StepEquations:
     """Return the equations of a step.
 
     Bars on their own turn by the Cayley map of the mean angular velocity, which keeps the length
-    whatever that velocity is. Bars that share nodes are held by multipliers, see :class:`_Held`.
+    whatever that velocity is. Bars that share nodes are held by multipliers, see
+    :class:`LengthConstraints`.
     """
     structure = equation.structure
     assert structure is not None  # checked by the integrator
     bodies = Bodies(structure)
-    blocks = _Held(structure) if structure.blocks else None
+    blocks = LengthConstraints(structure) if structure.blocks else None
     bars, turning = len(structure.free_bars), bodies.length.numel()
     d, normal = structure.dimension, 3 if structure.dimension == 3 else 1
     points = bodies.point_mass.numel()
@@ -415,7 +416,7 @@ def step_equations(equation: Equation) -> StepEquations:
     )
 
 
-class _Held:
+class LengthConstraints:
     """Bars that share nodes in a step: the lengths and their rates are held by two multipliers.
 
     With mean positions c̄ and rates v̄, and multipliers λ and σ::

@@ -68,7 +68,7 @@ def work_precision(result: WorkPrecision, *, ax: Axes | None = None) -> Curves:
     --------
     >>> import matplotlib.pyplot as plt, numpy as np, tenscontrol as tc
     >>> gamma = np.repeat([17.3205, 17.3205, 9.0], 3)
-    >>> case = tc.Case(tc.Model(tc.prism()), 0.2, input="force_density", value=gamma)
+    >>> case = tc.Scene(tc.Model(tc.prism()), 0.2, force_density=gamma)
     >>> found = tc.work_precision(case, ["rk4"], {"rk4": [0.02, 0.01]}, repeats=1, outputs=10)
     >>> drawn = tc.plot.work_precision(found)
     >>> drawn.ax.get_xscale(), list(drawn.lines)
@@ -135,7 +135,7 @@ def convergence_order(result: ConvergenceOrder, *, ax: Axes | None = None) -> Cu
     --------
     >>> import matplotlib.pyplot as plt, numpy as np, tenscontrol as tc
     >>> gamma = np.repeat([17.3205, 17.3205, 9.0], 3)
-    >>> case = tc.Case(tc.Model(tc.prism()), 0.2, input="force_density", value=gamma)
+    >>> case = tc.Scene(tc.Model(tc.prism()), 0.2, force_density=gamma)
     >>> found = tc.convergence_order(case, "rk4", [0.01, 0.005, 0.0025], outputs=5)
     >>> list(tc.plot.convergence_order(found).lines)
     ['rk4']
@@ -254,7 +254,7 @@ def long_run(result: LongRun, *, ax: Axes | None = None) -> Curves:
     --------
     >>> import matplotlib.pyplot as plt, numpy as np, tenscontrol as tc
     >>> gamma = np.repeat([17.3205, 17.3205, 9.0], 3)
-    >>> case = tc.Case(tc.Model(tc.prism()), 1.0, input="force_density", value=gamma)
+    >>> case = tc.Scene(tc.Model(tc.prism()), 1.0, force_density=gamma)
     >>> found = tc.long_run(case, "rk4", 2e-3, steps=2000, outputs=100)
     >>> drawn = tc.plot.long_run(found)
     >>> list(drawn.lines), list(drawn.references)

@@ -107,8 +107,10 @@ def sweep(
     >>> prism, strings = tc.prism(), tc.LinearStrings(100.0, damping=0.5)
     >>> rest = tc.prestress(prism, force_density=17.3205)
     >>> plant = tc.linearize(tc.Model(prism, strings=strings), rest, input="rest_length")
-    >>> case = tc.ClosedLoopCase(
-    ...     prism, strings, tc.LQR(plant, sample_time=0.02), 0.3, 5e-3, 0.02)
+    >>> scene = tc.Scene(
+    ...     tc.Model(prism, strings), 0.3, controller=tc.LQR(plant, sample_time=0.02),
+    ...     integration=tc.Integration(step=5e-3))
+    >>> case = tc.ClosedLoopCase(scene, 0.02)
     >>> with ThreadPoolExecutor(1) as executor:
     ...     report = tc.sweep(
     ...         case, {"stiffness": tc.Uniform(0.7, 1.3, size=9)}, 5, seed=0, executor=executor)

@@ -11,32 +11,27 @@ from typing import Any, final
 
 import numpy as np
 
-from tenscontrol.actuation import Winches
-from tenscontrol.control import Controller, ControlWarning, as_controller
+from tenscontrol.control import Controller, ControlWarning
 from tenscontrol.dynamics import ContactLaw, Coordinates, Model, StringLaw, coordinates
-from tenscontrol.estimation import KINDS, KalmanFilter, Sensors
-from tenscontrol.plant import LinearPlant, checked_reference, held_value, own_input
+from tenscontrol.estimation import KINDS, Sensors
+from tenscontrol.plant import LinearPlant, checked_reference
 from tenscontrol.robustness.distributions import one_number
 from tenscontrol.robustness.sweep_report import SweepError
 from tenscontrol.simulation import (
-    Fault,
-    Faults,
     HealthLimits,
+    Scene,
     Trajectory,
     checked_controller,
-    simulate,
     simulate_many,
 )
 from tenscontrol.status import Status
 from tenscontrol.structure import Structure, refuse_moved_supports, refuse_wrong_bar_lengths
 from tenscontrol.validation import (
     FloatArray,
-    choice,
     float_array,
     frozen,
     instance,
     per_member,
-    positive,
     positive_number,
     truth,
     wrong_kind,
@@ -112,13 +107,13 @@ class Outcome:
 @final
 @dataclass(frozen=True, eq=False)
 class ClosedLoopCase:
-    """A closed loop whose plant varies, while the controller keeps its nominal design.
+    """A scene whose plant varies, while the controller keeps its nominal design.
 
-    For :func:`sweep`. With ``controller=None`` the input is held: an open loop. Runs whose
-    controller is compiled code (:meth:`GeneratedController.compile`), and open loops, go through
-    the compiled loops of :func:`simulate_many`, some at a time; the numbers are the same. For that
-    there must be no winches, estimator, faults or ground. ``report.back_end`` says which way was
-    taken, and why.
+    For :func:`sweep`. Runs whose controller is compiled code
+    (:meth:`GeneratedController.compile`), and open loops, go through the compiled loops of
+    :func:`simulate_many`, some at a time; the numbers are the same. For that there must be steps of
+    RK4, and no winches, estimator, faults or ground. ``report.back_end`` says which way was taken,
+    and why.
 
     These parameters can vary:
 
@@ -144,31 +139,14 @@ class ClosedLoopCase:
 
     Parameters
     ----------
-    structure : Structure
-        Nominal; the one that the controller was designed on, or its subdivision.
-    strings : StringLaw or None
-        Nominal; None where γ is held.
-    controller : Controller, or function or object as for :func:`simulate`; or None
-        Its plant says where the nodes are to be; for a function ``target`` does, or the shape of
-        the structure. Workers get it pickled: a function at the top of a module, not a lambda.
-    duration : float
-        s.
-    step : float
-        Step of the integrator, s.
+    scene : Scene
+        Nominal. Its controller was designed on its structure, or on the parent of that. Workers get
+        it pickled: a function at the top of a module, not a lambda.
     tolerance : float
         Largest ``final_error`` of a success, m.
-    nodes : array_like, shape (d, n), optional
-        Start of each run, m, where ``"start"`` is not drawn; the reference shape if not given.
     target : array_like, shape (d, n), optional
-        Where the nodes are to be, m; at the operating point if not given.
-    gravity : float or array_like, shape (d,), optional
-        As in :class:`Model`. Weights go with the masses.
-    rest_length, input, winches, sample_time, estimator, sensors, faults : optional
-        As in :func:`simulate`. In open loop ``rest_length`` or ``force_density`` is held.
-    ground : ContactLaw or sequence of ContactLaw, optional
-        As in :class:`Model`; nominal.
-    force_density : array_like, shape (α,), optional
-        N/m, in open loop.
+        Where the nodes are to be, m. If not given: for a controller the shape of its plant, for a
+        function and in open loop that of the structure.
 
     Raises
     ------
@@ -179,115 +157,48 @@ class ClosedLoopCase:
     --------
     >>> import numpy as np, tenscontrol as tc
     >>> prism = tc.prism()
-    >>> strings = tc.LinearStrings(100.0, damping=0.5)
+    >>> model = tc.Model(prism, strings=tc.LinearStrings(100.0, damping=0.5))
     >>> rest = tc.prestress(prism, force_density=17.3205)
-    >>> plant = tc.linearize(tc.Model(prism, strings=strings), rest, input="rest_length")
+    >>> plant = tc.linearize(model, rest, input="rest_length")
     >>> Q, R = tc.energy_weights(plant)
-    >>> case = tc.ClosedLoopCase(
-    ...     prism, strings, tc.LQR(plant, Q, 0.1 * R, sample_time=0.02),
-    ...     duration=1.0, step=5e-3, tolerance=0.03)
+    >>> scene = tc.Scene(
+    ...     model, 1.0, controller=tc.LQR(plant, Q, 0.1 * R, sample_time=0.02),
+    ...     integration=tc.Integration(step=5e-3))
+    >>> case = tc.ClosedLoopCase(scene, tolerance=0.03)
     >>> outcome = case({"stiffness": np.linspace(0.7, 1.3, 9)}, np.random.default_rng(0))
     >>> outcome.success, round(outcome.figures["final_error"], 4)
     (False, 0.0453)
     """
 
-    structure: Structure
-    strings: StringLaw | None
-    controller: Any
-    duration: float
-    step: float
+    scene: Scene
     tolerance: float
-    # Given as anything array-like, held as arrays.
-    nodes: Any = None
-    target: Any = None
-    gravity: Any = None
-    rest_length: Any = None
-    input: str | None = None
-    winches: Winches | None = None
-    sample_time: float | None = None
-    estimator: KalmanFilter | None = None
-    sensors: Sensors | None = None
-    faults: Sequence[Fault] = ()
-    ground: ContactLaw | Sequence[ContactLaw] | None = None
-    force_density: Any = None
+    target: Any = None  # given as anything array-like, held as an array
     # In which the nodes are to be at their place.
     _coordinates: Coordinates = field(init=False, repr=False)
-    # Without a draw; it keeps what is built for runs that go together.
-    _nominal: Model = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        instance("structure", self.structure, Structure, "for example prism()")
-        if self.winches is not None:
-            instance("winches", self.winches, Winches, "make them by Winches(rate=...)")
+        instance("scene", self.scene, Scene, "make one by Scene(model, duration, controller=...)")
         put = object.__setattr__  # the dataclass is frozen for everyone else
-        for name, unit in (("duration", "s"), ("step", "s"), ("tolerance", "m")):
-            put(self, name, positive_number(name, getattr(self, name), unit))
-        if self.sample_time is not None:
-            put(self, "sample_time", positive_number("sample_time", self.sample_time, "s"))
-        if self.nodes is not None:
-            put(self, "nodes", frozen(self.structure.checked_nodes("nodes", self.nodes)))
-            refuse_wrong_bar_lengths("nodes", self.structure, self.nodes)
-            refuse_moved_supports("nodes", self.structure, self.nodes)
-        if self.input is not None:
-            choice("input", self.input, ("rest_length", "force_density"))
-        held = self.input or ("force_density" if self.strings is None else "rest_length")
-        law, known = None, self.structure
-        if self.controller is None:
-            held = self._held_in_open_loop()
-        elif self.force_density is not None:
-            raise ValueError("force_density is commanded by the controller; leave it out")
-        else:
-            law = as_controller(self.controller, self.structure, held, self.sample_time)
-            put(self, "controller", law)
-            known = law.structure
+        put(self, "tolerance", positive_number("tolerance", self.tolerance, "m"))
+        law = self.scene.law
         if isinstance(law, Controller):
             put(self, "_coordinates", law.plant.coordinates)
             if self.target is not None:
                 found = checked_reference(law.plant, self.target, "target", anywhere=True)[0]
                 put(self, "target", frozen(found.nodes[:, :, 0]))
-        else:
-            if self.target is not None:
-                shape = known.checked_nodes("target", self.target)
-                refuse_wrong_bar_lengths("target", known, shape)
-                refuse_moved_supports("target", known, shape)
-                put(self, "target", frozen(shape))
-            put(self, "_coordinates", coordinates(Model(known), self.target))
-        if self.gravity is not None:
-            put(self, "gravity", frozen(float_array("gravity", self.gravity)))
-        if self.rest_length is not None and law is not None:
-            count = len(law.commanded.strings)
-            lengths = per_member("rest_length", self.rest_length, count, "string of the controller")
-            put(self, "rest_length", frozen(positive("rest_length", lengths, "length in m")))
-        if self.estimator is not None:
-            instance("estimator", self.estimator, KalmanFilter, "make one by KalmanFilter(...)")
-        if self.sensors is not None:
-            instance("sensors", self.sensors, Sensors, "make them by Sensors(structure=..., ...)")
-            if self.estimator is None:
-                raise ValueError("sensors go with an estimator; KalmanFilter(...) makes one")
-        size = float(np.ptp(self.structure.nodes, axis=1).max())
-        winches = None if law is None else len(law.commanded.strings)
-        faults = Faults(self.faults, size, held)
-        faults.refuse_unknown(len(self.structure.strings), winches)
-        put(self, "faults", faults.listed)
-        put(self, "_nominal", self._model({}))  # refuses strings and so on that do not fit
-        put(self, "ground", self._nominal.ground)
+            return
+        known = self.scene.structure if law is None else law.structure
+        if self.target is not None:
+            shape = known.checked_nodes("target", self.target)
+            refuse_wrong_bar_lengths("target", known, shape)
+            refuse_moved_supports("target", known, shape)
+            put(self, "target", frozen(shape))
+        put(self, "_coordinates", coordinates(Model(known), self.target))
 
-    def _held_in_open_loop(self) -> str:
-        """Return what is held, after checking it."""
-        for name in ("input", "winches", "sample_time", "estimator", "sensors"):
-            if getattr(self, name) is not None:
-                raise ValueError(f"{name} goes with a controller, but controller is None")
-        model = self._model({})
-        rest_length, force_density = own_input(model, self.rest_length, self.force_density)
-        object.__setattr__(self, "rest_length", rest_length)
-        object.__setattr__(self, "force_density", force_density)
-        held = "rest_length" if self.force_density is None else "force_density"
-        if (self.rest_length is None) == (self.force_density is None):
-            found = "neither" if self.rest_length is None else "both"
-            raise ValueError(f"expected one of rest_length and force_density, found {found}")
-        value = held_value(model, self.rest_length, self.force_density)
-        object.__setattr__(self, held, frozen(value))
-        return held
+    @property
+    def structure(self) -> Structure:
+        """The nominal structure."""
+        return self.scene.structure
 
     def __call__(self, parameters: Mapping[str, object], rng: np.random.Generator) -> Outcome:
         """Return what becomes of the closed loop with these factors and start; noise by ``rng``.
@@ -300,20 +211,19 @@ class ClosedLoopCase:
         if unknown:
             known = ", ".join(repr(name) for name in _PARAMETERS)
             raise SweepError(f"there is no parameter {unknown[0]!r}, expected some of {known}")
-        sensors = self.sensors
-        if sensors is None and self.estimator is not None:
-            sensors = self.estimator.sensors
+        estimator, sensors = self.scene.estimator, self.scene.sensors
+        if sensors is None and estimator is not None:
+            sensors = estimator.sensors
         # Where the loop ends is what a sweep asks.
         with warnings.catch_warnings(action="ignore", category=ControlWarning):
-            run = simulate(
-                self._model(parameters), self.duration, self._start(parameters),
-                controller=self.controller, input=self.input, winches=self.winches,
-                rest_length=self.rest_length, force_density=self.force_density,
-                sample_time=self.sample_time, step=self.step, faults=self.faults,
-                limits=HealthLimits(crossings=None, action="raise"), estimator=self.estimator,
+            run = replace(
+                self.scene,
+                model=self._model(parameters),
+                nodes=self._start(parameters),
                 sensors=_varied_sensors(sensors, parameters),
-                seed=None if self.estimator is None else int(rng.integers(2**63)),
-            )  # fmt: skip
+                seed=None if estimator is None else int(rng.integers(2**63)),
+                integration=replace(self.scene.integration, limits=self._limits),
+            ).simulate()
         if run.stopped is not None:
             raise SweepError(f"a simulation {run.stopped}")
         record = run.control
@@ -330,20 +240,13 @@ class ClosedLoopCase:
         names : collection of str
             Parameters that vary.
         """
-        law, nominal, varied = self.controller, self._nominal, {*names} - {"start"}
-        if law is not None:
-            try:
-                checked_controller(law, nominal)
-            except (TypeError, ValueError):
-                return "the controller is not compiled code for these strings"
-            if self.input not in (None, law.input) or self.rest_length is not None:
-                return "the controller is told rest lengths at the start, or has another input"
-        for part in ("winches", "estimator", "ground", "faults"):
-            if getattr(self, part):
-                return f"{part} given"
+        why = self._runs_alone()
+        if why is not None:
+            return why
+        scene, nominal, varied = self.scene, self.scene.model, {*names} - {"start"}
         if not varied <= {*_MASSES, "stiffness", "damping"}:
             return "more than masses and strings vary"
-        no_law = nominal.strings is None or self.force_density is not None
+        no_law = nominal.strings is None or scene.force_density is not None
         if no_law and varied - _MASSES:
             return "strings vary whose rest lengths are not held"
         held = "force_density" if no_law else "rest_length"
@@ -353,10 +256,34 @@ class ClosedLoopCase:
             return "masses of bars that share nodes vary"
         return None
 
+    def _runs_alone(self) -> str | None:
+        """Return why runs of the scene go one by one, whatever varies."""
+        scene, law = self.scene, self.scene.controller
+        if law is not None:
+            try:
+                checked_controller(law, scene.model)
+            except (TypeError, ValueError):
+                return "the controller is not compiled code for these strings"
+            if scene.input != law.input or scene.rest_length is not None:
+                return "the controller is told rest lengths at the start, or has another input"
+        for part in ("winches", "estimator", "external_force", "support_motion", "start"):
+            if getattr(scene, part) is not None:
+                return f"{part} given"
+        if scene.model.ground or scene.faults:
+            return f"{'ground' if scene.model.ground else 'faults'} given"
+        if scene.integration.step is None or scene.integration.method not in ("auto", "rk4"):
+            return "there are no steps of RK4"
+        if scene.inputs is not None and not scene.inputs.is_constant:
+            return "inputs change in time"
+        return None
+
     @property
     def at_a_time(self) -> int:
         """Number of runs whose motions are held in memory together."""
-        numbers = 2 * self.structure.nodes.size * self.duration / self.step
+        spacing = self.scene.integration.step
+        if spacing is None:
+            return 1
+        numbers = 2 * self.structure.nodes.size * self.scene.duration / spacing
         return int(np.clip(_MOST_NUMBERS / numbers, 1, _MOST_TOGETHER))
 
     def together(self, drawn: Sequence[Mapping[str, object]]) -> list[Callable[[], Outcome] | None]:
@@ -368,7 +295,7 @@ class ClosedLoopCase:
             Parameters of each run.
         """
         found: list[Callable[[], Outcome] | None] = [None] * len(drawn)
-        made, nominal = {}, self._nominal
+        scene, made, nominal = self.scene, {}, self.scene.model
         for i, parameters in enumerate(drawn):
             # By itself, a run says what is wrong with its parameters.
             with suppress(TypeError, ValueError, SweepError):
@@ -376,24 +303,25 @@ class ClosedLoopCase:
         if not made:
             return found
         models, starts = zip(*made.values(), strict=True)
-        of_law = [each.name for each in fields(self.strings)] if self.strings is not None else []
+        of_law = [] if nominal.strings is None else [each.name for each in fields(nominal.strings)]
         vary = {}
         for part, names in (("structure", ("bar_mass", "point_mass")), ("strings", of_law)):
             for name in names:
                 usual, *own = (getattr(getattr(each, part), name) for each in (nominal, *models))
                 if (np.array(own) != usual).any():
                     vary[name] = np.array(own)
+        how = scene.integration
         batch = simulate_many(
-            nominal, self.duration,
+            nominal, scene.duration,
             np.array([self.structure.nodes if start is None else start for start in starts]),
-            rest_length=self.rest_length, force_density=self.force_density,
-            controller=self.controller, vary=vary, threads=1,
-            method="rk4", step=self.step, output_step=self.step,  # as simulate takes for a step
-            error="none",  # found with the trajectory
+            scene.velocities, rest_length=scene.rest_length, force_density=scene.force_density,
+            controller=scene.controller, vary=vary, threads=1, project=how.project,
+            method="rk4", step=how.step,  # as simulate takes for a step
+            output_step=how.output_step or how.step, error="none",  # found with the trajectory
         )  # fmt: skip
 
         def outcome(run: int) -> Outcome:
-            motion = batch.trajectory(run, HealthLimits(action="raise"))
+            motion = batch.trajectory(run, self._limits)
             commands, not_ok = batch.command, batch.commands_not_ok
             if commands is None or not_ok is None:
                 return self._judged(motion)
@@ -404,8 +332,14 @@ class ClosedLoopCase:
                 found[i] = partial(outcome, run)
         return found
 
+    @property
+    def _limits(self) -> HealthLimits:
+        """What a run must keep to count; where bars cross is not asked."""
+        return replace(self.scene.integration.limits, crossings=None, action="raise")
+
     def _model(self, parameters: Mapping[str, object]) -> Model:
-        structure, strings = self.structure, self.strings
+        nominal_model = self.scene.model
+        structure, strings = nominal_model.structure, nominal_model.strings
         if "bar_mass" in parameters:
             nominal = structure.bar_mass
             factor = per_member("bar_mass", parameters["bar_mass"], len(nominal), "bar")
@@ -425,14 +359,17 @@ class ClosedLoopCase:
                 strings = _varied_strings(
                     strings, name, of_law, parameters[name], len(structure.strings)
                 )
-        ground = self.ground
+        ground = nominal_model.ground
         for name in (each for each in _GROUND if each in parameters):
             ground = _varied_ground(ground, name, parameters[name])
-        return Model(structure, strings=strings, gravity=self.gravity, ground=ground)
+        load: Any = nominal_model.has_external_force
+        if not load and nominal_model.built_in_load.any():
+            load = nominal_model.built_in_load
+        return Model(structure, strings, load, nominal_model.gravity, ground or None)
 
     def _start(self, parameters: Mapping[str, object]) -> FloatArray | None:
         if "start" not in parameters:
-            nodes: FloatArray | None = self.nodes
+            nodes: FloatArray | None = self.scene.nodes
             return nodes
         known = self._coordinates
         if known.nodes.shape != self.structure.nodes.shape:

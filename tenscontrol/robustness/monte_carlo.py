@@ -116,9 +116,10 @@ def sweep(
     >>> model = tc.Model(prism, strings=tc.LinearStrings(100.0, damping=0.5))
     >>> plant = tc.linearize(model, rest, input="rest_length")
     >>> Q, R = tc.energy_weights(plant)
-    >>> case = tc.ClosedLoopCase(
-    ...     prism, model.strings, tc.LQR(plant, Q, 0.1 * R, sample_time=0.02),
-    ...     duration=0.5, step=5e-3, tolerance=0.03)
+    >>> scene = tc.Scene(
+    ...     model, 0.5, controller=tc.LQR(plant, Q, 0.1 * R, sample_time=0.02),
+    ...     integration=tc.Integration(step=5e-3))
+    >>> case = tc.ClosedLoopCase(scene, tolerance=0.03)
     >>> with ThreadPoolExecutor(1) as executor:
     ...     report = tc.sweep(
     ...         case, {"stiffness": tc.Uniform(0.7, 1.3, size=9)}, 4, seed=0, executor=executor)
@@ -130,32 +131,12 @@ def sweep(
     count = whole_number("count", count, 1, MOST_RUNS)
     seed = whole_number("seed", seed, 0, LARGEST_SEED)
     truth("progress", progress, "whether to show a progress bar")
-    if executor is not None:
-        instance(
-            "executor", executor, Executor, "of concurrent.futures; Dask's is client.get_executor()"
-        )
-        if processes is not None:
-            raise ValueError(
-                "processes and executor are both given, expected one: an executor "
-                "has its own workers"
-            )
-    if processes is not None:
-        processes = whole_number("processes", processes, least=1)
-    if in_flight is not None:
-        in_flight = whole_number("in_flight", in_flight, least=1)
+    processes, in_flight = _checked_workers(executor, processes, in_flight)
     name = str(getattr(case, "__qualname__", type(case).__qualname__))
     settings = {name: each.settings() for name, each in distributions.items()}
     header = store.Header(__version__, name, seed, count, settings)
     path = None if file is None else file_path("file", file)
-    at_a_time, back_end = 1, "one by one: the case is a function"
-    if isinstance(case, ClosedLoopCase):
-        why, at_a_time = case.alone(distributions), case.at_a_time
-        back_end = f"up to {at_a_time} together, in compiled loops"
-        if why is None and (count < _WORTHWHILE or at_a_time == 1):
-            why = "too few runs" if at_a_time > 1 else "a run fills the memory for several"
-        if why is not None:
-            at_a_time, back_end = 1, f"one by one: {why}"
-
+    at_a_time, back_end = _runs_together(case, distributions, count)
     with store.opened(path, header, distributions) as (known_count, records, write):
         beyond = sum(run >= count for run in records)  # the file may be that of a longer sweep
         try:
@@ -198,6 +179,40 @@ def sweep(
                 stacklevel=2,
             )
     return collected(header, records, back_end)
+
+
+def _checked_workers(
+    executor: Executor | None, processes: int | None, in_flight: int | None
+) -> tuple[int | None, int | None]:
+    """Return numbers of processes and of runs handed in, checked."""
+    if executor is not None:
+        instance(
+            "executor", executor, Executor, "of concurrent.futures; Dask's is client.get_executor()"
+        )
+        if processes is not None:
+            raise ValueError(
+                "processes and executor are both given, expected one: an executor "
+                "has its own workers"
+            )
+    if processes is not None:
+        processes = whole_number("processes", processes, least=1)
+    if in_flight is not None:
+        in_flight = whole_number("in_flight", in_flight, least=1)
+    return processes, in_flight
+
+
+def _runs_together(
+    case: object, distributions: Mapping[str, Distribution], count: int
+) -> tuple[int, str]:
+    """Return how many runs go together, and how that is said."""
+    if not isinstance(case, ClosedLoopCase):
+        return 1, "one by one: the case is a function"
+    why, at_a_time = case.alone(distributions), case.at_a_time
+    if why is None and (count < _WORTHWHILE or at_a_time == 1):
+        why = "too few runs" if at_a_time > 1 else "a run fills the memory for several"
+    if why is not None:
+        return 1, f"one by one: {why}"
+    return at_a_time, f"up to {at_a_time} together, in compiled loops"
 
 
 def _pickled(case: object) -> bytes:

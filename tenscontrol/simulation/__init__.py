@@ -1,23 +1,23 @@
 """Open- and closed-loop simulation."""
 
+from tenscontrol.simulation.arguments import Arguments
 from tenscontrol.simulation.batch import Batch, BatchCrossings, checked_controller, simulate_many
 from tenscontrol.simulation.contacts import ContactRecord
-from tenscontrol.simulation.faults import CutString, Fault, Faults, LostMeasurement, StuckWinch
-from tenscontrol.simulation.health import (
-    AccuracyWarning,
-    BarCrossingWarning,
-    ControlRecord,
-    Given,
-    Health,
-    HealthLimits,
-)
-from tenscontrol.simulation.loop import SimulationError
+from tenscontrol.simulation.control_record import ControlRecord
+from tenscontrol.simulation.faults import CutString, Fault, LostMeasurement, StuckWinch
+from tenscontrol.simulation.health import AccuracyWarning, BarCrossingWarning, Health, HealthLimits
+from tenscontrol.simulation.inputs import checked_load
+from tenscontrol.simulation.integration import Integration
 from tenscontrol.simulation.observation import EstimateRecord
-from tenscontrol.simulation.simulate import checked_load, initial_state, simulate
+from tenscontrol.simulation.scene import Scene
+from tenscontrol.simulation.simulate import simulate
+from tenscontrol.simulation.simulation_error import SimulationError
+from tenscontrol.simulation.start import initial_state
 from tenscontrol.simulation.trajectory import Trajectory, load_run
 
 __all__ = [
     "AccuracyWarning",
+    "Arguments",
     "BarCrossingWarning",
     "Batch",
     "BatchCrossings",
@@ -26,11 +26,11 @@ __all__ = [
     "CutString",
     "EstimateRecord",
     "Fault",
-    "Faults",
-    "Given",
     "Health",
     "HealthLimits",
+    "Integration",
     "LostMeasurement",
+    "Scene",
     "SimulationError",
     "StuckWinch",
     "Trajectory",

@@ -21,15 +21,14 @@ from tenscontrol.actuation import (
 from tenscontrol.control import BaseController, Command
 from tenscontrol.dynamics import Evaluator, Pieces
 from tenscontrol.properties import cached_property
-from tenscontrol.simulation.contacts import Segments
-from tenscontrol.simulation.loop import Loop
+from tenscontrol.simulation.dense_motion import DenseMotion
+from tenscontrol.simulation.plant_run import PlantRun
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.structure import same_members, to_segments, to_strings
 from tenscontrol.validation import (
     FloatArray,
     IntArray,
     frozen,
-    instance,
     non_negative,
     per_member,
     positive,
@@ -58,32 +57,30 @@ class Actuators:
 
     def __init__(
         self,
-        loop: Loop,
+        plant_run: PlantRun,
         controller: BaseController,
         winches: Winches | None,
-        rest_length: object,
+        rest_length: FloatArray | None,
         sample_time: float,
         run: Trajectory | None,
     ) -> None:
-        self._structure = loop.model.structure
-        self._by_segment = _commands_parent(loop, controller)
+        self._structure = plant_run.model.structure
+        self._by_segment = _commands_parent(plant_run, controller)
         self._count = len(controller.commanded.strings)
-        if winches is not None:
-            instance("winches", winches, Winches, "make them by Winches(rate=...)")
-        self._held = loop.input
-        self._convert = loop.input == "rest_length" and controller.input == "force_density"
-        if controller.input == "rest_length" and loop.input == "force_density":
+        self._held = plant_run.input
+        self._convert = plant_run.input == "rest_length" and controller.input == "force_density"
+        if controller.input == "rest_length" and plant_run.input == "force_density":
             raise ValueError(
                 "the controller commands rest lengths; input='force_density' cannot follow it"
             )
         self._motor = None
         if winches is not None and winches.motor is not None:
             self._motor = each_motor(winches.motor, self._count)
-        if loop.input == "force_density":
+        if plant_run.input == "force_density":
             self._refuse_lengths(winches, rest_length)
         self._input = controller.input
-        self._loop = loop
-        self._law = loop.model.strings
+        self._plant_run = plant_run
+        self._law = plant_run.model.strings
         self._winches = winches
         self._sample_time = sample_time
         self._drive: Drive | None = None
@@ -95,34 +92,36 @@ class Actuators:
         self.start: FloatArray | None = None
         self._current: FloatArray | None = None
         if run is not None and rest_length is None:
-            kind = "force_density" if run.rest_length is None else "rest_length"
-            last = run.held if kind == loop.input else None
-            if last is not None and run.control is not None:
-                last, self._earlier = run.control.applied[:, -1], run.control.motors
-            elif last is not None:
-                last = self._to_strings(loop.input, last)
-            if loop.input == "rest_length":
-                rest_length = last
-            else:
-                self._current = last
-        if rest_length is not None:
-            lengths = per_member(
-                "rest_length", rest_length, self._count, "string of the controller"
-            )
-            self.start = positive("rest_length", lengths, "length in m")
+            self._go_on(run)
+        elif rest_length is not None:
+            self.start = self._current = rest_length
+        if self.start is not None:
             if winches is not None:
                 winches.refuse_out_of_range("rest_length", self.start)
-        elif loop.input == "rest_length" and (
+        elif plant_run.input == "rest_length" and (
             winches is not None and (winches.rate is not None or winches.ramp or winches.motor)
         ):
             raise ValueError(
                 "winches with a rate, substeps or a motor need rest_length, the rest lengths at "
                 "the start, m; to_rest_length(model, nodes, force_density) finds it"
             )
-        if self.start is not None:
-            self._current = self.start
         if self._convert:
             self._refuse_unreachable(controller.bounds[1])
+
+    def _go_on(self, run: Trajectory) -> None:
+        """Begin with what the actuators held at the end of a run."""
+        kind = "force_density" if run.rest_length is None else "rest_length"
+        if kind != self._held:
+            return
+        if run.control is None:
+            self._current = self._to_strings(kind, run.held)
+        else:
+            self._current, self._earlier = run.control.applied[:, -1], run.control.motors
+        if kind == "rest_length":  # the controller may command other strings than that of the run
+            where = "string of the controller"
+            self.start = self._current = per_member(
+                "rest_length", self._current, self._count, where
+            )
 
     @property
     def known(self) -> bool:
@@ -196,7 +195,7 @@ class Actuators:
 
         def pull(rest_length: FloatArray, later: float) -> _Forces:
             if not motion:
-                motion.extend(part.ravel(order="F") for part in self._loop.motion(state))
+                motion.extend(part.ravel(order="F") for part in self._plant_run.motion(state))
             N, V = motion
             return self._pull(np.concatenate([N + later * V, V]), rest_length)
 
@@ -229,7 +228,7 @@ class Actuators:
 
     @cached_property
     def _winding(self) -> Evaluator:
-        return Evaluator(self._loop.model.of_all_nodes("winding"))
+        return Evaluator(self._plant_run.model.of_all_nodes("winding"))
 
     def _checked(self, value: object) -> FloatArray:
         """Return a command, or raise: a user's controller may break its promises."""
@@ -264,8 +263,8 @@ class Actuators:
         """Return what the motors did up to now; None where there are none."""
         if self._motor is None:
             return None
-        model, error, close = self._loop.model, 0.0, 1e-6 * self._sample_time / self.ticks
-        segments = self._loop.segments()
+        model, error, close = self._plant_run.model, 0.0, 1e-6 * self._sample_time / self.ticks
+        segments = DenseMotion.of_run(self._plant_run)
         count = len(segments.of)
         first, every = np.flatnonzero(np.diff(segments.of, prepend=-1)), np.arange(count)
 
@@ -284,11 +283,11 @@ class Actuators:
             previous = np.column_stack([stored[0][:, 0], stored[1][:, first[1:] - 1]])
             if self.start is not None:
                 lengths = self._to_plant("rest_length", self.start)
-                lengths = self._loop.faults.without_cut(lengths, before.time[0] + close)
+                lengths = self._plant_run.faults.without_cut(lengths, before.time[0] + close)
                 previous[:, 0] = self._winding(before.states[:, 0], lengths, 0 * lengths)[0]
             jump = stored[0][:, first] - previous
             for j, time in enumerate(before.time[first]):
-                cut = self._loop.faults.without_cut(np.zeros(len(jump)), time + close) != 0
+                cut = self._plant_run.faults.without_cut(np.zeros(len(jump)), time + close) != 0
                 jump[cut, j] = 0.0
             work[:, first] += jump
             work = self._to_strings("length", work.T).T
@@ -307,7 +306,7 @@ class Actuators:
             self._rest_length_error(segments),
         )  # fmt: skip
 
-    def _rest_length_error(self, segments: Segments) -> float:
+    def _rest_length_error(self, segments: DenseMotion) -> float:
         """Estimate the error of rest lengths, m, that follows from few parts of a sample.
 
         The motors are followed again along the motion that there was, in parts of half the length.
@@ -388,12 +387,12 @@ class Actuators:
             )
 
 
-def _commands_parent(loop: Loop, controller: BaseController) -> bool:
+def _commands_parent(plant_run: PlantRun, controller: BaseController) -> bool:
     """Return whether a controller commands the strings of the plant's parent, or refuse it."""
-    structure, designed = loop.model.structure, controller.commanded
+    structure, designed = plant_run.model.structure, controller.commanded
     seen, parent = controller.structure, structure.parent
     # Feet are fixed nodes to a controller for a stance; here the ground holds them.
-    feet = controller.feet if loop.model.ground else ()
+    feet = controller.feet if plant_run.model.ground else ()
     by_segment = not same_members(designed, structure, feet)
     fits = same_members(seen, structure, feet)
     if by_segment:

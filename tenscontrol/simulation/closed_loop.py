@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from math import ceil
 from time import perf_counter
 
@@ -20,16 +21,16 @@ from tenscontrol.control import (
 from tenscontrol.estimation import KalmanFilter, Sensors
 from tenscontrol.interrupt import check
 from tenscontrol.simulation.actuators import Actuators
-from tenscontrol.simulation.health import ControlRecord, Given
-from tenscontrol.simulation.loop import Loop
+from tenscontrol.simulation.arguments import Arguments
+from tenscontrol.simulation.control_record import ControlRecord
 from tenscontrol.simulation.observation import Observation
+from tenscontrol.simulation.plant_run import PlantRun, StoppedError
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.validation import (
     LARGEST,
     FloatArray,
     IntArray,
     frozen,
-    positive_number,
     refuse_memory,
 )
 
@@ -39,95 +40,141 @@ _STATISTICS = MPCStatistics, NMPCStatistics, FeedbackLinearizationStatistics
 _CLOSE = 1e-7
 
 
-def run_closed_loop(
-    loop: Loop,
-    state: FloatArray,
-    duration: float,
-    controller: BaseController,
-    rest_length: object,
-    winches: Winches | None,
-    sample_time: float | None,
-    estimation: tuple[KalmanFilter, Sensors | None, int | None] | None,
-    start: Trajectory | None,
-) -> None:
-    """Run the plant under a controller, sample by sample.
+class ClosedLoop:
+    """A controller with its actuators and sensors, in a loop with a plant run.
 
-    ``estimation`` is the estimator, the sensors and the seed; ``start`` the run to go on from.
+    ``rest_length`` are those at the start; ``estimation`` is the estimator, the sensors and the
+    seed; ``start`` is the run to go on from.
     """
-    sample = _sample_time(controller, sample_time, loop.step)
-    kept = 1500 + 48 * len(controller.commanded.strings)  # bytes of objects and numbers
-    refuse_memory(f"sample_time is {sample:g} s", duration / sample, "samples", kept)
-    actuators = Actuators(loop, controller, winches, rest_length, sample, start)
-    if start is None:
-        controller.reset()
-    # A controller that goes on knows its previous input, unless there is none or it did not come.
-    knows = start is not None and start.stopped is None and rest_length is None
-    if actuators.known and not (knows and controller.status_count):
-        N, _ = loop.motion(state)
-        controller.applied(actuators.applied_input(N))
-    observation = None
-    if estimation is not None:
-        substeps = 1 if winches is None else winches.substeps
-        observation = Observation(
-            *estimation, loop.model, loop.input, controller, sample, actuators.start, substeps,
-            start is not None,
+
+    def __init__(
+        self,
+        run: PlantRun,
+        controller: BaseController,
+        sample_time: float | None,
+        rest_length: FloatArray | None,
+        winches: Winches | None,
+        estimation: tuple[KalmanFilter, Sensors | None, int | None] | None,
+        start: Trajectory | None,
+    ) -> None:
+        self._run, self._controller, self._start = run, controller, start
+        self._rest_length = rest_length
+        self._sample = sample = _sample_time(controller, sample_time, run.integration.step)
+        size = 1500 + 48 * len(controller.commanded.strings)  # bytes of objects and numbers
+        refuse_memory(f"sample_time is {sample:g} s", run.duration / sample, "samples", size)
+        self._actuators = Actuators(run, controller, winches, rest_length, sample, start)
+        self._estimation = estimation
+        self._substeps = 1 if winches is None else winches.substeps
+        self._observation: Observation | None = None
+        self._samples: list[_Sample] = []
+        # Of a subdivision, the nodes of its parent come first.
+        self._seen = controller.structure.nodes.shape[1]
+
+    def _begin(self, state: FloatArray) -> None:
+        """Let controller and estimator begin, or go on."""
+        run, controller, start = self._run, self._controller, self._start
+        actuators = self._actuators
+        if start is None:
+            controller.reset()
+        # A controller that goes on knows its previous input, unless there is none or it was lost.
+        knows = start is not None and start.stopped is None and self._rest_length is None
+        if actuators.known and not (knows and controller.status_count):
+            N, _ = run.motion(state)
+            controller.applied(actuators.applied_input(N))
+        if self._estimation is None:
+            return
+        self._observation = Observation(
+            *self._estimation, run.model, run.input, controller, self._sample, actuators.start,
+            self._substeps, start is not None,
         )  # fmt: skip
         if start is not None:
             earlier = None if start.control is None else start.control.estimate
-            observation.go_on(earlier, start.held, round(loop.now / sample))
-    rows: list[tuple[float, Command, WinchMove, float, float | None, FloatArray]] = []
+            samples_before = round(run.now / self._sample)
+            self._observation.go_on(earlier, start.held, samples_before)
 
-    def record() -> ControlRecord:
-        stood = None
-        if loop.input == "rest_length":
-            stood = rows[0][2].rest_length if actuators.start is None else actuators.start
-        end, _ = loop.motion(state)
-        return _control_record(
-            rows, stood, sample, observation, actuators.motor_record(), controller, loop.now,
-            end[:, :seen],
-        )  # fmt: skip
+    def run(self, state: FloatArray) -> None:
+        """Run the plant under the controller, sample by sample."""
+        self._begin(state)
+        run, controller, actuators = self._run, self._controller, self._actuators
+        self._state = state
+        for number, begin, end in samples(self._sample, run.duration, run.now):
+            run.go_to(begin)
+            if np.abs(self._state).max() > LARGEST:
+                raise StoppedError(f"the motion has run away, beyond {LARGEST:g} in m and m/s")
+            N, V = run.motion(self._state)
+            command, taken = self._command(N, V)
+            moment = run.now + 1e-9 * self._sample
+            move = actuators.begin(command, N, run.faults.stuck(moment))
+            sample = _Sample(
+                run.now, command, move, taken, controller.prediction_error, N[:, : self._seen]
+            )
+            self._samples.append(sample)
+            try:
+                self._follow(number, end)
+            finally:
+                self._samples[-1] = replace(sample, move=actuators.end())
+                controller.applied(actuators.applied_input(N))
+                if self._observation is not None:
+                    self._observation.predict(actuators.reached, actuators.held)
 
-    # Of a subdivision, the nodes of its parent come first.
-    seen = controller.structure.nodes.shape[1]
-    loop.record = record
-    for number, begin, end in samples(sample, duration, loop.now):
-        loop.now = begin
-        if np.abs(state).max() > LARGEST:
-            raise loop.stopped(f"the motion has run away, beyond {LARGEST:g} in m and m/s")
-        N, V = loop.motion(state)
-        moment = loop.now + 1e-9 * sample  # a fault that begins at the sample is there
-        lost = loop.faults.lost(moment)
-        if observation is None:
-            motion = tuple((np.nan if lost else 1.0) * each[:, :seen] for each in (N, V))
+    def _command(self, N: FloatArray, V: FloatArray) -> tuple[Command, float]:
+        """Return the command of the controller in a motion, and the time that it took, s."""
+        run, controller = self._run, self._controller
+        lost = run.faults.lost(run.now + 1e-9 * self._sample)  # also one that begins at the sample
+        if self._observation is None:
+            motion = tuple((np.nan if lost else 1.0) * each[:, : self._seen] for each in (N, V))
         else:
-            estimate = observation.estimate(N, V, lost)
+            estimate = self._observation.estimate(N, V, lost)
             motion = estimate.nodes, estimate.velocities
         began = perf_counter()
         try:
-            command = controller.command(loop.now, *motion)
+            command = controller.command(run.now, *motion)
         except Exception as error:
-            said = f"the controller {controller.label} raised {type(error).__name__}: {error}"
-            if loop.spans and not isinstance(error, MemoryError):
-                raise loop.stopped(said) from error
-            error.add_note(f"{said}, at {loop.now:.6g} s")  # there is no motion, or no room for it
+            reason = f"the controller {controller.label} raised {type(error).__name__}: {error}"
+            if run.spans and not isinstance(error, MemoryError):
+                raise StoppedError(reason) from error
+            # There is no motion, or no room for it.
+            error.add_note(f"{reason}, at {run.now:.6g} s")
             raise
         taken = perf_counter() - began
         check()  # a command that was interrupted is not applied
-        move = actuators.begin(command, N, loop.faults.stuck(moment))
-        rows.append((loop.now, command, move, taken, controller.prediction_error, N[:, :seen]))
-        whole = end - begin
-        try:
-            for i in range(1, actuators.ticks + 1):
-                held = actuators.tick(i, state, loop.now)
-                until_tick = (number + i / actuators.ticks) * sample
-                span = (end if i == actuators.ticks else min(until_tick, end)) - loop.now
-                if span > 1e-9 * whole:  # not round-off
-                    state = loop.run(state, held, span)
-        finally:
-            rows[-1] = (*rows[-1][:2], actuators.end(), *rows[-1][3:])
-            controller.applied(actuators.applied_input(N))
-            if observation is not None:
-                observation.predict(actuators.reached, actuators.held)
+        return command, taken
+
+    def _follow(self, number: float, end: float) -> None:
+        """Integrate to the end of a sample, tick by tick."""
+        run, ticks = self._run, self._actuators.ticks
+        whole = end - run.now
+        for i in range(1, ticks + 1):
+            u = self._actuators.tick(i, self._state, run.now)
+            until_tick = (number + i / ticks) * self._sample
+            span = (end if i == ticks else min(until_tick, end)) - run.now
+            if span > 1e-9 * whole:  # not round-off
+                self._state = run.run(self._state, u, span)
+
+    def record(self) -> ControlRecord:
+        """Return the record of the samples so far."""
+        rest_length = None
+        if self._run.input == "rest_length":
+            rest_length = self._actuators.start
+            if rest_length is None:
+                rest_length = self._samples[0].move.rest_length
+        end, _ = self._run.motion(self._state)
+        return _control_record(
+            self._samples, rest_length, self._sample, self._observation,
+            self._actuators.motor_record(), self._controller, self._run.now, end[:, : self._seen],
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Sample:
+    """A sample of a closed loop: when it began, s, and what came of it."""
+
+    time: float
+    command: Command
+    move: WinchMove
+    computing_time: float
+    prediction_error: float | None
+    nodes: FloatArray
 
 
 def samples(
@@ -147,7 +194,7 @@ def samples(
 
 
 def _control_record(
-    rows: list[tuple[float, Command, WinchMove, float, float | None, FloatArray]],
+    rows: list[_Sample],
     rest_length: FloatArray | None,
     sample_time: float,
     observation: Observation | None,
@@ -158,12 +205,13 @@ def _control_record(
 ) -> ControlRecord:
     """Return the record of samples.
 
-    Of each: start, command, move of the winches, computing time, prediction error and nodes.
     ``rest_length`` are those before the first sample, shape (α,); None where γ is held. The run
     ends at a time with these nodes.
     """
-    times, commands, moves, taken, unforeseen, shapes = zip(*rows, strict=True)
-    time, applied = frozen(np.array(times)), np.column_stack([move.rest_length for move in moves])
+    commands, moves = [row.command for row in rows], [row.move for row in rows]
+    shapes, unforeseen = [row.nodes for row in rows], [row.prediction_error for row in rows]
+    time = frozen(np.array([row.time for row in rows]))
+    applied = np.column_stack([move.rest_length for move in moves])
     rate = np.zeros_like(applied)
     if rest_length is not None:
         rate = np.diff(applied, axis=1, prepend=rest_length[:, None]) / sample_time
@@ -179,7 +227,7 @@ def _control_record(
         winch_rate=frozen(rate),
         rate_limited=frozen(np.array([len(move.rate_limited) for move in moves])),
         range_limited=frozen(np.array([len(move.range_limited) for move in moves])),
-        computing_time=frozen(np.array(taken)),
+        computing_time=frozen(np.array([row.computing_time for row in rows])),
         estimate=None if observation is None else observation.record(time),
         motors=motors,
         prediction_error=frozen(np.array(unforeseen, dtype=float)) if predicts else None,
@@ -188,7 +236,7 @@ def _control_record(
         controller=repr(controller),
         sample_time=sample_time,
         statistics=_statistics(controller),
-        settings=Given(controller.made_with),
+        settings=Arguments(controller.made_with),
         size=float(np.ptp(controller.structure.nodes, axis=1).max()),
         slowest_vibration=(
             controller.plant.slowest_vibration if isinstance(controller, Controller) else None
@@ -233,8 +281,6 @@ def _at_bound(controller: BaseController, command: FloatArray) -> IntArray:
 def _sample_time(
     controller: BaseController, sample_time: float | None, step: float | None
 ) -> float:
-    if sample_time is not None:
-        sample_time = positive_number("sample_time", sample_time, "s")
     if controller.sample_time is not None:
         if sample_time is not None and sample_time != controller.sample_time:
             raise ValueError(

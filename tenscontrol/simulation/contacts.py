@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Protocol
 
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import ContactLaw, Equation, Model, evaluate_columns, polynomial_at
-from tenscontrol.integrate import Choice, IntegrationError, Integrator, Work
-from tenscontrol.properties import cached_property
+from tenscontrol.dynamics import ContactLaw, evaluate_columns
+from tenscontrol.integrate import IntegrationError
+from tenscontrol.simulation.dense_motion import DenseMotion
 from tenscontrol.validation import FloatArray, IntArray, frozen
 
 # Nodes and weights of Lobatto's quadrature of order 8, over parts from 0 to 1.
@@ -161,143 +159,6 @@ class ContactRecord:
         return f"ContactRecord({len(self.node)} contacts, {len(self.touch)} times)"
 
 
-class _Motion(Protocol):
-    """What segments need of the plant side of a simulation; see :class:`Loop`."""
-
-    model: Model
-    integrator: Integrator | None
-    choice: Choice | None
-    work: Work
-
-    @property
-    def equation(self) -> Equation: ...
-
-    @property
-    def spans(self) -> Sequence[Any]: ...
-
-    @property
-    def offset(self) -> object: ...
-
-    def all_nodes(
-        self, states: FloatArray, coefficients: FloatArray, time: FloatArray
-    ) -> FloatArray: ...
-
-
-@dataclass(eq=False)
-class Segments:
-    """Parts of a motion: each the quintic with the states and accelerations at its ends."""
-
-    loop: _Motion
-    of: IntArray  # stretch that each is part of, shape (K,)
-    begins: FloatArray  # s
-    ends: FloatArray
-    before: FloatArray  # states at the ends, one a column
-    after: FloatArray
-
-    def take(self, k: IntArray) -> Segments:
-        """Return some of them."""
-        times, before, after = (self.begins[k], self.ends[k]), self.before[:, k], self.after[:, k]
-        some = Segments(self.loop, self.of[k], *times, before, after)
-        if "_accelerations" in self.__dict__:  # they are known
-            some._accelerations = [each[:, k] for each in self._accelerations]
-        return some
-
-    def again(self, first: int, last: int, parts: int) -> tuple[Segments, int]:
-        """Return the time from one to another in equal parts, integrated again from its begin.
-
-        With the evaluations that this took.
-        """
-        loop, begin, end = self.loop, self.begins[first], self.ends[last]
-        stretch, integrator = loop.spans[self.of[first]], loop.integrator
-        assert integrator is not None  # made before there are segments
-        held = loop.equation.layout.packed(stretch.coefficients, float(begin) - stretch.origin)
-        span = integrator.advance(self.before[:, first], held, float(end - begin), parts)
-        after = span.states
-        times = begin + (end - begin) * np.arange(parts + 1) / parts
-        before = np.column_stack([self.before[:, first], after[:, :-1]])
-        of = np.full(parts, self.of[first])
-        return Segments(loop, of, times[:-1], times[1:], before, after), span.work.evaluations
-
-    def groups(self, counts: IntArray, most: int) -> list[IntArray]:
-        """Return which follow on one another and are equally long, with equal counts."""
-        length = self.ends - self.begins
-        apart = np.abs(self.begins[1:] - self.ends[:-1]) + np.abs(np.diff(length))
-        new = (apart > 1e-6 * length[1:]) | (np.diff(self.of) != 0) | (np.diff(counts) != 0)
-        runs = np.split(np.arange(len(length)), np.flatnonzero(new) + 1)
-        return [run[i : i + most] for run in runs for i in range(0, len(run), most)]
-
-    @cached_property
-    def _accelerations(self) -> list[FloatArray]:
-        equation, half, found = self.loop.equation, len(self.before) // 2, []
-        for time, x in ((self.begins, self.before), (self.ends, self.after)):
-            coefficients = self._inputs(np.arange(len(time))).swapaxes(0, 1)
-            u = coefficients.reshape(-1, len(time))
-            if equation.layout.degree:
-                u = np.vstack([u, self._since(time, self.of)])
-            found.append(evaluate_columns(equation.kinked_slope, x, u)[0][half:])
-        return found
-
-    def _since(self, time: FloatArray, of: IntArray) -> FloatArray:
-        origin = np.array([span.origin for span in self.loop.spans])
-        return np.asarray(time - origin[of])
-
-    def _inputs(self, k: IntArray) -> FloatArray:
-        every: FloatArray = np.stack([span.coefficients for span in self.loop.spans], axis=2)
-        return np.asarray(every[:, :, self.of[k]])
-
-    def at(self, s: FloatArray, k: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Return times, s, and positions, then velocities, of all nodes at shares of segments."""
-        h, half = self.ends[k] - self.begins[k], len(self.before) // 2
-        x0, x1 = self.before[:, k], self.after[:, k]
-        moved, late = x1[:half] - x0[:half], s**3 * (10 - 15 * s + 6 * s**2)
-        mean = moved / np.where(h > 0, h, 1.0)
-        x = np.vstack([x0[:half] + late * moved, 30 * s**2 * (1 - s) ** 2 * mean])
-        bases = (
-            (x0[half:], s - s**3 * (6 - 8 * s + 3 * s**2), 1 - s**2 * (18 - 32 * s + 15 * s**2)),
-            (x1[half:], -(s**3) * (4 - 7 * s + 3 * s**2), -(s**2) * (12 - 28 * s + 15 * s**2)),
-            (
-                h / 2 * self._accelerations[0][:, k],
-                s**2 * (1 - s) ** 3,
-                s * (1 - s) ** 2 * (2 - 5 * s),
-            ),
-            (
-                h / 2 * self._accelerations[1][:, k],
-                s**3 * (1 - s) ** 2,
-                s**2 * (1 - s) * (3 - 5 * s),
-            ),
-        )
-        for value, position, rate in bases:
-            x[:half] += h * position * value
-            x[half:] += rate * value
-        time = (1 - s) * self.begins[k] + s * self.ends[k]
-        given = np.zeros((0, 1, 0)) if self.loop.offset is None else self._inputs(k)
-        return time, self.loop.all_nodes(x, given, self._since(time, self.of[k]))
-
-    def at_times(self, times: FloatArray) -> FloatArray:
-        """Return positions, then velocities, of all nodes at times after the start, s."""
-        k = np.clip(np.searchsorted(self.ends, times), 1, len(self.ends) - 1)
-        share = (times - self.begins[k]) / (self.ends[k] - self.begins[k])
-        return self.at(np.clip(share, 0.0, 1.0), k)[1]
-
-    def string_inputs(self, time: FloatArray, k: IntArray) -> FloatArray:
-        """Return what is held at times in segments, and its first two rates, (3, strings, T)."""
-        given = self._inputs(k)[: len(self.loop.model.structure.strings)]
-        since = self._since(time, self.of[k])
-        return np.stack([polynomial_at(given, since, order) for order in range(3)])
-
-
-def _joined(parts: list[Segments]) -> Segments:
-    """Return segments one after the other."""
-    return Segments(
-        parts[0].loop,
-        np.concatenate([part.of for part in parts]),
-        np.concatenate([part.begins for part in parts]),
-        np.concatenate([part.ends for part in parts]),
-        np.hstack([part.before for part in parts]),
-        np.hstack([part.after for part in parts]),
-    )
-
-
 def _at_a_node(law: ContactLaw, dimension: int) -> ca.Function:
     """Return ``(x, v) -> (depth, normal, stored, damped, rubbed, tangential, force)`` of one node.
 
@@ -332,9 +193,9 @@ class _Recorder:
     """The contacts of a motion, segment by segment; those not exact are cut up."""
 
     def __init__(
-        self, segments: Segments, nodes: FloatArray, velocities: FloatArray, kinetic: float
+        self, segments: DenseMotion, nodes: FloatArray, velocities: FloatArray, kinetic: float
     ) -> None:
-        model = segments.loop.model
+        model = segments.run.model
         self._kept, self._model = segments, model
         self._dimension, self._count = nodes.shape[:2]
         self._speed = float(np.linalg.norm(velocities, axis=0).max())
@@ -342,8 +203,8 @@ class _Recorder:
         momentum = float(np.sqrt(2 * model.mass_matrix().sum() * kinetic))
         load = float(np.linalg.norm(model.constant_force.sum(axis=1)))
         load *= float(segments.ends[-1] - segments.begins[0])
-        exact, tolerance, chosen = _EXACT, 0.0, segments.loop.choice
-        if chosen is not None and chosen.setting == "tolerance":
+        exact, tolerance, chosen = _EXACT, 0.0, segments.run.choice
+        if chosen.setting == "tolerance":
             tolerance = chosen.value
             exact = max(exact, _TOLERANCES * tolerance)
         self._exact_work = exact * (kinetic + _OF_LOADS * load * self._speed)
@@ -359,7 +220,7 @@ class _Recorder:
         stiffness = force[depth > 0] / depth[depth > 0]
         self._noise = tolerance * self._size * float(stiffness.max(initial=0.0))
         self.error = 0.0
-        self._done: list[tuple[Segments, IntArray, _Integrals]] = []
+        self._done: list[tuple[DenseMotion, IntArray, _Integrals]] = []
 
     def _find(self, nodes: FloatArray, velocities: FloatArray) -> None:
         """Find the contacts that may have been, where, and their values at the times kept."""
@@ -398,8 +259,8 @@ class _Recorder:
         if len(lead):
             pairs = np.column_stack([lead, lead + 1]).ravel()
             fine = parts.take(pairs)
-            both = Segments(
-                parts.loop, parts.of[lead], parts.begins[lead], parts.ends[lead + 1],
+            both = DenseMotion(
+                parts.run, parts.of[lead], parts.begins[lead], parts.ends[lead + 1],
                 parts.before[:, lead], parts.after[:, lead + 1],
             )  # fmt: skip
             coarse = self._integrated(both, kept[lead], kept[lead + 1])
@@ -409,15 +270,15 @@ class _Recorder:
         self._cut_up(parts, kept, found, off, change)
 
     def _cut_up(
-        self, parts: Segments, kept: IntArray, found: _Integrals, off: FloatArray,
+        self, parts: DenseMotion, kept: IntArray, found: _Integrals, off: FloatArray,
         change: FloatArray,
     ) -> None:  # fmt: skip
         """Take parts that are exact, and integrate the others again, in pieces.
 
         They are off by so much, as part of what is exact, and change in work, J.
         """
-        left = _PIECES + _PIECES_A_STEP * parts.loop.work.steps
-        evaluations = max(_EVALUATIONS, parts.loop.work.evaluations)
+        left = _PIECES + _PIECES_A_STEP * parts.run.work.steps
+        evaluations = max(_EVALUATIONS, parts.run.work.evaluations)
         for level in range(_LEVELS + 1):
             # Errors fall by the sixth power of the length. A power of two, so that many are alike.
             wanted = 2 ** np.ceil(np.log2(2 * np.clip(off, 1, _MOST**6) ** (1 / 6)))
@@ -453,14 +314,14 @@ class _Recorder:
                 parts, kept, found = parts.take(done), kept[done], found.take(done)
                 counts = counts[done]
             left -= int(counts.sum())
-            finer, owner = _joined(pieces), np.repeat(np.arange(len(kept)), counts)
+            finer, owner = DenseMotion.joined(pieces), np.repeat(np.arange(len(kept)), counts)
             kept = kept[owner]
             fine = self._integrated(finer, kept)
             off, change = self._off(parts, found, finer, fine, owner, kept)
             parts, found, off, change = finer, fine, off[owner], (change / counts)[owner]
 
     def _off(
-        self, coarse: Segments, before: _Integrals, fine: Segments, after: _Integrals,
+        self, coarse: DenseMotion, before: _Integrals, fine: DenseMotion, after: _Integrals,
         owner: IntArray, kept: IntArray,
     ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
         """Return how far segments are from their pieces, as part of what is exact, and in work, J.
@@ -486,7 +347,7 @@ class _Recorder:
         off[np.isnan(off)] = changed[np.isnan(changed)] = np.inf
         return off, changed
 
-    def _integrated(self, parts: Segments, *kept: IntArray) -> _Integrals:
+    def _integrated(self, parts: DenseMotion, *kept: IntArray) -> _Integrals:
         """Return the integrals over segments, which are in these that were kept."""
         near = np.any([self.near[:, k] for k in kept], axis=0)
         (contacts, count), shares = near.shape, len(_SHARES)
@@ -520,7 +381,7 @@ class _Recorder:
         touched = (self.values[:, 1] > 0).any(axis=1)
         touch, begin, end = np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0)
         if self._done:
-            parts = _joined([each[0] for each in self._done])
+            parts = DenseMotion.joined([each[0] for each in self._done])
             order = np.argsort(parts.begins, kind="stable")
             for _, k, found in self._done:
                 np.add.at(work.transpose(2, 0, 1), k, found.work.transpose(2, 0, 1))
@@ -547,7 +408,7 @@ class _Recorder:
         )
 
     def _touches(
-        self, parts: Segments, pressing: np.ndarray
+        self, parts: DenseMotion, pressing: np.ndarray
     ) -> tuple[IntArray, FloatArray, FloatArray]:
         """Return contact, begin and end of each time in which a node was pressed."""
         flat, first, last = pressing.reshape(len(pressing), -1), parts.begins[0], parts.ends[-1]
@@ -582,7 +443,7 @@ class _Recorder:
 
 
 def record_contacts(
-    segments: Segments, nodes: FloatArray, velocities: FloatArray, kinetic: float
+    segments: DenseMotion, nodes: FloatArray, velocities: FloatArray, kinetic: float
 ) -> ContactRecord:
     """Return the contacts of a motion.
 

@@ -12,7 +12,7 @@ from tenscontrol.dynamics import Evaluator, Model, pack_state
 from tenscontrol.estimation import Estimate, FilterStatistics, KalmanFilter, Sensors
 from tenscontrol.status import Status
 from tenscontrol.structure import different_members, to_strings
-from tenscontrol.validation import LARGEST_SEED, FloatArray, frozen, instance, whole_number
+from tenscontrol.validation import FloatArray, frozen
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,12 +79,9 @@ class Observation:
         goes_on: bool,
     ) -> None:
         sensors = estimator.sensors if sensors is None else sensors
-        instance("sensors", sensors, Sensors, "make them by Sensors(structure=..., ...)")
         _refuse_misfits(estimator, sensors, input, controller, sample, substeps)
         self._filter, self._sensors = estimator, sensors
-        self._generator = np.random.default_rng(
-            0 if seed is None else whole_number("seed", seed, 0, LARGEST_SEED)
-        )
+        self._generator = np.random.default_rng(0 if seed is None else seed)
         self._model = model
         self._law = None
         if input == "rest_length" and sensors.string_tension is not None:

@@ -44,9 +44,10 @@ from tenscontrol.files import opened_file, write_file
 from tenscontrol.integrate import Choice, MethodChange, Work
 from tenscontrol.parsing import parse_json
 from tenscontrol.plant import Reference
+from tenscontrol.simulation.arguments import Arguments, Unsaved
 from tenscontrol.simulation.contacts import ContactRecord
+from tenscontrol.simulation.control_record import ControlRecord
 from tenscontrol.simulation.faults import CutString, LostMeasurement, StuckWinch
-from tenscontrol.simulation.health import ControlRecord, Given, Unsaved
 from tenscontrol.simulation.observation import EstimateRecord
 from tenscontrol.status import Status
 from tenscontrol.structure import BarClearance, BarCrossing, Structure
@@ -81,7 +82,7 @@ _WORDS: dict[str, type[StrEnum]] = {"Status": Status, "Fallback": Fallback}
 # The parts of a run; what is None or not there is so for a reason that the run says.
 _ARRAY = np.ndarray
 _PARTS: dict[str, type | tuple[type, ...]] = {
-    "structure": Structure, "choice": Choice, "work": Work, "faults": tuple, "given": Given,
+    "structure": Structure, "choice": Choice, "work": Work, "faults": tuple, "given": Arguments,
     "conserves_energy": bool, "conserves_momentum": bool, "falls": bool, "moved": bool,
     "stopped": (str, NoneType), "note": (str, NoneType), "error_limit": (float,),
     "control": (ControlRecord, NoneType), "contacts": (ContactRecord, NoneType),
@@ -193,7 +194,7 @@ class _Writer:
                 return {"words": kind.__name__, **self._array(array, path)}
             parts = [self.node(each, (*path, str(i))) for i, each in enumerate(value)]
             return {"tuple" if isinstance(value, tuple) else "list": parts}
-        if isinstance(value, dict | Given):
+        if isinstance(value, dict | Arguments):
             raw = value if isinstance(value, dict) else value.raw
             items = {str(key): self.node(each, (*path, str(key))) for key, each in raw.items()}
             if raw is not value:
@@ -419,7 +420,7 @@ class _Reader:
         self._arrays, self._is_complete = arrays, is_complete
 
     def value(self, node: Any, place: str) -> Any:
-        """Return what a node says; what holds something unsaved is so itself."""
+        """Return what a node says."""
         if not isinstance(node, dict):
             if isinstance(node, list):
                 raise TypeError(f"{place} is a list, expected a value")
@@ -436,8 +437,13 @@ class _Reader:
                 return self._take(name, "bif")
             case {"function": [str(name), *names], "lines": lines}:
                 return _function(name, names, self.value(lines, place))
+        return self._container(node, place)
+
+    def _container(self, node: dict[str, Any], place: str) -> Any:
+        """Return what holds other values; what holds something unsaved is so itself."""
+        match node:
             case {"given": dict(items)}:
-                return Given(self._inside(items, place))
+                return Arguments(self._inside(items, place))
             case {"dict": dict(items), "keys": str(of)}:
                 return {_WORDS[of](key): each for key, each in self._inside(items, place).items()}
             case {"dict": dict(items)}:

@@ -2,59 +2,19 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
-from contextlib import nullcontext
-from dataclasses import replace
-
-import numpy as np
 
 from tenscontrol.actuation import Winches
-from tenscontrol.control import BaseController, ControlWarning, as_controller
-from tenscontrol.dynamics import Model, Pieces, Profile, as_pieces, pack_state, sampling_interval
+from tenscontrol.dynamics import Model
 from tenscontrol.estimation import KalmanFilter, Sensors
-from tenscontrol.integrate import Choice, Method, Projector, largest_frequency, state_scale
-from tenscontrol.interrupt import InterruptionWarning, interruptible
-from tenscontrol.plant import given_load, held_value, own_input
-from tenscontrol.progress import long_run_note, progress_bar
-from tenscontrol.simulation.closed_loop import run_closed_loop
-from tenscontrol.simulation.faults import Fault, Faults
-from tenscontrol.simulation.health import (
-    AccuracyWarning,
-    BarCrossingWarning,
-    Given,
-    HealthLimits,
-)
-from tenscontrol.simulation.loop import Loop, SimulationError, support_offset
+from tenscontrol.integrate import Method
+from tenscontrol.interrupt import interruptible
+from tenscontrol.simulation.faults import Fault
+from tenscontrol.simulation.health import HealthLimits
+from tenscontrol.simulation.integration import Integration
+from tenscontrol.simulation.scene import Scene, run_scene
 from tenscontrol.simulation.trajectory import Trajectory
-from tenscontrol.structure import (
-    carried_by_supports,
-    refuse_moved_supports,
-    refuse_strings_without_length,
-    refuse_wrong_bar_lengths,
-    same_members,
-)
-from tenscontrol.validation import (
-    FloatArray,
-    choice,
-    frozen,
-    instance,
-    positive_number,
-    refuse_memory,
-    refuse_time,
-    truth,
-)
-
-# States kept of an adaptive run, unless the user says otherwise.
-_OUTPUTS = 1000
-
-# A start whose bars are off by this part of their length, and stretching by this part of the
-# largest speed, is taken as it is; up to the second, at which a run counts as inaccurate, it is
-# projected. Near rest the speed is what forces and stiffness can give a structure of this size:
-# the first part of that is round-off, the second what RK4 leaves in a motion that has died out.
-# An input below zero by the first part of its largest value is zero.
-_EXACT, _PROJECTED = 1e-8, 1e-3
-_ROUND_OFF, _LEFT = 1e-12, 1e-6
+from tenscontrol.validation import truth
 
 
 def simulate(
@@ -267,380 +227,32 @@ def simulate(
     >>> (run.rest_length[6, [0, 250, 500, 1000]] / start[6]).round(3)
     array([1.  , 0.95, 0.9 , 0.9 ])
     """
-    instance("model", model, Model, "make one by Model(structure)")
-    duration = positive_number("duration", duration, "s")
-    tolerance = positive_number("tolerance", tolerance, "of size and speed")
     truth("progress", progress, "whether to show a progress bar")
-    choice("error", error, ("estimate", "none"))
-    if project is not None:
-        truth("project", project, "whether to make bar lengths exact after each step")
-    limits = HealthLimits() if limits is None else limits
-    instance("limits", limits, HealthLimits, "make them by HealthLimits(bar_length_error=...)")
-    if estimator is not None:
-        how = "make one by KalmanFilter(plant, sensors, sample_time=...)"
-        instance("estimator", estimator, KalmanFilter, how)
-    if estimator is None and sensors is not None:
-        raise ValueError("sensors go with an estimator; KalmanFilter(...) makes one")
-    if not len(model.structure.free):
-        raise ValueError("every node of the model is fixed: nothing can move")
-    if start is not None:
-        instance("start", start, Trajectory, "a run that simulate(...) returned")
-        if nodes is not None or velocities is not None:
-            raise ValueError("start gives nodes and velocities: leave those out")
-        if not same_members(start.structure, model.structure) or not np.array_equal(
-            start.structure.bar_length, model.structure.bar_length
-        ):
-            raise ValueError(
-                f"start is a run of {start.structure!r}, expected the bars, strings and supports "
-                f"of the model's {model.structure!r}"
-            )
-        faults = faults or start.faults
-        if controller is None and rest_length is None and force_density is None:
-            kept = start.held
-            rest_length, force_density = (None, kept) if start.rest_length is None else (kept, None)
-    if controller is None:
-        rest_length, force_density = own_input(model, rest_length, force_density)
-    what = _input_kind(model, rest_length, force_density, controller is not None, input)
-    law: BaseController | None = None
-    if controller is not None:
-        law = (
-            controller
-            if isinstance(controller, BaseController)
-            else as_controller(controller, model.structure, what, sample_time)
-        )
-    breaking = Faults(faults, float(np.ptp(model.structure.nodes, axis=1).max()), what)
-    winch_count = None if law is None else len(law.commanded.strings)
-    breaking.refuse_unknown(len(model.structure.strings), winch_count)
-    stopped = None
-    with interruptible() as interruption:  # CasADi may lose a key while it builds
-        now = 0.0 if start is None else float(start.time[-1])
-        span = now, now + duration
-        held = None
-        if controller is None:
-            held = checked_inputs(model, rest_length, force_density, *span)
-        offset = None
-        if support_motion is not None:
-            offset = support_offset(model, support_motion, *span)
-        loop = Loop(
+    if controller is None and input is not None:
+        raise ValueError("input goes with a controller; in open loop the given input is held")
+    with interruptible():  # CasADi may lose a key while it builds
+        integration = Integration(
+            method, tolerance, step, output_step, project, machine_code, error,
+            HealthLimits() if limits is None else limits,
+        )  # fmt: skip
+        scene = Scene(
             model,
-            input=what,
-            load=load_in_time(model, external_force, *span),
-            duration=duration,
-            method=method,
-            tolerance=tolerance,
-            step=step,
-            faults=breaking,
-            project=project,
-            machine_code=truth("machine_code", machine_code, "whether to compile the steps"),
-            degree=_degree(held, what, winches),
-            offset=offset,
-            estimates_error=error == "estimate",
-            watches_bars=limits.crossings is not None,
-        )
-        loop.error_limit = limits.position_error or loop.error_limit
-        loop.given = _given(
-            law is None,
+            duration,
+            nodes,
+            velocities,
             rest_length=rest_length,
             force_density=force_density,
+            controller=controller,
+            input=input,
+            winches=winches,
+            sample_time=sample_time,
+            faults=faults,
             external_force=external_force,
             support_motion=support_motion,
+            estimator=estimator,
+            sensors=sensors,
+            seed=seed,
+            start=start,
+            integration=integration,
         )
-        loop.output_step = _output_step(loop, output_step, duration)
-        loop.now = now
-        if law is None and (
-            winches is not None or sample_time is not None or estimator is not None
-        ):
-            raise ValueError("estimator, winches and sample_time go with a controller")
-        N, V = _beside(loop, start, nodes, velocities)
-        if start is None:
-            first = None if held is None else held.at(np.zeros(1))[:, 0]
-            state, loop.note = initial_state(model, N, V, loop.input, first)
-        else:
-            assert N is not None  # of the run
-            assert V is not None  # of the run
-            state = pack_state(model.structure, N, V)
-        notes = [loop.note, _sampling_note(loop.given, *span)]
-        loop.note = "; ".join(note for note in notes if note) or None
-        try:
-            end = loop.now + duration
-            told = progress_bar(end, shown=True) if progress else long_run_note(loop.now, end)
-            with told as loop.report:
-                if law is None:
-                    assert held is not None  # one of the two is given
-                    loop.run(state, held, duration)
-                else:
-                    estimation = None if estimator is None else (estimator, sensors, seed)
-                    used = nullcontext() if estimator is None else estimator.in_use
-                    with law.in_use, used:
-                        run_closed_loop(
-                            loop, state, duration, law, rest_length, winches, sample_time,
-                            estimation, start,
-                        )  # fmt: skip
-        except KeyboardInterrupt:
-            if not loop.spans or interruption.whole:
-                raise
-            stopped = f"stopped at {loop.now:.6g} s of motion: interrupted"
-        estimates = progress and error == "estimate" and stopped is None
-        with progress_bar(duration, estimates, label="estimating error") as loop.report_of_error:
-            run = loop.trajectory(stopped)
-    if stopped is not None or interruption.signal is not None:
-        what = stopped or "was interrupted at its end, and is complete"
-        warnings.warn(f"the simulation {what}", InterruptionWarning, stacklevel=2)
-    if stopped is None:
-        check_health(run, limits)
-        found = [] if run.control is None else run.control.problems
-        if found:
-            warnings.warn(
-                f"under {type(controller).__name__} the run did not reach its goal: "
-                f"{'; '.join(found)}. run.control.summary() says more",
-                ControlWarning,
-                stacklevel=2,
-            )
-    return run
-
-
-def _given(in_open_loop: bool, **arguments: object) -> Given:
-    """Return what is given of arguments; those of a controller's start are in its record."""
-    kept = {name: value for name, value in arguments.items() if value is not None}
-    if not in_open_loop:
-        kept.pop("rest_length", None)
-    plain = {
-        name: value if changes_in_time(value) else np.asarray(value, dtype=float)
-        for name, value in kept.items()
-    }
-    return Given(plain)
-
-
-def _sampling_note(given: Given, start: float, end: float) -> str:
-    """Return in which intervals functions of time are sampled, as text; empty if there are none."""
-    names = [name for name, value in given.raw.items() if callable(value)]
-    if not names:
-        return ""
-    interval = sampling_interval(start, end)
-    return f"{' and '.join(names)} sampled every {interval:.2g} s: shorter pulses may be missed"
-
-
-def check_health(run: Trajectory, limits: HealthLimits) -> None:
-    """Warn or raise where the motion passes a limit."""
-    health = run.health_of(limits.names)
-    every = limits.passed(health)
-    limits = replace(limits, crossings=None)
-    passed = limits.passed(health)
-    crossed = "; ".join(text for text in every if text not in passed)
-    if crossed and limits.action == "raise":
-        raise SimulationError(crossed, run)
-    if crossed:
-        warnings.warn(crossed, BarCrossingWarning, stacklevel=3)
-    if not passed:
-        return
-    text = "; ".join(passed)
-    # How deep nodes sink, a fall, and steps of motors are no errors of the integration.
-    if replace(limits, penetration=None, fall=None, rest_length_error=None).passed(health):
-        text += f": the motion may not be accurate. Try {finer(run.choice)}"
-    if health.trusted_until is not None and health.trusted_until < run.time[-1]:
-        text += "; a motion that magnifies errors can only be foretold for a time, see run.error"
-    if limits.action == "raise":
-        raise SimulationError(text, run)
-    warnings.warn(text, AccuracyWarning, stacklevel=3)
-
-
-def finer(used: Choice) -> str:
-    """Return what to try where a motion is not accurate."""
-    return (
-        "a smaller tolerance" if used.setting == "tolerance" else f"a step below {used.value:g} s"
-    )
-
-
-def _input_kind(
-    model: Model,
-    rest_length: object,
-    force_density: object,
-    is_controlled: bool,
-    input: str | None,
-) -> str:
-    """Return what is held, after checking that the arguments say so without contradiction."""
-    if is_controlled:
-        if force_density is not None:
-            raise ValueError("force_density is commanded by the controller; leave it out")
-        if input is None:
-            return "force_density" if model.strings is None else "rest_length"
-        return choice("input", input, ("rest_length", "force_density"))
-    if input is not None:
-        raise ValueError("input goes with a controller; in open loop the given input is held")
-    if (rest_length is None) == (force_density is None):
-        found = "neither" if rest_length is None else "both"
-        raise ValueError(
-            f"expected one of rest_length, force_density and controller; found {found} of the "
-            "first two and no controller"
-        )
-    return "force_density" if rest_length is None else "rest_length"
-
-
-def _output_step(loop: Loop, output_step: float | None, duration: float) -> float:
-    """Return the time between states kept, after checking that they can be kept."""
-    if output_step is not None:
-        name, value = "output_step", positive_number("output_step", output_step, "s")
-    elif loop.step is not None:
-        name, value = "step", loop.step
-    else:
-        return duration / _OUTPUTS
-    if loop.step is not None:
-        refuse_time(f"step is {loop.step:g} s", duration / loop.step, "steps", 1e-6)
-    size = 8 * 2 * loop.model.structure.nodes.size
-    keep = ". A longer output_step keeps fewer"
-    refuse_memory(f"{name} is {value:g} s", duration / value, "states", size, keep)
-    return value
-
-
-def _degree(held: Pieces | None, what: str, winches: object) -> int:
-    """Return the degree of the polynomials in time that the inputs of the strings are."""
-    if held is not None:
-        return held.degree
-    return winches.degree if what == "rest_length" and isinstance(winches, Winches) else 0
-
-
-def changes_in_time(value: object) -> bool:
-    """Return whether an argument may change in time."""
-    return isinstance(value, Profile) or callable(value)
-
-
-def checked_inputs(
-    model: Model, rest_length: object, force_density: object, start: float, end: float
-) -> Pieces:
-    """Return what is held, or changes: the one of the two that is not None, checked."""
-    name = "rest_length" if force_density is None else "force_density"
-    value = rest_length if force_density is None else force_density
-    if not changes_in_time(value):
-        return Pieces.constant(held_value(model, rest_length, force_density))
-    shape = (len(model.structure.strings),)
-    pieces = as_pieces(name, value, shape, "one per string", start, end)
-    least, time = pieces.least(start, end)
-    round_off = _ROUND_OFF * float(np.abs(pieces.coefficients[:, :, 0]).max(initial=0.0))
-    if least < -round_off or (least <= 0 and name == "rest_length"):
-        what = "a positive length in m" if name == "rest_length" else "at least 0"
-        raise ValueError(
-            f"{name} falls to {least:.3g} at {time:.6g} s, expected {what}. Cubic interpolation "
-            "may go below the values given; linear interpolation does not"
-        )
-    return pieces
-
-
-def load_in_time(
-    model: Model, external_force: object, start: float, end: float
-) -> FloatArray | Pieces:
-    """Return all that acts on the nodes from outside, N, shape (d, n), or in time."""
-    if not (model.has_external_force and changes_in_time(external_force)):
-        return checked_load(model, external_force)
-    shape = model.structure.nodes.shape
-    pieces = as_pieces("external_force", external_force, shape, "one force per node", start, end)
-    return Pieces.added([pieces, Pieces.constant(model.constant_force.ravel(order="F"))])
-
-
-def _beside(
-    loop: Loop, start: Trajectory | None, nodes: object, velocities: object
-) -> tuple[FloatArray | None, FloatArray | None]:
-    """Return nodes and velocities at the start beside the motion of supports, and tell the loop.
-
-    None for what is not given.
-    """
-    structure = loop.model.structure
-    if loop.offset is None and start is None:
-        given = ("nodes", nodes), ("velocities", velocities)
-        N, V = (None if v is None else structure.checked_nodes(name, v) for name, v in given)
-        return N, V
-    N = structure.nodes if nodes is None else structure.checked_nodes("nodes", nodes)
-    V = None if velocities is None else structure.checked_nodes("velocities", velocities)
-    if start is not None:
-        N, V = start.nodes[:, :, -1], start.velocities[:, :, -1]
-    carried = carried_by_supports(structure)
-    before = np.zeros_like(N) if V is None else np.where(carried >= 0, V[:, carried], 0.0)
-    if loop.offset is None and before.any():
-        raise ValueError("supports move at the end of start: give support_motion, how they go on")
-    if loop.offset is not None:
-        loop.offset_rate = before.ravel(order="F")
-        displaced = loop.offset.at(np.array([loop.now])).reshape(N.shape, order="F")
-        N = N if nodes is None and start is None else N - displaced
-    try:
-        refuse_moved_supports("nodes" if start is None else "start", structure, N)
-    except ValueError as error:
-        if loop.offset is None:
-            raise
-        by = f"less what support_motion displaces it by at {loop.now:g} s"
-        raise ValueError(f"{error}, {by}") from None
-    return N, np.zeros_like(N) if V is None else V - before
-
-
-def checked_load(model: Model, external_force: object) -> FloatArray:
-    """Return all that acts on the nodes from outside, N, shape (d, n)."""
-    if external_force is not None:
-        return given_load(model, external_force) + model.constant_force
-    if model.has_external_force:
-        d = model.structure.dimension
-        raise ValueError(f"the model takes a load: give external_force, shape ({d}, n), N, or 0")
-    return model.constant_force
-
-
-def initial_state(
-    model: Model, nodes: object, velocities: object, input: str, held: FloatArray | None = None
-) -> tuple[FloatArray, str | None]:
-    """Return the state at the start, and what was put right, after checking the structure is in it.
-
-    ``held`` is the input at the start, if it is known: forces give the structure its speed.
-    """
-    if nodes is None and velocities is None:  # depends on nothing but the model
-        key = "state at rest", input
-        build = lambda: frozen(_checked_state(model, None, None, input, None)[0])  # noqa: E731
-        return model.prepared.get(key, build), None
-    return _checked_state(model, nodes, velocities, input, held)
-
-
-def _checked_state(
-    model: Model, nodes: object, velocities: object, input: str, held: FloatArray | None
-) -> tuple[FloatArray, str | None]:
-    structure = model.structure
-    N = structure.nodes if nodes is None else structure.checked_nodes("nodes", nodes)
-    V = np.zeros_like(N)
-    if velocities is not None:
-        V = structure.checked_nodes("velocities", velocities)
-    bars = structure.bar_vectors(N)
-    length = np.linalg.norm(bars, axis=0)
-    off = float(np.abs(length / structure.bar_length - 1).max(initial=0.0))
-    if off > _PROJECTED:
-        refuse_wrong_bar_lengths("nodes", structure, N)
-    refuse_moved_supports("nodes", structure, N)
-    rows = structure.fixed_rows
-    moving = rows[V.ravel(order="F")[rows] != 0]
-    if len(moving):
-        node, axis = divmod(int(moving[0]), structure.dimension)
-        if node in structure.fixed:
-            what = f"the fixed node {node} by {V[:, node]} m/s"
-        else:
-            what = f"node {node}, on a roller, by {V[axis, node]:g} m/s along {'xyz'[axis]}"
-        raise ValueError(f"velocities move {what}, expected 0")
-    if input == "rest_length":
-        refuse_strings_without_length("nodes", structure, N)
-    state = pack_state(structure, N, V)
-    stretching = np.abs((bars * structure.bar_vectors(V)).sum(axis=0)) / structure.bar_length
-    worst = float(stretching.max(initial=0.0))
-    if off <= _EXACT and worst <= _EXACT * float(np.abs(V).max()):
-        return state, None
-    equation = model.equation(input)
-    if held is None:
-        held = structure.string_length(N) * (input == "rest_length")
-    speed = float(state_scale(equation, state, held, largest_frequency(equation, state, held))[-1])
-    if off <= _EXACT and worst <= _ROUND_OFF * speed:
-        return state, None
-    if worst > max(_PROJECTED * float(np.abs(V).max()), _LEFT * speed):
-        raise ValueError(
-            f"velocities stretch bar {stretching.argmax()} at {worst:.3g} m/s, expected 0: bars "
-            "are rigid. plant.to_velocities(q, rates) gives velocities that bars can have"
-        )
-    exact = Projector(equation, True)(state[:, None])
-    if not exact.size:
-        raise ValueError(
-            f"in nodes, bars are off by {off:.1e} of their length, and those that share nodes "
-            "cannot all be given theirs near by: start from a shape that is nearer"
-        )
-    return exact[:, 0], (
-        f"bars made rigid: off by {off:.1e} of their length, stretching at {worst:.1e} m/s"
-    )
+        return run_scene(scene, progress)

@@ -12,19 +12,12 @@ import numpy as np
 from tenscontrol.dynamics import ContactLaw, Model
 from tenscontrol.integrate import Choice, Work
 from tenscontrol.properties import cached_property
+from tenscontrol.simulation.arguments import Arguments, Unsaved
 from tenscontrol.simulation.contacts import ContactRecord
+from tenscontrol.simulation.control_record import ControlRecord
 from tenscontrol.simulation.faults import Fault
-from tenscontrol.simulation.health import (
-    BLOCK,
-    ERROR_LIMIT,
-    ControlRecord,
-    Given,
-    Health,
-    Quantities,
-    Unsaved,
-    by_node,
-    read_only,
-)
+from tenscontrol.simulation.health import ERROR_LIMIT, Health
+from tenscontrol.simulation.motion_functions import BLOCK, MotionFunctions, by_node, read_only
 from tenscontrol.simulation.run_file import (
     EVALUATED,
     OF_BARS,
@@ -85,11 +78,14 @@ class Trajectory(Viewable):
         What was made to break.
     note : str or None
         What was put right at the start, and in which intervals functions of time were sampled.
-    given : Given
+    given : Arguments
         What :func:`simulate` was given in open loop, by name: ``rest_length`` or
         ``force_density``, ``external_force``, ``support_motion``.
     contacts : ContactRecord or None
         What touched the ground; None without ground.
+    scene : Scene or None
+        What was simulated. None in a copy, in a run from a file or a batch, and in one that goes on
+        from another.
     falls : bool
         Whether nothing stops it: it has weight, but neither ground nor supports.
     """
@@ -112,10 +108,11 @@ class Trajectory(Viewable):
     note: str | None = None
     contacts: ContactRecord | None = None
     falls: bool = False
-    given: Given = field(default_factory=Given)
+    given: Arguments = field(default_factory=Arguments)
+    scene: Any = field(default=None, repr=False)
     _ground: tuple[ContactLaw, ...] | Unsaved = ()
     # Of a copy there are none; of a run from a file they may not be there.
-    _quantities: Quantities | Unsaved | None = field(default=None, repr=False)
+    _functions: MotionFunctions | Unsaved | None = field(default=None, repr=False)
 
     @property
     def method(self) -> str:
@@ -150,13 +147,14 @@ class Trajectory(Viewable):
         for name in (*EVALUATED, *OF_BARS):
             getattr(self, name)
         return {name: v for name, v in vars(self).items() if name != "_bars"} | {
-            "_quantities": None
+            "_functions": None,
+            "scene": None,
         }
 
     @property
-    def _of_model(self) -> Quantities:
-        assert isinstance(self._quantities, Quantities)  # a copy without it has all values
-        return self._quantities
+    def _of_model(self) -> MotionFunctions:
+        assert isinstance(self._functions, MotionFunctions)  # a copy without it has all values
+        return self._functions
 
     @property
     def model(self) -> Model:
@@ -165,9 +163,9 @@ class Trajectory(Viewable):
         Raises a ValueError where it has a string law or a ground of your own and the run is from a
         file, or where the run is a copy.
         """
-        if isinstance(self._quantities, Quantities):
-            return self._quantities.model
-        raise ValueError(str(self._quantities or "a copy of a run has no model: use your own"))
+        if isinstance(self._functions, MotionFunctions):
+            return self._functions.model
+        raise ValueError(str(self._functions or "a copy of a run has no model: use your own"))
 
     @property
     def ground(self) -> tuple[ContactLaw, ...]:
@@ -219,16 +217,16 @@ class Trajectory(Viewable):
         It jumps where a controller changes its command, and falls where a string is cut.
         """
         name = "potential_energy" if self.rest_length is None else "elastic_energy"
-        quantities = self._of_model
-        energy = self._evaluated(name, quantities.inputs)[0][0]
-        if quantities.stored is not None:
-            energy = energy + quantities.stored
-        if quantities.load is not None:
-            fixed = quantities.load.shape == self.nodes.shape[:2]
+        functions = self._of_model
+        energy = self._evaluated(name, functions.inputs)[0][0]
+        if functions.stored is not None:
+            energy = energy + functions.stored
+        if functions.load is not None:
+            fixed = functions.load.shape == self.nodes.shape[:2]
             energy = energy - (
-                np.einsum("in,int->t", quantities.load, self.nodes)
+                np.einsum("in,int->t", functions.load, self.nodes)
                 if fixed
-                else (quantities.load * by_node(self.nodes)).sum(axis=0)
+                else (functions.load * by_node(self.nodes)).sum(axis=0)
             )
         return read_only(energy)
 
@@ -255,7 +253,7 @@ class Trajectory(Viewable):
 
     @cached_property
     def _bars(self) -> BarMotion:
-        """The bars over the run; :class:`Loop` gives one that may have been integrated again."""
+        """The bars over the run; :func:`simulate` gives one that may have been integrated again."""
         states = self.time, self.nodes, self.velocities
         return BarMotion(self.structure, *states, steps=self.work.steps)
 
@@ -443,6 +441,11 @@ class Trajectory(Viewable):
             lines.append(
                 f"trusted until     {self.trusted_until:.4g} s: error below {self.error_limit:g}"
             )
+        return lines + self._events()
+
+    def _events(self) -> list[str]:
+        """Return the lines on switches, contacts, bars and falls, where there are some."""
+        lines = []
         if self.work.rejections:
             lines.append(f"rejected steps    {self.work.rejections}")
         if self.work.switches:
@@ -503,10 +506,12 @@ class Trajectory(Viewable):
         ...     tc.load_run(file)
         Trajectory(0.1 s, 11 states, rk4)
         """
-        values = {each.name: getattr(self, each.name) for each in fields(self)}
-        ground, found = values.pop("_ground"), values.pop("_quantities")
+        values = {
+            each.name: getattr(self, each.name) for each in fields(self) if each.name != "scene"
+        }
+        ground, found = values.pop("_ground"), values.pop("_functions")
         more: dict[str, Any] = {"model": found, "moved": False, "load": None}
-        if isinstance(found, Quantities):
+        if isinstance(found, MotionFunctions):
             parts = model_parts(found.model)
             more = {"model": parts, "moved": found.moved, "load": found.load}
         evaluated = {name: getattr(self, name) for name in (*EVALUATED, *OF_BARS)}
@@ -613,7 +618,7 @@ def load_run(path: str | Path) -> Trajectory:
         lengths, contacts = found["rest_length"], found["contacts"]
         inputs = evaluated["force_density"] if lengths is None else lengths
         stored = None if contacts is None else contacts.stored_energy.sum(axis=0)
-        made = Quantities(made, moved, inputs, load, stored)
-    run = Trajectory(**found, _ground=ground, _quantities=made)
+        made = MotionFunctions(made, moved, inputs, load, stored)
+    run = Trajectory(**found, _ground=ground, _functions=made)
     vars(run).update(evaluated)
     return run

@@ -15,7 +15,7 @@ def paper_case(duration, vertical=9.0, damping=0.0):
     prism = tc.prism()
     lengths = rest_lengths(prism, paper_force_density(vertical), STIFFNESS)
     model = tc.Model(prism, strings=tc.LinearStrings(STIFFNESS, damping))
-    return tc.Case(model, duration, input="rest_length", value=lengths)
+    return tc.Scene(model, duration, rest_length=lengths)
 
 
 def slack_skin_case(duration):
@@ -24,4 +24,4 @@ def slack_skin_case(duration):
     gamma = np.r_[paper_force_density(9.0), np.zeros(24)]
     model = tc.Model(structure, strings=tc.LinearStrings(STIFFNESS))
     lengths = rest_lengths(structure, gamma, STIFFNESS)
-    return tc.Case(model, duration, input="rest_length", value=lengths)
+    return tc.Scene(model, duration, rest_length=lengths)

@@ -18,7 +18,7 @@ pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 @pytest.fixture(scope="module")
 def case():
     gamma = np.repeat([17.3205, 17.3205, 9.0], 3)
-    return tc.Case(tc.Model(tc.prism()), 0.5, input="force_density", value=gamma)
+    return tc.Scene(tc.Model(tc.prism()), 0.5, force_density=gamma)
 
 
 def press_at(call, monkeypatch, owner, name):

@@ -25,7 +25,7 @@ def test_example_one_agrees_with_rigid_bodies_through_all_switches(paper_motion)
 def test_damped_strings_agree_with_rigid_bodies():
     case = paper_case(1.0, damping=0.3)
     found = tc.accuracy.converged_motion(case, outputs=20)
-    law = HeldRestLength(case.value, 100.0, 0.3)
+    law = HeldRestLength(case.input_value, 100.0, 0.3)
     nodes, _ = RigidBars(case.structure, law).integrate(
         case.nodes, case.velocities, np.r_[0.0, found.time]
     )

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.accuracy import Case, extreme_cases
-from tenscontrol.accuracy.case import fastest_rate
+from tenscontrol.accuracy import extreme_cases
 from tenscontrol.accuracy.measured_run import conserves_momentum, invariants
+from tenscontrol.accuracy.open_loop import fastest_rate
 from tenscontrol.accuracy.peers import CasADiCVODES, CasADiRK, MuJoCo, SciPy
 from tests import coupled
 
@@ -21,14 +21,14 @@ def tower_case(duration=0.5):
     model = tc.Model(tower, strings=tc.LinearStrings(100.0))
     gamma = coupled.tower_force_density() * np.repeat([0.9, 1.0], [6, 9])
     lengths = tc.to_rest_length(model, tower.nodes, gamma).rest_length
-    return Case(model, duration, input="rest_length", value=lengths)
+    return tc.Scene(model, duration, rest_length=lengths)
 
 
 @cache
 def arm_case(duration=0.3):
     """A planar arm on a roller under gravity, with a clustered string and payloads."""
     model = tc.Model(coupled.arm(cluster=True), strings=tc.LinearStrings(500.0), gravity=9.81)
-    return Case(model, duration, input="rest_length", value=0.95 * model.structure.string_length())
+    return tc.Scene(model, duration, rest_length=0.95 * model.structure.string_length())
 
 
 def d_bar_case(duration=2.0, change=(-0.1, 0.01)):
@@ -37,7 +37,7 @@ def d_bar_case(duration=2.0, change=(-0.1, 0.01)):
     model = tc.Model(d_bar, strings=tc.LinearStrings(100.0))
     turning = np.vstack([-d_bar.nodes[1], d_bar.nodes[0]])
     value = d_bar.string_length() + np.array(change)
-    return Case(model, duration, velocities=turning, input="rest_length", value=value)
+    return tc.Scene(model, duration, velocities=turning, rest_length=value)
 
 
 @pytest.mark.parametrize("make", [tower_case, arm_case])
@@ -81,7 +81,7 @@ def test_stable_steps_over_stiffness_and_payload():
         lengths = (1 - 10.0 / stiffness) * structure.string_length()
         spread = structure.nodes * [[1.0001], [1.0]]
         nodes = tc.structure.restore_bar_lengths(structure, spread)
-        return Case(model, 1.0, nodes, input="rest_length", value=lengths)
+        return tc.Scene(model, 1.0, nodes, rest_length=lengths)
 
     found = tc.stability_map("rk4", [1e2, 1e4], [1e-1], case=near_rest, steps=500)
     np.testing.assert_allclose(found.step / found.bound, 1.0, atol=0.05)
@@ -90,7 +90,7 @@ def test_stable_steps_over_stiffness_and_payload():
 def test_what_a_planar_motion_conserves():
     case = d_bar_case()
     run = tc.simulate(
-        case.model, case.duration, velocities=case.velocities, rest_length=case.value,
+        case.model, case.duration, velocities=case.velocities, rest_length=case.input_value,
         method="rattle", step=1e-3,
     )  # fmt: skip
     structure = case.structure
@@ -132,13 +132,13 @@ def test_mujoco_refuses_by_name_what_it_cannot_do(monkeypatch):
     ladder = tc.Structure(
         [[0.0, 1.0], [1.0, 0.0]], [[0, 1]], np.zeros((0, 2), int), 1.0, fixed=[(0, "x"), (1, "y")]
     )
-    case = Case(tc.Model(ladder), 0.1, input="force_density", value=np.zeros(0))
+    case = tc.Scene(tc.Model(ladder), 0.1, force_density=np.zeros(0))
     assert "node 1 is on a roller" in MuJoCo("rk4").refuse(case)
 
 
 def test_a_tendon_of_mujoco_runs_over_the_nodes_of_a_clustered_string():
     (extreme, _) = extreme_cases._short_segment()
-    text = tc.exchange.to_mujoco(extreme.case.model, rest_length=extreme.case.value)
+    text = tc.exchange.to_mujoco(extreme.case.model, rest_length=extreme.case.input_value)
     tendons = ElementTree.fromstring(text).findall("tendon/spatial")
     sites = [[site.get("site") for site in tendon] for tendon in tendons]
     assert sites == [["n0", "n2", "n1"], ["n1", "n3"]]

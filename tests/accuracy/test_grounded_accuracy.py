@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.accuracy.case import fastest_rate
+from tenscontrol.accuracy.open_loop import fastest_rate
 from tenscontrol.accuracy.peers import CasADiRK, SciPy
 from tenscontrol.integrate import DOP853
 
@@ -17,7 +17,7 @@ def bar_case(**law):
     ground = tc.Ground(STIFFNESS, **law)
     down = np.array([[0.0], [0.0], [-SPEED]]) * np.ones(2)
     model = tc.Model(bar, ground=ground)
-    return tc.Case(model, 0.4, velocities=down, input="force_density", value=np.zeros(0))
+    return tc.Scene(model, 0.4, velocities=down, force_density=np.zeros(0))
 
 
 def ball_case(duration=0.35, **law):
@@ -29,9 +29,7 @@ def ball_case(duration=0.35, **law):
     model = tc.Model(ball, strings=strings, gravity=9.81, ground=ground)
     velocities = np.zeros_like(ball.nodes)
     velocities[0] = 0.5
-    return tc.Case(
-        model, duration, velocities=velocities, input="rest_length", value=lengths.rest_length
-    )
+    return tc.Scene(model, duration, velocities=velocities, rest_length=lengths.rest_length)
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +53,7 @@ def test_the_reference_of_a_bounce_is_the_closed_form():
 
 def test_outputs_at_the_very_time_of_a_switch_are_those_of_the_step_before_it():
     case = bar_case()  # which touches at 0.05 s
-    found = DOP853(case.equation(), 1e-9).advance(case.state, case.value, case.duration, 40)
+    found = DOP853(case.equation(), 1e-9).advance(case.state, case.input_value, case.duration, 40)
     height, speed = found.states[[2, 8], 4]
     assert abs(height) < 1e-15
     assert speed == pytest.approx(-SPEED, rel=1e-14)
@@ -69,9 +67,7 @@ def test_codes_of_the_reference_agree_where_contacts_rub(bouncing):
     smooth = bar_case()
     law = tc.dynamics.SmoothGround(STIFFNESS, friction=0.3, width=0.01)
     model = tc.Model(smooth.structure, ground=law)
-    case = tc.Case(
-        model, 0.2, velocities=smooth.velocities, input="force_density", value=np.zeros(0)
-    )
+    case = tc.Scene(model, 0.2, velocities=smooth.velocities, force_density=np.zeros(0))
     found = tc.accuracy.converged_motion(case, outputs=10)
     assert found.error < 1e-11
     assert len(found.switches) == 0

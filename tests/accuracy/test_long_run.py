@@ -64,7 +64,7 @@ def test_runge_kutta_loses_energy_and_rattle_does_not():
 def test_parts_make_the_same_motion_as_a_whole():
     case = paper_case(0.5)
     found = tc.long_run(case, "rk4", 1e-3, steps=500, outputs=125)
-    run = tc.simulate(case.model, 0.5, rest_length=case.value, method="rk4", step=1e-3)
+    run = tc.simulate(case.model, 0.5, rest_length=case.input_value, method="rk4", step=1e-3)
     np.testing.assert_allclose(found.time, run.time[4::4], rtol=1e-12)
     np.testing.assert_allclose(
         found.of("energy").error, (run.energy - run.energy[0])[4::4], atol=1e-9
@@ -79,7 +79,7 @@ def test_what_is_not_conserved_is_left_out():
     with pytest.raises(ValueError, match="name is 'energy', expected one of"):
         damped.of("energy")
     hung = tc.Model(tc.prism(), gravity=9.81)
-    case = tc.Case(hung, 1.0, input="force_density", value=20.0)
+    case = tc.Scene(hung, 1.0, force_density=20.0)
     falling = tc.long_run(case, "rk4", 1e-3, steps=100, outputs=50)
     assert [drift.name for drift in falling.drifts] == ["energy", "bar length"]
     assert falling.of("energy").largest < 1e-4

@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import tenscontrol as tc
-from tenscontrol.accuracy import Case, Peer, Solution
+from tenscontrol.accuracy import Peer, Solution
 from tenscontrol.accuracy.peers import CasADiCVODES, CasADiRK, MuJoCo, SciPy
 from tenscontrol.dynamics import unpack_states
 from tenscontrol.integrate import DOP853, RK4
@@ -37,7 +37,7 @@ def prism_case(vertical=45.0, duration=0.5, stiffness=100.0, damping=0.0):
     prism = tc.prism()
     lengths = rest_lengths(prism, paper_force_density(vertical), stiffness)
     model = tc.Model(prism, strings=tc.LinearStrings(stiffness, damping))
-    return Case(model, duration, input="rest_length", value=lengths)
+    return tc.Scene(model, duration, rest_length=lengths)
 
 
 def solved(peer, case, setting, outputs=5):
@@ -54,7 +54,9 @@ def oracle(case, law, outputs=5):
 
 def ours(case, outputs=5):
     """Nodes and velocities by our own adaptive method, for what the oracle does not know."""
-    span = DOP853(case.equation(), 1e-11).advance(case.state, case.value, case.duration, outputs)
+    span = DOP853(case.equation(), 1e-11).advance(
+        case.state, case.input_value, case.duration, outputs
+    )
     return unpack_states(case.structure, span.states)
 
 
@@ -78,7 +80,7 @@ FINE = {
 @pytest.mark.parametrize("peer", PEERS)
 def test_a_peer_follows_the_oracle(peer):
     case = prism_case()
-    exact = oracle(case, HeldRestLength(case.value, 100.0))
+    exact = oracle(case, HeldRestLength(case.input_value, 100.0))
     setting, error = FINE[peer.name]
     found = solved(peer, case, setting)
     coarse = solved(peer, case, 10 * setting)
@@ -104,7 +106,7 @@ def test_a_peer_starts_anew_each_time(peer):
 @pytest.mark.parametrize("peer", PEERS)
 def test_a_peer_holds_force_densities(peer):
     gamma = paper_force_density(20.0)
-    case = Case(tc.Model(tc.prism()), 0.3, input="force_density", value=gamma)
+    case = tc.Scene(tc.Model(tc.prism()), 0.3, force_density=gamma)
     exact = oracle(case, HeldForceDensity(gamma))
     setting, error = FINE[peer.name]
     assert np.abs(solved(peer, case, setting).nodes - exact).max() < 3 * error
@@ -131,7 +133,7 @@ def test_the_fixed_steps_of_casadi_are_those_of_our_own_method():
     """The same steps, so that the count of evaluations is theirs; 0.7 s in steps of 7/3 ms."""
     case = prism_case(duration=0.7)
     found = solved(CasADiRK(), case, 3e-3, outputs=100)
-    span = RK4(case.equation(), 3e-3).advance(case.state, case.value, 0.7, 100)
+    span = RK4(case.equation(), 3e-3).advance(case.state, case.input_value, 0.7, 100)
     assert found.evaluations == span.work.evaluations == 4 * 300
     x = found.nodes.transpose(1, 0, 2).reshape(18, 100)
     np.testing.assert_allclose(x, span.states[:18], rtol=0, atol=1e-12)
@@ -146,7 +148,7 @@ def test_scipy_counts_every_evaluation_and_jacobians_beside():
     case = prism_case(duration=0.1)
     kinked = case.equation().kinked_slope
     plain = solve_ivp(
-        lambda t, x: np.array(kinked(x, case.value)).ravel(),
+        lambda t, x: np.array(kinked(x, case.input_value)).ravel(),
         (0, 0.1),
         case.state,
         method="RK45",
@@ -187,7 +189,7 @@ def test_a_problem_beyond_cvodes_is_a_failed_run(capfd):
     pair = tc.Structure(
         [[0.0, 1.0], [0.0, 0.0], [0.0, 0.0]], [], [[0, 1]], [], string_node_mass=1.0
     )
-    case = Case(tc.Model(pair), 1.0, input="force_density", value=1e70)
+    case = tc.Scene(tc.Model(pair), 1.0, force_density=1e70)
     with pytest.raises(ArithmeticError, match="CVODES stopped with"):
         solved(CasADiCVODES(), case, 1e-8)
     assert capfd.readouterr() == ("", "")
@@ -214,7 +216,7 @@ def test_mujoco_takes_any_structure_and_motion(seed):
     start, rates = random_motion(structure, seed)
     gamma = random_force_density(structure, seed)
     model = tc.Model(structure)
-    case = Case(model, 0.2, start, rates, input="force_density", value=gamma)
+    case = tc.Scene(model, 0.2, start, rates, force_density=gamma)
     compared(case, HeldForceDensity(gamma))
 
 
@@ -224,7 +226,7 @@ def test_mujoco_takes_the_papers_prism(vertical):
     """In minimal coordinates; with 9 N/m strings go slack, and no step ends there."""
     case = prism_case(vertical, duration=0.5)
     error = 1e-6 if vertical == 9.0 else 1e-10
-    found = compared(case, HeldRestLength(case.value, 100.0), error)
+    found = compared(case, HeldRestLength(case.input_value, 100.0), error)
     ends = found.nodes[:, case.structure.bars]
     length = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=0)
     np.testing.assert_allclose(length, case.structure.bar_length[:, None].repeat(5, 1), rtol=1e-14)
@@ -233,7 +235,7 @@ def test_mujoco_takes_the_papers_prism(vertical):
 @needs_mujoco
 def test_mujoco_takes_damped_strings_while_none_is_slack():
     case = prism_case(vertical=45.0, damping=1.0)
-    compared(case, HeldRestLength(case.value, 100.0, 1.0))
+    compared(case, HeldRestLength(case.input_value, 100.0, 1.0))
 
 
 @needs_mujoco
@@ -248,7 +250,7 @@ def test_mujoco_takes_elastic_strings():
     prism = tc.prism()
     model = tc.Model(prism, strings=tc.ElasticStrings(80.0))
     lengths = model.strings.rest_length(prism.string_length(), paper_force_density(40.0))
-    compared(Case(model, 0.3, input="rest_length", value=lengths))
+    compared(tc.Scene(model, 0.3, rest_length=lengths))
 
 
 @needs_mujoco
@@ -259,11 +261,10 @@ def test_mujoco_takes_fixed_nodes_and_gravity(fixed):
     standing = tc.Structure(prism.nodes, prism.bars, prism.strings, 2.0, fixed=fixed)
     model = tc.Model(standing, strings=tc.LinearStrings(100.0), gravity=9.81)
     lengths = rest_lengths(standing, paper_force_density(45.0), 100.0)
-    case = Case(model, 0.3, input="rest_length", value=lengths)
+    case = tc.Scene(model, 0.3, rest_length=lengths)
     rates = ours(case)[1][:, :, -1]
     nodes = tc.structure.restore_bar_lengths(standing, ours(case)[0][:, :, -1])
-    moving = Case(model, 0.2, nodes, _rigid(standing, nodes, rates), input="rest_length",
-                  value=lengths)  # fmt: skip
+    moving = tc.Scene(model, 0.2, nodes, _rigid(standing, nodes, rates), rest_length=lengths)
     compared(case)
     found = compared(moving)
     np.testing.assert_array_equal(found.nodes[:, fixed], nodes[:, fixed, None].repeat(5, axis=2))
@@ -292,7 +293,7 @@ def test_mujoco_takes_loads(even):
         load[:, structure.bars[:, 1]] = load[:, structure.bars[:, 0]]
     gamma = random_force_density(structure, 5)
     model = tc.Model(structure, external_force=True, gravity=[0.0, 1.0, -9.0])
-    case = Case(model, 0.2, input="force_density", value=gamma, external_force=load)
+    case = tc.Scene(model, 0.2, force_density=gamma, external_force=load)
     compared(case, HeldForceDensity(gamma))
 
 
@@ -304,14 +305,14 @@ def test_mujoco_takes_loads_on_swinging_bars():
     load = np.zeros((3, 3))
     load[:, 1] = 1.0, 2.0, -3.0
     model = tc.Model(structure, external_force=load)
-    compared(Case(model, 0.5, input="force_density", value=2.0))
+    compared(tc.Scene(model, 0.5, force_density=2.0))
 
 
 @needs_mujoco
 def test_mujoco_gains_four_orders_by_its_best_method():
     """Fitted over steps of 8 to 1 ms: 4 for rk4, 1 for the others."""
     case = prism_case()
-    exact = oracle(case, HeldRestLength(case.value, 100.0))
+    exact = oracle(case, HeldRestLength(case.input_value, 100.0))
     steps = np.array([8e-3, 4e-3, 2e-3, 1e-3])
     for method in METHODS:
         errors = [np.abs(solved(MuJoCo(method), case, h).nodes - exact).max() for h in steps]
@@ -330,7 +331,7 @@ def bar_on_ground(height=0.0, speed=0.0, duration=0.4, gravity=None, tilt=0.0, *
     bar = tc.Structure(nodes, [[0, 1]], np.zeros((0, 2), int), 2.0)
     velocities = np.array([[speed], [0.0], [-speed]]) * np.ones(2)
     model = tc.Model(bar, gravity=gravity, ground=tc.Ground(1e3, **law))
-    return Case(model, duration, velocities=velocities, input="force_density", value=np.zeros(0))
+    return tc.Scene(model, duration, velocities=velocities, force_density=np.zeros(0))
 
 
 @needs_mujoco
@@ -359,7 +360,7 @@ def test_mujoco_slides_to_rest_under_the_friction_of_the_case():
     law = {"damping": 5.0, "friction": 0.5, "slip_speed": 1e-3}
     case = bar_on_ground(height=-9.81e-3, duration=0.6, gravity=9.81, **law)
     sliding = np.array([[2.0], [0.0], [0.0]]) * np.ones(2)
-    case = Case(case.model, 0.6, velocities=sliding, input="force_density", value=np.zeros(0))
+    case = tc.Scene(case.model, 0.6, velocities=sliding, force_density=np.zeros(0))
     found, exact = solved(MuJoCo("rk4"), case, 2e-4, outputs=6), ours(case, outputs=6)[0]
     ways = [nodes[0, 0, -1] - case.nodes[0, 0] for nodes in (exact, found.nodes)]
     coulomb = 2.0**2 / (2 * 0.5 * 9.81)
@@ -374,9 +375,8 @@ def test_mujoco_takes_several_planes_each_on_its_nodes():
     wall = tc.Ground(1e3, damping=0.1, normal=[-1.0, 0.0, 0.0], height=-0.6, nodes=[1])
     bar = tc.Structure([[-0.5, 0.5], [0, 0], [0, 0.2]], [[0, 1]], np.zeros((0, 2), int), 2.0)
     moving = np.array([[1.0], [0.0], [-1.0]]) * np.ones(2)
-    case = Case(
-        tc.Model(bar, ground=[floor, wall]), 0.3, velocities=moving, input="force_density",
-        value=np.zeros(0),
+    case = tc.Scene(
+        tc.Model(bar, ground=[floor, wall]), 0.3, velocities=moving, force_density=np.zeros(0),
     )  # fmt: skip
     found, exact = solved(MuJoCo("rk4"), case, 2e-4, outputs=30), ours(case, outputs=30)[0]
     assert np.abs(found.nodes - exact).max() < 5e-3
@@ -394,7 +394,7 @@ def test_mujoco_takes_several_planes_each_on_its_nodes():
 )
 @needs_mujoco
 def test_mujoco_refuses_other_contact_laws(ground, why):
-    case = Case(tc.Model(tc.prism(), ground=ground), 0.1, input="force_density", value=np.ones(9))
+    case = tc.Scene(tc.Model(tc.prism(), ground=ground), 0.1, force_density=np.ones(9))
     assert why in MuJoCo("rk4").refuse(case)
 
 

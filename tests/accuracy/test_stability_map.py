@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.accuracy.case import fastest_rate
+from tenscontrol.accuracy.open_loop import fastest_rate
 from tenscontrol.accuracy.stability_map import prism_near_rest, theoretical_limit
 
 
@@ -35,7 +35,7 @@ def test_measured_steps_are_those_of_theory(method):
 
 def test_the_fastest_rate_is_the_highest_mode(prism, rest):
     model = tc.Model(prism)
-    case = tc.Case(model, 1.0, input="force_density", value=rest.force_density)
+    case = tc.Scene(model, 1.0, force_density=rest.force_density)
     highest = 2 * np.pi * tc.modes(tc.linearize(model, rest)).frequency.max()
     assert fastest_rate(case) == pytest.approx(highest, rel=1e-9)
 
@@ -52,7 +52,7 @@ def test_a_users_own_case(rest):
         lengths = tc.to_rest_length(model, prism.nodes, rest.force_density).rest_length
         moved = prism.nodes + 1e-5 * np.random.default_rng(1).normal(size=(3, 6))
         nodes = tc.structure.restore_bar_lengths(prism, moved)
-        return tc.Case(model, 1.0, nodes, input="rest_length", value=lengths)
+        return tc.Scene(model, 1.0, nodes, rest_length=lengths)
 
     found = tc.stability_map("rk4", [1e3], [1.0, 0.25], make, steps=600)
     np.testing.assert_allclose(found.step / found.bound, 1.0, atol=0.03)

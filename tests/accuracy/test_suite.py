@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.accuracy.case import Case
 from tenscontrol.accuracy.extreme_cases import ASKED, Extreme, extremes, methods
 from tenscontrol.accuracy.suite import VERDICTS, Truth, extreme_suite, judge, main, truth
 from tenscontrol.integrate import METHODS
@@ -22,9 +21,7 @@ def quick():
 
 @pytest.fixture(scope="module")
 def prism_case():
-    return Extreme(
-        "prism", "let go", Case(tc.Model(tc.prism()), 1.0, input="force_density", value=GAMMA)
-    )
+    return Extreme("prism", "let go", tc.Scene(tc.Model(tc.prism()), 1.0, force_density=GAMMA))
 
 
 # ---- what it finds ----

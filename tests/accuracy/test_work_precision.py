@@ -74,7 +74,12 @@ def found(case, reference):
 def test_errors_are_those_of_a_simulation(case, reference, found):
     for row in found.of("rk4"):
         run = tc.simulate(
-            case.model, 0.4, rest_length=case.value, step=row.setting, method="rk4", error="none"
+            case.model,
+            0.4,
+            rest_length=case.input_value,
+            step=row.setting,
+            method="rk4",
+            error="none",
         )
         every = round(0.04 / row.setting)
         distance = np.linalg.norm(run.nodes[:, :, every::every] - reference.nodes, axis=0)

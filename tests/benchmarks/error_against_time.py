@@ -29,7 +29,7 @@ SETTINGS = {
 }
 
 
-def example(segments: int, duration: float) -> tc.Case:
+def example(segments: int, duration: float) -> tc.Scene:
     """The paper's example 1: γ = 17.3205 N/m, but 9 N/m in the vertical strings."""
     prism = tc.prism()
     gamma = np.repeat([17.3205, 17.3205, 9.0], 3)
@@ -37,12 +37,12 @@ def example(segments: int, duration: float) -> tc.Case:
     model = tc.Model(prism, strings=tc.LinearStrings(stiffness))
     lengths = tc.to_rest_length(model, prism.nodes, gamma).rest_length
     if segments == 1:
-        return tc.Case(model, duration, input="rest_length", value=lengths, name="massless strings")
+        return tc.Scene(model, duration, rest_length=lengths, name="massless strings")
     # The paper's node mass: a string of 0.04 kg on a bar of 1 kg.
     cut = tc.subdivide(prism, segments=segments, node_mass=0.04 / segments)
     massive = tc.Model(cut, strings=tc.LinearStrings(stiffness * segments))
     value = tc.structure.spread_rest_length(cut, lengths)
-    return tc.Case(massive, duration, input="rest_length", value=value, name=f"{segments} segments")
+    return tc.Scene(massive, duration, rest_length=value, name=f"{segments} segments")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

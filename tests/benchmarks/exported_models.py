@@ -29,19 +29,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for name in given.names:
         structure = library()[name]
         model = tc.Model(structure, strings=tc.LinearStrings(1e3), gravity=9.81)
-        case = tc.Case(
-            model, given.duration, velocities=thrown(structure), input="rest_length",
-            value=0.9 * structure.string_length(),
-        )  # fmt: skip
+        case = tc.Scene(
+            model,
+            given.duration,
+            velocities=thrown(structure),
+            rest_length=0.9 * structure.string_length(),
+        )
         run = tc.simulate(
-            model, case.duration, velocities=case.velocities, rest_length=case.value,
+            model, case.duration, velocities=case.velocities, rest_length=case.input_value,
             method="dop853", tolerance=1e-11, output_step=case.duration,
         )  # fmt: skip
         errors, end = [], np.array([case.duration])
         for step in given.steps:
             found = MuJoCo("rk4").prepare(case, step, end)().nodes
             errors.append(np.abs(found[..., -1] - run.nodes[..., -1]).max())
-        loops = tc.exchange.to_mujoco(model, rest_length=case.value).count("<connect")
+        loops = tc.exchange.to_mujoco(model, rest_length=case.input_value).count("<connect")
         order = np.polyfit(np.log(given.steps), np.log(errors), 1)[0]
         row = "".join(f"{error:13.1e}" for error in errors)
         print(f"{name:14s} {loops:5d} {row} {order:7.1f}")

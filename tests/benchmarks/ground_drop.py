@@ -29,7 +29,7 @@ SETTINGS = {
 METHODS = ("euler", "implicitfast", "rk4")
 
 
-def drop(duration: float, height: float = 0.3) -> tc.Case:
+def drop(duration: float, height: float = 0.3) -> tc.Scene:
     """The ball above the ground; its strings are not damped, as MuJoCo's would push when slack."""
     ball = tc.library.six_bar_ball()
     strings = tc.LinearStrings(500.0)
@@ -39,12 +39,11 @@ def drop(duration: float, height: float = 0.3) -> tc.Case:
     ground = tc.Ground(5e3, damping=0.3, friction=0.5, slip_speed=0.01, height=below)
     velocities = np.zeros_like(ball.nodes)
     velocities[0] = 0.5
-    return tc.Case(
+    return tc.Scene(
         tc.Model(ball, strings=strings, gravity=9.81, ground=ground),
         duration,
         velocities=velocities,
-        input="rest_length",
-        value=lengths.rest_length,
+        rest_length=lengths.rest_length,
         name="six-bar ball on the ground",
     )
 

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from tenscontrol.accuracy import Case
 from tenscontrol.accuracy.peers import Peer, Solution
 from tenscontrol.accuracy.peers.peer import spaced
+from tenscontrol.simulation import Scene
 
 
-def acceleration(case: Case) -> Callable[[Any, Any], Any]:
+def acceleration(case: Scene) -> Callable[[Any, Any], Any]:
     """Return ``(N, V) -> A`` of class-1 bars alone, (n, 3) each, by strings gathered node by node.
 
     Of four ways to write it (gathered by strings with scattered sums, by dense incidence matrices,
@@ -31,7 +31,7 @@ def acceleration(case: Case) -> Callable[[Any, Any], Any]:
     full = [[*each, *[(node, -1)] * (most - len(each))] for node, each in enumerate(near)]
     other, string = np.array(full).transpose(2, 0, 1)
     stiffness = np.append(np.broadcast_to(law.stiffness, len(structure.strings)), 0.0)[string]
-    rest = np.append(case.value, 1.0)[string]
+    rest = np.append(case.input_value, 1.0)[string]
     partner, mass = np.empty(n, int), np.empty(n)
     for (one, end), m in zip(structure.bars, structure.bar_mass, strict=True):
         partner[[one, end]], mass[[one, end]] = (end, one), m
@@ -64,7 +64,7 @@ def rk4_step(accelerations: Callable[..., Any], N: Any, V: Any, h: float) -> tup
     return N + h / 6 * (V + 2 * v2 + 2 * v3 + v4), V + h / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
 
 
-def _starts(case: Case) -> tuple[Any, Any]:
+def _starts(case: Scene) -> tuple[Any, Any]:
     os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
     import jax
     import jax.numpy as jnp
@@ -87,7 +87,7 @@ class JaxRK4(Peer):
         self.settings = tuple(settings)
         self._compiled: Any = None
 
-    def prepare(self, case: Case, setting: float, times: Any) -> Callable[[], Solution]:
+    def prepare(self, case: Scene, setting: float, times: Any) -> Callable[[], Solution]:
         """See :meth:`Peer.prepare`."""
         N, V = _starts(case)
         import jax
@@ -117,7 +117,7 @@ class Diffrax(Peer):
         self.settings = tuple(settings)
         self._compiled: Any = None
 
-    def prepare(self, case: Case, setting: float, times: Any) -> Callable[[], Solution]:
+    def prepare(self, case: Scene, setting: float, times: Any) -> Callable[[], Solution]:
         """See :meth:`Peer.prepare`."""
         N, V = _starts(case)
         import diffrax

@@ -70,16 +70,18 @@ def closed_loop(load: bool, duration: float = DURATION) -> tc.ClosedLoopCase:
     sensors = tc.Sensors(structure=prism, string_length=0.001, bar_direction=0.005, delay=1)
     estimator = tc.KalmanFilter(plant, sensors, sample_time=0.04, process_noise=0.2, load=load)
     mpc = tc.MPC(plant, horizon=8, sample_time=0.04, max_force_density=65.0, load_gain=0.1)
-    return tc.ClosedLoopCase(
-        prism, strings, mpc, duration, 1e-2, tolerance=0.02, estimator=estimator
-    )
+    scene = tc.Scene(
+        tc.Model(prism, strings=strings), duration, controller=mpc, estimator=estimator,
+        integration=tc.Integration(step=1e-2),
+    )  # fmt: skip
+    return tc.ClosedLoopCase(scene, tolerance=0.02)
 
 
 def together(name: str, count: int, duration: float, alone: int) -> None:
     """Print the time of runs that go together, and of the first of them one by one."""
     with TemporaryDirectory() as folder:
         case, drawn = ball(duration) if name == "ball" else tower(name, duration, Path(folder))
-    print(f"{name}: {count} runs of {case.duration:g} s in steps of {case.step:g} s")
+    print(f"{name}: {count} runs of {case.scene.duration:g} s")
     print("runs  ms of processor time a run")
     found = []
     with ThreadPoolExecutor(1) as executor:
@@ -108,11 +110,11 @@ def ball(duration: float) -> tuple[tc.ClosedLoopCase, dict]:
     """Return a six-bar ball in open loop that starts in shapes of its own."""
     structure, strings = tc.library.six_bar_ball(), tc.LinearStrings(1000.0)
     rest = tc.prestress(structure, force_density=20.0)
-    lengths = tc.to_rest_length(
-        tc.Model(structure, strings=strings), structure.nodes, rest.force_density
-    ).rest_length
-    case = tc.ClosedLoopCase(structure, strings, None, duration, 2e-3, 0.1, rest_length=lengths)
-    return case, {
+    model = tc.Model(structure, strings=strings)
+    lengths = tc.to_rest_length(model, structure.nodes, rest.force_density).rest_length
+    steps = tc.Integration(step=2e-3)
+    scene = tc.Scene(model, duration, rest_length=lengths, integration=steps)
+    return tc.ClosedLoopCase(scene, 0.1), {
         "stiffness": tc.Uniform(0.7, 1.3, size=len(structure.strings)),
         "start": tc.Normal(0.0, 0.02, size=24),
     }
@@ -122,15 +124,16 @@ def tower(name: str, duration: float, folder: Path) -> tuple[tc.ClosedLoopCase, 
     """Return a tower whose bars share nodes under compiled LQR, or MPC."""
     structure, strings = tc.library.class2_tower(), tc.LinearStrings(1000.0, damping=1.0)
     rest = tc.prestress(structure, force_density=20.0)
-    plant = tc.linearize(tc.Model(structure, strings=strings), rest, input="rest_length")
+    model = tc.Model(structure, strings=strings)
+    plant = tc.linearize(model, rest, input="rest_length")
     if name == "tower":
         Q, R = tc.energy_weights(plant)
         law = tc.LQR(plant, Q, 0.1 * R, sample_time=0.02)
     else:
         law = tc.MPC(plant, horizon=10, sample_time=0.02)
     code = tc.generate_c(law, folder / "law").compile()
-    case = tc.ClosedLoopCase(structure, strings, code, duration, 2e-3, 0.02)
-    return case, {
+    scene = tc.Scene(model, duration, controller=code, integration=tc.Integration(step=2e-3))
+    return tc.ClosedLoopCase(scene, 0.02), {
         "stiffness": tc.Uniform(0.7, 1.3, size=len(structure.strings)),
         "start": tc.Normal(0.0, 0.01, size=plant.degrees_of_freedom),
     }

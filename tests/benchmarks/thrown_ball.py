@@ -30,7 +30,7 @@ SETTINGS = {
 }
 
 
-def example(duration: float = 5.0) -> tc.Case:
+def example(duration: float = 5.0) -> tc.Scene:
     """The ball as it is thrown."""
     ball = tc.library.six_bar_ball(bar_length=1.0)
     model = tc.Model(ball, strings=tc.LinearStrings(STIFFNESS), gravity=9.81)
@@ -39,8 +39,8 @@ def example(duration: float = 5.0) -> tc.Case:
     axis = np.array([1.0, 2.0, 3.0]) / np.sqrt(14.0)
     from_centre = ball.nodes - ball.nodes.mean(axis=1, keepdims=True)
     velocities = np.cross(SPIN * axis, from_centre.T).T + np.array([[1.0], [0.0], [4.0]])
-    return tc.Case(
-        model, duration, velocities=velocities, input="rest_length", value=lengths,
+    return tc.Scene(
+        model, duration, velocities=velocities, rest_length=lengths,
         name="six-bar ball, thrown",
     )  # fmt: skip
 

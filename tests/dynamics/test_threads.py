@@ -14,14 +14,14 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.accuracy import peers
-from tenscontrol.accuracy.case import fastest_rate
 from tenscontrol.accuracy.converged_motion import PiecewiseSolver
+from tenscontrol.accuracy.open_loop import fastest_rate
 from tenscontrol.dynamics import BUILDING, Evaluator, Prepared
 from tenscontrol.dynamics.evaluator import _dropped, _free, paused
 from tests.accuracy.test_peers import prism_case
 from tests.dynamics.building import unlocked_calls
 from tests.fuzz import threads as fuzz
-from tests.robustness.cases import Inline
+from tests.robustness.cases import Inline, loop_case
 
 STILL = np.zeros((3, 6))
 
@@ -263,7 +263,7 @@ def case():
     Q, R = tc.energy_weights(plant)
     controller = tc.LQR(plant, Q, 0.1 * R, sample_time=0.02)
     law = tc.LinearStrings(100.0, damping=0.5)
-    return tc.ClosedLoopCase(fuzz.PRISM, law, controller, duration=0.1, step=5e-3, tolerance=0.03)
+    return loop_case(fuzz.PRISM, law, controller, duration=0.1, step=5e-3, tolerance=0.03)
 
 
 def report(case, executor):

@@ -75,7 +75,6 @@ OWN_FUNCTIONS = ("class", "our class", "class of it", "lambda of it", "method")
 
 # Other names that an error may use for an argument, which then says more than its own.
 ALSO = {
-    "Case|value": ("rest_length", "force_density"),
     "integrate.Method.integrator|value": ("step", "tolerance"),
     # What has one entry for each of others: which of them is wrong, nobody can know.
     "Structure|bars": ("bar_mass",),

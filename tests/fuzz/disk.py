@@ -50,7 +50,7 @@ def figure():
 
 @cache
 def measured():
-    case = tc.Case(tc.Model(tc.prism()), 0.05, input="force_density", value=20.0)
+    case = tc.Scene(tc.Model(tc.prism()), 0.05, force_density=20.0)
     return tc.accuracy.work_precision(case, methods=["rk4"], repeats=1)
 
 

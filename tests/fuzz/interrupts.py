@@ -34,7 +34,7 @@ from tenscontrol.accuracy.predictability import predictability
 from tenscontrol.accuracy.suite import extreme_suite
 from tenscontrol.interrupt import InterruptionWarning, interruptible
 from tenscontrol.robustness import store
-from tenscontrol.simulation import loop
+from tenscontrol.simulation import plant_run
 from tests.dynamics.scenes import paper_force_density, rest_lengths
 from tests.robustness.cases import PARAMETERS, Inline, brief
 
@@ -117,7 +117,7 @@ def closed_loop(name, estimated=False):
 def case(duration=1.0):
     """Return the case of the accuracy reports."""
     value = paper_force_density(9.0)
-    return tc.Case(tc.Model(tc.prism()), duration, input="force_density", value=value)
+    return tc.Scene(tc.Model(tc.prism()), duration, force_density=value)
 
 
 def stiffness():
@@ -204,7 +204,7 @@ class Begun:
 
     def __init__(self):
         self.count = 0
-        for owner, name in ((loop.Loop, "_keep"), (Bench, "_judged")):
+        for owner, name in ((plant_run.PlantRun, "_keep"), (Bench, "_judged")):
             self._watch(owner, name)
 
     def _watch(self, owner, name):
@@ -408,7 +408,7 @@ def campaign(count, seed=0, commands=True, told=print):
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     kept = {(owner, name): getattr(owner, name)
-            for owner, name in ((loop.Loop, "_keep"), (Bench, "_judged"))}  # fmt: skip
+            for owner, name in ((plant_run.PlantRun, "_keep"), (Bench, "_judged"))}  # fmt: skip
     waits, nothing, failures = defaultdict(list), defaultdict(int), []
     try:
         begun = Begun()

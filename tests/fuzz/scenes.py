@@ -430,7 +430,7 @@ def outcome(file, run=False):
         size = scene.nodes.shape[1]
         if run and size < LARGE:
             sample = scene.sample_time or getattr(scene.controller, "sample_time", None) or 0.0
-            moment = max(sample, 2 * (scene.step or 0.0)) or 1e-3 * scene.duration
+            moment = max(sample, 2 * (scene.integration.step or 0.0)) or 1e-3 * scene.duration
             # A stiff scene may take long for a moment: it is interrupted, as a user would.
             signal.setitimer(signal.ITIMER_REAL, PATIENCE)
             try:
@@ -496,7 +496,7 @@ def _worker(arguments):
     import tenscontrol as tc
 
     signal.signal(signal.SIGALRM, signal.default_int_handler)
-    loading = importlib.import_module("tenscontrol.scene.scene")
+    loading = importlib.import_module("tenscontrol.scene.load_scene")
     built = loading.build_structure
 
     def announced(document):  # that a scene is large must be known if it is never loaded

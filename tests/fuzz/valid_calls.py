@@ -132,7 +132,6 @@ RESULTS = {
     "robustness.SweepError",
     "robustness.SweepFailure",
     "robustness.SweepReport",
-    "scene.Scene",
     "scene.SceneError",
     "shape.DemandCheck",
     "shape.PathError",
@@ -150,7 +149,7 @@ RESULTS = {
     "simulation.ContactRecord",
     "simulation.ControlRecord",
     "simulation.EstimateRecord",
-    "simulation.Given",
+    "simulation.Arguments",
     "simulation.Health",
     "simulation.SimulationError",
     "simulation.Trajectory",
@@ -182,6 +181,7 @@ WITHIN = {
     "simulation.Trajectory.health_of",
     "ClosedLoopCase.alone",
     "ClosedLoopCase.together",
+    "Scene.plant_run",
     "Model.of_parameters",
     "plot.View.open",
     *(
@@ -380,7 +380,7 @@ def gait():
 
 @cache
 def case():
-    return tc.Case(elastic(), 0.02, input="rest_length", value=0.98 * rest_length())
+    return tc.Scene(elastic(), 0.02, rest_length=0.98 * rest_length())
 
 
 @cache
@@ -1404,34 +1404,51 @@ call("simulation.Trajectory.to_xarray", on=run, share=0.1)
 call("load_run", lambda: {"path": str(run().save(scratch("saved.npz")))}, share=0.3)
 call("simulation.ControlRecord.summary", on=lambda: closed_run().control)
 call("simulation.ContactRecord.summary", on=lambda: dropped_run().contacts)
-call("scene.Scene.simulate", lambda: {"progress": False, "start": None}, scene, 0.05)
+call("Scene.simulate", lambda: {"progress": False, "start": None}, scene, 0.05)
 call(
-    "scene.Scene.linearize",
+    "Scene.linearize",
     lambda: {"input": "rest_length", "coordinates": "internal"},
     resting_scene,
     0.2,
 )
+call(
+    "Scene",
+    lambda: {
+        "model": loaded(),
+        "duration": 0.02,
+        "nodes": nodes(),
+        "velocities": STILL,
+        "force_density": gamma(),
+        "input": "force_density",
+        "faults": [tc.CutString(3, 0.01)],
+        "external_force": STILL,
+        "prestress": gamma(),
+        "integration": tc.Integration(step=1e-3),
+        "name": "a",
+        "note": "b",
+    },
+)
+call(
+    "Integration",
+    lambda: {
+        "method": "rk4",
+        "tolerance": 1e-6,
+        "step": 1e-3,
+        "output_step": 1e-2,
+        "project": True,
+        "machine_code": False,
+        "error": "none",
+        "limits": tc.HealthLimits(),
+    },
+)
+call("Scene.equation", lambda: {"derivatives": True}, case)
+call("Scene.open_loop", on=scene)
 call("load_scene", lambda: {"file": str(SCENE)}, share=0.3)
 call("scene.scene_names")
 call("scene.scene_template", lambda: {"name": "d_bar"}, share=0.3)
 
 # ---- accuracy ----
 
-call(
-    "Case",
-    lambda: {
-        "model": loaded(),
-        "duration": 0.02,
-        "nodes": nodes(),
-        "velocities": STILL,
-        "external_force": STILL,
-        "name": "a",
-        "note": "b",
-        "input": "force_density",
-        "value": gamma(),
-    },
-)
-call("Case.equation", lambda: {"derivatives": True}, case)
 call(
     "accuracy.converged_motion",
     lambda: {"scene": case(), "outputs": 5, "report": lambda part: None},
@@ -1612,21 +1629,15 @@ call("robustness.Outcome", lambda: {"success": True, "figures": {"error": 0.1, "
 call(
     "ClosedLoopCase",
     lambda: {
-        "structure": prism(),
-        "strings": elastic().strings,
-        "controller": winch_regulator(),
-        "duration": 0.1,
-        "step": 1e-3,
+        "scene": tc.Scene(
+            elastic(),
+            0.1,
+            controller=winch_regulator(),
+            rest_length=rest_length(),
+            integration=tc.Integration(step=1e-3),
+        ),
         "tolerance": 0.01,
-        "nodes": nodes(),
         "target": nodes(),
-        "gravity": None,
-        "rest_length": rest_length(),
-        "force_density": None,
-        "input": "rest_length",
-        "winches": tc.Winches(rate=0.5),
-        "faults": [tc.CutString(3, 0.05)],
-        "ground": [tc.Ground(1e3, friction=0.5, height=-0.1)],
     },
     share=0.5,
 )

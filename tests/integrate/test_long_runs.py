@@ -11,7 +11,7 @@ def example(force_density):
     prism = tc.prism()
     lengths = rest_lengths(prism, paper_force_density(force_density), 100.0)
     model = tc.Model(prism, strings=tc.LinearStrings(100.0))
-    return tc.Case(model, 1.0, input="rest_length", value=lengths)
+    return tc.Scene(model, 1.0, rest_length=lengths)
 
 
 def test_a_million_steps_of_rattle_keep_bar_lengths_and_energy():

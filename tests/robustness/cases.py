@@ -6,6 +6,19 @@ from concurrent.futures import Executor, Future, ThreadPoolExecutor
 
 import tenscontrol as tc
 
+
+def loop_case(
+    structure, strings, controller, duration, step, tolerance, *, target=None, gravity=None,
+    ground=None, **settings,
+):  # fmt: skip
+    """A case of a structure under a controller, or in open loop."""
+    model = tc.Model(structure, strings=strings, gravity=gravity, ground=ground)
+    scene = tc.Scene(
+        model, duration, controller=controller, integration=tc.Integration(step=step), **settings
+    )
+    return tc.ClosedLoopCase(scene, tolerance, target)
+
+
 PARAMETERS = {"mass": tc.Uniform(0.8, 1.2, size=3), "delay": tc.Normal(0.0, 0.1)}
 
 

@@ -8,7 +8,7 @@ import pytest
 
 import tenscontrol as tc
 from tests.robustness import cases
-from tests.robustness.cases import Inline
+from tests.robustness.cases import Inline, loop_case
 
 STEP, DURATION = 5e-3, 0.6
 RNG = np.random.default_rng(0)
@@ -33,7 +33,7 @@ def regulator(plant):
 
 @pytest.fixture(scope="module")
 def case(prism, strings, regulator):
-    return tc.ClosedLoopCase(prism, strings, regulator, DURATION, STEP, tolerance=0.02)
+    return loop_case(prism, strings, regulator, DURATION, STEP, tolerance=0.02)
 
 
 def test_it_is_the_simulation_of_the_varied_plant(case, prism, plant, regulator):
@@ -66,15 +66,15 @@ def test_strings_that_are_all_stiffer_hold_the_same_shape(case):
 def test_a_motion_as_one_body_is_no_error(case, prism, strings, regulator):
     turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
     moved = turn @ prism.nodes + np.array([[1.0], [2], [3]])
-    elsewhere = tc.ClosedLoopCase(prism, strings, regulator, DURATION, STEP, 0.02, nodes=moved)
+    elsewhere = loop_case(prism, strings, regulator, DURATION, STEP, 0.02, nodes=moved)
     assert elsewhere({}, RNG).figures["final_error"] < 1e-9
-    target = tc.ClosedLoopCase(prism, strings, regulator, DURATION, STEP, 0.02, target=moved)
+    target = loop_case(prism, strings, regulator, DURATION, STEP, 0.02, target=moved)
     assert target({}, RNG).figures["final_error"] < 1e-9
 
 
 def test_another_target_is_missed_by_the_distance(plant, prism, strings, regulator):
     wanted = plant.to_nodes(np.r_[0.05, np.zeros(8)])
-    case = tc.ClosedLoopCase(prism, strings, regulator, DURATION, STEP, 0.02, target=wanted)
+    case = loop_case(prism, strings, regulator, DURATION, STEP, 0.02, target=wanted)
     outcome = case({}, RNG)
     distance = np.linalg.norm(wanted - prism.nodes, axis=0).max()
     assert outcome.figures["final_error"] == pytest.approx(distance, rel=1e-6)
@@ -83,7 +83,7 @@ def test_another_target_is_missed_by_the_distance(plant, prism, strings, regulat
 
 def test_weights_go_with_the_masses(prism, strings, regulator):
     # All bodies fall alike, whatever they weigh: none is left behind the others.
-    falling = tc.ClosedLoopCase(prism, strings, regulator, 0.2, STEP, 0.02, gravity=9.81)
+    falling = loop_case(prism, strings, regulator, 0.2, STEP, 0.02, gravity=9.81)
     assert falling({"bar_mass": [0.5, 1.0, 2.0]}, RNG).figures["final_error"] < 1e-9
 
 
@@ -101,7 +101,7 @@ def test_what_is_wrong_with_a_draw_is_named(case):
 def test_strings_without_the_parameter_stop_the_sweep(prism):
     plant = tc.linearize(tc.Model(prism), tc.prestress(prism, 17.32))
     regulator = tc.LQR(plant, *tc.energy_weights(plant), sample_time=0.02, max_force_density=60.0)
-    case = tc.ClosedLoopCase(prism, None, regulator, DURATION, STEP, 0.02)
+    case = loop_case(prism, None, regulator, DURATION, STEP, 0.02)
     assert case({"bar_mass": 1.1}, RNG).success
     with pytest.raises(
         tc.robustness.SweepError, match="stiffness is drawn, but the strings have none: None"
@@ -110,7 +110,7 @@ def test_strings_without_the_parameter_stop_the_sweep(prism):
 
 
 def test_a_motion_that_runs_away_or_is_inaccurate_is_a_failure(prism, strings, regulator):
-    coarse = tc.ClosedLoopCase(prism, strings, regulator, DURATION, 0.02, 0.02)
+    coarse = loop_case(prism, strings, regulator, DURATION, 0.02, 0.02)
     drawn = {"stiffness": tc.OneOf([1.0, 1e5]), "start": tc.Normal(0.0, 0.01, size=9)}
     found = tc.sweep(coarse, drawn, 6, seed=0, executor=Inline())
     stiff = found.parameters["stiffness"] > 1
@@ -125,11 +125,11 @@ def test_a_pickled_mpc_commands_what_a_new_one_does(prism, strings, plant, kind)
         kind(plant, horizon=6, sample_time=0.04, max_force_density=65.0, load_gain=0.3)
         for _ in range(2)
     ]
-    case = tc.ClosedLoopCase(prism, strings, made[0], DURATION, STEP, 0.02)
+    case = loop_case(prism, strings, made[0], DURATION, STEP, 0.02)
     case({"start": np.full(9, 0.01)}, RNG)  # leaves something in OSQP
     loaded = pickle.loads(pickle.dumps(case))
     draw = {"stiffness": np.linspace(0.8, 1.2, 9)}
-    fresh = tc.ClosedLoopCase(prism, strings, made[1], DURATION, STEP, 0.02)
+    fresh = loop_case(prism, strings, made[1], DURATION, STEP, 0.02)
     assert loaded(draw, RNG).figures == fresh(draw, RNG).figures
 
 
@@ -138,9 +138,7 @@ def watched(prism, strings, plant, regulator):
     """The regulator on what a filter makes of readings."""
     sensors = tc.Sensors(structure=prism, string_length=1e-3, bar_direction=[5e-3, 6e-3, 7e-3])
     estimator = tc.KalmanFilter(plant, sensors, sample_time=0.02)
-    return tc.ClosedLoopCase(
-        prism, strings, regulator, 0.2, STEP, tolerance=0.02, estimator=estimator
-    )
+    return loop_case(prism, strings, regulator, 0.2, STEP, tolerance=0.02, estimator=estimator)
 
 
 def test_noise_and_delay_are_those_of_the_true_sensors(watched, prism, strings, regulator):
@@ -150,12 +148,12 @@ def test_noise_and_delay_are_those_of_the_true_sensors(watched, prism, strings, 
     )
     run = tc.simulate(
         tc.Model(prism, strings=strings), 0.2, controller=regulator, step=STEP,
-        estimator=watched.estimator, sensors=true,
+        estimator=watched.scene.estimator, sensors=true,
         seed=int(np.random.default_rng(8).integers(2**63)),
     )  # fmt: skip
     assert figures["largest_command"] == run.control.command.max()
     assert figures["least_force_density"] == run.force_density.min()
-    assert watched.estimator.sensors.delay == 0  # it believes what it did
+    assert watched.scene.estimator.sensors.delay == 0  # it believes what it did
 
 
 def test_noise_is_that_of_the_run_alone(watched):
@@ -170,8 +168,8 @@ def test_noise_is_that_of_the_run_alone(watched):
 
 
 def test_sensors_of_ones_own_are_those_that_vary(watched):
-    own = replace(watched.estimator.sensors, delay=2)
-    late = replace(watched, sensors=own)
+    own = replace(watched.scene.estimator.sensors, delay=2)
+    late = replace(watched, scene=replace(watched.scene, sensors=own))
     two, drawn = (case(given, np.random.default_rng(0)).figures
                   for case, given in ((late, {}), (watched, {"delay": 2})))  # fmt: skip
     assert two == drawn
@@ -193,7 +191,7 @@ def test_draws_that_no_sensor_can_have_stop_the_sweep(case, watched):
 
 
 def test_faults_are_those_of_each_run(prism, strings, regulator):
-    cut = tc.ClosedLoopCase(
+    cut = loop_case(
         prism, strings, regulator, 0.2, STEP, 0.02, faults=[tc.CutString(string=0, time=0.1)]
     )
     assert cut({}, RNG).figures["least_force_density"] == 0.0
@@ -205,7 +203,7 @@ def test_an_estimate_of_the_load_makes_up_for_wrong_stiffness(prism, strings, pl
     drawn = {"stiffness": tc.Uniform(0.7, 1.3, size=9), "bar_mass": tc.Uniform(0.8, 1.2, size=3)}
     rates = []
     for controller in (regulator, mpc):
-        case = tc.ClosedLoopCase(prism, strings, controller, 2.0, 1e-2, tolerance=0.01)
+        case = loop_case(prism, strings, controller, 2.0, 1e-2, tolerance=0.01)
         rates.append(tc.sweep(case, drawn, 4, seed=3, executor=Inline()))
     assert rates[0].success_rate < 0.3
     assert rates[1].success_rate == 1.0
@@ -220,7 +218,7 @@ def own(controller=cases.damper, **changes):
     strings = tc.LinearStrings(1000.0, damping=0.5)
     settings = {"duration": 0.2, "step": STEP, "tolerance": 0.3, "sample_time": 0.02}
     settings |= {"rest_length": cases.LENGTH, **changes}
-    return tc.ClosedLoopCase(cases.TOWER, strings, controller, **settings)
+    return loop_case(cases.TOWER, strings, controller, **settings)
 
 
 def test_a_function_is_run_as_simulate_does():

@@ -9,6 +9,7 @@ import pytest
 import tenscontrol as tc
 from tenscontrol.robustness import SweepError
 from tests import coupled
+from tests.robustness.cases import loop_case
 
 STRINGS = tc.LinearStrings(500.0, damping=2.0)
 
@@ -22,7 +23,7 @@ def arm_loop(**options):
     plant = tc.linearize(model, rest, input="rest_length")
     Q, R = tc.energy_weights(plant)
     law = tc.LQR(plant, Q, R, sample_time=0.02)
-    return tc.ClosedLoopCase(
+    return loop_case(
         structure, STRINGS, law, duration=1.0, step=5e-3, tolerance=0.02, gravity=9.81,
         nodes=plant.nodes, **options,
     )  # fmt: skip
@@ -55,7 +56,8 @@ def test_factors_keep_supports_clusters_and_payloads():
 
 
 def test_a_sweep_of_an_arm():
-    case = replace(arm_loop(), duration=0.3)
+    case = arm_loop()
+    case = replace(case, scene=replace(case.scene, duration=0.3))
     found = tc.sweep(case, {"bar_mass": tc.Uniform(0.9, 1.1, size=2)}, 2, seed=0, processes=1)
     assert found.completed.all()
     assert len(np.unique(found.figure("final_error"))) == 2
@@ -71,6 +73,6 @@ def test_no_point_mass_to_vary():
     model = tc.Model(d_bar, strings=STRINGS)
     plant = tc.linearize(model, tc.prestress(d_bar, force_density=10.0), input="rest_length")
     law = tc.LQR(plant, *tc.energy_weights(plant), sample_time=0.02)
-    case = tc.ClosedLoopCase(d_bar, STRINGS, law, duration=0.1, step=5e-3, tolerance=0.02)
+    case = loop_case(d_bar, STRINGS, law, duration=0.1, step=5e-3, tolerance=0.02)
     with pytest.raises(SweepError, match="no node has one"):
         outcome(case, point_mass=1.1)

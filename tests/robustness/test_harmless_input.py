@@ -3,6 +3,7 @@
 import numpy as np
 
 import tenscontrol as tc
+from tests.robustness.cases import loop_case
 
 
 def test_a_distribution_may_have_no_width():
@@ -15,7 +16,7 @@ def test_a_distribution_may_have_no_width():
 def test_a_case_without_strings_needs_no_input():
     bar = tc.Structure([[0, 1], [0, 0], [0, 0]], [(0, 1)], [], 1.0)
     for law in (None, tc.LinearStrings(100.0)):
-        case = tc.ClosedLoopCase(bar, law, None, 0.1, step=1e-2, tolerance=0.1, faults=None)
+        case = loop_case(bar, law, None, 0.1, step=1e-2, tolerance=0.1, faults=None)
         outcome = case({}, np.random.default_rng(0))
         assert outcome.success
         assert list(outcome.figures) == ["final_error"]
@@ -24,7 +25,7 @@ def test_a_case_without_strings_needs_no_input():
 def test_a_number_that_does_not_vary_leaves_the_sweep_as_it_is():
     prism = tc.prism()
     gamma = tc.prestress(prism, 17.3205).force_density
-    case = tc.ClosedLoopCase(
+    case = loop_case(
         prism, None, None, 0.05, step=1e-2, tolerance=0.1, force_density=gamma, faults=()
     )
     rng = np.random.default_rng(0)

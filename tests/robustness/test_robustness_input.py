@@ -24,6 +24,7 @@ from tests.refused import (
     winch_regulator,
     with_entry,
 )
+from tests.robustness import cases
 
 
 @cache
@@ -42,7 +43,7 @@ def loop_case(**changes):
         "step": 0.001,
         "tolerance": 0.01,
     }
-    return tc.ClosedLoopCase(**(arguments | changes))
+    return cases.loop_case(**(arguments | changes))
 
 
 def sweep(case=None, parameters=None, count=2, seed=0, **options):

@@ -8,7 +8,7 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.dynamics import compiler
-from tests.robustness.cases import Inline
+from tests.robustness.cases import Inline, loop_case
 
 RUNS, TOGETHER = 5, 3  # the last group is a part of one
 POOL = sys.modules["tenscontrol.robustness.pool"]
@@ -39,7 +39,7 @@ def thrown(structure, **changes):
     strings = tc.LinearStrings(1000.0)
     lengths = 0.95 * structure.string_length(structure.nodes)
     settings |= {"rest_length": lengths, "gravity": 9.81, **changes}
-    return tc.ClosedLoopCase(structure, strings, None, **settings)
+    return loop_case(structure, strings, None, **settings)
 
 
 def compare(case, drawn, monkeypatch, **options):
@@ -80,7 +80,7 @@ def test_compiled_controllers_have_the_bits_of_one_by_one(tmp_path, monkeypatch)
     plant = tc.linearize(tc.Model(structure, strings=strings), rest, input="rest_length")
     law = tc.LQR(plant, *tc.energy_weights(plant), sample_time=0.02)
     code = tc.generate_c(law, tmp_path / "law").compile()
-    case = tc.ClosedLoopCase(structure, strings, code, 0.11, 5e-3, 0.02)
+    case = loop_case(structure, strings, code, 0.11, 5e-3, 0.02)
     size = plant.degrees_of_freedom
     drawn = {"stiffness": tc.Uniform(0.7, 1.3), "start": tc.Normal(0.0, 0.01, size=size)}
     file = tmp_path / "runs.jsonl"
@@ -127,7 +127,7 @@ def test_controllers_in_python_and_winches_go_one_by_one(prism):
         tc.Model(prism, strings=strings), tc.prestress(prism, 17.32), input="rest_length"
     )
     law = tc.LQR(plant, *tc.energy_weights(plant), sample_time=0.02)
-    case = tc.ClosedLoopCase(prism, strings, law, 0.1, 5e-3, 0.02)
+    case = loop_case(prism, strings, law, 0.1, 5e-3, 0.02)
     assert case.alone({}) == "the controller is not compiled code for these strings"
     report = tc.sweep(case, {}, 2, seed=0, executor=Inline())
     assert report.back_end == f"one by one: {case.alone({})}"
@@ -136,9 +136,9 @@ def test_controllers_in_python_and_winches_go_one_by_one(prism):
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"rest_length": None}, "expected one of rest_length and force_density, found neither"),
+        ({"rest_length": None}, "rest_length, force_density and controller; found neither"),
         ({"force_density": 20.0}, "found both"),
-        ({"sample_time": 0.1}, "sample_time goes with a controller"),
+        ({"sample_time": 0.1}, "sample_time go with a controller"),
         ({"rest_length": -1.0}, "rest_length"),
     ],
 )

@@ -176,7 +176,7 @@ def test_accuracy_prints_and_saves_the_comparison(tmp_path, capsys, scene):
     asked = ["accuracy", str(scene), "--methods", "rk4,dop853", "--repeats", "1", "--outputs", "5"]
     assert main([*asked, "--output", str(folder)]) == 0
     out = capsys.readouterr().out
-    assert out.startswith("Case(rest, 0.1 s, rest_length held, 6 nodes)\n")
+    assert out.startswith("Scene(rest, 0.1 s, rest_length held, 6 nodes)\n")
     assert "reference: " in out
     assert out.count("\nrk4 ") > 2
     assert out.count("\ndop853 ") > 2

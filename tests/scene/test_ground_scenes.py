@@ -73,7 +73,7 @@ width = 0.02
     (one,) = load(DROP + FLAT).model.ground
     same_law(one, tc.Ground(5e3))
     assert load(DROP.replace("gravity = 9.81", "")).model.ground == ()
-    assert tc.Case(scene.model, 0.05, input="rest_length", value=scene.rest_length) is not None
+    assert tc.Scene(scene.model, 0.05, rest_length=scene.rest_length) is not None
 
 
 def test_the_shipped_drop_bounces_on_the_floor_and_off_the_wall():
@@ -98,12 +98,12 @@ def test_the_shipped_drop_bounces_on_the_floor_and_off_the_wall():
 def test_prestress_is_before_weights_where_only_the_ground_holds_them(load):
     falling = load(DROP + FLAT)
     free = load(DROP.replace("gravity = 9.81", ""))
-    np.testing.assert_array_equal(falling.force_density, free.force_density)
+    np.testing.assert_array_equal(falling.prestress, free.prestress)
     np.testing.assert_array_equal(falling.rest_length, free.rest_length)
     # Supports hold the weights: the balance is with them, though there is ground.
     standing, beside = load(HUNG), load(HUNG + FLAT)
-    np.testing.assert_allclose(np.diff(standing.force_density), -9.81, rtol=1e-9)
-    np.testing.assert_array_equal(standing.force_density, beside.force_density)
+    np.testing.assert_allclose(np.diff(standing.prestress), -9.81, rtol=1e-9)
+    np.testing.assert_array_equal(standing.prestress, beside.prestress)
 
 
 @pytest.mark.filterwarnings("ignore:no string reaches")

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.accuracy.case import as_case
 from tenscontrol.cli import main
 from tests.scene.limits import limits
 
@@ -294,7 +293,7 @@ def test_a_string_is_cut_in_open_loop(load):
 
 def test_what_is_compared_has_no_faults(load):
     scene = load(PLAIN + LQR + "[[faults]]\nkind = 'cut_string'\nstring = 6\ntime = 0.05\n")
-    assert as_case(scene).note == (
+    assert scene.open_loop().note == (
         "The controller of the scene is left out: rest lengths are held as at the start. "
         "Its faults are left out: string 6 cut."
     )

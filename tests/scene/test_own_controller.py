@@ -128,7 +128,7 @@ def test_whole_strings_and_held_force_density(loaded):
     scene = loaded('function = "laws.py:hold"', 'sample_time = 0.02\ninput = "force_density"')
     assert scene.controller.input == "force_density"
     lost = scene.controller.command(0.0, np.nan * scene.nodes, scene.velocities)
-    np.testing.assert_array_equal(lost.value, scene.force_density)
+    np.testing.assert_array_equal(lost.value, scene.prestress)
 
 
 def test_a_function_needs_no_equilibrium(tmp_path):

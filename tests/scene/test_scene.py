@@ -83,11 +83,16 @@ method = "dop853"
     np.testing.assert_array_equal(scene.model.constant_force, model.constant_force)
     np.testing.assert_array_equal(scene.model.strings.axial_rigidity, law.axial_rigidity)
     np.testing.assert_array_equal(scene.model.strings.damping, 0.5)
-    np.testing.assert_array_equal(scene.force_density, gamma)
+    np.testing.assert_array_equal(scene.prestress, gamma)
     wound = tc.to_rest_length(model, prism.nodes, gamma).rest_length
     np.testing.assert_array_equal(scene.rest_length, wound)
-    assert (scene.duration, scene.tolerance, scene.output_step) == (2, 1e-7, 0.1)
-    assert (scene.method, scene.input, scene.step) == ("dop853", "rest_length", None)
+    assert scene.duration == 2
+    assert (scene.integration.tolerance, scene.integration.output_step) == (1e-7, 0.1)
+    assert (scene.integration.method, scene.input, scene.integration.step) == (
+        "dop853",
+        "rest_length",
+        None,
+    )
     assert len(scene.simulate().time) == 21
 
 
@@ -132,7 +137,7 @@ def test_pendulum_without_strings(load):
 
 def test_a_number_is_a_balance_and_a_table_is_not(load):
     scene = load(PRISM)
-    np.testing.assert_allclose(scene.force_density[[0, -1]], [17.3205, 30.0], rtol=1e-5)
+    np.testing.assert_allclose(scene.prestress[[0, -1]], [17.3205, 30.0], rtol=1e-5)
     plant = scene.linearize("force_density")
     assert tc.modes(plant).frequency[-1] == pytest.approx(2.44339, abs=1e-5)
     with pytest.raises(ValueError, match="not at rest"):
@@ -174,7 +179,7 @@ def test_values_of_segments_are_taken_as_they_are():
     whole, literal = shipped("prism_massive_strings"), shipped("prism_massive_literal")
     assert set(whole.model.strings.stiffness) == {400.0}
     assert set(literal.model.strings.stiffness) == {100.0}
-    np.testing.assert_allclose(whole.force_density, 4 * literal.force_density, rtol=1e-12)
+    np.testing.assert_allclose(whole.prestress, 4 * literal.prestress, rtol=1e-12)
     np.testing.assert_allclose(whole.rest_length, literal.rest_length, rtol=1e-12)
 
 

@@ -2,7 +2,6 @@
 
 import os
 import signal
-import sys
 import threading
 import time
 from contextlib import suppress
@@ -16,7 +15,7 @@ import tenscontrol as tc
 from tenscontrol.control import Command, Controller, Status
 from tenscontrol.control.mpc.solvers.osqp_adapter import OSQPSolver
 from tenscontrol.interrupt import InterruptionWarning, finishing, interruptible
-from tenscontrol.simulation import loop
+from tenscontrol.simulation import assembly, plant_run, replay, scene
 from tests.dynamics.scenes import paper_force_density, rest_lengths
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
@@ -71,7 +70,7 @@ def end_sigterm(example):
 @pytest.mark.parametrize(("method", "options"), METHODS, ids=[name for name, _ in METHODS])
 def test_open_loop(example, monkeypatch, method, options, number):
     told = Told(0.5, number)
-    monkeypatch.setattr(sys.modules[tc.simulate.__module__], "progress_bar", lambda *_, **__: told)
+    monkeypatch.setattr(scene, "progress_bar", lambda *_, **__: told)
     with pytest.warns(InterruptionWarning, match=r"stopped at .* s of motion: interrupted"):
         run = tc.simulate(
             example.model, 50.0, rest_length=example.lengths, method=method, output_step=0.01,
@@ -86,15 +85,13 @@ def test_open_loop(example, monkeypatch, method, options, number):
 
 
 def test_a_key_that_is_lost_while_a_run_is_built_still_ends_it(example, monkeypatch):
-    module = sys.modules[tc.simulate.__module__]
-
     def lost(*arguments):
         with suppress(KeyboardInterrupt):  # CasADi does so in its conversions
             signal.raise_signal(signal.SIGINT)
         return initial_state(*arguments)
 
-    initial_state = module.initial_state
-    monkeypatch.setattr(module, "initial_state", lost)
+    initial_state = scene.initial_state
+    monkeypatch.setattr(scene, "initial_state", lost)
     with pytest.warns(InterruptionWarning, match=r"stopped at 0 s of motion: interrupted"):
         run = tc.simulate(example.model, 5.0, rest_length=example.lengths, step=1e-3)
     assert run.time.tolist() == [0.0]
@@ -163,22 +160,22 @@ def test_osqp_gives_the_key_back():
 def pressed_in(monkeypatch):
     """A key is pressed when a function of the loop is called, once."""
 
-    def press(name):
-        original = getattr(loop, name)
+    def press(module, name):
+        original = getattr(module, name)
 
         def pressed(*arguments, **named):
-            monkeypatch.setattr(loop, name, original)
+            monkeypatch.setattr(module, name, original)
             signal.raise_signal(signal.SIGINT)
             return original(*arguments, **named)
 
-        monkeypatch.setattr(loop, name, pressed)
+        monkeypatch.setattr(module, name, pressed)
 
     return press
 
 
 def test_a_key_while_the_trajectory_is_made(example, pressed_in):
     """The motion is complete, and is finished."""
-    pressed_in("Quantities")
+    pressed_in(assembly, "MotionFunctions")
     with pytest.warns(InterruptionWarning, match="complete"):
         run = tc.simulate(example.model, 1.0, rest_length=example.lengths, step=1e-3)
     assert run.time[-1] == 1.0
@@ -186,7 +183,7 @@ def test_a_key_while_the_trajectory_is_made(example, pressed_in):
 
 
 def test_a_key_while_the_error_is_estimated(example, pressed_in):
-    pressed_in("Motion")
+    pressed_in(replay, "Motion")
     with pytest.warns(InterruptionWarning, match="complete"):
         run = tc.simulate(example.model, 1.0, rest_length=example.lengths, step=1e-3)
     assert run.time[-1] == 1.0
@@ -194,13 +191,13 @@ def test_a_key_while_the_error_is_estimated(example, pressed_in):
 
 
 def test_before_the_first_step_there_is_no_motion(example, monkeypatch):
-    original = loop.Loop._prepare
+    original = plant_run.PlantRun._prepare
 
     def pressed(self, *arguments):
         twice()
         return original(self, *arguments)
 
-    monkeypatch.setattr(loop.Loop, "_prepare", pressed)
+    monkeypatch.setattr(plant_run.PlantRun, "_prepare", pressed)
     with pytest.raises(KeyboardInterrupt):
         tc.simulate(example.model, 1.0, rest_length=example.lengths, step=1e-3)
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

@@ -10,7 +10,8 @@ from tenscontrol.integrate import METHODS, Method
 from tenscontrol.integrate.dop853 import _DormandPrince
 from tenscontrol.integrate.fixed_step import FixedStep
 from tenscontrol.simulation.faults import Faults
-from tenscontrol.simulation.loop import Loop
+from tenscontrol.simulation.integration import Integration
+from tenscontrol.simulation.plant_run import PlantRun
 from tests.integrate.coupled_scenes import arm, mixed, spine
 from tests.known_structures import clustered_d_bar
 from tests.oracle import string_motion
@@ -379,13 +380,13 @@ def test_a_controller_meets_a_load_that_changes(prism):
 @pytest.mark.parametrize("step", [1e-3, 7e-4])
 def test_a_loop_runs_straight_lines_of_inputs(step):
     model, values = scene(tc.prism())
-    loop = Loop(
-        model, "rest_length", np.zeros((3, 6)), 0.2, "rk4", 1e-6, step, Faults((), 1.0, "x"),
-        degree=1, output_step=step,
+    run = PlantRun(
+        model, "rest_length", np.zeros((3, 6)), 0.2, Integration("rk4", step=step),
+        Faults((), 1.0, "x"), degree=1, output_step=step,
     )  # fmt: skip
     state = at_rest(model.structure)
-    state = loop.run(state, (values[:, 0], values[:, 1]), 0.1)
-    state = loop.run(state, values[:, 1], 0.1)
+    state = run.run(state, (values[:, 0], values[:, 1]), 0.1)
+    state = run.run(state, values[:, 1], 0.1)
     profile = tc.Profile([0.0, 0.1], values[:, :2])
     run = tc.simulate(model, 0.2, rest_length=profile, step=step)
     np.testing.assert_allclose(state, end(run), atol=1e-12)

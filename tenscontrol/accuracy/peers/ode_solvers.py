@@ -9,10 +9,10 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
-from tenscontrol.accuracy.case import Case
 from tenscontrol.accuracy.peers.peer import Peer, Solution, checked_run, peer_settings, spaced
 from tenscontrol.dynamics import Equation, Evaluator, builds, unpack_states
 from tenscontrol.integrate import is_expandable, jacobian_weight, state_jacobian
+from tenscontrol.simulation import Scene
 from tenscontrol.validation import FloatArray, choice
 
 _METHODS = ("DOP853", "RK45", "Radau", "LSODA")
@@ -47,13 +47,13 @@ class SciPy(Peer):
         self.settings = peer_settings(settings)
 
     @builds
-    def prepare(self, case: Case, setting: float, times: FloatArray) -> Callable[[], Solution]:
+    def prepare(self, case: Scene, setting: float, times: FloatArray) -> Callable[[], Solution]:
         """See :meth:`Peer.prepare`."""
         setting, times = checked_run(case, setting, times)
         from scipy.integrate import solve_ivp
 
         equation = case.equation(derivatives=self.method in _IMPLICIT)
-        kinked, held, state = equation.kinked_slope, case.value, case.state
+        kinked, held, state = equation.kinked_slope, case.input_value, case.state
         evaluate = Evaluator(kinked)
         options: dict[str, Any] = {}
         weight = 0
@@ -108,7 +108,7 @@ class CasADiCVODES(Peer):
     def __init__(self, settings: Sequence[float] = _TOLERANCES) -> None:
         self.settings = peer_settings(settings)
 
-    def prepare(self, case: Case, setting: float, times: FloatArray) -> Callable[[], Solution]:
+    def prepare(self, case: Scene, setting: float, times: FloatArray) -> Callable[[], Solution]:
         """See :meth:`Peer.prepare`."""
         setting, times = checked_run(case, setting, times)
         equation = case.equation(derivatives=True)
@@ -144,7 +144,7 @@ class CasADiRK(Peer):
     def __init__(self, settings: Sequence[float] = (1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5)) -> None:
         self.settings = peer_settings(settings)
 
-    def prepare(self, case: Case, setting: float, times: FloatArray) -> Callable[[], Solution]:
+    def prepare(self, case: Scene, setting: float, times: FloatArray) -> Callable[[], Solution]:
         """See :meth:`Peer.prepare`."""
         setting, times = checked_run(case, setting, times)
         spacing, inner = spaced(times, setting)
@@ -181,10 +181,10 @@ def _solver(
     return ca.integrator("solver", plugin, problem, 0.0, times.tolist(), options)
 
 
-def _run(solver: ca.Function, case: Case) -> FloatArray:
+def _run(solver: ca.Function, case: Scene) -> FloatArray:
     """Return the states on the grid, shape (states, T)."""
     try:
-        return np.array(solver(x0=case.state, p=case.value)["xf"])
+        return np.array(solver(x0=case.state, p=case.input_value)["xf"])
     except RuntimeError as error:
         if "CVode returned" not in str(error):
             raise

@@ -9,7 +9,7 @@ from math import ceil
 
 import numpy as np
 
-from tenscontrol.accuracy.case import Case
+from tenscontrol.simulation import Scene
 from tenscontrol.validation import (
     FloatArray,
     float_array,
@@ -53,12 +53,12 @@ class Peer(ABC):
     #: Steps, s, or tolerances, from coarse to fine: one run for each.
     settings: tuple[float, ...]
 
-    def refuse(self, case: Case) -> str | None:
+    def refuse(self, case: Scene) -> str | None:
         """Return why this case is beyond the peer, or None.
 
         Parameters
         ----------
-        case : Case
+        case : Scene
 
         Returns
         -------
@@ -67,14 +67,14 @@ class Peer(ABC):
         """
         return None
 
-    def own_law(self, case: Case) -> str | None:
+    def own_law(self, case: Scene) -> str | None:
         """Return in what forces the peer differs from the case, or None where they are the same.
 
         Where it does, its errors are measured against its own motion at a much finer setting.
 
         Parameters
         ----------
-        case : Case
+        case : Scene
 
         Returns
         -------
@@ -84,7 +84,7 @@ class Peer(ABC):
         return None
 
     @abstractmethod
-    def prepare(self, case: Case, setting: float, times: FloatArray) -> Callable[[], Solution]:
+    def prepare(self, case: Scene, setting: float, times: FloatArray) -> Callable[[], Solution]:
         """Build all that is built once, and return what runs the case.
 
         Only the returned call is timed, so it does the integration and nothing
@@ -92,7 +92,7 @@ class Peer(ABC):
 
         Parameters
         ----------
-        case : Case
+        case : Scene
         setting : float
             One of ``settings``.
         times : ndarray, shape (T,)
@@ -128,9 +128,9 @@ def peer_settings(settings: object) -> tuple[float, ...]:
     return tuple(positive("settings", found, "step, s, or tolerance").tolist())
 
 
-def checked_run(case: Case, setting: float, times: object) -> tuple[float, FloatArray]:
+def checked_run(case: Scene, setting: float, times: object) -> tuple[float, FloatArray]:
     """Return setting and output times of a run, or refuse what does not fit."""
-    instance("case", case, Case, "make one by Case(model, duration, ...)")
+    instance("case", case, Scene, "make one by Scene(model, duration, ...)")
     found = positive("times", float_array("times", times), "time in s")
     if found.ndim != 1 or found.size == 0 or (np.diff(found) <= 0).any():
         raise ValueError("times does not rise, expected shape (T,): equally spaced output times")

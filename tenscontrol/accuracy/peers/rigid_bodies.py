@@ -9,9 +9,9 @@ from typing import Any, final
 
 import numpy as np
 
-from tenscontrol.accuracy.case import Case
 from tenscontrol.accuracy.peers.peer import Peer, Solution, checked_run, peer_settings, spaced
 from tenscontrol.exchange import to_mujoco
+from tenscontrol.simulation import Scene
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, choice
 
@@ -62,7 +62,7 @@ class MuJoCo(Peer):
         self.name = f"mujoco {method}"
         self.settings = peer_settings(settings)
 
-    def refuse(self, case: Case) -> str | None:
+    def refuse(self, case: Scene) -> str | None:
         """See :meth:`Peer.refuse`."""
         if find_spec("mujoco") is None:
             return "mujoco is not installed: pip install 'tenscontrol[bench]'"
@@ -72,13 +72,13 @@ class MuJoCo(Peer):
             return str(error)
         return None
 
-    def own_law(self, case: Case) -> str | None:
+    def own_law(self, case: Scene) -> str | None:
         """See :meth:`Peer.own_law`."""
         if case.model.contacts is None:
             return None
         return "contacts with linear damping, and friction that is viscous below that of Coulomb"
 
-    def prepare(self, case: Case, setting: float, times: FloatArray) -> Callable[[], Solution]:
+    def prepare(self, case: Scene, setting: float, times: FloatArray) -> Callable[[], Solution]:
         """See :meth:`Peer.prepare`."""
         setting, times = checked_run(case, setting, times)
         import mujoco
@@ -109,9 +109,9 @@ class MuJoCo(Peer):
         return run
 
 
-def _description(case: Case, step: float) -> str:
+def _description(case: Scene, step: float) -> str:
     """Return the case as MuJoCo's text."""
-    held: dict[str, Any] = {case.input: case.value} if len(case.value) else {}
+    held: dict[str, Any] = {case.input: case.input_value} if len(case.input_value) else {}
     return to_mujoco(
         case.model, nodes=case.nodes, velocities=case.velocities,
         external_force=case.external_force, step=step, **held,
@@ -157,9 +157,9 @@ class NodeReader:
         return nodes[..., self._axes].T, rates[..., self._axes].T
 
 
-def _refuse_damped_slack(case: Case, nodes: FloatArray, velocities: FloatArray) -> None:
+def _refuse_damped_slack(case: Scene, nodes: FloatArray, velocities: FloatArray) -> None:
     """Stop where a damped string went slack: MuJoCo damps, and so pushes, all the same."""
-    law, rest = case.model.strings, case.value
+    law, rest = case.model.strings, case.input_value
     if case.input == "force_density" or law is None or not law.is_damped:
         return
     stiffness = law.tension(2 * rest, rest) / rest  # constant: other laws were refused

@@ -13,12 +13,9 @@ from tenscontrol.dynamics import Model, Pieces, weights
 from tenscontrol.plant import held_value, refuse_load
 from tenscontrol.properties import cached_property
 from tenscontrol.simulation.closed_loop import samples
-from tenscontrol.simulation.simulate import (
-    changes_in_time,
-    checked_inputs,
-    initial_state,
-    load_in_time,
-)
+from tenscontrol.simulation.inputs import changes_in_time
+from tenscontrol.simulation.scene import Scene
+from tenscontrol.simulation.start import initial_state
 from tenscontrol.validation import (
     LARGEST,
     FloatArray,
@@ -46,9 +43,8 @@ MASSES = "bar_mass", "point_mass"
 
 def given_by_run(model: Model, vary: object, **values: object) -> dict[str, FloatArray]:
     """Return arrays with a first axis: of one entry, or one a run."""
-    d, n = model.structure.nodes.shape
-    count = len(model.structure.strings)
-    shapes = {"nodes": (d, n), "velocities": (d, n), "external_force": (d, n)}
+    count, nodes = len(model.structure.strings), model.structure.nodes
+    shapes = dict.fromkeys(("nodes", "velocities", "external_force"), nodes.shape)
     found, runs = dict[str, FloatArray](), dict[str, int]()
     for name, value in values.items():
         if value is None or changes_in_time(value):
@@ -63,10 +59,32 @@ def given_by_run(model: Model, vary: object, **values: object) -> dict[str, Floa
         array = measured(name, value, wanted, f"of a run {shape}, with a first axis for runs")
         found[name] = array if stacked else array[None]
         runs |= {name: len(array)} if stacked else {}
+    parameters = _varied_parameters(model, vary, values.get("rest_length") is not None)
+    found |= parameters
+    runs |= {f"vary[{name!r}]": len(array) for name, array in parameters.items()}
+    if not runs:
+        raise ValueError(
+            "all runs are the same: give one of nodes, velocities, rest_length, "
+            "force_density, external_force and vary a first axis with one entry for each run"
+        )
+    (first, count), *others = runs.items()
+    for name, other in others:
+        if other != count:
+            raise ValueError(f"{name} has {other} runs, but {first} has {count}")
+    if not count:
+        raise ValueError(f"{first} has 0 runs, expected at least one")
+    return found
+
+
+def _varied_parameters(model: Model, vary: object, is_wound: bool) -> dict[str, FloatArray]:
+    """Return parameters of the model, shape (runs, members); of strings if these are wound."""
     if vary is not None and not isinstance(vary, Mapping):
         raise wrong_kind("vary", vary, "a dict of arrays, one entry a run")
+    d, n = model.structure.nodes.shape
+    found = {}
     sizes = {"bar_mass": len(model.structure.bars), "point_mass": n, "gravity": d}
-    if "rest_length" in values and values["rest_length"] is not None and model.strings is not None:
+    if is_wound and model.strings is not None:
+        count = len(model.structure.strings)
         sizes |= {each.name: count for each in fields(model.strings)}
     for name, value in (vary or {}).items():
         size = sizes[choice("vary", name, sizes)]
@@ -79,18 +97,7 @@ def given_by_run(model: Model, vary: object, **values: object) -> dict[str, Floa
         array = measured(label, value, wanted, "one a run, or one a run and member")
         if array.ndim == 1:
             array = np.outer(array, _down(d) if name == "gravity" else np.ones(size))
-        found[name], runs[label] = array, len(array)
-    if not runs:
-        raise ValueError(
-            "all runs are the same: give one of nodes, velocities, rest_length, "
-            "force_density, external_force and vary a first axis with one entry for each run"
-        )
-    (first, count), *others = runs.items()
-    for name, other in others:
-        if other != count:
-            raise ValueError(f"{name} has {other} runs, but {first} has {count}")
-    if not count:
-        raise ValueError(f"{first} has 0 runs, expected at least one")
+        found[name] = array
     return found
 
 
@@ -108,49 +115,52 @@ def _down(dimension: int) -> FloatArray:
 
 
 class BatchInputs:
-    """What a batch integrates: the inputs, loads and parameters of each run."""
+    """What a batch integrates: a scene, and what varies from it run by run.
 
-    def __init__(
-        self, model: Model, duration: float, rest_length: object, force_density: object,
-        external_force: object, given: dict[str, FloatArray],
-    ) -> None:  # fmt: skip
-        self.model, self.duration, self.given = model, duration, given
+    ``given`` are arrays with a first axis, see :func:`given_by_run`; what it has is zero, or the
+    reference, in the scene ``base``.
+    """
+
+    def __init__(self, base: Scene, given: dict[str, FloatArray]) -> None:
+        self.base, self.given, self.input = base, given, base.input
+        self.model, self.duration = base.model, base.duration
         self.count = max(map(len, given.values()))
-        self.input = "force_density" if rest_length is None else "rest_length"
         self.varied = [name for name in given if name not in _ARRAYS]
-        self.held: Pieces | None = None
-        if self.input not in given:
-            self.held = checked_inputs(model, rest_length, force_density, 0.0, duration)
+        self.held = None if self.input in given else base.inputs
         # All that acts on the nodes from outside: the same for all, in time, or run by run.
-        self.load: FloatArray | Pieces
+        self.load = base.loads
+        external_force = base.external_force
         if "external_force" in given and len(given["external_force"]) == 1:
             external_force = given.pop("external_force")[0]
+        if self._loads_differ():
+            self._stack_loads(external_force)
+
+    def _loads_differ(self) -> bool:
         heavy = {"gravity", *MASSES} & set(self.varied)
-        own = "external_force" in given or (heavy and ("gravity" in given or model.gravity.any()))
-        if own and changes_in_time(external_force):
+        is_weighted = heavy and ("gravity" in self.given or self.model.gravity.any())
+        differ = bool("external_force" in self.given or is_weighted)
+        if differ and changes_in_time(self.base.external_force):
             raise ValueError("external_force changes in time, so masses and gravity may not vary")
-        if own:
-            # Asks whether the model takes a load, and needs one.
-            if "external_force" not in given:
-                load_in_time(model, external_force, 0.0, duration)
-            elif given["external_force"].any():
-                refuse_load(model)
-            c = model.built_in_load + weights(
-                model.structure,
-                given.get("gravity", model.gravity),
-                given.get("bar_mass", model.structure.bar_mass),
-                given.get("point_mass", model.structure.point_mass),
-            )
-            c = c if c.ndim == 3 else c[None]
-            # In the order of a single run, for its bits.
-            if "external_force" in given or external_force is not None:
-                each = given.get("external_force", np.asarray(external_force)[None])
-                c = ((each + c) - c) + c
-            given["load"] = c.transpose(0, 2, 1).reshape(len(c), -1)
-            self.load = np.zeros(model.structure.nodes.shape)
-        else:
-            self.load = load_in_time(model, external_force, 0.0, duration)
-        self.external_force = external_force
+        return differ
+
+    def _stack_loads(self, external_force: object) -> None:
+        """Find all that acts on the nodes of each run."""
+        model, given = self.model, self.given
+        if "external_force" in given and given["external_force"].any():
+            refuse_load(model)
+        c = model.built_in_load + weights(
+            model.structure,
+            given.get("gravity", model.gravity),
+            given.get("bar_mass", model.structure.bar_mass),
+            given.get("point_mass", model.structure.point_mass),
+        )
+        c = c if c.ndim == 3 else c[None]
+        # In the order of a single run, for its bits.
+        if "external_force" in given or external_force is not None:
+            each = given.get("external_force", np.asarray(external_force)[None])
+            c = ((each + c) - c) + c
+        given["load"] = c.transpose(0, 2, 1).reshape(len(c), -1)
+        self.load = np.zeros(model.structure.nodes.shape)
 
     def entry(self, name: str, run: int) -> FloatArray | None:
         """Return what a run is given; None for nothing."""

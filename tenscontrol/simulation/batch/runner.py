@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from math import ceil
 from threading import local
@@ -39,10 +39,12 @@ from tenscontrol.integrate import (
     not_finite,
 )
 from tenscontrol.interrupt import check
+from tenscontrol.simulation.arguments import Arguments
 from tenscontrol.simulation.batch.batch_inputs import MASSES, BatchInputs, InputSpan
 from tenscontrol.simulation.batch.compiled_loop import MOST_CONTROLLERS, CompiledLoops
 from tenscontrol.simulation.error_estimate import Motion, Path, Resolved, Stage
-from tenscontrol.simulation.health import ERROR_LIMIT, Given, Quantities, by_node
+from tenscontrol.simulation.health import ERROR_LIMIT
+from tenscontrol.simulation.motion_functions import MotionFunctions, by_node
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.structure import BarMotion
 from tenscontrol.validation import LARGEST, FloatArray, IntArray, refuse_memory
@@ -53,17 +55,6 @@ _BLOCK, _MOST_NUMBERS = 256, 4_000_000
 _POLL = 0.05  # s until an interrupt is looked for
 
 
-@dataclass(frozen=True)
-class HowToIntegrate:
-    """How runs are integrated."""
-
-    method: Method | None
-    tolerance: float
-    step: float | None
-    project: bool | None
-    machine_code: bool
-
-
 class _StopError(Exception):
     """Ends a run in a thread when the user interrupts."""
 
@@ -72,11 +63,11 @@ class Runner:
     """Runs a scene block by block, and keeps what is asked for."""
 
     def __init__(
-        self, scene: BatchInputs, how: HowToIntegrate, output_step: float | None, kept: IntArray,
-        controller: Controller | None,
+        self, scene: BatchInputs, kept: IntArray, controller: Controller | None,
     ) -> None:  # fmt: skip
         structure = scene.model.structure
-        self.scene, self.how, self.kept, self._controller = scene, how, kept, controller
+        self.scene, self.kept, self._controller = scene, kept, controller
+        self.how, output_step = scene.base.integration, scene.base.integration.output_step
         sample_time = None if controller is None else controller.sample_time
         self.spans = scene.spans(output_step, sample_time)
         self.done, self._stop = 0, ctypes.c_int(0)
@@ -117,7 +108,7 @@ class Runner:
     def _prepare(self) -> None:
         """Choose the method, by the first run that can begin, and make the lanes if there are."""
         scene, how = self.scene, self.how
-        method = how.method
+        method = how.chosen
         if method is None:
             first, state = self._first()
             if state is None or first is None:
@@ -131,17 +122,12 @@ class Runner:
             chosen = Choice(method.name, "step", how.step, "asked for")
         else:
             chosen = Choice(method.name, "tolerance", how.tolerance, "asked for")
-        if chosen.setting not in method.settings:
-            raise ValueError(
-                f"method {method.name!r} is set by {method.setting}: give step for a method with "
-                "fixed steps, and none for one that chooses its own by tolerance"
-            )
         if scene.pieces.degree and not method.follows:
             raise ValueError(
                 f"method {method.name!r} takes inputs that are constant over a step only, but "
                 "an input changes in time"
             )
-        self._watches = how.method is None and chosen.setting == "tolerance"
+        self._watches = how.chosen is None and chosen.setting == "tolerance"
         self._method = method
         self.choice = chosen
         steps = isinstance(method.make, type) and issubclass(method.make, FixedStep)
@@ -216,7 +202,7 @@ class Runner:
 
     def _project_of(self, method: Method) -> bool | None:
         """Return what the user says, unless the method was chosen and needs no projection."""
-        return self.how.project if method.drifts or self.how.method is not None else None
+        return self.how.project if method.drifts or self.how.chosen is not None else None
 
     # ---- blocks ----
 
@@ -496,8 +482,8 @@ class Runner:
             conserves_momentum=not loaded and free and forces.conserves_momentum, control=None,
             released_energy=np.zeros(len(of)), error=self.error(run),
             falls=free and float(model.constant_force[-1].sum()) < 0,
-            given=Given({scene.input: held} if self.command is None else {}),
-            _quantities=Quantities(
+            given=Arguments({scene.input: held} if self.command is None else {}),
+            _functions=MotionFunctions(
                 model, False, inputs, load if loaded else None,
                 shared=partial(self._function, run, model) if self._shares else None,
             ),
@@ -602,7 +588,7 @@ class Runner:
             structure, scene.states(run, run + 1)[0][0], stages,
             Path(columns, positions, int(self.switches[run] + self.missed[run])),
             self._from[is_known], self.choice.setting, self.choice.value,
-            (self.how.method or METHODS[self._methods_of(run)[-1]]).order,
+            (self.how.chosen or METHODS[self._methods_of(run)[-1]]).order,
             partial(self._resolved, run), self._equation(scene.model, "auto", ()).layout.later,
             starts,
         )  # fmt: skip

@@ -12,20 +12,24 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
+from tenscontrol.control import Controller
 from tenscontrol.dynamics import Model
-from tenscontrol.integrate import Choice, Method, method_of
+from tenscontrol.integrate import Choice, Method
 from tenscontrol.interrupt import keeping
 from tenscontrol.plant import own_input
 from tenscontrol.progress import progress_bar
 from tenscontrol.properties import cached_property
 from tenscontrol.simulation.batch.batch_inputs import BatchInputs, given_by_run
 from tenscontrol.simulation.batch.compiled_loop import checked_controller
-from tenscontrol.simulation.batch.runner import HowToIntegrate, Runner
+from tenscontrol.simulation.batch.runner import Runner
 from tenscontrol.simulation.health import ERROR_LIMIT, AccuracyWarning, HealthLimits
-from tenscontrol.simulation.simulate import check_health, finer
+from tenscontrol.simulation.health_check import check_health, finer
+from tenscontrol.simulation.integration import Integration
+from tenscontrol.simulation.scene import Scene
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.structure import Structure
 from tenscontrol.validation import (
@@ -35,7 +39,6 @@ from tenscontrol.validation import (
     freeze_arrays,
     index_list,
     instance,
-    positive_number,
     truth,
     whole_number,
 )
@@ -290,50 +293,27 @@ def simulate_many(
     ((100, 3, 6, 2), 100)
     """
     instance("model", model, Model, "make one by Model(structure)")
-    if not len(model.structure.free):
-        raise ValueError("every node of the model is fixed: nothing can move")
-    duration = positive_number("duration", duration, "s")
-    tolerance = positive_number("tolerance", tolerance, "of size and speed")
-    if output_step is not None:
-        output_step = positive_number("output_step", output_step, "s")
+    integration = Integration(
+        method, tolerance, step, output_step, project, machine_code, error="none"
+    )
     truth("progress", progress, "whether to show a progress bar")
-    truth("machine_code", machine_code, "whether to compile the steps")
     choice("error", error, ("sample", "all", "none"))
-    if threads is None:
-        affinity = getattr(os, "sched_getaffinity", None)
-        threads = len(affinity(0)) if affinity else os.cpu_count() or 1
-    threads = whole_number("threads", threads, 1)
-    if controller is None:
-        rest_length, force_density = own_input(model, rest_length, force_density)
-    given = {"rest_length": rest_length, "force_density": force_density, "controller": controller}
-    names = [name for name, value in given.items() if value is not None]
-    if len(names) != 1:
-        found = " and ".join(names) or "none"
-        raise ValueError(
-            f"expected one of rest_length, force_density and controller, found {found}"
-        )
-    law = None
-    if controller is not None:
-        law = checked_controller(controller, model)
-        # What runs begin from, and what is chosen for, until there is a command.
-        rest = law.plant.equilibrium_input
-        rest_length, force_density = (rest, None) if law.input == "rest_length" else (None, rest)
-    scene = BatchInputs(
-        model, duration, rest_length, force_density, external_force,
-        given_by_run(
-            model, vary, nodes=nodes, velocities=velocities, rest_length=rest_length,
-            force_density=force_density, external_force=external_force,
-        ),
+    threads = _processors() if threads is None else whole_number("threads", threads, 1)
+    inputs, law = _inputs(model, rest_length, force_density, controller)
+    given = given_by_run(
+        model, vary, nodes=nodes, velocities=velocities, external_force=external_force, **inputs
+    )
+    base = Scene(
+        model, duration, **_nominal(model, inputs | {"external_force": external_force}, given),
+        integration=integration,
     )  # fmt: skip
+    scene = BatchInputs(base, given)
     kept = np.arange(model.structure.nodes.shape[1])
     if keep_nodes is not None:
         kept = index_list("keep_nodes", keep_nodes, len(kept), "nodes")
     runner = errors = None
     with keeping("runs are done, the others are NaN", lambda: 0 if runner is None else runner.done):
-        if step is not None:
-            step = positive_number("step", step, "s")
-        how = HowToIntegrate(method_of(method), tolerance, step, project, machine_code)
-        runner = Runner(scene, how, output_step, kept, law)
+        runner = Runner(scene, kept, law)
         with progress_bar(scene.count, progress, label="simulating", unit="runs") as report:
             runner.run(threads, report)
         if error != "none":
@@ -353,6 +333,47 @@ def simulate_many(
         runner.end_time, messages, runner.switches, runner.missed, runner.choice,
         runner.command, runner.commands_not_ok, errors, runner,
     )  # fmt: skip
+
+
+def _processors() -> int:
+    """Return the number of processors that this process may use."""
+    affinity = getattr(os, "sched_getaffinity", None)
+    return len(affinity(0)) if affinity else os.cpu_count() or 1
+
+
+def _inputs(
+    model: Model, rest_length: object, force_density: object, controller: object
+) -> tuple[dict[str, object], Controller | None]:
+    """Return what runs hold, by name, one of the two None, and the controller, checked."""
+    if controller is None:
+        rest_length, force_density = own_input(model, rest_length, force_density)
+    given = {"rest_length": rest_length, "force_density": force_density, "controller": controller}
+    names = [name for name, value in given.items() if value is not None]
+    if len(names) != 1:
+        found = " and ".join(names) or "none"
+        raise ValueError(
+            f"expected one of rest_length, force_density and controller, found {found}"
+        )
+    law = None
+    if controller is not None:
+        law = checked_controller(controller, model)
+        # What runs begin from, and what is chosen for, until there is a command.
+        rest = law.plant.equilibrium_input
+        rest_length, force_density = (rest, None) if law.input == "rest_length" else (None, rest)
+    return {"rest_length": rest_length, "force_density": force_density}, law
+
+
+def _nominal(model: Model, values: dict[str, Any], given: dict[str, FloatArray]) -> dict[str, Any]:
+    """Return arguments of the scene that runs vary: of what differs something that it can have."""
+    usual = {
+        "rest_length": np.ones(len(model.structure.strings)),
+        "force_density": np.zeros(len(model.structure.strings)),
+        "external_force": 0.0,
+    }
+    stacked = [
+        name for name in usual if name in given and np.ndim(values[name]) == given[name].ndim
+    ]
+    return values | {name: usual[name] for name in stacked}
 
 
 def _warn_of_errors(errors: FloatArray, used: Choice) -> None:

@@ -1,20 +1,17 @@
-"""A scene: everything that a simulation needs, from its file; and its motion to a file."""
+"""Scene of a TOML file."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tenscontrol.actuation import Winches, to_rest_length
-from tenscontrol.control import BaseController
+from tenscontrol.actuation import to_rest_length
 from tenscontrol.dynamics import Model
-from tenscontrol.estimation import KalmanFilter
 from tenscontrol.integrate import METHODS
-from tenscontrol.plant import LinearPlant, equilibrium, linearize
+from tenscontrol.plant import equilibrium
 from tenscontrol.scene.controller_tables import (
     build_controller,
     build_estimator,
@@ -32,8 +29,7 @@ from tenscontrol.scene.structure_tables import (
     build_start,
     build_structure,
 )
-from tenscontrol.simulation import Fault, Trajectory, simulate
-from tenscontrol.statics import prestress
+from tenscontrol.simulation import Integration, Scene
 from tenscontrol.structure import (
     Structure,
     refuse_load_without_support,
@@ -42,7 +38,6 @@ from tenscontrol.structure import (
 )
 from tenscontrol.validation import (
     FloatArray,
-    frozen,
     positive_number,
     truth,
     wrong_kind,
@@ -56,148 +51,6 @@ _OF_CABLES = ("drum_radius", "gear_ratio", "torque", "zero")
 
 _GO_WITH = (*((name, "controller") for name in ("winches", "sensors", "estimator")),
     ("sensors", "estimator"), ("estimator", "sensors"))  # fmt: skip
-
-
-@dataclass(frozen=True, eq=False)
-class Scene:
-    """A structure with strings, loads, start, controller, faults, run. By :func:`load_scene`.
-
-    ``dataclasses.replace(scene, duration=0.1)`` gives the scene with other settings.
-
-    Attributes
-    ----------
-    file : str
-        Where it was read.
-    model : Model
-    nodes, velocities : ndarray, shape (3, n)
-        Motion at the start, m and m/s.
-    force_density : ndarray, shape (α,)
-        γ of the strings in the shape of the structure, N/m, in balance or not.
-    rest_length : ndarray, shape (α,), or None
-        Rest lengths that give this γ in that shape, m; None where γ is held.
-    controller : Controller, FunctionController or None
-        Designed on the structure with its strings whole.
-    winches : Winches or None
-        Their limits, one for each whole string.
-    sample_time : float or None
-        Of a controller in continuous time, s.
-    estimator : KalmanFilter or None
-        Gives the controller its estimate; None if it gets the motion itself.
-    seed : int or None
-        Of the noise of the sensors; None without them.
-    faults : tuple of Fault
-    input : str
-        ``"force_density"`` or ``"rest_length"``: the input of the actuators.
-    duration : float
-        s.
-    step : float or None
-        Step of a method with a fixed step, s.
-    tolerance : float
-        Of a method with steps of its own.
-    output_step : float or None
-        Time between states kept, s.
-    method : str
-        ``"auto"`` or the name of a method.
-    """
-
-    file: str
-    model: Model
-    nodes: FloatArray
-    velocities: FloatArray
-    force_density: FloatArray
-    rest_length: FloatArray | None
-    controller: BaseController | None
-    winches: Winches | None
-    sample_time: float | None
-    estimator: KalmanFilter | None
-    seed: int | None
-    faults: tuple[Fault, ...]
-    input: str
-    duration: float
-    step: float | None
-    tolerance: float
-    output_step: float | None
-    method: str
-
-    def __post_init__(self) -> None:
-        for name in ("nodes", "velocities", "force_density", "rest_length"):
-            if getattr(self, name) is not None:
-                object.__setattr__(self, name, frozen(getattr(self, name)))
-
-    @property
-    def structure(self) -> Structure:
-        """The structure, skinned and cut as the scene says."""
-        return self.model.structure
-
-    def simulate(self, progress: bool = False, start: Trajectory | None = None) -> Trajectory:
-        """Return the motion.
-
-        Parameters
-        ----------
-        progress : bool
-            Whether to show a progress bar; never shown away from a terminal.
-        start : Trajectory, optional
-            A run of the scene to go on from, in place of its start: with the rest lengths or force
-            densities at the end of that run. See :func:`simulate`.
-
-        Returns
-        -------
-        Trajectory
-
-        Raises
-        ------
-        ValueError
-            If the simulation refuses the scene.
-        SimulationError
-            If the motion runs away.
-        """
-        names = ["duration", "method", "tolerance", "step", "output_step", "faults"]
-        if self.controller is not None:
-            names += ["controller", "input", "winches", "sample_time", "estimator", "seed"]
-        settings: dict[str, Any] = {name: getattr(self, name) for name in names}
-        if start is not None:
-            return simulate(self.model, start=start, progress=progress, **settings)
-        if self.controller is not None and self.rest_length is not None:
-            wound = self.rest_length
-            if len(self.controller.structure.strings) != len(wound):
-                wound = to_strings(self.structure, "rest_length", wound)
-            settings["rest_length"] = wound
-        elif self.rest_length is not None:
-            settings["rest_length"] = self.rest_length
-        elif self.controller is None:
-            settings["force_density"] = self.force_density
-        return simulate(
-            self.model, nodes=self.nodes, velocities=self.velocities, progress=progress, **settings
-        )
-
-    def linearize(self, input: str | None = None, coordinates: str = "internal") -> LinearPlant:
-        """Return the linear plant about the shape of the structure, as :func:`linearize` does.
-
-        Parameters
-        ----------
-        input : {"force_density", "rest_length"}, optional
-            That of the scene if not given.
-        coordinates : {"internal", "minimal", "nodes"}
-            See :func:`linearize`.
-
-        Returns
-        -------
-        LinearPlant
-
-        Raises
-        ------
-        ValueError
-            If the structure is not at rest under its force densities and loads.
-        """
-        try:
-            rest = prestress(
-                self.structure, self.force_density, external_force=self.model.constant_force
-            )
-        except ValueError as error:
-            raise ValueError(
-                f"the scene cannot be linearized, as it is not at rest: {error}"
-            ) from error
-        return linearize(self.model, rest, self.input if input is None else input, coordinates)
 
 
 def load_scene(file: str | Path, allow_code: bool = False) -> Scene:
@@ -317,71 +170,107 @@ def load_scene(file: str | Path, allow_code: bool = False) -> Scene:
     if not isinstance(file, str | Path):
         raise wrong_kind("file", file, "a path")
     truth("allow_code", allow_code, "whether the scene may run code")
-    document = read_document(file)
-    structure = build_structure(document)
-    laws = build_law(document, structure)
-    gravity, forces = build_loads(document, structure)
-    law, whole_law = laws or (None, None)
-    load: Any = False if forces is None else forces
-    ground = build_ground(document, structure)
-    loads = document.table("loads")
-    with loads.checked():
-        model = Model(
-            structure, strings=law, external_force=load, gravity=gravity, ground=ground,
-            **loads.given(*FORCE_KEYS),
-        )  # fmt: skip
-    shape_gives = bool(document.table("prestress").get("shape_gives"))
-    acting = model.constant_force
-    if shape_gives or (ground and not _is_held(structure, acting)):
-        acting = np.zeros_like(acting)
-    force_density = build_force_density(document, structure, acting)
-    run = document.table("run")
-    settings = _settings(run)
-    input = run.choice("input", _INPUTS, _INPUTS[laws is not None])
-    if input == "rest_length" and laws is None:
-        raise run.error("input", "in [run], input is 'rest_length', which needs a table [strings]")
-    rest_length = None
-    if input == "rest_length":
-        with document.table("prestress").checked("force_density"):
-            found = to_rest_length(model, structure.nodes, force_density)
-        rest_length = found.rest_length
-    if shape_gives:
-        given = force_density if rest_length is None else rest_length
-        with document.table("prestress").checked("shape_gives"):
-            rest = equilibrium(model, **{input: given})
-        structure, force_density = rest.structure, rest.force_density
-        model = model.replace(structure=structure)
-    winches = build_winches(document, structure)
-    _refuse_alone(document)
-    controller = estimator = None
-    if document.has("controller"):
+    return _Reading(read_document(file), allow_code).scene()
+
+
+class _Reading:
+    """A document that becomes a scene, part by part."""
+
+    def __init__(self, document: Document, allow_code: bool) -> None:
+        self._document, self._allow_code = document, allow_code
+        self._structure = build_structure(document)
+        self._laws = build_law(document, self._structure)
+        self._gravity, self._forces = build_loads(document, self._structure)
+        self._ground = build_ground(document, self._structure)
+        loads = document.table("loads")
+        with loads.checked():
+            self._model = Model(
+                self._structure,
+                strings=None if self._laws is None else self._laws[0],
+                external_force=False if self._forces is None else self._forces,
+                gravity=self._gravity,
+                ground=self._ground,
+                **loads.given(*FORCE_KEYS),
+            )
+        self._settings = _settings(document.table("run"))
+        self._find_shape()
+
+    def _find_shape(self) -> None:
+        """Find force densities, rest lengths, and the shape where these give it."""
+        document, structure, model = self._document, self._structure, self._model
+        shape_gives = bool(document.table("prestress").get("shape_gives"))
+        acting = model.constant_force
+        if shape_gives or (self._ground and not _is_held(structure, acting)):
+            acting = np.zeros_like(acting)
+        self._force_density = build_force_density(document, structure, acting)
+        run = document.table("run")
+        self._input = run.choice("input", _INPUTS, _INPUTS[self._laws is not None])
+        if self._input == "rest_length" and self._laws is None:
+            raise run.error(
+                "input", "in [run], input is 'rest_length', which needs a table [strings]"
+            )
+        self._rest_length = None
+        if self._input == "rest_length":
+            with document.table("prestress").checked("force_density"):
+                found = to_rest_length(model, structure.nodes, self._force_density)
+            self._rest_length = found.rest_length
+        if shape_gives:
+            held = self._force_density if self._rest_length is None else self._rest_length
+            with document.table("prestress").checked("shape_gives"):
+                rest = equilibrium(model, **{self._input: held})
+            self._structure, self._force_density = rest.structure, rest.force_density
+            self._model = self._model.replace(structure=rest.structure)
+
+    def _loop(self) -> dict[str, Any]:
+        """Return controller, winches, estimator and seed, by name."""
+        document, structure, input = self._document, self._structure, self._input
+        winches = build_winches(document, structure)
+        _refuse_alone(document)
+        if not document.has("controller"):
+            return {}
+        whole_law = None if self._laws is None else self._laws[1]
         # Only designs need an equilibrium.
-        design = cache(lambda: build_design(document, model, whole_law, forces, force_density))
-        together = to_strings(structure, "force_density", force_density)
-        whole = whole_strings(structure)
-        controller = build_controller(document, design, whole, together, winches, input, allow_code)
+        design = cache(
+            lambda: build_design(
+                document, self._model, whole_law, self._forces, self._force_density
+            )
+        )
+        together = to_strings(structure, "force_density", self._force_density)
+        controller = build_controller(
+            document, design, whole_strings(structure), together, winches, input, self._allow_code
+        )
         _refuse_contradictions(document, input, controller.sample_time)
-        sample = controller.sample_time or settings["sample_time"] or settings["step"]
+        parts: dict[str, Any] = {"controller": controller, "winches": winches}
         if document.has("estimator"):
-            estimator = build_estimator(document, *design(), input, sample, winches)
-    commanded = None if controller is None else len(controller.commanded.strings)
-    faults = build_faults(document, len(structure.strings), commanded)
-    nodes, velocities = build_start(document, model)
-    return Scene(
-        file=document.file,
-        model=model,
-        nodes=nodes,
-        velocities=velocities,
-        force_density=force_density,
-        rest_length=rest_length,
-        controller=controller,
-        winches=winches,
-        estimator=estimator,
-        seed=None if estimator is None else document.table("sensors").get("seed", 0),
-        faults=faults,
-        input=input,
-        **settings,
-    )
+            run = self._settings
+            sample = controller.sample_time or run["sample_time"] or run["step"]
+            parts["estimator"] = build_estimator(document, *design(), input, sample, winches)
+            parts["seed"] = document.table("sensors").get("seed", 0)
+        return parts
+
+    def scene(self) -> Scene:
+        """Return the scene."""
+        document, structure, loop = self._document, self._structure, self._loop()
+        controller = loop.get("controller")
+        commanded = None if controller is None else len(controller.commanded.strings)
+        faults = build_faults(document, len(structure.strings), commanded)
+        nodes, velocities = build_start(document, self._model)
+        held: dict[str, Any] = {}
+        if self._rest_length is not None:
+            lengths = self._rest_length
+            if controller is not None and len(controller.structure.strings) != len(lengths):
+                lengths = to_strings(structure, "rest_length", lengths)
+            held = {"rest_length": lengths}
+        elif controller is None:
+            held = {"force_density": self._force_density}
+        names = "method", "tolerance", "step", "output_step"
+        with document.table("run").checked():
+            return Scene(
+                self._model, self._settings["duration"], nodes, velocities, **held, **loop,
+                input=self._input, sample_time=self._settings["sample_time"], faults=faults,
+                prestress=self._force_density, name=Path(document.file).stem,
+                integration=Integration(**{name: self._settings[name] for name in names}),
+            )  # fmt: skip
 
 
 def _is_held(structure: Structure, load: FloatArray) -> bool:

@@ -1,0 +1,143 @@
+"""Trajectory of a plant run: its motion with contacts, bars, errors and control record."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from tenscontrol.dynamics import Pieces
+from tenscontrol.integrate import IntegrationError
+from tenscontrol.simulation.arguments import Arguments
+from tenscontrol.simulation.contacts import ContactRecord, record_contacts
+from tenscontrol.simulation.control_record import ControlRecord
+from tenscontrol.simulation.dense_motion import DenseMotion
+from tenscontrol.simulation.health import ERROR_LIMIT, HealthLimits
+from tenscontrol.simulation.motion_functions import MotionFunctions
+from tenscontrol.simulation.plant_run import PlantRun
+from tenscontrol.simulation.trajectory import Trajectory
+from tenscontrol.structure import BarMotion
+from tenscontrol.validation import FloatArray, frozen
+
+
+def assembled(
+    run: PlantRun,
+    control: ControlRecord | None,
+    error: FloatArray | None,
+    stopped: str | None,
+    limits: HealthLimits,
+    *,
+    given: Arguments,
+    note: str | None,
+    scene: Any,
+) -> Trajectory:
+    """Return the motion so far; the model evaluates its energies and momenta at all times.
+
+    Bars that cross are looked for if there is a limit on it. ``given`` and ``note`` are what the
+    trajectory says of its arguments, ``scene`` what it is a motion of.
+    """
+    model, structure, forces = run.model, run.model.structure, run.model.forces(run.input)
+    time = np.concatenate([span.time for span in run.spans])
+    released = np.repeat(
+        [span.released for span in run.spans], [len(span.time) for span in run.spans]
+    )
+    nodes, velocities = run.all_motion()
+    inputs = run.all_values(run.string_rows)
+    functions = MotionFunctions(model, run.supports is not None, inputs)
+    load = _load(run)
+    free, known = not len(structure.fixed_rows), dict[str, Any]()
+    contacts = None
+    if model.contacts is not None:
+        contacts, known = _contacts(run, functions, nodes, velocities, time)
+        functions = replace(functions, stored=contacts.stored_energy.sum(axis=0))
+    if load is not None:
+        functions = replace(functions, load=load)
+    trajectory = Trajectory(
+        structure=structure,
+        time=frozen(time),
+        nodes=nodes,
+        velocities=velocities,
+        rest_length=inputs if run.input == "rest_length" else None,
+        choice=run.final_choice,
+        work=run.work,
+        conserves_energy=control is None and not run.moves and forces.conserves_energy,
+        conserves_momentum=not (load is not None and load.any())
+        and free
+        and forces.conserves_momentum,
+        control=control,
+        stopped=stopped,
+        error=error,
+        error_limit=limits.position_error or ERROR_LIMIT,
+        released_energy=frozen(released),
+        falls=free and contacts is None and float(model.constant_force[-1].sum()) < 0,
+        contacts=contacts,
+        faults=run.faults.listed,
+        note=note,
+        given=given,
+        scene=scene,
+        _ground=model.ground,
+        _functions=functions,
+    )
+    vars(trajectory).update(known)
+    if limits.crossings is not None:
+        again = partial(_again, DenseMotion.of_run(run))
+        bars = BarMotion(structure, time, nodes, velocities, again, run.work.steps)
+        vars(trajectory).update(_bars=bars.searched())
+    return trajectory
+
+
+def _load(run: PlantRun) -> FloatArray | None:
+    """Return what acts on the nodes, (d, n), or (d n, T) where it may change; None for nothing."""
+    if run.supports is not None:  # without the inertia that is a load beside the displacement
+        inertia = run.supports.force(run.all_values(run.offset_rows, 2))
+        return np.asarray(run.all_values(run.load_rows) + inertia)
+    if isinstance(run.load, Pieces):
+        return run.all_values(run.load_rows)
+    return run.load if run.load.any() else None
+
+
+def _contacts(
+    run: PlantRun,
+    functions: MotionFunctions,
+    nodes: FloatArray,
+    velocities: FloatArray,
+    time: FloatArray,
+) -> tuple[ContactRecord, dict[str, Any]]:
+    """Return the record of the contacts, and what of the trajectory was evaluated for it."""
+    known: dict[str, Any] = {}
+    (kinetic,) = functions.of("kinetic_energy", nodes, velocities)
+    known["kinetic_energy"] = kinetic[0]
+    largest = float(kinetic.max())
+    contacts = record_contacts(DenseMotion.of_run(run), nodes, velocities, largest)
+    if not len(run.model.structure.fixed_rows) and not isinstance(run.load, Pieces):
+        momenta = functions.of("momentum", nodes, velocities)
+        known["_momenta"], linear = momenta, momenta[0]
+        acting = np.outer(run.load.sum(axis=1), time - time[0])
+        off = linear - linear[:, :1] - (contacts.impulse.sum(axis=1) + acting)
+        contacts = replace(contacts, impulse_error=float(np.abs(off).max()))
+    return contacts, known
+
+
+def _again(
+    dense: DenseMotion, first: int, last: int, parts: int
+) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """Return times, nodes and velocities from one interval between states kept to another.
+
+    In equal parts; None if the motion cannot be integrated again.
+    """
+    run, span = dense.run, dense.run.spans[dense.of[first + 1]]
+    if dense.of[first + 1] != dense.of[last + 1]:
+        return None
+    try:
+        piece, _ = dense.again(first + 1, last + 1, parts)
+    except (IntegrationError, KeyboardInterrupt):
+        return None
+    time = np.append(piece.begins, piece.ends[-1:])
+    states = np.column_stack([piece.before, piece.after[:, -1]])
+    inputs = np.repeat(span.coefficients[:, :, None], len(time), axis=2)
+    d, n = run.model.structure.nodes.shape
+    motion = run.all_nodes(states, inputs, time - span.origin)
+    nodes, velocities = motion.reshape(2, n, d, -1).swapaxes(1, 2)
+    return time, nodes, velocities

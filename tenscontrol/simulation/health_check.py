@@ -1,0 +1,42 @@
+"""Warnings and errors where the motion of a run passes a limit."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+
+from tenscontrol.integrate import Choice
+from tenscontrol.simulation.health import AccuracyWarning, BarCrossingWarning, HealthLimits
+from tenscontrol.simulation.simulation_error import SimulationError
+from tenscontrol.simulation.trajectory import Trajectory
+
+
+def check_health(run: Trajectory, limits: HealthLimits, stacklevel: int = 3) -> None:
+    """Warn or raise where the motion passes a limit."""
+    health = run.health_of(limits.names)
+    every = limits.passed(health)
+    limits = replace(limits, crossings=None)
+    passed = limits.passed(health)
+    crossed = "; ".join(text for text in every if text not in passed)
+    if crossed and limits.action == "raise":
+        raise SimulationError(crossed, run)
+    if crossed:
+        warnings.warn(crossed, BarCrossingWarning, stacklevel=stacklevel)
+    if not passed:
+        return
+    text = "; ".join(passed)
+    # How deep nodes sink, a fall, and steps of motors are no errors of the integration.
+    if replace(limits, penetration=None, fall=None, rest_length_error=None).passed(health):
+        text += f": the motion may not be accurate. Try {finer(run.choice)}"
+    if health.trusted_until is not None and health.trusted_until < run.time[-1]:
+        text += "; a motion that magnifies errors can only be foretold for a time, see run.error"
+    if limits.action == "raise":
+        raise SimulationError(text, run)
+    warnings.warn(text, AccuracyWarning, stacklevel=stacklevel)
+
+
+def finer(used: Choice) -> str:
+    """Return what to try where a motion is not accurate."""
+    return (
+        "a smaller tolerance" if used.setting == "tolerance" else f"a step below {used.value:g} s"
+    )

@@ -1,0 +1,86 @@
+"""Settings of an integration: method, step or tolerance, states kept, limits on the result."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from tenscontrol.integrate import METHODS, Method, method_of
+from tenscontrol.simulation.health import HealthLimits
+from tenscontrol.validation import choice, instance, positive_number, truth
+
+
+@dataclass(frozen=True)
+class Integration:
+    """How a motion is integrated, which states are kept, and how it is judged.
+
+    Parameters
+    ----------
+    method : str or Method
+        ``"auto"``, one of :data:`METHODS`, or a :class:`Method` of your own; see :func:`simulate`.
+    tolerance : float
+        Error allowed a step of a method that chooses its own steps, as part of
+        the size of the structure and of its characteristic speed.
+    step : float, optional
+        Step of a method with a fixed step, s.
+    output_step : float, optional
+        Largest time between states kept, s; see :func:`simulate`.
+    project : bool, optional
+        Whether to make the bar lengths exact after each step; see :func:`simulate`.
+    machine_code : bool
+        Whether to compile the steps by the C compiler of the machine.
+    error : {"estimate", "none"}
+        Whether to estimate the error of the motion, by a second run at another resolution.
+    limits : HealthLimits
+        Limits on the figures in ``run.health``.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is of the wrong kind or does not fit, with its name.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> scene = tc.Scene(
+    ...     tc.Model(tc.prism()), 0.1, force_density=17.3205, integration=tc.Integration(step=1e-3))
+    >>> scene.simulate()
+    Trajectory(0.1 s, 101 states, rk4)
+    """
+
+    method: str | Method = "auto"
+    tolerance: float = 1e-6
+    step: float | None = None
+    output_step: float | None = None
+    project: bool | None = None
+    machine_code: bool = False
+    error: str = "estimate"
+    limits: HealthLimits = field(default_factory=HealthLimits)
+
+    def __post_init__(self) -> None:
+        put = object.__setattr__  # the dataclass is frozen for everyone else
+        put(self, "tolerance", positive_number("tolerance", self.tolerance, "of size and speed"))
+        choice("error", self.error, ("estimate", "none"))
+        if self.project is not None:
+            truth("project", self.project, "whether to make bar lengths exact after each step")
+        how = "make them by HealthLimits(bar_length_error=...)"
+        instance("limits", self.limits, HealthLimits, how)
+        truth("machine_code", self.machine_code, "whether to compile the steps")
+        for name in ("step", "output_step"):
+            if getattr(self, name) is not None:
+                put(self, name, positive_number(name, getattr(self, name), "s"))
+        method = method_of(self.method)
+        if method is None:
+            return
+        if "tolerance" not in method.settings and self.step is None:
+            raise ValueError(f"method {method.name!r} needs a step, s; for example step=1e-3")
+        if "step" not in method.settings and self.step is not None:
+            fixed = [name for name, each in METHODS.items() if "step" in each.settings]
+            raise ValueError(
+                f"step goes with the methods {fixed}; {method.name!r} chooses its own steps by "
+                "tolerance"
+            )
+
+    @property
+    def chosen(self) -> Method | None:
+        """The method asked for; None where it is left to the simulation."""
+        return method_of(self.method)

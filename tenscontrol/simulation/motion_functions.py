@@ -1,0 +1,76 @@
+"""Functions of the model over a motion: energies, momenta, force densities."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from casadi import Function
+
+from tenscontrol.dynamics import Model, evaluate_columns
+from tenscontrol.validation import FloatArray
+
+# Times at which functions of the model are evaluated in one go: few enough that what they need of a
+# large structure stays small.
+BLOCK = 128
+
+
+@dataclass(frozen=True, eq=False)
+class MotionFunctions:
+    """What energies, momenta and force densities of a motion are evaluated from, when asked for.
+
+    Attributes
+    ----------
+    model : Model
+    moved : bool
+        Whether supports move: functions are then those of all nodes.
+    inputs : ndarray, shape (α, T)
+        Rest lengths or force densities.
+    load : ndarray, shape (d, n), or (d n, T) where it changes, node by node; or None
+        N.
+    stored : ndarray, shape (T,), or None
+        What the ground stores, J.
+    shared : callable, optional
+        Of a run of a batch: ``name -> function, parameters``, the function of the model and the
+        columns of its further inputs.
+    """
+
+    model: Model
+    moved: bool
+    inputs: FloatArray
+    load: FloatArray | None = None
+    stored: FloatArray | None = None
+    shared: Callable[[str], tuple[Function, list[FloatArray]]] | None = None
+
+    def of(
+        self, name: str, nodes: FloatArray, velocities: FloatArray, *more: FloatArray
+    ) -> list[FloatArray]:
+        """Return a function of the model at all times, read-only: one array an output."""
+        model, count = self.model, nodes.shape[2]
+        every = self.moved or not len(model.structure.fixed_rows)
+        rows = slice(None) if every else model.structure.free_rows
+        if self.shared is not None:
+            function, own = self.shared(name)
+            more += tuple(np.broadcast_to(each[:, None], (len(each), count)) for each in own)
+        else:
+            function = model.of_all_nodes(name) if self.moved else getattr(model, name)
+
+        def within(first: int) -> list[FloatArray]:
+            some = slice(first, first + BLOCK)
+            moving = [by_node(part[:, :, some])[rows] for part in (nodes, velocities)]
+            return evaluate_columns(function, np.vstack(moving), *(each[:, some] for each in more))
+
+        parts = zip(*(within(first) for first in range(0, count, BLOCK)), strict=True)
+        return [read_only(np.hstack(part)) for part in parts]
+
+
+def by_node(part: FloatArray) -> FloatArray:
+    """Return shape (d n, T), node by node, of (d, n, T)."""
+    return part.swapaxes(0, 1).reshape(-1, part.shape[2])
+
+
+def read_only(array: FloatArray) -> FloatArray:
+    """Return an array that is not to be written to."""
+    array.setflags(write=False)
+    return array

@@ -1,0 +1,380 @@
+"""The plant side of a simulation: integration span by span, the input a polynomial in time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import partial
+from math import ceil
+
+import numpy as np
+
+from tenscontrol.dynamics import (
+    Equation,
+    Evaluator,
+    Model,
+    Pieces,
+    polynomial_at,
+    unpack_states,
+)
+from tenscontrol.integrate import (
+    METHODS,
+    Choice,
+    IntegrationError,
+    IntegrationInterrupt,
+    Integrator,
+    Span,
+    Watched,
+    Work,
+    choose,
+)
+from tenscontrol.simulation.faults import Faults
+from tenscontrol.simulation.integration import Integration
+from tenscontrol.simulation.motion_functions import BLOCK, MotionFunctions
+from tenscontrol.simulation.moving_supports import MovingSupports
+from tenscontrol.validation import FloatArray, frozen
+
+
+class StoppedError(Exception):
+    """A motion that cannot go on; its cause is what stopped it."""
+
+
+@dataclass(frozen=True, eq=False)
+class RunSpan:
+    """The motion over a time in which the inputs are one polynomial."""
+
+    time: FloatArray  # of the states kept, s
+    states: FloatArray
+    begin: FloatArray  # state at its beginning
+    origin: float  # from which the polynomials count, s
+    coefficients: FloatArray  # of all inputs
+    released: float  # what strings cut by then had stored, J
+    jump: FloatArray | None = None  # of the velocities of supports at its beginning, m/s
+
+    def values(self, rows: slice, order: int = 0) -> FloatArray:
+        """Return some of the inputs at the times kept, or their rates."""
+        return polynomial_at(self.coefficients[rows], self.time - self.origin, order)
+
+
+@dataclass(eq=False)
+class PlantRun:
+    """The plant side of a simulation: integration span by span, from a time on.
+
+    The input is held, or a polynomial in time of at most ``degree``; so is a load, where it is
+    given as pieces of polynomials, one row an entry of it, node by node. Where supports move,
+    states are beside their displacement, see :class:`MovingSupports`.
+    """
+
+    model: Model
+    input: str
+    load: FloatArray | Pieces
+    duration: float
+    integration: Integration
+    faults: Faults
+    degree: int = 0
+    supports: MovingSupports | None = None
+    support_rate: FloatArray | None = None  # now, of all nodes, node by node, m/s
+    now: float = 0.0
+    output_step: float = 0.0
+    report: Callable[[float], None] | None = None  # of the time reached, s
+    spans: list[RunSpan] = field(init=False, default_factory=list)
+    moves: bool = field(init=False, default=False)  # an input changes without a controller
+    lost_energy: float = field(init=False, default=0.0)
+    work: Work = field(init=False, default_factory=Work)
+    choice: Choice = field(init=False)
+    integrator: Integrator = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._method = self.integration.chosen
+        self._given: Pieces | None = self.load if isinstance(self.load, Pieces) else None
+        if self.supports is not None:
+            self._given = self.supports.inputs(self.load)
+        if self._given is not None:
+            self.degree = max(self.degree, self._given.degree)
+        self._equation = self._equation_of("auto")
+
+    @property
+    def equation(self) -> Equation:
+        """The equations of motion, as they are asked for; an integrator may have another form."""
+        return self._equation
+
+    def _equation_of(self, form: str) -> Equation:
+        load = None
+        if self._given is None:
+            assert not isinstance(self.load, Pieces)  # else they were given
+            load = self.load - self.model.constant_force
+        return self.model.equation(
+            self.input, load, form, degree=self.degree,
+            load_input=load is None, offset_input=self.supports is not None,
+        )  # fmt: skip
+
+    def _prepare(self, state: FloatArray, u: FloatArray) -> None:
+        """Make the integrator, chosen for the scene if the user has not."""
+        equation, method, how = self._equation, self._method, self.integration
+        if method is None:
+            chosen = choose(equation, state, u, self.duration, how.tolerance, how.step)
+            method = METHODS[chosen.method]
+        elif how.step is None:
+            chosen = Choice(method.name, "tolerance", how.tolerance, "asked for")
+        else:
+            chosen = Choice(method.name, "step", how.step, "asked for")
+        if equation.layout.degree and not method.follows:
+            able = [name for name, each in METHODS.items() if each.follows]
+            raise ValueError(
+                f"method {method.name!r} takes inputs that are constant over a step only, but "
+                f"an input changes in time; methods that follow it are: {able}. For a method of "
+                "your own that evaluates the input by equation.ahead(u, t), give "
+                "Method(follows=True)"
+            )
+        self.choice = chosen
+        self.integrator = self.integrator_for(chosen.value)
+        self.choice = replace(chosen, back_end=self.integrator.back_end)
+
+    def integrator_for(self, value: float) -> Integrator:
+        """Return an integrator of the whole motion, with a step or tolerance.
+
+        One that is watched begins with the method that was last at work.
+        """
+        last = self.methods[-1]
+        if self._method is None and self.choice.setting == "tolerance":
+            begin = self.spans[0].time[0] if self.spans else self.now
+            make = partial(self._made, value)
+            return Watched(self._equation, last, make, self.duration, float(begin))
+        return self._made(value, last)
+
+    @property
+    def final_choice(self) -> Choice:
+        """The choice of the method, with its changes so far."""
+        return replace(self.choice, changes=self.integrator.changes)
+
+    @property
+    def methods(self) -> tuple[str, ...]:
+        """The methods so far."""
+        return self.final_choice.methods if self.spans else self.choice.methods
+
+    @property
+    def order(self) -> int:
+        """Order of the method that was last at work."""
+        return (self._method or METHODS[self.methods[-1]]).order
+
+    def _made(self, value: float, name: str) -> Integrator:
+        """Return the integrator of a method, with a step or tolerance."""
+        method, equation, how = self._method or METHODS[name], self._equation, self.integration
+        if method.differentiates and equation.form == "loops":
+            equation = self._equation_of("mapped")
+        # Not what the user says of a method that he has not chosen, and that needs no projection.
+        project = how.project if method.drifts or self._method is not None else None
+        return method.integrator(equation, value, self.choice.setting, project, how.machine_code)
+
+    def go_to(self, time: float) -> None:
+        """Set the clock to a time that differs by round-off: samples are counted, not added up."""
+        self.now = time
+
+    def run(
+        self, state: FloatArray, held: FloatArray | tuple[FloatArray, FloatArray] | Pieces,
+        duration: float,
+    ) -> FloatArray:  # fmt: skip
+        """Integrate and return the state at the end.
+
+        The input of the strings is held, or goes in a straight line from the first of two to the
+        second, or comes in pieces. Spans end where a piece does, and where strings are cut.
+        """
+        if isinstance(held, tuple):
+            held = Pieces.ramp(self.now, duration, *held)
+        elif not isinstance(held, Pieces):
+            held = Pieces.constant(held)
+        if held.degree > self.degree:
+            found = f"found one of degree {held.degree}"
+            raise ValueError(f"the run was made for inputs of degree {self.degree}, {found}")
+        end = self.now + duration
+        inputs = held.within(self.now, end)
+        self.moves |= not inputs.is_constant
+        if self._given is not None:
+            others = self._given.within(self.now, end)
+            self.moves |= not others.is_constant
+            inputs = Pieces.stacked([inputs, others])
+        # Round-off of the times leaves no spans of no length.
+        close = 1e-9 * duration
+        within = self.now + close, end - close
+        cuts = sorted({*self.faults.cut_times(*within), *inputs.breaks(*within)})
+        for cut in cuts:
+            state = self._run_span(state, inputs, cut - self.now, close)
+            duration = end - cut
+        return self._run_span(state, inputs, duration, close)
+
+    def _release(self, state: FloatArray, time: float) -> None:
+        """Count the energy that strings store which are cut at a time."""
+        if not self.spans:
+            return
+        before = self.spans[-1].values(self.string_rows)[:, -1]
+        after = self.faults.without_cut(before, time)
+        if np.array_equal(before, after):
+            return
+        energy = "potential_energy" if self.input == "force_density" else "elastic_energy"
+        inputs = np.column_stack([before, after])
+        motion = (np.repeat(part, 2, axis=2) for part in self._motion(state))
+        functions = MotionFunctions(self.model, self.supports is not None, inputs)
+        (stored,) = functions.of(energy, *motion, inputs)
+        self.lost_energy += float(stored[0, 0] - stored[0, 1])
+
+    def _run_span(
+        self, state: FloatArray, inputs: Pieces, duration: float, close: float
+    ) -> FloatArray:
+        """Integrate with the strings that are not cut by now, up to what is close."""
+        self._release(state, self.now + close)
+        origin, coefficients = inputs.piece(self.now + close)
+        more = self.degree + 1 - coefficients.shape[1]
+        coefficients = self.faults.without_cut(
+            np.pad(coefficients, ((0, 0), (0, more))) if more else coefficients, self.now + close
+        )
+        held = self.packed(coefficients, self.now - origin)
+        jump = None
+        if self.supports is not None:
+            jump = self._support_jump(origin, coefficients)
+            state = self.pushed(state, held, jump)
+        if not self.spans:
+            self._prepare(state, held)
+            first = np.array([self.now])
+            self._keep(
+                RunSpan(first, state[:, None], state, origin, coefficients, self.lost_energy)
+            )
+        outputs = max(1, ceil(duration / self.output_step - 1e-9))
+
+        def add(span: Span) -> None:
+            times = start + duration * np.arange(1, span.states.shape[1] + 1) / outputs
+            self._keep(
+                RunSpan(times, span.states, state, origin, coefficients, self.lost_energy, jump)
+            )
+            self.work += span.work
+
+        start, report = self.now, self.report
+        reached = None if report is None else lambda time: report(start + time)
+        try:
+            span = self.integrator.advance(state, held, duration, outputs, reached)
+        except (IntegrationError, IntegrationInterrupt) as error:
+            add(error.span)
+            self.now = start + error.time
+            if isinstance(error, IntegrationInterrupt):
+                raise
+            raise StoppedError(str(error)) from error
+        add(span)
+        self.now = start + duration
+        if self.supports is not None:
+            self.support_rate = self.spans[-1].values(self.offset_rows, 1)[:, -1]
+        return span.states[:, -1]
+
+    def _support_jump(self, origin: float, coefficients: FloatArray) -> FloatArray | None:
+        """Return by how much the velocity of supports jumps now, None if it does not."""
+        time = np.array([self.now - origin])
+        rate = polynomial_at(coefficients[self.offset_rows], time, 1)[:, 0]
+        jump = rate if self.support_rate is None else rate - self.support_rate
+        self.support_rate = rate
+        return jump if jump.any() else None
+
+    def pushed(self, state: FloatArray, held: FloatArray, jump: FloatArray | None) -> FloatArray:
+        """Return the state after a jump of the velocity of supports."""
+        if jump is None or self.supports is None:
+            return state
+        slope, layout = Evaluator(self._equation.slope), self._equation.layout
+        pushed, taut = held.copy(), np.ones(self._equation.switches)
+        pushed[layout.strings : layout.strings + layout.load] -= self.supports.force(jump)
+        before = slope(state, held, taut)[0].copy()
+        change = slope(state, pushed, taut)[0] - before
+        change[: len(state) // 2] = 0.0  # positions stay
+        return np.asarray(state + change)
+
+    def motion(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return nodes and velocities, shape (d, n) each, of a state now."""
+        N, V = self._motion(state)
+        return N[:, :, 0], V[:, :, 0]
+
+    def _motion(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        offset = rate = None
+        if self.supports is not None:
+            offset = self.supports.displacement.at(np.array([self.now]))
+            rate = self.support_rate
+            rate = np.zeros_like(offset) if rate is None else rate[:, None]
+        return self._moved(state[:, None], offset, rate)
+
+    def _moved(
+        self, states: FloatArray, offset: FloatArray | None, rate: FloatArray | None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return nodes and velocities, shape (d, n, T) each, of states beside an offset."""
+        N, V = unpack_states(self.model.structure, states)
+        if offset is None or rate is None:
+            return N, V
+        return N + offset.reshape(N.shape, order="F"), V + rate.reshape(V.shape, order="F")
+
+    def all_nodes(
+        self, states: FloatArray, coefficients: FloatArray, time: FloatArray
+    ) -> FloatArray:
+        """Return positions, then velocities, of all nodes, one column for each state.
+
+        ``coefficients`` are those of all inputs, (rows, degree + 1, T), taken at times (T,).
+        """
+        offset = rate = None
+        if self.supports is not None:
+            offset, rate = (polynomial_at(coefficients[self.offset_rows], time, i) for i in (0, 1))
+        parts = self._moved(states, offset, rate)
+        return np.vstack([part.reshape(-1, states.shape[1], order="F") for part in parts])
+
+    @property
+    def string_rows(self) -> slice:
+        """Rows of the inputs that are those of strings."""
+        return slice(self._equation.layout.strings)
+
+    @property
+    def load_rows(self) -> slice:
+        """Rows of the inputs that are loads."""
+        layout = self._equation.layout
+        return slice(layout.strings, layout.strings + layout.load)
+
+    @property
+    def offset_rows(self) -> slice:
+        """Rows of the inputs that are displacements by supports."""
+        return slice(self.load_rows.stop, None)
+
+    def packed(self, coefficients: FloatArray, time: float) -> FloatArray:
+        """Return inputs as integrators take them, a time after their origin, s."""
+        if not self.degree:  # values held are the input
+            return coefficients[:, 0]
+        return self._equation.layout.packed(coefficients, time)
+
+    def _keep(self, span: RunSpan) -> None:
+        self.spans.append(span)
+
+    def all_values(self, rows: slice, order: int = 0) -> FloatArray:
+        """Return some of the inputs at all times kept, or their rates, read-only."""
+        held = [s.coefficients[rows] for s in self.spans]
+        if not order and all(
+            not each[:, 1:].any() and np.array_equal(each[:, 0], held[0][:, 0]) for each in held
+        ):  # one column, read at all times
+            count = sum(len(s.time) for s in self.spans)
+            return np.broadcast_to(frozen(held[0][:, :1]), (len(held[0]), count))
+        values = np.hstack([s.values(rows, order) for s in self.spans])
+        values.setflags(write=False)
+        return values
+
+    def all_motion(self) -> tuple[FloatArray, FloatArray]:
+        """Return nodes and velocities at all times kept, read-only; built block by block."""
+        d, n = self.model.structure.nodes.shape
+        shape = d, n, sum(len(s.time) for s in self.spans)
+        nodes, velocities = np.empty(shape), np.empty(shape)
+        place = 0
+        for span in self.spans:
+            for first in range(0, len(span.time), BLOCK):
+                some = slice(first, first + BLOCK)
+                offset = rate = None
+                if self.supports is not None:
+                    within, rows = (
+                        span.time[some] - span.origin,
+                        span.coefficients[self.offset_rows],
+                    )
+                    offset, rate = (polynomial_at(rows, within, order) for order in (0, 1))
+                N, V = self._moved(span.states[:, some], offset, rate)
+                there = slice(place, place + N.shape[2])
+                nodes[:, :, there], velocities[:, :, there] = N, V
+                place = there.stop
+        for part in (nodes, velocities):
+            part.setflags(write=False)
+        return nodes, velocities

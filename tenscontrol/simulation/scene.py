@@ -1,0 +1,651 @@
+"""A scene: what is simulated, from which start, under which inputs, for how long."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
+from dataclasses import KW_ONLY, dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from tenscontrol.actuation import Winches, to_rest_length
+from tenscontrol.control import BaseController, ControlWarning, as_controller
+from tenscontrol.dynamics import Equation, Model, Pieces, pack_state, sampling_interval
+from tenscontrol.estimation import KalmanFilter, Sensors
+from tenscontrol.interrupt import InterruptionWarning, finishing, interruptible
+from tenscontrol.plant import LinearPlant, held_value, linearize, own_input
+from tenscontrol.progress import long_run_note, progress_bar
+from tenscontrol.properties import cached_property
+from tenscontrol.simulation.arguments import Arguments
+from tenscontrol.simulation.assembly import assembled
+from tenscontrol.simulation.closed_loop import ClosedLoop
+from tenscontrol.simulation.faults import Fault, Faults
+from tenscontrol.simulation.health import ERROR_LIMIT
+from tenscontrol.simulation.health_check import check_health
+from tenscontrol.simulation.inputs import changes_in_time, checked_inputs, load_in_time
+from tenscontrol.simulation.integration import Integration
+from tenscontrol.simulation.moving_supports import MovingSupports, support_offset
+from tenscontrol.simulation.plant_run import PlantRun, StoppedError
+from tenscontrol.simulation.replay import estimated_error
+from tenscontrol.simulation.simulation_error import SimulationError
+from tenscontrol.simulation.start import Start, initial_state, start_beside_supports
+from tenscontrol.simulation.trajectory import Trajectory
+from tenscontrol.statics import prestress
+from tenscontrol.structure import Structure, same_members, to_segments
+from tenscontrol.validation import (
+    LARGEST_SEED,
+    FloatArray,
+    choice,
+    frozen,
+    instance,
+    non_negative,
+    per_member,
+    positive,
+    positive_number,
+    refuse_memory,
+    refuse_time,
+    text,
+    truth,
+    whole_number,
+)
+
+# States kept of an adaptive run, unless the user says otherwise.
+_OUTPUTS = 1000
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What is simulated: a model, its start, its inputs or controller, loads, faults, duration.
+
+    Give one of ``rest_length``, ``force_density`` and ``controller``; without strings none is
+    needed. :func:`simulate` takes the same arguments and says more of each. A scene is checked
+    when it is made; ``dataclasses.replace(scene, duration=0.1)`` gives one with other settings.
+
+    Parameters
+    ----------
+    model : Model
+    duration : float
+        s.
+    nodes, velocities : array_like, shape (d, n), optional
+        Motion at the start, m and m/s; the reference shape at rest if not given. None where a run
+        goes on, or supports move and it was not given.
+    rest_length : float, array_like, shape (α,), Profile or callable, optional
+        Rest lengths, m; with a controller those at the start, one per string that it commands.
+    force_density : float, array_like, shape (α,), Profile or callable, optional
+        γ, N/m.
+    controller : controller, callable or object with a method ``command``, optional
+    input : {"rest_length", "force_density"}, optional
+        What the actuators hold. In open loop what is given; under a controller the rest length if
+        the model has a string law, else γ.
+    winches : Winches, optional
+    sample_time : float, optional
+        For a controller without a sample time of its own, s.
+    faults : sequence of CutString, StuckWinch and LostMeasurement
+    external_force : array_like, shape (d, n), 0, Profile or callable, optional
+        Load W, N.
+    support_motion : Profile, callable or array_like, shape (d, number of fixed nodes), optional
+        Displacement of the fixed nodes, m.
+    estimator : KalmanFilter, optional
+    sensors : Sensors, optional
+    seed : int, optional
+        Of the noise of the readings; 0 if not given.
+    start : Trajectory, optional
+        A run to go on from, in place of ``nodes`` and ``velocities``.
+    prestress : array_like, shape (α,), optional
+        γ of the strings in the shape of the structure, N/m, about which :meth:`linearize` takes the
+        scene; that of the input if not given.
+    integration : Integration
+        Method, step or tolerance, states kept, limits.
+    name, note : str
+        For titles, and what a reader of a result must know.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is of the wrong kind or does not fit, with its name.
+
+    Examples
+    --------
+    >>> import numpy as np, tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> model = tc.Model(prism, strings=tc.LinearStrings(stiffness=100.0))
+    >>> gamma = np.repeat([17.3205, 17.3205, 9.0], 3)
+    >>> start = tc.to_rest_length(model, prism.nodes, gamma).rest_length
+    >>> scene = tc.Scene(model, 5.0, rest_length=start)
+    >>> scene
+    Scene(5 s, rest_length held, 6 nodes)
+    >>> scene.simulate()
+    Trajectory(5 s, 1001 states, dop853)
+    """
+
+    model: Model
+    duration: float
+    nodes: Any = None
+    velocities: Any = None
+    _: KW_ONLY
+    rest_length: Any = None
+    force_density: Any = None
+    controller: Any = None
+    input: Any = None  # found below
+    winches: Winches | None = None
+    sample_time: float | None = None
+    faults: Sequence[Fault] | None = ()
+    external_force: Any = None
+    support_motion: Any = None
+    estimator: KalmanFilter | None = None
+    sensors: Sensors | None = None
+    seed: int | None = None
+    start: Trajectory | None = None
+    prestress: Any = None
+    integration: Integration = field(default_factory=Integration)
+    name: str = ""
+    note: str = ""
+
+    def __post_init__(self) -> None:
+        instance("model", self.model, Model, "make one by Model(structure)")
+        if not len(self.model.structure.free):
+            raise ValueError("every node of the model is fixed: nothing can move")
+        put = object.__setattr__  # the dataclass is frozen for everyone else
+        put(self, "duration", positive_number("duration", self.duration, "s"))
+        instance("integration", self.integration, Integration, "make one by Integration(step=...)")
+        text("name", self.name, "for titles")
+        text("note", self.note, "what a reader of the result must know")
+        self._check_loop()
+        self._take_over_start()
+        self._check_inputs()
+        _ = self.loads, self.initial
+        self._keep_arrays()
+
+    def _check_loop(self) -> None:
+        """Check the parts of a closed loop, each by itself."""
+        put = object.__setattr__
+        if self.estimator is not None:
+            how = "make one by KalmanFilter(plant, sensors, sample_time=...)"
+            instance("estimator", self.estimator, KalmanFilter, how)
+        if self.sensors is not None:
+            instance("sensors", self.sensors, Sensors, "make them by Sensors(structure=..., ...)")
+            if self.estimator is None:
+                raise ValueError("sensors go with an estimator; KalmanFilter(...) makes one")
+        if self.winches is not None:
+            instance("winches", self.winches, Winches, "make them by Winches(rate=...)")
+        if self.sample_time is not None:
+            put(self, "sample_time", positive_number("sample_time", self.sample_time, "s"))
+        if self.seed is not None:
+            put(self, "seed", whole_number("seed", self.seed, 0, LARGEST_SEED))
+        alone = self.winches, self.sample_time, self.estimator
+        if self.controller is None and any(part is not None for part in alone):
+            raise ValueError("estimator, winches and sample_time go with a controller")
+
+    def _take_over_start(self) -> None:
+        """Check the run to go on from, and take its faults and inputs where none are given."""
+        run, put = self.start, object.__setattr__
+        if run is None:
+            return
+        instance("start", run, Trajectory, "a run that simulate(...) returned")
+        if self.nodes is not None or self.velocities is not None:
+            raise ValueError("start gives nodes and velocities: leave those out")
+        structure = self.structure
+        if not same_members(run.structure, structure) or not np.array_equal(
+            run.structure.bar_length, structure.bar_length
+        ):
+            raise ValueError(
+                f"start is a run of {run.structure!r}, expected the bars, strings and supports "
+                f"of the model's {structure!r}"
+            )
+        put(self, "faults", self.faults or run.faults)
+        if self.controller is None and self.rest_length is None and self.force_density is None:
+            put(self, "force_density" if run.rest_length is None else "rest_length", run.held)
+
+    def _check_inputs(self) -> None:
+        """Check what the actuators hold, and which strings and winches fail."""
+        if self.controller is None:
+            self._check_open_loop()
+        else:
+            self._check_closed_loop()
+        object.__setattr__(self, "faults", self._faults.listed)
+        winches = None if self.law is None else len(self.law.commanded.strings)
+        self._faults.refuse_unknown(len(self.structure.strings), winches)
+        _ = self.inputs
+
+    def _check_closed_loop(self) -> None:
+        put = object.__setattr__
+        if self.force_density is not None:
+            raise ValueError("force_density is commanded by the controller; leave it out")
+        kind = "force_density" if self.model.strings is None else "rest_length"
+        if self.input is not None:
+            kind = choice("input", self.input, ("rest_length", "force_density"))
+        put(self, "input", kind)
+        if self.rest_length is not None and kind == "rest_length" and self.law is not None:
+            count, what = len(self.law.commanded.strings), "string of the controller"
+            lengths = per_member("rest_length", self.rest_length, count, what)
+            put(self, "rest_length", positive("rest_length", lengths, "length in m"))
+
+    def _check_open_loop(self) -> None:
+        put = object.__setattr__
+        rest_length, force_density = own_input(self.model, self.rest_length, self.force_density)
+        put(self, "rest_length", rest_length)
+        put(self, "force_density", force_density)
+        if (self.rest_length is None) == (self.force_density is None):
+            found = "neither" if self.rest_length is None else "both"
+            raise ValueError(
+                f"expected one of rest_length, force_density and controller; found {found} of the "
+                "first two and no controller"
+            )
+        kind = "force_density" if self.rest_length is None else "rest_length"
+        if self.input is not None and self.input != kind:
+            raise ValueError(f"input is {self.input!r}, but {kind} is given and held")
+        put(self, "input", kind)
+
+    def _keep_arrays(self) -> None:
+        """Hold arrays that nobody else can change."""
+        if self.prestress is not None:
+            gamma = per_member("prestress", self.prestress, len(self.structure.strings), "string")
+            gamma = non_negative("prestress", gamma, "a string can only pull")
+            object.__setattr__(self, "prestress", frozen(gamma))
+        if self.start is None and self.support_motion is None:
+            nodes = self.structure.nodes
+            for name, usual in (("nodes", nodes), ("velocities", np.zeros_like(nodes))):
+                if getattr(self, name) is None:
+                    object.__setattr__(self, name, usual)
+        names = "nodes", "velocities", "rest_length", "force_density", "external_force"
+        for name in (*names, "support_motion"):
+            value = getattr(self, name)
+            if value is not None and not changes_in_time(value):
+                object.__setattr__(self, name, frozen(np.asarray(value, dtype=float)))
+
+    # ---- what follows from it ----
+
+    @property
+    def structure(self) -> Structure:
+        """The structure of the model."""
+        return self.model.structure
+
+    @property
+    def size(self) -> float:
+        """Largest extent of the structure at the start along an axis, m."""
+        nodes = self.structure.nodes if self.nodes is None else self.nodes  # None: of a start
+        return float(np.ptp(nodes, axis=1).max())
+
+    @cached_property
+    def law(self) -> BaseController | None:
+        """The controller as the loop takes it; None in open loop."""
+        if self.controller is None or isinstance(self.controller, BaseController):
+            return self.controller
+        return as_controller(self.controller, self.structure, self.input, self.sample_time)
+
+    @property
+    def begin(self) -> float:
+        """Time at which the motion begins, s."""
+        return 0.0 if self.start is None else float(self.start.time[-1])
+
+    @property
+    def _span(self) -> tuple[float, float]:
+        return self.begin, self.begin + self.duration
+
+    @cached_property
+    def _faults(self) -> Faults:
+        size = float(np.ptp(self.structure.nodes, axis=1).max())
+        return Faults(self.faults, size, self.input)
+
+    @cached_property
+    def inputs(self) -> Pieces | None:
+        """What is held in open loop, or changes; None under a controller."""
+        if self.controller is not None:
+            return None
+        return checked_inputs(self.model, self.rest_length, self.force_density, *self._span)
+
+    @cached_property
+    def loads(self) -> FloatArray | Pieces:
+        """All that acts on the nodes from outside, N, shape (d, n), or in time."""
+        return load_in_time(self.model, self.external_force, *self._span)
+
+    @cached_property
+    def _supports(self) -> MovingSupports | None:
+        if self.support_motion is None:
+            return None
+        offset = support_offset(self.model, self.support_motion, *self._span)
+        return None if offset is None else MovingSupports(self.model, offset)
+
+    @cached_property
+    def _beside(self) -> Start:
+        return start_beside_supports(
+            self.model, self._supports, self.begin, self.start, self.nodes, self.velocities
+        )
+
+    @cached_property
+    def initial(self) -> tuple[FloatArray, str | None]:
+        """The state at the start as integrators take it, and what was put right in it."""
+        beside = self._beside
+        if self.start is not None:
+            assert beside.nodes is not None  # of the run
+            assert beside.velocities is not None  # of the run
+            return frozen(pack_state(self.structure, beside.nodes, beside.velocities)), None
+        first = None if self.inputs is None else self.inputs.at(np.zeros(1))[:, 0]
+        motion = beside.nodes, beside.velocities
+        state, note = initial_state(self.model, *motion, self.input, first)
+        return frozen(state), note
+
+    @property
+    def state(self) -> FloatArray:
+        """The state at the start as integrators take it: x of the free nodes."""
+        return self.initial[0]
+
+    @cached_property
+    def input_value(self) -> FloatArray:
+        """What is held in open loop: rest lengths, m, or γ, N/m, shape (α,).
+
+        Raises a ValueError if it changes, or a controller acts.
+        """
+        for name in ("controller", "rest_length", "force_density"):
+            value = getattr(self, name)
+            if value is not None and (name == "controller" or changes_in_time(value)):
+                raise ValueError(f"{name} changes the input in time, expected one that is held")
+        return frozen(held_value(self.model, self.rest_length, self.force_density))
+
+    @property
+    def load(self) -> FloatArray:
+        """Weights and external loads on the nodes, N, shape (d, n); ValueError if these change."""
+        for name, changes in (
+            ("external_force", isinstance(self.loads, Pieces)),
+            ("support_motion", self._supports is not None),
+        ):
+            if changes:
+                raise ValueError(f"{name} changes in time, expected a constant load")
+        return np.asarray(self.loads)
+
+    def equation(self, derivatives: bool = False) -> Equation:
+        """Return the state equation under the inputs and constant loads of the scene.
+
+        Parameters
+        ----------
+        derivatives : bool
+            Whether a form with derivatives is needed, which compiled loops are not.
+
+        Raises
+        ------
+        ValueError
+            If loads or supports change in time.
+        """
+        truth("derivatives", derivatives, "whether derivatives are needed")
+        load = self.load - self.model.constant_force
+        equation = self.model.equation(self.input, load)
+        if derivatives and equation.form == "loops":
+            return self.model.equation(self.input, load, form="mapped")
+        return equation
+
+    @property
+    def given(self) -> Arguments:
+        """Inputs, loads and motions of supports as they are given, by name.
+
+        Rest lengths at the start of a closed loop are in its record.
+        """
+        names = ["force_density", "external_force", "support_motion"]
+        if self.controller is None:
+            names.insert(0, "rest_length")
+        values = {name: getattr(self, name) for name in names}
+        return Arguments({name: value for name, value in values.items() if value is not None})
+
+    def open_loop(self) -> Scene:
+        """Return the scene without controller and faults: what is held at its start is held.
+
+        The note of the scene says so.
+
+        Returns
+        -------
+        Scene
+
+        Raises
+        ------
+        ValueError
+            If it is not known what the actuators hold at the start.
+        """
+        if self.controller is None and not self.faults:
+            return self
+        notes: list[str] = [self.note] if self.note else []
+        held: dict[str, Any] = {}
+        if self.controller is not None:
+            held = {"rest_length": None, self.input: self._held_at_start()}
+            words = {"rest_length": "rest lengths", "force_density": "force densities"}[self.input]
+            notes.append(
+                f"The controller of the scene is left out: {words} are held as at the start."
+            )
+        if self.faults:
+            names = ", ".join(fault.label for fault in self.faults)
+            notes.append(f"Its faults are left out: {names}.")
+        parts: dict[str, Any] = dict.fromkeys(
+            ("controller", "winches", "sample_time", "estimator", "sensors", "seed")
+        )
+        return replace(self, **parts, **held, faults=(), note=" ".join(notes))
+
+    def _held_at_start(self) -> FloatArray:
+        """Return what the actuators of a closed loop hold at the start, one per string."""
+        if self.input == "force_density":
+            if self.prestress is None:
+                raise ValueError("the scene holds no force_density at its start: give prestress")
+            return np.asarray(self.prestress)
+        if self.prestress is not None:
+            return to_rest_length(self.model, self.structure.nodes, self.prestress).rest_length
+        if self.rest_length is None:
+            raise ValueError(
+                "the scene has no rest lengths at its start: give rest_length, or prestress"
+            )
+        lengths = np.asarray(self.rest_length)
+        whole = len(lengths) != len(self.structure.strings)
+        return to_segments(self.structure, "rest_length", lengths) if whole else lengths
+
+    def linearize(self, input: str | None = None, coordinates: str = "internal") -> LinearPlant:
+        """Return the linear plant about the shape of the structure, as :func:`linearize` does.
+
+        Parameters
+        ----------
+        input : {"force_density", "rest_length"}, optional
+            That of the scene if not given.
+        coordinates : {"internal", "minimal", "nodes"}
+            See :func:`linearize`.
+
+        Returns
+        -------
+        LinearPlant
+
+        Raises
+        ------
+        ValueError
+            If the structure is not at rest under its force densities and loads.
+        """
+        try:
+            rest = prestress(
+                self.structure, self._design_force_density(),
+                external_force=self.model.constant_force,
+            )  # fmt: skip
+        except ValueError as error:
+            raise ValueError(
+                f"the scene cannot be linearized, as it is not at rest: {error}"
+            ) from error
+        kind = self.input if input is None else input
+        return linearize(self.model, rest, kind, coordinates)
+
+    def _design_force_density(self) -> FloatArray:
+        """Return the γ that the scene is linearized about."""
+        if self.prestress is not None:
+            return np.asarray(self.prestress)
+        held = self._held_at_start() if self.controller is not None else self.input_value
+        if self.input == "force_density" or self.model.strings is None:
+            return held
+        return self.model.strings.force_density(self.structure.string_length(), held)
+
+    def simulate(self, progress: bool = False, start: Trajectory | None = None) -> Trajectory:
+        """Return the motion.
+
+        Parameters
+        ----------
+        progress : bool
+            Whether to show a progress bar; never shown away from a terminal.
+        start : Trajectory, optional
+            A run of the scene to go on from, in place of its start: with the rest lengths or force
+            densities at the end of that run. See :func:`simulate`.
+
+        Returns
+        -------
+        Trajectory
+
+        Raises
+        ------
+        ValueError
+            If the parts of a closed loop do not fit each other, or the run does not fit in memory.
+        SimulationError
+            If the motion runs away.
+        """
+        truth("progress", progress, "whether to show a progress bar")
+        if start is None:
+            return run_scene(self, progress)
+        return run_scene(
+            replace(
+                self, start=start, nodes=None, velocities=None, rest_length=None, force_density=None
+            ),
+            progress,
+        )
+
+    @cached_property
+    def _degree(self) -> int:
+        """Degree of the polynomials in time that the inputs of the strings are."""
+        if self.inputs is not None:
+            return self.inputs.degree
+        is_wound = self.input == "rest_length" and self.winches is not None
+        return self.winches.degree if is_wound and self.winches is not None else 0
+
+    def plant_run(self, report: Callable[[float], None] | None = None) -> PlantRun:
+        """Return the plant side of a run, at its start.
+
+        Parameters
+        ----------
+        report : callable, optional
+            It is told the time reached, s.
+        """
+        return PlantRun(
+            self.model,
+            self.input,
+            self.loads,
+            self.duration,
+            self.integration,
+            self._faults,
+            degree=self._degree,
+            supports=self._supports,
+            support_rate=self._beside.support_rate,
+            now=self.begin,
+            output_step=self._output_step,
+            report=report,
+        )
+
+    @property
+    def _output_step(self) -> float:
+        """Time between states kept, after checking that they can be kept."""
+        how, duration = self.integration, self.duration
+        if how.output_step is None and how.step is None:
+            return duration / _OUTPUTS
+        name = "step" if how.output_step is None else "output_step"
+        value: float = getattr(how, name)
+        if how.step is not None:
+            refuse_time(f"step is {how.step:g} s", duration / how.step, "steps", 1e-6)
+        size = 8 * 2 * self.structure.nodes.size
+        advice = ". A longer output_step keeps fewer"
+        refuse_memory(f"{name} is {value:g} s", duration / value, "states", size, advice)
+        return value
+
+    @property
+    def start_note(self) -> str | None:
+        """What was put right at the start, and in which intervals functions are sampled."""
+        notes = [self.initial[1]]
+        names = [name for name, value in self.given.raw.items() if callable(value)]
+        if names:
+            notes.append(
+                f"{' and '.join(names)} sampled every {sampling_interval(*self._span):.2g} s: "
+                "shorter pulses may be missed"
+            )
+        return "; ".join(note for note in notes if note) or None
+
+    def __repr__(self) -> str:
+        parts = [self.name] if self.name else []
+        parts += [f"{self.duration:g} s"]
+        parts += [f"{self.input} held" if self.law is None else self.law.label]
+        return f"Scene({', '.join(parts)}, {self.structure.nodes.shape[1]} nodes)"
+
+
+def run_scene(scene: Scene, progress: bool) -> Trajectory:
+    """Return the motion of a scene; see :func:`simulate`. Warnings are those of the caller's."""
+    how, stopped, loop = scene.integration, None, None
+    with interruptible() as interruption:
+        begin, end = scene.begin, scene.begin + scene.duration
+        bar = progress_bar(end, shown=True) if progress else long_run_note(begin, end)
+        with bar as report:
+            run = scene.plant_run(report)
+            try:
+                if scene.law is None:
+                    assert scene.inputs is not None  # held in open loop
+                    run.run(scene.state, scene.inputs, scene.duration)
+                else:
+                    estimator = scene.estimator
+                    used = nullcontext() if estimator is None else estimator.in_use
+                    with scene.law.in_use, used:
+                        loop = _loop(scene, run)
+                        loop.run(scene.state)
+            except StoppedError as stop:
+                reason = f"stopped at {run.now:.6g} s of motion: {stop}"
+                raise SimulationError(
+                    f"the simulation {reason}. The motion up to there is in the error's "
+                    ".trajectory",
+                    _trajectory(scene, run, loop, reason, None),
+                ) from stop.__cause__
+            except KeyboardInterrupt:
+                if not run.spans or interruption.whole:
+                    raise
+                stopped = f"stopped at {run.now:.6g} s of motion: interrupted"
+        estimates = progress and how.error == "estimate" and stopped is None
+        with progress_bar(scene.duration, estimates, label="estimating error") as report_of_error:
+            trajectory = _trajectory(scene, run, loop, stopped, report_of_error)
+    if stopped is not None or interruption.signal is not None:
+        outcome = stopped or "was interrupted at its end, and is complete"
+        warnings.warn(f"the simulation {outcome}", InterruptionWarning, stacklevel=3)
+    if stopped is None:
+        check_health(trajectory, how.limits, stacklevel=4)
+        problems = [] if trajectory.control is None else trajectory.control.problems
+        if problems:
+            warnings.warn(
+                f"under {type(scene.controller).__name__} the run did not reach its goal: "
+                f"{'; '.join(problems)}. run.control.summary() says more",
+                ControlWarning,
+                stacklevel=3,
+            )
+    return trajectory
+
+
+def _loop(scene: Scene, run: PlantRun) -> ClosedLoop:
+    """Return the loop of the controller with a plant run."""
+    assert scene.law is not None  # it has one
+    estimation = None
+    if scene.estimator is not None:
+        estimation = scene.estimator, scene.sensors, scene.seed
+    return ClosedLoop(
+        run, scene.law, scene.sample_time, scene.rest_length, scene.winches, estimation, scene.start
+    )
+
+
+def _trajectory(
+    scene: Scene,
+    run: PlantRun,
+    loop: ClosedLoop | None,
+    stopped: str | None,
+    report_of_error: Callable[[float], None] | None,
+) -> Trajectory:
+    """Return the motion so far, with an estimate of its error if it was not stopped."""
+    limits = scene.integration.limits
+    with finishing():
+        error, record = None, None if loop is None else loop.record()
+        if scene.integration.error == "estimate" and stopped is None:
+            limit = limits.position_error or ERROR_LIMIT
+            error = estimated_error(run, limit, loop is not None, report_of_error)
+        return assembled(
+            run, record, error, stopped, limits, given=scene.given, note=scene.start_note,
+            scene=scene if scene.start is None else None,
+        )  # fmt: skip

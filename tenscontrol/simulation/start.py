@@ -1,0 +1,141 @@
+"""State at the start of a motion, checked, with bars made exact."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tenscontrol.dynamics import Model, pack_state
+from tenscontrol.integrate import Projector, largest_frequency, state_scale
+from tenscontrol.simulation.moving_supports import MovingSupports
+from tenscontrol.simulation.trajectory import Trajectory
+from tenscontrol.structure import (
+    carried_by_supports,
+    refuse_moved_supports,
+    refuse_strings_without_length,
+    refuse_wrong_bar_lengths,
+)
+from tenscontrol.validation import FloatArray, frozen
+
+# A start whose bars are off by this part of their length, and stretching by this part of the
+# largest speed, is taken as it is; up to the second, at which a run counts as inaccurate, it is
+# projected. Near rest the speed is what forces and stiffness can give a structure of this size:
+# the first part of that is round-off, the second what RK4 leaves in a motion that has died out.
+_EXACT, _PROJECTED = 1e-8, 1e-3
+_ROUND_OFF, _LEFT = 1e-12, 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """The start of a motion: nodes and velocities beside the displacement by moving supports.
+
+    None for what is not given. ``support_rate`` is the velocity of the nodes with their supports
+    just before, m/s, node by node; None where supports stand.
+    """
+
+    nodes: FloatArray | None
+    velocities: FloatArray | None
+    support_rate: FloatArray | None = None
+
+
+def start_beside_supports(
+    model: Model,
+    supports: MovingSupports | None,
+    now: float,
+    run: Trajectory | None,
+    nodes: object,
+    velocities: object,
+) -> Start:
+    """Return the start at a time, s, by nodes and velocities, or at the end of a run."""
+    structure = model.structure
+    if supports is None and run is None:
+        pairs = ("nodes", nodes), ("velocities", velocities)
+        return Start(*(None if v is None else structure.checked_nodes(k, v) for k, v in pairs))
+    N = structure.nodes if nodes is None else structure.checked_nodes("nodes", nodes)
+    V = None if velocities is None else structure.checked_nodes("velocities", velocities)
+    if run is not None:
+        N, V = run.nodes[:, :, -1], run.velocities[:, :, -1]
+    carried = carried_by_supports(structure)
+    before = np.zeros_like(N) if V is None else np.where(carried >= 0, V[:, carried], 0.0)
+    if supports is None and before.any():
+        raise ValueError("supports move at the end of start: give support_motion, how they go on")
+    rate = None
+    if supports is not None:
+        rate = before.ravel(order="F")
+        displaced = supports.displacement.at(np.array([now])).reshape(N.shape, order="F")
+        N = N if nodes is None and run is None else N - displaced
+    try:
+        refuse_moved_supports("nodes" if run is None else "start", structure, N)
+    except ValueError as error:
+        if supports is None:
+            raise
+        by = f"less what support_motion displaces it by at {now:g} s"
+        raise ValueError(f"{error}, {by}") from None
+    return Start(N, np.zeros_like(N) if V is None else V - before, rate)
+
+
+def initial_state(
+    model: Model, nodes: object, velocities: object, input: str, held: FloatArray | None = None
+) -> tuple[FloatArray, str | None]:
+    """Return the state at the start, and what was put right, after checking the structure is in it.
+
+    ``held`` is the input at the start, if it is known: forces give the structure its speed.
+    """
+    if nodes is None and velocities is None:  # depends on nothing but the model
+        key = "state at rest", input
+        build = lambda: frozen(_checked_state(model, None, None, input, None)[0])  # noqa: E731
+        return model.prepared.get(key, build), None
+    return _checked_state(model, nodes, velocities, input, held)
+
+
+def _checked_state(
+    model: Model, nodes: object, velocities: object, input: str, held: FloatArray | None
+) -> tuple[FloatArray, str | None]:
+    structure = model.structure
+    N = structure.nodes if nodes is None else structure.checked_nodes("nodes", nodes)
+    V = np.zeros_like(N)
+    if velocities is not None:
+        V = structure.checked_nodes("velocities", velocities)
+    bars = structure.bar_vectors(N)
+    length = np.linalg.norm(bars, axis=0)
+    off = float(np.abs(length / structure.bar_length - 1).max(initial=0.0))
+    if off > _PROJECTED:
+        refuse_wrong_bar_lengths("nodes", structure, N)
+    refuse_moved_supports("nodes", structure, N)
+    rows = structure.fixed_rows
+    moving = rows[V.ravel(order="F")[rows] != 0]
+    if len(moving):
+        node, axis = divmod(int(moving[0]), structure.dimension)
+        if node in structure.fixed:
+            what = f"the fixed node {node} by {V[:, node]} m/s"
+        else:
+            what = f"node {node}, on a roller, by {V[axis, node]:g} m/s along {'xyz'[axis]}"
+        raise ValueError(f"velocities move {what}, expected 0")
+    if input == "rest_length":
+        refuse_strings_without_length("nodes", structure, N)
+    state = pack_state(structure, N, V)
+    stretching = np.abs((bars * structure.bar_vectors(V)).sum(axis=0)) / structure.bar_length
+    worst = float(stretching.max(initial=0.0))
+    if off <= _EXACT and worst <= _EXACT * float(np.abs(V).max()):
+        return state, None
+    equation = model.equation(input)
+    if held is None:
+        held = structure.string_length(N) * (input == "rest_length")
+    speed = float(state_scale(equation, state, held, largest_frequency(equation, state, held))[-1])
+    if off <= _EXACT and worst <= _ROUND_OFF * speed:
+        return state, None
+    if worst > max(_PROJECTED * float(np.abs(V).max()), _LEFT * speed):
+        raise ValueError(
+            f"velocities stretch bar {stretching.argmax()} at {worst:.3g} m/s, expected 0: bars "
+            "are rigid. plant.to_velocities(q, rates) gives velocities that bars can have"
+        )
+    exact = Projector(equation, True)(state[:, None])
+    if not exact.size:
+        raise ValueError(
+            f"in nodes, bars are off by {off:.1e} of their length, and those that share nodes "
+            "cannot all be given theirs near by: start from a shape that is nearer"
+        )
+    return exact[:, 0], (
+        f"bars made rigid: off by {off:.1e} of their length, stretching at {worst:.1e} m/s"
+    )
