@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
-from typing import ClassVar, Required, Self, TypedDict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import wraps
+from inspect import signature
+from typing import Any, ClassVar, Concatenate, ParamSpec, Self, TypeVar
 
 import numpy as np
 
@@ -22,6 +24,7 @@ from tenscontrol.control.mpc.problem import (
 )
 from tenscontrol.control.mpc.solvers import DAQPSolver, OSQPSolver, PIQPSolver, QPSolver
 from tenscontrol.control.status import ControlWarning
+from tenscontrol.fields import check_fields, checked
 from tenscontrol.plant import (
     LinearPlant,
     OperatingPoint,
@@ -65,10 +68,6 @@ _PENALTY = 1e2
 # Least γ in a shape, relative to the largest: there a string is taken as taut.
 _TAUT = 1e-6
 
-# Numbers and arrays that are checked against a plant later.
-_NUMBERS = "Q", "R", "min_force_density", "tracked"
-_LIMITS = "max_force_density", "max_change", "max_tension"
-
 _SOLVERS: dict[str, type[QPSolver]] = {
     "daqp": DAQPSolver,
     "osqp": OSQPSolver,
@@ -76,27 +75,65 @@ _SOLVERS: dict[str, type[QPSolver]] = {
 }
 
 
-class SettingsKeywords(TypedDict, total=False):
-    """Keyword arguments of :class:`MPCSettings`, for type checkers and editors."""
+# Checks of one setting each. Those of arrays leave shapes for later: they depend on the plant.
 
-    horizon: Required[int]
-    sample_time: Required[float]
-    max_force_density: object
-    Q: object
-    R: object
-    max_change: object
-    reference: object
-    min_force_density: object
-    max_tension: object
-    winches: Winches | None
-    outputs: Sequence[OutputLimit]
-    string_penalty: float | None
-    load_gain: float | None
-    tracked: object
-    tolerance: float
-    max_iterations: int
-    time_limit: float | None
-    solver: str | type[QPSolver]
+
+def _numbers(name: str, value: object) -> object:
+    if value is not None:
+        float_array(name, value)
+    return value
+
+
+def _limit(name: str, value: object) -> object:
+    limits(name, value)
+    return value
+
+
+def _shapes(name: str, value: object) -> object:
+    return value if isinstance(value, Reference) else _numbers(name, value)
+
+
+def _winches(name: str, value: Winches | None) -> Winches | None:
+    if value is not None:
+        instance(name, value, Winches, "make them by Winches(rate=...)")
+    return value
+
+
+def _output_limits(name: str, value: object) -> Sequence[object]:
+    given = () if value is None else items(name, value, "OutputLimit")
+    for i, limit in enumerate(given):
+        instance(f"{name}[{i}]", limit, OutputLimit, "make one by OutputLimit(matrix, low, high)")
+    return given
+
+
+def _penalty(name: str, value: object) -> float:
+    if value is None:
+        return _PENALTY
+    if isinstance(value, float) and value == np.inf:
+        return np.inf
+    return positive_number(name, value, "costs of an input, or inf for hard limits")
+
+
+def _gain(name: str, value: object) -> object:
+    if value is not None and (gain := positive_number(name, value, "no unit")) > 1:
+        raise ValueError(f"{name} is {gain:g}, expected above 0 and at most 1")
+    return value
+
+
+def _time(name: str, value: object) -> float | None:
+    return None if is_unlimited(value) else positive_number(name, value, "s")
+
+
+def _solver(name: str, value: object) -> object:
+    if isinstance(value, str):
+        if value != "auto" and value not in _SOLVERS:
+            known = ", ".join(map(repr, ("auto", *_SOLVERS)))
+            raise ValueError(
+                f"{name} is {value!r}, expected one of {known}, or a subclass of QPSolver"
+            )
+    elif not (isinstance(value, type) and issubclass(value, QPSolver)):
+        raise TypeError(f"{name} is {value!r}, expected a name or a subclass of QPSolver")
+    return value
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -174,79 +211,67 @@ class MPCSettings:
     100.0
     """
 
-    horizon: int
-    sample_time: float
-    max_force_density: object = None
-    Q: object = None
-    R: object = None
-    max_change: object = None
-    reference: object = None
-    min_force_density: object = 0.0
-    max_tension: object = None
-    winches: Winches | None = None
-    outputs: Sequence[OutputLimit] = ()
-    string_penalty: float | None = None
-    load_gain: float | None = None
-    tracked: object = None
-    tolerance: float = 1e-4
-    max_iterations: int = 4000
-    time_limit: float | None = None
-    solver: str | type[QPSolver] = "auto"
+    horizon: int = field(metadata=checked(whole_number, 1, MOST_SAMPLES))
+    sample_time: float = field(metadata=checked(positive_number, "s"))
+    max_force_density: object = field(default=None, metadata=checked(_limit))
+    Q: object = field(default=None, metadata=checked(_numbers))
+    R: object = field(default=None, metadata=checked(_numbers))
+    max_change: object = field(default=None, metadata=checked(_limit))
+    reference: object = field(default=None, metadata=checked(_shapes))
+    min_force_density: object = field(default=0.0, metadata=checked(_numbers))
+    max_tension: object = field(default=None, metadata=checked(_limit))
+    winches: Winches | None = field(default=None, metadata=checked(_winches))
+    outputs: Sequence[OutputLimit] = field(default=(), metadata=checked(_output_limits))
+    string_penalty: float | None = field(default=None, metadata=checked(_penalty))
+    load_gain: float | None = field(default=None, metadata=checked(_gain))
+    tracked: object = field(default=None, metadata=checked(_numbers))
+    tolerance: float = field(default=1e-4, metadata=checked(positive_number, "units of an input"))
+    max_iterations: int = field(default=4000, metadata=checked(whole_number, 1))
+    time_limit: float | None = field(default=None, metadata=checked(_time))
+    solver: str | type[QPSolver] = field(default="auto", metadata=checked(_solver))
 
     def __post_init__(self) -> None:
-        if self.winches is not None:
-            instance("winches", self.winches, Winches, "make them by Winches(rate=...)")
-        outputs = () if self.outputs is None else items("outputs", self.outputs, "OutputLimit")
-        for i, limit in enumerate(outputs):
-            made_by = "make one by OutputLimit(matrix, low, high)"
-            instance(f"outputs[{i}]", limit, OutputLimit, made_by)
-        checked: dict[str, object] = {
-            "sample_time": positive_number("sample_time", self.sample_time, "s"),
-            "string_penalty": _checked_penalty(self.string_penalty),
-            "tolerance": positive_number("tolerance", self.tolerance, "units of an input"),
-            "max_iterations": whole_number("max_iterations", self.max_iterations, least=1),
-            "horizon": whole_number("horizon", self.horizon, 1, MOST_SAMPLES),
-            "outputs": outputs,
-        }
-        checked["time_limit"] = None
-        if not is_unlimited(self.time_limit):
-            checked["time_limit"] = positive_number("time_limit", self.time_limit, "s")
-        if self.load_gain is None:
-            if self.tracked is not None:
-                raise ValueError(
-                    "tracked needs load_gain: it selects what is free of offset under a load"
-                )
-        elif positive_number("load_gain", self.load_gain, "no unit") > 1:
-            raise ValueError(f"load_gain is {self.load_gain:g}, expected above 0 and at most 1")
-        self._check_solver()
-        for name in _NUMBERS:
-            if getattr(self, name) is not None:
-                float_array(name, getattr(self, name))
-        for name in _LIMITS:
-            limits(name, getattr(self, name))
-        if not (self.reference is None or isinstance(self.reference, Reference)):
-            float_array("reference", self.reference)
-        for field in fields(self):
-            value = checked.get(field.name, getattr(self, field.name))
-            if isinstance(value, np.ndarray):
-                value = frozen(value)
-            object.__setattr__(self, field.name, value)
-
-    def _check_solver(self) -> None:
-        solver = self.solver
-        if isinstance(solver, str):
-            if solver != "auto" and solver not in _SOLVERS:
-                known = ", ".join(map(repr, ("auto", *_SOLVERS)))
-                raise ValueError(
-                    f"solver is {solver!r}, expected one of {known}, or a subclass of QPSolver"
-                )
-        elif not (isinstance(solver, type) and issubclass(solver, QPSolver)):
-            raise TypeError(f"solver is {solver!r}, expected a name or a subclass of QPSolver")
+        check_fields(self)
+        if self.tracked is not None and self.load_gain is None:
+            raise ValueError(
+                "tracked needs load_gain: it selects what is free of offset under a load"
+            )
 
     @property
     def longest_time(self) -> float:
         """Time for a command, s; inf where there is no limit."""
         return np.inf if self.time_limit is None else self.time_limit
+
+
+_P = ParamSpec("_P")
+_C = TypeVar("_C")
+_S = TypeVar("_S")
+
+
+def from_settings(
+    record: Callable[_P, _S],
+) -> Callable[
+    [Callable[[_C, LinearPlant, _S], None]], Callable[Concatenate[_C, LinearPlant, _P], None]
+]:
+    """Return a decorator: the constructor takes the arguments of a record in place of the record.
+
+    People, editors and type checkers see them as keyword arguments of the constructor.
+    """
+
+    def decorate(
+        init: Callable[[_C, LinearPlant, _S], None],
+    ) -> Callable[Concatenate[_C, LinearPlant, _P], None]:
+        @wraps(init)
+        def from_keywords(self: Any, plant: LinearPlant, **settings: Any) -> None:
+            init(self, plant, record(**settings))  # type: ignore[call-arg]
+
+        shown = signature(init)
+        given = [each for name, each in shown.parameters.items() if name != "settings"]
+        given += signature(record).parameters.values()
+        from_keywords.__signature__ = shown.replace(parameters=given)  # type: ignore[attr-defined]
+        return from_keywords  # type: ignore[return-value]
+
+    return decorate
 
 
 def solver_kind(settings: MPCSettings, dense: bool) -> type[QPSolver]:
@@ -268,14 +293,6 @@ def solver_name(solver: QPSolver) -> str:
     return next(
         (name for name, kind in _SOLVERS.items() if type(solver) is kind), type(solver).__name__
     )
-
-
-def _checked_penalty(value: object) -> float:
-    if value is None:
-        return _PENALTY
-    if isinstance(value, float) and value == np.inf:
-        return np.inf
-    return positive_number("string_penalty", value, "costs of an input, or inf for hard limits")
 
 
 @dataclass(frozen=True, eq=False)
@@ -472,7 +489,7 @@ class PredictiveController(Controller):
     def __init__(self, plant: LinearPlant, settings: MPCSettings, made: Design) -> None:
         super().__init__(plant, settings.sample_time, made.low, made.high, made.problem.change)
         if not (self._nonlinear and plant.model.contacts is not None):
-            warn_of_unreached(self, stacklevel=4)
+            warn_of_unreached(self, stacklevel=5)
         self._longest_time = settings.longest_time
         self._settings = vars(settings)
         self._limits = made.constraints.blocks

@@ -1,0 +1,45 @@
+"""Fields of records, declared with their types and checks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import fields
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+from tenscontrol.validation import frozen
+
+_Given = TypeVar("_Given", contravariant=True)
+_Held = TypeVar("_Held", covariant=True)
+
+
+class Field(Generic[_Given, _Held]):
+    """A field that takes one type and holds another, which ``__post_init__`` makes of it.
+
+    For type checkers alone: at run time no field is one.
+    """
+
+    def __get__(self, instance: object, owner: object = None) -> _Held:
+        """Return what is held."""
+        raise NotImplementedError
+
+    def __set__(self, instance: object, value: _Given) -> None:
+        """Take what is given."""
+        raise NotImplementedError
+
+
+def checked(check: Callable[..., object], *details: object) -> Mapping[str, Any]:
+    """Return metadata of a field: ``check(name, value, *details)`` returns its value, or raises."""
+    return {"check": check, "details": details}
+
+
+def check_fields(record: Any) -> None:
+    """Check the fields of a frozen record in their order, and keep read-only arrays."""
+    for each in fields(record):
+        value = getattr(record, each.name)
+        if "check" in each.metadata:
+            value = each.metadata["check"](each.name, value, *each.metadata["details"])
+        if isinstance(value, np.ndarray):
+            value = frozen(value)
+        object.__setattr__(record, each.name, value)
