@@ -73,17 +73,18 @@ class Motor:
     Parameters
     ----------
     drum_radius : float or array_like, shape (α,)
-        r, m.
+        Radius r of the drum, m.
     gear_ratio : float or array_like, shape (α,)
-        G, turns of the motor for one of the drum.
+        Turns of the motor for one turn of the drum: G.
     torque : float or array_like, shape (α,), optional
         Largest torque of the motor, N m; unlimited if infinite or not given. Where the tension
         needs more, a brake gives the rest: the winch holds or pays out, but does not wind in.
     speed : float or array_like, shape (α,), optional
         Largest speed of the motor, rad/s; unlimited if infinite or not given.
     inertia : float or array_like, shape (α,)
-        J of the rotor, with the drum by 1/G², kg m². A motor with inertia needs ``torque``, from
-        which its acceleration follows; it then moves with a speed that does not jump.
+        Inertia J of the rotor, with that of the drum by 1/G², kg m². A motor with inertia needs
+        ``torque``, from which its acceleration follows; it then moves with a speed that does not
+        jump.
     lag : float or array_like, shape (α,)
         Time constant T of the drive, s: the rest length follows by ``(r − l0)/T``. The reference r
         is the command, or the ramp from the last command to it.

@@ -190,8 +190,10 @@ class Winches:
     ----------
     rate : float or array_like, shape (α,), optional
         Largest speed of winding, m/s; unlimited if infinite or not given.
-    shortest, longest : float or array_like, shape (α,), optional
-        Range of the rest length, m, from 0 to inf if not given: any positive length.
+    shortest : float or array_like, shape (α,), optional
+        Least rest length, m; 0, for any positive one, if not given.
+    longest : float or array_like, shape (α,), optional
+        Largest rest length, m; unlimited if infinite or not given.
     ramp : bool
         Whether rest lengths change linearly through a sample (first-order hold). If not, they
         jump at the start of a sample and stay (zero-order hold).

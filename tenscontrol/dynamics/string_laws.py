@@ -320,9 +320,10 @@ class LinearStrings(StringLaw):
     Parameters
     ----------
     stiffness : float or array_like, shape (α,)
-        k, N/m, positive.
+        Stiffness k of a string, N/m, positive: tension by stretch. It must be above the force
+        density.
     damping : float or array_like, shape (α,)
-        c, N s/m, at least 0; None for 0.
+        Damping c of a taut string, N s/m, at least 0; None for 0.
 
     Raises
     ------
@@ -373,9 +374,9 @@ class ElasticStrings(StringLaw):
     Parameters
     ----------
     axial_rigidity : float or array_like, shape (α,)
-        EA, Young's modulus times cross-section, N, positive.
+        Axial rigidity EA, N, positive: Young's modulus times cross-section.
     damping : float or array_like, shape (α,)
-        c, N s/m, at least 0; None for 0.
+        Damping c of a taut string, N s/m, at least 0; None for 0.
 
     Raises
     ------

@@ -65,20 +65,28 @@ class Sensors:
     node_position : float or array_like, shape (nodes,), optional
         Standard deviation of each coordinate of a node, m.
     string_length : float or array_like, shape (strings,), optional
-        That of the length of a string, m: of a clustered one, of all its segments.
+        Standard deviation of the length of a string, m: of a clustered one, of all its segments.
     bar_direction : float or array_like, shape (bars,), optional
-        That of each entry of a direction, about that of an angle in rad.
+        Standard deviation of each entry of a direction, about that of an angle in rad.
     string_tension : float or array_like, shape (tension_strings,), optional
-        That of a tension, N.
+        Standard deviation of a tension, N.
     bar_rate : float or array_like, shape (rate_bars,), optional
-        That of each entry of an angular velocity, rad/s.
-    nodes, strings, bars, tension_strings, rate_bars : sequence or set of int, or mask, optional
-        Which nodes, strings and bars are measured; all if not given. A mask has True or False for
-        each of them. A set is taken in ascending order.
+        Standard deviation of each entry of an angular velocity, rad/s.
+    nodes : sequence or set of int, or mask, optional
+        Nodes that are measured; all if not given. A mask has True or False for each of them. A set
+        is taken in ascending order.
+    strings : sequence or set of int, or mask, optional
+        Strings whose length is measured; all if not given.
+    bars : sequence or set of int, or mask, optional
+        Bars whose direction is measured; all if not given.
+    tension_strings : sequence or set of int, or mask, optional
+        Strings whose tension is measured; all if not given.
+    rate_bars : sequence or set of int, or mask, optional
+        Bars whose angular velocity is measured; all if not given.
     delay : int
-        Whole samples from the moment that is measured to the sample at which y is there.
+        Samples between a measurement and its arrival.
     drop_rate : float
-        Probability that all of y is lost, at least 0 and below 1.
+        Probability that all readings of a sample are lost, at least 0 and below 1.
     outlier_rate : float
         Probability that a reading is off by 20 to 200 standard deviations, at least 0
         and below 1.

@@ -81,7 +81,7 @@ def build_controller(
     if "sample_time" in table:
         with table.checked("sample_time"):
             positive_number("sample_time", table.get("sample_time"), "s")
-    for key in schema.required(schema.CONTROLLERS[kind]):
+    for key in schema.required(table.keys):
         table.need(key)
     if kind in ("mpc", "nmpc") and input == "force_density":
         table.need("max_force_density")
@@ -348,8 +348,9 @@ def build_winches(document: Document, structure: Structure) -> Winches | None:
     table = document.table("winches")
     settings = table.given("ramp", "substeps")
     motor: dict[str, Any] = {}
+    motor_keys = schema.keys_of(Motor)
     for key in table.without("ramp", "substeps"):
-        of = motor if key in schema.arguments(Motor) else settings
+        of = motor if key in motor_keys else settings
         of[key] = per_string(table, key, whole_strings(structure))
     if motor:
         table.need("drum_radius")
@@ -384,7 +385,7 @@ def build_faults(document: Document, strings: int, winches: int | None) -> tuple
         kind, entry = table.chosen("kind", schema.FAULT_KEYS)
         if kind != "cut_string" and winches is None:
             raise entry.error("kind", f"{entry.title} goes with a table [controller]")
-        for key in schema.required(schema.FAULTS[kind]):
+        for key in schema.required(entry.keys):
             entry.need(key)
         if kind == "cut_string":
             entry.index("string", strings, "strings")

@@ -50,12 +50,14 @@ class OutputLimit:
     ----------
     matrix : array_like, shape (p, d n) or (d n,)
         C of ``y = C vec(N)``, node by node.
-    low, high : float or array_like, shape (p,), optional
-        Bounds of y, m; no bound if infinite or not given.
+    low : float or array_like, shape (p,), optional
+        Lower bound of y, m; none if infinite or not given.
+    high : float or array_like, shape (p,), optional
+        Upper bound of y, m; none if infinite or not given.
     penalty : float, optional
-        Price π: a violation of y by e, m, adds ``π (2 e + e²/u)`` to the cost in each sample, with
-        u of 1 % of the size of the structure times the norm of the row of C. The cost is ``Σ zᵀ Q z
-        + vᵀ R v``. A hard limit if infinite or not given.
+        Price π of a violation, 1/m: one of y by e, m, adds ``π (2 e + e²/u)`` to the cost in each
+        sample, with u of 1 % of the size of the structure times the norm of the row of C. The cost
+        is ``Σ zᵀ Q z + vᵀ R v``. A hard limit if infinite or not given.
 
     Raises
     ------

@@ -325,9 +325,9 @@ class LinearSettings(MPCSettings):
     Parameters
     ----------
     form : {"auto", "condensed", "sparse", "stages"}
-        How the program is written. All give the same inputs; "auto" takes the
-        cheapest one by size and solver. "stages" has a solver of its own, an active set along the
-        stages of the horizon, compiled where there is a compiler, and goes with solver="auto".
+        Form of the quadratic program. All give the same inputs; "auto" takes the cheapest one by
+        size and solver. "stages" has a solver of its own, an active set along the stages of the
+        horizon, compiled where there is a compiler, and goes with solver="auto".
     """
 
     form: str = field(default="auto", metadata=checked(choice, _FORMS))

@@ -164,15 +164,15 @@ class NonlinearSettings(MPCSettings):
     Parameters
     ----------
     iterations : int
-        Programs solved in a sample at most; fewer if the plan has converged.
+        Quadratic programs solved in a sample at most; fewer if the plan has converged.
     linearization_tolerance : float, optional
-        A sample of the plan keeps its derivatives until its state or an input has moved, since they
-        were found, by more than this part of: for positions the size of the structure, or, where
-        rest lengths are held, the longest stretch of a string at rest; for velocities that size in
-        a sample; for inputs their unit. Then it takes those of another sample that were found as
-        near, if there are any. What is predicted is exact all the same. 0 finds all anew, in every
-        sample, as C code does. By default 0.05 where steps are implicit and one program is solved
-        in a sample, else 0.
+        Part by which a sample of the plan may change and keep its derivatives. They are kept until
+        its state or an input has moved, since they were found, by more than this part of: for
+        positions the size of the structure, or, where rest lengths are held, the longest stretch of
+        a string at rest; for velocities that size in a sample; for inputs their unit. Then it takes
+        those of another sample that were found as near, if there are any. What is predicted is
+        exact all the same. 0 finds all anew, in every sample, as C code does. By default 0.05 where
+        steps are implicit and one program is solved in a sample, else 0.
     machine_code : bool
         Compile the derivatives and the solver, where there is a C compiler: the same numbers but
         for round-off, sooner. Libraries are kept for the next run, and serve every horizon.

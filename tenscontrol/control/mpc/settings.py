@@ -145,23 +145,24 @@ class MPCSettings:
     horizon : int
         Number of samples predicted, 1 to 10,000.
     sample_time : float
-        Sample time, s.
+        Time between two commands, s.
     max_force_density : float or array_like, shape (α,)
-        Largest γ, N/m; inf for no limit. May be left out where the input is the rest length.
+        Largest force density γ, N/m; inf for no limit. May be left out where the input is the rest
+        length.
     Q : float or array_like, shape (2r,) or (2r, 2r), optional
-        Weight of ``z − reference``. If not given, that of :func:`energy_weights`,
-        by mode where the input is the rest length.
+        Weight of the state less its reference. If not given, that of :func:`energy_weights`, by
+        mode where the input is the rest length.
     R : float or array_like, shape (α,) or (α, α), optional
-        Weight of the departure of the input from the operating point, or from
-        the rest lengths that hold the reference. If not given, that of
-        :func:`energy_weights`; a tenth of it for γ.
+        Weight of the input. It weighs the departure from the operating point, or from the rest
+        lengths that hold the reference. If not given, that of :func:`energy_weights`; a tenth of it
+        for γ.
     max_change : float or array_like, shape (α,), optional
         Largest change of the input from sample to sample, N/m or m.
     reference : Reference or array_like, shape (d, n), optional
-        Shapes to follow, seen ahead over the horizon; a single shape is a
-        constant one. The operating point if not given.
+        Shapes to follow. They are seen ahead over the horizon; a single shape is a constant one.
+        The operating point if not given.
     min_force_density : float or array_like, shape (α,)
-        Least γ, N/m, at least 0.
+        Least force density γ, N/m, at least 0.
     max_tension : float or array_like, shape (α,), optional
         Strength of the strings, N.
     winches : Winches, optional
@@ -170,28 +171,28 @@ class MPCSettings:
     outputs : sequence of OutputLimit, optional
         Limits on node positions.
     string_penalty : float, optional
-        Price p of a γ or tension beyond its limit. Beyond by ε times the largest γ, or tension,
-        at the operating point, it costs ``p (2 ε + ε²)`` in each sample; the unit is the least
-        that R charges for an input off by its unit, see ``tolerance``. The linear part makes
+        Price p of a force density or tension beyond its limit. Beyond by ε times the largest γ, or
+        tension, at the operating point, it costs ``p (2 ε + ε²)`` in each sample; the unit is the
+        least that R charges for an input off by its unit, see ``tolerance``. The linear part makes
         limits exact: where they can be kept at a lower price, they are. ``inf`` makes them hard;
         commands of γ are within bounds always. 100 if not given.
     load_gain : float, optional
-        With it a constant unknown load is estimated, at most 1 (at once), and
-        the plant is brought to rest at the reference under it.
+        Gain of the estimate of a constant load, at most 1. With it an unknown load is estimated (at
+        once with 1), and the plant is brought to rest at the reference under it.
     tracked : array_like, shape (p, d n), optional
-        Combinations of node positions to be free of offset under a load; all
-        coordinates, as well as can be, if not given.
+        Node coordinates without offset under a load. Combinations of them; all, as well as
+        can be, if not given.
     tolerance : float
-        The solver's absolute and relative tolerance, in units of an input: the largest γ at
-        the operating point, or the largest stretch.
+        Absolute and relative tolerance of the solver. Its unit is that of an input: the largest γ
+        at the operating point, or the largest stretch.
     max_iterations : int
-        The solver's limit.
+        Most iterations of the solver.
     time_limit : float, optional
-        Time for a command, s, from its call. A program that is not solved by then
-        is given up at the end of an iteration of the solver. The few operations that follow are
-        not counted.
+        Most computing time of a command, s, from its call. A program that is not solved by then is
+        given up at the end of an iteration of the solver. The few operations that follow are not
+        counted.
     solver : {"auto", "daqp", "osqp", "piqp"} or subclass of QPSolver
-        What solves the quadratic programs. DAQP, an active set, is exact to round-off, and the
+        Solver of the quadratic programs. DAQP, an active set, is exact to round-off, and the
         fastest where a program is dense; OSQP (ADMM, to the tolerance) where it is sparse and
         large. "auto" takes the one or the other by the form of the program, and for NMPC an active
         set along the stages of the horizon, by DAQP where nothing is compiled; see the attribute
