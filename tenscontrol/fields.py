@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import fields
+from dataclasses import MISSING, field, fields
 from typing import Any, Generic, TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from tenscontrol.validation import frozen
+from tenscontrol.validation import FloatArray, frozen
 
 _Given = TypeVar("_Given", contravariant=True)
 _Held = TypeVar("_Held", covariant=True)
@@ -27,6 +28,15 @@ class Field(Generic[_Given, _Held]):
     def __set__(self, instance: object, value: _Given) -> None:
         """Take what is given."""
         raise NotImplementedError
+
+
+Array = Field[ArrayLike, FloatArray]
+OptionalArray = Field[ArrayLike | None, FloatArray | None]
+
+
+def converted(default: object = MISSING) -> Any:
+    """Return a field of a type like :data:`Array`, with a default or without."""
+    return field(default=default)
 
 
 def checked(check: Callable[..., object], *details: object) -> Mapping[str, Any]:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from tenscontrol.dynamics import Model, evaluate_columns
+from tenscontrol.fields import Array, OptionalArray, converted
 from tenscontrol.validation import (
     FloatArray,
     IntArray,
@@ -22,9 +23,6 @@ from tenscontrol.validation import (
     positive,
     vector,
 )
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
 
 _OF_MOTORS = (
     ("drum_radius", "radius in m"),
@@ -110,28 +108,14 @@ class Motor:
     (array([ 0., 20.]), array([0.8 , 0.79]))
     """
 
-    drum_radius: FloatArray
-    gear_ratio: FloatArray = 1.0  # type: ignore[assignment]
-    torque: FloatArray | None = None
-    speed: FloatArray | None = None
-    inertia: FloatArray = 0.0  # type: ignore[assignment]
-    lag: FloatArray = 0.0  # type: ignore[assignment]
-    backlash: FloatArray = 0.0  # type: ignore[assignment]
-    zero: FloatArray | None = None
-
-    if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
-
-        def __init__(
-            self,
-            drum_radius: ArrayLike,
-            gear_ratio: ArrayLike = 1.0,
-            torque: ArrayLike | None = None,
-            speed: ArrayLike | None = None,
-            inertia: ArrayLike = 0.0,
-            lag: ArrayLike = 0.0,
-            backlash: ArrayLike = 0.0,
-            zero: ArrayLike | None = None,
-        ) -> None: ...
+    drum_radius: Array = converted()
+    gear_ratio: Array = converted(1.0)
+    torque: OptionalArray = converted(None)
+    speed: OptionalArray = converted(None)
+    inertia: Array = converted(0.0)
+    lag: Array = converted(0.0)
+    backlash: Array = converted(0.0)
+    zero: OptionalArray = converted(None)
 
     def __post_init__(self) -> None:
         found = {}

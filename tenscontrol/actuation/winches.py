@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tenscontrol.actuation.motors import Motor, Turning, each_motor
 from tenscontrol.dynamics import Model, StringLaw, polynomial_at
+from tenscontrol.fields import Field, OptionalArray, converted
 from tenscontrol.structure import refuse_strings_without_length
 from tenscontrol.validation import (
     MOST_SAMPLES,
@@ -29,10 +29,6 @@ from tenscontrol.validation import (
     vector,
     whole_number,
 )
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
 
 _SUBSTEPS = 10
 
@@ -221,24 +217,12 @@ class Winches:
     (array([0.79, 0.79]), array([1]))
     """
 
-    rate: FloatArray | None = None
-    shortest: FloatArray | None = None
-    longest: FloatArray | None = None
+    rate: OptionalArray = converted(None)
+    shortest: OptionalArray = converted(None)
+    longest: OptionalArray = converted(None)
     ramp: bool = False
-    substeps: int = None  # type: ignore[assignment]  # an int from __post_init__ on
+    substeps: Field[int | None, int] = converted(None)
     motor: Motor | None = None
-
-    if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
-
-        def __init__(
-            self,
-            rate: ArrayLike | None = None,
-            shortest: ArrayLike | None = None,
-            longest: ArrayLike | None = None,
-            ramp: bool = False,
-            substeps: int | None = None,
-            motor: Motor | None = None,
-        ) -> None: ...
 
     def __post_init__(self) -> None:
         ramp = truth("ramp", self.ramp, "whether rest lengths ramp through a sample")

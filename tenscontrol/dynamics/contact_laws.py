@@ -20,6 +20,7 @@ import numpy as np
 
 from tenscontrol.docstrings import with_parameters_of
 from tenscontrol.dynamics import kernel
+from tenscontrol.fields import Field, OptionalArray, converted
 from tenscontrol.structure import Structure
 from tenscontrol.validation import (
     LARGEST_WHOLE,
@@ -92,22 +93,9 @@ class ContactLaw(ABC):
     damping: float = 0.0
     friction: float = 0.0
     slip_speed: float = 0.01
-    normal: FloatArray | None = None
+    normal: OptionalArray = converted(None)
     height: float | ca.Function = 0.0
-    nodes: IntArray | None = None
-
-    if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
-
-        def __init__(
-            self,
-            stiffness: float,
-            damping: float = 0.0,
-            friction: float = 0.0,
-            slip_speed: float = 0.01,
-            normal: ArrayLike | None = None,
-            height: float | ca.Function = 0.0,
-            nodes: ArrayLike | None = None,
-        ) -> None: ...
+    nodes: Field[ArrayLike | None, IntArray | None] = converted(None)
 
     # Expressions in CasADi: the only statement of the law.
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, final
+from typing import Any, final
 
 import numpy as np
 
+from tenscontrol.fields import Field, OptionalArray, converted
 from tenscontrol.properties import cached_property
 from tenscontrol.structure import Structure
 from tenscontrol.validation import (
@@ -27,11 +29,6 @@ from tenscontrol.validation import (
     whole_number,
 )
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import ArrayLike
-
 # Kind of reading: its unit, the argument that chooses which ones, and its numbers in the plane and
 # in space.
 KINDS = (
@@ -41,6 +38,8 @@ KINDS = (
     ("string_tension", "N", "tension_strings", (1, 1)),
     ("bar_rate", "rad/s", "rate_bars", (1, 3)),
 )
+
+_Chosen = Field[Sequence[int] | IntArray | None, IntArray | None]
 
 # A corrupt reading is off by so many standard deviations.
 _OFF = (20.0, 200.0)
@@ -110,40 +109,19 @@ class Sensors:
     """
 
     structure: Structure
-    node_position: FloatArray | None = None
-    string_length: FloatArray | None = None
-    bar_direction: FloatArray | None = None
-    string_tension: FloatArray | None = None
-    bar_rate: FloatArray | None = None
-    nodes: IntArray | None = None
-    strings: IntArray | None = None
-    bars: IntArray | None = None
-    tension_strings: IntArray | None = None
-    rate_bars: IntArray | None = None
+    node_position: OptionalArray = converted(None)
+    string_length: OptionalArray = converted(None)
+    bar_direction: OptionalArray = converted(None)
+    string_tension: OptionalArray = converted(None)
+    bar_rate: OptionalArray = converted(None)
+    nodes: _Chosen = converted(None)
+    strings: _Chosen = converted(None)
+    bars: _Chosen = converted(None)
+    tension_strings: _Chosen = converted(None)
+    rate_bars: _Chosen = converted(None)
     delay: int = 0
     drop_rate: float = 0.0
     outlier_rate: float = 0.0
-
-    if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
-
-        def __init__(
-            self,
-            *,
-            structure: Structure,
-            node_position: ArrayLike | None = None,
-            string_length: ArrayLike | None = None,
-            bar_direction: ArrayLike | None = None,
-            string_tension: ArrayLike | None = None,
-            bar_rate: ArrayLike | None = None,
-            nodes: Sequence[int] | IntArray | None = None,
-            strings: Sequence[int] | IntArray | None = None,
-            bars: Sequence[int] | IntArray | None = None,
-            tension_strings: Sequence[int] | IntArray | None = None,
-            rate_bars: Sequence[int] | IntArray | None = None,
-            delay: int = 0,
-            drop_rate: float = 0.0,
-            outlier_rate: float = 0.0,
-        ) -> None: ...
 
     def __post_init__(self) -> None:
         instance("structure", self.structure, Structure, "make one by Structure(...) or prism()")

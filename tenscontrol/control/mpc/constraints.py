@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tenscontrol.control.mpc.problem import RowBlock
+from tenscontrol.fields import Array, OptionalArray, converted
 from tenscontrol.plant import LinearPlant, ReferencePreview, string_map
 from tenscontrol.structure import bar_distances
 from tenscontrol.validation import (
-    FloatArray,
     float_array,
     frozen,
     instance,
@@ -22,7 +22,7 @@ from tenscontrol.validation import (
 )
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
+    pass
 
 
 # Limits of strings by their quantity, and its unit.
@@ -77,20 +77,10 @@ class OutputLimit:
     (1, 18)
     """
 
-    matrix: FloatArray
-    low: FloatArray | None = None
-    high: FloatArray | None = None
+    matrix: Array = converted()
+    low: OptionalArray = converted(None)
+    high: OptionalArray = converted(None)
     penalty: float | None = None
-
-    if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
-
-        def __init__(
-            self,
-            matrix: ArrayLike,
-            low: ArrayLike | None = None,
-            high: ArrayLike | None = None,
-            penalty: float | None = None,
-        ) -> None: ...
 
     def __post_init__(self) -> None:
         matrix = np.atleast_2d(float_array("matrix", self.matrix))
