@@ -34,9 +34,9 @@ Array = Field[ArrayLike, FloatArray]
 OptionalArray = Field[ArrayLike | None, FloatArray | None]
 
 
-def converted(default: object = MISSING) -> Any:
+def converted(default: object = MISSING, metadata: Mapping[str, Any] | None = None) -> Any:
     """Return a field of a type like :data:`Array`, with a default or without."""
-    return field(default=default)
+    return field(default=default, metadata=metadata)
 
 
 def checked(check: Callable[..., object], *details: object) -> Mapping[str, Any]:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tenscontrol.dynamics import Model, evaluate_columns
-from tenscontrol.fields import Array, OptionalArray, converted
+from tenscontrol.fields import Array, OptionalArray, check_fields, checked, converted
 from tenscontrol.validation import (
     FloatArray,
     IntArray,
@@ -24,22 +24,8 @@ from tenscontrol.validation import (
     vector,
 )
 
-_OF_MOTORS = (
-    ("drum_radius", "radius in m"),
-    ("gear_ratio", "ratio"),
-    ("torque", "torque in N m"),
-    ("speed", "speed in rad/s"),
-    ("inertia", "moment of inertia in kg m²"),
-    ("lag", "time in s"),
-    ("backlash", "angle in rad"),
-    ("zero", "rest length in m"),
-)
 # Parts of an interval in which a string goes slack or taut.
 _PARTS = 32
-
-# May be infinite, and may be 0.
-_LIMITS = ("torque", "speed")
-_MAY_BE_ZERO = ("inertia", "lag", "backlash")
 
 
 class EachMotor(NamedTuple):
@@ -56,6 +42,33 @@ class EachMotor(NamedTuple):
     def most_tension(self) -> FloatArray:
         """Force that the largest torque holds, N."""
         return self.torque / self.lever
+
+
+# Checks of one number each, or one per string.
+
+
+def _size(name: str, value: object, meaning: str) -> FloatArray:
+    array = vector(name, value)
+    positive(name, np.atleast_1d(array), meaning)
+    return array
+
+
+def _size_or_none(name: str, value: object, meaning: str) -> FloatArray | None:
+    return None if value is None else _size(name, value, meaning)
+
+
+def _size_or_zero(name: str, value: object, meaning: str) -> FloatArray:
+    array = vector(name, value)
+    non_negative(name, np.atleast_1d(array), f"{meaning}, 0 for none")
+    return array
+
+
+def _limit(name: str, value: object, meaning: str) -> FloatArray | None:
+    array = limits(name, value)
+    if not np.isfinite(array).any():
+        return None
+    positive(name, np.atleast_1d(array), meaning)
+    return array
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,32 +121,18 @@ class Motor:
     (array([ 0., 20.]), array([0.8 , 0.79]))
     """
 
-    drum_radius: Array = converted()
-    gear_ratio: Array = converted(1.0)
-    torque: OptionalArray = converted(None)
-    speed: OptionalArray = converted(None)
-    inertia: Array = converted(0.0)
-    lag: Array = converted(0.0)
-    backlash: Array = converted(0.0)
-    zero: OptionalArray = converted(None)
+    drum_radius: Array = converted(metadata=checked(_size, "radius in m"))
+    gear_ratio: Array = converted(1.0, checked(_size, "ratio"))
+    torque: OptionalArray = converted(None, checked(_limit, "torque in N m"))
+    speed: OptionalArray = converted(None, checked(_limit, "speed in rad/s"))
+    inertia: Array = converted(0.0, checked(_size_or_zero, "moment of inertia in kg m²"))
+    lag: Array = converted(0.0, checked(_size_or_zero, "time in s"))
+    backlash: Array = converted(0.0, checked(_size_or_zero, "angle in rad"))
+    zero: OptionalArray = converted(None, checked(_size_or_none, "rest length in m"))
 
     def __post_init__(self) -> None:
-        found = {}
-        for name, unit in _OF_MOTORS:
-            value = getattr(self, name)
-            if value is None and name == "zero":
-                continue
-            limit = limits(name, value) if name in _LIMITS else vector(name, value)
-            if name in _LIMITS and not np.isfinite(limit).any():
-                object.__setattr__(self, name, None)
-                continue
-            found[name] = limit
-            if name in _MAY_BE_ZERO:
-                non_negative(name, np.atleast_1d(found[name]), f"{unit}, 0 for none")
-            else:
-                positive(name, np.atleast_1d(found[name]), unit)
-            object.__setattr__(self, name, frozen(found[name]))
-        member_parameters(found)
+        check_fields(self)
+        member_parameters({name: each for name, each in vars(self).items() if each is not None})
         torque = np.inf if self.torque is None else self.torque
         if np.any((self.inertia > 0) & (torque == np.inf)):
             raise ValueError(
@@ -208,8 +207,7 @@ def _for_each(label: str, value: object, name: str, array: FloatArray) -> FloatA
 
 def each_motor(motor: Motor, count: int) -> EachMotor:
     """Return the numbers of each motor, for so many strings, or raise if they do not fit."""
-    for name, _ in _OF_MOTORS:
-        value = getattr(motor, name)
+    for name, value in vars(motor).items():
         if value is not None:
             one_or_per_string(f"motor.{name}", value, count)
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from tenscontrol.actuation.motors import Motor, Turning, each_motor
 from tenscontrol.dynamics import Model, StringLaw, polynomial_at
-from tenscontrol.fields import Field, OptionalArray, converted
+from tenscontrol.fields import Field, OptionalArray, check_fields, checked, converted
 from tenscontrol.structure import refuse_strings_without_length
 from tenscontrol.validation import (
     MOST_SAMPLES,
@@ -31,13 +31,6 @@ from tenscontrol.validation import (
 )
 
 _SUBSTEPS = 10
-
-# Name, meaning, and what stands for no limit.
-_UNITS = (
-    ("rate", "speed in m/s", np.inf),
-    ("shortest", "length in m", 0.0),
-    ("longest", "length in m", np.inf),
-)
 
 # Newton steps to the rest length at which a motor can wind no further, the stretch of a string from
 # which they start where it is slack, and the part of its length below which a step is the last.
@@ -178,6 +171,32 @@ class WinchMove:
     torque_limited: IntArray = field(default_factory=lambda: frozen(np.zeros(0, dtype=np.int64)))
 
 
+_LIMITS = "rate", "shortest", "longest"
+
+# Checks of one argument each.
+
+
+def _limit(name: str, value: object, meaning: str, none: float = np.inf) -> FloatArray | None:
+    limit = limits(name, value, none)
+    if not (limit != none).any():
+        return None
+    if none:
+        positive(name, np.atleast_1d(limit), meaning)
+    else:
+        non_negative(name, np.atleast_1d(limit), f"{meaning}, 0 for any")
+    return limit
+
+
+def _substeps(name: str, value: object) -> int | None:
+    return None if value is None else whole_number(name, value, 1, MOST_SAMPLES)
+
+
+def _motor(name: str, value: Motor | None) -> Motor | None:
+    if value is not None:
+        instance(name, value, Motor, "make them by Motor(drum_radius=...)")
+    return value
+
+
 @dataclass(frozen=True, eq=False)
 class Winches:
     """Limits of the winches that set the rest lengths: speed, range, motors.
@@ -217,37 +236,26 @@ class Winches:
     (array([0.79, 0.79]), array([1]))
     """
 
-    rate: OptionalArray = converted(None)
-    shortest: OptionalArray = converted(None)
-    longest: OptionalArray = converted(None)
-    ramp: bool = False
-    substeps: Field[int | None, int] = converted(None)
-    motor: Motor | None = None
+    rate: OptionalArray = converted(None, checked(_limit, "speed in m/s"))
+    shortest: OptionalArray = converted(None, checked(_limit, "length in m", 0.0))
+    longest: OptionalArray = converted(None, checked(_limit, "length in m"))
+    ramp: bool = field(
+        default=False, metadata=checked(truth, "whether rest lengths ramp through a sample")
+    )
+    substeps: Field[int | None, int] = converted(None, checked(_substeps))
+    motor: Motor | None = field(default=None, metadata=checked(_motor))
 
     def __post_init__(self) -> None:
-        ramp = truth("ramp", self.ramp, "whether rest lengths ramp through a sample")
-        steps = _SUBSTEPS if ramp else 1
-        if self.substeps is not None:
-            steps = whole_number("substeps", self.substeps, 1, MOST_SAMPLES)
-        if ramp and steps == 1:
+        check_fields(self)
+        steps = self.substeps or (_SUBSTEPS if self.ramp else 1)
+        if self.ramp and steps == 1:
             raise ValueError("substeps is 1, expected at least 2 for a ramp; leave out ramp=True")
         object.__setattr__(self, "ramp", steps > 1)
         object.__setattr__(self, "substeps", steps)
-        given = {}
-        for name, unit, none in _UNITS:
-            limit = limits(name, getattr(self, name), none)
-            object.__setattr__(self, name, None)
-            if (limit != none).any():
-                given[name] = limit
-                if none:
-                    positive(name, np.atleast_1d(limit), unit)
-                else:
-                    non_negative(name, np.atleast_1d(limit), f"{unit}, 0 for any")
-                object.__setattr__(self, name, frozen(limit))
+        given = {name: getattr(self, name) for name in _LIMITS}
         if self.motor is not None:
-            instance("motor", self.motor, Motor, "make them by Motor(drum_radius=...)")
             given["motor.drum_radius / gear_ratio"] = self.motor.lever
-        member_parameters(given)
+        member_parameters({name: limit for name, limit in given.items() if limit is not None})
         if self.shortest is None or self.longest is None:
             return
         if np.any(self.shortest > self.longest):
@@ -331,7 +339,7 @@ class Winches:
             )
         positive("current", start, "rest length in m")
         positive("wanted", goal, "rest length in m")
-        for name, *_ in _UNITS:
+        for name in _LIMITS:
             value = getattr(self, name)
             if value is not None:
                 one_or_per_string(name, value, len(start))

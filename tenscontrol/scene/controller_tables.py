@@ -81,8 +81,7 @@ def build_controller(
     if "sample_time" in table:
         with table.checked("sample_time"):
             positive_number("sample_time", table.get("sample_time"), "s")
-    for key in schema.required(table.keys):
-        table.need(key)
+    table.need_required()
     if kind in ("mpc", "nmpc") and input == "force_density":
         table.need("max_force_density")
     arguments: dict[str, Any] = {
@@ -385,8 +384,7 @@ def build_faults(document: Document, strings: int, winches: int | None) -> tuple
         kind, entry = table.chosen("kind", schema.FAULT_KEYS)
         if kind != "cut_string" and winches is None:
             raise entry.error("kind", f"{entry.title} goes with a table [controller]")
-        for key in schema.required(entry.keys):
-            entry.need(key)
+        entry.need_required()
         if kind == "cut_string":
             entry.index("string", strings, "strings")
         elif kind == "stuck_winch":

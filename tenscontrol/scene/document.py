@@ -99,6 +99,12 @@ class Table:
             raise self.error(None, f"{self.title} lacks the key {key}: {wanted.kind.text}{unit}")
         return self.values[key]
 
+    def need_required(self) -> None:
+        """Raise if a key is absent without which the table makes nothing."""
+        for key, known in self.keys.items():
+            if known.required:
+                self.need(key)
+
     def choice(self, key: str, options: tuple[str, ...], default: str | None = None) -> str:
         """Return a word that is one of the options."""
         value = str(self.need(key) if default is None else self.get(key, default))

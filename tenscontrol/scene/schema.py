@@ -111,11 +111,6 @@ def keys_of(
     return found
 
 
-def required(keys: Keys) -> list[str]:
-    """Return the keys that a table must have."""
-    return [name for name, key in keys.items() if key.required]
-
-
 def _by_name(*classes: Any) -> dict[str, Any]:
     """Return classes by their names in a scene: ``CutString`` is ``cut_string``."""
     return {re.sub(r"(?<=[a-z])(?=[A-Z])", "_", each.__name__).lower(): each for each in classes}
@@ -150,10 +145,12 @@ _OF_FILES = {
     "version": Key(WHOLE, "", "format of the file"),
     "parent": Key(TABLE, "", "the structure with its strings whole"),
 }
-MEMBERS = {
-    name: (_OF_FILES | keys_of(Structure, " ".join(STRUCTURE_KEYS), parent=TABLE))[name]
-    for name in STRUCTURE_KEYS
-}
+MEMBERS = MappingProxyType(
+    {
+        name: (_OF_FILES | keys_of(Structure, " ".join(STRUCTURE_KEYS), parent=TABLE))[name]
+        for name in STRUCTURE_KEYS
+    }
+)
 LAWS: Mapping[str, type[StringLaw]] = MappingProxyType(
     {"linear": LinearStrings, "elastic": ElasticStrings}
 )
@@ -295,27 +292,33 @@ TABLES: Mapping[str, TableKeys] = MappingProxyType(
 )
 
 # Entries of lists.
-FORCE = {
-    "node": Key(WHOLE, "", "number of the node, from 0"),
-    "force": Key(POINT, "N", "force on it"),
-}
-TRACKED = {
-    "node": FORCE["node"],
-    "relative_to": Key(WHOLE, "", "node from which the coordinate is measured"),
-    "axis": _choice("axis of the coordinate", "x", "y", "z"),
-}
-OUTPUT = TRACKED | keys_of(OutputLimit, without="matrix", low=NUMBER, high=NUMBER)
-WAYPOINT = {
-    "start": Key(NUMBER, "s", "when the move begins; at the end of the last one if not given"),
-    "time": Key(NUMBER, "s", "when the shape is reached"),
-    "height": Key(NUMBER, "m", "distance from the centre of the bottom to that of the top"),
-    "twist": Key(NUMBER, "rad", "rotation of the top against the bottom"),
-    "top": Key(NODES, "", "nodes of the top; those of a prism if not given"),
-    "bottom": Key(NODES, "", "nodes of the bottom; those of a prism if not given"),
-    "nodes": Key(NODES, "", "nodes whose positions are demanded"),
-    "positions": Key(POINTS, "m", "where they are to be"),
-    "force_density": Key(NUMBER, "N/m", "mean force density of the group of the first string"),
-}
+FORCE = MappingProxyType(
+    {
+        "node": Key(WHOLE, "", "number of the node, from 0"),
+        "force": Key(POINT, "N", "force on it"),
+    }
+)
+TRACKED = MappingProxyType(
+    {
+        "node": FORCE["node"],
+        "relative_to": Key(WHOLE, "", "node from which the coordinate is measured"),
+        "axis": _choice("axis of the coordinate", "x", "y", "z"),
+    }
+)
+OUTPUT = MappingProxyType(TRACKED | keys_of(OutputLimit, without="matrix", low=NUMBER, high=NUMBER))
+WAYPOINT = MappingProxyType(
+    {
+        "start": Key(NUMBER, "s", "when the move begins; at the end of the last one if not given"),
+        "time": Key(NUMBER, "s", "when the shape is reached"),
+        "height": Key(NUMBER, "m", "distance from the centre of the bottom to that of the top"),
+        "twist": Key(NUMBER, "rad", "rotation of the top against the bottom"),
+        "top": Key(NODES, "", "nodes of the top; those of a prism if not given"),
+        "bottom": Key(NODES, "", "nodes of the bottom; those of a prism if not given"),
+        "nodes": Key(NODES, "", "nodes whose positions are demanded"),
+        "positions": Key(POINTS, "m", "where they are to be"),
+        "force_density": Key(NUMBER, "N/m", "mean force density of the group of the first string"),
+    }
+)
 
 # Keys, and values of keys, by the way to them: what older files have, and what to write.
 RENAMED: Mapping[tuple[str | int, ...], str] = MappingProxyType(

@@ -19,7 +19,6 @@ from tenscontrol.scene.schema import (
     LAW_KEYS,
     LAWS,
     MEMBERS,
-    required,
 )
 from tenscontrol.simulation import initial_state
 from tenscontrol.statics import Prestress, prestress
@@ -55,12 +54,12 @@ def build_structure(document: Document) -> Structure:
     structure = _uncut(document)
     if document.has("skin"):
         table = document.table("skin")
-        table.need("panels")
+        table.need_required()
         with table.checked():
             structure = skin(structure, **table.values)
     if document.has("subdivide"):
         table = document.table("subdivide")
-        table.need("segments")
+        table.need_required()
         values = dict(table.values)
         for key in {"segments", "string_mass"} & set(values):
             if isinstance(values[key], dict):
@@ -74,8 +73,7 @@ def _uncut(document: Document) -> Structure:
     if "generator" in document.values["structure"]:
         name, table = document.table("structure").chosen("generator", GENERATOR_KEYS)
         make = GENERATORS[name]
-        for key in required(table.keys):
-            table.need(key)
+        table.need_required()
         own = {key: table.values[key] for key in signature(make).parameters if key in table}
         with table.checked():
             made = make(**own)
@@ -131,8 +129,7 @@ def build_law(document: Document, structure: Structure) -> tuple[StringLaw, Stri
     make = LAWS[kind]
     by_string = table.choice("per", _PER, "string") == "string"
     given = whole_strings(structure) if by_string else structure
-    for key in required(table.keys):
-        table.need(key)
+    table.need_required()
     values = {key: per_string(table, key, given) for key in table.without("law", "per")}
     with table.checked():
         law = make(**values)
@@ -175,8 +172,7 @@ def build_ground(document: Document, structure: Structure) -> tuple[ContactLaw, 
     found = []
     for entry in document.entries("ground"):
         kind, table = entry.chosen("kind", GROUND_KEYS, "linear")
-        for key in required(table.keys):
-            table.need(key)
+        table.need_required()
         with table.checked():
             if "normal" in table:
                 direction("normal", table.get("normal"), structure.dimension)

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tenscontrol.control.mpc.problem import RowBlock
-from tenscontrol.fields import Array, OptionalArray, converted
+from tenscontrol.fields import Array, Field, converted
 from tenscontrol.plant import LinearPlant, ReferencePreview, string_map
 from tenscontrol.structure import bar_distances
 from tenscontrol.validation import (
+    FloatArray,
     float_array,
     frozen,
     instance,
@@ -22,7 +23,7 @@ from tenscontrol.validation import (
 )
 
 if TYPE_CHECKING:
-    pass
+    from numpy.typing import ArrayLike
 
 
 # Limits of strings by their quantity, and its unit.
@@ -78,8 +79,8 @@ class OutputLimit:
     """
 
     matrix: Array = converted()
-    low: OptionalArray = converted(None)
-    high: OptionalArray = converted(None)
+    low: Field[ArrayLike | None, FloatArray] = converted(None)
+    high: Field[ArrayLike | None, FloatArray] = converted(None)
     penalty: float | None = None
 
     def __post_init__(self) -> None:
@@ -93,7 +94,7 @@ class OutputLimit:
             given = getattr(self, name)
             bound = limit_per_member(name, given, len(matrix), "row of matrix", none)
             object.__setattr__(self, name, frozen(bound))
-        if np.any(self.low > self.high):  # type: ignore[operator]
+        if np.any(self.low > self.high):
             raise ValueError(f"low {self.low} m exceeds high {self.high} m")
         if is_unlimited(self.penalty):
             object.__setattr__(self, "penalty", None)
