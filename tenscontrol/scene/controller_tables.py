@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from importlib import import_module
 from importlib.machinery import ModuleSpec, SourceFileLoader
 from importlib.util import module_from_spec
+from inspect import signature
 from pathlib import Path
 from types import CodeType, ModuleType
 from typing import Any
@@ -100,7 +101,8 @@ def build_controller(
         limits = {key: arguments[key] for key in bounds} | {"winches": winches}
         arguments["reference"] = _build_reference(table, model, rest, limits)
     # A law in continuous time knows neither speeds in a sample nor ramps through it.
-    if kind != "feedback_linearization" and input == "rest_length" and "sample_time" in table:
+    takes_winches = "winches" in signature(schema.CONTROLLERS[kind]).parameters
+    if takes_winches and input == "rest_length" and "sample_time" in table:
         arguments["winches"] = winches
     if "plants" in table:
         return _schedule(table, model, arguments, input)
