@@ -22,13 +22,13 @@ class Documented(NamedTuple):
 
 def documented(function: Callable[..., object]) -> dict[str, Documented]:
     """Return what the docstring of a function or class says of each parameter."""
-    found = {}
+    parameters = {}
     for entry in _entries(function):
         names, _, text = entry.partition("\n")
         names, _, kind = names.partition(" : ")
         for name in names.split(", "):
-            found[name] = Documented(kind, " ".join(text.split()))
-    return found
+            parameters[name] = Documented(kind, " ".join(text.split()))
+    return parameters
 
 
 def with_parameters_of(other: type) -> Callable[[_Class], _Class]:

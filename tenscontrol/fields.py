@@ -46,10 +46,9 @@ def checked(check: Callable[..., object], *details: object) -> Mapping[str, Any]
 
 def check_fields(record: Any) -> None:
     """Check the fields of a frozen record in their order, and keep read-only arrays."""
-    for each in fields(record):
-        value = getattr(record, each.name)
-        if "check" in each.metadata:
-            value = each.metadata["check"](each.name, value, *each.metadata["details"])
-        if isinstance(value, np.ndarray):
-            value = frozen(value)
-        object.__setattr__(record, each.name, value)
+    for declared in fields(record):
+        name, how = declared.name, declared.metadata
+        value = getattr(record, name)
+        if "check" in how:
+            value = how["check"](name, value, *how["details"])
+        object.__setattr__(record, name, frozen(value) if isinstance(value, np.ndarray) else value)

@@ -91,7 +91,7 @@ def keys_of(
     Arguments that are objects of the package are none; ``kinds`` are those of arguments for which
     a scene has a form of its own.
     """
-    found, described = {}, documented(function)
+    keys, described = {}, documented(function)
     for name, parameter in signature(function).parameters.items():
         if name not in described:
             raise LookupError(
@@ -105,10 +105,10 @@ def keys_of(
         unit, meaning = _unit_and_meaning(text, kind)
         is_required = parameter.default is Parameter.empty
         default = None if is_required else parameter.default
-        found[name] = Key(
+        keys[name] = Key(
             kinds.get(name) or kind_of(name, kind), unit, meaning, default, is_required
         )
-    return found
+    return keys
 
 
 def _by_name(*classes: Any) -> dict[str, Any]:
@@ -141,16 +141,10 @@ GENERATOR_KEYS: Mapping[str, Keys] = MappingProxyType(
         for name, make in GENERATORS.items()
     }
 )
-_OF_FILES = {
-    "version": Key(WHOLE, "", "format of the file"),
-    "parent": Key(TABLE, "", "the structure with its strings whole"),
-}
-MEMBERS = MappingProxyType(
-    {
-        name: (_OF_FILES | keys_of(Structure, " ".join(STRUCTURE_KEYS), parent=TABLE))[name]
-        for name in STRUCTURE_KEYS
-    }
+_MEMBERS = {"version": Key(WHOLE, "", "format of the file")} | keys_of(
+    Structure, " ".join(STRUCTURE_KEYS), parent=TABLE
 )
+MEMBERS = MappingProxyType({name: _MEMBERS[name] for name in STRUCTURE_KEYS})
 LAWS: Mapping[str, type[StringLaw]] = MappingProxyType(
     {"linear": LinearStrings, "elastic": ElasticStrings}
 )

@@ -267,9 +267,9 @@ def from_settings(
             init(self, plant, record(**settings))  # type: ignore[call-arg]
 
         shown = signature(init)
-        given = [each for name, each in shown.parameters.items() if name != "settings"]
-        given += signature(record).parameters.values()
-        from_keywords.__signature__ = shown.replace(parameters=given)  # type: ignore[attr-defined]
+        itself, plant, _ = shown.parameters.values()
+        parameters = [itself, plant, *signature(record).parameters.values()]
+        from_keywords.__signature__ = shown.replace(parameters=parameters)  # type: ignore[attr-defined]
         return from_keywords  # type: ignore[return-value]
 
     return decorate
