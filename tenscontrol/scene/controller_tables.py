@@ -30,6 +30,7 @@ from tenscontrol.files import read_file
 from tenscontrol.plant import Reference, linearize
 from tenscontrol.scene import schema
 from tenscontrol.scene.document import Document, Table
+from tenscontrol.scene.kinds import BY_STRING
 from tenscontrol.scene.structure_tables import columns, per_string
 from tenscontrol.shape import (
     Demand,
@@ -347,12 +348,13 @@ def build_winches(document: Document, structure: Structure) -> Winches | None:
     if not document.has("winches"):
         return None
     table = document.table("winches")
-    settings = table.given("ramp", "substeps")
+    settings: dict[str, Any] = {}
     motor: dict[str, Any] = {}
     motor_keys = schema.keys_of(Motor)
-    for key in table.without("ramp", "substeps"):
-        of = motor if key in motor_keys else settings
-        of[key] = per_string(table, key, whole_strings(structure))
+    for key, value in table.values.items():
+        by_string = table.keys[key].kind is BY_STRING
+        arguments = motor if key in motor_keys else settings
+        arguments[key] = per_string(table, key, whole_strings(structure)) if by_string else value
     if motor:
         table.need("drum_radius")
     with table.checked():

@@ -60,10 +60,10 @@ def build_structure(document: Document) -> Structure:
     if document.has("subdivide"):
         table = document.table("subdivide")
         table.need_required()
-        values = dict(table.values)
-        for key in {"segments", "string_mass"} & set(values):
-            if isinstance(values[key], dict):
-                values[key] = per_string(table, key, structure)
+        values: dict[str, Any] = {
+            key: per_string(table, key, structure) if isinstance(value, dict) else value
+            for key, value in table.values.items()
+        }
         with table.checked():
             structure = subdivide(structure, **values)
     return structure
