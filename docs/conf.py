@@ -14,7 +14,9 @@ release = version = installed_version("tenscontrol")
 extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
+    "folder",
     "mathml",
+    "scene_keys",
     "sphinx.ext.napoleon",
     "sphinx.ext.viewcode",
     "sphinx_gallery.gen_gallery",

@@ -2,9 +2,9 @@
 Structures of the library
 =========================
 
-``tc.library`` has twenty known structures. Each is a function of its sizes. The figure shows them
-with their class (the largest number of bars that share a node), states of self-stress and
-mechanisms. White nodes are joints of bars, triangles are supports.
+``tc.library`` has known structures. Each is a function of its sizes. The figure shows them with
+their class (the largest number of bars that share a node), states of self-stress and mechanisms.
+White nodes are joints of bars, triangles are supports.
 """
 
 import matplotlib.pyplot as plt
@@ -12,28 +12,17 @@ import numpy as np
 
 import tenscontrol as tc
 
-structures = {
-    "six_bar_ball": tc.library.six_bar_ball(),
-    "truncated_tetrahedron": tc.library.truncated_tetrahedron(),
-    "twelve_bar_ball": tc.library.twelve_bar_ball(),
-    "thirty_bar_ball": tc.library.thirty_bar_ball(),
-    "snelson_x": tc.library.snelson_x(),
-    "kite": tc.library.kite(),
-    "d_bar": tc.library.d_bar(),
-    "t_bar": tc.library.t_bar(),
-    "d_bar_3d": tc.library.d_bar_3d(),
-    "wheel": tc.library.wheel(),
-    "prism": tc.library.prism(),
-    "prism_tower": tc.library.prism_tower(stages=3),
-    "class2_tower": tc.library.class2_tower(stages=3),
-    "spine": tc.library.spine(vertebrae=4),
-    "arm": tc.library.arm(sections=4),
-    "stedy_arm": tc.library.stedy_arm(),
-    "geiger_dome": tc.library.geiger_dome(sides=8),
-    "levy_dome": tc.library.levy_dome(sides=12),
-    "cable_net": tc.library.cable_net(rows=7, columns=7),
-    "net": tc.library.net(rows=6, columns=6, spacing=0.1, node_mass=0.01, fixed="edges"),
+sizes = {
+    "arm": {"sections": 4},
+    "cable_net": {"rows": 7, "columns": 7},
+    "class2_tower": {"stages": 3},
+    "geiger_dome": {"sides": 8},
+    "levy_dome": {"sides": 12},
+    "net": {"rows": 6, "columns": 6, "spacing": 0.1, "node_mass": 0.01, "fixed": "edges"},
+    "prism_tower": {"stages": 3},
+    "spine": {"vertebrae": 4},
 }
+structures = {name: getattr(tc.library, name)(**sizes.get(name, {})) for name in tc.library.__all__}
 
 
 # %%
@@ -65,7 +54,7 @@ found = {name: counts(structure) for name, structure in structures.items()}
 figure = plt.figure(figsize=(13.0, 11.5))
 for i, (name, structure) in enumerate(structures.items()):
     projection = "3d" if structure.dimension == 3 else None
-    ax = figure.add_subplot(4, 5, i + 1, projection=projection)
+    ax = figure.add_subplot(-(-len(found) // 5), 5, i + 1, projection=projection)
     tc.plot.structure(structure, ax=ax, legend=False)
     ax.set_axis_off()
     states, mechanisms = found[name]

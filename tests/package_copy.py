@@ -13,13 +13,17 @@ _PACKAGE = Path(tc.__file__).parent
 
 
 class PackageCopy:
-    """A copy of the package in a folder, with the files that were changed or added in it."""
+    """A copy of the package in a folder, with the files that were changed or added in it.
 
-    def __init__(self, folder: Path) -> None:
+    ``others`` are folders of the project that are copied too.
+    """
+
+    def __init__(self, folder: Path, *others: str) -> None:
         self._folder = folder
         self.changed: set[str] = set()
-        skipped = shutil.ignore_patterns("__pycache__")
-        shutil.copytree(_PACKAGE, folder / _PACKAGE.name, ignore=skipped)
+        skipped = shutil.ignore_patterns("__pycache__", "images")
+        for path in (_PACKAGE.name, *others):
+            shutil.copytree(_PACKAGE.parent / path, folder / path, ignore=skipped)
 
     def add(self, path: str, text: str) -> None:
         """Add a file; ``path`` is relative to the package."""

@@ -4,16 +4,23 @@ import ast
 import importlib
 import inspect
 import re
+import runpy
 from functools import cache, cached_property
 from pathlib import Path
 
-PAGES = sorted((Path(__file__).parent.parent / "docs" / "api").glob("*.rst"))
+DOCS = Path(__file__).parent.parent / "docs"
+PAGES = sorted((DOCS / "api").glob("*.rst"))
 
 
 @cache
 def tree(path):
     """The syntax tree of a file, not to be changed."""
     return ast.parse(path.read_text(encoding="utf-8"), filename=str(path))
+
+
+def exported(page, folder, without):
+    """As the directive of the pages finds the names that a folder exports."""
+    return runpy.run_path(str(DOCS / "_ext" / "folder.py"))["exported"](page, folder, without)
 
 
 @cache
@@ -28,6 +35,8 @@ def interface():
                 module = name
             else:
                 named.add(name if name.startswith("tenscontrol.") else f"{module}.{name}")
+        for folder, without in re.findall(r"^\.\. folder:: +(\S+)\n +:without: (.*)", text, re.M):
+            named |= set(exported(text, folder, without))
     return named, set(re.findall(r"``(tenscontrol\.[\w.]+)``", shared))
 
 

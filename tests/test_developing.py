@@ -1,6 +1,7 @@
 """One of each that docs/developing.rst tells how to add: outside of the package, or in a copy."""
 
 import inspect
+import textwrap
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -308,7 +309,7 @@ assert np.allclose(still - slow, 1e-6 * found @ v, atol=1e-12)
 
 ELSEWHERE = """
 from pathlib import Path
-from tenscontrol.scene.comments import comment
+from tenscontrol.scene.schema import TABLES
 run = tc.simulate(model, 0.1, force_density=gamma, step=1e-3)
 again = tc.load_run(run.save("run.npz")).model
 assert again.arguments["joint_friction"] == model.arguments["joint_friction"] == 0.2
@@ -318,7 +319,8 @@ tables = ("structure", 'generator = "d_bar"'), ("prestress", "force_density = 10
 Path("scene.toml").write_text("".join(f"[{name}]\\n{line}\\n" for name, line in tables))
 scene = tc.load_scene("scene.toml")
 assert scene.model.arguments["joint_friction"] == 0.2
-assert comment("loads", "joint_friction", "N m s").endswith("between bars that share a node")
+friction = TABLES["loads"].keys["joint_friction"]
+assert friction.unit == "N m s" and friction.meaning.endswith("between bars that share a node")
 try:
     tc.exchange.to_mujoco(model, force_density=gamma)
 except ValueError as error:
@@ -394,11 +396,235 @@ assert run.method == "heun"
     assert len(copy.changed) == 2
 
 
+# ---- within a copy of the package ----
+
+
+def run_changed(folder, changes, program):
+    """Run a program with a copy of the package in which files are changed, or new.
+
+    ``changes`` has for each file of the package the text before which another is put, and that
+    text; for a new file an empty one, and its text.
+    """
+    copy = PackageCopy(folder, "docs/_ext", "docs/api")
+    for name, pairs in changes.items():
+        for before, added in pairs:
+            if before:
+                copy.replace(name, before, added + before)
+            else:
+                copy.add(name, added)
+    copy.run(textwrap.dedent(BEGIN) + textwrap.dedent(program))
+
+
+BEGIN = """
+    import sys
+    from pathlib import Path
+    import numpy as np
+    import tenscontrol as tc
+    sys.path.insert(0, str(Path.cwd() / 'docs' / '_ext'))
+    import folder, scene_keys
+
+    COMMANDS = '[controller]\\ninput = "rest_length"\\nsample_time = 0.02\\n'
+
+    def scene(controller, structure='generator = "prism"'):
+        Path("scene.toml").write_text(f'''
+            [structure]
+            {structure}
+            [strings]
+            law = "linear"
+            stiffness = 1000.0
+            [prestress]
+            min_force_density = 10.0
+            {controller}
+            [run]
+            duration = 0.04
+            output_step = 0.02
+            ''')
+        return tc.load_scene("scene.toml")
+
+    def pages(name):
+        page = Path("docs/api", f"{name}.rst").read_text("utf-8")
+        return list(folder.exported(page, f"tenscontrol.{name}", ""))
+
+    assert tc.__file__.startswith(str(Path.cwd()))
+"""
+
+
+def test_an_option_of_mpc_is_declared_once(tmp_path):
+    changes = {
+        "control/mpc/settings.py": [
+            (
+                "    tracked : array_like, shape (p, d n), optional\n",
+                "    effort : float\n        Factor of the weight of the input, m, positive.\n",
+            ),
+            (
+                "    tracked: object = field(",
+                "    effort: float = field(default=1.0, metadata=checked(positive_number, 'm'))\n",
+            ),
+            (
+                "    if not nonlinear or plant.model.contacts is None:\n",
+                "    input_weight = settings.effort * input_weight\n",
+            ),
+        ]
+    }
+    assert len(changes) == 1
+    program = """
+        MPC = COMMANDS + 'kind = "mpc"\\nhorizon = 5\\n'
+        plain, dear = scene(MPC).controller, scene(MPC + "effort = 100.0").controller
+        assert (plain.law.settings.effort, dear.law.settings.effort) == (1.0, 100.0)
+        again = tc.MPC(plain.plant, horizon=5, sample_time=0.02, effort=100.0)
+        pushed = plain.plant.to_nodes(np.full(9, 0.01)), np.zeros((3, 6))
+        moves = [np.abs(each.command(0.0, *pushed).value - plain.plant.equilibrium_input).max()
+                 for each in (plain, dear, again)]
+        assert moves[0] > 1.1 * moves[1] == 1.1 * moves[2], moves
+        for wrong, words in {
+            "efort = 1.0": "has no key 'efort'; did you mean 'effort'?",
+            "effort = 'big'": "effort is the text 'big', expected a number in m",
+            "effort = -1.0": "scene.toml:14: in [controller] with kind = 'mpc', effort is -1.0",
+        }.items():
+            try:
+                scene(MPC + wrong)
+            except tc.scene.SceneError as error:
+                assert words in str(error), error
+            else:
+                raise AssertionError(wrong)
+        (line,) = [each for each in tc.scene.scene_template("arm").splitlines() if "effort" in each]
+        assert line.split("  ")[0] == "# effort = 1.0"
+        assert line.endswith("  # m: factor of the weight of the input"), line
+        entry = "effort : float\\n    Factor of the weight of the input, m"
+        assert entry in tc.MPC.__doc__ and entry in tc.NMPC.__doc__
+        listed = "factor of the weight of the input (default ``1.0``)"
+        assert listed in scene_keys.table("controller")
+    """
+    run_changed(tmp_path, changes, program)
+
+
+GENERATOR = '''"""Frames."""
+
+import numpy as np
+
+from tenscontrol.structure import Structure
+
+
+def x_frame(reach: float = 2.0, tallness: float = 1.0) -> Structure:
+    """Return two crossed bars with a string along each side of the frame.
+
+    Parameters
+    ----------
+    reach : float
+        Length of the strings along x, m.
+    tallness : float
+        Length of the strings along z, m.
+    """
+    x, z = np.array([0, reach, 0, reach]), np.array([0, tallness, tallness, 0])
+    sides = [[0, 3], [3, 1], [1, 2], [2, 0]]
+    return Structure([x, z], [[0, 1], [2, 3]], sides, 1.0, fixed=[0, 3])
+'''
+
+
+def test_a_generator_of_the_library_is_two_files(tmp_path):
+    changes = {
+        "library/frames.py": [("", GENERATOR)],
+        "library/__init__.py": [
+            (
+                "from tenscontrol.structure import",
+                "from tenscontrol.library.frames import x_frame\n",
+            ),
+            ('    "wheel",\n', '    "x_frame",\n'),
+        ],
+    }
+    assert len(changes) == 2
+    program = """
+        found = scene("", 'generator = "x_frame"\\nreach = 3.0').structure
+        assert np.allclose(np.ptp(found.nodes, axis=1), [3.0, 1.0])
+        text = tc.scene.scene_template("x_frame")
+        assert "  # m: length of the strings along x\\n" in text
+        Path("new.toml").write_text(text)
+        assert tc.load_scene("new.toml").controller is not None
+        assert tc.scene.scene_names()["x_frame"].startswith("Two crossed bars")
+        assert "tenscontrol.library.x_frame" in pages("library")
+    """
+    run_changed(tmp_path, changes, program)
+
+
+CONTROLLER = '''"""Relay control."""
+
+import numpy as np
+
+from tenscontrol.control.command import Command, Fallback
+from tenscontrol.control.controller import Controller
+from tenscontrol.plant import LinearPlant
+from tenscontrol.status import Status
+from tenscontrol.validation import FloatArray, positive_number
+
+
+class TwoPointRelay(Controller):
+    """Winds the strings in below a height, and lets them out above it.
+
+    Parameters
+    ----------
+    plant : LinearPlant
+    sample_time : float
+        Time between two commands, s.
+    setpoint : float
+        Height of the relay, m.
+    swing : float
+        Change of the rest lengths, m.
+    """
+
+    def __init__(
+        self, plant: LinearPlant, sample_time: float, setpoint: float, swing: float = 1e-3
+    ) -> None:
+        swing = positive_number("swing", swing, "m")
+        level = plant.equilibrium_input
+        super().__init__(plant, sample_time, level - swing, level + swing)
+        self.setpoint, self.swing = setpoint, swing
+
+    def _decide(self, time: float, state: FloatArray) -> Command:
+        height = np.ptp(self.plant.to_nodes(state[: self.plant.degrees_of_freedom])[2])
+        sign = 1.0 if height > self.setpoint else -1.0
+        return Command(self.plant.equilibrium_input + sign * self.swing)
+
+    def _fall_back(self, status: Status) -> Command:
+        return Command(self.plant.equilibrium_input, status, Fallback.EQUILIBRIUM_HELD)
+'''
+
+
+def test_a_controller_is_two_files(tmp_path):
+    changes = {
+        "control/relay.py": [("", CONTROLLER)],
+        "control/__init__.py": [
+            (
+                "from tenscontrol.control.lqr import",
+                "from tenscontrol.control.relay import TwoPointRelay\n",
+            ),
+            ('    "as_controller",\n', '    "TwoPointRelay",\n'),
+        ],
+    }
+    assert len(changes) == 2
+    program = """
+        RELAY = COMMANDS + 'kind = "two_point_relay"\\n'
+        run = scene(RELAY + "setpoint = 1.0\\nswing = 0.002").simulate()
+        assert run.control.status_count == {"ok": 2}
+        rest = scene(RELAY + "setpoint = 1.0").controller.plant.equilibrium_input
+        assert np.allclose(np.abs(run.control.command - rest[:, None]), 0.002)
+        try:
+            scene(RELAY + "swing = 0.002")
+        except tc.scene.SceneError as error:
+            assert "lacks the key setpoint: a number in m" in str(error), error
+        else:
+            raise AssertionError("setpoint is missing")
+        assert '"two_point_relay"' in tc.scene.scene_template("arm")
+        assert "height of the relay" in scene_keys.table("controller")
+        assert "tenscontrol.control.TwoPointRelay" in pages("control")
+    """
+    run_changed(tmp_path, changes, program)
+
+
 # ---- as the page says ----
 
 
 def test_each_takes_less_than_sixty_lines():
-    text = Path(__file__).read_text(encoding="utf-8")
+    text = Path(__file__).read_text(encoding="utf-8").partition("\n# ---- within a copy")[0]
     _, *parts = text.split("\n# ---- ")
     lengths = {part.partition(" ----")[0]: len(part.strip().splitlines()) for part in parts}
     assert set(lengths) >= {"generator", "string law", "controller", "integrator", "QP solver"}

@@ -79,7 +79,7 @@ def test_building_an_mpc(scene):
     fresh = tc.linearize(scene.model, scene.rest)  # nothing is prepared for it
     with files_passed() as found:
         tc.MPC(fresh, **scene.usual)
-    count(found, "MPC(...)", 19)
+    count(found, "MPC(...)", 20)
 
 
 @pytest.mark.parametrize(

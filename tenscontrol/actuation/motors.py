@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from tenscontrol.dynamics import Model, evaluate_columns
+from tenscontrol.fields import Array, OptionalArray, check_fields, checked, converted
 from tenscontrol.validation import (
     FloatArray,
     IntArray,
@@ -23,25 +24,8 @@ from tenscontrol.validation import (
     vector,
 )
 
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-_OF_MOTORS = (
-    ("drum_radius", "radius in m"),
-    ("gear_ratio", "ratio"),
-    ("torque", "torque in N m"),
-    ("speed", "speed in rad/s"),
-    ("inertia", "moment of inertia in kg m²"),
-    ("lag", "time in s"),
-    ("backlash", "angle in rad"),
-    ("zero", "rest length in m"),
-)
 # Parts of an interval in which a string goes slack or taut.
 _PARTS = 32
-
-# May be infinite, and may be 0.
-_LIMITS = ("torque", "speed")
-_MAY_BE_ZERO = ("inertia", "lag", "backlash")
 
 
 class EachMotor(NamedTuple):
@@ -60,6 +44,33 @@ class EachMotor(NamedTuple):
         return self.torque / self.lever
 
 
+# Checks of one number each, or one per string.
+
+
+def _size(name: str, value: object, meaning: str) -> FloatArray:
+    array = vector(name, value)
+    positive(name, np.atleast_1d(array), meaning)
+    return array
+
+
+def _size_or_none(name: str, value: object, meaning: str) -> FloatArray | None:
+    return None if value is None else _size(name, value, meaning)
+
+
+def _size_or_zero(name: str, value: object, meaning: str) -> FloatArray:
+    array = vector(name, value)
+    non_negative(name, np.atleast_1d(array), f"{meaning}, 0 for none")
+    return array
+
+
+def _limit(name: str, value: object, meaning: str) -> FloatArray | None:
+    array = limits(name, value)
+    if not np.isfinite(array).any():
+        return None
+    positive(name, np.atleast_1d(array), meaning)
+    return array
+
+
 @dataclass(frozen=True, eq=False)
 class Motor:
     """Motors of the winches, with gears and drums: one number for all, or one per string.
@@ -73,17 +84,18 @@ class Motor:
     Parameters
     ----------
     drum_radius : float or array_like, shape (α,)
-        r, m.
+        Radius r of the drum, m.
     gear_ratio : float or array_like, shape (α,)
-        G, turns of the motor for one of the drum.
+        Turns of the motor for one turn of the drum: G.
     torque : float or array_like, shape (α,), optional
         Largest torque of the motor, N m; unlimited if infinite or not given. Where the tension
         needs more, a brake gives the rest: the winch holds or pays out, but does not wind in.
     speed : float or array_like, shape (α,), optional
         Largest speed of the motor, rad/s; unlimited if infinite or not given.
     inertia : float or array_like, shape (α,)
-        J of the rotor, with the drum by 1/G², kg m². A motor with inertia needs ``torque``, from
-        which its acceleration follows; it then moves with a speed that does not jump.
+        Inertia J of the rotor, with that of the drum by 1/G², kg m². A motor with inertia needs
+        ``torque``, from which its acceleration follows; it then moves with a speed that does not
+        jump.
     lag : float or array_like, shape (α,)
         Time constant T of the drive, s: the rest length follows by ``(r − l0)/T``. The reference r
         is the command, or the ramp from the last command to it.
@@ -109,46 +121,18 @@ class Motor:
     (array([ 0., 20.]), array([0.8 , 0.79]))
     """
 
-    drum_radius: FloatArray
-    gear_ratio: FloatArray = 1.0  # type: ignore[assignment]
-    torque: FloatArray | None = None
-    speed: FloatArray | None = None
-    inertia: FloatArray = 0.0  # type: ignore[assignment]
-    lag: FloatArray = 0.0  # type: ignore[assignment]
-    backlash: FloatArray = 0.0  # type: ignore[assignment]
-    zero: FloatArray | None = None
-
-    if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
-
-        def __init__(
-            self,
-            drum_radius: ArrayLike,
-            gear_ratio: ArrayLike = 1.0,
-            torque: ArrayLike | None = None,
-            speed: ArrayLike | None = None,
-            inertia: ArrayLike = 0.0,
-            lag: ArrayLike = 0.0,
-            backlash: ArrayLike = 0.0,
-            zero: ArrayLike | None = None,
-        ) -> None: ...
+    drum_radius: Array = converted(metadata=checked(_size, "radius in m"))
+    gear_ratio: Array = converted(1.0, checked(_size, "ratio"))
+    torque: OptionalArray = converted(None, checked(_limit, "torque in N m"))
+    speed: OptionalArray = converted(None, checked(_limit, "speed in rad/s"))
+    inertia: Array = converted(0.0, checked(_size_or_zero, "moment of inertia in kg m²"))
+    lag: Array = converted(0.0, checked(_size_or_zero, "time in s"))
+    backlash: Array = converted(0.0, checked(_size_or_zero, "angle in rad"))
+    zero: OptionalArray = converted(None, checked(_size_or_none, "rest length in m"))
 
     def __post_init__(self) -> None:
-        found = {}
-        for name, unit in _OF_MOTORS:
-            value = getattr(self, name)
-            if value is None and name == "zero":
-                continue
-            limit = limits(name, value) if name in _LIMITS else vector(name, value)
-            if name in _LIMITS and not np.isfinite(limit).any():
-                object.__setattr__(self, name, None)
-                continue
-            found[name] = limit
-            if name in _MAY_BE_ZERO:
-                non_negative(name, np.atleast_1d(found[name]), f"{unit}, 0 for none")
-            else:
-                positive(name, np.atleast_1d(found[name]), unit)
-            object.__setattr__(self, name, frozen(found[name]))
-        member_parameters(found)
+        check_fields(self)
+        member_parameters({name: each for name, each in vars(self).items() if each is not None})
         torque = np.inf if self.torque is None else self.torque
         if np.any((self.inertia > 0) & (torque == np.inf)):
             raise ValueError(
@@ -223,8 +207,7 @@ def _for_each(label: str, value: object, name: str, array: FloatArray) -> FloatA
 
 def each_motor(motor: Motor, count: int) -> EachMotor:
     """Return the numbers of each motor, for so many strings, or raise if they do not fit."""
-    for name, _ in _OF_MOTORS:
-        value = getattr(motor, name)
+    for name, value in vars(motor).items():
         if value is not None:
             one_or_per_string(f"motor.{name}", value, count)
 

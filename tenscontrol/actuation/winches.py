@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tenscontrol.actuation.motors import Motor, Turning, each_motor
 from tenscontrol.dynamics import Model, StringLaw, polynomial_at
+from tenscontrol.fields import Field, OptionalArray, check_fields, checked, converted
 from tenscontrol.structure import refuse_strings_without_length
 from tenscontrol.validation import (
     MOST_SAMPLES,
@@ -30,18 +30,7 @@ from tenscontrol.validation import (
     whole_number,
 )
 
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-
 _SUBSTEPS = 10
-
-# Name, meaning, and what stands for no limit.
-_UNITS = (
-    ("rate", "speed in m/s", np.inf),
-    ("shortest", "length in m", 0.0),
-    ("longest", "length in m", np.inf),
-)
 
 # Newton steps to the rest length at which a motor can wind no further, the stretch of a string from
 # which they start where it is slack, and the part of its length below which a step is the last.
@@ -182,6 +171,32 @@ class WinchMove:
     torque_limited: IntArray = field(default_factory=lambda: frozen(np.zeros(0, dtype=np.int64)))
 
 
+_LIMITS = "rate", "shortest", "longest"
+
+# Checks of one argument each.
+
+
+def _limit(name: str, value: object, meaning: str, none: float = np.inf) -> FloatArray | None:
+    limit = limits(name, value, none)
+    if not (limit != none).any():
+        return None
+    if none:
+        positive(name, np.atleast_1d(limit), meaning)
+    else:
+        non_negative(name, np.atleast_1d(limit), f"{meaning}, 0 for any")
+    return limit
+
+
+def _substeps(name: str, value: object) -> int | None:
+    return None if value is None else whole_number(name, value, 1, MOST_SAMPLES)
+
+
+def _motor(name: str, value: Motor | None) -> Motor | None:
+    if value is not None:
+        instance(name, value, Motor, "make them by Motor(drum_radius=...)")
+    return value
+
+
 @dataclass(frozen=True, eq=False)
 class Winches:
     """Limits of the winches that set the rest lengths: speed, range, motors.
@@ -190,8 +205,10 @@ class Winches:
     ----------
     rate : float or array_like, shape (α,), optional
         Largest speed of winding, m/s; unlimited if infinite or not given.
-    shortest, longest : float or array_like, shape (α,), optional
-        Range of the rest length, m, from 0 to inf if not given: any positive length.
+    shortest : float or array_like, shape (α,), optional
+        Least rest length, m; 0, for any positive one, if not given.
+    longest : float or array_like, shape (α,), optional
+        Largest rest length, m; unlimited if infinite or not given.
     ramp : bool
         Whether rest lengths change linearly through a sample (first-order hold). If not, they
         jump at the start of a sample and stay (zero-order hold).
@@ -219,49 +236,26 @@ class Winches:
     (array([0.79, 0.79]), array([1]))
     """
 
-    rate: FloatArray | None = None
-    shortest: FloatArray | None = None
-    longest: FloatArray | None = None
-    ramp: bool = False
-    substeps: int = None  # type: ignore[assignment]  # an int from __post_init__ on
-    motor: Motor | None = None
-
-    if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
-
-        def __init__(
-            self,
-            rate: ArrayLike | None = None,
-            shortest: ArrayLike | None = None,
-            longest: ArrayLike | None = None,
-            ramp: bool = False,
-            substeps: int | None = None,
-            motor: Motor | None = None,
-        ) -> None: ...
+    rate: OptionalArray = converted(None, checked(_limit, "speed in m/s"))
+    shortest: OptionalArray = converted(None, checked(_limit, "length in m", 0.0))
+    longest: OptionalArray = converted(None, checked(_limit, "length in m"))
+    ramp: bool = field(
+        default=False, metadata=checked(truth, "whether rest lengths ramp through a sample")
+    )
+    substeps: Field[int | None, int] = converted(None, checked(_substeps))
+    motor: Motor | None = field(default=None, metadata=checked(_motor))
 
     def __post_init__(self) -> None:
-        ramp = truth("ramp", self.ramp, "whether rest lengths ramp through a sample")
-        steps = _SUBSTEPS if ramp else 1
-        if self.substeps is not None:
-            steps = whole_number("substeps", self.substeps, 1, MOST_SAMPLES)
-        if ramp and steps == 1:
+        check_fields(self)
+        steps = self.substeps or (_SUBSTEPS if self.ramp else 1)
+        if self.ramp and steps == 1:
             raise ValueError("substeps is 1, expected at least 2 for a ramp; leave out ramp=True")
         object.__setattr__(self, "ramp", steps > 1)
         object.__setattr__(self, "substeps", steps)
-        given = {}
-        for name, unit, none in _UNITS:
-            limit = limits(name, getattr(self, name), none)
-            object.__setattr__(self, name, None)
-            if (limit != none).any():
-                given[name] = limit
-                if none:
-                    positive(name, np.atleast_1d(limit), unit)
-                else:
-                    non_negative(name, np.atleast_1d(limit), f"{unit}, 0 for any")
-                object.__setattr__(self, name, frozen(limit))
+        given = {name: getattr(self, name) for name in _LIMITS}
         if self.motor is not None:
-            instance("motor", self.motor, Motor, "make them by Motor(drum_radius=...)")
             given["motor.drum_radius / gear_ratio"] = self.motor.lever
-        member_parameters(given)
+        member_parameters({name: limit for name, limit in given.items() if limit is not None})
         if self.shortest is None or self.longest is None:
             return
         if np.any(self.shortest > self.longest):

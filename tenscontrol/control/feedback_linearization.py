@@ -103,28 +103,28 @@ class FeedbackLinearization(Controller):
         With γ as the input, in internal or minimal coordinates. Its operating point gives the
         preferred γ.
     reference : Reference or array_like, shape (d, n), or None
-        Shapes to follow, joined by cubic splines in y, at rest at both ends. The
-        operating point if None.
+        Shapes to follow. They are joined by cubic splines in y, at rest at both ends. The operating
+        point if None.
     sample_time : float
-        Sample time, s. The law is exact at the samples; in between γ is held.
+        Time between two commands, s. The law is exact at the samples; in between γ is held.
     max_force_density : float or array_like, shape (α,)
-        Largest γ, N/m; inf for no limit.
+        Largest force density γ, N/m; inf for no limit.
     frequency : float
         Natural frequency of the error, Hz: ``b = (2π frequency)²``.
     damping : float
         Damping ratio ζ of the error: ``a = 4π ζ frequency``.
     tracked : array_like, shape (p, d n), optional
-        C, node by node: L and R of ``E = L N R − Ȳ`` in one. If not given, r combinations
-        that together are all changes of shape, in m.
+        Combinations of node coordinates that are tracked: C, node by node; L and R of ``E = L N R −
+        Ȳ`` in one. If not given, r combinations that together are all changes of shape, in m.
     max_change : float or array_like, shape (α,), optional
         Largest change of γ from sample to sample, N/m.
     regularization : float
-        Cost of γ that is off the operating point by its largest entry, against an
-        acceleration off by what that γ gives; both squared.
+        Cost of force densities away from the operating point. It is that of a γ that is off by the
+        largest entry there, against an acceleration off by what that γ gives; both squared.
     tolerance : float
-        OSQP's absolute and relative tolerance, in units of the largest γ.
+        Absolute and relative tolerance of OSQP, in units of the largest γ.
     max_iterations : int
-        OSQP's limit.
+        Most iterations of OSQP.
 
     Raises
     ------

@@ -68,10 +68,13 @@ class FunctionController(BaseController):
     input : {"force_density", "rest_length"}, optional
         What it commands; that of the object if not given.
     sample_time : float, optional
-        Sample time, s; that of the object if not given, and of the simulation if it has none.
-    low, high : float or array_like, shape (α,), optional
-        Least and largest command. The least γ is 0 if not given, the least rest length a
-        hundredth of the string's length in the shape of the structure; there is no largest.
+        Time between two commands, s; that of the object if not given, and of the simulation if it
+        has none.
+    low : float or array_like, shape (α,), optional
+        Least command, N/m or m; γ of 0, or a hundredth of the string's length in the shape of the
+        structure, if not given.
+    high : float or array_like, shape (α,), optional
+        Largest command, N/m or m; none if not given.
     max_change : float or array_like, shape (α,), optional
         Largest change of the command from sample to sample, N/m or m.
     equilibrium_input : float or array_like, shape (α,), optional

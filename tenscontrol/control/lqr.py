@@ -44,16 +44,16 @@ class LQR(Controller):
         rigid-body motions of free structures, which no string controls. Modes that no string
         reaches and that do not grow are left uncontrolled: :attr:`left_alone`.
     Q : float or array_like, shape (2r,) or (2r, 2r), optional
-        Weight of the state ``z = [q; q̇]``, positive semidefinite. If not given, that of
-        :func:`energy_weights`, by mode where the input is the rest length, as for :class:`MPC`.
+        Weight of the state, positive semidefinite. The state is ``z = [q; q̇]``. If not given, that
+        of :func:`energy_weights`, by mode where the input is the rest length, as for :class:`MPC`.
     R : float or array_like, shape (α,) or (α, α), optional
         Weight of the input, positive definite. If not given, that of :func:`energy_weights`; a
         tenth of it for γ.
     sample_time : float, optional
-        Sample time, s. With it the plant is discretized exactly, and the sum
+        Time between two commands, s. With it the plant is discretized exactly, and the sum
         over samples is minimized in place of the integral.
     max_force_density : float or array_like, shape (α,), optional
-        Largest γ commanded, N/m; only for a plant with γ as the input. The
+        Largest force density γ commanded, N/m; only for a plant with γ as the input. The
         least is 0 always.
     max_change : float or array_like, shape (α,), optional
         Largest change of the command from sample to sample, N/m or m.

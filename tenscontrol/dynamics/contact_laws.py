@@ -18,8 +18,10 @@ from typing import TYPE_CHECKING, Any, final
 import casadi as ca
 import numpy as np
 
+from tenscontrol.docstrings import with_parameters_of
 from tenscontrol.dynamics import kernel
 from tenscontrol.dynamics.force import Columns, Force, Pass, Read, Write
+from tenscontrol.fields import Field, OptionalArray, converted
 from tenscontrol.structure import Structure
 from tenscontrol.validation import (
     LARGEST_WHOLE,
@@ -62,20 +64,20 @@ class ContactLaw(ABC):
     Parameters
     ----------
     stiffness : float
-        k, positive; its unit is the law's.
+        Stiffness k of the contact, positive; its unit is the law's.
     damping : float
-        d of Hunt & Crossley's factor 1 + d ṗ, s/m, at least 0; None for 0.
+        Damping d of Hunt & Crossley, s/m, at least 0: the force has the factor 1 + d ṗ; None for 0.
     friction : float
-        μ, at least 0; None for 0.
+        Friction coefficient μ, at least 0; None for 0.
     slip_speed : float
-        v_s, m/s, positive: above it friction is that of Coulomb.
+        Sliding speed above which friction is that of Coulomb, m/s: v_s, positive.
     normal : array_like, shape (d,), optional
         Direction away from the ground; upward, the last axis, if not given.
     height : float or casadi.Function
-        h of the plane ``n·x = h``, m. Or a function of x and y (in the plane of x), m, twice
-        differentiable, under an upward normal.
+        Height of the ground along its normal, m: h of the plane ``n·x = h``. Or a function of x and
+        y (in the plane of x), m, twice differentiable, under an upward normal.
     nodes : array_like of int or of bool, optional
-        The nodes that it acts on, or a mask of them; all, if not given. It may act on none.
+        Nodes that it acts on, or a mask of them; all, if not given. It may act on none.
 
     Raises
     ------
@@ -92,22 +94,9 @@ class ContactLaw(ABC):
     damping: float = 0.0
     friction: float = 0.0
     slip_speed: float = 0.01
-    normal: FloatArray | None = None
+    normal: OptionalArray = converted(None)
     height: float | ca.Function = 0.0
-    nodes: IntArray | None = None
-
-    if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
-
-        def __init__(
-            self,
-            stiffness: float,
-            damping: float = 0.0,
-            friction: float = 0.0,
-            slip_speed: float = 0.01,
-            normal: ArrayLike | None = None,
-            height: float | ca.Function = 0.0,
-            nodes: ArrayLike | None = None,
-        ) -> None: ...
+    nodes: Field[ArrayLike | None, IntArray | None] = converted(None)
 
     # Expressions in CasADi: the only statement of the law.
 
@@ -303,6 +292,7 @@ class ContactLaw(ABC):
 
 
 @final
+@with_parameters_of(ContactLaw)
 @dataclass(frozen=True, eq=False)
 class Ground(ContactLaw):
     """Ground of constant stiffness: ``F_n = max(0, k p (1 + d ṗ))`` at depth p, with friction.
@@ -313,13 +303,7 @@ class Ground(ContactLaw):
     Parameters
     ----------
     stiffness : float
-        k, N/m, positive.
-    damping, friction, slip_speed : float
-        d, s/m, μ, and v_s, m/s: see :class:`~tenscontrol.dynamics.ContactLaw`, as for the others.
-    normal : array_like, shape (d,), optional
-    height : float or casadi.Function
-        m.
-    nodes : array_like of int, optional
+        Stiffness k of the contact, N/m, positive.
 
     Raises
     ------
@@ -341,6 +325,7 @@ class Ground(ContactLaw):
 
 
 @final
+@with_parameters_of(ContactLaw)
 @dataclass(frozen=True, eq=False)
 class HertzGround(ContactLaw):
     """Elastic ground under round nodes: ``F_n = max(0, k p^{3/2} (1 + d ṗ))`` at depth p.
@@ -348,13 +333,8 @@ class HertzGround(ContactLaw):
     Parameters
     ----------
     stiffness : float
-        k, N/m^{3/2}, positive: 4/3 E* √R of a sphere of radius R on a half-space.
-    damping, friction, slip_speed : float
-        d, s/m, μ, and v_s, m/s: see :class:`~tenscontrol.dynamics.ContactLaw`, as for the others.
-    normal : array_like, shape (d,), optional
-    height : float or casadi.Function
-        m.
-    nodes : array_like of int, optional
+        Stiffness k of the contact, N/m^1.5, positive: 4/3 E* √R of a sphere of radius R on a
+        half-space.
 
     Raises
     ------
@@ -376,6 +356,7 @@ class HertzGround(ContactLaw):
 
 
 @final
+@with_parameters_of(ContactLaw)
 @dataclass(frozen=True, eq=False)
 class SmoothGround(ContactLaw):
     """Smooth ground, for predictions: the force of :class:`Ground`, rounded near the surface.
@@ -387,15 +368,9 @@ class SmoothGround(ContactLaw):
     Parameters
     ----------
     stiffness : float
-        k, N/m, positive.
-    damping, friction, slip_speed : float
-        d, s/m, μ, and v_s, m/s: see :class:`~tenscontrol.dynamics.ContactLaw`, as for the others.
-    normal : array_like, shape (d,), optional
-    height : float or casadi.Function
-        m.
-    nodes : array_like of int, optional
+        Stiffness k of the contact, N/m, positive.
     width : float
-        w, m, positive.
+        Distance w over which the contact force sets in, m, positive.
 
     Raises
     ------

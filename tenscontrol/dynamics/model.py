@@ -73,9 +73,8 @@ class Model:
         True: the functions take a load W on the free nodes, N, as a further
         input. An array: that load is built in.
     gravity : float or array_like, shape (d,), optional
-        Acceleration of free fall, m/s²; a number, at least 0, is downward, along −z, in the
-        plane along −y; a vector has the direction of the fall. The weight of a bar acts half at
-        each end.
+        Acceleration of free fall, m/s²; a number, at least 0, is downward, along −z, in the plane
+        along −y; a vector has the direction of the fall. The weight of a bar acts half at each end.
     ground : ContactLaw or sequence of ContactLaw, optional
         :class:`Ground`, or several: a corner, a wall, a step. Without it nothing stops a fall.
 

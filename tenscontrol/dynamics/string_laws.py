@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics.evaluator import Prepared, SharedEvaluator
+from tenscontrol.fields import Array, Field, converted
 from tenscontrol.properties import cached_property
 from tenscontrol.validation import (
     FloatArray,
@@ -320,9 +321,10 @@ class LinearStrings(StringLaw):
     Parameters
     ----------
     stiffness : float or array_like, shape (α,)
-        k, N/m, positive.
+        Stiffness k of a string, N/m, positive: tension by stretch. It must be above the force
+        density.
     damping : float or array_like, shape (α,)
-        c, N s/m, at least 0; None for 0.
+        Damping c of a taut string, N s/m, at least 0; None for 0.
 
     Raises
     ------
@@ -338,12 +340,8 @@ class LinearStrings(StringLaw):
     (array(0.8), array(20.))
     """
 
-    stiffness: FloatArray
-    damping: FloatArray = 0.0  # type: ignore[assignment]
-
-    if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
-
-        def __init__(self, stiffness: ArrayLike, damping: ArrayLike | None = 0.0) -> None: ...
+    stiffness: Array = converted()
+    damping: Field[ArrayLike | None, FloatArray] = converted(0.0)
 
     def tension(self, length: Any, rest_length: Any) -> Any:
         """Return k (l − l0), N; see :meth:`StringLaw.tension`."""
@@ -373,9 +371,9 @@ class ElasticStrings(StringLaw):
     Parameters
     ----------
     axial_rigidity : float or array_like, shape (α,)
-        EA, Young's modulus times cross-section, N, positive.
+        Axial rigidity EA, N, positive: Young's modulus times cross-section.
     damping : float or array_like, shape (α,)
-        c, N s/m, at least 0; None for 0.
+        Damping c of a taut string, N s/m, at least 0; None for 0.
 
     Raises
     ------
@@ -391,12 +389,8 @@ class ElasticStrings(StringLaw):
     (array(0.8), array(25.))
     """
 
-    axial_rigidity: FloatArray
-    damping: FloatArray = 0.0  # type: ignore[assignment]
-
-    if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
-
-        def __init__(self, axial_rigidity: ArrayLike, damping: ArrayLike | None = 0.0) -> None: ...
+    axial_rigidity: Array = converted()
+    damping: Field[ArrayLike | None, FloatArray] = converted(0.0)
 
     def tension(self, length: Any, rest_length: Any) -> Any:
         """Return EA (l/l0 − 1), N; see :meth:`StringLaw.tension`."""

@@ -172,29 +172,31 @@ class KalmanFilter:
     sample_time : float
         Sample time, s; a reading is taken at the start of each sample.
     process_noise : float
-        Standard deviation of an unknown acceleration in each coordinate, constant over a
-        sample and independent from one sample to the next. Its unit is the root mean square over
-        the coordinates of the acceleration that all strings give together, each with its tension
-        at the operating point and a sign at random: 0.02 stands for tensions that are off by 2 %,
-        independently.
+        Unknown acceleration, as the part by which tensions may be off. It is the standard deviation
+        in each coordinate, constant over a sample and independent from one sample to the next. Its
+        unit is the root mean square over the coordinates of the acceleration that all strings give
+        together, each with its tension at the operating point and a sign at random: 0.02 stands for
+        tensions that are off by 2 %, independently.
     load : bool
-        Whether to estimate an unknown load, an acceleration q̈ in each coordinate. Without it
-        such a load, or strings of another stiffness, shift the estimate.
+        Whether to estimate an unknown load: an acceleration q̈ in each coordinate. Without it such
+        a load, or strings of another stiffness, shift the estimate.
     load_noise : float
-        Standard deviation of the change of that acceleration from one sample to the next, in the
-        unit of ``process_noise``. A larger one follows faster and filters less.
+        Change of the load from one sample to the next, as ``process_noise``. It is the standard
+        deviation of that acceleration, in the same unit. A larger one follows faster and filters
+        less.
     prediction : {"linear", "nonlinear"}
-        By the plant, near its operating point, or by the equations of motion.
+        Prediction by the plant, near its operating point, or by the equations of motion.
     gate : float
         Probability that a good reading is refused, above 0 and below 1.
     patience : int
-        Number of samples in a row with most readings refused after which the filter restarts
-        from the readings. At least 1.
+        Samples with most readings refused after which the filter restarts, at least 1. They are in
+        a row; it restarts from the readings.
     start : array_like, shape (d, n), optional
         Expected shape at the start, m, at rest; the operating point if not given.
     start_spread : float
-        Standard deviation of the nodes from there, as a part of the size of the structure; that
-        of the speeds follows from the forces of the strings over this distance.
+        Error of the shape at the start, as a part of the size of the structure. It is the standard
+        deviation of the nodes; that of the speeds follows from the forces of the strings over this
+        distance.
     winches : Winches, optional
         Winches with ramps, ``Winches(substeps=...)``, which the prediction follows. Their limits
         do not matter.

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, final
+from typing import Any, final
 
 import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import SharedEvaluator, kernel
+from tenscontrol.fields import Field, OptionalArray, converted
 from tenscontrol.properties import cached_property
 from tenscontrol.structure import Structure
 from tenscontrol.validation import (
@@ -29,11 +31,6 @@ from tenscontrol.validation import (
     whole_number,
 )
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import ArrayLike
-
 # Kind of reading: its unit, the argument that chooses which ones, and its numbers in the plane and
 # in space.
 KINDS = (
@@ -43,6 +40,8 @@ KINDS = (
     ("string_tension", "N", "tension_strings", (1, 1)),
     ("bar_rate", "rad/s", "rate_bars", (1, 3)),
 )
+
+_Chosen = Field[Sequence[int] | IntArray | None, IntArray | None]
 
 # A corrupt reading is off by so many standard deviations.
 _OFF = (20.0, 200.0)
@@ -67,20 +66,28 @@ class Sensors:
     node_position : float or array_like, shape (nodes,), optional
         Standard deviation of each coordinate of a node, m.
     string_length : float or array_like, shape (strings,), optional
-        That of the length of a string, m: of a clustered one, of all its segments.
+        Standard deviation of the length of a string, m: of a clustered one, of all its segments.
     bar_direction : float or array_like, shape (bars,), optional
-        That of each entry of a direction, about that of an angle in rad.
+        Standard deviation of each entry of a direction, about that of an angle in rad.
     string_tension : float or array_like, shape (tension_strings,), optional
-        That of a tension, N.
+        Standard deviation of a tension, N.
     bar_rate : float or array_like, shape (rate_bars,), optional
-        That of each entry of an angular velocity, rad/s.
-    nodes, strings, bars, tension_strings, rate_bars : sequence or set of int, or mask, optional
-        Which nodes, strings and bars are measured; all if not given. A mask has True or False for
-        each of them. A set is taken in ascending order.
+        Standard deviation of each entry of an angular velocity, rad/s.
+    nodes : sequence or set of int, or mask, optional
+        Nodes that are measured; all if not given. A mask has True or False for each of them. A set
+        is taken in ascending order.
+    strings : sequence or set of int, or mask, optional
+        Strings whose length is measured; all if not given.
+    bars : sequence or set of int, or mask, optional
+        Bars whose direction is measured; all if not given.
+    tension_strings : sequence or set of int, or mask, optional
+        Strings whose tension is measured; all if not given.
+    rate_bars : sequence or set of int, or mask, optional
+        Bars whose angular velocity is measured; all if not given.
     delay : int
-        Whole samples from the moment that is measured to the sample at which y is there.
+        Samples between a measurement and its arrival.
     drop_rate : float
-        Probability that all of y is lost, at least 0 and below 1.
+        Probability that all readings of a sample are lost, at least 0 and below 1.
     outlier_rate : float
         Probability that a reading is off by 20 to 200 standard deviations, at least 0
         and below 1.
@@ -104,40 +111,19 @@ class Sensors:
     """
 
     structure: Structure
-    node_position: FloatArray | None = None
-    string_length: FloatArray | None = None
-    bar_direction: FloatArray | None = None
-    string_tension: FloatArray | None = None
-    bar_rate: FloatArray | None = None
-    nodes: IntArray | None = None
-    strings: IntArray | None = None
-    bars: IntArray | None = None
-    tension_strings: IntArray | None = None
-    rate_bars: IntArray | None = None
+    node_position: OptionalArray = converted(None)
+    string_length: OptionalArray = converted(None)
+    bar_direction: OptionalArray = converted(None)
+    string_tension: OptionalArray = converted(None)
+    bar_rate: OptionalArray = converted(None)
+    nodes: _Chosen = converted(None)
+    strings: _Chosen = converted(None)
+    bars: _Chosen = converted(None)
+    tension_strings: _Chosen = converted(None)
+    rate_bars: _Chosen = converted(None)
     delay: int = 0
     drop_rate: float = 0.0
     outlier_rate: float = 0.0
-
-    if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
-
-        def __init__(
-            self,
-            *,
-            structure: Structure,
-            node_position: ArrayLike | None = None,
-            string_length: ArrayLike | None = None,
-            bar_direction: ArrayLike | None = None,
-            string_tension: ArrayLike | None = None,
-            bar_rate: ArrayLike | None = None,
-            nodes: Sequence[int] | IntArray | None = None,
-            strings: Sequence[int] | IntArray | None = None,
-            bars: Sequence[int] | IntArray | None = None,
-            tension_strings: Sequence[int] | IntArray | None = None,
-            rate_bars: Sequence[int] | IntArray | None = None,
-            delay: int = 0,
-            drop_rate: float = 0.0,
-            outlier_rate: float = 0.0,
-        ) -> None: ...
 
     def __post_init__(self) -> None:
         instance("structure", self.structure, Structure, "make one by Structure(...) or prism()")

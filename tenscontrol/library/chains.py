@@ -113,8 +113,10 @@ def arm(
     ----------
     sections : int
         Number of frames, at least 1.
-    length, height : float
-        Size of each frame, m.
+    length : float
+        Length of a frame, m.
+    height : float
+        Height of a frame, m.
     bar_mass : float or array_like, shape (2 * sections,)
         Mass of each bar, kg.
 

@@ -23,8 +23,10 @@ def snelson_x(
 
     Parameters
     ----------
-    width, height : float
-        Lengths of the strings along x and y, m.
+    width : float
+        Length of the strings along x, m.
+    height : float
+        Length of the strings along y, m.
     dimension : {2, 3}
         2 for a structure in the plane, 3 for one in space, at z = 0.
     bar_mass : float or array_like, shape (2,)
@@ -80,10 +82,14 @@ def kite(
 
     Parameters
     ----------
-    width, height : float
-        Lengths of the level and of the upright bar, m.
-    across, up : float
-        Where they cross, as a share of the width and of the height, above 0 and below 1.
+    width : float
+        Length of the level bar, m.
+    height : float
+        Length of the upright bar, m.
+    across : float
+        Where the bars cross, as a part of the width, above 0 and below 1.
+    up : float
+        Where the bars cross, as a part of the height, above 0 and below 1.
     dimension : {2, 3}
         2 for a structure in the plane, 3 for one in space, at z = 0.
     bar_mass : float or array_like, shape (2,)
@@ -137,8 +143,10 @@ def d_bar(
 
     Parameters
     ----------
-    width, height : float
-        Lengths of the strings along x and y, m.
+    width : float
+        Length of the strings along x, m.
+    height : float
+        Length of the strings along y, m.
     dimension : {2, 3}
         2 for a structure in the plane, 3 for one in space, at z = 0.
     bar_mass : float or array_like, shape (4,)
@@ -260,8 +268,10 @@ def t_bar(
 
     Parameters
     ----------
-    width, height : float
-        Extent along x and y, m.
+    width : float
+        Extent along x, m.
+    height : float
+        Extent along y, m.
     dimension : {2, 3}
         2 for a structure in the plane, 3 for one in space, at z = 0.
     bar_mass : float or array_like, shape (4,)

@@ -180,8 +180,10 @@ def cable_net(
 
     Parameters
     ----------
-    rows, columns : int
-        Number of rows of knots and of knots in a row, those held among them, at least 3 each.
+    rows : int
+        Number of rows of knots, at least 3, those held among them.
+    columns : int
+        Number of knots in a row, at least 3, those held among them.
     spacing : float
         Distance of neighbouring knots in plan, m.
     sag : float

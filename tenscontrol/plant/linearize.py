@@ -17,6 +17,7 @@ from tenscontrol.dynamics import (
     tangent,
 )
 from tenscontrol.dynamics import coordinates as frame_of
+from tenscontrol.fields import Array, OptionalArray, converted
 from tenscontrol.plant.linear_plant import INPUTS, LinearPlant, SparsePlant, norm
 from tenscontrol.plant.stance import Stance, standing_model
 from tenscontrol.plant.string_outputs import to_model_strings
@@ -47,7 +48,6 @@ from tenscontrol.validation import (
 )
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
     from scipy.sparse import csr_array
 
 # Unbalanced force relative to the largest string force: far above round-off,
@@ -100,18 +100,9 @@ class OperatingPoint:
     True
     """
 
-    nodes: FloatArray
-    force_density: FloatArray
-    external_force: FloatArray | None = None
-
-    if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
-
-        def __init__(
-            self,
-            nodes: ArrayLike,
-            force_density: ArrayLike,
-            external_force: ArrayLike | None = None,
-        ) -> None: ...
+    nodes: Array = converted()
+    force_density: Array = converted()
+    external_force: OptionalArray = converted(None)
 
     def __post_init__(self) -> None:
         nodes = float_array("nodes", self.nodes)

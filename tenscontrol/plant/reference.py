@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import evaluate_columns
+from tenscontrol.fields import Array, OptionalArray, converted
 from tenscontrol.plant.linear_plant import LinearPlant, Sampled, acceleration_response, kept
 from tenscontrol.plant.string_outputs import to_commanded_strings, to_model_strings
 from tenscontrol.structure import bar_distances, refuse_moved_supports, refuse_wrong_bar_lengths
@@ -22,9 +22,6 @@ from tenscontrol.validation import (
     positive_number,
     vector,
 )
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
 
 # Force densities of a reference shape may leave those of the operating point only as far as the
 # balance of forces gains from it, by this fraction of the largest singular value.
@@ -84,15 +81,9 @@ class Reference:
     (3, 6, 21)
     """
 
-    time: FloatArray
-    nodes: FloatArray
-    force_density: FloatArray | None = None
-
-    if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
-
-        def __init__(
-            self, time: ArrayLike, nodes: ArrayLike, force_density: ArrayLike | None = None
-        ) -> None: ...
+    time: Array = converted()
+    nodes: Array = converted()
+    force_density: OptionalArray = converted(None)
 
     def __post_init__(self) -> None:
         time = vector("time", self.time)

@@ -5,14 +5,12 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, fields
-from typing import TYPE_CHECKING, Any, final
+from typing import Any, final
 
 import numpy as np
 
-from tenscontrol.validation import MOST_RUNS, FloatArray, float_array, frozen, vector, whole_number
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
+from tenscontrol.fields import Array, converted
+from tenscontrol.validation import MOST_RUNS, float_array, frozen, vector, whole_number
 
 Drawn = float | list[float]
 
@@ -173,11 +171,7 @@ class OneOf(Distribution):
     0.02
     """
 
-    values: FloatArray
-
-    if TYPE_CHECKING:  # the argument is anything array-like, the attribute is an array
-
-        def __init__(self, values: ArrayLike, *, size: int | None = None) -> None: ...
+    values: Array = converted()
 
     def __post_init__(self) -> None:
         super().__post_init__()

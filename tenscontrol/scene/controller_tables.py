@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from importlib import import_module
 from importlib.machinery import ModuleSpec, SourceFileLoader
 from importlib.util import module_from_spec
+from inspect import signature
 from pathlib import Path
 from types import CodeType, ModuleType
 from typing import Any
@@ -27,6 +28,7 @@ from tenscontrol.files import read_file
 from tenscontrol.plant import Reference, linearize
 from tenscontrol.scene import schema
 from tenscontrol.scene.document import Document, Table
+from tenscontrol.scene.kinds import BY_STRING
 from tenscontrol.scene.structure_tables import columns, per_string
 from tenscontrol.shape import (
     Demand,
@@ -77,8 +79,7 @@ def build_controller(
     if "sample_time" in table:
         with table.checked("sample_time"):
             positive_number("sample_time", table.get("sample_time"), "s")
-    for key in schema.required(schema.CONTROLLERS[kind]):
-        table.need(key)
+    table.need_required()
     if kind in ("mpc", "nmpc") and input == "force_density":
         table.need("max_force_density")
     arguments: dict[str, Any] = {
@@ -97,7 +98,8 @@ def build_controller(
         limits = {key: arguments[key] for key in bounds} | {"winches": winches}
         arguments["reference"] = _build_reference(table, model, rest, limits)
     # A law in continuous time knows neither speeds in a sample nor ramps through it.
-    if kind != "feedback_linearization" and input == "rest_length" and "sample_time" in table:
+    takes_winches = "winches" in signature(schema.CONTROLLERS[kind]).parameters
+    if takes_winches and input == "rest_length" and "sample_time" in table:
         arguments["winches"] = winches
     with table.checked():
         plant = linearize(model, rest, input=input)
@@ -322,11 +324,13 @@ def build_winches(document: Document, structure: Structure) -> Winches | None:
     if not document.has("winches"):
         return None
     table = document.table("winches")
-    settings = table.given("ramp", "substeps")
+    settings: dict[str, Any] = {}
     motor: dict[str, Any] = {}
-    for key in table.without("ramp", "substeps"):
-        of = motor if key in schema.arguments(Motor) else settings
-        of[key] = per_string(table, key, whole_strings(structure))
+    motor_keys = schema.keys_of(Motor)
+    for key, value in table.values.items():
+        by_string = table.keys[key].kind is BY_STRING
+        arguments = motor if key in motor_keys else settings
+        arguments[key] = per_string(table, key, whole_strings(structure)) if by_string else value
     if motor:
         table.need("drum_radius")
     with table.checked():
@@ -360,8 +364,7 @@ def build_faults(document: Document, strings: int, winches: int | None) -> tuple
         kind, entry = table.chosen("kind", schema.FAULT_KEYS)
         if kind != "cut_string" and winches is None:
             raise entry.error("kind", f"{entry.title} goes with a table [controller]")
-        for key in schema.required(schema.FAULTS[kind]):
-            entry.need(key)
+        entry.need_required()
         if kind == "cut_string":
             entry.index("string", strings, "strings")
         elif kind == "stuck_winch":

@@ -14,7 +14,7 @@ from typing import Any
 
 from tenscontrol.files import read_text
 from tenscontrol.parsing import TomlLimits, parse_toml
-from tenscontrol.scene.schema import LISTS, ONE_OR_LIST, RENAMED, TABLES, Keys
+from tenscontrol.scene.schema import RENAMED, TABLES, Keys
 
 # A scene of 30,000 bars given by their numbers is below this, and is read in a few seconds.
 _MOST_BYTES = 10_000_000
@@ -45,7 +45,7 @@ class Document:
 
     def table(self, name: str, keys: Keys | None = None, note: str = "") -> Table:
         """Return a table, empty if the file has none; with the keys of one kind if given."""
-        known = TABLES[name] if keys is None else keys
+        known = TABLES[name].keys if keys is None else keys
         return Table(self, (name,), f"[{name}]{note}", self.values.get(name, {}), known)
 
     def entries(self, name: str) -> Iterator[Table]:
@@ -55,7 +55,7 @@ class Document:
             yield self.table(name)
             return
         for i, values in enumerate(given):
-            yield Table(self, (name, i), f"[[{name}]] number {i + 1}", values, TABLES[name])
+            yield Table(self, (name, i), f"[[{name}]] number {i + 1}", values, TABLES[name].keys)
 
     def has(self, name: str) -> bool:
         """Whether the file has this table."""
@@ -76,8 +76,7 @@ class Table:
                 raise self.error(key, f"{title} has no key {key!r} any more; write {written}")
             if key not in keys:
                 raise self.error(key, f"{title} has no key {key[:60]!r}{_hint(key[:60], keys)}")
-            kind, unit = keys[key]
-            fault = kind.fault(key, value, unit)
+            fault = keys[key].kind.fault(key, value, keys[key].unit)
             if fault:
                 raise self.error(key, f"in {title}, {fault}")
 
@@ -95,10 +94,16 @@ class Table:
     def need(self, key: str) -> Any:
         """Return a value, or raise if it is absent."""
         if key not in self.values:
-            kind, unit = self.keys[key]
-            wanted = kind.text + (f" in {unit}" if unit else "")
-            raise self.error(None, f"{self.title} lacks the key {key}: {wanted}")
+            wanted = self.keys[key]
+            unit = f" in {wanted.unit}" if wanted.unit else ""
+            raise self.error(None, f"{self.title} lacks the key {key}: {wanted.kind.text}{unit}")
         return self.values[key]
+
+    def need_required(self) -> None:
+        """Raise if a key is absent without which the table makes nothing."""
+        for key, known in self.keys.items():
+            if known.required:
+                self.need(key)
 
     def choice(self, key: str, options: tuple[str, ...], default: str | None = None) -> str:
         """Return a word that is one of the options."""
@@ -174,7 +179,8 @@ def read_document(file: str | Path) -> Document:
         if table not in TABLES:
             hint = _hint(table[:60], TABLES, "The tables")
             raise document.error((table,), f"a scene has no table [{table[:60]}]{hint}")
-        if table in LISTS and not (table in ONE_OR_LIST and isinstance(value, dict)):
+        form = TABLES[table]
+        if form.is_list and not (form.may_be_one and isinstance(value, dict)):
             if not isinstance(value, list) or not all(isinstance(each, dict) for each in value):
                 raise document.error((table,), f"{table} is no list of tables; write [[{table}]]")
         elif not isinstance(value, dict):
@@ -192,7 +198,7 @@ def _hint(key: str, known: Mapping[str, Any], what: str = "The keys") -> str:
     listed = f"{what} are: {', '.join(known)}"
     if plain and what == "The keys":
         name = max(plain, key=len)
-        unit = known[name][1]
+        unit = known[name].unit
         return (
             f"; did you mean {name!r}{f', in {unit}' if unit else ''}? "
             f"Quantities are in SI units, and keys do not name units. {listed}"

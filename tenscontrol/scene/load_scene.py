@@ -292,7 +292,7 @@ def _settings(run: Table) -> dict[str, Any]:
     }
     for key in run.without("method", "input"):
         with run.checked(key):
-            positive_number(key, run.get(key), run.keys[key][1])
+            positive_number(key, run.get(key), run.keys[key].unit or "no unit")
     name = settings["method"]
     if name != "auto":
         takes = METHODS[name].settings

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from inspect import signature
 from typing import Any
 
 import numpy as np
 
-from tenscontrol.dynamics import ContactLaw, ElasticStrings, LinearStrings, Model, StringLaw
+from tenscontrol.dynamics import ContactLaw, Model, StringLaw
 from tenscontrol.scene.document import Document, Table
 from tenscontrol.scene.schema import (
     FORCE,
@@ -15,10 +16,9 @@ from tenscontrol.scene.schema import (
     GENERATORS,
     GROUND_KEYS,
     GROUNDS,
+    LAW_KEYS,
     LAWS,
     MEMBERS,
-    arguments,
-    required,
 )
 from tenscontrol.simulation import initial_state
 from tenscontrol.statics import Prestress, prestress
@@ -41,7 +41,6 @@ from tenscontrol.validation import (
     indices,
     limit_per_member,
     non_negative,
-    per_member,
     positive_number,
     whole_number,
 )
@@ -55,16 +54,16 @@ def build_structure(document: Document) -> Structure:
     structure = _uncut(document)
     if document.has("skin"):
         table = document.table("skin")
-        table.need("panels")
+        table.need_required()
         with table.checked():
             structure = skin(structure, **table.values)
     if document.has("subdivide"):
         table = document.table("subdivide")
-        table.need("segments")
-        values = dict(table.values)
-        for key in {"segments", "string_mass"} & set(values):
-            if isinstance(values[key], dict):
-                values[key] = per_string(table, key, structure)
+        table.need_required()
+        values: dict[str, Any] = {
+            key: per_string(table, key, structure) if isinstance(value, dict) else value
+            for key, value in table.values.items()
+        }
         with table.checked():
             structure = subdivide(structure, **values)
     return structure
@@ -74,9 +73,8 @@ def _uncut(document: Document) -> Structure:
     if "generator" in document.values["structure"]:
         name, table = document.table("structure").chosen("generator", GENERATOR_KEYS)
         make = GENERATORS[name]
-        for key in required(make):
-            table.need(key)
-        own = {key: value for key, value in table.values.items() if key in arguments(make)}
+        table.need_required()
+        own = {key: table.values[key] for key in signature(make).parameters if key in table}
         with table.checked():
             made = make(**own)
             changes = table.without("generator", *own)
@@ -99,19 +97,16 @@ def columns(table: Table, key: str, dimension: int | None = None) -> FloatArray:
         return points(key, rows, dimension)
 
 
-# Keys whose value may be infinite: no limit.
-_LIMITS = {
-    "rate", "longest", "torque", "speed", "max_force_density", "max_change", "max_tension"
-}  # fmt: skip
-
-
 def per_string(table: Table, key: str, structure: Structure) -> FloatArray:
-    """Return one value for each string: given as a number, a list or a table by group."""
+    """Return one value for each string: given as a number, a list or a table by group.
+
+    It may be infinite; what takes it refuses that where it is no limit.
+    """
     value = table.need(key)
-    each = limit_per_member if key in _LIMITS else per_member
+    count = len(structure.strings)
     if not isinstance(value, dict):
         with table.checked(key):
-            return each(key, value, len(structure.strings), "string")
+            return limit_per_member(key, value, count, "string")
     with table.checked(key):
         for group in value:
             structure.strings_in(group)
@@ -123,25 +118,21 @@ def per_string(table: Table, key: str, structure: Structure) -> FloatArray:
                 f"{', '.join(groups)}"
             )
         by_string = [value[group] for group in structure.string_groups]
-        return each(key, by_string, len(structure.strings), "string")
+        return limit_per_member(key, by_string, count, "string")
 
 
 def build_law(document: Document, structure: Structure) -> tuple[StringLaw, StringLaw] | None:
     """Return the law of the strings and that of the whole strings, or None if there is no table."""
     if not document.has("strings"):
         return None
-    kind, table = document.table("strings").chosen("law", LAWS)
-    main = "stiffness" if kind == "linear" else "axial_rigidity"
-    table.need(main)
-    make = LinearStrings if kind == "linear" else ElasticStrings
+    kind, table = document.table("strings").chosen("law", LAW_KEYS)
+    make = LAWS[kind]
     by_string = table.choice("per", _PER, "string") == "string"
     given = whole_strings(structure) if by_string else structure
-    values = {main: per_string(table, main, given)}
-    values["damping"] = np.zeros(len(given.strings))
-    if "damping" in table:
-        values["damping"] = per_string(table, "damping", given)
+    table.need_required()
+    values = {key: per_string(table, key, given) for key in table.without("law", "per")}
     with table.checked():
-        law: StringLaw = make(**values)
+        law = make(**values)
         if whole_strings(structure) is structure:
             return law, law
         convert = to_segments if by_string else to_strings
@@ -181,7 +172,7 @@ def build_ground(document: Document, structure: Structure) -> tuple[ContactLaw, 
     found = []
     for entry in document.entries("ground"):
         kind, table = entry.chosen("kind", GROUND_KEYS, "linear")
-        table.need("stiffness")
+        table.need_required()
         with table.checked():
             if "normal" in table:
                 direction("normal", table.get("normal"), structure.dimension)

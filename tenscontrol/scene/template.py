@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from inspect import Parameter, getdoc
+from inspect import getdoc
 from typing import Any
 
 import numpy as np
 
-from tenscontrol.control import LQR, MPC
 from tenscontrol.dynamics import LinearStrings, Model
 from tenscontrol.plant import controllability, linearize, modes
-from tenscontrol.scene.comments import TABLE_COMMENTS, comment
+from tenscontrol.scene.kinds import TABLES_OF_KEYS
 from tenscontrol.scene.schema import (
     CONTROLLER_KEYS,
     GENERATOR_KEYS,
     GENERATORS,
-    LAWS,
-    LISTS,
-    ONE_OR_LIST,
+    LAW_KEYS,
     TABLES,
+    Key,
     Keys,
-    arguments,
 )
 from tenscontrol.statics import prestress
 from tenscontrol.structure import Structure
@@ -91,16 +88,15 @@ def scene_template(name: str) -> str:
     >>> text = tc.scene.scene_template("six_bar_ball")
     >>> print(text[text.index("[start]") : text.index("# velocities")])
     [start]  # how the motion begins, if not at rest in the shape of the structure
-    disturbance = 0.02  # m: a random change of shape: distance of the node that moves most
+    disturbance = 0.02  # m: random change of shape, as far as the node that moves most
     seed = 1            # seed of the random numbers
     <BLANKLINE>
     """
     choice("name", name, tuple(scene_names()))
-    make = GENERATORS[name]
-    sizes = {
-        key: each.default for key, each in arguments(make).items() if each.default is not None
-    } | _SIZES.get(name, {})
-    structure = make(**sizes)
+    keys = GENERATOR_KEYS[name]
+    sizes = _SIZES.get(name, {})
+    sizes = {key: known.default for key, known in keys.items() if _has_default(known)} | sizes
+    structure = GENERATORS[name](**sizes)
     rest = prestress(structure, min_force_density=_LEAST)
     stiffness = _digits(_STIFFER * float(rest.force_density.max()))
     model = Model(structure, strings=LinearStrings(stiffness, stiffness / 500))
@@ -111,18 +107,18 @@ def scene_template(name: str) -> str:
     size = float(np.ptp(structure.nodes, axis=1).max())
     duration = max(1.0, _nice(_PERIODS / slowest))
     missed = len(controllability(plant).unreached)
-    of_law = arguments(LinearStrings)
     parts = [
         _header(name),
-        _table("structure", {"generator": name, **sizes}, GENERATOR_KEYS[name], arguments(make)),
+        _table("structure", {"generator": name, **sizes}, keys),
         _table(
             "strings",
             {"law": "linear", "stiffness": stiffness, "damping": stiffness / 500},
-            LAWS["linear"],
-            of_law | {"per": Parameter("per", Parameter.KEYWORD_ONLY, default="string")},
+            LAW_KEYS["linear"],
         ),
-        _table("prestress", {"min_force_density": _LEAST}, TABLES["prestress"]),
-        _table("start", {"disturbance": _digits(_DISTURBED * size), "seed": 1}, TABLES["start"]),
+        _table("prestress", {"min_force_density": _LEAST}, TABLES["prestress"].keys),
+        _table(
+            "start", {"disturbance": _digits(_DISTURBED * size), "seed": 1}, TABLES["start"].keys
+        ),
         _controller(structure, plant.A.shape[0], sample_time, missed),
         _table(
             "run",
@@ -133,7 +129,7 @@ def scene_template(name: str) -> str:
                 "method": "auto",
                 "input": "rest_length",
             },
-            TABLES["run"],
+            TABLES["run"].keys,
         ),
     ]
     written = "\n\n".join(parts)
@@ -158,9 +154,9 @@ def _controller(structure: Structure, states: int, sample_time: float, missed: i
     values: dict[str, Any] = {"kind": "mpc" if small else "lqr", "input": "rest_length"}
     values |= {"horizon": _HORIZON} if small else {}
     values |= {"sample_time": sample_time}
-    keys, make = CONTROLLER_KEYS[values["kind"]], MPC if small else LQR
+    keys = CONTROLLER_KEYS[values["kind"]]
     if not missed:
-        return _table("controller", values, keys, arguments(make))
+        return _table("controller", values, keys)
     title, *lines = _table("controller", values, {key: keys[key] for key in values}).splitlines()
     return "\n".join(
         [
@@ -172,35 +168,36 @@ def _controller(structure: Structure, states: int, sample_time: float, missed: i
     )
 
 
-def _table(
-    name: str,
-    values: Mapping[str, Any],
-    keys: Keys,
-    defaults: Mapping[str, Parameter] | None = None,
-) -> str:
+def _table(name: str, values: Mapping[str, Any], keys: Keys) -> str:
     """Return a table with the keys that have a value, then the others as comments."""
     lines = [(f"{key} = {_toml(value)}", key) for key, value in values.items()]
-    for key in keys:
-        if key in values:
-            continue
-        default = defaults[key].default if defaults and key in defaults else None
-        known = default is not None and default != ()
-        lines.append((f"# {key} = {_toml(default)}" if known else f"# {key} =", key))
+    for name_of_key, key in keys.items():
+        if name_of_key not in values:
+            default = f" {_toml(key.default)}" if _has_default(key) else ""
+            lines.append((f"# {name_of_key} ={default}", name_of_key))
     width = max(len(line) for line, _ in lines)
-    place = values.get("generator", name)
-    written = [f"{line:<{width}}  {comment(place, key, keys[key][1])}" for line, key in lines]
-    return "\n".join([f"[{name}]  # {TABLE_COMMENTS[name]}", *written])
+    written = [f"{line:<{width}}  {comment(f'{name}.{key}', keys[key])}" for line, key in lines]
+    return "\n".join([f"[{name}]  # {TABLES[name].meaning}", *written])
+
+
+def comment(path: str, key: Key) -> str:
+    """Return unit and meaning of a key as a comment; ``path`` is like ``controller.outputs``."""
+    where = f", in tables [[{path}]]" if key.kind is TABLES_OF_KEYS else ""
+    return f"# {f'{key.unit}: ' if key.unit else ''}{key.meaning}{where}"
+
+
+def _has_default(key: Key) -> bool:
+    return key.default is not None and key.default != ()
 
 
 def _others(written: str) -> str:
     """Return the tables that the text does not have, as comments."""
-    absent = [name for name in TABLES if f"[{name}]" not in written]
-    titles = [f"[[{name}]]" if name in LISTS and name not in ONE_OR_LIST else f"[{name}]"
-              for name in absent]  # fmt: skip
+    absent = {name: table for name, table in TABLES.items() if f"[{name}]" not in written}
+    titles = [f"[{name}]" if table.may_be_one else f"[[{name}]]" for name, table in absent.items()]
     width = max(map(len, titles))
     lines = [
-        f"#   {title:<{width}}  {TABLE_COMMENTS[name]}"
-        for title, name in zip(titles, absent, strict=True)
+        f"#   {title:<{width}}  {table.meaning}"
+        for title, table in zip(titles, absent.values(), strict=True)
     ]
     return "\n".join(["# Other tables (see the documentation, Scene files):", *lines])
 

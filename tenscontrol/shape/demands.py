@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, final
 
 import casadi as ca
 import numpy as np
 
+from tenscontrol.fields import Array, Field, OptionalArray, converted
 from tenscontrol.structure import (
     Structure,
     left_by_supports,
@@ -31,9 +33,9 @@ from tenscontrol.validation import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import ArrayLike
+
+_Nodes = Field[Sequence[int], IntArray]
 
 # A rigid-body motion whose speed is less than this part of the largest is none.
 _STILL = 1e-9
@@ -147,22 +149,12 @@ class NodesAt(Demand):
     ('z[3]', 'z[4]', 'z[5]')
     """
 
-    nodes: IntArray
-    positions: FloatArray
-    directions: str = None  # type: ignore[assignment]  # replaced in __post_init__
+    nodes: _Nodes = converted()
+    positions: Array = converted()
+    directions: Field[str | None, str] = converted(None)
     tolerance: float = 0.0
     _node_lists = ("nodes",)
     _numbers = "positions"
-
-    if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
-
-        def __init__(
-            self,
-            nodes: Sequence[int],
-            positions: ArrayLike,
-            directions: str | None = None,
-            tolerance: float = 0.0,
-        ) -> None: ...
 
     def _checked(self) -> dict[str, object]:
         positions = float_array("positions", self.positions)
@@ -217,24 +209,13 @@ class PointAt(Demand):
     ('x of point', 'y of point')
     """
 
-    nodes: IntArray
-    position: FloatArray
-    weights: FloatArray = None  # type: ignore[assignment]  # replaced in __post_init__
-    directions: str = None  # type: ignore[assignment]  # replaced in __post_init__
+    nodes: _Nodes = converted()
+    position: Array = converted()
+    weights: Field[ArrayLike | None, FloatArray] = converted(None)
+    directions: Field[str | None, str] = converted(None)
     tolerance: float = 0.0
     _node_lists = ("nodes",)
     _numbers = "position"
-
-    if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
-
-        def __init__(
-            self,
-            nodes: Sequence[int],
-            position: ArrayLike,
-            weights: ArrayLike | None = None,
-            directions: str | None = None,
-            tolerance: float = 0.0,
-        ) -> None: ...
 
     def _checked(self) -> dict[str, object]:
         place = float_array("position", self.position)
@@ -292,23 +273,12 @@ class Height(Demand):
     """
 
     height: float
-    top: IntArray
-    bottom: IntArray
-    axis: FloatArray | None = None
+    top: _Nodes = converted()
+    bottom: _Nodes = converted()
+    axis: OptionalArray = converted(None)
     tolerance: float = 0.0
     _node_lists = ("top", "bottom")
     _numbers = "height"
-
-    if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
-
-        def __init__(
-            self,
-            height: float,
-            top: Sequence[int],
-            bottom: Sequence[int],
-            axis: ArrayLike | None = None,
-            tolerance: float = 0.0,
-        ) -> None: ...
 
     def _checked(self) -> dict[str, object]:
         height = number("height", self.height, "m")
@@ -364,18 +334,12 @@ class Twist(Demand):
     """
 
     angle: float
-    top: IntArray
-    bottom: IntArray
+    top: _Nodes = converted()
+    bottom: _Nodes = converted()
     tolerance: float = 0.0
     unit = "rad"
     _node_lists = ("top", "bottom")
     _numbers = "angle"
-
-    if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
-
-        def __init__(
-            self, angle: float, top: Sequence[int], bottom: Sequence[int], tolerance: float = 0.0
-        ) -> None: ...
 
     def _checked(self) -> dict[str, object]:
         if len(self.top) != len(self.bottom) or len(self.top) < 2:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
+from tenscontrol.fields import Array, Field, converted
 from tenscontrol.shape.demands import MOST_NODES, node_list
 from tenscontrol.structure import Structure
 from tenscontrol.validation import (
@@ -23,7 +24,6 @@ from tenscontrol.validation import (
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import ArrayLike
 
 # A load or a length that differs by more than this fraction breaks the symmetry.
 _TOLERANCE = 1e-8
@@ -60,20 +60,10 @@ class RotationalSymmetry:
     3
     """
 
-    cycles: tuple[IntArray, ...]
-    axis: FloatArray = (0.0, 0.0, 1.0)  # type: ignore[assignment]  # replaced in __post_init__
-    centre: FloatArray = (0.0, 0.0, 0.0)  # type: ignore[assignment]  # replaced in __post_init__
+    cycles: Field[Sequence[Sequence[int]], tuple[IntArray, ...]] = converted()
+    axis: Array = converted((0.0, 0.0, 1.0))
+    centre: Array = converted((0.0, 0.0, 0.0))
     turns: int = 1
-
-    if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
-
-        def __init__(
-            self,
-            cycles: Sequence[Sequence[int]],
-            axis: ArrayLike = (0.0, 0.0, 1.0),
-            centre: ArrayLike = (0.0, 0.0, 0.0),
-            turns: int = 1,
-        ) -> None: ...
 
     def __post_init__(self) -> None:
         put = object.__setattr__

@@ -71,11 +71,11 @@ class CutString(Fault):
     Parameters
     ----------
     string : int
-        Which of the model's strings, counted from 0. In a subdivided structure it
-        is a segment: the others of its string stay where they are, and dangle. A clustered
-        string carries nothing on its whole length.
+        Number of the string, from 0, of the model. In a subdivided structure it is a segment: the
+        others of its string stay where they are, and dangle. A clustered string carries nothing on
+        its whole length.
     time : float
-        s, at least 0.
+        When it is cut, s, at least 0.
 
     Raises
     ------
@@ -113,10 +113,10 @@ class StuckWinch(Fault):
     Parameters
     ----------
     string : int
-        Which of the strings that the controller commands, counted from 0: for the
-        controller of a parent structure, a string of the parent.
+        Number of the string, from 0, among those that the controller commands: for the controller
+        of a parent structure, a string of the parent.
     time : float
-        s, at least 0. At 0 it holds what ``rest_length`` of :func:`simulate` says.
+        When it sticks, s, at least 0. At 0 it holds what ``rest_length`` of :func:`simulate` says.
     until : float, optional
         When it is free again, s; never if infinite or not given.
 
@@ -154,9 +154,9 @@ class LostMeasurement(Fault):
     Parameters
     ----------
     time : float
-        s, at least 0; samples from then on are lost.
+        From when on samples are lost, s, at least 0.
     until : float or None
-        s; samples from then on are measured again. None or inf for the rest of the run.
+        From when on samples are measured again, s; never if None or inf.
 
     Raises
     ------

@@ -57,7 +57,7 @@ def simulate(
     ----------
     model : Model
     duration : float
-        s.
+        Simulated time, s.
     nodes, velocities : array_like, shape (d, n), optional
         Motion at the start, m and m/s; the reference shape at rest if not given.
         Bars must have their lengths, and these must not change. Errors below a thousandth are
@@ -82,7 +82,8 @@ def simulate(
         Limits of the winches and their motors; none if not given. With a rate, substeps or a
         motor, give their start by ``rest_length``. If γ is the input: the motors of the cables.
     sample_time : float, optional
-        For a controller without a sample time of its own, s; else ``step``.
+        Time between two commands, s, for a controller without a sample time of its own; else
+        ``step``.
     faults : sequence of CutString, StuckWinch and LostMeasurement
         The controller receives the applied input (:meth:`Controller.applied`), but no
         information on cut strings.
@@ -92,13 +93,13 @@ def simulate(
         Displacement of the fixed nodes from their places in the structure, m, in the order of
         ``structure.fixed``. See the notes.
     method : str or Method
-        ``"auto"``, one of :data:`METHODS`, or a :class:`Method` of your own. ``"auto"`` is
-        ``"rk4"`` where ``step`` is given; else it chooses by the largest string frequency, and
-        goes on with another method where that gets further for its work, or where the first one
-        fails. ``run.choice`` says which, from when and why.
+        Method of integration, or ``"auto"``. One of :data:`METHODS`, or a :class:`Method` of your
+        own. ``"auto"`` is ``"rk4"`` where ``step`` is given; else it chooses by the largest string
+        frequency, and goes on with another method where that gets further for its work, or where
+        the first one fails. ``run.choice`` says which, from when and why.
     tolerance : float
-        Error allowed a step of a method that chooses its own steps, as part of
-        the size of the structure and of its characteristic speed.
+        Error allowed in a step, of a method that chooses its steps. It is a part of the size of the
+        structure and of its characteristic speed.
     step : float, optional
         Step of a method with a fixed step, s.
     output_step : float, optional

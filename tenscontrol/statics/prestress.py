@@ -219,25 +219,25 @@ def prestress(
     ----------
     structure : Structure
     force_density : float or array_like, shape (α,), optional
-        A number: the mean force density that the ``reference`` strings get,
-        N/m. Where the structure has several states of self-stress, the one
-        nearest to a uniform γ of this value is taken; in it, strings may be slack. An array: γ of
-        every string, N/m; it is checked, and refused when it does not balance.
+        Mean force density of the reference strings, or that of each string, N/m. A number: the mean
+        γ that the ``reference`` strings get. Where the structure has several states of self-stress,
+        the one nearest to a uniform γ of this value is taken; in it, strings may be slack. An
+        array: γ of every string; it is checked, and refused when it does not balance.
     reference : str, optional
-        The string group that a single number refers to; the group of the
-        first string if not given (for :func:`prism` the top strings).
+        Group of strings that a number is for; that of the first string if not given (for
+        :func:`prism` the top strings).
     external_force : array_like, shape (d, n), or 0, optional
         Load W on the nodes, N.
     min_force_density : float or array_like, shape (α,), optional
-        Least γ of each string, N/m: a positive number makes every string taut. Without
-        ``force_density``, the result is, of all γ in equilibrium within the bounds, the one
-        nearest (least sum of squares) to a uniform γ of the largest entry. With 0 for all it is
-        the least γ that carries the load. Strings with both ends fixed get their entry, as they
-        have no effect.
+        Least force density γ of each string, N/m: a positive number makes every string taut.
+        Without ``force_density``, the result is, of all γ in equilibrium within the bounds, the one
+        nearest (least sum of squares) to a uniform γ of the largest entry. With 0 for all it is the
+        least γ that carries the load. Strings with both ends fixed get their entry, as they have no
+        effect.
     max_force_density : float or array_like, shape (α,), optional
-        Largest γ of each string, N/m; inf for any. Alone, it is finite: it makes the least γ of all
-        strings with a free end as large as can be (but for a part in 1e6), and of the γ that do,
-        takes the most uniform one.
+        Largest force density γ of each string, N/m; inf for any. Alone, it is finite: it makes the
+        least γ of all strings with a free end as large as can be (but for a part in 1e6), and of
+        the γ that do, takes the most uniform one.
 
     Returns
     -------

@@ -26,8 +26,10 @@ def net(
 
     Parameters
     ----------
-    rows, columns : int
-        Number of rows of knots and of knots in a row, at least 2 each.
+    rows : int
+        Number of rows of knots, at least 2.
+    columns : int
+        Number of knots in a row, at least 2.
     spacing : float
         Distance between neighbouring knots, m.
     node_mass : float

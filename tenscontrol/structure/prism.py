@@ -196,10 +196,10 @@ def prism_tower(
     bar_mass : float or array_like, shape (stages * q,)
         Mass of each bar, kg.
     overlap : float
-        How far a stage reaches down into the one below, as a share of
-        ``height``, above 0 and at most 0.4. One stage has nothing to overlap.
+        Part of a stage that reaches into the one below, above 0 and at most 0.4. One stage has
+        nothing to overlap.
     handedness : {"left", "right"}
-        The screw that the bars of the first stage follow on their way up.
+        Screw of the bars of the first stage, on their way up.
 
     Returns
     -------

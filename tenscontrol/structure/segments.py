@@ -53,12 +53,13 @@ def subdivide(
     ----------
     structure : Structure
     segments : int or array_like of int, shape (α,)
-        Number s of segments, one for all strings or one per string. A string
-        with s = 1 is left as it is.
+        Number s of segments of a string, one for all strings or one per string. A string with s = 1
+        is left as it is.
     node_mass : float, optional
         Mass of each new node, kg. Not needed where no string is cut.
     string_mass : float or array_like, shape (α,), optional
-        Mass of each whole string, kg, instead of ``node_mass``; 0 for a string that is not cut.
+        Mass of each whole string, kg, spread over its new nodes, instead of ``node_mass``; 0 for a
+        string that is not cut.
 
     Returns
     -------

@@ -52,11 +52,12 @@ def skin(
     ----------
     structure : Structure
     panels : sequence, or one name
-        Each entry is a name or a loop: three or more node indices, around the panel. A string group
-        whose strings form closed loops is a name: ``"top"`` and ``"bottom"`` of a prism.
-        ``"sides"`` are the 2q triangles between neighbouring vertical strings of a prism.
+        Names of string groups, or loops of nodes around the panels. A string group whose strings
+        form closed loops is a name: ``"top"`` and ``"bottom"`` of a prism. ``"sides"`` are the 2q
+        triangles between neighbouring vertical strings of a prism. A loop has three or more node
+        indices.
     iterations : int
-        n, at least 0. With 0 the result is ``structure``.
+        How often each triangle is divided, n, at least 0. With 0 the result is ``structure``.
     node_mass : float, optional
         Mass of each new node, kg.
     panel_mass : float or array_like, shape (p,), optional

@@ -63,9 +63,9 @@ class Structure(Viewable):
     bars : array_like of int, shape (β, 2)
         Start and end node of each bar. More bars than make a body rigid are allowed.
     strings : array_like of int, shape (α, 2), or sequence of paths
-        Start and end node of each string. A path of more nodes, ``(1, 2, 3)``, is a *clustered*
-        string: it runs over the inner nodes without friction, with one tension and one rest length.
-        It is closed if it ends where it starts.
+        Start and end node of each string, or the nodes along it. A path of more nodes, ``(1, 2,
+        3)``, is a *clustered* string: it runs over the inner nodes without friction, with one
+        tension and one rest length. It is closed if it ends where it starts.
     bar_mass : float or array_like, shape (β,)
         Mass of each bar, kg, spread evenly along it. One number serves all. Without bars it may be
         None.
@@ -73,13 +73,13 @@ class Structure(Viewable):
         Mass of each string node, kg, in ascending order of node index, or of each node on no bar,
         fixed ones among them. It takes the place of ``point_mass`` there.
     fixed : sequence or set of int and of (int, str), or of bool, shape (n,), optional
-        Nodes that are held in place, or a mask of them, and pairs of a node and the axis, ``"x"``,
-        ``"y"`` or ``"z"``, along which it is held: a roller. What is held costs no state and no
-        mass. A bar with one fixed end swings about it; one with both ends fixed is part of the
-        support.
+        Nodes that are held, and pairs of a node and an axis to hold along it. A mask of
+        nodes, or pairs with the axis ``"x"``, ``"y"`` or ``"z"``: a roller. What is held costs no
+        state and no mass. A bar with one fixed end swings about it; one with both ends fixed is
+        part of the support.
     string_groups : sequence of str, length α, optional
-        A group name for each string, used in names of signals and to refer to
-        strings in words. All are ``"string"`` when not given.
+        Name of the group of each string, used in names of signals and to refer to strings in words.
+        All are ``"string"`` when not given.
     parent : Structure, optional
         The structure that this one was made from; :func:`subdivide` and
         :func:`skin` set it. Its nodes are the first of this one.

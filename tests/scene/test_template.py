@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.scene import comments, scene_names, scene_template, schema
+from tenscontrol.scene import scene_names, scene_template, schema
+from tenscontrol.scene.template import comment
 
 NAMES = sorted(tc.library.__all__)
 
@@ -58,25 +59,79 @@ def test_the_lqr_that_leaves_modes_alone_is_there_to_be_taken(load):
     assert isinstance(scene.controller, tc.LQR)
 
 
-def test_every_table_and_key_of_a_scene_has_a_comment():
-    assert set(comments.TABLE_COMMENTS) == set(schema.TABLES)
-    for table, keys in schema.TABLES.items():
-        for key, (_, unit) in keys.items():
-            said = comments.comment(table, key, unit)
-            assert said.startswith(f"# {unit}: " if unit else "# ")
-            assert len(said) > len(unit) + 8
+def tables():
+    """Every table with its keys, those of one choice of its first key by themselves."""
+    yield from ((name, table.keys) for name, table in schema.TABLES.items())
+    yield from (("structure", keys) for keys in (*schema.GENERATOR_KEYS.values(), schema.MEMBERS))
+    yield from (("strings", keys) for keys in schema.LAW_KEYS.values())
+    yield from (("ground", keys) for keys in schema.GROUND_KEYS.values())
+    yield from (("controller", keys) for keys in schema.CONTROLLER_KEYS.values())
+    yield from (("faults", keys) for keys in schema.FAULT_KEYS.values())
+    yield from (("controller", keys) for keys in (schema.OUTPUT, schema.WAYPOINT))
+
+
+@pytest.mark.parametrize(("table", "keys"), list(tables()))
+def test_every_key_has_a_comment_of_unit_and_meaning(table, keys):
+    assert schema.TABLES[table].meaning
+    for name, key in keys.items():
+        written = comment(f"{table}.{name}", key)
+        assert written.startswith(f"# {key.unit}: " if key.unit else "# ")
+        # A name at least, without the markup of a docstring, its symbols and its unit alone.
+        assert re.match(r"[^`]*[A-Za-z]{3}[^`]*$", key.meaning), written
+        assert not re.search(r":\w+:|\*\*", key.meaning), written
+
+
+@pytest.mark.parametrize(
+    ("table", "key", "expected"),
+    [
+        ("winches", "inertia", "kg m²: inertia J of the rotor, with that of the drum by 1/G²"),
+        ("sensors", "bar_rate", "rad/s: standard deviation of each entry of an angular velocity"),
+        ("run", "sample_time", "s: time between two commands"),
+        ("subdivide", "node_mass", "kg: mass of each new node"),
+        (
+            "controller",
+            "max_change",
+            "N/m or m: largest change of the command from sample to sample",
+        ),
+        (
+            "controller",
+            "solver",
+            'solver of the quadratic programs: "auto", "daqp", "osqp" or "piqp"',
+        ),
+        (
+            "controller",
+            "outputs",
+            "limits on node positions, in tables [[controller.outputs]]",
+        ),
+        ("ground", "nodes", "nodes that it acts on, or a mask of them; all, if not given"),
+    ],
+)
+def test_comments_are_those_of_docstrings(table, key, expected):
+    assert comment(f"{table}.{key}", schema.TABLES[table].keys[key]) == f"# {expected}"
+
+
+def test_an_argument_that_no_file_can_hold_is_named():
+    def law(gain):
+        """Return nothing.
+
+        Parameters
+        ----------
+        gain : callable
+            Gain of a law.
+        """
+
+    with pytest.raises(LookupError, match="gain is documented as 'callable', which is no kind"):
+        schema.keys_of(law)
 
 
 def test_keys_of_a_written_table_are_all_listed():
     text = scene_template("arm")
     (table,) = re.findall(r"^\[controller\].*\n((?:.+\n)+)", text, re.M)
+    keys = schema.CONTROLLER_KEYS["mpc"]
     listed = re.findall(r"^(?:# )?(\w+) =", table, re.M)
-    assert sorted(listed) == sorted(schema.CONTROLLER_KEYS["mpc"])
-    for line in table.splitlines():
-        key = re.match(r"(?:# )?(\w+)", line).group(1)
-        assert line.endswith(
-            comments.comment("controller", key, schema.CONTROLLER_KEYS["mpc"][key][1])
-        )
+    assert sorted(listed) == sorted(keys)
+    for line, name in zip(table.splitlines(), listed, strict=True):
+        assert line.endswith(comment(f"controller.{name}", keys[name]))
 
 
 def test_other_names_are_refused():

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tenscontrol.control.mpc.problem import RowBlock
+from tenscontrol.fields import Array, Field, converted
 from tenscontrol.plant import LinearPlant, ReferencePreview, string_map
 from tenscontrol.structure import bar_distances
 from tenscontrol.validation import (
@@ -50,12 +51,14 @@ class OutputLimit:
     ----------
     matrix : array_like, shape (p, d n) or (d n,)
         C of ``y = C vec(N)``, node by node.
-    low, high : float or array_like, shape (p,), optional
-        Bounds of y, m; no bound if infinite or not given.
+    low : float or array_like, shape (p,), optional
+        Lower bound of y, m; none if infinite or not given.
+    high : float or array_like, shape (p,), optional
+        Upper bound of y, m; none if infinite or not given.
     penalty : float, optional
-        Price π: a violation of y by e, m, adds ``π (2 e + e²/u)`` to the cost in each sample, with
-        u of 1 % of the size of the structure times the norm of the row of C. The cost is ``Σ zᵀ Q z
-        + vᵀ R v``. A hard limit if infinite or not given.
+        Price π of a violation, 1/m: one of y by e, m, adds ``π (2 e + e²/u)`` to the cost in each
+        sample, with u of 1 % of the size of the structure times the norm of the row of C. The cost
+        is ``Σ zᵀ Q z + vᵀ R v``. A hard limit if infinite or not given.
 
     Raises
     ------
@@ -75,20 +78,10 @@ class OutputLimit:
     (1, 18)
     """
 
-    matrix: FloatArray
-    low: FloatArray | None = None
-    high: FloatArray | None = None
+    matrix: Array = converted()
+    low: Field[ArrayLike | None, FloatArray] = converted(None)
+    high: Field[ArrayLike | None, FloatArray] = converted(None)
     penalty: float | None = None
-
-    if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
-
-        def __init__(
-            self,
-            matrix: ArrayLike,
-            low: ArrayLike | None = None,
-            high: ArrayLike | None = None,
-            penalty: float | None = None,
-        ) -> None: ...
 
     def __post_init__(self) -> None:
         matrix = np.atleast_2d(float_array("matrix", self.matrix))
@@ -101,7 +94,7 @@ class OutputLimit:
             given = getattr(self, name)
             bound = limit_per_member(name, given, len(matrix), "row of matrix", none)
             object.__setattr__(self, name, frozen(bound))
-        if np.any(self.low > self.high):  # type: ignore[operator]
+        if np.any(self.low > self.high):
             raise ValueError(f"low {self.low} m exceeds high {self.high} m")
         if is_unlimited(self.penalty):
             object.__setattr__(self, "penalty", None)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Unpack, final
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 
@@ -26,8 +26,8 @@ from tenscontrol.control.mpc.settings import (
     MPCSettings,
     PredictiveController,
     PredictiveLaw,
-    SettingsKeywords,
     design,
+    from_settings,
     law_in_shape,
     make_solver,
     solver_kind,
@@ -36,6 +36,8 @@ from tenscontrol.control.mpc.settings import (
 from tenscontrol.control.mpc.solvers import DAQPSolver, QPSolver
 from tenscontrol.control.mpc.sparse import Sparse
 from tenscontrol.control.mpc.stages import LinearProgram, has_compiled_program
+from tenscontrol.docstrings import with_parameters_of
+from tenscontrol.fields import checked
 from tenscontrol.plant import (
     LinearPlant,
     Preview,
@@ -316,10 +318,26 @@ def _trimmed(matrix: FloatArray) -> csc_array:
     return csc_array(np.where(np.abs(matrix) > 1e-14 * np.abs(matrix).max(), matrix, 0.0))
 
 
-def form_of(problem: MPCProblem, form: str, settings: MPCSettings) -> Form | None:
-    """Return a form by its name, None for that along the stages, or raise where it cannot be."""
-    count, automatic = problem.input_count, settings.solver == "auto"
-    if choice("form", form, _FORMS) == "auto":
+@with_parameters_of(MPCSettings)
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LinearSettings(MPCSettings):
+    """Settings of :class:`MPC`.
+
+    Parameters
+    ----------
+    form : {"auto", "condensed", "sparse", "stages"}
+        Form of the quadratic program. All give the same inputs; "auto" takes the cheapest one by
+        size and solver. "stages" has a solver of its own, an active set along the stages of the
+        horizon, compiled where there is a compiler, and goes with solver="auto".
+    """
+
+    form: str = field(default="auto", metadata=checked(choice, _FORMS))
+
+
+def form_of(problem: MPCProblem, settings: LinearSettings) -> Form | None:
+    """Return the form of a program, None for that along the stages, or raise where it cannot be."""
+    count, automatic, form = problem.input_count, settings.solver == "auto", settings.form
+    if form == "auto":
         largest = _LARGEST_CONDENSED.get(solver_kind(settings, dense=True), _LARGEST_OF_OTHERS)
         form = "condensed" if count <= largest else "sparse"
         large = count >= _SMALLEST_STAGES
@@ -341,6 +359,7 @@ def form_of(problem: MPCProblem, form: str, settings: MPCSettings) -> Form | Non
 
 
 @final
+@with_parameters_of(LinearSettings)
 class MPC(PredictiveController):
     """Linear model predictive control; no string is ever commanded to push (γ ≥ 0).
 
@@ -363,13 +382,6 @@ class MPC(PredictiveController):
     ----------
     plant : LinearPlant
         In internal coordinates.
-    form : {"auto", "condensed", "sparse", "stages"}
-        How the program is written. All give the same inputs; "auto" takes the
-        cheapest one by size and solver. "stages" has a solver of its own, an active set along the
-        stages of the horizon, compiled where there is a compiler, and goes with solver="auto".
-    **settings
-        Horizon and sample time, and bounds, weights, limits and solver, as keyword arguments of
-        :class:`MPCSettings`.
 
     Raises
     ------
@@ -402,29 +414,27 @@ class MPC(PredictiveController):
 
     _law: MPCLaw
 
-    def __init__(
-        self, plant: LinearPlant, *, form: str = "auto", **settings: Unpack[SettingsKeywords]
-    ) -> None:
+    @from_settings(LinearSettings)
+    def __init__(self, plant: LinearPlant, settings: LinearSettings) -> None:
         instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
-        given = MPCSettings(**settings)
-        made = design(plant, given)
-        super().__init__(plant, given, made)
+        made = design(plant, settings)
+        super().__init__(plant, settings, made)
         self._law = MPCLaw(
             plant=plant,
-            settings=given,
+            settings=settings,
             design=made,
-            form=form_of(made.problem, form, given),
+            form=form_of(made.problem, settings),
             load=None if self._observer is None else self._observer.model,
-            path=ReferencePreview(plant, given.reference, made.sampled),
+            path=ReferencePreview(plant, settings.reference, made.sampled),
         )
         for text in self._concerns(self._law.path):
-            warnings.warn(text, ControlWarning, stacklevel=2)
+            warnings.warn(text, ControlWarning, stacklevel=3)
         self._solver = self._law.solver()
         # The data of a reference that rests, which no sample changes.
         self._resting: tuple[Preview, StageData] | None = None
         self.reset()
         if plant.input == "force_density" and plant.model.strings is not None:
-            warn_of_held_lengths(plant, made.problem.feedback, given.sample_time)
+            warn_of_held_lengths(plant, made.problem.feedback, settings.sample_time)
 
     def _concerns(self, path: ReferencePreview) -> list[str]:
         found = super()._concerns(path)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from time import perf_counter
-from typing import Unpack, final
+from typing import final
 
 import casadi as ca
 import numpy as np
@@ -18,13 +18,15 @@ from tenscontrol.control.mpc.settings import (
     MPCSettings,
     PredictiveController,
     PredictiveLaw,
-    SettingsKeywords,
     design,
+    from_settings,
     make_solver,
 )
 from tenscontrol.control.mpc.solvers import QPSolver
 from tenscontrol.control.mpc.sparse import Sparse, SparseSubproblem
 from tenscontrol.control.mpc.stages import LeastDistance, LeastDistanceArrays, has_compiled_program
+from tenscontrol.docstrings import with_parameters_of
+from tenscontrol.fields import checked
 from tenscontrol.plant import LinearPlant, ReferencePreview
 from tenscontrol.properties import cached_property
 from tenscontrol.status import Status
@@ -146,22 +148,46 @@ class NMPCLaw(PredictiveLaw):
         return np.asarray(self.path.at(np.array([time])).input[0] if ramp else inputs[0])
 
 
-def _checked_tolerance(value: float | None, plant: LinearPlant) -> float | None:
-    """Return a part that is not negative, or None, or raise."""
+def _part(name: str, value: object) -> float | None:
     if value is None:
         return None
-    tolerance = number("linearization_tolerance", value, "a part")
+    tolerance = number(name, value, "a part")
     if tolerance < 0:
-        raise ValueError(f"linearization_tolerance is {tolerance:g}, expected at least 0")
-    if tolerance and plant.model.contacts is not None:
-        raise ValueError(
-            f"linearization_tolerance is {tolerance:g}, and plant has ground, which changes "
-            "derivatives within far less: expected 0 or None"
-        )
+        raise ValueError(f"{name} is {tolerance:g}, expected at least 0")
     return tolerance
 
 
+@with_parameters_of(MPCSettings)
+@dataclass(frozen=True, eq=False, kw_only=True)
+class NonlinearSettings(MPCSettings):
+    """Settings of :class:`NMPC`.
+
+    Parameters
+    ----------
+    iterations : int
+        Quadratic programs solved in a sample at most; fewer if the plan has converged.
+    linearization_tolerance : float, optional
+        Part by which a sample of the plan may change and keep its derivatives. They are kept until
+        its state or an input has moved, since they were found, by more than this part of: for
+        positions the size of the structure, or, where rest lengths are held, the longest stretch of
+        a string at rest; for velocities that size in a sample; for inputs their unit. Then it takes
+        those of another sample that were found as near, if there are any. What is predicted is
+        exact all the same. 0 finds all anew, in every sample, as C code does. By default 0.05 where
+        steps are implicit and one program is solved in a sample, else 0.
+    machine_code : bool
+        Compile the derivatives and the solver, where there is a C compiler: the same numbers but
+        for round-off, sooner. Libraries are kept for the next run, and serve every horizon.
+    """
+
+    iterations: int = field(default=1, metadata=checked(whole_number, 1))
+    linearization_tolerance: float | None = field(default=None, metadata=checked(_part))
+    machine_code: bool = field(
+        default=False, metadata=checked(truth, "whether to compile the derivatives")
+    )
+
+
 @final
+@with_parameters_of(NonlinearSettings)
 class NMPC(PredictiveController):
     """Nonlinear model predictive control by real-time iterations (SQP).
 
@@ -183,25 +209,6 @@ class NMPC(PredictiveController):
         In internal coordinates, at an equilibrium. It says which input, and
         gives the terminal cost, that of its discrete LQR. Of a model with ground in minimal
         coordinates, where it stands or in the air: contact is predicted.
-    iterations : int
-        Programs solved in a sample at most; fewer if the plan has converged.
-    linearization_tolerance : float, optional
-        A sample of the plan keeps its derivatives until its state or an input has moved, since they
-        were found, by more than this part of: for positions the size of the structure, or, where
-        rest lengths are held, the longest stretch of a string at rest; for velocities that size in
-        a sample; for inputs their unit. Then it takes those of another sample that were found as
-        near, if there are any. What is predicted is exact all the same. 0 finds all anew, in every
-        sample, as C code does. By default 0.05 where steps are implicit and one program is solved
-        in a sample, else 0.
-    machine_code : bool
-        Compile the derivatives and the solver, where there is a C compiler: the same numbers but
-        for round-off, sooner. Libraries are kept for the next run, and serve every horizon.
-    **settings
-        Horizon and sample time, and bounds, weights, limits and solver, as keyword arguments of
-        :class:`MPCSettings`. Limits are on what is predicted, linearized along the plan. Where the
-        input is the rest length, limits of γ are soft, and one of 0 keeps strings taut. The shape
-        at rest under an unknown load is that of the nonlinear plant. In the time limit preparation
-        counts where it was not done before, and no other program is begun after it.
 
     Raises
     ------
@@ -219,6 +226,11 @@ class NMPC(PredictiveController):
     Notes
     -----
     Diehl, Bock & Schlöder (2005), doi:10.1137/S0363012902400713.
+
+    Limits are on what is predicted, linearized along the plan. Where the input is the rest length,
+    limits of γ are soft, and one of 0 keeps strings taut. The shape at rest under an unknown load
+    is that of the nonlinear plant. In the time limit preparation counts where it was not done
+    before, and no other program is begun after it.
 
     A sample is predicted by RK4; where inputs are ramps, or held strings are so stiff that it takes
     more than 4 steps, by one implicit step. Strings that would be slack push in it, as in linear
@@ -240,38 +252,35 @@ class NMPC(PredictiveController):
     _law: NMPCLaw
     _nonlinear = True
 
-    def __init__(
-        self,
-        plant: LinearPlant,
-        *,
-        iterations: int = 1,
-        machine_code: bool = False,
-        linearization_tolerance: float | None = None,
-        **settings: Unpack[SettingsKeywords],
-    ) -> None:
+    @from_settings(NonlinearSettings)
+    def __init__(self, plant: LinearPlant, settings: NonlinearSettings) -> None:
         instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
-        truth("machine_code", machine_code, "whether to compile the derivatives")
-        rounds = whole_number("iterations", iterations, least=1)
-        tolerance = _checked_tolerance(linearization_tolerance, plant)
-        given = MPCSettings(**settings)
-        made = design(plant, given, nonlinear=True)
-        super().__init__(plant, given, made)
-        path = ReferencePreview(plant, given.reference, made.sampled)
+        tolerance = settings.linearization_tolerance
+        if tolerance and plant.model.contacts is not None:
+            raise ValueError(
+                f"linearization_tolerance is {tolerance:g}, and plant has ground, which changes "
+                "derivatives within far less: expected 0 or None"
+            )
+        made = design(plant, settings, nonlinear=True)
+        super().__init__(plant, settings, made)
+        path = ReferencePreview(plant, settings.reference, made.sampled)
         for text in self._concerns(path):
-            warnings.warn(text, ControlWarning, stacklevel=2)
+            warnings.warn(text, ControlWarning, stacklevel=3)
         # After all checks: it may be compiled.
-        model = TrajectoryModel(plant, given, made.constraints, machine_code)
+        model = TrajectoryModel(plant, settings, made.constraints, settings.machine_code)
         if tolerance is None:
-            tolerance = LINEARIZATION_TOLERANCE if model.implicit and rounds == 1 else 0.0
+            tolerance = (
+                LINEARIZATION_TOLERANCE if model.implicit and settings.iterations == 1 else 0.0
+            )
         self._law = NMPCLaw(
-            settings=given,
+            settings=settings,
             model=model,
             problem=replace(made.plant_problem, rows=model.with_pattern(made.problem.rows)),
             bounds=self.bounds,
             row_bounds=made.constraints.limits,
             units=model.units(made.problem.level),
             load=None if self._observer is None else self._observer.model,
-            rounds=rounds,
+            rounds=settings.iterations,
             linearization_tolerance=tolerance,
             path=path,
         )

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
-from typing import ClassVar, Required, Self, TypedDict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import wraps
+from inspect import signature
+from typing import Any, ClassVar, Concatenate, ParamSpec, Self, TypeVar
 
 import numpy as np
 
@@ -22,6 +24,7 @@ from tenscontrol.control.mpc.problem import (
     string_block,
 )
 from tenscontrol.control.mpc.solvers import DAQPSolver, OSQPSolver, PIQPSolver, QPSolver
+from tenscontrol.fields import check_fields, checked
 from tenscontrol.plant import (
     LinearPlant,
     OperatingPoint,
@@ -64,10 +67,6 @@ _PENALTY = 1e2
 # Least γ in a shape, relative to the largest: there a string is taken as taut.
 _TAUT = 1e-6
 
-# Numbers and arrays that are checked against a plant later.
-_NUMBERS = "Q", "R", "min_force_density", "tracked"
-_LIMITS = "max_force_density", "max_change", "max_tension"
-
 _SOLVERS: dict[str, type[QPSolver]] = {
     "daqp": DAQPSolver,
     "osqp": OSQPSolver,
@@ -75,27 +74,65 @@ _SOLVERS: dict[str, type[QPSolver]] = {
 }
 
 
-class SettingsKeywords(TypedDict, total=False):
-    """Keyword arguments of :class:`MPCSettings`, for type checkers and editors."""
+# Checks of one setting each. Those of arrays leave shapes for later: they depend on the plant.
 
-    horizon: Required[int]
-    sample_time: Required[float]
-    max_force_density: object
-    Q: object
-    R: object
-    max_change: object
-    reference: object
-    min_force_density: object
-    max_tension: object
-    winches: Winches | None
-    outputs: Sequence[OutputLimit]
-    string_penalty: float | None
-    load_gain: float | None
-    tracked: object
-    tolerance: float
-    max_iterations: int
-    time_limit: float | None
-    solver: str | type[QPSolver]
+
+def _numbers(name: str, value: object) -> object:
+    if value is not None:
+        float_array(name, value)
+    return value
+
+
+def _limit(name: str, value: object) -> object:
+    limits(name, value)
+    return value
+
+
+def _shapes(name: str, value: object) -> object:
+    return value if isinstance(value, Reference) else _numbers(name, value)
+
+
+def _winches(name: str, value: Winches | None) -> Winches | None:
+    if value is not None:
+        instance(name, value, Winches, "make them by Winches(rate=...)")
+    return value
+
+
+def _output_limits(name: str, value: object) -> Sequence[object]:
+    given = () if value is None else items(name, value, "OutputLimit")
+    for i, limit in enumerate(given):
+        instance(f"{name}[{i}]", limit, OutputLimit, "make one by OutputLimit(matrix, low, high)")
+    return given
+
+
+def _penalty(name: str, value: object) -> float:
+    if value is None:
+        return _PENALTY
+    if isinstance(value, float) and value == np.inf:
+        return np.inf
+    return positive_number(name, value, "costs of an input, or inf for hard limits")
+
+
+def _gain(name: str, value: object) -> object:
+    if value is not None and (gain := positive_number(name, value, "no unit")) > 1:
+        raise ValueError(f"{name} is {gain:g}, expected above 0 and at most 1")
+    return value
+
+
+def _time(name: str, value: object) -> float | None:
+    return None if is_unlimited(value) else positive_number(name, value, "s")
+
+
+def _solver(name: str, value: object) -> object:
+    if isinstance(value, str):
+        if value != "auto" and value not in _SOLVERS:
+            known = ", ".join(map(repr, ("auto", *_SOLVERS)))
+            raise ValueError(
+                f"{name} is {value!r}, expected one of {known}, or a subclass of QPSolver"
+            )
+    elif not (isinstance(value, type) and issubclass(value, QPSolver)):
+        raise TypeError(f"{name} is {value!r}, expected a name or a subclass of QPSolver")
+    return value
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -107,23 +144,24 @@ class MPCSettings:
     horizon : int
         Number of samples predicted, 1 to 10,000.
     sample_time : float
-        Sample time, s.
+        Time between two commands, s.
     max_force_density : float or array_like, shape (α,)
-        Largest γ, N/m; inf for no limit. May be left out where the input is the rest length.
+        Largest force density γ, N/m; inf for no limit. May be left out where the input is the rest
+        length.
     Q : float or array_like, shape (2r,) or (2r, 2r), optional
-        Weight of ``z − reference``. If not given, that of :func:`energy_weights`,
-        by mode where the input is the rest length.
+        Weight of the state less its reference. If not given, that of :func:`energy_weights`, by
+        mode where the input is the rest length.
     R : float or array_like, shape (α,) or (α, α), optional
-        Weight of the departure of the input from the operating point, or from
-        the rest lengths that hold the reference. If not given, that of
-        :func:`energy_weights`; a tenth of it for γ.
+        Weight of the input. It weighs the departure from the operating point, or from the rest
+        lengths that hold the reference. If not given, that of :func:`energy_weights`; a tenth of it
+        for γ.
     max_change : float or array_like, shape (α,), optional
         Largest change of the input from sample to sample, N/m or m.
     reference : Reference or array_like, shape (d, n), optional
-        Shapes to follow, seen ahead over the horizon; a single shape is a
-        constant one. The operating point if not given.
+        Shapes to follow. They are seen ahead over the horizon; a single shape is a constant one.
+        The operating point if not given.
     min_force_density : float or array_like, shape (α,)
-        Least γ, N/m, at least 0.
+        Least force density γ, N/m, at least 0.
     max_tension : float or array_like, shape (α,), optional
         Strength of the strings, N.
     winches : Winches, optional
@@ -132,28 +170,28 @@ class MPCSettings:
     outputs : sequence of OutputLimit, optional
         Limits on node positions.
     string_penalty : float, optional
-        Price p of a γ or tension beyond its limit. Beyond by ε times the largest γ, or tension,
-        at the operating point, it costs ``p (2 ε + ε²)`` in each sample; the unit is the least
-        that R charges for an input off by its unit, see ``tolerance``. The linear part makes
+        Price p of a force density or tension beyond its limit. Beyond by ε times the largest γ, or
+        tension, at the operating point, it costs ``p (2 ε + ε²)`` in each sample; the unit is the
+        least that R charges for an input off by its unit, see ``tolerance``. The linear part makes
         limits exact: where they can be kept at a lower price, they are. ``inf`` makes them hard;
         commands of γ are within bounds always. 100 if not given.
     load_gain : float, optional
-        With it a constant unknown load is estimated, at most 1 (at once), and
-        the plant is brought to rest at the reference under it.
+        Gain of the estimate of a constant load, at most 1. With it an unknown load is estimated (at
+        once with 1), and the plant is brought to rest at the reference under it.
     tracked : array_like, shape (p, d n), optional
-        Combinations of node positions to be free of offset under a load; all
-        coordinates, as well as can be, if not given.
+        Node coordinates without offset under a load. Combinations of them; all, as well as
+        can be, if not given.
     tolerance : float
-        The solver's absolute and relative tolerance, in units of an input: the largest γ at
-        the operating point, or the largest stretch.
+        Absolute and relative tolerance of the solver. Its unit is that of an input: the largest γ
+        at the operating point, or the largest stretch.
     max_iterations : int
-        The solver's limit.
+        Most iterations of the solver.
     time_limit : float, optional
-        Time for a command, s, from its call. A program that is not solved by then
-        is given up at the end of an iteration of the solver. The few operations that follow are
-        not counted.
+        Most computing time of a command, s, from its call. A program that is not solved by then is
+        given up at the end of an iteration of the solver. The few operations that follow are not
+        counted.
     solver : {"auto", "daqp", "osqp", "piqp"} or subclass of QPSolver
-        What solves the quadratic programs. DAQP, an active set, is exact to round-off, and the
+        Solver of the quadratic programs. DAQP, an active set, is exact to round-off, and the
         fastest where a program is dense; OSQP (ADMM, to the tolerance) where it is sparse and
         large. "auto" takes the one or the other by the form of the program, and for NMPC an active
         set along the stages of the horizon, by DAQP where nothing is compiled; see the attribute
@@ -173,79 +211,67 @@ class MPCSettings:
     100.0
     """
 
-    horizon: int
-    sample_time: float
-    max_force_density: object = None
-    Q: object = None
-    R: object = None
-    max_change: object = None
-    reference: object = None
-    min_force_density: object = 0.0
-    max_tension: object = None
-    winches: Winches | None = None
-    outputs: Sequence[OutputLimit] = ()
-    string_penalty: float | None = None
-    load_gain: float | None = None
-    tracked: object = None
-    tolerance: float = 1e-4
-    max_iterations: int = 4000
-    time_limit: float | None = None
-    solver: str | type[QPSolver] = "auto"
+    horizon: int = field(metadata=checked(whole_number, 1, MOST_SAMPLES))
+    sample_time: float = field(metadata=checked(positive_number, "s"))
+    max_force_density: object = field(default=None, metadata=checked(_limit))
+    Q: object = field(default=None, metadata=checked(_numbers))
+    R: object = field(default=None, metadata=checked(_numbers))
+    max_change: object = field(default=None, metadata=checked(_limit))
+    reference: object = field(default=None, metadata=checked(_shapes))
+    min_force_density: object = field(default=0.0, metadata=checked(_numbers))
+    max_tension: object = field(default=None, metadata=checked(_limit))
+    winches: Winches | None = field(default=None, metadata=checked(_winches))
+    outputs: Sequence[OutputLimit] = field(default=(), metadata=checked(_output_limits))
+    string_penalty: float | None = field(default=None, metadata=checked(_penalty))
+    load_gain: float | None = field(default=None, metadata=checked(_gain))
+    tracked: object = field(default=None, metadata=checked(_numbers))
+    tolerance: float = field(default=1e-4, metadata=checked(positive_number, "units of an input"))
+    max_iterations: int = field(default=4000, metadata=checked(whole_number, 1))
+    time_limit: float | None = field(default=None, metadata=checked(_time))
+    solver: str | type[QPSolver] = field(default="auto", metadata=checked(_solver))
 
     def __post_init__(self) -> None:
-        if self.winches is not None:
-            instance("winches", self.winches, Winches, "make them by Winches(rate=...)")
-        outputs = () if self.outputs is None else items("outputs", self.outputs, "OutputLimit")
-        for i, limit in enumerate(outputs):
-            made_by = "make one by OutputLimit(matrix, low, high)"
-            instance(f"outputs[{i}]", limit, OutputLimit, made_by)
-        checked: dict[str, object] = {
-            "sample_time": positive_number("sample_time", self.sample_time, "s"),
-            "string_penalty": _checked_penalty(self.string_penalty),
-            "tolerance": positive_number("tolerance", self.tolerance, "units of an input"),
-            "max_iterations": whole_number("max_iterations", self.max_iterations, least=1),
-            "horizon": whole_number("horizon", self.horizon, 1, MOST_SAMPLES),
-            "outputs": outputs,
-        }
-        checked["time_limit"] = None
-        if not is_unlimited(self.time_limit):
-            checked["time_limit"] = positive_number("time_limit", self.time_limit, "s")
-        if self.load_gain is None:
-            if self.tracked is not None:
-                raise ValueError(
-                    "tracked needs load_gain: it selects what is free of offset under a load"
-                )
-        elif positive_number("load_gain", self.load_gain, "no unit") > 1:
-            raise ValueError(f"load_gain is {self.load_gain:g}, expected above 0 and at most 1")
-        self._check_solver()
-        for name in _NUMBERS:
-            if getattr(self, name) is not None:
-                float_array(name, getattr(self, name))
-        for name in _LIMITS:
-            limits(name, getattr(self, name))
-        if not (self.reference is None or isinstance(self.reference, Reference)):
-            float_array("reference", self.reference)
-        for field in fields(self):
-            value = checked.get(field.name, getattr(self, field.name))
-            if isinstance(value, np.ndarray):
-                value = frozen(value)
-            object.__setattr__(self, field.name, value)
-
-    def _check_solver(self) -> None:
-        solver = self.solver
-        if isinstance(solver, str):
-            if solver != "auto" and solver not in _SOLVERS:
-                known = ", ".join(map(repr, ("auto", *_SOLVERS)))
-                raise ValueError(
-                    f"solver is {solver!r}, expected one of {known}, or a subclass of QPSolver"
-                )
-        elif not (isinstance(solver, type) and issubclass(solver, QPSolver)):
-            raise TypeError(f"solver is {solver!r}, expected a name or a subclass of QPSolver")
+        check_fields(self)
+        if self.tracked is not None and self.load_gain is None:
+            raise ValueError(
+                "tracked needs load_gain: it selects what is free of offset under a load"
+            )
 
     @property
     def longest_time(self) -> float:
         """Time for a command, s; inf where there is no limit."""
         return np.inf if self.time_limit is None else self.time_limit
+
+
+_P = ParamSpec("_P")
+_C = TypeVar("_C")
+_S = TypeVar("_S")
+
+
+def from_settings(
+    record: Callable[_P, _S],
+) -> Callable[
+    [Callable[[_C, LinearPlant, _S], None]], Callable[Concatenate[_C, LinearPlant, _P], None]
+]:
+    """Return a decorator: the constructor takes the arguments of a record in place of the record.
+
+    People, editors and type checkers see them as keyword arguments of the constructor.
+    """
+
+    def decorate(
+        init: Callable[[_C, LinearPlant, _S], None],
+    ) -> Callable[Concatenate[_C, LinearPlant, _P], None]:
+        @wraps(init)
+        def from_keywords(self: Any, plant: LinearPlant, **settings: Any) -> None:
+            init(self, plant, record(**settings))  # type: ignore[call-arg]
+
+        shown = signature(init)
+        itself, plant, _ = shown.parameters.values()
+        parameters = [itself, plant, *signature(record).parameters.values()]
+        from_keywords.__signature__ = shown.replace(parameters=parameters)  # type: ignore[attr-defined]
+        return from_keywords  # type: ignore[return-value]
+
+    return decorate
 
 
 def solver_kind(settings: MPCSettings, dense: bool) -> type[QPSolver]:
@@ -267,14 +293,6 @@ def solver_name(solver: QPSolver) -> str:
     return next(
         (name for name, kind in _SOLVERS.items() if type(solver) is kind), type(solver).__name__
     )
-
-
-def _checked_penalty(value: object) -> float:
-    if value is None:
-        return _PENALTY
-    if isinstance(value, float) and value == np.inf:
-        return np.inf
-    return positive_number("string_penalty", value, "costs of an input, or inf for hard limits")
 
 
 @dataclass(frozen=True, eq=False)
@@ -458,7 +476,7 @@ class PredictiveController(Controller):
     def __init__(self, plant: LinearPlant, settings: MPCSettings, made: Design) -> None:
         super().__init__(plant, settings.sample_time, made.low, made.high, made.problem.change)
         if not (self._nonlinear and plant.model.contacts is not None):
-            warn_of_unreached(self, stacklevel=4)
+            warn_of_unreached(self, stacklevel=5)
         self._longest_time = settings.longest_time
         self._settings = vars(settings)
         self._limits = made.constraints.blocks

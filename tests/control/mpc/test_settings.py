@@ -2,6 +2,7 @@
 
 import sys
 from dataclasses import FrozenInstanceError, fields, replace
+from inspect import signature
 from typing import ClassVar
 
 import casadi as ca
@@ -11,14 +12,20 @@ import pytest
 import tenscontrol as tc
 from tenscontrol.control import MPCSettings, QPSolution, QPSolver, Status
 from tenscontrol.control.mpc import OSQPSolver
-from tenscontrol.control.mpc.settings import SettingsKeywords
+from tenscontrol.docstrings import documented
 from tests.deploy import scenes
 
 GIVEN = {"horizon": 4, "sample_time": scenes.SAMPLE, "max_force_density": 80.0}
 
 
-def test_the_keywords_for_editors_are_those_of_the_record():
-    assert [field.name for field in fields(MPCSettings)] == list(SettingsKeywords.__annotations__)
+@pytest.mark.parametrize("kind", [tc.MPC, tc.NMPC])
+def test_a_constructor_takes_and_documents_the_fields_of_the_record(kind):
+    names = [field.name for field in fields(MPCSettings)]
+    parameters = signature(kind).parameters
+    assert list(parameters)[: len(names) + 1] == ["plant", *names]
+    assert parameters["tolerance"].default == 1e-4
+    assert set(parameters) == set(documented(kind))
+    assert documented(kind)["time_limit"] == documented(MPCSettings)["time_limit"]
 
 
 @pytest.mark.parametrize("kind", [tc.MPC, tc.NMPC])

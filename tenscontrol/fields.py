@@ -1,0 +1,54 @@
+"""Fields of records, declared with their types and checks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, field, fields
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tenscontrol.validation import FloatArray, frozen
+
+_Given = TypeVar("_Given", contravariant=True)
+_Held = TypeVar("_Held", covariant=True)
+
+
+class Field(Generic[_Given, _Held]):
+    """A field that takes one type and holds another, which ``__post_init__`` makes of it.
+
+    For type checkers alone: at run time no field is one.
+    """
+
+    def __get__(self, instance: object, owner: object = None) -> _Held:
+        """Return what is held."""
+        raise NotImplementedError
+
+    def __set__(self, instance: object, value: _Given) -> None:
+        """Take what is given."""
+        raise NotImplementedError
+
+
+Array = Field[ArrayLike, FloatArray]
+OptionalArray = Field[ArrayLike | None, FloatArray | None]
+
+
+def converted(default: object = MISSING, metadata: Mapping[str, Any] | None = None) -> Any:
+    """Return a field of a type like :data:`Array`, with a default or without."""
+    return field(default=default, metadata=metadata)
+
+
+def checked(check: Callable[..., object], *details: object) -> Mapping[str, Any]:
+    """Return metadata of a field: ``check(name, value, *details)`` returns its value, or raises."""
+    return {"check": check, "details": details}
+
+
+def check_fields(record: Any) -> None:
+    """Check the fields of a frozen record in their order, and keep read-only arrays."""
+    for declared in fields(record):
+        name, how = declared.name, declared.metadata
+        value = getattr(record, name)
+        if "check" in how:
+            value = how["check"](name, value, *how["details"])
+        object.__setattr__(record, name, frozen(value) if isinstance(value, np.ndarray) else value)
