@@ -28,7 +28,7 @@ def needs(package, extra):
 
 def test_every_benchmark_is_tested():
     there = {path.stem for path in BENCHMARKS.glob("*.py") if not path.stem.startswith("test_")}
-    there -= {"__init__", "command_line", "jax_peers"}
+    there -= {"__init__", "command_line", "extreme_cases", "jax_peers"}
     tested = {name.removeprefix("test_") for name in globals() if name.startswith("test_")}
     assert there == tested - {"every_benchmark_is_tested", "robustness_together"}
 
@@ -108,6 +108,12 @@ def test_oracle_agreement(printed, monkeypatch, tmp_path):
     for name in ("λ ", "flat", "mapped", "loops"):
         assert row(text, name)[0] < 1e-12
     assert row(text, "motions")[0] < 1e-10
+
+
+def test_suite(printed):
+    text = printed("suite", "--quick --only grazing")
+    assert text.splitlines()[0].split()[:5] == ["case", "truth", "growth", "rk4", "rattle"]
+    assert "9 runs: 8 accurate" in text
 
 
 def test_growth(printed):

@@ -27,7 +27,6 @@ def test_every_example_is_tested():
     tested = {
         "plot_accuracy_error_against_time.py",
         "plot_accuracy_form.py",
-        "plot_accuracy_growth.py",
         "plot_accuracy_long_run.py",
         "plot_accuracy_order.py",
         "plot_accuracy_stability.py",
@@ -305,13 +304,6 @@ def test_accuracy_stability():
         np.testing.assert_allclose(stability.step, stability.bound, rtol=0.02)
     assert found["run"].health.energy_error < 1e-6
     assert found["chosen"].choice.method == "energy_momentum"
-
-
-def test_accuracy_growth():
-    found = run("plot_accuracy_growth.py")["found"]
-    assert found.members.tolist() == [12, 84, 324, 996, 3348]
-    assert [row.note for row in found.rows if row.note] == []
-    assert found.stops[-1] == "reduce"
 
 
 def test_accuracy_long_run():

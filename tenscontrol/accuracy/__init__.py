@@ -3,7 +3,6 @@
 from tenscontrol.accuracy.case import Case, as_case
 from tenscontrol.accuracy.converged_motion import ConvergedMotion, converged_motion
 from tenscontrol.accuracy.convergence import ConvergenceOrder, convergence_order
-from tenscontrol.accuracy.growth import Growth, StopCost, growth
 from tenscontrol.accuracy.long_run import Drift, LongRun, long_run
 from tenscontrol.accuracy.measured_run import Measurement
 from tenscontrol.accuracy.peers import Peer, Solution
@@ -16,7 +15,6 @@ __all__ = [
     "ConvergedMotion",
     "ConvergenceOrder",
     "Drift",
-    "Growth",
     "LongRun",
     "Measurement",
     "Peer",
@@ -24,12 +22,10 @@ __all__ = [
     "Ratios",
     "Solution",
     "StabilityMap",
-    "StopCost",
     "WorkPrecision",
     "as_case",
     "converged_motion",
     "convergence_order",
-    "growth",
     "long_run",
     "predictability",
     "stability_map",

@@ -31,7 +31,6 @@ import numpy as np
 import tenscontrol as tc
 from tenscontrol.accuracy.measured_run import Bench
 from tenscontrol.accuracy.predictability import predictability
-from tenscontrol.accuracy.suite import extreme_suite
 from tenscontrol.interrupt import InterruptionWarning, interruptible
 from tenscontrol.robustness import store
 from tenscontrol.simulation import loop
@@ -153,7 +152,6 @@ REPORTS = {
     "long_run": lambda: tc.long_run(case(), "rk4", 1e-3, steps=10_000_000, outputs=20_000),
     "stability_map": lambda: tc.stability_map("rk4", np.geomspace(1e2, 1e4, 50), [0.1], steps=100),
     "predictability": lambda: predictability(case(200.0), error=1e9, outputs=20_000),
-    "suite": lambda: extreme_suite(quick=True),
     "stiffness_report": stiffness,
 }
 

@@ -78,14 +78,12 @@ RESULTS = {
     "accuracy.ConvergedMotion",
     "accuracy.ConvergenceOrder",
     "accuracy.Drift",
-    "accuracy.Growth",
     "accuracy.LongRun",
     "accuracy.Measurement",
     "accuracy.Predictability",
     "accuracy.Ratios",
     "accuracy.Solution",
     "accuracy.StabilityMap",
-    "accuracy.StopCost",
     "accuracy.WorkPrecision",
     "actuation.RestLengths",
     "actuation.MotorRecord",
@@ -422,11 +420,6 @@ def stable():
 @cache
 def drift():
     return tc.long_run(case(), "rk4", 1e-3, steps=30, outputs=30)
-
-
-@cache
-def grown():
-    return tc.accuracy.growth([tc.prism()], last="prestress search")
 
 
 @cache
@@ -1467,21 +1460,6 @@ call(
     },
     share=0.1,
 )
-call(
-    "accuracy.growth",
-    lambda: {
-        "structures": [prism()],
-        "seconds": 1.0,
-        "memory": 1e9,
-        "last": "structure",
-        "progress": False,
-    },
-    share=0.1,
-)
-call("accuracy.Growth.of", lambda: {"stop": "structure"}, grown)
-call("accuracy.Growth.exponent", lambda: {"stop": "structure", "quantity": "memory"}, grown)
-call("accuracy.Growth.table", on=grown)
-call("accuracy.Growth.to_csv", lambda: {"path": scratch("growth.csv")}, grown)
 call("accuracy.LongRun.of", lambda: {"name": drift().drifts[0].name}, drift)
 call("accuracy.LongRun.table", on=drift)
 call(
@@ -1769,11 +1747,6 @@ call(
         "ax": flat(),
         "references": {"r": np.zeros(3)},
     },
-    share=0.2,
-)
-call(
-    "plot.growth",
-    lambda: {"result": grown(), "quantity": "memory", "ax": flat()},
     share=0.2,
 )
 call("plot.long_run", lambda: {"result": drift(), "ax": flat()}, share=0.2)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,6 @@ from tenscontrol.dynamics import (
 )
 from tenscontrol.integrate import METHODS, largest_frequency
 from tenscontrol.library import class2_tower, d_bar, six_bar_ball, spine
-from tenscontrol.properties import cached_property
 from tenscontrol.statics import prestress, prism_force_density
 from tenscontrol.structure import Structure, prism, segment_counts, spread_force_density, subdivide
 from tenscontrol.validation import FloatArray
