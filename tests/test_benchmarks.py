@@ -116,6 +116,13 @@ def test_suite(printed):
     assert "9 runs: 8 accurate" in text
 
 
+def test_frontier(printed):
+    text = printed("frontier", "--count 0 --library 1 --limit 0.01 --methods rk4 dop853 --cells")
+    assert "library in the air: massless strings, 1e-02: ms " in text
+    assert text.count("  library in the air: 7 cells") == 2  # time and evaluations
+    assert text.count("  long run, energy: 7 cells") == 2
+
+
 def test_growth(printed):
     text = printed("growth", "--stages 1 2 --whole 2 --last linearize")
     assert len(row(text, "prestress search")) == 2  # no exponent of so short times
