@@ -80,7 +80,6 @@ run = tc.simulate(
     controller=mpc,
     winches=winches,
     rest_length=path.rest_length[:, 0],
-    method="rattle",
     step=1e-3,
     output_step=SAMPLE,
 )

@@ -102,7 +102,6 @@ def morph(stiffness, pieces, rate=RATE, plants=PLANTS, nonlinear=False, machine_
             controller=controller,
             winches=winches,
             rest_length=path.rest_length[:, 0],
-            method="rattle",
             step=min(1e-3, 1.0 / fastest),
             output_step=SAMPLE,
             machine_code=True,

@@ -24,7 +24,7 @@ import numpy as np
 
 from tenscontrol.accuracy.case import only_free, state_change
 from tenscontrol.dynamics import unpack_states
-from tenscontrol.integrate import CVODES, DOP853, EnergyMomentum, Integrator, Rattle6
+from tenscontrol.integrate import CVODES, DOP853, RK4, EnergyMomentum, Integrator
 from tenscontrol.progress import progress_bar
 from tenscontrol.simulation import (
     AccuracyWarning,
@@ -120,8 +120,8 @@ def _methods(extreme: Extreme) -> tuple[Integrator, Integrator, str]:
     main = DOP853(equation, 1e-12, project=True)
     if equation.velocity_dependent:
         return main, CVODES(smooth, 1e-11, project=True), "dop853 at 1e-12, cvodes at 1e-11"
-    step = 0.3 / extreme.frequency
-    return main, Rattle6(equation, step), f"dop853 at 1e-12, rattle6 at {step:.1e} s"
+    step = 0.03 / extreme.frequency
+    return main, RK4(equation, step), f"dop853 at 1e-12, rk4 at {step:.1e} s"
 
 
 def _nodes(extreme: Extreme, integrator: Integrator, state: FloatArray) -> FloatArray:

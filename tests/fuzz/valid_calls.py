@@ -176,17 +176,12 @@ ABSTRACT = {
 
 # Methods of symbols, of a base class, or of a solver that is handed what was checked before.
 WITHIN = {
-    "dynamics.Equation.masses",
     "simulation.Trajectory.health_of",
     "ClosedLoopCase.alone",
     "ClosedLoopCase.together",
     "Model.of_parameters",
     "plot.View.open",
-    *(
-        f"integrate.{method}.{name}"
-        for method in ("RK4", "Rattle", "Rattle4", "Rattle6")
-        for name in ("smooth_step", "steps_between", "work_of")
-    ),
+    *(f"integrate.RK4.{name}" for name in ("smooth_step", "steps_between", "work_of")),
     "ElasticStrings.tension",
     "ElasticStrings.taut_rest_length",
     "ElasticStrings.stored_energy",
@@ -260,9 +255,6 @@ WITHIN = {
     "integrate.Watched.advance",
     "integrate.Watched.shorten",
     "integrate.RK4.step_function",
-    "integrate.Rattle.step_function",
-    "integrate.Rattle4.step_function",
-    "integrate.Rattle6.step_function",
     "robustness.Distribution.draw",
     "robustness.Distribution.settings",
 }
@@ -785,7 +777,6 @@ call(
 # ---- integrators ----
 
 MAKE = {name.upper(): name for name in ("rk4", "dop853", "cvodes")}
-MAKE |= {"Rattle": "rattle", "Rattle4": "rattle4", "Rattle6": "rattle6"}
 MAKE |= {"EnergyMomentum": "energy_momentum"}
 
 
