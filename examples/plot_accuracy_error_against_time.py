@@ -30,7 +30,7 @@ tc.plot.structure(prism, force_density=gamma)
 
 steps = [2e-2, 1e-2, 5e-3, 2.5e-3]
 tolerances = [1e-3, 1e-5, 1e-7, 1e-9, 1e-11]
-settings = dict.fromkeys(["rk4", "rattle", "rattle4", "rattle6"], steps) | {"dop853": tolerances}
+settings = {"rk4": steps, "energy_momentum": steps, "dop853": tolerances}
 compared = tc.work_precision(
     case,
     list(settings),

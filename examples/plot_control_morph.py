@@ -77,7 +77,6 @@ run = tc.simulate(
     controller=nmpc,
     winches=winches,
     rest_length=path.rest_length[:, 0],
-    method="rattle",
     step=1e-3,
     output_step=SAMPLE,
 )

@@ -20,7 +20,7 @@ from tenscontrol.options import command_parser
 
 if TYPE_CHECKING:
     from tenscontrol.accuracy import Peer
-    from tenscontrol.simulation import Scene, Trajectory
+    from tenscontrol.simulation import Trajectory
 
 # Status of a command whose output nobody reads any more: that of other tools, 128 + SIGPIPE.
 _CLOSED = 141
@@ -261,9 +261,6 @@ def _accuracy(options: argparse.Namespace) -> None:
     from tenscontrol.scene import load_scene
 
     scene = load_scene(options.scene, options.allow_code)
-    if options.growth:
-        _growth(scene, options)
-        return
     names = None if options.methods is None else options.methods.split(",")
     try:
         found = work_precision(
@@ -304,26 +301,6 @@ def _accuracy(options: argparse.Namespace) -> None:
         from tenscontrol.summaries import of_comparison
 
         _print_json(options, of_comparison(found), paths)
-
-
-def _growth(scene: Scene, options: argparse.Namespace) -> None:
-    """Measure each stage on towers of growing size, and on the structure of a scene."""
-    from tenscontrol import plot
-    from tenscontrol.accuracy import growth
-
-    budget = {"seconds": options.seconds, "memory": 1e9 * options.memory}
-    own = growth([scene.structure], **budget)
-    found = growth(**budget, progress=True)
-    folder = make_folder(options.output or Path(f"tenscontrol-{options.scene.stem}"))
-    with finishing():
-        saved = found.to_csv(folder / "growth.csv")
-    print(f"{options.scene}\n{own.table()}\n\ntowers of prisms\n{found.table()}\n{saved}")
-    figures = (("seconds", "growth.png"), ("memory", "growth_memory.png"))
-    drawn = [_save(plot.growth(found, what).ax.figure, folder / name) for what, name in figures]
-    if options.json:
-        from tenscontrol.summaries import of_growth
-
-        _print_json(options, of_growth(own, found), [saved, *drawn])
 
 
 def _peers() -> list[Peer]:

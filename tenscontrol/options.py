@@ -210,26 +210,6 @@ def _add_accuracy(commands: Any) -> None:
         action="store_true",
         help="compile the methods, if there is a C compiler",
     )
-    accuracy.add_argument(
-        "--growth",
-        action="store_true",
-        help="measure time and memory of each stage from structure to control instead, on the "
-        "structure of the scene and on towers of 12 to 100,788 members: growth.csv, growth.png",
-    )
-    accuracy.add_argument(
-        "--seconds",
-        metavar="S",
-        type=float,
-        default=60.0,
-        help="with --growth: largest processor time of a stage, s (default: %(default)s)",
-    )
-    accuracy.add_argument(
-        "--memory",
-        metavar="GB",
-        type=float,
-        default=4.0,
-        help="with --growth: largest memory of a stage, GB (default: %(default)s)",
-    )
     printed = accuracy.add_mutually_exclusive_group()
     printed.add_argument("--csv", action="store_true", help="print CSV instead of the table")
     printed.add_argument("--markdown", action="store_true", help="print Markdown instead")

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from tenscontrol.accuracy import Growth, WorkPrecision
+from tenscontrol.accuracy import WorkPrecision
 from tenscontrol.plant import LinearPlant, Modes
 from tenscontrol.simulation import ControlRecord, Trajectory
 
@@ -88,12 +88,4 @@ def of_comparison(found: WorkPrecision) -> dict[str, Any]:
         "reference_error": found.reference.error,
         "rows": [asdict(row) for row in found.rows],
         "refused": dict(found.refused),
-    }
-
-
-def of_growth(own: Growth, towers: Growth) -> dict[str, Any]:
-    """Return time and memory of each stage, of a structure and of towers."""
-    return {
-        "structure": [asdict(row) for row in own.rows],
-        "towers": [asdict(row) for row in towers.rows],
     }

@@ -28,7 +28,7 @@ def needs(package, extra):
 
 def test_every_benchmark_is_tested():
     there = {path.stem for path in BENCHMARKS.glob("*.py") if not path.stem.startswith("test_")}
-    there -= {"__init__", "command_line", "jax_peers"}
+    there -= {"__init__", "command_line", "extreme_cases", "jax_peers"}
     tested = {name.removeprefix("test_") for name in globals() if name.startswith("test_")}
     assert there == tested - {"every_benchmark_is_tested", "robustness_together"}
 
@@ -110,6 +110,19 @@ def test_oracle_agreement(printed, monkeypatch, tmp_path):
     assert row(text, "motions")[0] < 1e-10
 
 
+def test_suite(printed):
+    text = printed("suite", "--quick --only grazing")
+    assert text.splitlines()[0].split()[:5] == ["case", "truth", "growth", "rk4", "dop853"]
+    assert "6 runs: 5 accurate" in text
+
+
+def test_frontier(printed):
+    text = printed("frontier", "--count 0 --library 1 --limit 0.01 --methods rk4 dop853 --cells")
+    assert "library in the air: massless strings, 1e-02: ms " in text
+    assert text.count("  library in the air: 7 cells") == 2  # time and evaluations
+    assert text.count("  long run, energy: 7 cells") == 2
+
+
 def test_growth(printed):
     text = printed("growth", "--stages 1 2 --whole 2 --last linearize")
     assert len(row(text, "prestress search")) == 2  # no exponent of so short times
@@ -189,7 +202,7 @@ def test_ground_drop(printed):
 
 def test_repeated_runs(printed):
     text = printed("repeated_runs", "--repeats 1")
-    for name in ("rk4 ", "rattle6 ", "dop853 ", "energy_momentum "):
+    for name in ("rk4 ", "dop853 ", "energy_momentum "):
         first, second, ratio, _ = row(text, name)
         assert ratio == pytest.approx(second / first, rel=0.1, abs=0.01)
 
@@ -197,7 +210,7 @@ def test_repeated_runs(printed):
 def test_stiff_strings(printed, nothing_compiled):
     text = printed("stiff_strings", "--duration 0.01 --segments 2")
     assert "0.01 s, nodes move up to 0.01 m" in text
-    evaluations = row(text, "          rattle")[2]
+    evaluations = row(text, "             rk4")[2]
     assert evaluations > 30_000
     for k, step in enumerate((1e-3, 5e-4, 2.5e-4)):
         found = row(text, " energy_momentum", k)
@@ -207,13 +220,12 @@ def test_stiff_strings(printed, nothing_compiled):
 
 
 def test_coupled_bars(printed):
-    text = printed("coupled_bars", "--steps 2000 --duration 1")
+    text = printed("coupled_bars", "--duration 1")
     orders = [float(order) for order in re.findall(r"order +(\S+)", text)]
-    for found, order in zip(orders, (4, 2, 4, 6, 2, 8), strict=True):
+    for found, order in zip(orders, (4, 2, 8), strict=True):
         assert order - 0.3 < found < order + 0.5
-    assert row(text, "  bars off by")[0] < 1e-14
     assert max(row(text, "  energy_momentum", 1)) < 1e-12
-    assert row(text, "  rattle6", 2)[0] < 1e-9
+    assert row(text, "  rk4", 2)[0] < 1e-8
 
 
 @needs_compiler
@@ -373,18 +385,18 @@ def test_error_against_time(printed):
     text = printed("error_against_time", "--plain --all --duration 0.5 --settings 3 --repeats 3")
     assert "every one of 6 switches located" in text
     for name, most in (
-        ("rk4", 1e-3), ("rattle", 1e-2), ("rattle4", 1e-3), ("rattle6", 1e-7), ("dop853", 1e-4),
+        ("rk4", 1e-3), ("dop853", 1e-4),
         ("mujoco rk4", 1e-4), ("mujoco euler", 1e-2), ("mujoco implicitfast", 1e-2),
         ("scipy dop853", 1e-4), ("casadi cvodes", 1e-3),
     ):  # fmt: skip
         first, _, last = (row(text, f"{name} ", k)[1] for k in range(3))
         assert last < min(first, most)
-    assert re.findall(r"^1e-0[389]  +(\S+)", text, re.M)[1:] == ["rattle6", "-"]
+    assert re.findall(r"^1e-0[389]  +(\S+)", text, re.M)[1:] == ["dop853", "-"]
 
 
 @needs_compiler
 def test_trust(printed, tmp_path):
-    text = printed("trust", f"--seed 9 --count 2 --methods rk4 rattle --cache {tmp_path}")
+    text = printed("trust", f"--seed 9 --count 2 --methods rk4 energy_momentum --cache {tmp_path}")
     assert "2 scenes: 2 ok" in text
     assert row(text, "rk4 ")[0] + row(text, "rk4 ")[1] == 6
     assert row(text, "all with fixed steps")[0] >= 10
@@ -396,7 +408,7 @@ def test_trust(printed, tmp_path):
 def test_thrown_ball(printed):
     text = printed("thrown_ball", "--plain --all --duration 0.3 --settings 2 --repeats 1")
     assert "order 8, tolerance 1e-13" in text
-    for name, most in (("dop853", 1e-5), ("jax rk4", 1e-3), ("rattle6", 1e-2)):
+    for name, most in (("dop853", 1e-5), ("jax rk4", 1e-3)):
         first, last = (row(text, f"{name} ", k)[1] for k in range(2))
         assert last < min(first, most)
 

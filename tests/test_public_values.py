@@ -59,7 +59,6 @@ def values(tmp_path_factory):
     )
     height = tc.Height(0.9, top=[0, 1, 2], bottom=[3, 4, 5])
     target = tc.shape_target(model, height, force_density=17.3205)
-    grown = tc.accuracy.growth([prism], last="structure")
     found = [
         height,
         tc.Twist(0.1, top=[0, 1, 2], bottom=[3, 4, 5]),
@@ -102,8 +101,6 @@ def values(tmp_path_factory):
         run.health,
         run.health.clearance,
         tc.structure.BarCrossing(0.5, (0, 1)),
-        grown,
-        grown.rows[0],
         batch := tc.simulate_many(
             model,
             0.01,

@@ -50,7 +50,7 @@ CASES = [
             r"report is a int, expected a function"),
     refused("duration infinite", lambda: integrator().advance(np.ones(36), np.ones(9), INF, 1),
             ValueError, r"duration is inf"),
-    refused("equation a model", lambda: tc.integrate.Rattle(prism(), 0.1), TypeError,
+    refused("equation a model", lambda: tc.integrate.RK4(prism(), 0.1), TypeError,
             r"equation is a Structure, expected Equation"),
     refused("machine code text", lambda: tc.integrate.RK4(equation(), 0.1, machine_code="no"),
             TypeError, r"machine_code is 'no'"),

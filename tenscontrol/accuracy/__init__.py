@@ -2,7 +2,6 @@
 
 from tenscontrol.accuracy.converged_motion import ConvergedMotion, converged_motion
 from tenscontrol.accuracy.convergence import ConvergenceOrder, convergence_order
-from tenscontrol.accuracy.growth import Growth, StopCost, growth
 from tenscontrol.accuracy.long_run import Drift, LongRun, long_run
 from tenscontrol.accuracy.measured_run import Measurement
 from tenscontrol.accuracy.peers import Peer, Solution
@@ -14,7 +13,6 @@ __all__ = [
     "ConvergedMotion",
     "ConvergenceOrder",
     "Drift",
-    "Growth",
     "LongRun",
     "Measurement",
     "Peer",
@@ -22,11 +20,9 @@ __all__ = [
     "Ratios",
     "Solution",
     "StabilityMap",
-    "StopCost",
     "WorkPrecision",
     "converged_motion",
     "convergence_order",
-    "growth",
     "long_run",
     "predictability",
     "stability_map",

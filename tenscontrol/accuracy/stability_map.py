@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite
-from types import MappingProxyType
 
 import numpy as np
 
@@ -40,12 +39,6 @@ _PART = 32
 
 # s: no step is longer.
 _LONGEST = 1e9
-
-# Order of the methods that alternate flights and kicks.
-_SPLITTINGS = MappingProxyType({"rattle": 2, "rattle4": 4, "rattle6": 6})
-
-# Where the trace touches 2 without passing it, round-off must not look like passing.
-_TOUCH = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,28 +243,7 @@ def prism_near_rest(stiffness: float, mass_ratio: float) -> Scene:
 def theoretical_limit(method: str) -> float:
     """Return the largest ``h ω`` at which an undamped oscillation stays bounded; NaN if not known.
 
-    2√2 for the classical Runge-Kutta method, by its region of stability on the imaginary axis. A
-    splitting multiplies position and velocity by a matrix of determinant 1 a step, bounded while
-    its trace is below 2 (Hairer & Wanner, *Solving Ordinary Differential Equations II*, IV.2;
-    Hairer, Lubich & Wanner, *Geometric Numerical Integration*, VIII.4).
+    2√2 for the classical Runge-Kutta method, by its region of stability on the imaginary axis
+    (Hairer & Wanner, *Solving Ordinary Differential Equations II*, IV.2).
     """
-    if method == "rk4":
-        return float(np.sqrt(8))
-    if method not in _SPLITTINGS:
-        return float("nan")
-    from scipy.optimize import brentq
-
-    from tenscontrol.integrate import splitting
-
-    parts = splitting(_SPLITTINGS[method])
-
-    def room(product: float) -> float:
-        step = np.eye(2)
-        for flight, kick in zip(parts.flights, (*parts.kicks, 0.0), strict=True):
-            step = np.array([[1.0, flight * product], [0.0, 1.0]]) @ step
-            step = np.array([[1.0, 0.0], [-kick * product, 1.0]]) @ step
-        return float(2 * (1 + _TOUCH) - abs(np.trace(step)))
-
-    looks = np.arange(1, 2000) * 0.01
-    over = next(product for product in looks if room(product) < 0)
-    return float(brentq(room, over - 0.01, over))
+    return float(np.sqrt(8)) if method == "rk4" else float("nan")

@@ -11,7 +11,6 @@ import numpy as np
 from tenscontrol.dynamics.contact_laws import Contacts
 from tenscontrol.dynamics.evaluator import Prepared, builds
 from tenscontrol.dynamics.forces import Forces
-from tenscontrol.dynamics.kernel import Masses
 from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.properties import cached_property
 from tenscontrol.structure import Structure, free_coordinates
@@ -213,17 +212,6 @@ class Equation:
             s.
         """
         return self.layout.ahead(u, time)
-
-    def masses(self, u: Any) -> Masses | None:
-        """Return the expressions of the masses, or None where they are the structure's.
-
-        Parameters
-        ----------
-        u : casadi.SX or MX, shape (inputs, 1)
-        """
-        if self.structure is None:
-            return None
-        return Masses.of(self.structure, self.layout.columns(u))
 
     def of_strings(self, u: Any) -> Any:
         """Return the expression of the rest lengths, or force densities, at the time of u.

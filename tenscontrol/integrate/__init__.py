@@ -20,7 +20,6 @@ from tenscontrol.integrate.integrator import (
 from tenscontrol.integrate.lanes import Lanes
 from tenscontrol.integrate.methods import METHODS, Choice, Method, choose, method_of
 from tenscontrol.integrate.projection import Projector
-from tenscontrol.integrate.rattle import Rattle, Rattle4, Rattle6, splitting
 from tenscontrol.integrate.watched import Watched
 
 __all__ = [
@@ -39,9 +38,6 @@ __all__ = [
     "Method",
     "MethodChange",
     "Projector",
-    "Rattle",
-    "Rattle4",
-    "Rattle6",
     "Report",
     "Span",
     "Watched",
@@ -53,7 +49,6 @@ __all__ = [
     "largest_frequency",
     "method_of",
     "not_finite",
-    "splitting",
     "state_jacobian",
     "state_scale",
 ]

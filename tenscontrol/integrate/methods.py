@@ -17,7 +17,6 @@ from tenscontrol.integrate.integrator import (
     contact_frequency,
     largest_frequency,
 )
-from tenscontrol.integrate.rattle import Rattle, Rattle4, Rattle6
 from tenscontrol.validation import (
     FloatArray,
     choice,
@@ -144,13 +143,8 @@ class Method:
 
 
 _STEP, _TOLERANCE = ("step",), ("tolerance",)
-_SYMPLECTIC = "symplectic without damping, fixed steps"
-_OWN = {"drifts": False, "follows": True}
 _ALL = (
-    Method("rk4", _STEP, "order 4, fixed steps; bar lengths drift", RK4, follows=True, order=4),
-    Method("rattle", _STEP, "order 2, symplectic, fixed steps", Rattle, order=2, **_OWN),
-    Method("rattle4", _STEP, f"order 4, {_SYMPLECTIC}", Rattle4, order=4, **_OWN),
-    Method("rattle6", _STEP, f"order 6, {_SYMPLECTIC}: the fastest", Rattle6, order=6, **_OWN),
+    Method("rk4", _STEP, "order 4, fixed steps: real time and batches", RK4, follows=True, order=4),
     Method(
         "dop853",
         _TOLERANCE,
@@ -174,7 +168,7 @@ _ALL = (
     Method(
         "energy_momentum",
         _STEP + _TOLERANCE,
-        "order 2, implicit, conserves energy and momenta: stiff strings, slow motion",
+        "order 2, implicit, conserves energy and momenta: stiff strings, long runs",
         EnergyMomentum,
         drifts=False,
         compiles=False,

@@ -48,9 +48,8 @@ class Coupled:
     placed : casadi.Function
         ``(c, start, factors) -> change`` that puts c on the lengths of the bars. It is along
         ``M⁻¹ Jᵀ`` of ``start``, to which the factors belong; NaN where it is not found near by.
-    pushed : casadi.Function
-        ``(c, rates, impulse, factors) -> rates`` after an impulse, N s. What would stretch the bars
-        is removed, from the impulse and from the rates before.
+    across : casadi.Function
+        ``(c, rates, factors) -> rates`` without what would stretch the bars.
     """
 
     def __init__(self, structure: Structure) -> None:
@@ -69,7 +68,7 @@ class Coupled:
         self._factors = ca.SX.sym("factors", values.shape[0])
         self.factorized = ca.Function("factorized", [self._c], [values])
         self.placed = self._placed()
-        self.pushed = self._pushed()
+        self.across = self._across()
 
     def nodes(self, c: kernel.Symbolic, places: FloatArray | None = None) -> kernel.Symbolic:
         """Return the columns of nodes, shape (d, n), with those of ``places`` outside the blocks.
@@ -166,11 +165,10 @@ class Coupled:
         change = ca.if_else(good, change, ca.DM.nan(size))
         return ca.Function("placed", [c, start, factors], [change])
 
-    def _pushed(self) -> ca.Function:
-        rates, impulse = (ca.SX.sym(name, len(self.rows)) for name in ("rates", "impulse"))
-        change = self._solve(impulse, -self.stretching(self._c, rates))
-        inputs = [self._c, rates, impulse, self._factors]
-        return ca.Function("pushed", inputs, [rates + change])
+    def _across(self) -> ca.Function:
+        rates = ca.SX.sym("rates", len(self.rows))
+        change = self._solve(ca.SX.zeros(len(self.rows)), -self.stretching(self._c, rates))
+        return ca.Function("across", [self._c, rates, self._factors], [rates + change])
 
     def restored(self) -> ca.Function:
         """Return ``(c, rates) -> (c, rates)`` with exact bars, from a state near by.
@@ -181,8 +179,7 @@ class Coupled:
         c, rates = (ca.MX.sym(name, len(self.rows)) for name in ("c", "rates"))
         change = self.placed(c, c, self.factorized(c))
         end = c + change
-        none = ca.DM.zeros(len(self.rows))
-        after = self.pushed(end, rates, none, self.factorized(end))
+        after = self.across(end, rates, self.factorized(end))
         return ca.Function("restored", [c, rates], [end, self._turned()(c, rates, end, after)])
 
     def _turned(self) -> ca.Function:

@@ -107,7 +107,7 @@ class Bodies:
         Positions of string nodes along the axes in which they are on rollers, m.
     """
 
-    def __init__(self, structure: Structure, masses: kernel.Masses | None = None) -> None:
+    def __init__(self, structure: Structure) -> None:
         d = self.dimension = structure.dimension
         nothing = np.zeros(0, dtype=np.int64)
         nodes = np.setdiff1d(structure.free, [i for block in structure.blocks for i in block.nodes])
@@ -136,12 +136,12 @@ class Bodies:
             self._start + self._end + self._tip + self._string_nodes, kind="stable"
         ).tolist()
         self.hinges = ca.DM(structure.nodes[:, hinge])
-        mass = kernel.bar_mass(structure, free, masses)
-        hinged_mass = kernel.bar_mass(structure, swinging, masses)
+        mass = kernel.bar_mass(structure, free)
+        hinged_mass = kernel.bar_mass(structure, swinging)
         self.length = _row(structure.bar_length[np.concatenate([free, swinging])])
         # Of points; and by which the difference of the end forces, or the force on the tip, moves
         # a vector.
-        self.point_mass = ca.horzcat(mass, kernel.string_node_mass(structure, masses))
+        self.point_mass = ca.horzcat(mass, kernel.string_node_mass(structure))
         self.vector_mass = ca.horzcat(mass / 6, hinged_mass / 3)
 
     def columns(self, entries: kernel.Symbolic, held: kernel.Symbolic = 0) -> kernel.Symbolic:
@@ -185,18 +185,6 @@ class Bodies:
         start, end = forces[:, self._start], forces[:, self._end]
         points = ca.horzcat(start + end, forces[:, self._string_nodes])
         return points, ca.horzcat(end - start, forces[:, self._tip])
-
-    def accelerations(self, forces: kernel.Symbolic) -> tuple[kernel.Symbolic, kernel.Symbolic]:
-        """Return how forces on the nodes accelerate points and vectors, bar forces left out.
-
-        ``r̈ = (f_start + f_end)/m`` (eq. 4), ``b̈ = 6/m (f_end − f_start)``
-        (eq. 5 with λ = 0), and 3/m times its force for the tip of a bar that swings.
-        """
-        points, vectors = self.resultants(forces)
-        return (
-            kernel.scale_columns(points, kernel.reciprocal(self.point_mass)),
-            kernel.scale_columns(vectors, kernel.reciprocal(self.vector_mass)),
-        )
 
 
 def _row(values: FloatArray) -> ca.DM:

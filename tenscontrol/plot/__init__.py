@@ -6,7 +6,6 @@ what was drawn, and never shows a window.
 
 from tenscontrol.plot.accuracy_figures import (
     convergence_order,
-    growth,
     long_run,
     stability_map,
     work_precision,
@@ -37,7 +36,6 @@ __all__ = [
     "contacts",
     "convergence_order",
     "estimate",
-    "growth",
     "health",
     "history",
     "long_run",

@@ -11,7 +11,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.text import Annotation
 from matplotlib.ticker import FuncFormatter
 
-from tenscontrol.accuracy import ConvergenceOrder, Growth, LongRun, StabilityMap, WorkPrecision
+from tenscontrol.accuracy import ConvergenceOrder, LongRun, StabilityMap, WorkPrecision
 from tenscontrol.plot.histories import Curves
 from tenscontrol.plot.style import (
     DASHES,
@@ -24,7 +24,7 @@ from tenscontrol.plot.style import (
     flat_axes,
     legend_above,
 )
-from tenscontrol.validation import FloatArray, choice, instance
+from tenscontrol.validation import FloatArray, instance
 
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">")
 _PEER_GREYS = ("0.30", "0.45", "0.58", "0.68")
@@ -286,67 +286,6 @@ def long_run(result: LongRun, *, ax: Axes | None = None) -> Curves:
     ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.3g}"))
     legend_above(ax)
     return Curves(ax, {drift.name: (line,)}, {"slope": slope}, {})
-
-
-@closes_on_error
-def growth(result: Growth, quantity: str = "seconds", *, ax: Axes | None = None) -> Curves:
-    """Draw processor time or memory of each stage over the number of members.
-
-    The legend has the exponent of each, and the grey dashed line is in proportion to the members.
-
-    Parameters
-    ----------
-    result : Growth
-    quantity : {"seconds", "memory"}
-        Processor time, s, or peak memory, drawn in MB.
-    ax : Axes, optional
-        Where to draw; a new figure if not given.
-
-    Returns
-    -------
-    Curves
-
-    Raises
-    ------
-    TypeError, ValueError
-        If ``result`` is of another kind, ``quantity`` another word, or ``ax`` is not a pair of flat
-        axes.
-
-    Examples
-    --------
-    >>> import matplotlib.pyplot as plt, tenscontrol as tc
-    >>> found = tc.accuracy.growth([tc.prism(), tc.prism_tower(stages=2)], last="linearize")
-    >>> drawn = tc.plot.growth(found)
-    >>> drawn.ax.get_xscale(), "linearize" in drawn.lines
-    ('log', True)
-    >>> plt.close(drawn.ax.figure)
-    """
-    instance("result", result, Growth, "make one by accuracy.growth()")
-    choice("quantity", quantity, ("seconds", "memory"))
-    ax = flat_axes(ax, _SIZE)
-    lines: dict[str, tuple[Line2D, ...]] = {}
-    unit = 1.0 if quantity == "seconds" else 1e6
-    largest = 0.0
-    for position, stop in enumerate(result.stops):
-        rows = [row for row in result.of(stop) if getattr(row, quantity) > 0]
-        if not rows:
-            continue
-        power = result.exponent(stop, quantity)
-        label = stop if np.isnan(power) else f"{stop}, {power:.2f}"
-        cost = np.array([getattr(row, quantity) for row in rows]) / unit
-        style = _method_style(position) | {"linestyle": DASHES[position // len(PALETTE)]}
-        lines[stop] = tuple(ax.plot([row.members for row in rows], cost, label=label, **style))
-        largest = max(largest, float(cost.max()))
-    ends = result.members[[0, -1]]
-    (guide,) = ax.plot(
-        ends, 3 * largest * ends / ends[-1], color=REFERENCE_COLOR, linewidth=REFERENCE_WIDTH,
-        linestyle="dashed", label="in proportion",
-    )  # fmt: skip
-    name = "processor time, s" if quantity == "seconds" else "peak memory, MB"
-    _logarithmic(ax, "members", name)
-    ax.legend(fontsize="small", frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    decade_ticks(ax.xaxis, ax.yaxis)
-    return Curves(ax, lines, {"in proportion": guide}, {})
 
 
 def _logarithmic(ax: Axes, xlabel: str, ylabel: str, title: str = "") -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.accuracy import long_run, predictability, stability_map, suite
+from tenscontrol.accuracy import long_run, predictability, stability_map
 from tenscontrol.accuracy.measured_run import Bench
 from tenscontrol.interrupt import InterruptionWarning
 
@@ -92,18 +92,3 @@ def test_stability_map(monkeypatch):
     assert np.isfinite(found.step[0, 0])
     assert np.isnan(found.step[1, 0])
     assert "nan" in found.table()
-
-
-def test_suite(monkeypatch):
-    press_at(3, monkeypatch, suite, "judge")
-    with pytest.warns(InterruptionWarning, match="2 runs are judged"):
-        found = suite.extreme_suite(quick=True, only="free bar")
-    assert len(found.rows) == 2
-    assert found.table()
-
-
-def test_the_command_of_the_suite_says_so(monkeypatch, capsys):
-    press_at(3, monkeypatch, suite, "judge")
-    with pytest.warns(InterruptionWarning):
-        assert suite.main(["--quick", "--only", "free bar"]) == 130
-    assert "free bar" in capsys.readouterr().out

@@ -10,7 +10,7 @@ STEPS = [0.01, 0.005, 0.0025, 0.00125]
 
 
 @pytest.mark.parametrize(
-    ("method", "low", "high"), [("rk4", 3.7, 4.3), ("rattle", 1.9, 2.1), ("rattle4", 3.7, 4.3)]
+    ("method", "low", "high"), [("rk4", 3.7, 4.3), ("energy_momentum", 1.8, 2.2)]
 )
 def test_order_through_switches(method, low, high):
     found = tc.convergence_order(paper_case(0.5), method, STEPS, outputs=10)
@@ -32,7 +32,7 @@ def test_the_fit_is_the_line_through_the_logarithms():
 def test_runs_at_round_off_and_too_coarse_are_not_fitted():
     steps = [0.1, *STEPS, 1e-3 / 32, 1e-3 / 128]
     case = paper_case(0.5, vertical=45.0)
-    found = tc.convergence_order(case, "rattle4", steps, outputs=5)
+    found = tc.convergence_order(case, "rk4", steps, outputs=5)
     assert not found.is_clean[-1]
     assert found.is_clean[2:5].all()
     # Fitted with them, it would be another.

@@ -83,8 +83,6 @@ def test_the_fastest_rate_is_that_of_the_ground_before_and_in_contact():
     ("method", "order", "steps"),
     [
         ("rk4", 4, [8e-4, 4e-4, 2e-4, 1e-4]),
-        ("rattle", 2, [4e-4, 2e-4, 1e-4]),
-        ("rattle4", 4, [4e-3, 2e-3, 1e-3]),
         ("energy_momentum", 2, [8e-4, 4e-4, 2e-4]),
     ],
 )

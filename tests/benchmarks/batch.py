@@ -140,7 +140,7 @@ def table(batches: dict[str, Batch], truth: np.ndarray, simulated: float, repeat
         print(f"{label:25s} {step:7.4g} {error:14.1e} {rates[label]:16.0f} {ratio:15.2f}")
 
 
-_OURS = ("rk4", "rattle", "rattle4", "rattle6")
+_OURS = ("rk4",)
 
 
 def ours(method: str, model: tc.Model, duration: float, V: np.ndarray, lengths: Any) -> Batch:

@@ -22,9 +22,6 @@ from tests.benchmarks.command_line import options
 STEPS = (0.05, 0.04, 0.025, 0.02, 0.0125, 0.01, 0.005, 0.0025, 0.001, 5e-4, 2.5e-4)
 SETTINGS = {
     "rk4": STEPS[2:],
-    "rattle": STEPS[3:],
-    "rattle4": STEPS[1:],
-    "rattle6": STEPS[:-2],
     "dop853": tuple(10.0**-k for k in range(3, 13)),
 }
 

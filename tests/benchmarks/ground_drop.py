@@ -22,7 +22,6 @@ from tests.benchmarks.command_line import options
 STEPS = (4e-3, 2e-3, 1e-3, 5e-4, 2.5e-4, 1e-4, 5e-5)
 SETTINGS = {
     "rk4": STEPS[1:],
-    "rattle": STEPS[1:],
     "dop853": tuple(10.0**-k for k in range(3, 10)),
     "energy_momentum": tuple(10.0**-k for k in range(2, 5)),
 }

@@ -19,11 +19,7 @@ from tests.benchmarks.command_line import options
 from tests.integrate.ground_scenes import SCENES, Scene, nudged, resting
 from tests.integrate.stepping import fitted_order
 
-STEPS = {
-    "rk4": [7e-5, 5e-5, 3.5e-5, 2.5e-5],
-    "rattle4": [7e-5, 5e-5, 3.5e-5, 2.5e-5],
-    "rattle6": [1e-4, 8e-5, 6e-5],
-}
+STEPS = {"rk4": [7e-5, 5e-5, 3.5e-5, 2.5e-5]}
 TOLERANCE = 1e-13
 
 

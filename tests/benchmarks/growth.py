@@ -1,15 +1,26 @@
 """Processor time and memory of each stage from structure to control, from 12 members to 240,000.
 
 Run: ``python -m tests.benchmarks.growth``. Towers of prisms, 24 members a stage. A routine is left
-out of larger towers where smaller ones predict more time or memory than the budget. The second
-table compares sparse routines of statics and modes with whole decompositions: the largest
-difference, and the time of both.
+out of larger towers where smaller ones predict more time or memory than the budget. Memory is the
+largest of the process while the routine runs, less that before the first one; Linux alone says it.
+The second table compares sparse routines of statics and modes with whole decompositions: the
+largest difference, and the time of both.
+
+Strings are linear, a hundred times as stiff as their γ. The plant has rest lengths as its input; it
+is reduced to 20 modes for LQR and for MPC with a horizon of 20 samples of 0.02 s, of which a step
+is timed apart. The simulation lasts 0.02 s.
 """
 
 from __future__ import annotations
 
+import ctypes
+import gc
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
 from time import process_time
 from typing import Any
 from unittest.mock import patch
@@ -17,27 +28,194 @@ from unittest.mock import patch
 import numpy as np
 
 import tenscontrol as tc
+from tenscontrol.tables import aligned, shown
 from tests.benchmarks.command_line import options
 
 STAGES = (1, 3, 10, 30, 100, 300, 1000, 3000, 10_000)
 WHOLE = (10, 20, 40)
-COUNT = 20
+LEVEL, SAMPLE_TIME, COUNT, HORIZON = 10.0, 0.02, 20, 20
+
+# Shorter runs are repeated, and the least time counts; and what an exponent is not fitted to.
+SHORT, REPEATS = 0.1, 3
+MEASURABLE = {"seconds": 0.02, "memory": 2e7}
+
+# Least and largest exponent by which the next size is predicted, and sizes it is fitted to.
+EXPONENTS, FITTED = (1.0, 3.0), 4
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     given = options(
         __doc__, arguments, stages=STAGES, whole=WHOLE, seconds=60.0, gigabytes=4.0, last="MPC step"
     )
-    towers = [lambda stages=stages: tc.prism_tower(stages) for stages in given.stages]
-    found = tc.accuracy.growth(
-        towers, seconds=given.seconds, memory=1e9 * given.gigabytes, last=given.last
-    )
-    print(found.table())
+    budget = {"seconds": given.seconds, "memory": 1e9 * given.gigabytes}
+    names = list(ROUTINES)[: list(ROUTINES).index(given.last) + 1]
+    print(table(growth(given.stages, names, budget)))
     print("\nsparse ways against whole decompositions: largest difference, processor s of both")
     print(f"{'stages':>6s}  {'what':24s} {'difference':>10s} {'sparse':>8s} {'whole':>8s}")
     for stages in given.whole:
         for what, difference, *times in compared(stages):
             print(f"{stages:6d}  {what:24s} {difference:10.1e} {times[0]:8.2f} {times[1]:8.2f}")
+
+
+# ---- what is measured ----
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Processor time, s, and memory, bytes, of one routine at one size; or why it was not run."""
+
+    routine: str
+    members: int
+    seconds: float = np.nan
+    memory: float = np.nan
+    note: str = ""
+
+
+def linearized(results: dict[str, Any]) -> tc.LinearPlant:
+    rest = results["prestress search"]
+    strings = tc.LinearStrings(100.0 * float(rest.force_density.max()))
+    return tc.linearize(tc.Model(rest.structure, strings=strings), rest, input="rest_length")
+
+
+def command(controller: str, results: dict[str, Any]) -> None:
+    law, plant = results[controller], results["linearize"]
+    law.reset()
+    law.command(0.0, plant.nodes, 0 * plant.nodes)
+
+
+def simulated(results: dict[str, Any]) -> None:
+    plant = results["linearize"]
+    tc.simulate(
+        plant.model, SAMPLE_TIME, plant.nodes, rest_length=plant.rest_length, error="none"
+    )  # fmt: skip
+
+
+# Each takes the results of those before it.
+ROUTINES: dict[str, Callable[[dict[str, Any]], Any]] = {
+    "structure": lambda results: tc.prism_tower(results["stages"]),
+    "prestress search": lambda results: tc.prestress(results["structure"], LEVEL),
+    "prestress check": lambda results: tc.prestress(
+        results["structure"], results["prestress search"].force_density
+    ),
+    "stability": lambda results: replace(results["prestress search"]).stability,
+    "linearize": linearized,
+    "20 modes": lambda results: tc.modes(results["linearize"], few(results["linearize"])),
+    "simulate": simulated,
+    "reduce": lambda results: tc.reduce(results["linearize"], few(results["linearize"])),
+    "LQR": lambda results: tc.LQR(results["reduce"], sample_time=SAMPLE_TIME),
+    "LQR step": partial(command, "LQR"),
+    "MPC": lambda results: tc.MPC(results["reduce"], sample_time=SAMPLE_TIME, horizon=HORIZON),
+    "MPC step": partial(command, "MPC"),
+}
+
+
+def few(plant: tc.LinearPlant) -> int:
+    return min(COUNT, plant.degrees_of_freedom)
+
+
+def growth(stages: Sequence[int], routines: Sequence[str], budget: dict[str, float]) -> list[Cost]:
+    """Return the cost of each routine on each tower, as far as the budget goes."""
+    first: dict[str, Any] = {"stages": 2}
+    for name in routines:  # some import what they need
+        first[name] = ROUTINES[name](first)
+    first.clear()
+    forget_peak()
+    base = memory("VmRSS")
+    costs: list[Cost] = []
+    for count in stages:
+        results: dict[str, Any] = {"stages": count}
+        for name in routines:
+            costs.append(measured(name, results, 24 * count - 12, costs, budget, base))
+    return costs
+
+
+def measured(
+    name: str,
+    results: dict[str, Any],
+    members: int,
+    costs: Sequence[Cost],
+    budget: dict[str, float],
+    base: float,
+) -> Cost:
+    """Run a routine, add its result to those before it, and return what it costs."""
+    note = beyond([cost for cost in costs if cost.routine == name], members, budget)
+    if note:
+        return Cost(name, members, note=note)
+    forget_peak()
+    spent = np.inf
+    try:
+        for _ in range(REPEATS):
+            start = process_time()
+            results[name] = ROUTINES[name](results)
+            spent = min(spent, process_time() - start)
+            if spent > SHORT:
+                break
+    except KeyError as error:
+        return Cost(name, members, note=f"needs {error}")
+    except (ValueError, ArithmeticError, MemoryError) as error:
+        return Cost(name, members, note=f"failed: {error}")
+    return Cost(name, members, spent, max(0.0, memory("VmHWM") - base))
+
+
+def beyond(costs: Sequence[Cost], members: int, budget: dict[str, float]) -> str:
+    """Return why a routine is not run at a size, predicted from smaller ones, or nothing."""
+    for quantity, most in budget.items():
+        values = [(cost.members, getattr(cost, quantity)) for cost in costs]
+        values = [(x, max(y, MEASURABLE[quantity])) for x, y in values if not np.isnan(y)]
+        if values:
+            power = float(np.clip(fitted(values[-2:]), *EXPONENTS)) if len(values) > 1 else 1.0
+            predicted = values[-1][1] * (members / values[-1][0]) ** power
+            if predicted > most:
+                return f"some {predicted:.2g} predicted, beyond the budget of {most:g} ({quantity})"
+    return ""
+
+
+def fitted(pairs: Sequence[tuple[float, float]]) -> float:
+    """Return p of y ∝ xᵖ by least squares, NaN if there is but one x."""
+    if len({x for x, _ in pairs}) < 2:
+        return np.nan
+    x, y = np.log(np.array(pairs)).T
+    return float(np.polyfit(x, y, 1)[0])
+
+
+def table(costs: Sequence[Cost]) -> str:
+    """Return time and memory, one routine a line, with exponents fitted to the largest sizes."""
+    sizes = sorted({cost.members for cost in costs})
+    names = list(dict.fromkeys(cost.routine for cost in costs))
+    parts = []
+    for quantity, title, unit, form in (
+        ("seconds", "processor s", 1.0, ".2g"), ("memory", "peak memory MB", 1e6, ".0f"),
+    ):  # fmt: skip
+        lines = []
+        for name in names:
+            values = {c.members: getattr(c, quantity) for c in costs if c.routine == name}
+            pairs = [(x, y) for x, y in values.items() if y >= MEASURABLE[quantity]]
+            cells = [shown(float(values[size]) / unit, form) for size in sizes]
+            lines.append([name, *cells, shown(fitted(pairs[-FITTED:]), ".2f")])
+        parts.append(aligned([title, *map(str, sizes), "exponent"], lines))
+    notes = [f"{cost.routine}, {cost.members} members: {cost.note}" for cost in costs if cost.note]
+    return "\n\n".join([*parts, "\n".join(notes)])
+
+
+def memory(name: str) -> float:
+    """Return an entry of Linux's table of this process, bytes; NaN elsewhere."""
+    status = Path("/proc/self/status")
+    lines = status.read_text(encoding="ascii").splitlines() if status.exists() else []
+    values = [float(line.split()[1]) for line in lines if line.startswith(f"{name}:")]
+    return 1024.0 * values[0] if values else np.nan
+
+
+def forget_peak() -> None:
+    """Let Linux count the largest memory anew."""
+    gc.collect()
+    if sys.platform == "linux":
+        with suppress(AttributeError):  # musl has none
+            ctypes.CDLL(None).malloc_trim(0)  # what is freed is given back
+        with suppress(OSError):
+            Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
+
+
+# ---- sparse and whole ----
 
 
 def compared(stages: int) -> list[tuple[str, float, float, float]]:
@@ -48,7 +226,7 @@ def compared(stages: int) -> list[tuple[str, float, float, float]]:
     plant = tc.linearize(tc.Model(tower, strings=tc.LinearStrings(k)), rest, input="rest_length")
 
     def counts() -> list[float]:
-        found = tc.statics.Prestress(*(getattr(rest, name) for name in FIELDS)).stability
+        found = replace(rest).stability
         states = rest.self_stress_states, rest.mechanisms, found.stress_matrix_rank_defect
         return [*states, found.is_stable, found.is_super_stable]
 
@@ -70,12 +248,6 @@ def compared(stages: int) -> list[tuple[str, float, float, float]]:
     rows.append((f"{COUNT} lowest modes", relative(some, every), middle - start,
                  process_time() - middle))  # fmt: skip
     return rows
-
-
-FIELDS = (
-    "structure", "force_density", "bar_force_density", "external_force", "residual",
-    "self_stress_states", "mechanisms",
-)  # fmt: skip
 
 
 def timed(ask: Callable[[], Any], few: int) -> tuple[np.ndarray, float]:

@@ -16,7 +16,7 @@ import numpy as np
 import tenscontrol as tc
 from tests.benchmarks.command_line import options
 
-METHODS = ("rk4", "rattle", "rattle4")
+METHODS = ("rk4",)
 STEPS = (4e-3, 1e-3, 2.5e-4)
 
 

@@ -95,7 +95,6 @@ def morph(stiffness, pieces, rate=RATE, machine_code=True):
             controller=controller,
             winches=winches,
             rest_length=path.rest_length[:, 0],
-            method="rattle",
             step=min(1e-3, 1.0 / fastest),
             output_step=SAMPLE,
             machine_code=True,

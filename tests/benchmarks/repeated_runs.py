@@ -21,9 +21,6 @@ from tests.benchmarks.command_line import options
 RUNS = {
     "rk4": {"method": "rk4", "step": 1e-3},
     "rk4, compiled": {"method": "rk4", "step": 1e-3, "machine_code": True},
-    "rattle": {"method": "rattle", "step": 1e-3},
-    "rattle4": {"method": "rattle4", "step": 2e-3},
-    "rattle6": {"method": "rattle6", "step": 5e-3},
     "dop853": {"method": "dop853", "tolerance": 1e-6},
     "cvodes": {"method": "cvodes", "tolerance": 1e-6},
     "energy_momentum": {"method": "energy_momentum", "step": 2e-3},

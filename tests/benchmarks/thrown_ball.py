@@ -24,8 +24,6 @@ from tests.benchmarks.jax_peers import Diffrax, JaxRK4
 SPIN, STIFFNESS, FORCE_DENSITY = 3.0, 500.0, 0.5  # rad/s, N/m, N/m
 SETTINGS = {
     "rk4": (0.01, 0.005, 0.0025, 0.001),
-    "rattle4": (0.02, 0.01, 0.005, 0.0025),
-    "rattle6": (0.05, 0.04, 0.025, 0.02, 0.01, 0.005),
     "dop853": tuple(10.0**-k for k in range(5, 13)),
 }
 

@@ -60,16 +60,13 @@ def casadi_calls():
 
 RUNS = {
     "rk4": {"method": "rk4", "step": 1e-3},
-    "rattle": {"method": "rattle", "step": 1e-3},
-    "rattle4": {"method": "rattle4", "step": 2e-3},
-    "rattle6": {"method": "rattle6", "step": 5e-3},
     "dop853": {"method": "dop853", "tolerance": 1e-8},
     "energy_momentum by step": {"method": "energy_momentum", "step": 2e-3},
     "energy_momentum by tolerance": {"method": "energy_momentum", "tolerance": 1e-6},
     "cvodes": {"method": "cvodes", "tolerance": 1e-6},
     "auto": {},
 }
-COMPILED = {name: RUNS[name] | {"machine_code": True} for name in ("rk4", "rattle6", "dop853")}
+COMPILED = {name: RUNS[name] | {"machine_code": True} for name in ("rk4", "dop853")}
 ALL = RUNS | {f"{name} compiled": options for name, options in COMPILED.items()}
 
 

@@ -112,7 +112,6 @@ MAY_BE_INFINITE = {
 
 # Returned as NaN, and documented so: an error that no run reaches, a reading that is lost.
 MAY_BE_NAN = {
-    "accuracy.Growth.exponent",
     "accuracy.WorkPrecision.fastest[1]",
     "accuracy.WorkPrecision.time_at",
     "Sensors.disturb",

@@ -31,7 +31,6 @@ import numpy as np
 import tenscontrol as tc
 from tenscontrol.accuracy.measured_run import Bench
 from tenscontrol.accuracy.predictability import predictability
-from tenscontrol.accuracy.suite import extreme_suite
 from tenscontrol.interrupt import InterruptionWarning, interruptible
 from tenscontrol.robustness import store
 from tenscontrol.simulation import plant_run
@@ -133,9 +132,6 @@ def stiffness():
 
 MOTIONS = {
     "rk4": open_loop("rk4", step=1e-3),
-    "rattle": open_loop("rattle", step=1e-3),
-    "rattle4": open_loop("rattle4", step=1e-3),
-    "rattle6": open_loop("rattle6", step=1e-3),
     "dop853": open_loop("dop853", tolerance=1e-9),
     "cvodes": open_loop("cvodes", tolerance=1e-9),
     "energy_momentum": open_loop("energy_momentum", step=1e-3),
@@ -146,14 +142,13 @@ MOTIONS = {
 }
 
 REPORTS = {
-    "work_precision": lambda: tc.work_precision(case(), ["rk4", "rattle6"], repeats=50),
+    "work_precision": lambda: tc.work_precision(case(), ["rk4", "dop853"], repeats=50),
     "convergence_order": lambda: tc.convergence_order(
         case(3.0), "rk4", list(np.geomspace(1e-2, 1e-4, 60))
     ),
     "long_run": lambda: tc.long_run(case(), "rk4", 1e-3, steps=10_000_000, outputs=20_000),
     "stability_map": lambda: tc.stability_map("rk4", np.geomspace(1e2, 1e4, 50), [0.1], steps=100),
     "predictability": lambda: predictability(case(200.0), error=1e9, outputs=20_000),
-    "suite": lambda: extreme_suite(quick=True),
     "stiffness_report": stiffness,
 }
 

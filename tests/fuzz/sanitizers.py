@@ -338,7 +338,7 @@ def loops(damping, supported):
     return [(name, source) for name in ("slope", "gap", "force")]
 
 
-_METHODS = {"rk4": 0.5, "rattle": 0.5, "rattle4": 0.0, "rattle6": 0.0, "dop853": 0.5}
+_METHODS = {"rk4": 0.5, "dop853": 0.5}
 STEPS = {
     f"{name}{' on supports' if supported else ''}": partial(method, name, damping, supported)
     for name, damping in _METHODS.items()

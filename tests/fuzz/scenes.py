@@ -84,7 +84,7 @@ disturbance = 0.001
 [run]
 duration = 0.2
 step = 1e-3
-method = "rattle4"
+method = "rk4"
 """
 LOOP = """\
 [structure]
@@ -247,7 +247,7 @@ WORDS = _words(
     r""""" "x" "prism" "python" "laws.py:hold" "no.such.module:hold"
 "mpc" "nmpc" "lqr" "feedback_linearization" "rest_length" "linear" "top"
 "force_density" "elastic" "kalman" "sides" "vertical" "a\u0000b" "\U0001F600" 'über' "rk4"
-"dop853" "cvodes" "energy_momentum" "rattle4" "rattle6" "gauss4" "auto" "string" "segment"
+"dop853" "cvodes" "energy_momentum" "gauss4" "auto" "string" "segment"
 "nonlinear" "condensed" "sparse" "explicit" "z" "cut_string" "stuck_winch" "lost_measurement"
 true false [] {} [[]] [0] [0,0,0] [1,2,3] [[0,0,0]] [nan] [1e300,1,2] [true] [""] [[1],[2,3]]
 1979-05-27 07:32:00 1979-05-27T07:32:00Z {top=1} {a.b=1} {top=1,bottom=1,vertical=1} [{node=0}]

@@ -31,8 +31,6 @@ SHARED = tc.Model(PRISM, strings=LAW)
 
 METHODS = {
     "rk4": {"step": 1e-3},
-    "rattle": {"step": 1e-3},
-    "rattle4": {"step": 2e-3},
     "dop853": {"tolerance": 1e-7},
     "energy_momentum": {"step": 2e-3},
     "cvodes": {"tolerance": 1e-6},

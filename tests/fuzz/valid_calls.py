@@ -78,14 +78,12 @@ RESULTS = {
     "accuracy.ConvergedMotion",
     "accuracy.ConvergenceOrder",
     "accuracy.Drift",
-    "accuracy.Growth",
     "accuracy.LongRun",
     "accuracy.Measurement",
     "accuracy.Predictability",
     "accuracy.Ratios",
     "accuracy.Solution",
     "accuracy.StabilityMap",
-    "accuracy.StopCost",
     "accuracy.WorkPrecision",
     "actuation.RestLengths",
     "actuation.MotorRecord",
@@ -177,18 +175,13 @@ ABSTRACT = {
 
 # Methods of symbols, of a base class, or of a solver that is handed what was checked before.
 WITHIN = {
-    "dynamics.Equation.masses",
     "simulation.Trajectory.health_of",
     "ClosedLoopCase.alone",
     "ClosedLoopCase.together",
     "Scene.plant_run",
     "Model.of_parameters",
     "plot.View.open",
-    *(
-        f"integrate.{method}.{name}"
-        for method in ("RK4", "Rattle", "Rattle4", "Rattle6")
-        for name in ("smooth_step", "steps_between", "work_of")
-    ),
+    *(f"integrate.RK4.{name}" for name in ("smooth_step", "steps_between", "work_of")),
     "ElasticStrings.tension",
     "ElasticStrings.taut_rest_length",
     "ElasticStrings.stored_energy",
@@ -262,9 +255,6 @@ WITHIN = {
     "integrate.Watched.advance",
     "integrate.Watched.shorten",
     "integrate.RK4.step_function",
-    "integrate.Rattle.step_function",
-    "integrate.Rattle4.step_function",
-    "integrate.Rattle6.step_function",
     "robustness.Distribution.draw",
     "robustness.Distribution.settings",
 }
@@ -417,11 +407,6 @@ def stable():
 @cache
 def drift():
     return tc.long_run(case(), "rk4", 1e-3, steps=30, outputs=30)
-
-
-@cache
-def grown():
-    return tc.accuracy.growth([tc.prism()], last="prestress search")
 
 
 @cache
@@ -793,7 +778,6 @@ call(
 # ---- integrators ----
 
 MAKE = {name.upper(): name for name in ("rk4", "dop853", "cvodes")}
-MAKE |= {"Rattle": "rattle", "Rattle4": "rattle4", "Rattle6": "rattle6"}
 MAKE |= {"EnergyMomentum": "energy_momentum"}
 
 
@@ -1481,21 +1465,6 @@ call(
     },
     share=0.1,
 )
-call(
-    "accuracy.growth",
-    lambda: {
-        "structures": [prism()],
-        "seconds": 1.0,
-        "memory": 1e9,
-        "last": "structure",
-        "progress": False,
-    },
-    share=0.1,
-)
-call("accuracy.Growth.of", lambda: {"stop": "structure"}, grown)
-call("accuracy.Growth.exponent", lambda: {"stop": "structure", "quantity": "memory"}, grown)
-call("accuracy.Growth.table", on=grown)
-call("accuracy.Growth.to_csv", lambda: {"path": scratch("growth.csv")}, grown)
 call("accuracy.LongRun.of", lambda: {"name": drift().drifts[0].name}, drift)
 call("accuracy.LongRun.table", on=drift)
 call(
@@ -1758,11 +1727,6 @@ call(
         "ax": flat(),
         "references": {"r": np.zeros(3)},
     },
-    share=0.2,
-)
-call(
-    "plot.growth",
-    lambda: {"result": grown(), "quantity": "memory", "ax": flat()},
     share=0.2,
 )
 call("plot.long_run", lambda: {"result": drift(), "ax": flat()}, share=0.2)

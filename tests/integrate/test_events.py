@@ -41,9 +41,6 @@ def error(example, name, setting, **options):
     ("name", "steps", "least"),
     [
         ("rk4", [4e-3, 2e-3, 1e-3, 5e-4], 3.8),
-        ("rattle", [4e-3, 2e-3, 1e-3, 5e-4], 1.9),
-        ("rattle4", [1.2e-2, 8e-3, 5e-3, 2.5e-3], 3.8),
-        ("rattle6", [2.5e-2, 1.6e-2, 1.2e-2, 8e-3], 5.7),
     ],
 )
 def test_the_order_holds_through_all_slack_switches(example, name, steps, least):
@@ -52,14 +49,13 @@ def test_the_order_holds_through_all_slack_switches(example, name, steps, least)
     assert least <= order <= least + 0.8
 
 
-def test_two_formulations_and_three_methods_agree(example):
+def test_two_formulations_and_two_methods_agree(example):
     """The oracle has other coordinates and another method: agreement says how good both are."""
-    assert error(example, "rattle6", 5e-3) < 2e-11
     assert error(example, "dop853", 1e-12) < 1e-10
-    assert error(example, "rattle4", 2.5e-4) < 1e-10
+    assert error(example, "rk4", 1e-4) < 1e-9
 
 
-@pytest.mark.parametrize(("name", "setting"), [("rk4", 1e-3), ("rattle6", 1e-2), ("dop853", 1e-9)])
+@pytest.mark.parametrize(("name", "setting"), [("rk4", 1e-3), ("dop853", 1e-9)])
 def test_strings_that_switch_together_are_taken_together(example, name, setting):
     model, lengths, _, switches = example
     _, work = run(model, lengths, name, setting)
@@ -76,7 +72,7 @@ def test_steps_of_dop853_end_at_switches_on_their_interpolant(example):
     assert work.evaluations < 12 * tries + 55 * 11  # 55 * 14 by steps alone
 
 
-@pytest.mark.parametrize(("name", "setting"), [("rk4", 2e-3), ("rattle4", 1e-2), ("dop853", 1e-8)])
+@pytest.mark.parametrize(("name", "setting"), [("rk4", 2e-3), ("dop853", 1e-8)])
 def test_machine_code_gives_the_same_numbers(example, name, setting):
     there = METHODS[name].integrator(example[0].equation("rest_length"), setting, machine_code=True)
     if there.back_end != "machine code":
@@ -111,7 +107,7 @@ def distances(equation, name, setting, gap, speed, duration, outputs):
     return span.states[3] - span.states[0] - REST, span.work
 
 
-@pytest.mark.parametrize(("name", "setting"), [("rattle6", 0.05), ("rk4", 0.05), ("dop853", 1e-10)])
+@pytest.mark.parametrize(("name", "setting"), [("rk4", 0.05), ("dop853", 1e-10)])
 def test_a_string_that_goes_taut_and_slack_within_one_step_is_found(name, setting):
     """It pulls for π/ω = 31 ms, from 10 ms on: the masses part at 1 m/s and come back as fast."""
     time = 0.05
@@ -120,15 +116,15 @@ def test_a_string_that_goes_taut_and_slack_within_one_step_is_found(name, settin
     assert work.switches == 2
     assert work.missed == 0
     # A step of RK4 over half a period is coarse, but it is cut at both ends.
-    allowed = {"rk4": 1e-1, "rattle6": 1e-4, "dop853": 1e-9}[name]
+    allowed = {"rk4": 1e-1, "dop853": 1e-9}[name]
     assert stretch[0] == pytest.approx(-(time - 0.01 - np.pi / OMEGA), abs=allowed)
 
 
 def test_a_dip_below_the_border_within_a_step_is_found():
-    """The stretch swings about F/k under a load; for 4 ms, of 20 ms a step, it is negative."""
+    """The stretch swings about F/k under a load; for 4 ms it is negative."""
     load, over = 10.0, 1.02
     rest = load / STIFFNESS  # the load stretches the string by so much
-    stretch, work = distances(pair(load), "rattle6", 0.02, rest * (1 + over), 0.0, 0.06, 1)
+    stretch, work = distances(pair(load), "dop853", 1e-10, rest * (1 + over), 0.0, 0.06, 1)
     assert work.switches == 2
     # Slack, the masses are pulled apart by the load alone: a parabola in place of the cosine.
     speed = rest * OMEGA * np.sqrt(over**2 - 1)
@@ -139,7 +135,7 @@ def test_a_dip_below_the_border_within_a_step_is_found():
 
 
 @pytest.mark.parametrize("part", [1.0, 1 - 1e-13, 1 + 1e-13, 1 + 1e-9, 1 - 1e-9])
-@pytest.mark.parametrize(("name", "setting"), [("rk4", 5e-4), ("rattle4", 2e-3), ("dop853", 1e-10)])
+@pytest.mark.parametrize(("name", "setting"), [("rk4", 5e-4), ("dop853", 1e-10)])
 def test_a_string_that_only_grazes_the_border_does_not_chatter(part, name, setting):
     """Stretch F/k (1 + cos ωt), to zero once a period and back: at most two switches there."""
     load, periods = 10.0, 20
@@ -178,7 +174,7 @@ def test_damped_strings_switch_where_their_tension_ends(prism, damping):
     assert np.abs(fine.nodes[:, :, -1] - exact[:, :, -1]).max() < 1e-10
 
 
-@pytest.mark.parametrize(("name", "setting"), [("rattle6", 1e-3), ("dop853", 1e-13)])
+@pytest.mark.parametrize(("name", "setting"), [("rk4", 2e-5), ("dop853", 1e-13)])
 def test_a_damped_string_is_not_taken_on_late(name, setting):
     """Its force jumps as it comes taut: ending there 4e-12 m late was an error of 7e-13 m."""
     rate, time = 50.0, 0.05  # half of 2 c / m, 1/s
@@ -203,7 +199,7 @@ def test_of_two_strings_that_switch_close_together_the_first_comes_first(seed, t
     lengths = 0.9 * structure.string_length()
     found = [
         METHODS[name].integrator(equation, value).advance(state, lengths, 0.4, 1)
-        for name, value in (("dop853", tolerance), ("rattle6", 1e-3))
+        for name, value in (("dop853", tolerance), ("rk4", 1e-4))
     ]
     assert found[0].work.switches == found[1].work.switches > 15
     np.testing.assert_allclose(found[0].states, found[1].states, rtol=0, atol=1e-9)
@@ -238,9 +234,8 @@ def test_a_damped_string_that_touches_early_in_a_step_pulls():
     assert np.abs(coarse.nodes[:, :, -1] - fine.nodes[:, :, -1]).max() < 1e-6
 
 
-@pytest.mark.parametrize("name", ["rk4", "rattle"])
 @pytest.mark.parametrize("step", [4e-3, 1e-3])
-def test_switches_in_too_long_a_step_are_counted_as_missed(name, step):
+def test_switches_in_too_long_a_step_are_counted_as_missed(step):
     """A tower with more switches in a step than it can be cut at."""
     tower = tc.library.prism_tower(30)
     rest = tc.prestress(tower, min_force_density=1.0)
@@ -251,7 +246,7 @@ def test_switches_in_too_long_a_step_are_counted_as_missed(name, step):
     equation = model.equation("rest_length")
     start = np.concatenate([tower.nodes.ravel(order="F"), np.zeros(tower.nodes.size)])
     true = METHODS["dop853"].integrator(equation, 1e-8).advance(start, lengths, 0.1, 1).work
-    work = METHODS[name].integrator(equation, step).advance(start, lengths, 0.1, 1).work
+    work = METHODS["rk4"].integrator(equation, step).advance(start, lengths, 0.1, 1).work
     assert true.missed == 0
     assert work.missed > 0.03 * true.switches
     assert work.switches + work.missed == pytest.approx(true.switches, rel=0.02)

@@ -112,3 +112,23 @@ def test_a_method_of_your_own_is_taken_as_it_is(prism):
     assert np.abs(fine.bar_length_error).max() < 1e-14
     with pytest.raises(ValueError, match="method 'midpoint' needs a step"):
         run(method=MIDPOINT)
+
+
+@pytest.mark.parametrize("method", ["rk4", "dop853", "energy_momentum", "auto"])
+def test_the_answer_of_a_method_does_not_change_with_units(method):
+    gamma = np.repeat([10.0, 10.0, 0.9 * np.sqrt(3) * 10.0], 3)
+    shapes = []
+    for length in (1e-6, 1.0, 1e3):
+        structure = tc.prism(radius=0.5 * length, height=length, bar_mass=length**3)
+        given = {"step": 0.01 * length} if method == "rk4" else {"tolerance": 1e-6}
+        run = tc.simulate(
+            tc.Model(structure),
+            length,
+            force_density=length * gamma,
+            method=method,
+            output_step=0.1 * length,
+            **given,
+        )
+        shapes.append(run.nodes / length)
+    np.testing.assert_allclose(shapes[1], shapes[0], atol=1e-9)
+    np.testing.assert_allclose(shapes[2], shapes[0], atol=1e-9)

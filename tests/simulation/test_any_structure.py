@@ -48,10 +48,8 @@ def test_every_method_simulates_it(name, held):
         assert run.health.bar_length_error < 1e-7
         assert run.health.energy_error < 1e-3
         found[name] = run.nodes[:, :, -1]
-    for name, off in {"rattle": 5e-5, "energy_momentum": 5e-5, "cvodes": 1e-6}.items():
+    for name, off in {"energy_momentum": 5e-5, "cvodes": 1e-6, "rk4": 1e-8}.items():
         np.testing.assert_allclose(found[name], found["dop853"], rtol=0, atol=off)
-    for name in ("rk4", "rattle4", "rattle6"):
-        np.testing.assert_allclose(found[name], found["dop853"], rtol=0, atol=1e-8)
 
 
 def test_the_figures_of_a_run_in_the_plane():
@@ -59,7 +57,7 @@ def test_the_figures_of_a_run_in_the_plane():
     structure = coupled_scenes.d_bar(point_mass=[0, 0.5, 0, 0])
     run = tc.simulate(
         tc.Model(structure, strings=LAW), 0.5, None, possible_velocities(structure),
-        rest_length=structure.string_length(), method="rattle4", step=5e-3,
+        rest_length=structure.string_length(), method="energy_momentum", step=1e-3,
     )  # fmt: skip
     M = tc.structure.node_mass(structure).toarray()
     momenta = np.einsum("int,nm->imt", run.velocities, M)
@@ -84,11 +82,11 @@ def test_the_figures_of_a_run_in_the_plane():
 def test_a_run_in_two_parts_is_that_in_one():
     structure = coupled_scenes.mixed()
     model = tc.Model(structure, strings=LAW)
-    given = {"rest_length": structure.string_length(), "method": "rattle", "step": 2e-3}
+    given = {"rest_length": structure.string_length(), "method": "rk4", "step": 2e-3}
     start = possible_velocities(structure)
     whole = tc.simulate(model, 0.2, None, start, **given)
     first = tc.simulate(model, 0.1, None, start, **given)
-    second = tc.simulate(model, 0.1, start=first, method="rattle", step=2e-3)
+    second = tc.simulate(model, 0.1, start=first, method="rk4", step=2e-3)
     np.testing.assert_array_equal(second.nodes[:, :, -1], whole.nodes[:, :, -1])
 
 
@@ -138,7 +136,7 @@ def test_a_clustered_string_is_cut_whole(held):
     model = tc.Model(structure, strings=LAW)
     given = {held: 10.0 if held == "force_density" else 0.9 * structure.string_length()}
     cut = tc.CutString(string=1, time=0.1)
-    run = tc.simulate(model, 0.2, faults=[cut], **given, method="rattle4", step=2e-3)
+    run = tc.simulate(model, 0.2, faults=[cut], **given, step=1e-3)
     after = run.time > 0.1 + 1e-9
     assert (run.force_density[1, after] == 0).all()
     assert (run.force_density[1, ~after] > 0).all()
@@ -150,5 +148,5 @@ def test_a_motion_that_cannot_go_on_is_an_error_with_the_motion_up_to_there():
     structure = coupled_scenes.d_bar()
     model = tc.Model(structure, strings=tc.LinearStrings(1e5))
     with pytest.raises(tc.simulation.SimulationError, match="no longer finite") as error:
-        tc.simulate(model, 1.0, rest_length=0.5, method="rattle", step=0.05)
+        tc.simulate(model, 4.0, rest_length=0.5, method="rk4", step=0.05)
     assert np.isfinite(error.value.trajectory.nodes).all()

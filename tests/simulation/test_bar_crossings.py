@@ -162,7 +162,8 @@ def test_files_and_copies_hold_what_was_found(run, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "kwargs", [{}, {"output_step": 0.05}, {"step": 1e-3}, {"step": 2e-3, "method": "rattle"}]
+    "kwargs",
+    [{}, {"output_step": 0.05}, {"step": 1e-3}, {"step": 2e-3, "method": "energy_momentum"}],
 )
 def test_each_run_of_a_batch_has_its_own(scene, sampled, kwargs):
     model, lengths = scene

@@ -59,7 +59,7 @@ def assert_same(batch, runs):
     assert not batch.messages
 
 
-@pytest.mark.parametrize("method", [{}, {"method": "rattle"}, {"step": None, "tolerance": 1e-5}])
+@pytest.mark.parametrize("method", [{}, {"step": None, "tolerance": 1e-5}])
 @pytest.mark.parametrize("name", STRUCTURES)
 def test_a_batch_has_the_bits_of_single_runs(name, method):
     structure = STRUCTURES[name]()
@@ -95,7 +95,7 @@ def test_lanes_have_the_bits_of_single_runs():
     ("name", "method"),
     [
         ("prism", {}),
-        ("supported", {"method": "rattle"}),
+        ("supported", {}),
         ("class 2", {"step": None, "tolerance": 1e-5}),
     ],
 )

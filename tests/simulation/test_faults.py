@@ -313,7 +313,7 @@ def test_winches_of_a_subdivided_structure_are_those_of_whole_strings():
     ear = Ear(tc.linearize(model(), rest()))
     run = tc.simulate(
         tc.Model(massive, strings=tc.LinearStrings(200.0)), 0.1, controller=ear,
-        rest_length=start(), faults=[tc.StuckWinch(6, 0.04)], method="rattle", step=1e-3,
+        rest_length=start(), faults=[tc.StuckWinch(6, 0.04)], step=1e-3,
         output_step=STEP,
     )  # fmt: skip
     segments = np.flatnonzero(massive.string_parent == 6)
@@ -348,14 +348,14 @@ def test_a_tower_is_held_without_a_string_by_a_controller_that_is_told():
     deaf, told = controllers
     cut = tc.simulate(
         tc.Model(tower), 0.3, controller=deaf, faults=[tc.CutString(string, 0.05)],
-        method="rattle", step=5e-3,
+        step=5e-3,
     )  # fmt: skip
     assert np.isfinite(cut.control.command).all()
     assert cut.control.command.min() >= 0
     assert cut.control.command.max() <= 150.0
     run = tc.simulate(
         tc.Model(less), 1.5, cut.nodes[:, :, -1], cut.velocities[:, :, -1],
-        controller=told, method="rattle", step=5e-3,
+        controller=told, step=5e-3,
     )  # fmt: skip
     z = told.plant.measure(run.nodes[:, :, -1], run.velocities[:, :, -1])
     left = np.abs(told.plant.to_nodes(z[:24]) - tower.nodes).max()

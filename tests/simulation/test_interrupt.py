@@ -23,9 +23,6 @@ pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 SAMPLE = 0.02
 METHODS = [
     ("rk4", {"step": 1e-3}),
-    ("rattle", {"step": 1e-3}),
-    ("rattle4", {"step": 1e-3}),
-    ("rattle6", {"step": 1e-3}),
     ("dop853", {"tolerance": 1e-9}),
     ("cvodes", {"tolerance": 1e-9}),
     ("energy_momentum", {"step": 1e-3}),

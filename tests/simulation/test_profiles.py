@@ -117,9 +117,6 @@ class _FixedDOP853(FixedStep):
 FIXED_DOP853 = Method("fixed", ("step",), "steps of one length", _FixedDOP853, follows=True)
 ORDERS = [
     ("rk4", (50, 100, 200), 3.8),
-    ("rattle", (32, 64, 128), 1.9),
-    ("rattle4", (32, 64, 128), 3.8),
-    ("rattle6", (6, 8, 12, 16), 5.5),
     (
         Method("fixed", ("step",), "of one length", _FixedDOP853, follows=True),
         (5, 6, 8, 10, 12),
@@ -142,7 +139,7 @@ def test_methods_keep_their_order_through_profiles_and_switches(exact, method, s
 
 
 @pytest.mark.parametrize("name", ["tower", "D-bar", "clustered"])
-@pytest.mark.parametrize(("method", "steps", "least"), [ORDERS[3]])
+@pytest.mark.parametrize(("method", "steps", "least"), [ORDERS[0]])
 def test_orders_hold_for_any_structure(exact, name, method, steps, least):
     test_methods_keep_their_order_through_profiles_and_switches(
         lambda *_: exact(name, "cubic"), method, steps, least - 0.3
@@ -185,7 +182,7 @@ def test_force_densities_follow_a_profile(prism):
     profile = tc.Profile([0.0, 0.1, 0.2], values)
     run = tc.simulate(tc.Model(prism), 0.2, force_density=profile, tolerance=1e-12)
     np.testing.assert_allclose(run.force_density[:, 1:-1], profile.at(run.time[1:-1]), rtol=1e-13)
-    oracle = tc.simulate(tc.Model(prism), 0.2, force_density=profile, method="rattle6", step=1e-3)
+    oracle = tc.simulate(tc.Model(prism), 0.2, force_density=profile, method="rk4", step=1e-4)
     assert np.abs(end(run) - end(oracle)).max() < 1e-10
     assert not run.conserves_energy
 
@@ -193,7 +190,7 @@ def test_force_densities_follow_a_profile(prism):
 # ---- loads ----
 
 
-@pytest.mark.parametrize("method", ["rk4", "dop853", "rattle6", "energy_momentum", "cvodes"])
+@pytest.mark.parametrize("method", ["rk4", "dop853", "energy_momentum", "cvodes"])
 def test_a_sinusoidal_load(method):
     structure = STRUCTURES["ball"]()
     model, values = scene(structure, external_force=True)
@@ -204,7 +201,7 @@ def test_a_sinusoidal_load(method):
 
     oracle = Moving(structure, STIFFNESS, constant(values[:, 0]), load=load)
     state, switches = oracle.integrated(at_rest(structure), [0.0, 0.2])
-    setting = {"rk4": {"step": 2e-4}, "rattle6": {"step": 2e-3}, "energy_momentum": {"step": 4e-4}}
+    setting = {"rk4": {"step": 2e-4}, "energy_momentum": {"step": 4e-4}}
     run = tc.simulate(
         model, 0.2, rest_length=values[:, 0], external_force=load, method=method,
         **setting.get(method, {"tolerance": 1e-12}),
@@ -307,8 +304,8 @@ def test_a_bar_whose_hinge_is_struck_turns_about_its_centre_of_percussion():
 @pytest.mark.parametrize(
     ("make", "method"),
     [
-        *((hinged_prism, name) for name in ("rk4", "rattle4", "energy_momentum")),
-        *((spine, name) for name in ("rattle6", "dop853")),
+        *((hinged_prism, name) for name in ("rk4", "energy_momentum")),
+        (spine, "dop853"),
     ],
 )
 def test_shaking_the_whole_frame_is_an_inertial_load(make, method):

@@ -10,7 +10,7 @@ from tenscontrol.interrupt import InterruptionWarning
 from tests.dynamics.scenes import paper_force_density, rest_lengths
 
 SAMPLE = 0.02
-FIXED = ("rk4", "rattle", "rattle4", "rattle6", "energy_momentum")
+FIXED = ("rk4", "energy_momentum")
 
 
 @pytest.fixture(scope="module")

@@ -1,28 +1,30 @@
-"""Test suite of stiff and extreme structures: every method on each, none silently wrong.
+"""Is a run of a stiff or extreme structure ever wrong without a warning? Every method on each.
 
-``python -m tenscontrol.accuracy.suite`` runs it. The true motion of a case is known in closed form
-or computed twice, each method is judged by it, and the result is a table.
+Run: ``python -m tests.benchmarks.suite [--quick] [--only ground] [--csv docs/suite.csv]``.
+``--quick`` runs a few cases, ``--only`` those with this in their name; ``--csv`` saves the table.
+It takes some minutes, and ends with status 1 if a run is silently wrong.
+
+The true motion of a case is known in closed form, or computed by two methods that have little in
+common. A run is accurate, or says in a warning or an error that it is not, or is not started as too
+long; else it is silently wrong.
 """
 
 from __future__ import annotations
 
-import argparse
+import csv
 import sys
 import warnings
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tenscontrol.accuracy.extreme_cases import ASKED, TOLERANCE, Extreme, extremes, methods
 from tenscontrol.accuracy.open_loop import only_free, state_change
 from tenscontrol.dynamics import unpack_states
-from tenscontrol.files import write_file
-from tenscontrol.integrate import CVODES, DOP853, EnergyMomentum, Integrator, Rattle6
-from tenscontrol.interrupt import interruptible, keeping
+from tenscontrol.integrate import CVODES, DOP853, RK4, EnergyMomentum, Integrator
 from tenscontrol.progress import progress_bar
 from tenscontrol.simulation import (
     AccuracyWarning,
@@ -31,9 +33,10 @@ from tenscontrol.simulation import (
     Trajectory,
     simulate,
 )
-from tenscontrol.tables import aligned, markdown, write_csv
+from tenscontrol.tables import aligned
 from tenscontrol.validation import FloatArray, frozen
-from tenscontrol.validation import truth as checked_truth
+from tests.benchmarks.command_line import options
+from tests.benchmarks.extreme_cases import ASKED, TOLERANCE, Extreme, extremes, methods
 
 #: What can come of a method; the last is what must not.
 VERDICTS = ("accurate", "in part", "warned", "stopped", "refused", "too long", "unknown", "SILENT")
@@ -117,8 +120,8 @@ def _methods(extreme: Extreme) -> tuple[Integrator, Integrator, str]:
     main = DOP853(equation, 1e-12, project=True)
     if equation.velocity_dependent:
         return main, CVODES(smooth, 1e-11, project=True), "dop853 at 1e-12, cvodes at 1e-11"
-    step = 0.3 / extreme.frequency
-    return main, Rattle6(equation, step), f"dop853 at 1e-12, rattle6 at {step:.1e} s"
+    step = 0.03 / extreme.frequency
+    return main, RK4(equation, step), f"dop853 at 1e-12, rk4 at {step:.1e} s"
 
 
 def _nodes(extreme: Extreme, integrator: Integrator, state: FloatArray) -> FloatArray:
@@ -154,10 +157,10 @@ class Verdict:
     it would take too many evaluations. ``"unknown"``: there is no truth. ``"SILENT"``: wrong
     without a word.
 
-    Errors are by the size: ``error`` up to the time ``compared``, s, which is ``part`` of the
-    duration; ``error_to_end`` to the end, or to where the truth is known; ``estimate`` is the run's
-    own, ``growth`` that of a small perturbation of the start, ``reference_error`` that of the
-    truth. ``reason`` has the words of the run. NaN: not known.
+    Errors are by the size: ``error`` up to the ``part`` of the duration that is compared;
+    ``error_to_end`` to the end, or to where the truth is known; ``estimate`` is the run's own,
+    ``growth`` that of a small perturbation of the start, ``reference_error`` that of the truth.
+    ``reason`` has the words of the run. NaN: not known.
     """
 
     case: str
@@ -166,18 +169,15 @@ class Verdict:
     error: float = float("nan")
     error_to_end: float = float("nan")
     estimate: float = float("nan")
-    asked: float = ASKED
-    compared: float = 0.0
     part: float = 0.0
     growth: float = float("nan")
     reference_error: float = float("nan")
-    evaluations: float = float("nan")
     reason: str = ""
 
     @property
     def is_lost(self) -> bool:
         """Whether errors grew beyond what was asked without a word, after the time compared."""
-        return self.verdict == "in part" and self.error_to_end > self.asked and not self.reason
+        return self.verdict == "in part" and self.error_to_end > ASKED and not self.reason
 
 
 def judge(extreme: Extreme, known: Truth, method: str) -> Verdict:
@@ -192,7 +192,7 @@ def judge(extreme: Extreme, known: Truth, method: str) -> Verdict:
     expected, allowed = extreme.evaluations(method), extreme.allowed(method)
     if expected > allowed:
         reason = f"some {expected:.0e} evaluations, {allowed:.0e} are allowed"
-        return Verdict(**row, verdict="too long", evaluations=expected, reason=reason)
+        return Verdict(**row, verdict="too long", reason=reason)
     given: dict[str, Any] = {case.input: case.input_value}
     settings: dict[str, Any] = {**extreme.settings(method)}
     with warnings.catch_warnings(record=True, action="always") as caught:
@@ -209,9 +209,7 @@ def judge(extreme: Extreme, known: Truth, method: str) -> Verdict:
                 **settings,
             )
         except SimulationError as error:
-            done = float(error.trajectory.evaluations)
-            reason = str(error)[:_LONGEST]
-            return Verdict(**row, verdict="stopped", evaluations=done, reason=reason)
+            return Verdict(**row, verdict="stopped", reason=str(error)[:_LONGEST])
         except (ValueError, ArithmeticError) as error:
             return Verdict(**row, verdict="refused", reason=str(error)[:_LONGEST])
     warned = [str(w.message) for w in caught if issubclass(w.category, AccuracyWarning)]
@@ -237,96 +235,28 @@ def _compared(
         error=float(errors[outputs - 1]) if outputs else float("nan"),
         error_to_end=float(errors[-1]) if len(errors) else float("nan"),
         estimate=float("nan") if estimate is None else estimate,
-        compared=float(extreme.time[outputs - 1]) if outputs else 0.0,
         part=outputs / extreme.outputs,
-        evaluations=float(run.evaluations),
         reason="; ".join(warned)[:_LONGEST],
     )
 
 
-# ---- the result ----
+# ---- the table ----
 
 
-@dataclass(frozen=True)
-class SuiteResult:
-    """What came of every case with every method. Made by :func:`extreme_suite`."""
-
-    rows: tuple[Verdict, ...]
-
-    @property
-    def cases(self) -> tuple[str, ...]:
-        """Names of the cases."""
-        return tuple(dict.fromkeys(row.case for row in self.rows))
-
-    @property
-    def methods(self) -> tuple[str, ...]:
-        """Names of the methods."""
-        return tuple(dict.fromkeys(row.method for row in self.rows))
-
-    @property
-    def silent(self) -> tuple[Verdict, ...]:
-        """Runs that were wrong without a word."""
-        return tuple(row for row in self.rows if row.verdict == "SILENT")
-
-    @property
-    def counts(self) -> dict[str, int]:
-        """How often each verdict came."""
-        found = Counter(row.verdict for row in self.rows)
-        return {verdict: found[verdict] for verdict in VERDICTS}
-
-    def table(self) -> str:
-        """Return one line for each case and one column for each method, as text."""
-        return f"{aligned(*self._cells())}\n\n{self.summary()}"
-
-    def to_markdown(self) -> str:
-        """Return the same in Markdown."""
-        return f"{markdown(*self._cells())}\n\n{self.summary()}\n"
-
-    def to_csv(self, path: str | Path) -> Path:
-        """Write one line for each run, with its reason, and return where."""
-        columns = [field.name for field in fields(Verdict) if field.name != "part"]
-        return write_csv(path, columns, self.rows)
-
-    def summary(self) -> str:
-        """Return what was asked, the counts, and every silent failure with its numbers."""
-        counts = ", ".join(f"{count} {verdict}" for verdict, count in self.counts.items())
-        lines = [
-            f"Errors are the largest distance of a node from the truth, by the size of the "
-            f"structure; asked for {ASKED:g}, at tolerance {TOLERANCE:g} or steps that fit.",
-            "(w): accurate, and warned all the same; w: wrong, and warned. Growth is that of a "
-            "perturbation of the start: where it is large, motions are compared for the part of "
-            "the time given.",
-            f"{len(self.rows)} runs: {counts}.",
-        ]
-        lost = [row for row in self.rows if row.is_lost]
-        if lost:
-            runs = ", ".join(f"{row.method} in {row.case}" for row in lost)
-            lines.append(
-                f"Past the part compared, errors grew beyond what was asked and the run did not "
-                f"say so in {len(lost)}: {runs}."
-            )
-        lines += [
-            f"SILENT: {row.case}, {row.method}: error {row.error:.1e}, its own estimate "
-            f"{row.estimate:.1e}"
-            for row in self.silent
-        ]
-        return "\n".join(lines)
-
-    def _cells(self) -> tuple[list[str], list[list[str]]]:
-        head = ["case", "truth", "growth", *self.methods]
-        body = []
-        for case in self.cases:
-            rows = {row.method: row for row in self.rows if row.case == case}
-            first = next(iter(rows.values()))
-            cells = [case, f"{first.reference_error:.0e}", f"{first.growth:.0e}"]
-            body.append([*cells, *(_cell(rows.get(name)) for name in self.methods)])
-        return head, body
+def cells(rows: Sequence[Verdict]) -> tuple[list[str], list[list[str]]]:
+    """Return the head of the table, and a line for each case with a cell for each method."""
+    names = list(dict.fromkeys(row.method for row in rows))
+    lines = []
+    for case in dict.fromkeys(row.case for row in rows):
+        by_method = {row.method: row for row in rows if row.case == case}
+        first = next(iter(by_method.values()))
+        start = [case, f"{first.reference_error:.0e}", f"{first.growth:.0e}"]
+        lines.append([*start, *(cell(by_method[name]) for name in names)])
+    return ["case", "truth", "growth", *names], lines
 
 
-def _cell(row: Verdict | None) -> str:
+def cell(row: Verdict) -> str:
     """Return what came of a run in a word or a number."""
-    if row is None:  # interrupted before it
-        return "-"
     if row.verdict in ("accurate", "in part"):
         text = f"{row.error:.0e}" + (" (w)" if row.reason else "")
     elif row.verdict in ("warned", "SILENT"):
@@ -337,71 +267,59 @@ def _cell(row: Verdict | None) -> str:
     return text if row.part > 0.999 else f"{text} to {row.part:.0%}"
 
 
-# ---- the suite ----
+def summary(rows: Sequence[Verdict]) -> str:
+    """Return what was asked, how often each verdict came, and every silent failure."""
+    found = Counter(row.verdict for row in rows)
+    counts = ", ".join(f"{found[verdict]} {verdict}" for verdict in VERDICTS)
+    lines = [
+        f"Errors are the largest distance of a node from the truth, by the size of the "
+        f"structure; asked for {ASKED:g}, at tolerance {TOLERANCE:g} or steps that fit.",
+        "(w): accurate, and warned all the same; w: wrong, and warned. Growth is that of a "
+        "perturbation of the start: where it is large, motions are compared for the part of "
+        "the time given.",
+        f"{len(rows)} runs: {counts}.",
+    ]
+    lost = [row for row in rows if row.is_lost]
+    if lost:
+        runs = ", ".join(f"{row.method} in {row.case}" for row in lost)
+        lines.append(
+            f"Past the part compared, errors grew beyond what was asked and the run did not "
+            f"say so in {len(lost)}: {runs}."
+        )
+    lines += [
+        f"SILENT: {row.case}, {row.method}: error {row.error:.1e}, its own estimate "
+        f"{row.estimate:.1e}"
+        for row in rows
+        if row.verdict == "SILENT"
+    ]
+    return "\n".join(lines)
 
 
-def extreme_suite(quick: bool = False, only: str = "", progress: bool = False) -> SuiteResult:
-    """Run every method on stiff and extreme structures, and say what came of each.
-
-    The true motion is known in closed form, or computed by two methods that have little in common.
-    A run is accurate, or says in a warning or an error that it is not, or is not started as too
-    long; else it is silently wrong. ``quick`` runs a few cases, ``only`` those with this in their
-    name.
-
-    >>> from tenscontrol.accuracy.suite import extreme_suite
-    >>> found = extreme_suite(quick=True, only="free bar")
-    >>> len(found.silent), found.methods[:3]
-    (0, ('rk4', 'rattle', 'rattle4'))
-    """
-    checked_truth("quick", quick, "whether to run a few cases only")
+def judged(quick: bool = False, only: str = "") -> list[Verdict]:
+    """Return what came of every method in each case, or in those with ``only`` in their name."""
     cases = [case for case in extremes(quick) if only in case.name]
     if not cases:
         groups = ", ".join(dict.fromkeys(case.group for case in extremes(quick)))
-        raise ValueError(f"only is {only!r}, found in none of the cases: {groups}")
+        raise SystemExit(f"--only is {only!r}, found in none of the cases: {groups}")
     rows: list[Verdict] = []
-    names = methods()
-    kept = keeping("runs are judged", rows.__len__)
-    with kept, progress_bar(len(cases), progress, "suite", "cases") as report:
-        for case in cases:
+    with progress_bar(len(cases), True, "suite", "cases") as report:
+        for done, case in enumerate(cases, 1):
             known = truth(case)
-            for method in names:
-                rows.append(judge(case, known, method))
-                report(len(rows) / len(names))
-    return SuiteResult(tuple(rows))
+            rows += [judge(case, known, method) for method in methods()]
+            report(done)
+    return rows
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the suite; return 0, 1 where a run was silently wrong, or 2 with a message on stderr.
-
-    Ended by Ctrl-C or SIGTERM, it prints what is done and returns 130 or 143.
-    """
-    options = _parser().parse_args(arguments)
-    with interruptible() as came:
-        try:
-            found = extreme_suite(options.quick, options.only, progress=True)
-            if options.csv is not None:
-                found.to_csv(options.csv)
-            if options.markdown is not None:
-                write_file(options.markdown, found.to_markdown())
-        except (ValueError, ArithmeticError, OSError) as error:
-            print(f"suite: {error}", file=sys.stderr)
-            return 2
-    print(found.table())
-    return int(bool(found.silent)) if came.signal is None else came.status
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="python -m tenscontrol.accuracy.suite",
-        description="Run every integration method on stiff and extreme structures, and print "
-        "which is accurate, which warns, stops or is too long. Exit status 1 if a run is "
-        "silently wrong.",
-    )
-    parser.add_argument("--quick", action="store_true", help="a few cases only")
-    parser.add_argument("--only", default="", metavar="TEXT", help="cases with this in their name")
-    parser.add_argument("--csv", type=Path, metavar="FILE", help="save every run with its reason")
-    parser.add_argument("--markdown", type=Path, metavar="FILE", help="save the table")
-    return parser
+    """Print the table; return 1 where a run was silently wrong, else 0."""
+    given = options(__doc__, arguments, quick=False, only="", csv="")
+    rows = judged(given.quick, given.only)
+    head, lines = cells(rows)
+    if given.csv:
+        with Path(given.csv).open("w", encoding="utf-8", newline="") as file:
+            csv.writer(file, lineterminator="\n").writerows([head, *lines])
+    print(f"{aligned(head, lines)}\n\n{summary(rows)}")
+    return int(any(row.verdict == "SILENT" for row in rows))
 
 
 if __name__ == "__main__":
