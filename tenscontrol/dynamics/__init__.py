@@ -32,8 +32,6 @@ from tenscontrol.dynamics.evaluator import (
     solving,
 )
 from tenscontrol.dynamics.machine_code import (
-    Compiled,
-    Compiler,
     CompilerError,
     CompilerWarning,
     compiled,
@@ -41,6 +39,7 @@ from tenscontrol.dynamics.machine_code import (
     compiled_source,
     compiler,
     if_compiled,
+    link,
 )
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.profile import (
@@ -63,8 +62,6 @@ __all__ = [
     "BUILDING",
     "KINDS",
     "ColumnEvaluator",
-    "Compiled",
-    "Compiler",
     "CompilerError",
     "CompilerWarning",
     "ContactLaw",
@@ -98,6 +95,7 @@ __all__ = [
     "evaluate_columns",
     "exclusive",
     "if_compiled",
+    "link",
     "normal_basis",
     "on_one_thread",
     "pack_state",

@@ -169,7 +169,7 @@ def in_machine_code(equation: Equation, step: ca.Function, wanted: bool) -> tupl
     if equation.form == "loops":
         return step, "machine code for the forces"
     code = if_compiled(lambda: compiled(step)) if wanted else None
-    return (step, "virtual machine") if code is None else (code.function, "machine code")
+    return (step, "virtual machine") if code is None else (code, "machine code")
 
 
 def next_size(most: int, size: int, taken: float) -> int:

@@ -98,7 +98,6 @@ RESULTS = {
     "control.QPSolution",
     "deploy.CompiledController",
     "deploy.GeneratedController",
-    "dynamics.Compiled",
     "dynamics.Contacts",
     "dynamics.Coordinates",
     "dynamics.Equation",

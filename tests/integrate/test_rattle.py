@@ -256,7 +256,7 @@ def long_run(prism):
     x[18:] -= np.tile(x[18:].reshape(6, 3).mean(axis=0) - [0.05, -0.1, 0.02], 6)
     step = rattle_step(equation, 2)
     fast = compiled(step)  # to the last bit the same
-    states = records(step if fast is None else fast.function, x, gamma, 4e-3, 1000, 1000)
+    states = records(fast or step, x, gamma, 4e-3, 1000, 1000)
     return model, gamma, x, np.column_stack([x, states])
 
 

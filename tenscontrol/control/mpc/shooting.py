@@ -82,7 +82,7 @@ def repeated(function: ca.Function, count: int) -> ca.Function:
 def executable(function: ca.Function, machine_code: bool) -> tuple[ca.Function, str]:
     """Return a function, compiled where that is wished and can be, and what evaluates it."""
     code = if_compiled(lambda: compiled(function)) if machine_code else None
-    return (function, "virtual machine") if code is None else (code.function, "machine code")
+    return (function, "virtual machine") if code is None else (code, "machine code")
 
 
 class AccelerationSlopes:
