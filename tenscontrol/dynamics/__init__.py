@@ -21,6 +21,7 @@ from tenscontrol.dynamics.evaluator import (
     ColumnEvaluator,
     Evaluator,
     Exclusive,
+    Function,
     Prepared,
     ProcessLock,
     SharedEvaluator,
@@ -29,7 +30,6 @@ from tenscontrol.dynamics.evaluator import (
     evaluate_columns,
     exclusive,
     on_one_thread,
-    solving,
 )
 from tenscontrol.dynamics.machine_code import (
     CompilerError,
@@ -71,6 +71,7 @@ __all__ = [
     "Equation",
     "Evaluator",
     "Exclusive",
+    "Function",
     "Ground",
     "HertzGround",
     "InputLayout",
@@ -103,7 +104,6 @@ __all__ = [
     "refuse_large",
     "sampling_interval",
     "smooth_equation",
-    "solving",
     "string_stretch",
     "tangent",
     "unpack_states",

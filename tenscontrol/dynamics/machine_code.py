@@ -19,7 +19,7 @@ from typing import TypeVar
 
 import casadi as ca
 
-from tenscontrol.dynamics.evaluator import builds, paused
+from tenscontrol.dynamics.evaluator import builds
 from tenscontrol.files import write_file
 from tenscontrol.validation import LONGEST_WAIT, instance, positive_number
 
@@ -208,7 +208,7 @@ def compiled_source(source: str, names: tuple[str, ...]) -> tuple[ca.Function, .
     return tuple(_load(name, library) for name in names)
 
 
-@paused()
+@builds
 def compiled_library(source: str, timeout: float = 600.0) -> Path:
     """Return the library of a C text: from the cache, or compiled for it.
 

@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Model, Profile, builds, kernel, solving
+from tenscontrol.dynamics import BUILDING, Model, Profile, builds, kernel
 from tenscontrol.plant.linear_plant import INPUTS
 from tenscontrol.plant.stance import (
     GroundPoints,
@@ -528,7 +528,7 @@ def _optimized(
         stages.append(np.append(np.ones(len(ratio)), part * widest))
     stages += [plain] if len(stages) > 1 else []
     for stage in stages:
-        with solving():
+        with BUILDING:
             answer = solver(x0=place, p=stage, lbg=0.0, ubg=0.0)
         status = solver.stats()
         found = [np.array(answer[part]).ravel() for part in ("x", "lam_g")]

@@ -7,7 +7,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Model, builds, built, kernel, solving
+from tenscontrol.dynamics import BUILDING, Model, builds, built, kernel
 from tenscontrol.shape.symmetry import Reduction, RotationalSymmetry, reduction
 from tenscontrol.statics import Prestress, equilibrium_matrix, null_space
 from tenscontrol.structure import Structure, bar_rows, free_coordinates, is_movable
@@ -187,7 +187,7 @@ class ShapeProblem:
         }
         problem = {"x": v, "f": objective + tie, "g": rows}
         solver = ca.nlpsol("shape", "ipopt", problem, options)
-        with solving():
+        with BUILDING:
             answer = solver(x0=guess, lbx=least, ubx=most, lbg=low, ubg=high)
         return np.array(answer["x"].full()).ravel(), bool(solver.stats()["success"])
 
