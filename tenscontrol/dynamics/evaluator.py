@@ -18,7 +18,7 @@ from functools import cache, wraps
 from itertools import count
 from threading import Lock, RLock, get_ident
 from traceback import clear_frames
-from typing import Any, Concatenate, ParamSpec, TypeVar
+from typing import Any, ClassVar, Concatenate, ParamSpec, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -55,10 +55,6 @@ class ProcessLock:
         return self._locks.setdefault(os.getpid(), Lock())
 
 
-# What CasADi is to free, by the next thread that builds.
-_DROPPED: deque[Any] = deque()
-
-
 class _Guarded:
     """Frees objects of CasADi where no other thread builds, else leaves them to that thread.
 
@@ -66,14 +62,19 @@ class _Guarded:
     """
 
     # Of the class: at the end of the process, names of modules are gone before the last objects.
-    _dropped = _DROPPED
+    _dropped: ClassVar[deque[Any]] = deque()
     _lock = BUILDING
+
+    @classmethod
+    def free(cls) -> None:
+        """Free what other threads have dropped, by the thread that holds the lock."""
+        cls._dropped.clear()
 
     def _drop(self, *objects: Any) -> None:
         self._dropped.extend(objects)
         if self._lock.acquire(blocking=False):
             try:
-                self._dropped.clear()
+                self.free()
             finally:
                 self._lock.release()
 
@@ -110,7 +111,7 @@ def builds(function: Callable[_Arguments, _Value]) -> Callable[_Arguments, _Valu
     @wraps(function)
     def locked(*args: _Arguments.args, **kwargs: _Arguments.kwargs) -> _Value:
         with BUILDING:
-            _DROPPED.clear()
+            _Guarded.free()
             try:
                 return function(*args, **kwargs)
             except BaseException as error:

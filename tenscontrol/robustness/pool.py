@@ -16,7 +16,7 @@ from concurrent.futures import (
     ProcessPoolExecutor,
     wait,
 )
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import partial
 from multiprocessing.connection import Connection
@@ -150,7 +150,7 @@ def _fill(
         try:
             # This may start a process. It inherits the mask: Ctrl-C, which the terminal sends to
             # all processes, would else end it before it can ignore that.
-            with _interrupts_blocked():
+            with _interrupts_blocked() if pool.ours else nullcontext():
                 pending[pool.executor.submit(*start(runs))] = runs
         except BrokenExecutor as error:
             raise _stopped(error, runs, [runs, *pending.values()]) from error

@@ -18,7 +18,6 @@ from tenscontrol.accuracy import peers
 from tenscontrol.accuracy.case import fastest_rate
 from tenscontrol.accuracy.converged_motion import PiecewiseSolver
 from tenscontrol.dynamics import BUILDING, Evaluator, Function, Prepared
-from tenscontrol.dynamics.evaluator import _DROPPED
 from tests.accuracy.test_peers import prism_case
 from tests.dynamics.building import unlocked_calls
 from tests.fuzz import threads as fuzz
@@ -111,15 +110,15 @@ class TestLock:
 
     @pytest.mark.parametrize("of", [Function, Evaluator])
     def test_what_is_dropped_is_freed_under_the_lock(self, of):
-        _DROPPED.clear()
+        Function._dropped.clear()
         x = ca.SX.sym("x")
         kept = [of(ca.Function("f", [x], [x + 0.5]))]
         last = Function("f", [x], [x])
         with BUILDING:
             elsewhere(kept.clear)
-            assert _DROPPED
+            assert Function._dropped
         del last
-        assert not _DROPPED
+        assert not Function._dropped
 
     def test_garbage_is_collected_while_another_thread_builds(self):
         x = ca.SX.sym("x")
@@ -128,9 +127,9 @@ class TestLock:
         del loop
         with BUILDING:
             elsewhere(gc.collect)
-            assert _DROPPED
+            assert Function._dropped
         tc.Model(tc.prism()).dynamics  # noqa: B018
-        assert not _DROPPED
+        assert not Function._dropped
 
     def test_casadi_and_pickle_are_left_as_they_are(self):
         assert "__del__" not in vars(ca.Function)
