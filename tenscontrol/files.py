@@ -58,6 +58,14 @@ def write_file(path: Path, content: bytes | memoryview | str, flush: bool = True
     return path
 
 
+def append_file(path: Path, text: str) -> None:
+    """Add text to a file, or make it, and flush it to the disk; errors as :func:`write_file`."""
+    with _explained(path), path.open("ab") as stream:
+        stream.write(text.encode())
+        stream.flush()
+        os.fsync(stream.fileno())
+
+
 @contextmanager
 def opened_file(path: Path, most: int) -> Iterator[BufferedReader]:
     """Yield a regular file, open to read its bytes. All readers of files come through here.

@@ -276,7 +276,7 @@ fold = tc.Structure([[0, length, 0], [0, 0, length]], [[0, 1], [0, 2]], [], mass
 model = tc.Model(fold, joint_friction=c)
 speeds = np.array([[0, 0, -0.6], [0, 0.4, 0]]) * length  # 0.4 and 0.6 rad/s
 slower = np.exp(-2 * c / (mass * length**2 / 3) * 0.5)
-for method, setting in (("dop853", {}), ("rk4", {"step": 5e-3}), ("energy_momentum", {"step": 2e-4}),
+for method, setting in (("dop853", {}), ("rk4", {"step": 5e-3}),
                         ("energy_momentum", {"step": 1e-3}), ("cvodes", {"tolerance": 1e-9})):
     run = tc.simulate(model, 0.5, velocities=speeds, method=method, error="none", **setting)
     b, v = (part[:, 1:, -1] - part[:, :1, -1] for part in (run.nodes, run.velocities))

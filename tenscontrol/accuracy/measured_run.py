@@ -16,6 +16,7 @@ from tenscontrol.accuracy.converged_motion import ConvergedMotion, largest_dista
 from tenscontrol.accuracy.open_loop import fastest_rate
 from tenscontrol.accuracy.peers import Peer, steps_between
 from tenscontrol.dynamics import (
+    Function,
     builds,
     evaluate_columns,
     pack_state,
@@ -126,7 +127,7 @@ def _stored_in_ground(case: Scene, nodes: FloatArray) -> FloatArray:
         assert case.model.contacts is not None  # asked for where there is ground
         x = ca.SX.sym("x", d * n)
         stored = case.model.contacts.stored_energy(ca.reshape(x, d, n))
-        return ca.Function("stored", [x], [ca.densify(stored)])
+        return Function("stored", [x], [ca.densify(stored)])
 
     function = case.equation().prepared.get("stored in ground", build)
     (stored,) = evaluate_columns(function, nodes.swapaxes(0, 1).reshape(d * n, count))

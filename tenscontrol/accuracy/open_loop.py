@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import builds, pack_state
+from tenscontrol.dynamics import Function, builds, pack_state
 from tenscontrol.integrate import is_expandable
 from tenscontrol.simulation import Scene
 from tenscontrol.structure import Structure, free_coordinates, restore_bar_lengths
@@ -51,7 +51,7 @@ def fastest_rate(case: Scene) -> float:
     """
     equation = case.equation(derivatives=True)
     x, u, taut, _ = equation.symbols(ca.SX if is_expandable(equation) else ca.MX)
-    jacobian = ca.Function("jacobian", [x, u, taut], [ca.jacobian(equation.slope(x, u, taut), x)])
+    jacobian = Function("jacobian", [x, u, taut], [ca.jacobian(equation.slope(x, u, taut), x)])
     pulls, rates = np.ones(equation.switches), [1 / case.duration]
     if equation.forces is not None and equation.contacts is not None:
         # Of nodes that stand still, however far above the ground: damping would say more there.

@@ -17,7 +17,7 @@ import numpy as np
 from tenscontrol.control import Controller, Fallback
 from tenscontrol.deploy.controllers import LawCode
 from tenscontrol.deploy.measurement_code import measurement
-from tenscontrol.dynamics import builds
+from tenscontrol.dynamics import Function, builds
 from tenscontrol.status import OF_ESTIMATES, Status
 from tenscontrol.validation import FloatArray
 
@@ -85,7 +85,7 @@ def _named(functions: dict[str, ca.Function], name: str) -> list[ca.Function]:
     found = []
     for what, function in functions.items():
         symbols = [ca.MX.sym(f"x{i}", *function.size_in(i)) for i in range(function.n_in())]
-        found.append(ca.Function(f"{name}_{what}", symbols, function.call(symbols)))
+        found.append(Function(f"{name}_{what}", symbols, function.call(symbols)))
     return found
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from tenscontrol.control import Command, Controller
 from tenscontrol.deploy.code_text import status_and_fallback
-from tenscontrol.dynamics import CompilerError, compiler
+from tenscontrol.dynamics import CompilerError, compiler, link
 from tenscontrol.plant import LinearPlant
 from tenscontrol.status import Status
 from tenscontrol.validation import LONGEST_WAIT, FloatArray, positive_number
@@ -113,13 +113,13 @@ class CompiledController(Controller):
 def compiled(name: str, sources: Sequence[Path], timeout: float) -> bytes:
     """Return the library of some C files; see :meth:`GeneratedController.compile`."""
     timeout = positive_number("timeout", timeout, "s", LONGEST_WAIT)
-    found = compiler()
-    if found is None:
+    command = compiler()
+    if command is None:
         raise FileNotFoundError(
             "there is no C compiler: none of $CC, cc, gcc and clang is on the path, or it is "
             "switched off by TENSCONTROL_COMPILER. The generated code can be compiled elsewhere"
         )
     with TemporaryDirectory(prefix="tenscontrol-") as folder:
-        return found.link(
-            sources, Path(folder), f"lib{name}", timeout, (OPTIMIZATION,)
-        ).read_bytes()
+        library = Path(folder) / f"lib{name}.so"
+        link(command, sources, library, timeout, [OPTIMIZATION])
+        return library.read_bytes()

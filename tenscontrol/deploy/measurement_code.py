@@ -7,6 +7,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from tenscontrol.dynamics import Function
 from tenscontrol.plant import LinearPlant
 from tenscontrol.structure import left_by_supports, rigid_basis, rigid_motions
 
@@ -59,7 +60,7 @@ def measurement(plant: LinearPlant) -> ca.Function:
     project = ca.DM(plant.coordinates.project(np.eye(plant.nodes.size)))
     displacement = ca.vec(N) - ca.DM(plant.nodes.ravel(order="F"))
     z = ca.vertcat(ca.mtimes(project, displacement), ca.mtimes(project, ca.vec(V)))
-    return ca.Function("measure", [positions, rates], [ca.densify(z)], ["N", "V"], ["z"])
+    return Function("measure", [positions, rates], [ca.densify(z)], ["N", "V"], ["z"])
 
 
 def _along_supports(plant: LinearPlant, nearest: bool) -> ca.Function:
@@ -98,7 +99,7 @@ def _along_supports(plant: LinearPlant, nearest: bool) -> ca.Function:
     by_turn = _rotation(move[d:])
     back = ca.mtimes(by_turn, arms) + ca.repmat(centre + move[:d], 1, count)
     found = ca.horzcat(back, ca.mtimes(by_turn, turn))
-    return ca.Function("along_supports", [both], [ca.densify(found)])
+    return Function("along_supports", [both], [ca.densify(found)])
 
 
 def _independent_rows(plant: LinearPlant) -> list[int]:
@@ -134,7 +135,7 @@ def _planar_alignment() -> ca.Function:
     """Return ``S -> R``: the rotation in the plane that makes ``trace(Rᵀ S)`` largest."""
     S = ca.SX.sym("S", 2, 2)
     turn = _rotation(ca.atan2(S[1, 0] - S[0, 1], S[0, 0] + S[1, 1]))
-    return ca.Function("alignment", [S], [turn])
+    return Function("alignment", [S], [turn])
 
 
 def _alignment() -> ca.Function:
@@ -148,7 +149,7 @@ def _alignment() -> ca.Function:
         matrix[1 + j, 1 + k] = matrix[1 + k, 1 + j] = S[j, k] + S[k, j]
     both = ca.vertcat(ca.densify(matrix), ca.MX(np.eye(4)))
     turn = _largest()(_sweep().fold(_SWEEPS)(both))
-    return ca.Function("alignment", [S], [turn])
+    return Function("alignment", [S], [turn])
 
 
 def _sweep() -> ca.Function:
@@ -166,7 +167,7 @@ def _sweep() -> ca.Function:
             turn[i, i] = turn[j, j] = cosine
             turn[i, j], turn[j, i] = tangent * cosine, -tangent * cosine
             matrix, vectors = ca.mtimes([turn.T, matrix, turn]), ca.mtimes(vectors, turn)
-    return ca.Function("sweep", [both], [ca.densify(ca.vertcat(matrix, vectors))])
+    return Function("sweep", [both], [ca.densify(ca.vertcat(matrix, vectors))])
 
 
 def _largest() -> ca.Function:
@@ -179,4 +180,4 @@ def _largest() -> ca.Function:
         q = ca.if_else(is_larger, both[4:, i], q)
     cross = ca.skew(q[1:])
     turn = ca.SX.eye(3) + 2 * (q[0] * cross + ca.mtimes(cross, cross)) / ca.sumsqr(q)
-    return ca.Function("largest", [both], [ca.densify(turn)])
+    return Function("largest", [both], [ca.densify(turn)])

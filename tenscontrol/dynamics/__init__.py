@@ -21,6 +21,7 @@ from tenscontrol.dynamics.evaluator import (
     ColumnEvaluator,
     Evaluator,
     Exclusive,
+    Function,
     Prepared,
     ProcessLock,
     SharedEvaluator,
@@ -29,13 +30,10 @@ from tenscontrol.dynamics.evaluator import (
     evaluate_columns,
     exclusive,
     on_one_thread,
-    solving,
 )
 from tenscontrol.dynamics.forces import TERMS, Forces
 from tenscontrol.dynamics.instructions import OPERATIONS, instructions, number_text
 from tenscontrol.dynamics.machine_code import (
-    Compiled,
-    Compiler,
     CompilerError,
     CompilerWarning,
     compiled,
@@ -43,6 +41,7 @@ from tenscontrol.dynamics.machine_code import (
     compiled_source,
     compiler,
     if_compiled,
+    link,
 )
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.profile import (
@@ -67,8 +66,6 @@ __all__ = [
     "OPERATIONS",
     "TERMS",
     "ColumnEvaluator",
-    "Compiled",
-    "Compiler",
     "CompilerError",
     "CompilerWarning",
     "ContactLaw",
@@ -79,6 +76,7 @@ __all__ = [
     "Evaluator",
     "Exclusive",
     "Forces",
+    "Function",
     "Ground",
     "HertzGround",
     "InputLayout",
@@ -104,6 +102,7 @@ __all__ = [
     "exclusive",
     "if_compiled",
     "instructions",
+    "link",
     "normal_basis",
     "number_text",
     "on_one_thread",
@@ -112,7 +111,6 @@ __all__ = [
     "refuse_large",
     "sampling_interval",
     "smooth_equation",
-    "solving",
     "string_stretch",
     "tangent",
     "unpack_states",

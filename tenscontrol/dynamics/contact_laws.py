@@ -20,6 +20,7 @@ import numpy as np
 
 from tenscontrol.docstrings import with_parameters_of
 from tenscontrol.dynamics import kernel
+from tenscontrol.dynamics.evaluator import Function
 from tenscontrol.dynamics.force import Columns, Force, Pass, Read, Write
 from tenscontrol.fields import Field, OptionalArray, converted
 from tenscontrol.structure import Structure
@@ -438,7 +439,7 @@ def _surface(height: ca.Function, dimension: int) -> ca.Function:
     h = height(*across)
     slopes = [ca.jacobian(h, each) for each in across]
     depth = (h - x[-1]) / ca.sqrt(1 + sum(slope**2 for slope in slopes))
-    return ca.Function("surface", [x], [depth, -ca.gradient(depth, x)])
+    return Function("surface", [x], [depth, -ca.gradient(depth, x)])
 
 
 def checked_grounds(ground: object, structure: Structure) -> tuple[ContactLaw, ...]:

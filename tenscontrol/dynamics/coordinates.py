@@ -13,6 +13,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import kernel
+from tenscontrol.dynamics.evaluator import Function
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.tangent import (
     Complement,
@@ -446,7 +447,7 @@ class Coordinates:
         right = ca.vertcat(ca.SX.zeros(len(rows)), change)
         order, back = block.order.tolist(), np.argsort(block.order).tolist()
         found = kernel.eliminated(matrix[order, order], right[order])[back]
-        return ca.Function("normal_step", [places, change], [found[: len(rows)]])
+        return Function("normal_step", [places, change], [found[: len(rows)]])
 
     def _with_lengths(self, nodes: FloatArray, block: Block, normal: FloatArray) -> FloatArray:
         """Return nodes displaced along the normal space until the bars of a block are exact."""

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics.contact_laws import Contacts
-from tenscontrol.dynamics.evaluator import Prepared, builds
+from tenscontrol.dynamics.evaluator import Function, Prepared, builds
 from tenscontrol.dynamics.forces import Forces
 from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.properties import cached_property
@@ -230,7 +230,7 @@ class Equation:
 
     def _kinked_slope(self) -> ca.Function:
         x, u = self.symbol("x", self.states), self.symbol("u", self.inputs)
-        return ca.Function("kinked", [x, u], [self.slope(x, u, self.gap(x, u)[0] > 0)])
+        return Function("kinked", [x, u], [self.slope(x, u, self.gap(x, u)[0] > 0)])
 
 
 def pack_state(structure: Structure, nodes: FloatArray, velocities: FloatArray) -> FloatArray:
@@ -287,8 +287,8 @@ def smooth_equation(slope: ca.Function) -> Equation:
     x, u = (ca.SX.sym(name, slope.size1_in(i)) for i, name in enumerate("xu"))
     taut, none = ca.SX.sym("taut", 0), ca.SX(0, 1)
     return Equation(
-        slope=ca.Function("slope", [x, u, taut], [slope(x, u)]),
-        gap=ca.Function("gap", [x, u], [none, none]),
+        slope=Function("slope", [x, u, taut], [slope(x, u)]),
+        gap=Function("gap", [x, u], [none, none]),
     )
 
 
@@ -314,7 +314,7 @@ def in_time(
         strings = layout.strings
         rate = ca.vertcat(rate[:strings] - rates[:strings], rate[strings:])
     return (
-        ca.Function("slope", [x, u, taut], [slope(x, values, taut)]),
-        ca.Function("gap", [x, u], [ca.densify(room), ca.densify(rate)]),
-        ca.Function("force", [q, v, u, taut], [force(q, v, values, taut)]),
+        Function("slope", [x, u, taut], [slope(x, values, taut)]),
+        Function("gap", [x, u], [ca.densify(room), ca.densify(rate)]),
+        Function("force", [q, v, u, taut], [force(q, v, values, taut)]),
     )

@@ -2,24 +2,23 @@
 
 What has a memory is used by one thread at a time as well, and the BLAS has one thread meanwhile.
 
-CasADi's Python wrapper lets other threads run during every call. It counts the references to the
-elements of SX without a lock, and all expressions share their constants; so what makes, copies or
-frees expressions, in any thread, takes the lock below. Evaluating functions needs no lock.
+CasADi's Python wrapper lets other threads run during every call, and expressions share constants
+and patterns. Functions that are made or freed while another thread builds end the process within
+minutes (seen with 3.7.0 to 3.8.2). So what makes, copies or frees expressions, in any thread, takes
+the lock below. Evaluating functions needs no lock.
 """
 
 from __future__ import annotations
 
-import copyreg
 import os
 from collections import deque
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
 from functools import cache, wraps
 from itertools import count
-from queue import SimpleQueue
 from threading import Lock, RLock, get_ident
 from traceback import clear_frames
-from typing import Any, Concatenate, ParamSpec, TypeVar
+from typing import Any, ClassVar, Concatenate, ParamSpec, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -31,11 +30,9 @@ _Arguments = ParamSpec("_Arguments")
 _Self = TypeVar("_Self")
 _Value = TypeVar("_Value")
 
-#: Held by the thread that builds with CasADi; never while it waits for an executor or a compiler.
+#: Held by the thread that builds with CasADi, or compiles or solves what it has built; never while
+#: it waits for an executor.
 BUILDING: Any = RLock()
-
-# What threading.Condition uses of a lock as well.
-_is_mine, _release, _restore = BUILDING._is_owned, BUILDING._release_save, BUILDING._acquire_restore  # noqa: SLF001
 
 
 class ProcessLock:
@@ -58,16 +55,54 @@ class ProcessLock:
         return self._locks.setdefault(os.getpid(), Lock())
 
 
-_SOLVING = ProcessLock()
+class _Guarded:
+    """Frees objects of CasADi where no other thread builds, else leaves them to that thread.
 
-# CasADi's objects dropped by threads that did not hold the lock, until a thread that does frees
-# them: waiting in ``__del__`` could wait for ever.
-_dropped: SimpleQueue[Any] = SimpleQueue()
+    Waiting in ``__del__`` could wait for ever.
+    """
+
+    # Of the class: at the end of the process, names of modules are gone before the last objects.
+    _dropped: ClassVar[deque[Any]] = deque()
+    _lock = BUILDING
+
+    @classmethod
+    def free(cls) -> None:
+        """Free what other threads have dropped, by the thread that holds the lock."""
+        cls._dropped.clear()
+
+    def _drop(self, *objects: Any) -> None:
+        self._dropped.extend(objects)
+        if self._lock.acquire(blocking=False):
+            try:
+                self.free()
+            finally:
+                self._lock.release()
 
 
-def _free(dropped: SimpleQueue[Any] = _dropped) -> None:
-    while not dropped.empty():
-        dropped.get()
+class Function(ca.Function, _Guarded):  # type: ignore[misc]  # CasADi has no types
+    """A CasADi function that is freed and pickled while no other thread builds."""
+
+    def __del__(self) -> None:
+        """Free what CasADi holds; Ctrl-C while it was made has left nothing."""
+        if hasattr(self, "this"):
+            self._drop(self.this)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the serialized function."""
+        with BUILDING:
+            return _deserialized, (self.serialize(),)
+
+
+def _deserialized(data: str) -> Function:
+    with BUILDING:
+        return Function(ca.Function.deserialize(data))
+
+
+def _guarded(value: Any) -> Any:
+    """Return what is kept: functions, alone or in a tuple, guarded."""
+    if type(value) is tuple:
+        return tuple(map(_guarded, value))
+    return Function(value) if type(value) is ca.Function else value
 
 
 def builds(function: Callable[_Arguments, _Value]) -> Callable[_Arguments, _Value]:
@@ -76,7 +111,7 @@ def builds(function: Callable[_Arguments, _Value]) -> Callable[_Arguments, _Valu
     @wraps(function)
     def locked(*args: _Arguments.args, **kwargs: _Arguments.kwargs) -> _Value:
         with BUILDING:
-            _free()
+            _Guarded.free()
             try:
                 return function(*args, **kwargs)
             except BaseException as error:
@@ -87,67 +122,17 @@ def builds(function: Callable[_Arguments, _Value]) -> Callable[_Arguments, _Valu
     return locked
 
 
-@contextmanager
-def paused() -> Iterator[None]:
-    """Let other threads build meanwhile, whether this one holds the lock or not."""
-    saved = _release() if _is_mine() else None
-    try:
-        yield
-    finally:
-        if saved is not None:
-            _restore(saved)
-
-
-@contextmanager
-def solving() -> Iterator[None]:
-    """Let other threads build while this one solves by IPOPT; only one may, by MUMPS's memory."""
-    with paused(), _SOLVING:
-        yield
-
-
 class built(cached_property[_Value]):  # noqa: N801, as cached_property
     """A property that is built with CasADi at its first use."""
+
+    def __init__(self, build: Callable[[Any], _Value]) -> None:
+        super().__init__(wraps(build)(lambda instance: _guarded(build(instance))))
 
     def __get__(self, instance: object, owner: type[Any] | None = None) -> Any:
         """Return the value, built under the lock."""
         with BUILDING:
             return super().__get__(instance, owner)
 
-
-def _drop(
-    self: Any, mine: Any = _is_mine, put: Any = _dropped.put, lock: Any = BUILDING,
-    free: Any = _free,
-) -> None:  # fmt: skip
-    """Free an object of CasADi here if no other thread builds, else leave it to that thread.
-
-    What it needs are its defaults: at the end of the process, names of modules are gone before it.
-    """
-    if not mine() and hasattr(self, "this"):  # Ctrl-C while it is made leaves it without
-        put(self.this)
-        if lock.acquire(blocking=False):
-            try:
-                free()
-            finally:
-                lock.release()
-
-
-# Not of expressions, though they are counted without a lock too: those of a build end with it, and
-# Ctrl-C in a ``__del__`` is lost, so there must be few.
-for _class in (ca.Function, ca.FunctionBuffer):
-    _class.__del__ = _drop
-
-
-@builds
-def _pickled(function: ca.Function) -> tuple[Any, ...]:
-    return _unpickled, (function.serialize(),)
-
-
-@builds
-def _unpickled(data: str) -> ca.Function:
-    return ca.Function.deserialize(data)
-
-
-copyreg.pickle(ca.Function, _pickled)
 
 if hasattr(os, "register_at_fork"):  # a forked child must not start in the middle of a build
     os.register_at_fork(
@@ -294,7 +279,7 @@ class Prepared:
             with BUILDING:
                 value = self._find(key)
                 if value is None:
-                    value = self._keep(key, build())
+                    value = self._keep(key, _guarded(build()))
         return value
 
     def _find(self, key: Hashable) -> Any:
@@ -306,11 +291,10 @@ class Prepared:
 
     def _keep(self, key: Hashable, value: _Value) -> _Value:
         """Keep a value, by the thread that holds the lock."""
-        # While a compiler ran, another thread may have been first.
-        kept: _Value = self._kept.setdefault(key, [value, next(self._uses)])[0]
+        self._kept[key] = [value, next(self._uses)]
         while len(self._kept) > _MOST:
             del self._kept[min(self._kept, key=lambda each: self._kept[each][1])]
-        return kept
+        return value
 
     def __reduce__(self) -> tuple[type[Prepared], tuple[()]]:
         """Pickle and copy as an empty store."""
@@ -322,7 +306,7 @@ _CHUNK = 32
 _MAPPED = Prepared()
 
 
-class Evaluator:
+class Evaluator(_Guarded):
     """A CasADi function behind its buffer: about fifty times cheaper to call than the function.
 
     Outputs are views of memory that the next call overwrites; copy what must last. Inputs are
@@ -344,9 +328,14 @@ class Evaluator:
             self._outputs.append(_dense(function.sparsity_out(i)))
             self._buffer.set_res(i, _memory(self._outputs[i]))
 
+    def __del__(self) -> None:
+        """Free function and buffer; Ctrl-C while they were made may have left none."""
+        self._drop(*(vars(self).pop(name, None) for name in ("_function", "_buffer")))
+
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the function; the memory is made anew."""
-        return Evaluator, (self._function,)
+        with BUILDING:
+            return Evaluator, (_guarded(self._function),)
 
     def __call__(self, *arguments: Any) -> list[FloatArray]:
         """Evaluate and return one array per output: a vector, or a matrix in Fortran order."""

@@ -19,7 +19,7 @@ from tenscontrol.dynamics.equation import (
     in_time,
     weights,
 )
-from tenscontrol.dynamics.evaluator import Prepared, built
+from tenscontrol.dynamics.evaluator import Function, Prepared, built
 from tenscontrol.dynamics.forces import Forces, terms_of
 from tenscontrol.dynamics.forms import loops_functions, mapped_functions, members_alone
 from tenscontrol.dynamics.machine_code import compiler, if_compiled
@@ -447,9 +447,9 @@ class Model:
         on_free = kernel.free_entries(structure, on_free)
         gaps = [ca.densify(part) for part in forces.gaps(*ends, u)]
         return (
-            ca.Function("slope", [s["x"], given, taut], [self._xdot(s, on_nodes)]),
-            ca.Function("gap", [s["x"], given], gaps),
-            ca.Function("force", [q, v, given, taut], [on_free]),
+            Function("slope", [s["x"], given, taut], [self._xdot(s, on_nodes)]),
+            Function("gap", [s["x"], given], gaps),
+            Function("force", [q, v, given, taut], [on_free]),
         )
 
     @built
@@ -601,7 +601,7 @@ class Model:
         names = [each for each in inputs.split() if each != "W" or self._external_force]
         names += s.get("parameters", ())
         given = [s[each] for each in names]
-        return ca.Function(name, given, list(outputs.values()), names, list(outputs))
+        return Function(name, given, list(outputs.values()), names, list(outputs))
 
     def _on_nodes(self, s: dict[str, Any], input: str) -> Any:
         u = s["gamma" if input == "force_density" else input]

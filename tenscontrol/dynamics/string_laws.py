@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Self, final
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics.evaluator import Prepared, SharedEvaluator
+from tenscontrol.dynamics.evaluator import Function, Prepared, SharedEvaluator
 from tenscontrol.fields import Array, Field, converted
 from tenscontrol.properties import cached_property
 from tenscontrol.validation import (
@@ -305,12 +305,12 @@ class StringLaw(ABC):
     def _force_density_function(self, size: int) -> ca.Function:
         length, rest, rate = (ca.SX.sym(name, size) for name in ("length", "rest", "rate"))
         gamma = self.symbolic_force_density(length, rest, rate)
-        return ca.Function("force_density", [length, rest, rate], [ca.densify(ca.SX(gamma))])
+        return Function("force_density", [length, rest, rate], [ca.densify(ca.SX(gamma))])
 
     def _rest_length_function(self, size: int) -> ca.Function:
         length, gamma = ca.SX.sym("length", size), ca.SX.sym("gamma", size)
         rest = self.as_expressions().taut_rest_length(length, gamma)
-        return ca.Function("rest_length", [length, gamma], [ca.densify(ca.SX(rest))])
+        return Function("rest_length", [length, gamma], [ca.densify(ca.SX(rest))])
 
 
 @final

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics.evaluator import evaluate_columns
+from tenscontrol.dynamics.evaluator import Function, evaluate_columns
 from tenscontrol.dynamics.force import Pass
 from tenscontrol.dynamics.model import Model
 from tenscontrol.structure import (
@@ -367,7 +367,7 @@ def _of_member(over: Pass, dimension: int) -> ca.Function:
     value = ca.densify(ca.vertcat(*map(ca.vec, outputs)))
     by = [inputs[name] for name, read in over.reads.items() if read.array in "pvu"]
     slopes = ca.densify(ca.vec(ca.jacobian(value, ca.vertcat(*by))))
-    return ca.Function("member", [*inputs.values(), *own.values()], [value, slopes])
+    return Function("member", [*inputs.values(), *own.values()], [value, slopes])
 
 
 def _at(over: Pass, function: ca.Function, arrays: dict[str, FloatArray]) -> list[FloatArray]:

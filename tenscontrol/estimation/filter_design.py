@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.actuation import Winches
+from tenscontrol.dynamics import Function
 from tenscontrol.estimation.observability import (
     observed_plant,
     output_function,
@@ -286,4 +287,4 @@ def _under_load(motion: ca.Function, by_load: FloatArray) -> ca.Function:
     end = ca.vertcat(end + ca.DM(by_load) @ z[size:], z[size:])
     rows = ca.blockcat([[of_state, ca.DM(by_load)], [ca.DM(r, size), ca.DM.eye(r)]])
     below = ca.vertcat(of_input, ca.DM(r, motion.size1_in(1)))
-    return ca.Function("loaded", [z, u], [ca.densify(each) for each in (end, rows, below)])
+    return Function("loaded", [z, u], [ca.densify(each) for each in (end, rows, below)])

@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import kernel
+from tenscontrol.dynamics import Function, kernel
 from tenscontrol.estimation.sensors import KINDS, Sensors, symbolic_readings
 from tenscontrol.plant import (
     LeftSpace,
@@ -73,7 +73,7 @@ def _output_function(plant: LinearPlant, sensors: Sensors, more: int) -> ca.Func
         tension = gamma * length
     y = symbolic_readings(sensors, N, V, tension)
     results = settled(plant, z, near, [ca.densify(y), ca.densify(ca.jacobian(y, z))])
-    return ca.Function("readings", [z, u], ca.cse(results))
+    return Function("readings", [z, u], ca.cse(results))
 
 
 def output_matrix(plant: LinearPlant, sensors: Sensors) -> FloatArray:

@@ -9,7 +9,7 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import SharedEvaluator, kernel
+from tenscontrol.dynamics import Function, SharedEvaluator, kernel
 from tenscontrol.fields import Field, OptionalArray, converted
 from tenscontrol.properties import cached_property
 from tenscontrol.structure import Structure
@@ -244,7 +244,7 @@ class Sensors:
         shape, count = self.structure.nodes.shape, len(self.structure.strings)
         given = ca.SX.sym("N", *shape), ca.SX.sym("V", *shape), ca.SX.sym("tension", count)
         y = ca.densify(symbolic_readings(self, *given))
-        return SharedEvaluator(ca.Function("readings", given, [ca.cse(y)]))
+        return SharedEvaluator(Function("readings", given, [ca.cse(y)]))
 
     def disturb(self, exact: object, generator: np.random.Generator) -> FloatArray:
         """Return y with noise, corrupt readings and losses; what is lost is NaN.

@@ -14,6 +14,7 @@ from tenscontrol.dynamics import (
     ColumnEvaluator,
     Equation,
     Evaluator,
+    Function,
     ProcessLock,
     SharedEvaluator,
     builds,
@@ -115,7 +116,7 @@ class CVODES(Integrator):
 
         def build() -> SharedEvaluator:
             u = self._equation.symbols()[1]
-            return SharedEvaluator(ca.Function("scale", [u], [self._equation.gap_scale(u)]))
+            return SharedEvaluator(Function("scale", [u], [self._equation.gap_scale(u)]))
 
         return float(self._equation.prepared.get("gap scale", build)(held)[0].max())
 
@@ -125,7 +126,7 @@ class CVODES(Integrator):
         scaled, gap = _scaled(equation), None
         if equation.switches:
             x, u, _, _ = equation.symbols()
-            gap = ca.Function("gap", [x, u], [equation.gap(x, u)[0]])
+            gap = Function("gap", [x, u], [equation.gap(x, u)[0]])
         return _Solvers(
             grid,
             _solver(scaled, equation, grid, self.tolerance),
@@ -421,7 +422,7 @@ def _scaled(equation: Equation) -> ca.Function:
     y, u, taut, _ = equation.symbols()
     scale = equation.symbol("scale", equation.states)
     slope = equation.slope(y * scale, u, taut) / scale
-    return ca.Function("slope", [y, u, taut, scale], [slope])
+    return Function("slope", [y, u, taut, scale], [slope])
 
 
 def _solver(scaled: ca.Function, equation: Equation, outputs: int, tolerance: float) -> ca.Function:
@@ -457,7 +458,7 @@ def is_expandable(equation: Equation) -> bool:
 def state_jacobian(slope: ca.Function, expand: bool = True) -> ca.Function:
     """Return the derivative of a right-hand side by its first input, sparse; same inputs."""
     inputs = slope.sx_in() if expand else slope.mx_in()
-    return ca.Function("jacobian", inputs, [ca.jacobian(slope(*inputs), inputs[0])])
+    return Function("jacobian", inputs, [ca.jacobian(slope(*inputs), inputs[0])])
 
 
 @builds
@@ -466,5 +467,5 @@ def jacobian_weight(slope: ca.Function, jacobian: ca.Function) -> int:
     if not jacobian.is_a("SXFunction"):  # by directions
         return int(jacobian.sparsity_out(0).uni_coloring().size2())
     inputs = slope.sx_in()
-    written = ca.Function("written", inputs, [slope(*inputs)])  # in whatever form it comes
+    written = Function("written", inputs, [slope(*inputs)])  # in whatever form it comes
     return max(1, round(int(jacobian.n_instructions()) / int(written.n_instructions())))

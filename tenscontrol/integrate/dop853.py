@@ -10,7 +10,14 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Equation, SharedEvaluator, compiled_source, compiler, if_compiled
+from tenscontrol.dynamics import (
+    Equation,
+    Function,
+    SharedEvaluator,
+    compiled_source,
+    compiler,
+    if_compiled,
+)
 from tenscontrol.integrate.dop853_loop import loop_source
 from tenscontrol.integrate.events import (
     FLAT,
@@ -140,7 +147,7 @@ class DOP853(Integrator):
             functions = _Turn(equation, project).function().mapaccum(most), None, None
         x, u, _, _ = equation.symbols(ca.MX)
         taut = taut_strings(equation, x, u)
-        start = ca.Function("start", [x, u], [taut, equation.slope(x, u, taut)])
+        start = Function("start", [x, u], [taut, equation.slope(x, u, taut)])
         chunk, largest, exact = functions
         by = None if largest is None else SharedEvaluator(largest)
         return SharedEvaluator(chunk), SharedEvaluator(start), by, most, back_end, exact
@@ -350,7 +357,7 @@ class _Turn:
         time, stuck, duration = parts[3], parts[5], parts[-4]
         over = ca.logic_or(time >= duration, stuck)
         choose = ca.Function.if_else("turn_or_not", kept, self._going())
-        return ca.Function("turn", [z, given], list(choose(over, *parts)))
+        return Function("turn", [z, given], list(choose(over, *parts)))
 
     def _going(self) -> ca.Function:
         x, f, taut = self._carried[:3]
@@ -366,7 +373,7 @@ class _Turn:
         fate = ca.if_else(error < 1, 1 + crossed, 0)
         choose = ca.Function.conditional("fate", branches[:-1], branches[-1])
         outputs = choose(fate, *self._inputs, h, x1, f1, error, K)
-        return ca.Function("going", self._inputs, list(outputs))
+        return Function("going", self._inputs, list(outputs))
 
     @property
     def _input(self) -> Any:
@@ -402,7 +409,7 @@ class _Turn:
         choose = ca.Function.if_else("where", self._cut_inside(switch), self._cut_by_steps(switch))
         is_inside = ca.logic_and(found[0], errs < _SMOOTH)
         inputs = [*self._inputs, *self._step]
-        return ca.Function("cut", inputs, list(choose(is_inside, *inputs, *found)))
+        return Function("cut", inputs, list(choose(is_inside, *inputs, *found)))
 
     def _cut_inside(self, switch: list[Any]) -> ca.Function:
         """Return the branch of a step that ends at a switch on its interpolant."""
@@ -457,7 +464,7 @@ class _Turn:
     ) -> ca.Function:
         inputs = [*self._inputs, *self._step] if inputs is None else inputs
         outputs = [ca.densify(ca.vertcat(*state)), ca.densify(record)]
-        return ca.Function(name, inputs, outputs)
+        return Function(name, inputs, outputs)
 
     def _factor(self) -> Any:
         error = ca.fmax(self._error, 1e-16)
@@ -475,8 +482,8 @@ class _Turn:
         values = [x, x1, f, f1, K, self._input, self._carried[2], h]
         inputs = [ca.MX.sym(name, v.sparsity()) for name, v in zip(names, values, strict=True)]
         made = ca.vertcat(inputs[0], ca.vec(self._interpolant(*inputs)))
-        left_out = ca.Function("left_out", inputs, [ca.DM.zeros(made.shape)])
-        made = ca.Function("made", inputs, [made])
+        left_out = Function("left_out", inputs, [ca.DM.zeros(made.shape)])
+        made = Function("made", inputs, [made])
         choose = ca.Function.if_else("interpolant_or_not", made, left_out)
         needed = self._needed(after)
         return ca.vertcat(time, h * needed, h, choose(needed, *values)), needed
@@ -535,10 +542,10 @@ class _DormandPrince:
         x, _, u, taut, h = self._inputs
         x1, slopes = self._stages()
         f1 = self._equation.slope(x1, self._at(1.0), taut)
-        stages = ca.Function("stages", self._inputs, [ca.vertcat(x1, f1, *slopes, f1)])
+        stages = Function("stages", self._inputs, [ca.vertcat(x1, f1, *slopes, f1)])
         y = ca.MX.sym("y", 2 * x.shape[0])
         end = stages(*ca.vertsplit(y, x.shape[0]), u, taut, h)
-        return ca.Function("trial", [y, u, taut, h], [end])
+        return Function("trial", [y, u, taut, h], [end])
 
     def inside(self) -> ca.Function:
         """Return ``([x; coefficients; h], u, taut, taken) -> x1`` on the interpolant of a step."""
@@ -550,7 +557,7 @@ class _DormandPrince:
         for k in range(_POWERS, 0, -1):
             value = (value + made[k]) * (part if k % 2 else 1 - part)
         end = made[0] + value
-        return ca.Function(
+        return Function(
             "inside", [y, u, taut, taken], [end if self._project is None else self._project(end)]
         )
 
@@ -572,7 +579,7 @@ class _DormandPrince:
         usual = ca.logic_and(below > 0, below < ca.inf)
         error = ca.if_else(usual, h * fifth / below, below)
         outputs = [x1, f1, error, ca.horzcat(*slopes)]
-        return ca.Function("tried", [*self._inputs, scale], outputs)
+        return Function("tried", [*self._inputs, scale], outputs)
 
     def interpolant(self) -> ca.Function:
         """Return ``(x, x1, f, f1, K, u, taut, h) -> coefficients``, one column each."""
@@ -586,7 +593,7 @@ class _DormandPrince:
         first = [step, h * f - step, 2 * step - h * (f1 + f)]
         rest = [h * _combined(slopes, d) for d in self._method.D]
         inputs = [x, x1, f, f1, K, u, taut, h]
-        return ca.Function("interpolant", inputs, [ca.horzcat(*first, *rest)])
+        return Function("interpolant", inputs, [ca.horzcat(*first, *rest)])
 
 
 def _combined(slopes: list[Any], weights: Any) -> Any:

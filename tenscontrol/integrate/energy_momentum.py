@@ -10,7 +10,7 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Equation, Evaluator, kernel
+from tenscontrol.dynamics import Equation, Evaluator, Function, kernel
 from tenscontrol.integrate.integrator import (
     IntegrationError,
     IntegrationInterrupt,
@@ -243,7 +243,7 @@ def _chunk(attempt: ca.Function, count: int) -> ca.Function:
     # Held inputs are repeated: fold wants one column a step.
     held = [ca.repmat(value, 1, count) for value in inputs[1:]]
     tried = attempt.fold(count) if count > 1 else attempt
-    return ca.Function("chunk", inputs, [tried(inputs[0], *held)])
+    return Function("chunk", inputs, [tried(inputs[0], *held)])
 
 
 def _work(counts: FloatArray, evaluations: int) -> Work:
@@ -260,7 +260,7 @@ def _attempt(equation: Equation, size: float, adaptive: bool) -> ca.Function:
         for name in ("left", "failed", "evaluations")
     )
     going = ca.logic_and(ca.logic_and(left > 0, failed == 0), evaluations < inputs[2][3])
-    return ca.Function("attempt", inputs, [where_needed(try_step)(going, *inputs)])
+    return Function("attempt", inputs, [where_needed(try_step)(going, *inputs)])
 
 
 def _prepared(equation: Equation) -> StepEquations:
@@ -312,7 +312,7 @@ def _tried_step(equation: Equation, size: float, adaptive: bool) -> ca.Function:
         evaluations + 2 * iterations,
     ]
     new = ca.if_else(accepted, new, x)
-    return ca.Function("try_step", [work, u, limits], [ca.vertcat(new, *progress)])
+    return Function("try_step", [work, u, limits], [ca.vertcat(new, *progress)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -406,13 +406,13 @@ def step_equations(equation: Equation) -> StepEquations:
         residual = ca.vertcat(residual, of_blocks)
     residual = ca.densify(residual)
     return StepEquations(
-        system=ca.Function("system", [y, x, u, h], [residual, ca.jacobian(residual, y)]),
-        guess=ca.Function("guess", [x], [ca.densify(guess)]),
-        end=ca.Function("end", [y, x, h], [ca.densify(ca.vertcat(q1, v1))]),
+        system=Function("system", [y, x, u, h], [residual, ca.jacobian(residual, y)]),
+        guess=Function("guess", [x], [ca.densify(guess)]),
+        end=Function("end", [y, x, h], [ca.densify(ca.vertcat(q1, v1))]),
         moving=count + (0 if blocks is None else blocks.moving),
         residual=None
         if equation.contacts is None
-        else ca.Function("residual", [y, x, u, h], [residual]),
+        else Function("residual", [y, x, u, h], [residual]),
     )
 
 
@@ -541,7 +541,7 @@ def newton_solver(step: StepEquations, size: float) -> ca.Function:
         going_on = ca.logic_and(change > _SMALL * scale, change < _LARGE * scale)
         state = choose(going_on, state, *given)
     converged = state[-2] <= _SMALL * scale
-    return ca.Function("newton", [guess, *given], [state[:-2], converged, state[-1]])
+    return Function("newton", [guess, *given], [state[:-2], converged, state[-1]])
 
 
 def _iteration(step: StepEquations) -> ca.Function:
@@ -551,7 +551,7 @@ def _iteration(step: StepEquations) -> ca.Function:
     x, u, h = (ca.MX.sym(f"a{i}", system.size1_in(i)) for i in range(1, 4))
     change, _ = _change(system, z, x, u, h)
     new = ca.vertcat(z[:-2] - change, h * _moved(step, change), z[-1] + 1)
-    return ca.Function("iteration", [z, x, u, h], [new])
+    return Function("iteration", [z, x, u, h], [new])
 
 
 def _change(system: ca.Function, z: Any, *given: Any) -> tuple[Any, Any]:
@@ -587,7 +587,7 @@ def _searching(step: StepEquations, around: float) -> ca.Function:
     falls = left < before
     tried = ca.vertcat(ca.if_else(falls, part[0], part[0] / 2), falls, part[2] + 1)
     inputs = [part, z, change, before, *given]
-    attempt = where_needed(ca.Function("attempt", inputs, [tried]))
+    attempt = where_needed(Function("attempt", inputs, [tried]))
     found, at_start = _change(system, z, *given)
     far, norm = given[2] * _moved(step, found), ca.norm_2(at_start)
     searched = far > 1e3 * _SMALL * around  # below, nothing is left to fall but round-off
@@ -595,4 +595,4 @@ def _searching(step: StepEquations, around: float) -> ca.Function:
     for _ in range(_HALVINGS):
         part = attempt(ca.logic_and(searched, part[1] == 0), part, z, found, norm, *given)
     new = ca.vertcat(z[:-2] - part[0] * found, far, z[-1] + 1 + part[2] / 2)
-    return ca.Function("iteration", [z, *given], [new])
+    return Function("iteration", [z, *given], [new])

@@ -20,7 +20,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Equation
+from tenscontrol.dynamics import Equation, Function
 from tenscontrol.integrate.integrator import where_needed
 from tenscontrol.validation import FloatArray
 
@@ -79,16 +79,16 @@ def located(step: ca.Function, equation: Equation) -> ca.Function:
     """
     x, taut, u, h, x1 = _symbols(equation)
     attempt, land = _attempt(step, equation), _landing_of(step, equation)
-    uncut = ca.Function("uncut", [x, taut, u, h, x1], [x1, taut, _count(tries=1)])
+    uncut = Function("uncut", [x, taut, u, h, x1], [x1, taut, _count(tries=1)])
     x2, taut2, taken, switched, tries = land(x, taut, u, h, x1)
     counts = _count(tries=1 + tries, landings=1, switches=switched)
     finish = _finish(step, _substep(attempt, land, equation), equation)
     state = finish(ca.vertcat(x2, taut2, h - taken, counts), ca.vertcat(u, h))
     end, end_taut, _, counts = _split(state, equation)
-    cut = ca.Function("cut", [x, taut, u, h, x1], [end, end_taut, counts])
+    cut = Function("cut", [x, taut, u, h, x1], [end, end_taut, counts])
     either = ca.Function.if_else("either", cut, uncut)
     end, crossed = attempt(x, taut, u, h)
-    return ca.Function("located", [x, taut, u, h], list(either(crossed, x, taut, u, h, end)))
+    return Function("located", [x, taut, u, h], list(either(crossed, x, taut, u, h, end)))
 
 
 def taut_strings(equation: Equation, x: Any, u: Any) -> Any:
@@ -103,7 +103,7 @@ def crossing(equation: Equation) -> ca.Function:
     crossed, _ = _crossed(equation, x, x1, u, taut, h)
     # A state that is not finite is not searched.
     found = ca.if_else(ca.sumsqr(x1) < ca.inf, ca.mmax(crossed), 0)
-    return ca.Function("crossing", [x, x1, u, taut, h], [found])
+    return Function("crossing", [x, x1, u, taut, h], [found])
 
 
 def missed(equation: Equation) -> ca.Function:
@@ -114,7 +114,7 @@ def missed(equation: Equation) -> ca.Function:
     x, u, taut, h = equation.symbols()
     x1 = equation.symbol("x1", equation.states)
     crossed, out = _crossed(equation, x, x1, u, taut, h)
-    return ca.Function("missed", [x, x1, u, taut, h], [ca.sum1(2 * crossed - crossed * out)])
+    return Function("missed", [x, x1, u, taut, h], [ca.sum1(2 * crossed - crossed * out)])
 
 
 def _crossed(equation: Equation, x: Any, x1: Any, u: Any, taut: Any, h: Any) -> tuple[Any, Any]:
@@ -156,7 +156,7 @@ def _damped_crossing(equation: Equation) -> ca.Function:
     dips = _meet_outside(room0, room1, rate, -rate1, h)
     pulls = ca.logic_and(room0 > 0, ca.logic_or(room1 < 0, dips))
     outputs = [ca.logic_or(inside, ca.logic_and(taut == 0, pulls))]
-    return ca.Function("damped", [x, x1, u, taut, h, rate, rate1], outputs)
+    return Function("damped", [x, x1, u, taut, h, rate, rate1], outputs)
 
 
 def _meet_outside(room0: Any, room1: Any, out: Any, back: Any, h: Any) -> Any:
@@ -185,7 +185,7 @@ def landing(step: ca.Function, equation: Equation, least: float = 0.0) -> ca.Fun
     y, y1, xd, xd1, allowed = (ca.MX.sym(name, size) for name, size in sizes.items())
     found = search(equation, least)(y[:n], taut, u, h, y1[:n], xd, xd1, allowed)
     outputs = approached(step, equation)(y, taut, u, h, y1, *found)
-    return ca.Function("landing", [y, taut, u, h, y1, xd, xd1, allowed], list(outputs))
+    return Function("landing", [y, taut, u, h, y1, xd, xd1, allowed], list(outputs))
 
 
 def approached(step: ca.Function, equation: Equation) -> ca.Function:
@@ -213,7 +213,7 @@ def approached(step: ca.Function, equation: Equation) -> ca.Function:
         ca.if_else(found, switched, 0),
         ca.if_else(found, steps, 0),
     ]
-    return ca.Function("approached", [y, taut, u, h, y1, *switch, chosen, leaving], outputs)
+    return Function("approached", [y, taut, u, h, y1, *switch, chosen, leaving], outputs)
 
 
 def search(equation: Equation, least: float = 0.0) -> ca.Function:
@@ -233,7 +233,7 @@ def search(equation: Equation, least: float = 0.0) -> ca.Function:
         low, high, found = zoom(*within, low, high)
     names = [x, taut, u, h, x1, xd, xd1, allowed]
     outputs = [found, *first_out(*within, low, high, found, allowed)]
-    return ca.Function("search", names, [ca.densify(each) for each in outputs])
+    return Function("search", names, [ca.densify(each) for each in outputs])
 
 
 def zooms(equation: Equation) -> int:
@@ -275,7 +275,7 @@ def switch_on_interpolant(equation: Equation, least: float = LATE) -> ca.Functio
         left, right = ca.if_else(is_left, part, left), ca.if_else(is_left, right, part)
     outputs = [part, speed, aim, chosen, outside < inside]
     names = [*within, low, high, found, allowed]
-    return ca.Function("first_out", names, [ca.densify(each) for each in outputs])
+    return Function("first_out", names, [ca.densify(each) for each in outputs])
 
 
 def distance(equation: Equation) -> ca.Function:
@@ -283,7 +283,7 @@ def distance(equation: Equation) -> ca.Function:
     x, u, taut, _ = equation.symbols()
     chosen = equation.symbol("chosen", equation.switches)
     gap = (2 * taut - 1) * equation.gap(x, u)[0]
-    return ca.Function("distance", [x, u, taut, chosen], [ca.dot(chosen, gap) / ca.sum1(chosen)])
+    return Function("distance", [x, u, taut, chosen], [ca.dot(chosen, gap) / ca.sum1(chosen)])
 
 
 def switching(equation: Equation) -> ca.Function:
@@ -293,7 +293,7 @@ def switching(equation: Equation) -> ca.Function:
     gap, band = (2 * taut - 1) * equation.gap(x, u)[0], 0.5 * BAND * equation.gap_scale(u)
     switch = ca.logic_and(gap <= band, leaving)
     outputs = [ca.densify(ca.fabs(taut - switch)), ca.densify(ca.sum1(switch))]
-    return ca.Function("switching", [x, u, taut, leaving], outputs)
+    return Function("switching", [x, u, taut, leaving], outputs)
 
 
 def _landing_of(step: ca.Function, equation: Equation) -> ca.Function:
@@ -301,14 +301,14 @@ def _landing_of(step: ca.Function, equation: Equation) -> ca.Function:
     x, taut, u, h, x1 = _symbols(equation)
     ends = equation.slope(x, u, taut), equation.slope(x1, equation.ahead(u, h), taut)
     land = landing(step, equation, LATE)
-    return ca.Function("landing_of", [x, taut, u, h, x1], list(land(x, taut, u, h, x1, *ends, 0)))
+    return Function("landing_of", [x, taut, u, h, x1], list(land(x, taut, u, h, x1, *ends, 0)))
 
 
 def _attempt(step: ca.Function, equation: Equation) -> ca.Function:
     """Return ``(x, taut, u, h) -> (x1, crossed)``."""
     x, taut, u, h, _ = _symbols(equation)
     end = step(x, u, taut, h)
-    return ca.Function("attempt", [x, taut, u, h], [end, crossing(equation)(x, end, u, taut, h)])
+    return Function("attempt", [x, taut, u, h], [end, crossing(equation)(x, end, u, taut, h)])
 
 
 def interpolant(equation: Equation) -> ca.Function:
@@ -324,7 +324,7 @@ def interpolant(equation: Equation) -> ca.Function:
     a0, a1 = h**2 * xd[n // 2 :], h**2 * xd1[n // 2 :]
     d, e, f = q1 - q0 - v0 - a0 / 2, v1 - v0 - a0, a1 - a0
     higher = (10 * d - 4 * e + f / 2, -15 * d + 7 * e - f, 6 * d - 3 * e + f / 2)
-    return ca.Function("interpolant", [x, xd, x1, xd1, h], [ca.horzcat(q0, v0, a0 / 2, *higher)])
+    return Function("interpolant", [x, xd, x1, xd1, h], [ca.horzcat(q0, v0, a0 / 2, *higher)])
 
 
 def room_inside(equation: Equation) -> ca.Function:
@@ -340,7 +340,7 @@ def room_inside(equation: Equation) -> ca.Function:
             v = v * s + power * coefficients[:, power]
     gap = equation.gap(ca.vertcat(q, v / h), equation.ahead(u, s * h))[0]
     room = (2 * taut - 1) * gap + BAND * equation.gap_scale(u)
-    return ca.Function("room", [coefficients, u, taut, h, s], [room])
+    return Function("room", [coefficients, u, taut, h, s], [room])
 
 
 def zoom_in(equation: Equation) -> ca.Function:
@@ -366,7 +366,7 @@ def zoom_in(equation: Equation) -> ca.Function:
         first = ca.if_else(rooms[j] < 0, j, first)
         last = ca.if_else(rooms[j] < 0, j + 1, last)
     ends = [low + first * width, low + last * width]
-    return ca.Function("zoom", [*within, low, high], [*ends, least < 0])
+    return Function("zoom", [*within, low, high], [*ends, least < 0])
 
 
 def _approach(step: ca.Function, equation: Equation) -> ca.Function:
@@ -388,9 +388,9 @@ def _approach(step: ca.Function, equation: Equation) -> ca.Function:
     wanted, speed = corrected(part, gap, before, gap_before, speed, taken, aim)
     inputs = [state, y, taut, u, h, chosen, aim]
     again = ca.vertcat(wanted, part, gap, speed, taken + 1, end)
-    choose = where_needed(ca.Function("again", inputs, [again]))
+    choose = where_needed(Function("again", inputs, [again]))
     far = ca.logic_or(taken == 0, ca.fabs(gap_before - aim) > ca.fabs(aim))
-    return ca.Function("approach", inputs, [choose(far, *inputs)])
+    return Function("approach", inputs, [choose(far, *inputs)])
 
 
 def part_to_try(wanted: Any, speed: Any) -> Any:
@@ -425,23 +425,21 @@ def _substep(attempt: ca.Function, land: ca.Function, equation: Equation) -> ca.
     x, taut, u, _, x1 = _symbols(equation)
     left, counts = ca.MX.sym("left"), ca.MX.sym("counts", len(COUNTS))
     inputs = [x, taut, left, counts, u]
-    over = ca.Function("over", [*inputs, x1], [ca.vertcat(x1, taut, 0, counts + _count(tries=1))])
+    over = Function("over", [*inputs, x1], [ca.vertcat(x1, taut, 0, counts + _count(tries=1))])
     x2, taut2, taken, switched, tries = land(x, taut, u, left, x1)
     more = _count(tries=1 + tries, landings=1, switches=switched)
-    again = ca.Function(
-        "again", [*inputs, x1], [ca.vertcat(x2, taut2, left - taken, counts + more)]
-    )
+    again = Function("again", [*inputs, x1], [ca.vertcat(x2, taut2, left - taken, counts + more)])
     end, crossed = attempt(x, taut, u, left)
     either = ca.Function.if_else("either_substep", again, over)
-    going = ca.Function("going", inputs, [either(crossed, *inputs, end)])
-    done = ca.Function("done", inputs, [ca.vertcat(*inputs[:-1])])
+    going = Function("going", inputs, [either(crossed, *inputs, end)])
+    done = Function("done", inputs, [ca.vertcat(*inputs[:-1])])
     state, held = ca.MX.sym("state", going.size1_out(0)), ca.MX.sym("held", equation.inputs + 1)
     parts = _split(state, equation)
     choose = ca.Function.if_else("choose", going, done)
     some = parts[2] > REST * held[-1]
     x, taut, left, counts = parts
     now = equation.ahead(held[:-1], held[-1] - left)
-    return ca.Function("substep", [state, held], [choose(some, x, taut, left, counts, now)])
+    return Function("substep", [state, held], [choose(some, x, taut, left, counts, now)])
 
 
 def _finish(step: ca.Function, substep: ca.Function, equation: Equation) -> ca.Function:
@@ -456,7 +454,7 @@ def _finish(step: ca.Function, substep: ca.Function, equation: Equation) -> ca.F
     passed = missed(equation)(x, end, equation.ahead(u, h - left), taut, left)
     more = counts + _count(tries=1, missed=passed)
     pulling = taut_strings(equation, end, equation.ahead(u, h))
-    whole = ca.Function("whole", [state, held], [ca.vertcat(end, pulling, 0, more)])
+    whole = Function("whole", [state, held], [ca.vertcat(end, pulling, 0, more)])
     rest = SUBSTEPS - 1
     cut_up = substep.fold(rest)(state, ca.repmat(held, 1, rest))
 
@@ -464,8 +462,8 @@ def _finish(step: ca.Function, substep: ca.Function, equation: Equation) -> ca.F
         """Return what follows a state of substeps where time is left."""
         return where_needed(by)(_split(after, equation)[2] > REST * h, after, held)
 
-    several = ca.Function("several", [state, held], [followed(whole, cut_up)])
-    return ca.Function("finish", [state, held], [followed(several, substep(state, held))])
+    several = Function("several", [state, held], [followed(whole, cut_up)])
+    return Function("finish", [state, held], [followed(several, substep(state, held))])
 
 
 def _symbols(equation: Equation) -> tuple[Any, Any, Any, Any, Any]:

@@ -11,7 +11,7 @@ from typing import final
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Equation, Evaluator, compiler
+from tenscontrol.dynamics import Equation, Evaluator, Function, compiler
 from tenscontrol.integrate.events import COUNTS, located, taut_strings
 from tenscontrol.integrate.integrator import (
     IntegrationError,
@@ -80,7 +80,7 @@ class FixedStep(Integrator):
         size = int(step.size1_in(0))
         many = int(np.clip(_MOST_NUMBERS / (_BLOCK * size), 1, _MANY))
         x, u, _, _ = equation.symbols(ca.MX)
-        taut = ca.Function("taut", [x, u], [taut_strings(equation, x, u)])
+        taut = Function("taut", [x, u], [taut_strings(equation, x, u)])
         blocks = block if many == 1 else block.mapaccum(many)
         return _Steps(block, blocks, taut, size, many, back_end)
 
@@ -212,7 +212,7 @@ class RK4(FixedStep):
         k2 = equation.slope(x + h / 2 * k1, half, taut)
         k3 = equation.slope(x + h / 2 * k2, half, taut)
         k4 = equation.slope(x + h * k3, end, taut)
-        return ca.Function("rk4", [x, u, taut, h], [x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)])
+        return Function("rk4", [x, u, taut, h], [x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)])
 
 
 def not_finite(good: int, step: float) -> str:
@@ -226,10 +226,10 @@ def not_finite(good: int, step: float) -> str:
 def _block(step: ca.Function) -> ca.Function:
     """Return ``(z, u, [h1 h2 …]) -> [z1 z2 …]``, one column a step; none is taken where h is 0."""
     z, u, h = (ca.MX.sym(step.name_in(i), step.size1_in(i)) for i in range(3))
-    maybe = ca.Function("maybe", [z, u, h], [where_needed(step)(h > 0, z, u, h)])
+    maybe = Function("maybe", [z, u, h], [where_needed(step)(h > 0, z, u, h)])
     steps = ca.MX.sym("h", _BLOCK)
     many = maybe.mapaccum(_BLOCK)(z, ca.repmat(u, 1, _BLOCK), steps.T)
-    return ca.Function("block", [z, u, steps], [many])
+    return Function("block", [z, u, steps], [many])
 
 
 def _carried(step: ca.Function, equation: Equation) -> ca.Function:
@@ -246,6 +246,6 @@ def _carried(step: ca.Function, equation: Equation) -> ca.Function:
     later = [clock + h] * clocks
     if not equation.switches:
         x1 = step(x, now, ca.MX(0, 1), h)
-        return ca.Function("step", [z, u, h], [ca.vertcat(x1, *later)])
+        return Function("step", [z, u, h], [ca.vertcat(x1, *later)])
     x1, taut1, more = located(step, equation)(x, taut, now, h)
-    return ca.Function("step", [z, u, h], [ca.vertcat(x1, *later, taut1, counts + more)])
+    return Function("step", [z, u, h], [ca.vertcat(x1, *later, taut1, counts + more)])

@@ -11,7 +11,14 @@ from typing import TypeVar
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import ContactLaw, Equation, SharedEvaluator, compiled, if_compiled
+from tenscontrol.dynamics import (
+    ContactLaw,
+    Equation,
+    Function,
+    SharedEvaluator,
+    compiled,
+    if_compiled,
+)
 from tenscontrol.structure import Structure, moving_mass, node_mass
 from tenscontrol.validation import (
     LARGEST,
@@ -169,7 +176,7 @@ def in_machine_code(equation: Equation, step: ca.Function, wanted: bool) -> tupl
     if equation.form == "loops":
         return step, "machine code for the forces"
     code = if_compiled(lambda: compiled(step)) if wanted else None
-    return (step, "virtual machine") if code is None else (code.function, "machine code")
+    return (step, "virtual machine") if code is None else (code, "machine code")
 
 
 def next_size(most: int, size: int, taken: float) -> int:
@@ -183,7 +190,7 @@ def where_needed(function: ca.Function) -> ca.Function:
     """Return ``(needed, first, …) -> value``: what a function returns, or else its first input."""
     count = function.n_in()
     inputs = [ca.MX.sym(function.name_in(i), function.sparsity_in(i)) for i in range(count)]
-    idle = ca.Function("idle", inputs, [inputs[0]])
+    idle = Function("idle", inputs, [inputs[0]])
     return ca.Function.if_else(f"{function.name()}_or_not", function, idle)
 
 
@@ -360,13 +367,13 @@ def power_iteration(equation: Equation) -> ca.Function:
     change = difference * vector / ca.if_else(size > 0, size, 1)
     q, v = x[:n], x[n:]
     ends = [slope(ca.vertcat(q + sign * change, v), u, taut)[n:] for sign in (1, -1)]
-    again = ca.Function(
+    again = Function(
         "again", [vector, x, u, taut, difference], [(ends[0] - ends[1]) / (2 * difference)]
     )
     given = (x, u, taut, difference)
     columns = [ca.repmat(each, 1, _POWER_ITERATIONS) for each in given]
     end = again.fold(_POWER_ITERATIONS)(vector, *columns)
-    return ca.Function("frequency", [*given, vector], [ca.norm_2(end)])
+    return Function("frequency", [*given, vector], [ca.norm_2(end)])
 
 
 def _shared(equation: Equation, name: str, build: Callable[[], ca.Function]) -> SharedEvaluator:
@@ -413,7 +420,7 @@ def _of_depth(law: ContactLaw) -> ca.Function:
     p, rate = ca.SX.sym("p"), ca.SX.sym("rate")
     normal = law.normal_force(p, rate)
     outputs = [law.stored_energy(p), normal, ca.jacobian(normal, p), ca.jacobian(normal, rate)]
-    return ca.Function("of_depth", [p, rate], outputs)
+    return Function("of_depth", [p, rate], outputs)
 
 
 def _contact_rate(

@@ -19,6 +19,7 @@ import numpy as np
 from tenscontrol.dynamics import (
     OPERATIONS,
     Equation,
+    Function,
     compiled_library,
     compiler,
     if_compiled,
@@ -223,7 +224,7 @@ def _parts(smooth: ca.Function, equation: Equation) -> list[ca.Function]:
     later = equation.ahead(now, h)
 
     def function(name: str, inputs: list[Any], *outputs: Any) -> ca.Function:
-        return ca.Function(name, inputs, [ca.densify(ca.SX(each)) for each in outputs])
+        return Function(name, inputs, [ca.densify(ca.SX(each)) for each in outputs])
 
     found = [function("smooth", [x, taut, *of, h], smooth(x, now, taut, h))]
     if not equation.switches:

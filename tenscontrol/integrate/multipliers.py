@@ -14,7 +14,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import kernel
+from tenscontrol.dynamics import Function, kernel
 from tenscontrol.integrate.integrator import where_needed
 from tenscontrol.structure import Structure, node_mass
 from tenscontrol.validation import FloatArray, IntArray
@@ -66,7 +66,7 @@ class Coupled:
         ]
         values = ca.vertcat(*(system.values for system in self._systems))
         self._factors = ca.SX.sym("factors", values.shape[0])
-        self.factorized = ca.Function("factorized", [self._c], [values])
+        self.factorized = Function("factorized", [self._c], [values])
         self.placed = self._placed()
         self.across = self._across()
 
@@ -132,11 +132,11 @@ class Coupled:
         state = ca.SX.sym("state", size + 2)
         part = self._solve(ca.SX.zeros(size), -self.excess(c + state[:size]))
         new = ca.densify(ca.vertcat(state[:size] + part, ca.norm_2(part), state[size]))
-        iterate = where_needed(ca.Function("iterate", [state, c, factors], [new]))
+        iterate = where_needed(Function("iterate", [state, c, factors], [new]))
         end = ca.SX.sym("end", size)
         before, after = (kernel.differences(self.nodes(each), self._pairs) for each in (c, end))
         near = ca.mmin(kernel.dots(before, after).T - cos(_LARGEST_TURN) * self._square) >= 0
-        near = ca.Function("near", [c, end], [near])
+        near = Function("near", [c, end], [near])
         c, start, factors = (
             ca.MX.sym(name, each.shape[0])
             for name, each in (("c", self._c), ("start", self._c), ("factors", self._factors))
@@ -157,18 +157,18 @@ class Coupled:
 
         # Most often few are needed: the others are skipped at once.
         given = [ca.MX.sym(f"a{i}", n) for i, n in enumerate((size + 2, size, factors.shape[0], 1))]
-        others = where_needed(ca.Function("others", given, [iterated(_MOST - _FEW, *given)]))
+        others = where_needed(Function("others", given, [iterated(_MOST - _FEW, *given)]))
         state = iterated(_FEW, ca.vertcat(ca.MX.zeros(size), ca.inf, ca.inf), c, factors, scale)
         state = others(going_on(state, scale), state, c, factors, scale)
         change = state[:size]
         good = ca.logic_and(state[size] < _SMALL * scale, near(start, c + change))
         change = ca.if_else(good, change, ca.DM.nan(size))
-        return ca.Function("placed", [c, start, factors], [change])
+        return Function("placed", [c, start, factors], [change])
 
     def _across(self) -> ca.Function:
         rates = ca.SX.sym("rates", len(self.rows))
         change = self._solve(ca.SX.zeros(len(self.rows)), -self.stretching(self._c, rates))
-        return ca.Function("across", [self._c, rates, self._factors], [rates + change])
+        return Function("across", [self._c, rates, self._factors], [rates + change])
 
     def restored(self) -> ca.Function:
         """Return ``(c, rates) -> (c, rates)`` with exact bars, from a state near by.
@@ -180,7 +180,7 @@ class Coupled:
         change = self.placed(c, c, self.factorized(c))
         end = c + change
         after = self.across(end, rates, self.factorized(end))
-        return ca.Function("restored", [c, rates], [end, self._turned()(c, rates, end, after)])
+        return Function("restored", [c, rates], [end, self._turned()(c, rates, end, after)])
 
     def _turned(self) -> ca.Function:
         """Return ``(c, rates, c1, rates1) -> rates1`` with the angular momentum of c, rates."""
@@ -211,7 +211,7 @@ class Coupled:
                 inertia = (1 + _NO_INERTIA) * trace * ca.SX.eye(3) - spread
             turn = ca.repmat(ca.solve(inertia, before - after), 1, len(nodes))
             V1[:, nodes] += cross(turn, arms)
-        return ca.Function("turned", given, [ca.vec(V1)[self.rows.tolist()]])
+        return Function("turned", given, [ca.vec(V1)[self.rows.tolist()]])
 
 
 def cross(a: kernel.Symbolic, b: kernel.Symbolic) -> kernel.Symbolic:

@@ -7,7 +7,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Equation, evaluate_columns, kernel
+from tenscontrol.dynamics import Equation, Function, evaluate_columns, kernel
 from tenscontrol.integrate.multipliers import Coupled
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, IntArray
@@ -28,16 +28,16 @@ def project(structure: Structure, symbol: Any = ca.SX.sym) -> ca.Function:
     bodies = Bodies(structure)
     if not structure.blocks:
         x = symbol("x", 2 * len(structure.free_rows))
-        return ca.Function("project", [x], [_project_alone(bodies, x)])
+        return Function("project", [x], [_project_alone(bodies, x)])
     x = ca.MX.sym("x", 2 * len(structure.free_rows))
     alone = ca.SX.sym("x", 2 * len(bodies.alone))
-    parts = ca.Function("project_alone", [alone], [_project_alone(bodies, alone)])
+    parts = Function("project_alone", [alone], [_project_alone(bodies, alone)])
     q, v = ca.vertsplit(x, x.shape[0] // 2)
     moved = parts(ca.vertcat(q[bodies.alone], v[bodies.alone]))
     half = len(bodies.alone)
     c, rates = Coupled(structure).restored()(q[bodies.coupled], v[bodies.coupled])
     ends = [bodies.merge(moved[:half], c), bodies.merge(moved[half:], rates)]
-    return ca.Function("project", [x], [ca.vertcat(*ends)])
+    return Function("project", [x], [ca.vertcat(*ends)])
 
 
 def _project_alone(bodies: Bodies, x: kernel.Symbolic) -> kernel.Symbolic:
@@ -87,7 +87,7 @@ def projected(step: ca.Function, equation: Equation) -> ca.Function:
     written = step.is_a("SXFunction") and exact.is_a("SXFunction")
     symbols = ca.SX if written else ca.MX
     arguments = [symbols.sym(step.name_in(i), step.size1_in(i)) for i in range(step.n_in())]
-    return ca.Function(f"projected_{step.name()}", arguments, [exact(step(*arguments))])
+    return Function(f"projected_{step.name()}", arguments, [exact(step(*arguments))])
 
 
 class Bodies:

@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Model, Profile, builds, kernel, solving
+from tenscontrol.dynamics import BUILDING, Function, Model, Profile, builds, kernel
 from tenscontrol.plant.linear_plant import INPUTS
 from tenscontrol.plant.stance import (
     GroundPoints,
@@ -440,8 +440,8 @@ def _minimize(
     energy = ca.substitute(energy, stage, ca.DM(np.append(np.ones(len(held)), 0.0)))
     conditions = ca.vertcat(ca.gradient(energy + ca.dot(lam, stretch), q), stretch)
     unknowns = ca.vertcat(q, lam)
-    newton = ca.Function("newton", [unknowns], [conditions, ca.jacobian(conditions, unknowns)])
-    whole = ca.Function("nodes", [q], [nodes])
+    newton = Function("newton", [unknowns], [conditions, ca.jacobian(conditions, unknowns)])
+    whole = Function("nodes", [q], [nodes])
     size = float(np.ptp(structure.nodes, axis=1).max())
     stiffness = float(strained.max(initial=0.0)) / (_STRAIN * size)
     flat_below = _EXACT * stiffness
@@ -513,7 +513,7 @@ def _optimized(
         stages.append(np.append(np.ones(len(ratio)), part * widest))
     stages += [plain] if len(stages) > 1 else []
     for stage in stages:
-        with solving():
+        with BUILDING:
             answer = solver(x0=place, p=stage, lbg=0.0, ubg=0.0)
         status = solver.stats()
         found = [np.array(answer[part]).ravel() for part in ("x", "lam_g")]

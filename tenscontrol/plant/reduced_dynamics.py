@@ -10,7 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import ContactLaw, kernel, on_one_thread
+from tenscontrol.dynamics import ContactLaw, Function, kernel, on_one_thread
 from tenscontrol.plant.linear_plant import LinearPlant, kept
 from tenscontrol.plant.modes import modes as all_modes  # `reduce` has an argument of this name
 from tenscontrol.plant.string_outputs import model_input, string_forces
@@ -176,7 +176,7 @@ def reduced_acceleration(plant: LinearPlant, *, taut: bool) -> ca.Function:
     """
     z, u = (ca.SX.sym(name, size) for name, size in zip("zu", plant.B.shape, strict=True))
     acceleration = ca.densify(_acceleration(plant, z, u, taut))
-    return ca.Function("reduced", [z, u], [acceleration], ["z", "u"], ["qdd"])
+    return Function("reduced", [z, u], [acceleration], ["z", "u"], ["qdd"])
 
 
 def _acceleration(plant: LinearPlant, z: Any, u: Any, taut: bool, near: Any = None) -> Any:
@@ -204,7 +204,7 @@ def _tracked_motion(plant: LinearPlant, matrix: FloatArray) -> ca.Function:
         ca.substitute(acceleration, gamma, ca.SX.zeros(gamma.shape)),
         ca.jacobian(acceleration, gamma),
     ]
-    return ca.Function("tracked", [z], ca.cse([ca.densify(each) for each in outputs]))
+    return Function("tracked", [z], ca.cse([ca.densify(each) for each in outputs]))
 
 
 def checked_tracked(plant: LinearPlant, tracked: object) -> FloatArray:
@@ -268,7 +268,7 @@ def sampled_motion(plant: LinearPlant, sample_time: float) -> ca.Function:
     if count == 1:
         return motion
     z, u = (ca.MX.sym(name, size) for name, size in zip("zu", plant.B.shape, strict=True))
-    return ca.Function("motion", [z, u], [motion.fold(count)(z, ca.repmat(u, 1, count))])
+    return Function("motion", [z, u], [motion.fold(count)(z, ca.repmat(u, 1, count))])
 
 
 @kept
@@ -286,7 +286,7 @@ def sampled_dynamics(plant: LinearPlant, sample_time: float) -> tuple[ca.Functio
         start = ca.horzcat(z, ca.DM.eye(s), ca.DM.zeros(s, a))
         end = chain(ca.densify(start), ca.repmat(u, 1, count))
         columns = end[:, 0], end[:, 1 : 1 + s], end[:, 1 + s :]
-        linearized = ca.Function("linearized", [z, u], list(columns))
+        linearized = Function("linearized", [z, u], list(columns))
     return motion, linearized
 
 
@@ -336,7 +336,7 @@ def _slopes_under(law: ContactLaw, load: float) -> tuple[float, float]:
     depth, rate = ca.SX.sym("depth"), ca.SX.sym("rate")
     force = law.normal_force(depth, rate)
     parts = [force, ca.gradient(force, depth), ca.gradient(force, rate)]
-    function = ca.Function("pressed", [depth, rate], [ca.densify(part) for part in parts])
+    function = Function("pressed", [depth, rate], [ca.densify(part) for part in parts])
     at = 1.0
     while float(function(at, 0.0)[0]) > load and at > _SHALLOWEST:
         at /= 2
@@ -360,7 +360,7 @@ def _rk4_step(plant: LinearPlant, h: float) -> ca.Function:
         at = z + ahead * slope
         slope = ca.vertcat(at[r:], acceleration(at, u))
         end += h / 6 * weight * slope
-    return ca.Function("motion", [z, u], [end])
+    return Function("motion", [z, u], [end])
 
 
 def _linearized_rk4_step(plant: LinearPlant, h: float) -> ca.Function:
@@ -396,7 +396,7 @@ def _linearized_rk4_step(plant: LinearPlant, h: float) -> ca.Function:
         rates += h / 6 * weight * accelerations
     whole = ca.vertcat(total, rates)
     parts = [end, ca.densify(whole[:, :s]), ca.densify(whole[:, s:])]
-    return ca.Function("linearized", [z, u], parts)
+    return Function("linearized", [z, u], parts)
 
 
 def _chained(linearized: ca.Function) -> ca.Function:
@@ -405,7 +405,7 @@ def _chained(linearized: ca.Function) -> ca.Function:
     carried, u = ca.MX.sym("carried", s, 1 + s + a), ca.MX.sym("u", a)
     end, by_z, by_u = linearized(carried[:, 0], u)
     inner = ca.mtimes(by_z, carried[:, 1:]) + ca.horzcat(ca.DM.zeros(s, s), by_u)
-    return ca.Function("chained", [carried, u], [ca.densify(ca.horzcat(end, inner))])
+    return Function("chained", [carried, u], [ca.densify(ca.horzcat(end, inner))])
 
 
 def acceleration_slopes(plant: LinearPlant, *, taut: bool) -> ca.Function:
@@ -418,7 +418,7 @@ def acceleration_slopes(plant: LinearPlant, *, taut: bool) -> ca.Function:
         qdd = ca.cse(qdd)  # before its derivatives: they then have little in common but that
     by_z, by_u = (ca.densify(ca.jacobian(qdd, by)) for by in (z, u))
     parts = settled(plant, z, near, [ca.densify(qdd), by_z[:, :r], by_z[:, r:], by_u])
-    return ca.Function("derivatives", [z, u], parts)
+    return Function("derivatives", [z, u], parts)
 
 
 @kept
@@ -445,7 +445,7 @@ def linked_accelerations(
     moved, by_F = accelerated(there, velocities, ca.reshape(force, *N.shape))
     jacobians = by_F, by_N, by_n
     entries = [ca.densify(part.nz[:]) for part in jacobians]
-    function = ca.Function("linked", [n, rates, u], [ca.densify(moved), *entries])
+    function = Function("linked", [n, rates, u], [ca.densify(moved), *entries])
     return function, tuple(part.sparsity() for part in jacobians)
 
 
@@ -455,7 +455,7 @@ def exact_motion(plant: LinearPlant, n: Any, rates: Any) -> tuple[Any, Any, Any]
     at, moving = (ca.SX.sym("at", *part.shape) for part in (n, rates))
     value = ca.vertcat(*map(ca.vec, frame.kept_lengths(at, moving, near)))
     parts = ca.cse([value, ca.jacobian(value, ca.vertcat(at, moving))])
-    exact = ca.Function("exact", [at, moving, near], parts)
+    exact = Function("exact", [at, moving, near], parts)
     motion, jacobian = exact(n, rates, frame.hidden(n, rates))
     N, V = (ca.reshape(part, *plant.nodes.shape) for part in ca.vertsplit(motion, n.numel()))
     return N, V, jacobian
@@ -465,7 +465,7 @@ def with_jacobian(value: Any, *arguments: Any) -> ca.Function:
     """Return the function of a column, dense, and its Jacobian, sparse, by all arguments, SX."""
     value = ca.densify(value)
     jacobian = ca.jacobian(value, ca.vertcat(*map(ca.vec, arguments)))
-    return ca.Function("link", list(arguments), ca.cse([value, jacobian]))
+    return Function("link", list(arguments), ca.cse([value, jacobian]))
 
 
 def _forces(plant: LinearPlant, N: Any, V: Any, u: Any, taut: bool) -> Any:

@@ -8,7 +8,7 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import evaluate_columns
+from tenscontrol.dynamics import Function, evaluate_columns
 from tenscontrol.fields import Array, OptionalArray, converted
 from tenscontrol.plant.linear_plant import LinearPlant, Sampled, acceleration_response, kept
 from tenscontrol.plant.string_outputs import to_commanded_strings, to_model_strings
@@ -524,6 +524,6 @@ def _acceleration_at_rest(plant: LinearPlant) -> tuple[ca.Function, ca.Sparsity,
     slope = model.dynamics(x, gamma, *map(ca.DM, plant.load_input))
     moved = slope[len(rows) :]
     offset, jacobian = ca.substitute(moved, gamma, 0), ca.jacobian(moved, gamma)
-    function = ca.Function("held", [N], [ca.densify(offset), ca.densify(jacobian.nz[:])])
+    function = Function("held", [N], [ca.densify(offset), ca.densify(jacobian.nz[:])])
     project = plant.coordinates.project(np.eye(plant.nodes.size))[:, rows]
     return function, jacobian.sparsity(), project

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Contacts, Model
+from tenscontrol.dynamics import Contacts, Function, Model
 from tenscontrol.properties import cached_property
 from tenscontrol.statics import Prestress, equilibrium_matrix
 from tenscontrol.structure import Structure, bar_rows, free_coordinates, rigid_motions
@@ -272,7 +272,7 @@ def _ground_function(model: Model, contacts: Contacts) -> ca.Function:
         gap = law.gap(depth, 0 * rate)
         pressing = 1 if gap is None else gap > 0
         parts.append(ca.vertcat(depth, pressing * law.normal_force(depth, 0 * rate), away))
-    return ca.Function("ground_points", [N], [ca.densify(ca.horzcat(*parts))])
+    return Function("ground_points", [N], [ca.densify(ca.horzcat(*parts))])
 
 
 def let_down(model: Model, start: FloatArray, load: FloatArray) -> FloatArray:

@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import kernel
+from tenscontrol.dynamics import Function, kernel
 from tenscontrol.plant.linear_plant import LinearPlant, kept
 from tenscontrol.structure import to_segments, to_strings
 from tenscontrol.validation import FloatArray
@@ -56,7 +56,7 @@ def string_map(plant: LinearPlant, input: str) -> StringMap:
     outputs = [ca.densify(part) for part in string_forces(plant, input, *given)]
     # By nodes these derivatives are sparse: the basis comes in as numbers.
     slopes = [ca.jacobian(y, ca.vec(x)) for y in outputs for x in given]
-    function = ca.Function("strings", given, outputs + slopes)
+    function = Function("strings", given, outputs + slopes)
     found = function(plant.nodes, np.zeros(shape), to_model_strings(plant, input, at))
     values = [np.array(value.full()) for value in found]
     by_state = [np.hstack([part @ plant.basis for part in values[k : k + 2]]) for k in (2, 5)]

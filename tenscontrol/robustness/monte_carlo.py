@@ -88,8 +88,8 @@ def sweep(
     ------
     TypeError, ValueError
         If an argument is of the wrong kind or does not fit, the case cannot be
-        pickled, the file is of another sweep (the message says what differs), or was changed (it
-        says in which line).
+        pickled, the file is of another sweep (the message says what differs), or one of its lines
+        is no run of it.
     OSError
         If the file cannot be read or written, or another sweep writes to it. It keeps all runs
         that were written.
@@ -102,7 +102,7 @@ def sweep(
     RuntimeWarning
         If the user interrupts: the report of the runs done is returned, and running ones are
         abandoned, except on an executor that was given. If the last line of the file is
-        incomplete: it is ignored. If the file system has no locks.
+        incomplete: it is ignored.
 
     Examples
     --------
@@ -155,7 +155,7 @@ def sweep(
                             store.refuse_other_figures(record, records)
                         except ValueError as error:
                             raise SweepError(str(error)) from None
-                    write(*done)
+                    write(*map(vars, done))
                     records.update({record.run: record for record in done})
                     report(len(records) - beyond)
 
@@ -166,7 +166,7 @@ def sweep(
                 # before anything is added to the file.
                 spread(pool, start, list(records)[:1], keep)
                 if count > known_count:
-                    write(store.Longer(count))
+                    write({"count": count})
                 left = [run for run in range(count) if run not in records]
                 spread(pool, start, left, keep, at_a_time)
         except SweepError as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import pickle
 import signal
@@ -15,17 +16,16 @@ from concurrent.futures import (
     ProcessPoolExecutor,
     wait,
 )
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
 from functools import partial
-from multiprocessing.context import SpawnContext
-from multiprocessing.process import BaseProcess
-from threading import local
+from multiprocessing.connection import Connection
+from threading import Thread, local
 from typing import Any, final
 
 import numpy as np
 
 from tenscontrol.interrupt import check, finishing
-from tenscontrol.processes import begin_work
 from tenscontrol.robustness.closed_loop_case import Outcome
 from tenscontrol.robustness.distributions import CASE, Distribution, Drawn, draw_run, generator
 from tenscontrol.robustness.store import Record
@@ -47,49 +47,13 @@ _here = local()  # the last case that a thread of a worker did several runs of
 
 
 @final
+@dataclass(frozen=True)
 class Workers:
-    """Where runs are done, ``in_flight`` at a time: a user's executor, or our own processes."""
+    """Where runs are done, ``in_flight`` at a time: a user's executor, or processes of ours."""
 
-    def __init__(self, executor: Executor, in_flight: int, own: _Remembering | None = None) -> None:
-        self._executor, self.in_flight, self._own = executor, in_flight, own
-
-    def submit(
-        self, function: Callable[..., list[Record]], *arguments: object
-    ) -> Future[list[Record]]:
-        """Hand out some runs."""
-        if self._own is None:
-            return self._executor.submit(function, *arguments)
-        # This may start a process. It inherits the mask: Ctrl-C, which the terminal sends to all
-        # processes, would else end it before it can ignore that.
-        with _interrupts_blocked():
-            return self._executor.submit(function, *arguments)
-
-    def give_up(self, pending: Iterable[Future[list[Record]]]) -> None:
-        """See that runs which are not done do not hold up the end."""
-        if self._own is None:
-            for future in pending:
-                future.cancel()
-            return
-        # The pool finds that its processes have ended, and clears up. Nothing is cancelled:
-        # the thread of Python 3.11 that clears up fails at a cancelled future, and the processes
-        # that are left wait for ever.
-        for process in self._own.started:
-            if process.pid is not None:
-                process.kill()
-
-
-class _Remembering(SpawnContext):
-    """Starts processes anew, and remembers them."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.started: list[BaseProcess] = []
-
-    def Process(self, *args: Any, **kwargs: Any) -> BaseProcess:  # type: ignore[override]  # noqa: N802 - a name of the standard library
-        """Return a process that is to be started."""
-        process = SpawnContext.Process(*args, **kwargs)
-        self.started.append(process)
-        return process
+    executor: Executor
+    in_flight: int
+    ours: bool
 
 
 @contextmanager
@@ -111,17 +75,22 @@ def workers(
 ) -> Iterator[Workers]:
     """Yield the user's executor as it is, or processes of our own, ended afterwards."""
     if executor is not None:
-        yield Workers(executor, in_flight or _IN_FLIGHT)
+        yield Workers(executor, in_flight or _IN_FLIGHT, ours=False)
         return
     affinity = getattr(os, "sched_getaffinity", None)  # what this process may use, where it is told
     width = processes or (len(affinity(0)) if affinity else os.cpu_count() or 1)
     # Processes are started anew: a fork of a process that has threads can lock up.
-    context = _Remembering()
-    pool = ProcessPoolExecutor(width, context, initializer=begin_work)
-    try:
-        yield Workers(pool, in_flight or _PER_PROCESS * width, context)
-    finally:
-        pool.shutdown()
+    context = multiprocessing.get_context("spawn")
+    watched, held = context.Pipe(duplex=False)
+    pool = ProcessPoolExecutor(width, context, _begin_work, (watched,))
+    with held, watched:
+        try:
+            yield Workers(pool, in_flight or _PER_PROCESS * width, ours=True)
+        except BaseException:
+            held.close()  # ends the processes, whatever they are at
+            raise
+        finally:
+            pool.shutdown()
 
 
 def spread(
@@ -162,8 +131,10 @@ def spread(
                 keep(future.result())
         raise
     finally:
-        if not over:
-            pool.give_up(pending)
+        # Not of processes of ours: where they end, Python 3.11 fails at a cancelled future.
+        if not over and not pool.ours:
+            for future in pending:
+                future.cancel()
 
 
 def _fill(
@@ -177,7 +148,10 @@ def _fill(
         if runs is None:
             return
         try:
-            pending[pool.submit(*start(runs))] = runs
+            # This may start a process. It inherits the mask: Ctrl-C, which the terminal sends to
+            # all processes, would else end it before it can ignore that.
+            with _interrupts_blocked() if pool.ours else nullcontext():
+                pending[pool.executor.submit(*start(runs))] = runs
         except BrokenExecutor as error:
             raise _stopped(error, runs, [runs, *pending.values()]) from error
 
@@ -202,6 +176,23 @@ def _stopped(error: BaseException, runs: list[int], in_flight: Iterable[list[int
 
 
 # ---- in a worker ----
+
+
+def _begin_work(watched: Connection) -> None:
+    """Leave Ctrl-C to the parent, and end where it ends, however it does, or closes its end.
+
+    What is left of a simulation after a signal must not pass for a whole run.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: os._exit(1))
+    Thread(target=_end_with, args=(watched,), daemon=True).start()
+
+
+def _end_with(watched: Connection) -> None:
+    try:
+        watched.poll(None)  # nothing is ever sent
+    finally:
+        os._exit(1)
 
 
 def do_runs(

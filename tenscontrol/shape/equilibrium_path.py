@@ -8,7 +8,7 @@ from math import ceil
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Evaluator, builds, kernel
+from tenscontrol.dynamics import Evaluator, Function, builds, kernel
 from tenscontrol.shape.nonlinear_program import EXACT, ShapeProblem
 from tenscontrol.statics import Prestress, prestress
 from tenscontrol.validation import FloatArray, refuse_memory
@@ -71,7 +71,7 @@ class Continuation:
         unknowns = ca.vertcat(v, mu)
         parts = [conditions, ca.jacobian(conditions, unknowns), ca.jacobian(conditions, s)]
         dense = [ca.densify(part) for part in parts]
-        self._newton = Evaluator(ca.Function("conditions", [unknowns, s], dense))
+        self._newton = Evaluator(Function("conditions", [unknowns, s], dense))
 
     def first(self) -> Waypoint:
         """Return the start."""
@@ -303,8 +303,8 @@ class PathMotion:
             length = kernel.string_lengths(model.structure, N).T
             rows.append(model.strings.taut_rest_length(length, gamma))
         rates = [ca.densify(ca.jtimes(row, v, dv)) for row in rows]
-        self._read = ca.Function("read", [v, dv], [*rows, *rates])
-        self._equations = ca.Function("equations", [v], [problem.equations])
+        self._read = Function("read", [v, dv], [*rows, *rates])
+        self._equations = Function("equations", [v], [problem.equations])
 
     def motion(self, point: Waypoint, speed: float) -> list[FloatArray]:
         """Return nodes, velocities, γ, and rest lengths with their rates, at ds/dt."""

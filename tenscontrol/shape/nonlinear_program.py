@@ -7,7 +7,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Model, builds, built, kernel, solving
+from tenscontrol.dynamics import BUILDING, Function, Model, builds, built, kernel
 from tenscontrol.shape.symmetry import Reduction, RotationalSymmetry, reduction
 from tenscontrol.statics import Prestress, equilibrium_matrix, null_space
 from tenscontrol.structure import Structure, bar_rows, free_coordinates, is_movable
@@ -91,7 +91,7 @@ class ShapeProblem:
         stretch = self._stretch(moving)
         # Equations that the symmetry makes equal are written once.
         self.equations = ca.vertcat(ca.mtimes(_sparse(red.basis.T), unbalanced), stretch)
-        self._parts = ca.Function("parts", [self.unknowns], [ca.densify(at), self.gamma])
+        self._parts = Function("parts", [self.unknowns], [ca.densify(at), self.gamma])
 
     @property
     def dependent_stretch(self) -> Any:
@@ -187,7 +187,7 @@ class ShapeProblem:
         }
         problem = {"x": v, "f": objective + tie, "g": rows}
         solver = ca.nlpsol("shape", "ipopt", problem, options)
-        with solving():
+        with BUILDING:
             answer = solver(x0=guess, lbx=least, ubx=most, lbg=low, ubg=high)
         return np.array(answer["x"].full()).ravel(), bool(solver.stats()["success"])
 
@@ -195,7 +195,7 @@ class ShapeProblem:
     def polish(self, values: FloatArray, rows: Any = None) -> tuple[FloatArray, FloatArray]:
         """Return the nearest unknowns at which equations and ``rows`` vanish, and what is left."""
         every = self.equations if rows is None else ca.vertcat(self.equations, rows)
-        newton = ca.Function("newton", [self.unknowns], [every, ca.jacobian(every, self.unknowns)])
+        newton = Function("newton", [self.unknowns], [every, ca.jacobian(every, self.unknowns)])
         best = point = values[: self.unknowns.numel()]
         least, left = np.inf, np.full(1, np.inf)
         for _ in range(_STEPS):
@@ -243,7 +243,7 @@ class ShapeProblem:
         stored = self.model.elastic_energy(state, rest_length)
         hessian, _ = ca.hessian(stored - ca.dot(lam, squares), q)
         results = [hessian, ca.jacobian(squares, q)]
-        return ca.Function("stiffness", [q, rest_length, lam], results)
+        return Function("stiffness", [q, rest_length, lam], results)
 
     def _neutral_motions(self, motions: FloatArray) -> FloatArray:
         """Return the rigid motions, (d (d + 1)/2, m), that supports permit and that do no work."""

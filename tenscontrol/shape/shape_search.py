@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Model, builds, kernel
+from tenscontrol.dynamics import Function, Model, builds, kernel
 from tenscontrol.shape.demands import CentreKept, Demand
 from tenscontrol.shape.force_bounds import ForceLimits, choose_force_density
 from tenscontrol.shape.nonlinear_program import EXACT, MIRRORED, ShapeProblem
@@ -109,9 +109,9 @@ class _DemandRows:
         self.soft = np.setdiff1d(np.arange(self.rows.numel()), np.flatnonzero(hard))
         self.low = np.concatenate([low for _, low, _ in parts])
         self.high = np.concatenate([high for _, _, high in parts])
-        self._evaluate = ca.Function("rows", [problem.unknowns], [ca.densify(self.rows)])
+        self._evaluate = Function("rows", [problem.unknowns], [ca.densify(self.rows)])
         every = ca.densify(ca.vertcat(ca.SX(0, 1), *misses))
-        self._misses = ca.Function("misses", [problem.unknowns], [every])
+        self._misses = Function("misses", [problem.unknowns], [every])
 
     def misses(self, values: FloatArray) -> FloatArray:
         """Return found less wanted numbers, m or rad."""

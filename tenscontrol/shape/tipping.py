@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.actuation import Winches
-from tenscontrol.dynamics import Model, SharedEvaluator, builds, kernel
+from tenscontrol.dynamics import Function, Model, SharedEvaluator, builds, kernel
 from tenscontrol.plant import convex_hull, held_value, rest_length_bounds
 from tenscontrol.structure import bar_distances, restore_bar_lengths
 from tenscontrol.validation import (
@@ -434,7 +434,7 @@ def _conditions(model: Model) -> SharedEvaluator:
     hessian = ca.jacobian(slope + ca.mtimes(directions.T, lam), q)
     found = [slope, stretch, directions, hessian, ca.jacobian(slope, rest)]
     given = [q, rest, lam]
-    return SharedEvaluator(ca.Function("tipping", given, [ca.densify(each) for each in found]))
+    return SharedEvaluator(Function("tipping", given, [ca.densify(each) for each in found]))
 
 
 def nearest_plane(shape: FloatArray, down: FloatArray) -> tuple[FloatArray, FloatArray]:

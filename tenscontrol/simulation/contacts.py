@@ -8,7 +8,7 @@ from functools import partial
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import ContactLaw, evaluate_columns
+from tenscontrol.dynamics import ContactLaw, Function, evaluate_columns
 from tenscontrol.integrate import IntegrationError
 from tenscontrol.simulation.dense_motion import DenseMotion
 from tenscontrol.validation import FloatArray, IntArray, frozen
@@ -171,10 +171,10 @@ def _at_a_node(law: ContactLaw, dimension: int) -> ca.Function:
         normal = ca.if_else(gap > 0, normal, 0)
     force, stored = law.force(x, v), law.stored_energy(p)
     tangential = force - normal * away
-    energy, slowly = ca.Function("stored", [p], [stored, ca.gradient(stored, p)])(depth)
+    energy, slowly = Function("stored", [p], [stored, ca.gradient(stored, p)])(depth)
     damped, rubbed = (normal - slowly) * rate, -ca.dot(tangential, v)
     parts = [depth, normal * ca.norm_2(away), energy, damped, rubbed, tangential, force]
-    return ca.Function("contact", [x, v], [ca.densify(ca.vertcat(*parts))])
+    return Function("contact", [x, v], [ca.densify(ca.vertcat(*parts))])
 
 
 class _Integrals:

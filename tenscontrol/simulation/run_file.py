@@ -31,6 +31,7 @@ from tenscontrol.control import (
 from tenscontrol.dynamics import (
     OPERATIONS,
     ElasticStrings,
+    Function,
     Ground,
     HertzGround,
     LinearStrings,
@@ -497,7 +498,7 @@ def _function(name: str, names: list[str], lines: list[list[Any]]) -> ca.Functio
             parts = [work[each] for each in of]
             make = ca.SX.unary if len(parts) == 1 else ca.SX.binary
             work[into[0]] = make(getattr(ca, f"OP_{code}"), *parts)
-    return ca.Function(name, inputs, [result], names, ["h"])
+    return Function(name, inputs, [result], names, ["h"])
 
 
 def _check_shapes(shapes: Mapping[str, tuple[int, ...]]) -> None:

@@ -193,7 +193,7 @@ def test_files_do_not_say_when_they_were_written(short_of_iterations):
 def test_code_of_every_law_has_no_warnings(make, tmp_path):
     tc.generate_c(make(), tmp_path)
     strict = ["-std=c99", "-O1", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
-    subprocess.run([*compiler().command, *strict, "-c", "controller.c"], cwd=tmp_path, check=True)
+    subprocess.run([*compiler(), *strict, "-c", "controller.c"], cwd=tmp_path, check=True)
 
 
 @pytest.fixture(scope="module")
@@ -201,7 +201,7 @@ def replay(moved, tmp_path_factory):
     """The program that runs samples from a file, and its lines of 500 samples."""
     folder = tmp_path_factory.mktemp("replay")
     tc.generate_c(moved[0].one, folder, name="height")
-    cc = [*compiler().command, "-std=c99", "-g"]
+    cc = [*compiler(), "-std=c99", "-g"]
     strict = ["-O2", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
     sources = sorted(path.name for path in folder.glob("*.c"))
     for own in ("height.c", "main.c"):

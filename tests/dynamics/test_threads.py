@@ -1,6 +1,7 @@
 """Threads: what builds takes one lock, what has a memory refuses a second thread."""
 
 import copy
+import copyreg
 import gc
 import pickle
 import subprocess
@@ -16,8 +17,7 @@ import tenscontrol as tc
 from tenscontrol.accuracy import peers
 from tenscontrol.accuracy.converged_motion import PiecewiseSolver
 from tenscontrol.accuracy.open_loop import fastest_rate
-from tenscontrol.dynamics import BUILDING, Evaluator, Prepared
-from tenscontrol.dynamics.evaluator import _dropped, _free, paused
+from tenscontrol.dynamics import BUILDING, Evaluator, Function, Prepared
 from tests.accuracy.test_peers import prism_case
 from tests.dynamics.building import unlocked_calls
 from tests.fuzz import threads as fuzz
@@ -103,43 +103,38 @@ class TestLock:
         with BUILDING:
             assert elsewhere(lambda: store.get("a", lambda: 2)) == 1
 
-    def test_others_build_while_it_is_paused(self):
-        store = Prepared()
-
-        def build():
-            with paused():
-                return elsewhere(lambda: store.get("a", lambda: "other"))
-
-        # The first value stays, so that all threads share one.
-        assert store.get("a", build) == "other"
-        with BUILDING, paused(), paused():
-            assert elsewhere(lambda: store.get("b", lambda: 2)) == 2
-
     def test_a_function_that_was_never_made_is_dropped_in_silence(self):
         """Ctrl-C may end its making."""
-        ca.Function.__del__(ca.Function.__new__(ca.Function))
+        Function.__del__(Function.__new__(Function))
+        Evaluator.__del__(Evaluator.__new__(Evaluator))
 
-    def test_dropped_functions_are_freed_under_the_lock(self):
-        _free()
+    @pytest.mark.parametrize("of", [Function, Evaluator])
+    def test_what_is_dropped_is_freed_under_the_lock(self, of):
+        Function._dropped.clear()
         x = ca.SX.sym("x")
-        kept = [ca.Function("f", [x], [x + 0.5])]
-        last = ca.Function("f", [x], [x])
+        kept = [of(ca.Function("f", [x], [x + 0.5]))]
+        last = Function("f", [x], [x])
         with BUILDING:
             elsewhere(kept.clear)
-            assert _dropped.qsize() == 1
+            assert Function._dropped
         del last
-        assert _dropped.empty()
+        assert not Function._dropped
 
     def test_garbage_is_collected_while_another_thread_builds(self):
         x = ca.SX.sym("x")
-        loop = [ca.Function("f", [x], [x * 0.5])]
+        loop = [Function("f", [x], [x * 0.5])]
         loop.append(loop)
         del loop
         with BUILDING:
             elsewhere(gc.collect)
-            assert not _dropped.empty()
+            assert Function._dropped
         tc.Model(tc.prism()).dynamics  # noqa: B018
-        assert _dropped.empty()
+        assert not Function._dropped
+
+    def test_casadi_and_pickle_are_left_as_they_are(self):
+        assert "__del__" not in vars(ca.Function)
+        assert ca.Function not in copyreg.dispatch_table
+        assert isinstance(tc.Model(tc.prism()).dynamics, Function)
 
     @pytest.mark.parametrize(
         "copied", [copy.deepcopy, lambda each: pickle.loads(pickle.dumps(each))]

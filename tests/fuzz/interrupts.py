@@ -318,7 +318,7 @@ def alone():
 
 
 def numbers(report):
-    return [record.line() for record in report._records]
+    return list(report._records)
 
 
 def interrupt_sweep(name, sender, delay, number):
@@ -334,7 +334,7 @@ def interrupt_sweep(name, sender, delay, number):
         )  # fmt: skip
         if multiprocessing.active_children():
             raise LostError("a worker is left")
-        done = [each.line() for each in store.read(file)[1].values()] if file.exists() else []
+        done = list(store.read(file)[1].values()) if file.exists() else []
         if found is None:
             if done:
                 raise LostError(f"{len(done)} runs were done, and KeyboardInterrupt came instead")

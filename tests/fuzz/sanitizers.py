@@ -70,7 +70,7 @@ def can_sanitize():
 
 def build(sources, folder, flags):
     """Build a program of files in a folder."""
-    cc = machine_code.compiler().command
+    cc = machine_code.compiler()
     run([*cc, "-std=c99", *flags, *sources, "-lm", "-o", "program"], folder)
 
 
@@ -201,7 +201,7 @@ def check_controller(name, count, flags=CHECKED):
         made = tc.generate_c(controller, folder)
         (folder / "main.c").write_text(_PLAY)
         sources = [file for file in made.files if file.endswith(".c")]
-        cc = [*machine_code.compiler().command, "-std=c99", *flags]
+        cc = [*machine_code.compiler(), "-std=c99", *flags]
         run([*cc, "-c", *sources], folder)
         for prepare in (None, without_check):
             if prepare is not None:

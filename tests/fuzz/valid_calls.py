@@ -96,7 +96,6 @@ RESULTS = {
     "control.QPSolution",
     "deploy.CompiledController",
     "deploy.GeneratedController",
-    "dynamics.Compiled",
     "dynamics.Contacts",
     "dynamics.Coordinates",
     "dynamics.Equation",

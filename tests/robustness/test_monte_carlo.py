@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.robustness import pool, store
+from tenscontrol.robustness import pool
 from tests.robustness import cases
 from tests.robustness.cases import PARAMETERS, Inline, Waiting
 
@@ -26,7 +26,7 @@ def without_back_end(report):
 
 def lines(report):
     """Every number and text of a report, to the last bit."""
-    return [record.line() for record in report._records]
+    return [json.dumps(vars(record)) for record in report._records]
 
 
 def inline(case=cases.noisy, parameters=PARAMETERS, count=COUNT, **options):
@@ -216,7 +216,7 @@ class TestFailuresAreData:
 
         def interrupted(descriptor):
             synced.append(descriptor)
-            if len(synced) == 4:  # the header was the first
+            if len(synced) == 5:  # the empty file and its header were the first
                 signal.raise_signal(signal.SIGINT)
                 time.sleep(1)  # a slow disk
             fsync(descriptor)
@@ -230,10 +230,9 @@ class TestFailuresAreData:
 def other_outcome(line):
     """The line of a run of which something else came."""
     found = json.loads(line)
-    del found["check"]
     figures = {"value": 1.0, "first_mass": 1.0}
     changed = {"success": True, "error": None, "message": None, "figures": figures}
-    return store.Record(**(found | changed)).line() + "\n"
+    return json.dumps(found | changed) + "\n"
 
 
 class TestFile:
@@ -306,11 +305,10 @@ class TestFile:
             ),
             ("HEAD\n[]\n", "line 2 is not a run"),
             (
-                f"HEAD\n{store.Longer(24).line()}\n",
+                'HEAD\n{"count": 24}\n',
                 "line 2 is not a run: count is 24.* at least 25",
             ),
-            ('HEAD\n{"count": true}\n', "line 2 is not a run: count is True, expected int"),
-            ('HEAD\n{"count": 25}\n', "line 2 is not a run: it was changed after it was written"),
+            ('HEAD\n{"count": true}\n', "line 2 is not a run: count is True"),
         ],
     )
     def test_what_is_no_sweep_is_refused(self, file, content, message):

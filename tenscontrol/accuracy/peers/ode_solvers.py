@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.accuracy.peers.peer import Peer, Solution, checked_run, peer_settings, spaced
-from tenscontrol.dynamics import Equation, Evaluator, builds, unpack_states
+from tenscontrol.dynamics import Equation, Evaluator, Function, builds, unpack_states
 from tenscontrol.integrate import is_expandable, jacobian_weight, state_jacobian
 from tenscontrol.simulation import Scene
 from tenscontrol.validation import FloatArray, choice
@@ -62,7 +62,7 @@ class SciPy(Peer):
             jacobian = state_jacobian(kinked, expand)
             weight = jacobian_weight(kinked, jacobian)
             inputs = jacobian.sx_in() if expand else jacobian.mx_in()
-            dense = Evaluator(ca.Function("dense", inputs, [ca.densify(jacobian(*inputs))]))
+            dense = Evaluator(Function("dense", inputs, [ca.densify(jacobian(*inputs))]))
             options["jac"] = lambda time, x: dense(x, held)[0].copy()
 
         def slope(time: float, x: FloatArray) -> FloatArray:

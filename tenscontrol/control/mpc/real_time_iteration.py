@@ -29,7 +29,7 @@ from tenscontrol.control.mpc.shooting import (
     repeated,
     transposed_jacobians,
 )
-from tenscontrol.dynamics import Evaluator
+from tenscontrol.dynamics import Evaluator, Function
 from tenscontrol.plant import (
     LinearPlant,
     exact_motion,
@@ -114,7 +114,7 @@ class TrajectoryModel:
         def build() -> ca.Function:
             rows = limited_rows(self._plant, self._constraints, at_end)
             given = rows.sx_in()
-            return ca.Function(rows.name(), given, [ca.densify(part) for part in rows(*given)])
+            return Function(rows.name(), given, [ca.densify(part) for part in rows(*given)])
 
         key = "limited rows", self._constraints.key, at_end
         return self._plant.prepared.get(key, build)
@@ -215,7 +215,7 @@ def limited_rows(plant: LinearPlant, constraints: Constraints, at_end: bool = Fa
     y = _row_values(plant, constraints, at, u, reduced_motion(plant, later, ahead)[0])
     parts = [y, *(ca.jacobian(y, by) for by in (z, u, later))]
     parts = settled(plant, later, ahead, settled(plant, z, near, parts))
-    return ca.Function("rows", [z, u, later], ca.cse(parts))
+    return Function("rows", [z, u, later], ca.cse(parts))
 
 
 def linked_rows(
@@ -242,7 +242,7 @@ def linked_rows(
     jacobians = [start[:, :m], start[:, m:], by_u, end_part[:, :m], end_part[:, m:]]
     transposed = [part.T for part in jacobians]
     entries = [ca.densify(part.nz[:]) for part in transposed]
-    function = ca.Function("rows", given, ca.cse([y, *entries]))
+    function = Function("rows", given, ca.cse([y, *entries]))
     return function, tuple(part.sparsity() for part in transposed)
 
 

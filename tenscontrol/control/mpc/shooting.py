@@ -14,7 +14,7 @@ from tenscontrol.control.mpc.problem import (
     StageJacobians,
     Triple,
 )
-from tenscontrol.dynamics import Evaluator, builds, built, compiled, if_compiled
+from tenscontrol.dynamics import Evaluator, Function, builds, built, compiled, if_compiled
 from tenscontrol.plant import (
     LinearPlant,
     acceleration_response,
@@ -82,7 +82,7 @@ def repeated(function: ca.Function, count: int) -> ca.Function:
 def executable(function: ca.Function, machine_code: bool) -> tuple[ca.Function, str]:
     """Return a function, compiled where that is wished and can be, and what evaluates it."""
     code = if_compiled(lambda: compiled(function)) if machine_code else None
-    return (function, "virtual machine") if code is None else (code.function, "machine code")
+    return (function, "virtual machine") if code is None else (code, "machine code")
 
 
 class AccelerationSlopes:
@@ -395,10 +395,10 @@ class RadauIIA(Discretization):
         # CasADi hands on what its method leaves, whether or not it solves the equations.
         worst = ca.sqrt(ca.sumsqr(equations["g"]))
         valid = ca.if_else(worst <= _BALANCED * self._size, points[:, 2], np.nan)
-        end = ca.Function("end", unknown, [valid])
+        end = Function("end", unknown, [valid])
         given = [ca.MX.sym(name, size) for name, size in zip(names, sizes, strict=True)]
         whole = ca.vertcat(*given)
-        return ca.Function("sampled", given, [end(solver(0, whole), whole)], [*names], ["end"])
+        return Function("sampled", given, [end(solver(0, whole), whole)], [*names], ["end"])
 
     def advance(
         self, state: FloatArray, previous: FloatArray, held: FloatArray,
@@ -582,4 +582,4 @@ def _taut_force_density(plant: LinearPlant) -> ca.Function:
     z, u = ca.SX.sym("z", plant.B.shape[0]), ca.SX.sym("u", plant.B.shape[1])
     motion = reduced_motion(plant, z)
     gamma = string_forces(plant, plant.input, *motion, model_input(plant, u))[0]
-    return ca.Function("taut", [z, u], [ca.densify(gamma)])
+    return Function("taut", [z, u], [ca.densify(gamma)])

@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics.equation import InputLayout
-from tenscontrol.dynamics.evaluator import evaluate_columns
+from tenscontrol.dynamics.evaluator import Function, evaluate_columns
 from tenscontrol.dynamics.force import VECTORS, Pass, Read, Write
 from tenscontrol.dynamics.forces import Forces
 from tenscontrol.dynamics.forms.body_passes import body_passes
@@ -167,7 +167,7 @@ class _Loop:
         lines.append(f"kernel_{over.name}(arg, res, 0, 0, 0);")
         symbols = [*inputs.values(), *(symbol for symbol, _ in constants)]
         dense = [ca.densify(part) for part in outputs]
-        self.function = ca.Function(f"kernel_{over.name}", symbols, dense)
+        self.function = Function(f"kernel_{over.name}", symbols, dense)
         return lines
 
     def _write(self, write: Write) -> list[str]:
@@ -214,7 +214,7 @@ def _constants(
     )
     # A parameter that stands by itself in the outputs is a constant as it is.
     alone = [symbol for symbol in own.values() if ca.depends_on(stacked, symbol)]
-    evaluate = ca.Function("constants", list(own.values()), [*expressions, *alone])
+    evaluate = Function("constants", list(own.values()), [*expressions, *alone])
     columns = [np.asarray(parameters[name])[None, :] for name in own]
     values = [row.ravel().copy() for row in evaluate_columns(evaluate, *columns)]
     ends = np.cumsum([0, *(part.numel() for part in outputs)]).tolist()

@@ -15,6 +15,7 @@ import numpy as np
 
 from tenscontrol.dynamics import kernel
 from tenscontrol.dynamics.equation import InputLayout
+from tenscontrol.dynamics.evaluator import Function
 from tenscontrol.dynamics.force import sum_on_nodes
 from tenscontrol.dynamics.forces import Forces
 from tenscontrol.dynamics.forms.body_passes import body_passes
@@ -52,9 +53,9 @@ def mapped_functions(
     xdot = ca.vertcat(ca.vec(Nd), _accelerations(structure, {"p": p, "v": v, "f": f}))
     on_free = kernel.free_entries(structure, ca.densify(f[:, free]))
     return (
-        ca.Function("slope", [x, given, taut], [xdot]),
-        ca.Function("gap", [x, given], [gap, rate]),
-        ca.Function("force", [ca.vec(N), ca.vec(Nd), given, taut], [on_free]),
+        Function("slope", [x, given, taut], [xdot]),
+        Function("gap", [x, given], [gap, rate]),
+        Function("force", [ca.vec(N), ca.vec(Nd), given, taut], [on_free]),
     )
 
 

@@ -615,7 +615,7 @@ class Runner:
         def build() -> ca.Function:
             function = shared.of_parameters(name, names) if names else getattr(shared, name)
             code = if_compiled(lambda: compiled(function)) if self.how.machine_code else None
-            return function if code is None else code.function
+            return function if code is None else code
 
         key = "shared", name, tuple(names), self.how.machine_code and compiler()
         found = shared.prepared.get(key, build)
