@@ -315,84 +315,122 @@ def sampled(
     They are interpolated at Chebyshev's points, and halved until the error is about 1e-12 of the
     largest value, as looked at between those points and at :func:`sampling_interval`.
     """
-    from numpy.polynomial import chebyshev
+    polynomials = _Interpolation(_Sampler(name, function, shape), start, end)
+    return polynomials.pieces()
 
-    x = -np.cos(np.pi * np.arange(_DEGREE + 1) / _DEGREE)
-    checked = np.cos(np.pi * (np.arange(_DEGREE) + 0.5) / _DEGREE)[::-1]
-    to_series = np.linalg.inv(chebyshev.chebvander(x, _DEGREE))
-    at_checked = chebyshev.chebvander(checked, _DEGREE)
-    # Of powers of the part of the piece, from its start on.
-    powers = np.zeros((_DEGREE + 1, _DEGREE + 1))
-    for k in range(_DEGREE + 1):
-        of = chebyshev.cheb2poly(np.eye(_DEGREE + 1)[k])
-        for j, c in enumerate(of):
-            for i in range(j + 1):
-                powers[i, k] += c * comb(j, i) * 2.0**i * (-1.0) ** (j - i)
 
-    def values(times: FloatArray) -> FloatArray:
+class _Sampler:
+    """A function of time at many times, checked."""
+
+    def __init__(
+        self, name: str, function: Callable[[float], object], shape: tuple[int, ...]
+    ) -> None:
+        self.name, self._function, self._shape = name, function, shape
+
+    def __call__(self, times: FloatArray) -> FloatArray:
+        """Return the values at times, one column each, rows in Fortran order."""
         check()
-        found = np.empty((len(times), *shape))
+        values = np.empty((len(times), *self._shape))
         for k, time in enumerate(times.tolist()):
-            value = function(time)
-            if not isinstance(value, np.ndarray) or value.shape != shape or value.dtype != float:
-                array = float_array(f"{name} at {time:.6g} s", value)
-                if array.shape != shape and (array.shape or len(shape) > 1):
-                    raise ValueError(
-                        f"{name} returns shape {array.shape} at {time:.6g} s, expected {shape}"
-                    )
-                value = array
-            found[k] = value
+            values[k] = self._value(time)
         # All at once: to check each takes longer than to call most functions.
-        wrong = np.flatnonzero(~np.isfinite(found).reshape(len(times), -1).all(axis=1))
+        wrong = np.flatnonzero(~np.isfinite(values).reshape(len(times), -1).all(axis=1))
         if len(wrong):
-            float_array(f"{name} at {times[wrong[0]]:.6g} s", found[wrong[0]])
-        return np.asarray(found.T.reshape(-1, len(times), order="C"))
+            float_array(f"{self.name} at {times[wrong[0]]:.6g} s", values[wrong[0]])
+        return np.asarray(values.T.reshape(-1, len(times), order="C"))
 
-    interval = sampling_interval(start, end)
-    steepest = np.arange(_DEGREE + 1) ** 2  # slopes of Chebyshev's polynomials are at most that
+    def _value(self, time: float) -> FloatArray:
+        value, shape = self._function(time), self._shape
+        if isinstance(value, np.ndarray) and value.shape == shape and value.dtype == float:
+            return value
+        array = float_array(f"{self.name} at {time:.6g} s", value)
+        if array.shape != shape and (array.shape or len(shape) > 1):
+            raise ValueError(
+                f"{self.name} returns shape {array.shape} at {time:.6g} s, expected {shape}"
+            )
+        return array
 
-    def allowed(a: float, b: float, series: FloatArray) -> float:
+
+class _Interpolation:
+    """Polynomials of a function between a start and an end, at Chebyshev's points."""
+
+    def __init__(self, values: _Sampler, start: float, end: float) -> None:
+        from numpy.polynomial import chebyshev
+
+        self._values, self._start, self._end = values, start, end
+        self._basis: Any = chebyshev.chebvander
+        self._points = -np.cos(np.pi * np.arange(_DEGREE + 1) / _DEGREE)
+        self._between = np.cos(np.pi * (np.arange(_DEGREE) + 0.5) / _DEGREE)[::-1]
+        self._to_series = np.linalg.inv(self._basis(self._points, _DEGREE))
+        self._at_between = self._basis(self._between, _DEGREE)
+        # Slopes of Chebyshev's polynomials are at most that.
+        self._steepest = np.arange(_DEGREE + 1) ** 2
+        self._interval = sampling_interval(start, end)
+        # So that what is small beside the rest need not be met to more than that.
+        everywhere = values(np.linspace(start, end, 8 * _PARTS + 1))
+        self._size = float(np.abs(everywhere).max(initial=0.0))
+
+    def _allowed(self, a: float, b: float, series: FloatArray) -> float:
         """Return the error with which polynomials are taken: times have a round-off, too."""
-        slope = 2 / (b - a) * float((np.abs(series) @ steepest).max(initial=0.0))
-        return _TOLERANCE * size + float(np.spacing(max(abs(a), abs(b)))) * slope
+        slope = 2 / (b - a) * float((np.abs(series) @ self._steepest).max(initial=0.0))
+        return _TOLERANCE * self._size + float(np.spacing(max(abs(a), abs(b)))) * slope
 
-    def seen(a: float, b: float, series: FloatArray) -> bool:
+    def _holds(self, a: float, b: float, series: FloatArray) -> bool:
         """Whether polynomials in a part are what the function is at all places looked at."""
-        first, last = np.ceil((a - start) / interval), np.floor((b - start) / interval)
-        times = np.clip(start + interval * np.arange(first, last + 1), a, b)
+        first = np.ceil((a - self._start) / self._interval)
+        last = np.floor((b - self._start) / self._interval)
+        times = np.clip(self._start + self._interval * np.arange(first, last + 1), a, b)
         if not len(times):
             return True
-        basis = chebyshev.chebvander((2 * times - a - b) / (b - a), _DEGREE)
-        off = np.abs(series @ basis.T - values(times)).max(initial=0.0)
-        return bool(off <= _ROUGHLY * allowed(a, b, series))
+        basis = self._basis((2 * times - a - b) / (b - a), _DEGREE)
+        off = np.abs(series @ basis.T - self._values(times)).max(initial=0.0)
+        return bool(off <= _ROUGHLY * self._allowed(a, b, series))
 
-    ends = np.linspace(start, end, _PARTS + 1).tolist()
-    open_parts = list(pairwise(ends))[::-1]
-    # So that what is small beside the rest need not be met to more than that.
-    size = float(np.abs(values(np.linspace(start, end, 8 * _PARTS + 1))).max(initial=0.0))
-    kept: list[tuple[float, float, FloatArray]] = []
-    while open_parts:
-        a, b = open_parts.pop()
+    def _series(self, a: float, b: float) -> tuple[FloatArray, float]:
+        """Return the coefficients of Chebyshev's polynomials in a part, and their error there."""
         middle, half = (a + b) / 2, (b - a) / 2
-        times = middle + half * x
+        times = middle + half * self._points
         times[[0, -1]] = a, b
-        series = values(times) @ to_series.T
-        between = values(middle + half * checked)
-        size = max(size, float(np.abs(between).max(initial=0.0)))
-        off = np.abs(series @ at_checked.T - between)
-        if off.max(initial=0.0) <= allowed(a, b, series) and seen(a, b, series):
-            kept.append((a, b, series))
-        elif b - a > _SHORTEST * (end - start):
-            open_parts += [(middle, b), (a, middle)]
-        else:
-            raise ValueError(
-                f"{name} jumps, has a kink or is not smooth near {a:.9g} s: polynomials do not "
-                "approximate it. Give a tc.Profile(time, values), which may have jumps and kinks"
-            )
-    exponents = np.arange(_DEGREE + 1)
-    c = np.array([series @ powers.T / (b - a) ** exponents for a, b, series in kept])
-    starts = np.array([a for a, *_ in kept])
-    return Pieces(np.concatenate([[-np.inf], starts[1:]]), starts, c)
+        series = self._values(times) @ self._to_series.T
+        between = self._values(middle + half * self._between)
+        self._size = max(self._size, float(np.abs(between).max(initial=0.0)))
+        off = np.abs(series @ self._at_between.T - between)
+        return series, float(off.max(initial=0.0))
+
+    def pieces(self) -> Pieces:
+        """Return the polynomials, in powers of the time from the start of each piece on."""
+        ends = np.linspace(self._start, self._end, _PARTS + 1).tolist()
+        open_parts = list(pairwise(ends))[::-1]
+        closed: list[tuple[float, float, FloatArray]] = []
+        while open_parts:
+            a, b = open_parts.pop()
+            series, off = self._series(a, b)
+            if off <= self._allowed(a, b, series) and self._holds(a, b, series):
+                closed.append((a, b, series))
+            elif b - a > _SHORTEST * (self._end - self._start):
+                open_parts += [((a + b) / 2, b), (a, (a + b) / 2)]
+            else:
+                raise ValueError(
+                    f"{self._values.name} jumps, has a kink or is not smooth near {a:.9g} s: "
+                    "polynomials do not approximate it. Give a tc.Profile(time, values), which "
+                    "may have jumps and kinks"
+                )
+        powers, exponents = _powers(), np.arange(_DEGREE + 1)
+        c = np.array([series @ powers.T / (b - a) ** exponents for a, b, series in closed])
+        starts = np.array([a for a, *_ in closed])
+        return Pieces(np.concatenate([[-np.inf], starts[1:]]), starts, c)
+
+
+def _powers() -> FloatArray:
+    """Return Chebyshev's polynomials in powers of the part of a piece, one column each."""
+    from numpy.polynomial import chebyshev
+
+    powers = np.zeros((_DEGREE + 1, _DEGREE + 1))
+    for k in range(_DEGREE + 1):
+        for j, c in enumerate(chebyshev.cheb2poly(np.eye(_DEGREE + 1)[k])):
+            for i in range(j + 1):
+                powers[i, k] += c * comb(j, i) * 2.0**i * (-1.0) ** (j - i)
+    return powers
 
 
 def sampling_interval(start: float, end: float) -> float:

@@ -184,12 +184,7 @@ class CVODES(Integrator):
                     motion.switch()
                     self._window = motion.window
                     if motion.now < duration and motion.work.evaluations >= self.limit:
-                        ends = np.column_stack([states[:, :done], motion.state])
-                        ends = self._projected(ends * scale[:, None])
-                        if ends.shape[1] <= done:
-                            raise FloatingPointError(NOT_RIGID)
-                        so_far = Span(ends[:, :-1], motion.work)
-                        raise IntegrationPause(motion.now, ends[:, -1], so_far)
+                        raise self._pause(motion, states[:, :done])
             exact = self._projected(states * scale[:, None])
             if exact.shape[1] < outputs:
                 raise FloatingPointError(NOT_RIGID)
@@ -200,6 +195,15 @@ class CVODES(Integrator):
                 raise IntegrationInterrupt(motion.now, so_far) from None
             stopped = f"{self.name} stopped after {motion.now:.6g} s: {error}"
             raise IntegrationError(stopped, motion.now, so_far) from None
+
+    def _pause(self, motion: _Motion, states: FloatArray) -> IntegrationPause:
+        """Return the pause of a motion that has reached these states, in units of the scale."""
+        assert self._scale is not None  # found before the first window
+        ends = np.column_stack([states, motion.state])
+        ends = self._projected(ends * self._scale[:, None])
+        if ends.shape[1] <= states.shape[1]:
+            raise FloatingPointError(NOT_RIGID)
+        return IntegrationPause(motion.now, ends[:, -1], Span(ends[:, :-1], motion.work))
 
 
 class _Motion:

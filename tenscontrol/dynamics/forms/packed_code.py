@@ -11,7 +11,7 @@ from math import isfinite
 
 import casadi as ca
 
-from tenscontrol.dynamics.instructions import OPERATIONS, instructions, number_text
+from tenscontrol.dynamics.instructions import OPERATIONS, Instruction, instructions, number_text
 
 # Longer functions take compilers too long.
 _MOST_OPERATIONS = 4000
@@ -51,14 +51,42 @@ def packed_source(function: ca.Function) -> str | None:
     steps = instructions(function)
     if steps is None:
         return None
+    layers: defaultdict[int, list[str]] = defaultdict(list)
+    vectors: Counter[tuple[int, str]] = Counter()
+    if not _sort(steps, layers, vectors):
+        return None
+    lines = [f"const double *restrict in{i} = arg[{i}];" for i in range(function.n_in())]
+    lines += [f"double *restrict out{i} = res[{i}];" for i in range(function.n_out())]
+    for place, size in vectors.items():
+        lines.append("double " + ", ".join(f"{name}[{size}]" for name in _names(*place)) + ";")
+    lines += [f"(void)in{i};" for i in range(function.n_in())]
+    for layer in range(1 + max([0, *layers, *(at for at, _ in vectors)])):
+        for (at, operation), size in vectors.items():
+            if at == layer:
+                *operands, result = _names(at, operation)
+                each = _PACKED[operation][1].format(*operands)
+                lines.append(f"for (int i = 0; i < {size}; ++i) {result}[i] = {each};")
+        lines += layers[layer]
+    given = "const double **arg, double **res, casadi_int *iw, double *w, int mem"
+    body = "\n  ".join([*lines, "(void)iw; (void)w; (void)mem;", "return 0;"])
+    return f"WIDE static int {function.name()}({given}) {{\n  {body}\n}}\n"
+
+
+def _sort(
+    steps: list[Instruction],
+    layers: defaultdict[int, list[str]],
+    vectors: Counter[tuple[int, str]],
+) -> bool:
+    """Write operations as lines of C in layers, and count the entries of vectors.
+
+    By layer and operation. False where there is more than arithmetic of finite numbers.
+    """
     # Of each entry of CasADi's work vector: its C expression, and the layer where it is known.
     known: dict[int, tuple[str, int]] = {}
-    layers: defaultdict[int, list[str]] = defaultdict(list)
-    vectors: Counter[tuple[int, str]] = Counter()  # entries, by layer and operation
     for k, (operation, to, of, constant) in enumerate(steps):
         if operation == "CONST":
             if not isfinite(constant):
-                return None
+                return False
             known[to[0]] = f"({number_text(constant)})", 0
         elif operation == "INPUT":
             known[to[0]] = f"in{of[0]}[{of[1]}]", 0
@@ -76,25 +104,11 @@ def packed_source(function: ca.Function) -> str | None:
                 known[to[0]] = f"{_names(*place)[-1]}[{vectors[place]}]", layer + 1
                 vectors[place] += 1
             elif form is None or form.startswith("CALL"):
-                return None
+                return False
             else:
                 layers[layer].append(f"const double a{k} = {form.format(*operands)};")
                 known[to[0]] = f"a{k}", layer
-    lines = [f"const double *restrict in{i} = arg[{i}];" for i in range(function.n_in())]
-    lines += [f"double *restrict out{i} = res[{i}];" for i in range(function.n_out())]
-    for place, size in vectors.items():
-        lines.append("double " + ", ".join(f"{name}[{size}]" for name in _names(*place)) + ";")
-    lines += [f"(void)in{i};" for i in range(function.n_in())]
-    for layer in range(1 + max([0, *layers, *(at for at, _ in vectors)])):
-        for (at, operation), size in vectors.items():
-            if at == layer:
-                *operands, result = _names(at, operation)
-                each = _PACKED[operation][1].format(*operands)
-                lines.append(f"for (int i = 0; i < {size}; ++i) {result}[i] = {each};")
-        lines += layers[layer]
-    given = "const double **arg, double **res, casadi_int *iw, double *w, int mem"
-    body = "\n  ".join([*lines, "(void)iw; (void)w; (void)mem;", "return 0;"])
-    return f"WIDE static int {function.name()}({given}) {{\n  {body}\n}}\n"
+    return True
 
 
 def _names(layer: int, operation: str) -> list[str]:
