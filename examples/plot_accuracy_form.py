@@ -14,7 +14,7 @@ import numpy as np
 
 import tenscontrol as tc
 from tenscontrol.accuracy.peers import MuJoCo
-from tenscontrol.dynamics import unpack_states
+from tenscontrol.dynamics.equation import unpack_states
 
 STEPS = [0.02, 0.01, 0.005, 0.0025, 0.00125]
 OUTPUTS = 30

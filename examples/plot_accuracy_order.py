@@ -12,7 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import tenscontrol as tc
-from tenscontrol.dynamics import unpack_states
+from tenscontrol.dynamics.equation import unpack_states
 
 # %%
 # A prism let go with too little force in its vertical strings: they hold, and the

@@ -27,13 +27,14 @@ from matplotlib.lines import Line2D
 import tenscontrol as tc
 from tenscontrol.control import Controller, ControlWarning, HeldLoop, Status, held_loop
 from tenscontrol.interrupt import check, interruptible, keeping
-from tenscontrol.plant import INPUTS, LinearPlant, Modes
+from tenscontrol.plant import LinearPlant, Modes
+from tenscontrol.plant.linear_plant import INPUTS
 from tenscontrol.progress import progress_bar
 from tenscontrol.robustness import farthest_node
 from tenscontrol.shape import ShapeTarget
 from tenscontrol.simulation import SimulationError, simulate
 from tenscontrol.statics import Prestress
-from tenscontrol.structure import refuse_wrong_bar_lengths
+from tenscontrol.structure.bar_geometry import refuse_wrong_bar_lengths
 from tenscontrol.tables import aligned
 from tenscontrol.validation import (
     FloatArray,

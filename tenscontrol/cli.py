@@ -19,8 +19,8 @@ from tenscontrol.interrupt import InterruptionWarning, finishing, interruptible
 from tenscontrol.options import command_parser
 
 if TYPE_CHECKING:
-    from tenscontrol.accuracy import Peer
-    from tenscontrol.simulation import Trajectory
+    from tenscontrol.accuracy.peers.peer import Peer
+    from tenscontrol.simulation.trajectory import Trajectory
 
 # Status of a command whose output nobody reads any more: that of other tools, 128 + SIGPIPE.
 _CLOSED = 141
@@ -139,7 +139,7 @@ def _demo(options: argparse.Namespace) -> None:
 
 
 def _new(options: argparse.Namespace) -> None:
-    from tenscontrol.scene import scene_names, scene_template
+    from tenscontrol.scene.template import scene_names, scene_template
 
     if options.list:
         names = scene_names()
@@ -156,8 +156,9 @@ def _new(options: argparse.Namespace) -> None:
 
 
 def _simulate(options: argparse.Namespace) -> None:
-    from tenscontrol.scene import load_scene
-    from tenscontrol.simulation import SimulationError, load_run
+    from tenscontrol.scene.load_scene import load_scene
+    from tenscontrol.simulation.simulation_error import SimulationError
+    from tenscontrol.simulation.trajectory import load_run
 
     scene = load_scene(options.scene, options.allow_code)
     folder = make_folder(options.output or Path(f"tenscontrol-{options.scene.stem}"))
@@ -216,8 +217,8 @@ def _draw(run: Trajectory, folder: Path) -> list[Path]:
 
 def _modes(options: argparse.Namespace) -> None:
     from tenscontrol import plot
-    from tenscontrol.plant import modes
-    from tenscontrol.scene import load_scene
+    from tenscontrol.plant.modes import modes
+    from tenscontrol.scene.load_scene import load_scene
 
     scene = load_scene(options.scene, options.allow_code)
     try:
@@ -236,9 +237,9 @@ def _modes(options: argparse.Namespace) -> None:
 
 
 def _view(options: argparse.Namespace) -> None:
-    from tenscontrol.plot import plotly_js
-    from tenscontrol.scene import load_scene
-    from tenscontrol.simulation import Trajectory, load_run
+    from tenscontrol.plot.web_page import plotly_js
+    from tenscontrol.scene.load_scene import load_scene
+    from tenscontrol.simulation.trajectory import Trajectory, load_run
 
     plotly_js()  # where it is missing, say so before the simulation
     is_run = options.scene.suffix == ".npz"
@@ -257,8 +258,8 @@ def _view(options: argparse.Namespace) -> None:
 
 
 def _accuracy(options: argparse.Namespace) -> None:
-    from tenscontrol.accuracy import work_precision
-    from tenscontrol.scene import load_scene
+    from tenscontrol.accuracy.work_precision import work_precision
+    from tenscontrol.scene.load_scene import load_scene
 
     scene = load_scene(options.scene, options.allow_code)
     names = None if options.methods is None else options.methods.split(",")
@@ -305,7 +306,8 @@ def _accuracy(options: argparse.Namespace) -> None:
 
 def _peers() -> list[Peer]:
     """Return integrators of other packages, those that are not installed too: they say so."""
-    from tenscontrol.accuracy.peers import CasADiCVODES, CasADiRK, MuJoCo, SciPy
+    from tenscontrol.accuracy.peers.ode_solvers import CasADiCVODES, CasADiRK, SciPy
+    from tenscontrol.accuracy.peers.rigid_bodies import MuJoCo
 
     return [
         SciPy("DOP853"),

@@ -9,7 +9,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tenscontrol.validation import FloatArray, frozen
+from tenscontrol.arrays import FloatArray, frozen
 
 _Given = TypeVar("_Given", contravariant=True)
 _Held = TypeVar("_Held", covariant=True)

@@ -9,7 +9,7 @@ import tomllib
 from dataclasses import dataclass
 from typing import Any
 
-from tenscontrol.validation import refuse_memory
+from tenscontrol import validation
 
 # Bytes of a number, a short text or a list with its place; what a table of one key has beyond it.
 _EACH_VALUE, _EACH_TABLE = 60, 200
@@ -31,7 +31,7 @@ def _refuse_many(name: str, text: str) -> None:
     tables = text.count("{")
     values = text.count(",") + text.count("[") + tables  # those within one are one more than commas
     taken = sys.getsizeof(text) + _EACH_VALUE * values + _EACH_TABLE * tables
-    refuse_memory(f"{name}: it has {values:,} values and lists", taken, "bytes", 1.0)
+    validation.refuse_memory(f"{name}: it has {values:,} values and lists", taken, "bytes", 1.0)
 
 
 @dataclass(frozen=True)

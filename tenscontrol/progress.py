@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from logging import getLogger
 from time import perf_counter
 
-from tenscontrol.validation import truth
+from tenscontrol import validation
 
 # A run of more than the first, s, is told how long it takes; it is estimated after the second.
 _LONG, _ASK = 20.0, 5.0
@@ -23,7 +23,10 @@ def progress_bar(
     The bar shows only on a terminal, the standard error. ``shown`` is what the user gives as
     ``progress``.
     """
-    if not truth("progress", shown, "whether to show a progress bar") or not _has_terminal():
+    if (
+        not validation.truth("progress", shown, "whether to show a progress bar")
+        or not _has_terminal()
+    ):
         yield lambda reached: None
         return
     from tqdm import tqdm

@@ -7,13 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from tenscontrol.validation import (
-    FloatArray,
-    limit_per_member,
-    non_negative,
-    per_member,
-    positive,
-)
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray
 
 # γ is kept below what a string can have by this fraction.
 _SHORT_OF_LIMIT = 1e-6
@@ -89,13 +84,13 @@ def string_bounds(
     ``largest`` is γ that the string law allows. Where strings may be slack, the largest γ may be 0.
     """
     least = 0.0 if min_force_density is None else min_force_density
-    low = per_member("min_force_density", least, count, "string")
-    non_negative("min_force_density", low, "a string can only pull")
-    high = limit_per_member("max_force_density", max_force_density, count, "string")
+    low = validation.per_member("min_force_density", least, count, "string")
+    validation.non_negative("min_force_density", low, "a string can only pull")
+    high = validation.limit_per_member("max_force_density", max_force_density, count, "string")
     if may_be_slack:
-        non_negative("max_force_density", high, "a string can only pull")
+        validation.non_negative("max_force_density", high, "a string can only pull")
     else:
-        positive("max_force_density", high, "force density in N/m")
+        validation.positive("max_force_density", high, "force density in N/m")
     crossed = np.flatnonzero(low > high)
     if len(crossed):
         i = crossed[0]

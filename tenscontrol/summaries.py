@@ -11,9 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from tenscontrol.accuracy import WorkPrecision
-from tenscontrol.plant import LinearPlant, Modes
-from tenscontrol.simulation import ControlRecord, Trajectory
+from tenscontrol.accuracy.work_precision import WorkPrecision
+from tenscontrol.plant.linear_plant import LinearPlant
+from tenscontrol.plant.modes import Modes
+from tenscontrol.simulation.control_record import ControlRecord
+from tenscontrol.simulation.trajectory import Trajectory
 
 
 def json_text(summary: Mapping[str, Any]) -> str:

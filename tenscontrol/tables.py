@@ -8,8 +8,8 @@ from io import StringIO
 from math import isnan
 from pathlib import Path
 
+from tenscontrol import validation
 from tenscontrol.files import write_file
-from tenscontrol.validation import file_path
 
 Cell = str | float | int | None
 
@@ -48,4 +48,4 @@ def write_csv(path: str | Path, columns: Sequence[str], records: Sequence[object
     for record in records:
         cells = [getattr(record, name) for name in columns]
         writer.writerow(["" if isinstance(x, float) and isnan(x) else x for x in cells])
-    return write_file(file_path("path", path), text.getvalue())
+    return write_file(validation.file_path("path", path), text.getvalue())

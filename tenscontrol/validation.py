@@ -10,11 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from tenscontrol.arrays import FloatArray, IntArray
 
 # Squares and fourth powers must stay within double precision.
 LARGEST = 1e70
@@ -42,20 +39,6 @@ MOST_DESIGNS = 1_000
 LONGEST_WAIT = 86_400.0
 
 _MOST_BYTES = 4e9
-
-
-def frozen(array: NDArray[Any]) -> NDArray[Any]:
-    """Return a read-only copy of an array, so that a value handed out cannot change."""
-    copy = np.array(array, order="C", copy=True)
-    copy.setflags(write=False)
-    return copy
-
-
-def freeze_arrays(record: object) -> None:
-    """Make the arrays of a frozen dataclass read-only, when it is made."""
-    for name, value in vars(record).items():
-        if isinstance(value, np.ndarray):
-            object.__setattr__(record, name, frozen(value))
 
 
 # To Python and NumPy they are whole numbers.

@@ -12,6 +12,10 @@ DOCS = Path(__file__).parent.parent / "docs"
 PAGES = sorted((DOCS / "api").glob("*.rst"))
 
 
+#: The directive that documents what a folder exports.
+FOLDER = r"^\.\. folder:: +(\S+)(?:\n +:without: (.*))?"
+
+
 @cache
 def tree(path):
     """The syntax tree of a file, not to be changed."""
@@ -25,19 +29,18 @@ def exported(page, folder, without):
 
 @cache
 def interface():
-    """Full names that docs/api documents, and those that it lists as shared by folders."""
-    texts = {page.stem: page.read_text(encoding="utf-8") for page in PAGES}
-    shared, named = texts.pop("shared"), set()
-    for text in texts.values():
-        module = "tenscontrol"
+    """Full names that docs/api documents."""
+    named = set()
+    for page in PAGES:
+        text, module = page.read_text(encoding="utf-8"), "tenscontrol"
         for kind, name in re.findall(r"^\.\. (currentmodule|auto\w+):: +([\w.]+)", text, re.M):
             if kind == "currentmodule":
                 module = name
             else:
                 named.add(name if name.startswith("tenscontrol.") else f"{module}.{name}")
-        for folder, without in re.findall(r"^\.\. folder:: +(\S+)\n +:without: (.*)", text, re.M):
+        for folder, without in re.findall(FOLDER, text, re.M):
             named |= set(exported(text, folder, without))
-    return named, set(re.findall(r"``(tenscontrol\.[\w.]+)``", shared))
+    return named
 
 
 def named(full_name):
@@ -49,7 +52,7 @@ def named(full_name):
 @cache
 def public():
     """Every public function and class by its name without ``tenscontrol.``, of two the first."""
-    names = {id(named(name)): name for name in sorted(interface()[0], reverse=True)}
+    names = {id(named(name)): name for name in sorted(interface(), reverse=True)}
     return {
         name.removeprefix("tenscontrol."): named(name)
         for name in sorted(names.values())

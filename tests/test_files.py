@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 import tenscontrol as tc
+from tenscontrol import validation
 from tenscontrol.files import make_folder, read_file, write_file
-from tenscontrol.validation import file_path
 from tests.fuzz import disk
 
 
@@ -152,7 +152,7 @@ def test_a_pipe_that_takes_the_place_of_a_file_is_not_waited_for(tmp_path, monke
 )
 def test_names_that_no_file_can_have(path, error, message):
     for call in (
-        lambda: file_path("path", path),
+        lambda: validation.file_path("path", path),
         lambda: tc.plot.save_figure(disk.figure(), path),
         lambda: tc.plot.animate(disk.run(), path),
         lambda: disk.measured().to_csv(path),

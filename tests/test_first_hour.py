@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.code_blocks import PAGES as DOCUMENTS
-from tests.code_blocks import blocks, run
+from tests.code_blocks import PAGES as DOCUMENTS, blocks, run
 
 PAGES = ["first_structure", "modes", "lqr", "first_hour"]
 LIBRARIES = {"Turn it and play it": "plotly", "Run it in MuJoCo": "mujoco"}

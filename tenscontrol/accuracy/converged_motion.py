@@ -13,11 +13,13 @@ from typing import Any
 
 import numpy as np
 
+from tenscontrol import validation
 from tenscontrol.accuracy.open_loop import open_loop_of
-from tenscontrol.dynamics import Evaluator, builds, unpack_states
-from tenscontrol.integrate import DOP853
-from tenscontrol.simulation import Scene
-from tenscontrol.validation import MOST_RUNS, FloatArray, frozen, function, whole_number
+from tenscontrol.arrays import FloatArray, frozen
+from tenscontrol.dynamics.equation import unpack_states
+from tenscontrol.dynamics.evaluator import Evaluator, builds
+from tenscontrol.integrate.dop853 import DOP853
+from tenscontrol.simulation.scene import Scene
 
 _TOLERANCE = 1e-13
 
@@ -112,9 +114,9 @@ def converged_motion(
     ((3, 6, 20), True)
     """
     case = open_loop_of(scene)
-    count = whole_number("outputs", outputs, 1, MOST_RUNS)
+    count = validation.whole_number("outputs", outputs, 1, validation.MOST_RUNS)
     if report is not None:
-        function("report", report, "it is told the time reached, s")
+        validation.function("report", report, "it is told the time reached, s")
     times = case.duration * np.arange(1, count + 1) / count
     solver = PiecewiseSolver(case)
     found = []

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tenscontrol import validation
 from tenscontrol.accuracy.converged_motion import ConvergedMotion, converged_motion
 from tenscontrol.accuracy.measured_run import (
     Bench,
@@ -17,11 +18,11 @@ from tenscontrol.accuracy.measured_run import (
     method_named,
 )
 from tenscontrol.accuracy.open_loop import open_loop_of
+from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.interrupt import keeping
 from tenscontrol.progress import progress_bar
-from tenscontrol.simulation import Scene
+from tenscontrol.simulation.scene import Scene
 from tenscontrol.tables import aligned, shown
-from tenscontrol.validation import MOST_RUNS, FloatArray, frozen, instance, whole_number
 
 # Errors above this part of the size are not small yet; below so many times what the reference is
 # off by, and so many units of round-off a step, they are not the method's any more.
@@ -145,9 +146,11 @@ def convergence_order(
     """
     case = open_loop_of(scene)
     chosen = method_named(method)
-    count = whole_number("outputs", outputs, 1, MOST_RUNS)
+    count = validation.whole_number("outputs", outputs, 1, validation.MOST_RUNS)
     if reference is not None:
-        instance("reference", reference, ConvergedMotion, "make one by converged_motion(case)")
+        validation.instance(
+            "reference", reference, ConvergedMotion, "make one by converged_motion(case)"
+        )
         count = len(reference.time)
     unit = "s" if chosen.setting == "step" else "1"
     settings = default_settings(chosen, case)

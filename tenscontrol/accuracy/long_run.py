@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from tenscontrol import validation
 from tenscontrol.accuracy.measured_run import (
     conserves_energy,
     conserves_momentum,
@@ -14,21 +15,12 @@ from tenscontrol.accuracy.measured_run import (
     method_named,
 )
 from tenscontrol.accuracy.open_loop import fastest_rate, open_loop_of
-from tenscontrol.integrate import IntegrationError, IntegrationInterrupt, Work
+from tenscontrol.arrays import FloatArray, frozen
+from tenscontrol.integrate.integrator import IntegrationError, IntegrationInterrupt, Work
 from tenscontrol.interrupt import keeping
 from tenscontrol.progress import progress_bar
-from tenscontrol.simulation import Scene
+from tenscontrol.simulation.scene import Scene
 from tenscontrol.tables import aligned, shown
-from tenscontrol.validation import (
-    LARGEST,
-    MOST_RUNS,
-    FloatArray,
-    choice,
-    frozen,
-    positive_number,
-    truth,
-    whole_number,
-)
 
 # States that are integrated, judged and dropped at once.
 _PART = 50
@@ -115,7 +107,7 @@ class LongRun:
             If the motion does not conserve it.
         """
         drifts = {drift.name: drift for drift in self.drifts}
-        return drifts[choice("name", name, drifts)]
+        return drifts[validation.choice("name", name, drifts)]
 
     def table(self) -> str:
         """Return the drifts as text."""
@@ -204,10 +196,12 @@ def long_run(
     """
     case = open_loop_of(scene)
     chosen = method_named(method)
-    setting = positive_number("setting", setting, "s" if chosen.setting == "step" else "1")
-    steps = whole_number("steps", steps, least=10)
-    outputs = whole_number("outputs", outputs, _BLOCKS, MOST_RUNS)
-    truth("machine_code", machine_code, "whether to compile the steps")
+    setting = validation.positive_number(
+        "setting", setting, "s" if chosen.setting == "step" else "1"
+    )
+    steps = validation.whole_number("steps", steps, least=10)
+    outputs = validation.whole_number("outputs", outputs, _BLOCKS, validation.MOST_RUNS)
+    validation.truth("machine_code", machine_code, "whether to compile the steps")
     duration = setting * steps if chosen.setting == "step" else steps / fastest_rate(case)
     case = replace(case, duration=duration)
     recorder = _Recorder(case)
@@ -232,7 +226,10 @@ def long_run(
             work += span.work
             if recorder.add(span.states) < span.states.shape[1] and not failure:
                 reached = spacing * recorder.count
-                failure = f"after {reached:.6g} s the motion runs away, beyond {LARGEST:g} m or m/s"
+                failure = (
+                    f"after {reached:.6g} s the motion runs away, beyond {validation.LARGEST:g} m "
+                    "or m/s"
+                )
             if failure:
                 break
             state = span.states[:, -1]
@@ -266,7 +263,7 @@ class _Recorder:
 
     def add(self, states: FloatArray) -> int:
         """Keep the states before the first that is beyond ``LARGEST``; return how many."""
-        good = int((np.abs(states) <= LARGEST).all(axis=0).cumprod().sum())
+        good = int((np.abs(states) <= validation.LARGEST).all(axis=0).cumprod().sum())
         if not good:
             return 0
         found, start = invariants(self._case, states[:, :good]), self._start

@@ -12,26 +12,20 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from tenscontrol import validation
 from tenscontrol.accuracy.converged_motion import ConvergedMotion, largest_distance
 from tenscontrol.accuracy.open_loop import fastest_rate
-from tenscontrol.accuracy.peers import Peer, steps_between
-from tenscontrol.dynamics import (
-    Function,
-    builds,
-    evaluate_columns,
-    pack_state,
-    unpack_states,
-)
-from tenscontrol.integrate import METHODS, Method, Work
-from tenscontrol.simulation import (
-    AccuracyWarning,
-    HealthLimits,
-    Scene,
-    SimulationError,
-    Trajectory,
-    simulate,
-)
-from tenscontrol.validation import FloatArray, choice, items, positive_number
+from tenscontrol.accuracy.peers.peer import Peer, steps_between
+from tenscontrol.arrays import FloatArray
+from tenscontrol.dynamics.equation import pack_state, unpack_states
+from tenscontrol.dynamics.evaluator import Function, builds, evaluate_columns
+from tenscontrol.integrate.integrator import Work
+from tenscontrol.integrate.methods import METHODS, Method
+from tenscontrol.simulation.health import AccuracyWarning, HealthLimits
+from tenscontrol.simulation.scene import Scene
+from tenscontrol.simulation.simulate import simulate
+from tenscontrol.simulation.simulation_error import SimulationError
+from tenscontrol.simulation.trajectory import Trajectory
 
 # Steps by the fastest rate of the case, and tolerances, from coarse to fine.
 _STEPS = tuple(2.0**-k for k in range(8))
@@ -50,7 +44,7 @@ NOT_KNOWN = float("nan")
 
 def method_named(name: object, argument: str = "method") -> Method:
     """Return the method of this name, or raise ValueError."""
-    return METHODS[choice(argument, name, METHODS)]
+    return METHODS[validation.choice(argument, name, METHODS)]
 
 
 def default_settings(method: Method, case: Scene) -> tuple[float, ...]:
@@ -63,8 +57,10 @@ def default_settings(method: Method, case: Scene) -> tuple[float, ...]:
 
 def checked_settings(name: str, settings: object, unit: str) -> tuple[float, ...]:
     """Return the settings of an argument from coarse to fine, each once and positive."""
-    given = items(name, settings, f"numbers in {unit}")
-    found = [positive_number(f"{name}[{i}]", value, unit) for i, value in enumerate(given)]
+    given = validation.items(name, settings, f"numbers in {unit}")
+    found = [
+        validation.positive_number(f"{name}[{i}]", value, unit) for i, value in enumerate(given)
+    ]
     if not found:
         raise ValueError(f"{name} is empty, expected at least one number in {unit}")
     return tuple(sorted(set(found), reverse=True))

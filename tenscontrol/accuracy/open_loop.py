@@ -5,16 +5,22 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Function, builds, pack_state
-from tenscontrol.integrate import is_expandable
-from tenscontrol.simulation import Scene
-from tenscontrol.structure import Structure, free_coordinates, restore_bar_lengths
-from tenscontrol.validation import FloatArray, instance
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray
+from tenscontrol.dynamics.equation import pack_state
+from tenscontrol.dynamics.evaluator import Function, builds
+from tenscontrol.integrate.cvodes import is_expandable
+from tenscontrol.simulation.scene import Scene
+from tenscontrol.structure.bar_geometry import restore_bar_lengths
+from tenscontrol.structure.structure import Structure
+from tenscontrol.structure.supports import free_coordinates
 
 
 def open_loop_of(scene: object) -> Scene:
     """Return a scene in open loop, under inputs and loads that are held; see Scene.open_loop."""
-    instance("scene", scene, Scene, "make one by Scene(model, duration, ...) or load_scene(file)")
+    validation.instance(
+        "scene", scene, Scene, "make one by Scene(model, duration, ...) or load_scene(file)"
+    )
     assert isinstance(scene, Scene)  # checked just now
     scene = scene.open_loop()
     _ = scene.input_value, scene.load  # refuse what changes in time

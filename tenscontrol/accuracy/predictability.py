@@ -7,20 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tenscontrol import validation
 from tenscontrol.accuracy.open_loop import only_free, open_loop_of, state_change
-from tenscontrol.integrate import DOP853
+from tenscontrol.arrays import FloatArray, frozen
+from tenscontrol.integrate.dop853 import DOP853
 from tenscontrol.interrupt import keeping
-from tenscontrol.simulation import Scene
-from tenscontrol.structure import Structure
-from tenscontrol.validation import (
-    LARGEST_SEED,
-    MOST_RUNS,
-    FloatArray,
-    frozen,
-    function,
-    positive_number,
-    whole_number,
-)
+from tenscontrol.simulation.scene import Scene
+from tenscontrol.structure.structure import Structure
 
 # Size of the perturbation, m: far above round-off, far below what the motion is sensitive to.
 _PERTURBATION = 1e-10
@@ -142,13 +135,18 @@ def predictability(
     (False, True)
     """
     case = open_loop_of(scene)
-    error = positive_number("error", error, "m")
-    count = whole_number("outputs", outputs, 2, MOST_RUNS)
+    error = validation.positive_number("error", error, "m")
+    count = validation.whole_number("outputs", outputs, 2, validation.MOST_RUNS)
     if report is not None:
-        function("report", report, "it is told the time reached, s")
+        validation.function("report", report, "it is told the time reached, s")
     times = case.duration * np.arange(1, count + 1) / count
-    random = np.random.default_rng(whole_number("seed", seed, 0, LARGEST_SEED))
-    offsets = [_offset(case, random) for _ in range(whole_number("samples", samples, 1, MOST_RUNS))]
+    random = np.random.default_rng(
+        validation.whole_number("seed", seed, 0, validation.LARGEST_SEED)
+    )
+    offsets = [
+        _offset(case, random)
+        for _ in range(validation.whole_number("samples", samples, 1, validation.MOST_RUNS))
+    ]
     allowed = error / (_ROUND_OFF * case.size)
     growth: list[float] = []
     with keeping("times are compared", growth.__len__):

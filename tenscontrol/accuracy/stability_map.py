@@ -8,18 +8,24 @@ from math import isfinite
 
 import numpy as np
 
+from tenscontrol import validation
 from tenscontrol.accuracy.measured_run import checked_settings, method_named
 from tenscontrol.accuracy.open_loop import fastest_rate
-from tenscontrol.actuation import to_rest_length
-from tenscontrol.dynamics import LinearStrings, Model, evaluate_columns
-from tenscontrol.integrate import IntegrationError, Method
+from tenscontrol.actuation.winches import to_rest_length
+from tenscontrol.arrays import FloatArray, frozen
+from tenscontrol.dynamics.evaluator import evaluate_columns
+from tenscontrol.dynamics.model import Model
+from tenscontrol.dynamics.string_laws import LinearStrings
+from tenscontrol.integrate.integrator import IntegrationError
+from tenscontrol.integrate.methods import Method
 from tenscontrol.interrupt import keeping
 from tenscontrol.progress import progress_bar
-from tenscontrol.simulation import Scene
-from tenscontrol.statics import prestress
-from tenscontrol.structure import prism, restore_bar_lengths, spread_force_density, subdivide
+from tenscontrol.simulation.scene import Scene
+from tenscontrol.statics.prestress import prestress
+from tenscontrol.structure.bar_geometry import restore_bar_lengths
+from tenscontrol.structure.prism import prism
+from tenscontrol.structure.segments import spread_force_density, subdivide
 from tenscontrol.tables import aligned
-from tenscontrol.validation import MOST_RUNS, FloatArray, frozen, function, instance, whole_number
 
 # A motion with more than so many times its kinetic energy is not stable.
 _GROWN = 100.0
@@ -141,9 +147,9 @@ def stability_map(
         raise ValueError(f"method is {method!r}, which chooses its steps; expected one with a step")
     stiff = checked_settings("stiffness", stiffness, "N/m")[::-1]
     ratios = checked_settings("mass_ratio", mass_ratio, "1")[::-1]
-    count = whole_number("steps", steps, 20, MOST_RUNS)
+    count = validation.whole_number("steps", steps, 20, validation.MOST_RUNS)
     make = prism_near_rest if case is None else case
-    function("case", make, "(stiffness, mass_ratio) -> Scene")
+    validation.function("case", make, "(stiffness, mass_ratio) -> Scene")
     limit = theoretical_limit(method)
     shape = (len(stiff), len(ratios))
     step, rate = np.full((2, *shape), np.nan)
@@ -151,7 +157,9 @@ def stability_map(
     with kept, progress_bar(step.size, progress, f"stability of {method}", "cases") as report:
         for i, j in np.ndindex(shape):
             each = make(stiff[i], ratios[j])
-            instance("what case(stiffness, mass_ratio) returns", each, Scene, "make one by Scene()")
+            validation.instance(
+                "what case(stiffness, mass_ratio) returns", each, Scene, "make one by Scene()"
+            )
             fastest = fastest_rate(each)
             step[i, j] = _Probe(each, chosen, fastest, count).largest_step(limit)
             rate[i, j] = fastest

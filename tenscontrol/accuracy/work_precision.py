@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tenscontrol import validation
 from tenscontrol.accuracy.converged_motion import ConvergedMotion, converged_motion
 from tenscontrol.accuracy.measured_run import (
     FINER,
@@ -22,24 +23,14 @@ from tenscontrol.accuracy.measured_run import (
     method_named,
 )
 from tenscontrol.accuracy.open_loop import open_loop_of
-from tenscontrol.accuracy.peers import Peer
+from tenscontrol.accuracy.peers.peer import Peer
 from tenscontrol.accuracy.predictability import Predictability, predictability
-from tenscontrol.integrate import METHODS, Method
+from tenscontrol.arrays import FloatArray, frozen
+from tenscontrol.integrate.methods import METHODS, Method
 from tenscontrol.interrupt import keeping
 from tenscontrol.progress import progress_bar
-from tenscontrol.simulation import Scene
+from tenscontrol.simulation.scene import Scene
 from tenscontrol.tables import aligned, markdown, shown, write_csv
-from tenscontrol.validation import (
-    MOST_RUNS,
-    FloatArray,
-    choice,
-    frozen,
-    instance,
-    items,
-    positive_number,
-    truth,
-    whole_number,
-)
 
 # An error below so many times that of the reference is not resolved.
 _RESOLVED = 3.0
@@ -160,7 +151,7 @@ class WorkPrecision:
         ValueError
             If it was not run.
         """
-        choice("method", method, (*self.methods, *self.peers))
+        validation.choice("method", method, (*self.methods, *self.peers))
         return tuple(row for row in self.rows if row.method == method)
 
     def is_resolved(self, row: Measurement) -> bool:
@@ -170,7 +161,7 @@ class WorkPrecision:
         ----------
         row : Measurement
         """
-        instance("row", row, Measurement, "one of the rows")
+        validation.instance("row", row, Measurement, "one of the rows")
         return row.error > _RESOLVED * self.reference.error
 
     def time_at(self, method: str, error: float) -> float:
@@ -191,7 +182,7 @@ class WorkPrecision:
         float
             NaN where the method does not reach the error.
         """
-        error = positive_number("error", error, "m")
+        error = validation.positive_number("error", error, "m")
         return time_to_reach(self.of(method), error, self.reference.error)
 
     def fastest(self, error: float) -> tuple[str, float]:
@@ -230,12 +221,16 @@ class WorkPrecision:
         against : sequence of str, optional
             Peers, or methods of our own; all peers if not given.
         """
-        names = self.peers if against is None else items("against", against, "names of methods")
+        names = (
+            self.peers
+            if against is None
+            else validation.items("against", against, "names of methods")
+        )
         for i, each in enumerate(names):
-            choice(f"against[{i}]", each, (*self.methods, *self.peers))
+            validation.choice(f"against[{i}]", each, (*self.methods, *self.peers))
         errors = [
-            positive_number(f"errors[{i}]", each, "m")
-            for i, each in enumerate(items("errors", errors, "numbers in m"))
+            validation.positive_number(f"errors[{i}]", each, "m")
+            for i, each in enumerate(validation.items("errors", errors, "numbers in m"))
         ]
         best = [self.fastest(error) for error in errors]
         others = np.array([[self.time_at(name, error) for name in names] for error in errors])
@@ -394,16 +389,20 @@ def work_precision(
     (20, 40, True)
     """
     case = open_loop_of(scene)
-    finest = positive_number("finest", finest, "m")
-    repeats = whole_number("repeats", repeats, 1, MOST_RUNS)
-    outputs = whole_number("outputs", outputs, 1, MOST_RUNS)
-    truth("machine_code", machine_code, "whether to compile our own methods")
-    names = tuple(METHODS) if methods is None else items("methods", methods, "names of methods")
+    finest = validation.positive_number("finest", finest, "m")
+    repeats = validation.whole_number("repeats", repeats, 1, validation.MOST_RUNS)
+    outputs = validation.whole_number("outputs", outputs, 1, validation.MOST_RUNS)
+    validation.truth("machine_code", machine_code, "whether to compile our own methods")
+    names = (
+        tuple(METHODS)
+        if methods is None
+        else validation.items("methods", methods, "names of methods")
+    )
     named = (method_named(name, f"methods[{i}]") for i, name in enumerate(names))
     chosen = list(dict.fromkeys(named))
-    peers = items("peers", peers, "peers")
+    peers = validation.items("peers", peers, "peers")
     for i, peer in enumerate(peers):
-        instance(f"peers[{i}]", peer, Peer, "make one by subclassing Peer")
+        validation.instance(f"peers[{i}]", peer, Peer, "make one by subclassing Peer")
     given = _checked_settings(settings, chosen, peers)
     wanted = {m: given.get(m.name) or default_settings(m, case) for m in chosen}
     theirs = {p: given.get(p.name) or p.settings for p in peers}
@@ -452,15 +451,17 @@ def _checked_settings(
     found: dict[str, tuple[float, ...]] = {}
     if settings is None:
         return found
-    instance("settings", settings, Mapping, "settings by the name of a method or peer")
+    validation.instance("settings", settings, Mapping, "settings by the name of a method or peer")
     for name, values in settings.items():
-        choice("a key of settings", name, units)
+        validation.choice("a key of settings", name, units)
         found[name] = checked_settings(f"settings[{name!r}]", values, units[name])
     return found
 
 
 def _refuse_other_times(reference: ConvergedMotion, case: Scene) -> None:
-    instance("reference", reference, ConvergedMotion, "make one by converged_motion(case)")
+    validation.instance(
+        "reference", reference, ConvergedMotion, "make one by converged_motion(case)"
+    )
     end = float(reference.time[-1])
     if abs(end / case.duration - 1) > 1e-12:
         raise ValueError(

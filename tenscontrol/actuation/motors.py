@@ -8,21 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tenscontrol.dynamics import Model, evaluate_columns
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, IntArray, freeze_arrays, frozen
+from tenscontrol.dynamics.evaluator import evaluate_columns
+from tenscontrol.dynamics.model import Model
 from tenscontrol.fields import Array, OptionalArray, check_fields, checked, converted
-from tenscontrol.validation import (
-    FloatArray,
-    IntArray,
-    float_array,
-    freeze_arrays,
-    frozen,
-    limits,
-    member_parameters,
-    non_negative,
-    one_or_per_string,
-    positive,
-    vector,
-)
 
 # Parts of an interval in which a string goes slack or taut.
 _PARTS = 32
@@ -48,8 +38,8 @@ class EachMotor(NamedTuple):
 
 
 def _size(name: str, value: object, meaning: str) -> FloatArray:
-    array = vector(name, value)
-    positive(name, np.atleast_1d(array), meaning)
+    array = validation.vector(name, value)
+    validation.positive(name, np.atleast_1d(array), meaning)
     return array
 
 
@@ -58,16 +48,16 @@ def _size_or_none(name: str, value: object, meaning: str) -> FloatArray | None:
 
 
 def _size_or_zero(name: str, value: object, meaning: str) -> FloatArray:
-    array = vector(name, value)
-    non_negative(name, np.atleast_1d(array), f"{meaning}, 0 for none")
+    array = validation.vector(name, value)
+    validation.non_negative(name, np.atleast_1d(array), f"{meaning}, 0 for none")
     return array
 
 
 def _limit(name: str, value: object, meaning: str) -> FloatArray | None:
-    array = limits(name, value)
+    array = validation.limits(name, value)
     if not np.isfinite(array).any():
         return None
-    positive(name, np.atleast_1d(array), meaning)
+    validation.positive(name, np.atleast_1d(array), meaning)
     return array
 
 
@@ -132,7 +122,9 @@ class Motor:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        member_parameters({name: each for name, each in vars(self).items() if each is not None})
+        validation.member_parameters(
+            {name: each for name, each in vars(self).items() if each is not None}
+        )
         torque = np.inf if self.torque is None else self.torque
         if np.any((self.inertia > 0) & (torque == np.inf)):
             raise ValueError(
@@ -181,13 +173,13 @@ class Motor:
 
     def _together(self, name: str, value: object, zero: object) -> tuple[FloatArray, ...]:
         """Return values, the rest length at angle zero, and levers, to be computed with."""
-        array = float_array(name, value)
+        array = validation.float_array(name, value)
         if array.ndim not in (1, 2):
             raise ValueError(f"{name} has shape {array.shape}, expected (α,) or (α, K)")
         if zero is None and self.zero is None:
             raise ValueError("zero is not known: give the rest length at which the angle is 0, m")
         length = _for_each("zero", self.zero if zero is None else zero, name, array)
-        positive("zero", length, "rest length in m")
+        validation.positive("zero", length, "rest length in m")
         lever = _for_each("drum_radius / gear_ratio", self.lever, name, array)
         if array.ndim == 2:
             return array, length[:, None], lever[:, None]
@@ -196,7 +188,7 @@ class Motor:
 
 def _for_each(label: str, value: object, name: str, array: FloatArray) -> FloatArray:
     """Return a number of motors for each row of an array that is called ``name``."""
-    found = float_array(label, value)
+    found = validation.float_array(label, value)
     if found.shape not in ((), (len(array),)):
         raise ValueError(
             f"{name} has shape {array.shape}, and {label} {found.shape}: expected one number for "
@@ -209,7 +201,7 @@ def each_motor(motor: Motor, count: int) -> EachMotor:
     """Return the numbers of each motor, for so many strings, or raise if they do not fit."""
     for name, value in vars(motor).items():
         if value is not None:
-            one_or_per_string(f"motor.{name}", value, count)
+            validation.one_or_per_string(f"motor.{name}", value, count)
 
     def each(value: FloatArray | None, absent: float = np.inf) -> FloatArray:
         return frozen(np.broadcast_to(absent if value is None else value, count))

@@ -7,28 +7,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from tenscontrol import validation
 from tenscontrol.actuation.motors import Motor, Turning, each_motor
-from tenscontrol.dynamics import Model, StringLaw, polynomial_at
+from tenscontrol.arrays import FloatArray, IntArray, freeze_arrays, frozen
+from tenscontrol.dynamics.model import Model
+from tenscontrol.dynamics.profile import polynomial_at
+from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.fields import Field, OptionalArray, check_fields, checked, converted
-from tenscontrol.structure import refuse_strings_without_length
-from tenscontrol.validation import (
-    MOST_SAMPLES,
-    FloatArray,
-    IntArray,
-    float_array,
-    freeze_arrays,
-    frozen,
-    instance,
-    limits,
-    member_parameters,
-    non_negative,
-    one_or_per_string,
-    positive,
-    positive_number,
-    truth,
-    vector,
-    whole_number,
-)
+from tenscontrol.structure.bar_geometry import refuse_strings_without_length
 
 _SUBSTEPS = 10
 
@@ -138,7 +124,7 @@ def to_force_density(model: Model, nodes: object, rest_length: object) -> FloatA
 
 def _law_and_length(model: Model, nodes: object) -> tuple[StringLaw, FloatArray]:
     """Return the string law, and the string lengths in a shape, m."""
-    instance("model", model, Model, "make one by Model(structure, strings=...)")
+    validation.instance("model", model, Model, "make one by Model(structure, strings=...)")
     if model.strings is None:
         raise ValueError(
             "the model has no string law, so rest lengths have no meaning for it; "
@@ -177,23 +163,25 @@ _LIMITS = "rate", "shortest", "longest"
 
 
 def _limit(name: str, value: object, meaning: str, none: float = np.inf) -> FloatArray | None:
-    limit = limits(name, value, none)
+    limit = validation.limits(name, value, none)
     if not (limit != none).any():
         return None
     if none:
-        positive(name, np.atleast_1d(limit), meaning)
+        validation.positive(name, np.atleast_1d(limit), meaning)
     else:
-        non_negative(name, np.atleast_1d(limit), f"{meaning}, 0 for any")
+        validation.non_negative(name, np.atleast_1d(limit), f"{meaning}, 0 for any")
     return limit
 
 
 def _substeps(name: str, value: object) -> int | None:
-    return None if value is None else whole_number(name, value, 1, MOST_SAMPLES)
+    return (
+        None if value is None else validation.whole_number(name, value, 1, validation.MOST_SAMPLES)
+    )
 
 
 def _motor(name: str, value: Motor | None) -> Motor | None:
     if value is not None:
-        instance(name, value, Motor, "make them by Motor(drum_radius=...)")
+        validation.instance(name, value, Motor, "make them by Motor(drum_radius=...)")
     return value
 
 
@@ -240,7 +228,8 @@ class Winches:
     shortest: OptionalArray = converted(None, checked(_limit, "length in m", 0.0))
     longest: OptionalArray = converted(None, checked(_limit, "length in m"))
     ramp: bool = field(
-        default=False, metadata=checked(truth, "whether rest lengths ramp through a sample")
+        default=False,
+        metadata=checked(validation.truth, "whether rest lengths ramp through a sample"),
     )
     substeps: Field[int | None, int] = converted(None, checked(_substeps))
     motor: Motor | None = field(default=None, metadata=checked(_motor))
@@ -255,7 +244,9 @@ class Winches:
         given = {name: getattr(self, name) for name in _LIMITS}
         if self.motor is not None:
             given["motor.drum_radius / gear_ratio"] = self.motor.lever
-        member_parameters({name: limit for name, limit in given.items() if limit is not None})
+        validation.member_parameters(
+            {name: limit for name, limit in given.items() if limit is not None}
+        )
         if self.shortest is None or self.longest is None:
             return
         if np.any(self.shortest > self.longest):
@@ -313,11 +304,11 @@ class Winches:
         TypeError, ValueError
             If it is no such number, or the limits are of another number of strings.
         """
-        count = whole_number("count", count, 0)
+        count = validation.whole_number("count", count, 0)
         low = np.asarray(0.0 if self.shortest is None else self.shortest)
         high = np.asarray(np.inf if self.longest is None else self.longest)
         for name, limit in (("shortest", low), ("longest", high)):
-            one_or_per_string(f"winches.{name}", limit, count)
+            validation.one_or_per_string(f"winches.{name}", limit, count)
         return np.full(count, low), np.full(count, high)
 
     def refuse_out_of_range(self, name: str, rest_length: FloatArray) -> None:
@@ -330,7 +321,7 @@ class Winches:
         rest_length : ndarray, shape (α,)
             m.
         """
-        rest_length = float_array("rest_length", rest_length)
+        rest_length = validation.float_array("rest_length", rest_length)
         if rest_length.ndim != 1:
             raise ValueError(f"rest_length has shape {rest_length.shape}, expected one per string")
         low, high = self.range(len(rest_length))
@@ -352,17 +343,17 @@ class Winches:
         sample_time : float
             Sample time, s.
         """
-        start, goal = vector("current", current), vector("wanted", wanted)
-        sample_time = positive_number("sample_time", sample_time, "s")
+        start, goal = validation.vector("current", current), validation.vector("wanted", wanted)
+        sample_time = validation.positive_number("sample_time", sample_time, "s")
         if start.ndim != 1 or goal.shape != start.shape:
             raise ValueError(
                 f"current has shape {start.shape} and wanted {goal.shape}, expected (α,) twice: "
                 "one rest length per string"
             )
-        positive("current", start, "rest length in m")
-        positive("wanted", goal, "rest length in m")
+        validation.positive("current", start, "rest length in m")
+        validation.positive("wanted", goal, "rest length in m")
         if self.rate is not None:
-            one_or_per_string("rate", self.rate, len(start))
+            validation.one_or_per_string("rate", self.rate, len(start))
         within = np.clip(goal, *self.range(len(start)))
         rate = self.largest_rate
         reach = np.inf if rate is None else rate * sample_time

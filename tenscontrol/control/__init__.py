@@ -6,7 +6,7 @@ from tenscontrol.control.feedback_linearization import (
     FeedbackLinearization,
     FeedbackLinearizationStatistics,
 )
-from tenscontrol.control.function_controller import FunctionController, as_controller
+from tenscontrol.control.function_controller import FunctionController
 from tenscontrol.control.held_loop import HeldLoop, held_loop
 from tenscontrol.control.lqr import LQR
 from tenscontrol.control.mpc import (
@@ -42,7 +42,6 @@ __all__ = [
     "QPSolution",
     "QPSolver",
     "Status",
-    "as_controller",
     "clearance",
     "held_loop",
 ]

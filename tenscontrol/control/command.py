@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
+from tenscontrol.arrays import FloatArray
 from tenscontrol.status import Status
-from tenscontrol.validation import FloatArray
 
 
 class ControlWarning(RuntimeWarning):

@@ -11,32 +11,16 @@ from typing import Any
 
 import numpy as np
 
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, IntArray, frozen
 from tenscontrol.control.command import Command, Fallback
 from tenscontrol.control.measurement_check import MeasurementCheck
-from tenscontrol.dynamics import Exclusive, exclusive
-from tenscontrol.plant import (
-    INPUTS,
-    LinearPlant,
-    Modes,
-    reached_states,
-    unreached_modes,
-    warn_of_left_alone,
-)
+from tenscontrol.dynamics.evaluator import Exclusive, exclusive
+from tenscontrol.plant.controllability import reached_states, unreached_modes, warn_of_left_alone
+from tenscontrol.plant.linear_plant import INPUTS, LinearPlant
+from tenscontrol.plant.modes import Modes
 from tenscontrol.status import Status
-from tenscontrol.structure import Structure
-from tenscontrol.validation import (
-    FloatArray,
-    IntArray,
-    choice,
-    frozen,
-    instance,
-    limit_per_member,
-    measured,
-    number,
-    positive,
-    positive_number,
-    shaped,
-)
+from tenscontrol.structure.structure import Structure
 
 # Methods of controllers that use what they remember of the samples before.
 _WITH_MEMORY = {"applied", "command", "fall_back", "follow", "prepare", "reset"}
@@ -91,16 +75,16 @@ class BaseController(ABC):
     ) -> None:
         #: The thread that uses the controller: another one is refused meanwhile.
         self.in_use = Exclusive(f"this {type(self).__name__}", size)
-        instance("structure", structure, Structure, "for example prism()")
+        validation.instance("structure", structure, Structure, "for example prism()")
         if sample_time is not None:
-            sample_time = positive_number("sample_time", sample_time, "s")
+            sample_time = validation.positive_number("sample_time", sample_time, "s")
         self._structure = structure
         self._commanded = structure if commanded is None else commanded
-        self._input = choice("input", input, INPUTS)
+        self._input = validation.choice("input", input, INPUTS)
         self._sample_time = sample_time
         shape = (len(self._commanded.strings),)
-        self._low = frozen(shaped("low", low, shape, "one per string"))
-        self._high = frozen(measured("high", high, shape, "one per string"))
+        self._low = frozen(validation.shaped("low", low, shape, "one per string"))
+        self._high = frozen(validation.measured("high", high, shape, "one per string"))
         wrong = np.flatnonzero(~(self._low <= self._high))
         if len(wrong):
             i = wrong[0]
@@ -109,8 +93,8 @@ class BaseController(ABC):
             )
         self._change = None
         if change is not None:
-            change = limit_per_member("change", change, len(self._low), "string")
-            self._change = frozen(positive("change", change, "change of the input"))
+            change = validation.limit_per_member("change", change, len(self._low), "string")
+            self._change = frozen(validation.positive("change", change, "change of the input"))
         self._equilibrium_input = equilibrium_input
         rate = 0.0 if sample_time is None else 1 / sample_time
         self._measurement_check = check or MeasurementCheck(structure, structure.nodes, rate)
@@ -235,9 +219,12 @@ class BaseController(ABC):
             not a finite number.
         """
         self._called = perf_counter()
-        time = number("time", time, "s")
+        time = validation.number("time", time, "s")
         shape = self._structure.nodes.shape
-        N, V = measured("nodes", nodes, shape), measured("velocities", velocities, shape)
+        N, V = (
+            validation.measured("nodes", nodes, shape),
+            validation.measured("velocities", velocities, shape),
+        )
         state, fault = self._measure(N, V)
         if fault is not None:
             return self.fall_back(fault)
@@ -266,7 +253,7 @@ class BaseController(ABC):
         TypeError
             If it is no :class:`Status`.
         """
-        instance("status", status, Status, "for example Status.MEASUREMENT_NOT_FINITE")
+        validation.instance("status", status, Status, "for example Status.MEASUREMENT_NOT_FINITE")
         return self._issue(self._fall_back(status))
 
     def _measure(
@@ -302,7 +289,9 @@ class BaseController(ABC):
         TypeError, ValueError
             If it is not finite or has the wrong shape.
         """
-        self._previous_input = frozen(shaped("value", value, self._low.shape, "one per string"))
+        self._previous_input = frozen(
+            validation.shaped("value", value, self._low.shape, "one per string")
+        )
 
     @property
     def _previous_within_bounds(self) -> FloatArray:
@@ -412,11 +401,11 @@ class Controller(BaseController):
         high: FloatArray,
         change: FloatArray | None = None,
     ) -> None:
-        instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
+        validation.instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
         self._plant = plant
         rate = plant.spectral_radius
         if sample_time is not None:
-            rate = max(rate, 1 / positive_number("sample_time", sample_time, "s"))
+            rate = max(rate, 1 / validation.positive_number("sample_time", sample_time, "s"))
             plant.refuse_long_sample_time(sample_time)
         structure = plant.model.structure
         super().__init__(

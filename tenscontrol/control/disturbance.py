@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tenscontrol.plant import LinearPlant, checked_tracked
-from tenscontrol.validation import FloatArray, frozen
+from tenscontrol.arrays import FloatArray, frozen
+from tenscontrol.plant.linear_plant import LinearPlant
+from tenscontrol.plant.reduced_dynamics import checked_tracked
 
 # Weight of the departure of inputs in the choice of where to rest, against that of what is
 # tracked: small enough that nothing is given up for it.

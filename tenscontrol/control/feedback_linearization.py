@@ -8,30 +8,19 @@ from typing import final
 
 import numpy as np
 
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.control.command import Command, Fallback
 from tenscontrol.control.controller import Controller
 from tenscontrol.control.held_loop import warn_of_slow_errors
-from tenscontrol.control.mpc import OSQPSolver, QPSolution
-from tenscontrol.dynamics import Evaluator
-from tenscontrol.plant import (
-    LinearPlant,
-    SmoothReference,
-    checked_reference,
-    checked_tracked,
-    input_bounds,
-    largest_change,
-    tracked_motion,
-)
+from tenscontrol.control.mpc.solvers.osqp_adapter import OSQPSolver
+from tenscontrol.control.mpc.solvers.solver import QPSolution
+from tenscontrol.dynamics.evaluator import Evaluator
+from tenscontrol.plant.input_bounds import input_bounds, largest_change
+from tenscontrol.plant.linear_plant import LinearPlant
+from tenscontrol.plant.reduced_dynamics import checked_tracked, tracked_motion
+from tenscontrol.plant.reference import SmoothReference, checked_reference
 from tenscontrol.status import Status
-from tenscontrol.validation import (
-    FloatArray,
-    choice,
-    frozen,
-    instance,
-    number,
-    positive_number,
-    whole_number,
-)
 
 # An acceleration off by δ leaves an error of δ/b. The law counts as reached where that is below
 # this share of the size of the structure.
@@ -173,18 +162,18 @@ class FeedbackLinearization(Controller):
         tolerance: float = 1e-7,
         max_iterations: int = 4000,
     ) -> None:
-        instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
+        validation.instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
         if plant.input != "force_density":
             raise ValueError(
                 f"plant has input={plant.input!r}, in which accelerations are not affine; "
                 "linearize with input='force_density'"
             )
-        choice("plant.coordinates.kind", plant.coordinates.kind, ("internal", "minimal"))
+        validation.choice("plant.coordinates.kind", plant.coordinates.kind, ("internal", "minimal"))
         if max_force_density is None:
             raise TypeError(
                 "max_force_density is None, expected a positive number in N/m, or inf for no limit"
             )
-        sample_time = positive_number("sample_time", sample_time, "s")
+        sample_time = validation.positive_number("sample_time", sample_time, "s")
         low, high = input_bounds(plant, max_force_density)
         change = largest_change(plant.input, len(low), max_change, None, sample_time)
         super().__init__(plant, sample_time, low, high, change)
@@ -209,9 +198,11 @@ class FeedbackLinearization(Controller):
         self._squares = BoundedLeastSquares(
             rows,
             columns,
-            positive_number("regularization", regularization, "no unit"),
-            positive_number("tolerance", tolerance, "units of the largest force density"),
-            whole_number("max_iterations", max_iterations, least=1),
+            validation.positive_number("regularization", regularization, "no unit"),
+            validation.positive_number(
+                "tolerance", tolerance, "units of the largest force density"
+            ),
+            validation.whole_number("max_iterations", max_iterations, least=1),
         )
         self.follow(reference)
         self.reset()
@@ -270,7 +261,7 @@ class FeedbackLinearization(Controller):
         y, rate, _, _ = self._tracked(self.plant.measure(nodes, velocities))
         if not np.isfinite(y).all():
             raise ValueError("nodes turn a bar by a right angle or more from the operating point")
-        wanted, wanted_rate, _ = self._reference.at(number("time", time, "s"))
+        wanted, wanted_rate, _ = self._reference.at(validation.number("time", time, "s"))
         return y - wanted, rate - wanted_rate
 
     def reset(self) -> None:
@@ -379,8 +370,8 @@ class BoundedLeastSquares:
 
 def error_rates(frequency: object, damping: object, sample_time: float) -> tuple[float, float]:
     """Return a and b, or raise if the sampled error would grow."""
-    omega = 2 * pi * positive_number("frequency", frequency, "Hz")
-    a, b = 2 * positive_number("damping", damping, "no unit") * omega, omega**2
+    omega = 2 * pi * validation.positive_number("frequency", frequency, "Hz")
+    a, b = 2 * validation.positive_number("damping", damping, "no unit") * omega, omega**2
     # With Ë held over a sample: det < 1 and trace > −1 − det of the map of (E, Ė).
     if a * sample_time >= 2 or b * sample_time >= 2 * a:
         raise ValueError(

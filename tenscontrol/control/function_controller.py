@@ -8,23 +8,15 @@ from typing import Any, final
 
 import numpy as np
 
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.control.command import Command
 from tenscontrol.control.controller import BaseController
-from tenscontrol.plant import INPUTS, largest_change, rest_length_bounds
+from tenscontrol.plant.input_bounds import largest_change, rest_length_bounds
+from tenscontrol.plant.linear_plant import INPUTS
 from tenscontrol.status import Status
-from tenscontrol.structure import Structure, whole_strings
-from tenscontrol.validation import (
-    FloatArray,
-    choice,
-    frozen,
-    instance,
-    limit_per_member,
-    measured,
-    non_negative,
-    per_member,
-    positive,
-    wrong_kind,
-)
+from tenscontrol.structure.segments import whole_strings
+from tenscontrol.structure.structure import Structure
 
 _UNITS = {"force_density": "γ, N/m", "rest_length": "rest length, m"}
 
@@ -122,7 +114,7 @@ class FunctionController(BaseController):
         max_change: object = None,
         equilibrium_input: object = None,
     ) -> None:
-        instance("structure", structure, Structure, "for example model.structure")
+        validation.instance("structure", structure, Structure, "for example model.structure")
         self._function = _called("function", function)
         self._given = function
         self._settings = {"function": function}
@@ -135,19 +127,19 @@ class FunctionController(BaseController):
                 )
         if sample_time is None:
             sample_time = _own("sample_time", function)
-        by_length = choice("input", input, INPUTS) == "rest_length"
+        by_length = validation.choice("input", input, INPUTS) == "rest_length"
         count = len(structure.strings)
         if low is None:
             low = rest_length_bounds(structure.string_length())[0] if by_length else 0.0
-        low = per_member("low", low, count, "string")
+        low = validation.per_member("low", low, count, "string")
         if by_length:
-            positive("low", low, "rest length in m")
+            validation.positive("low", low, "rest length in m")
         else:
-            non_negative("low", low, "a string can only pull")
-        high = limit_per_member("high", high, count, "string")
+            validation.non_negative("low", low, "a string can only pull")
+        high = validation.limit_per_member("high", high, count, "string")
         change = largest_change(input, count, max_change, None, sample_time)
         if equilibrium_input is not None:
-            usual = per_member("equilibrium_input", equilibrium_input, count, "string")
+            usual = validation.per_member("equilibrium_input", equilibrium_input, count, "string")
             equilibrium_input = frozen(usual)
         super().__init__(
             structure, input, sample_time, low, high, change,
@@ -181,9 +173,11 @@ class FunctionController(BaseController):
         nodes, velocities = state
         given = self._function(time, nodes, velocities)
         command = given if isinstance(given, Command) else Command(given)
-        instance(f"status of {self._what}", command.status, Status, "for example Status.OK")
+        validation.instance(
+            f"status of {self._what}", command.status, Status, "for example Status.OK"
+        )
         meaning = f"one {_UNITS[self.input]}, per string"
-        value = measured(self._what, command.value, self._low.shape, meaning)
+        value = validation.measured(self._what, command.value, self._low.shape, meaning)
         command = replace(command, value=value)
         if command.status is Status.OK and not np.array_equal(self._within_bounds(value), value):
             return replace(command, status=Status.SATURATED)
@@ -230,5 +224,5 @@ def _called(name: str, given: object) -> Callable[..., Any]:
         )
     called: Any = _own("command", given) or given
     if not callable(called):
-        raise wrong_kind(name, given, _EXPECTED)
+        raise validation.wrong_kind(name, given, _EXPECTED)
     return called  # type: ignore[no-any-return]

@@ -7,17 +7,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tenscontrol.plant import (
-    LinearPlant,
-    OperatingPoint,
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray
+from tenscontrol.plant.controllability import reached_states
+from tenscontrol.plant.linear_plant import LinearPlant
+from tenscontrol.plant.linearize import OperatingPoint, linearize
+from tenscontrol.plant.string_outputs import (
     StringMap,
-    linearize,
-    reached_states,
     string_map,
     to_commanded_strings,
     to_model_strings,
 )
-from tenscontrol.validation import FloatArray, instance, positive_number, shaped
 
 # A loop that settles slower than this fraction of its design no longer follows: see
 # tests/control/test_held_loop.py, with nonlinear runs on both sides of the limit.
@@ -96,8 +96,8 @@ def held_loop(plant: LinearPlant, gain: object, *, sample_time: float) -> HeldLo
     True
     False
     """
-    instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
-    sample_time = positive_number("sample_time", sample_time, "s")
+    validation.instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
+    sample_time = validation.positive_number("sample_time", sample_time, "s")
     if plant.input != "force_density" or plant.model.strings is None:
         raise ValueError(
             f"plant has input={plant.input!r} and its model "
@@ -105,7 +105,7 @@ def held_loop(plant: LinearPlant, gain: object, *, sample_time: float) -> HeldLo
             "input='force_density' and Model(structure, strings=...)"
         )
     count, states = plant.B.shape[1], len(plant.A)
-    K = shaped("gain", gain, (count, states), "one row per string, one column per state")
+    K = validation.shaped("gain", gain, (count, states), "one row per string, one column per state")
     held, strings = plant.prepared.get("held rest lengths", lambda: _with_held_lengths(plant))
     by_shape = strings.gamma_by_state.copy()
     by_shape[:, states // 2 :] = 0.0  # the conversion ignores rates

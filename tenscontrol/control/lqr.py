@@ -6,24 +6,19 @@ from typing import final
 
 import numpy as np
 
-from tenscontrol.actuation import Winches
+from tenscontrol import validation
+from tenscontrol.actuation.winches import Winches
+from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.control.command import Command
 from tenscontrol.control.controller import (
     Controller,
     warn_of_unreached,
 )
-from tenscontrol.plant import (
-    LinearPlant,
-    input_bounds,
-    largest_change,
-    natural_weights,
-    refuse_empty,
-    refuse_unreachable,
-    regulator,
-    sampled,
-)
+from tenscontrol.plant.controllability import refuse_empty, refuse_unreachable
+from tenscontrol.plant.input_bounds import input_bounds, largest_change
+from tenscontrol.plant.linear_plant import LinearPlant, sampled
+from tenscontrol.plant.riccati import natural_weights, regulator
 from tenscontrol.status import Status
-from tenscontrol.validation import FloatArray, frozen, instance, positive_number, weight_matrix
 
 
 @final
@@ -118,17 +113,17 @@ class LQR(Controller):
         max_change: object = None,
         winches: Winches | None = None,
     ) -> None:
-        instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
+        validation.instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
         states, inputs = plant.B.shape
         refuse_empty(plant)
         if Q is None or R is None:
             natural_Q, natural_R = natural_weights(plant)
             Q = natural_Q if Q is None else Q
             R = natural_R if R is None else R
-        state_weight = weight_matrix("Q", Q, states, definite=False)
-        input_weight = weight_matrix("R", R, inputs, definite=True)
+        state_weight = validation.weight_matrix("Q", Q, states, definite=False)
+        input_weight = validation.weight_matrix("R", R, inputs, definite=True)
         if sample_time is not None:
-            sample_time = positive_number("sample_time", sample_time, "s")
+            sample_time = validation.positive_number("sample_time", sample_time, "s")
         bounds = input_bounds(plant, max_force_density, winches)
         change = largest_change(plant.input, inputs, max_change, winches, sample_time)
         if sample_time is None and winches is not None and winches.ramp:

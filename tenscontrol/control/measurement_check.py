@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from tenscontrol.arrays import FloatArray
 from tenscontrol.status import Status
-from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray
+from tenscontrol.structure.structure import Structure
 
 # A bar may be measured longer or shorter by this part of its length, and a fixed node off its
 # place by this part of the size: far above sensor noise, far below a swapped or lost marker.

@@ -10,8 +10,6 @@ from tenscontrol._version import __version__
 from tenscontrol.demo import tour
 from tenscontrol.interrupt import interruptible
 
-__all__ = ["main"]
-
 
 def main(output: Path, figures: bool = True) -> None:
     """Run the demo, print its numbers and save its figures in a folder that exists.

@@ -11,9 +11,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tenscontrol import plot
+from tenscontrol.arrays import FloatArray
 from tenscontrol.demo.tour import TARGET, Found, Morph
-from tenscontrol.plot import new_space, save_figure
-from tenscontrol.validation import FloatArray
+from tenscontrol.plot.structure_drawing import new_space
+from tenscontrol.plot.style import save_figure
 
 
 def save_figures(output: Path, found: Found) -> Iterator[Path]:

@@ -6,23 +6,24 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tenscontrol.actuation import Winches, to_rest_length
-from tenscontrol.control import LQR, MPC
-from tenscontrol.dynamics import LinearStrings, Model
+from tenscontrol.actuation.winches import Winches, to_rest_length
+from tenscontrol.arrays import FloatArray
+from tenscontrol.control.lqr import LQR
+from tenscontrol.control.mpc.linear import MPC
+from tenscontrol.dynamics.model import Model
+from tenscontrol.dynamics.string_laws import LinearStrings
 from tenscontrol.interrupt import check
-from tenscontrol.plant import (
-    LinearPlant,
-    Modes,
-    Reference,
-    controllability,
-    energy_weights,
-    linearize,
-    modes,
-)
-from tenscontrol.simulation import Trajectory, simulate
-from tenscontrol.statics import Prestress, prestress, prism_force_density
-from tenscontrol.structure import Structure, prism, prism_radius
-from tenscontrol.validation import FloatArray
+from tenscontrol.plant.controllability import controllability
+from tenscontrol.plant.linear_plant import LinearPlant
+from tenscontrol.plant.linearize import linearize
+from tenscontrol.plant.modes import Modes, modes
+from tenscontrol.plant.reference import Reference
+from tenscontrol.plant.riccati import energy_weights
+from tenscontrol.simulation.simulate import simulate
+from tenscontrol.simulation.trajectory import Trajectory
+from tenscontrol.statics.prestress import Prestress, prestress, prism_force_density
+from tenscontrol.structure.prism import prism, prism_radius
+from tenscontrol.structure.structure import Structure
 
 HEIGHT, TARGET = 1.0, 0.85  # m
 STIFFNESS = 100.0  # N/m, every string

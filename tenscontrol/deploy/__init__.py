@@ -3,4 +3,8 @@
 from tenscontrol.deploy.compiled_controller import CompiledController
 from tenscontrol.deploy.generate import GeneratedController, generate_c
 
-__all__ = ["CompiledController", "GeneratedController", "generate_c"]
+__all__ = [
+    "CompiledController",
+    "GeneratedController",
+    "generate_c",
+]

@@ -14,12 +14,13 @@ from textwrap import shorten
 import casadi as ca
 import numpy as np
 
-from tenscontrol.control import Controller, Fallback
+from tenscontrol.arrays import FloatArray
+from tenscontrol.control.command import Fallback
+from tenscontrol.control.controller import Controller
 from tenscontrol.deploy.controllers import LawCode
 from tenscontrol.deploy.measurement_code import measurement
-from tenscontrol.dynamics import Function, builds
+from tenscontrol.dynamics.evaluator import Function, builds
 from tenscontrol.status import OF_ESTIMATES, Status
-from tenscontrol.validation import FloatArray
 
 # Numbers a line.
 _PER_LINE = 6

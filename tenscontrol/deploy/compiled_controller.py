@@ -11,12 +11,14 @@ from typing import Any, final
 
 import numpy as np
 
-from tenscontrol.control import Command, Controller
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray
+from tenscontrol.control.command import Command
+from tenscontrol.control.controller import Controller
 from tenscontrol.deploy.code_text import status_and_fallback
-from tenscontrol.dynamics import CompilerError, compiler, link
-from tenscontrol.plant import LinearPlant
+from tenscontrol.dynamics.machine_code import CompilerError, compiler, link
+from tenscontrol.plant.linear_plant import LinearPlant
 from tenscontrol.status import Status
-from tenscontrol.validation import LONGEST_WAIT, FloatArray, positive_number
 
 _VECTOR = np.ctypeslib.ndpointer(np.float64, flags="C")
 
@@ -112,7 +114,7 @@ class CompiledController(Controller):
 
 def compiled(name: str, sources: Sequence[Path], timeout: float) -> bytes:
     """Return the library of some C files; see :meth:`GeneratedController.compile`."""
-    timeout = positive_number("timeout", timeout, "s", LONGEST_WAIT)
+    timeout = validation.positive_number("timeout", timeout, "s", validation.LONGEST_WAIT)
     command = compiler()
     if command is None:
         raise FileNotFoundError(

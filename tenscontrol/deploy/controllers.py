@@ -16,21 +16,15 @@ from math import ceil, floor
 import casadi as ca
 import numpy as np
 
-from tenscontrol.control import LQR, MPC, NMPC
-from tenscontrol.control.mpc import (
-    CONVERGED,
-    NEWTON_STEPS,
-    RK4,
-    STAGES_TOLERANCE,
-    Condensed,
-    MPCLaw,
-    MPCProblem,
-    StageData,
-    active_set_source,
-    stages_data,
-    stages_source,
-)
-from tenscontrol.validation import FloatArray
+from tenscontrol.arrays import FloatArray
+from tenscontrol.control.lqr import LQR
+from tenscontrol.control.mpc.linear import MPC, Condensed, MPCLaw
+from tenscontrol.control.mpc.nonlinear import CONVERGED, NMPC
+from tenscontrol.control.mpc.problem import MPCProblem, StageData
+from tenscontrol.control.mpc.real_time_iteration import NEWTON_STEPS
+from tenscontrol.control.mpc.shooting import RK4
+from tenscontrol.control.mpc.solvers.c_source import active_set_source, stages_source
+from tenscontrol.control.mpc.stages import STAGES_TOLERANCE, stages_data
 
 # Maps read from a controller must agree with it at any other point, to this fraction.
 _AGREEMENT = 1e-9

@@ -9,14 +9,19 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from tenscontrol.control import LQR, MPC, NMPC, Controller, FunctionController
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, frozen
+from tenscontrol.control.controller import Controller
+from tenscontrol.control.function_controller import FunctionController
+from tenscontrol.control.lqr import LQR
+from tenscontrol.control.mpc.linear import MPC
+from tenscontrol.control.mpc.nonlinear import NMPC
 from tenscontrol.deploy.code_text import code_files
 from tenscontrol.deploy.compiled_controller import CompiledController, compiled
 from tenscontrol.deploy.controllers import LawCode, lqr_code, mpc_code, nmpc_code
-from tenscontrol.dynamics import builds
+from tenscontrol.dynamics.evaluator import builds
 from tenscontrol.files import make_folder, read_file, write_file
-from tenscontrol.plant import LinearPlant
-from tenscontrol.validation import FloatArray, file_path, frozen
+from tenscontrol.plant.linear_plant import LinearPlant
 
 # Names of functions and headers that a controller may not have.
 _TAKEN = {"main", "active_set", "stages", "casadi", "math", "string", "stdio"}
@@ -158,7 +163,7 @@ def generate_c(controller: Controller, folder: object, *, name: str = "controlle
     """
     law = _law_code(controller)
     name = _checked_name(name)
-    place = file_path("folder", folder).absolute()
+    place = validation.file_path("folder", folder).absolute()
     texts = code_files(controller, law, name)
     sums = [f"{_checksum(text.encode())}  {file}" for file, text in texts.items()]
     texts[_LIST] = "\n".join([_HEAD, *sums, ""])

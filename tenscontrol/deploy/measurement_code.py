@@ -7,9 +7,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Function
-from tenscontrol.plant import LinearPlant
-from tenscontrol.structure import left_by_supports, rigid_basis, rigid_motions
+from tenscontrol.dynamics.evaluator import Function
+from tenscontrol.plant.linear_plant import LinearPlant
+from tenscontrol.structure.supports import left_by_supports, rigid_basis, rigid_motions
 
 # Sweeps of Jacobi's method. It converges quadratically: four give all digits of a 4 x 4 matrix,
 # and two more cost little.

@@ -7,112 +7,26 @@ from tenscontrol.dynamics.contact_laws import (
     HertzGround,
     SmoothGround,
 )
-from tenscontrol.dynamics.coordinates import KINDS, Coordinates, coordinates
-from tenscontrol.dynamics.equation import (
-    Equation,
-    InputLayout,
-    pack_state,
-    smooth_equation,
-    unpack_states,
-    weights,
-)
-from tenscontrol.dynamics.evaluator import (
-    BUILDING,
-    ColumnEvaluator,
-    Evaluator,
-    Exclusive,
-    Function,
-    Prepared,
-    ProcessLock,
-    SharedEvaluator,
-    builds,
-    built,
-    evaluate_columns,
-    exclusive,
-    on_one_thread,
-)
-from tenscontrol.dynamics.forces import TERMS, Forces
-from tenscontrol.dynamics.instructions import OPERATIONS, instructions, number_text
-from tenscontrol.dynamics.machine_code import (
-    CompilerError,
-    CompilerWarning,
-    compiled,
-    compiled_library,
-    compiled_source,
-    compiler,
-    if_compiled,
-    link,
-)
+from tenscontrol.dynamics.coordinates import Coordinates, coordinates
+from tenscontrol.dynamics.equation import Equation
+from tenscontrol.dynamics.machine_code import compiled
 from tenscontrol.dynamics.model import Model
-from tenscontrol.dynamics.profile import (
-    Pieces,
-    Profile,
-    as_pieces,
-    polynomial_at,
-    sampling_interval,
-)
+from tenscontrol.dynamics.profile import Profile
 from tenscontrol.dynamics.string_laws import ElasticStrings, LinearStrings, StringLaw
-from tenscontrol.dynamics.tangent import (
-    Tangent,
-    normal_basis,
-    refuse_large,
-    string_stretch,
-    tangent,
-)
 
 __all__ = [
-    "BUILDING",
-    "KINDS",
-    "OPERATIONS",
-    "TERMS",
-    "ColumnEvaluator",
-    "CompilerError",
-    "CompilerWarning",
     "ContactLaw",
     "Contacts",
     "Coordinates",
     "ElasticStrings",
     "Equation",
-    "Evaluator",
-    "Exclusive",
-    "Forces",
-    "Function",
     "Ground",
     "HertzGround",
-    "InputLayout",
     "LinearStrings",
     "Model",
-    "Pieces",
-    "Prepared",
-    "ProcessLock",
     "Profile",
-    "SharedEvaluator",
     "SmoothGround",
     "StringLaw",
-    "Tangent",
-    "as_pieces",
-    "builds",
-    "built",
     "compiled",
-    "compiled_library",
-    "compiled_source",
-    "compiler",
     "coordinates",
-    "evaluate_columns",
-    "exclusive",
-    "if_compiled",
-    "instructions",
-    "link",
-    "normal_basis",
-    "number_text",
-    "on_one_thread",
-    "pack_state",
-    "polynomial_at",
-    "refuse_large",
-    "sampling_interval",
-    "smooth_equation",
-    "string_stretch",
-    "tangent",
-    "unpack_states",
-    "weights",
 ]

@@ -18,25 +18,14 @@ from typing import TYPE_CHECKING, Any, final
 import casadi as ca
 import numpy as np
 
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, IntArray, frozen
 from tenscontrol.docstrings import with_parameters_of
 from tenscontrol.dynamics import kernel
 from tenscontrol.dynamics.evaluator import Function
 from tenscontrol.dynamics.force import Columns, Force, Pass, Read, Write
 from tenscontrol.fields import Field, OptionalArray, converted
-from tenscontrol.structure import Structure
-from tenscontrol.validation import (
-    LARGEST_WHOLE,
-    FloatArray,
-    IntArray,
-    direction,
-    float_array,
-    frozen,
-    index_array,
-    indices,
-    number,
-    positive_number,
-    wrong_kind,
-)
+from tenscontrol.structure.structure import Structure
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -158,21 +147,30 @@ class ContactLaw(ABC):
             name, value = field.name, getattr(self, field.name)
             if name in ("damping", "friction"):
                 value = 0.0 if value is None else value
-                if (given := number(name, value, "s/m" if name == "damping" else "–")) < 0:
+                if (
+                    given := validation.number(name, value, "s/m" if name == "damping" else "–")
+                ) < 0:
                     raise ValueError(f"{name} is {given:g}, expected at least 0")
                 object.__setattr__(self, name, given)
             elif name not in ("normal", "height", "nodes"):
                 unit = "m/s" if name == "slip_speed" else "SI units"
-                object.__setattr__(self, name, positive_number(name, value, unit))
+                object.__setattr__(self, name, validation.positive_number(name, value, unit))
         if self.normal is not None:
-            dimension = 2 if np.size(float_array("normal", self.normal)) == 2 else 3
-            object.__setattr__(self, "normal", frozen(direction("normal", self.normal, dimension)))
+            dimension = 2 if np.size(validation.float_array("normal", self.normal)) == 2 else 3
+            object.__setattr__(
+                self, "normal", frozen(validation.direction("normal", self.normal, dimension))
+            )
         if isinstance(self.height, ca.Function):
             _check_height(self.height, self.normal)
         else:
-            object.__setattr__(self, "height", number("height", self.height, "m"))
+            object.__setattr__(self, "height", validation.number("height", self.height, "m"))
         if self.nodes is not None:
-            chosen = indices("nodes", index_array("nodes", self.nodes), LARGEST_WHOLE, "nodes")
+            chosen = validation.indices(
+                "nodes",
+                validation.index_array("nodes", self.nodes),
+                validation.LARGEST_WHOLE,
+                "nodes",
+            )
             object.__setattr__(self, "nodes", frozen(chosen))
 
     @property
@@ -457,7 +455,9 @@ def checked_grounds(ground: object, structure: Structure) -> tuple[ContactLaw, .
     for i, law in enumerate(several):
         called = "ground" if several is not ground else f"ground[{i}]"
         if not isinstance(law, ContactLaw):
-            raise wrong_kind(called, law, "a contact law, as Ground(stiffness=...), or several")
+            raise validation.wrong_kind(
+                called, law, "a contact law, as Ground(stiffness=...), or several"
+            )
         if law.normal is not None and len(law.normal) != dimension:
             raise ValueError(
                 f"{called}.normal has {len(law.normal)} entries, expected {dimension}: the "
@@ -469,7 +469,7 @@ def checked_grounds(ground: object, structure: Structure) -> tuple[ContactLaw, .
                 f"{dimension - 1}: the structure has nodes of shape {structure.nodes.shape}"
             )
         if law.nodes is not None:
-            indices(f"{called}.nodes", np.asarray(law.nodes, float), count, "nodes")
+            validation.indices(f"{called}.nodes", np.asarray(law.nodes, float), count, "nodes")
     return tuple(several)
 
 

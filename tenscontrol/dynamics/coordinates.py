@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, IntArray, frozen
 from tenscontrol.dynamics import kernel
 from tenscontrol.dynamics.evaluator import Function
 from tenscontrol.dynamics.model import Model
@@ -23,25 +25,10 @@ from tenscontrol.dynamics.tangent import (
     refuse_large,
 )
 from tenscontrol.properties import cached_property
-from tenscontrol.structure import (
-    Block,
-    Structure,
-    bar_rows,
-    block_mass,
-    left_by_supports,
-    refuse_wrong_bar_lengths,
-    rigid_basis,
-    rigid_motions,
-)
-from tenscontrol.validation import (
-    FloatArray,
-    IntArray,
-    choice,
-    float_array,
-    frozen,
-    instance,
-    shaped,
-)
+from tenscontrol.structure.bar_geometry import refuse_wrong_bar_lengths
+from tenscontrol.structure.blocks import Block, bar_rows, block_mass
+from tenscontrol.structure.structure import Structure
+from tenscontrol.structure.supports import left_by_supports, rigid_basis, rigid_motions
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -177,7 +164,7 @@ class Coordinates:
         TypeError, ValueError
             If an entry is not a finite number, or the shape does not fit.
         """
-        fields = float_array("displacements", displacements)
+        fields = validation.float_array("displacements", displacements)
         rows = self.nodes.size
         if fields.ndim not in (1, 2) or fields.shape[0] != rows:
             raise ValueError(
@@ -277,7 +264,7 @@ class Coordinates:
             If q does not fit, or turns a bar by a right angle or more, or bars that share nodes
             cannot keep their lengths.
         """
-        q = shaped("q", q, (self.count,), f"one per {self.kind} coordinate")
+        q = validation.shaped("q", q, (self.count,), f"one per {self.kind} coordinate")
         nodes = self.nodes + self._columns(self.displacements(q))
         if self.kind == "nodes":
             return nodes
@@ -315,7 +302,7 @@ class Coordinates:
             As :meth:`to_nodes`.
         """
         shape = self.to_nodes(q)
-        rates = shaped("rates", rates, (self.count,), f"one per {self.kind} coordinate")
+        rates = validation.shaped("rates", rates, (self.count,), f"one per {self.kind} coordinate")
         velocities = self._columns(self.displacements(rates))
         if self.kind == "nodes":
             return velocities
@@ -567,10 +554,10 @@ def coordinates(model: Model, nodes: object = None, kind: str = "internal") -> C
     >>> [tc.dynamics.coordinates(model, kind=kind).count for kind in kinds]
     [18, 15, 9]
     """
-    instance("model", model, Model, "make one by Model(structure)")
+    validation.instance("model", model, Model, "make one by Model(structure)")
     structure = model.structure
     N = structure.nodes if nodes is None else structure.checked_nodes("nodes", nodes)
-    choice("kind", kind, KINDS)
+    validation.choice("kind", kind, KINDS)
     refuse_wrong_bar_lengths("nodes", structure, N)
     from scipy.sparse import csr_array, eye_array, kron
 

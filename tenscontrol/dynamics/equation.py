@@ -8,13 +8,15 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics.contact_laws import Contacts
 from tenscontrol.dynamics.evaluator import Function, Prepared, builds
 from tenscontrol.dynamics.forces import Forces
 from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.properties import cached_property
-from tenscontrol.structure import Structure, free_coordinates
-from tenscontrol.validation import FloatArray, float_array
+from tenscontrol.structure.structure import Structure
+from tenscontrol.structure.supports import free_coordinates
 
 #: How the functions of an equation can be built.
 FORMS = ("flat", "mapped", "loops")
@@ -250,7 +252,7 @@ def unpack_states(structure: Structure, states: FloatArray) -> tuple[FloatArray,
 
 def gravity_vector(gravity: object, dimension: int) -> FloatArray:
     """Return the acceleration of free fall, m/s², shape (d,), from what a user gives."""
-    vector = float_array("gravity", gravity)
+    vector = validation.float_array("gravity", gravity)
     if vector.ndim == 0:
         if vector < 0:
             raise ValueError(

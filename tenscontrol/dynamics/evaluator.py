@@ -23,8 +23,8 @@ from typing import Any, ClassVar, Concatenate, ParamSpec, TypeVar
 import casadi as ca
 import numpy as np
 
+from tenscontrol.arrays import FloatArray
 from tenscontrol.properties import cached_property
-from tenscontrol.validation import FloatArray
 
 _Arguments = ParamSpec("_Arguments")
 _Self = TypeVar("_Self")

@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from tenscontrol.validation import IntArray
+from tenscontrol.arrays import IntArray
 
 # Arrays with a vector for each node; the others have a number for each string or switch.
 VECTORS = "pvfa"

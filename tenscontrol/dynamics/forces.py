@@ -14,7 +14,7 @@ from tenscontrol.dynamics.contact_laws import Contacts
 from tenscontrol.dynamics.force import Force, Pass, sum_on_nodes
 from tenscontrol.dynamics.string_force import StringForce
 from tenscontrol.dynamics.string_laws import StringLaw
-from tenscontrol.structure import Structure
+from tenscontrol.structure.structure import Structure
 
 #: The forces beside those of strings and loads, by the argument of a model that they come from.
 TERMS: Mapping[str, type[Any]] = MappingProxyType({term.argument: term for term in (Contacts,)})

@@ -20,8 +20,9 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from tenscontrol.structure import Block, Structure, block_mass, node_mass
-from tenscontrol.validation import FloatArray, IntArray
+from tenscontrol.arrays import FloatArray, IntArray
+from tenscontrol.structure.blocks import Block, block_mass, node_mass
+from tenscontrol.structure.structure import Structure
 
 # A string shorter than this part of its rest length has no direction to pull in.
 _NO_LENGTH = 1e-12

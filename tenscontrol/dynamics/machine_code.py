@@ -19,9 +19,9 @@ from typing import TypeVar
 
 import casadi as ca
 
+from tenscontrol import validation
 from tenscontrol.dynamics.evaluator import builds
 from tenscontrol.files import write_file
-from tenscontrol.validation import LONGEST_WAIT, instance, positive_number
 
 #: Environment variable that names the compiler, before ``CC``; ``none`` switches compiling off.
 VARIABLE = "TENSCONTROL_COMPILER"
@@ -161,8 +161,8 @@ def compiled(function: ca.Function, timeout: float = 600.0) -> ca.Function | Non
     >>> float(fast(3.0))
     9.0
     """
-    instance("function", function, ca.Function, "make one by casadi.Function(...)")
-    timeout = positive_number("timeout", timeout, "s", LONGEST_WAIT)
+    validation.instance("function", function, ca.Function, "make one by casadi.Function(...)")
+    timeout = validation.positive_number("timeout", timeout, "s", validation.LONGEST_WAIT)
     for part in (function, *function.find_functions()):
         if part.class_name() == "External":
             raise ValueError(

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.dynamics import kernel
 from tenscontrol.dynamics.contact_laws import ContactLaw, Contacts
 from tenscontrol.dynamics.equation import (
@@ -21,21 +23,14 @@ from tenscontrol.dynamics.equation import (
 )
 from tenscontrol.dynamics.evaluator import Function, Prepared, built
 from tenscontrol.dynamics.forces import Forces, terms_of
-from tenscontrol.dynamics.forms import loops_functions, mapped_functions, members_alone
+from tenscontrol.dynamics.forms.elimination import members_alone
+from tenscontrol.dynamics.forms.loops import loops_functions
+from tenscontrol.dynamics.forms.mapped import mapped_functions
 from tenscontrol.dynamics.machine_code import compiler, if_compiled
 from tenscontrol.dynamics.string_force import StringForce
 from tenscontrol.dynamics.string_laws import StringLaw
-from tenscontrol.structure import Structure, node_mass
-from tenscontrol.validation import (
-    FloatArray,
-    choice,
-    frozen,
-    instance,
-    items,
-    node_forces,
-    truth,
-    whole_number,
-)
+from tenscontrol.structure.blocks import node_mass
+from tenscontrol.structure.structure import Structure
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -114,20 +109,22 @@ class Model:
         gravity: object = None,
         ground: ContactLaw | Sequence[ContactLaw] | None = None,
     ) -> None:
-        instance("structure", structure, Structure, "make one by Structure(...) or prism(...)")
+        validation.instance(
+            "structure", structure, Structure, "make one by Structure(...) or prism(...)"
+        )
         if strings is not None:
-            instance("strings", strings, StringLaw, "use LinearStrings(stiffness=...)")
+            validation.instance("strings", strings, StringLaw, "use LinearStrings(stiffness=...)")
             strings = strings.for_count(len(structure.strings))
         shape = structure.nodes.shape
         load, fall = np.zeros(shape), np.zeros(shape[0])
         takes_load = False
         if external_force is None or isinstance(external_force, bool | np.bool_):
             meaning = "whether the functions take a load W; or a built-in load, shape (d, n)"
-            takes_load = external_force is not None and truth(
+            takes_load = external_force is not None and validation.truth(
                 "external_force", external_force, meaning
             )
         else:
-            load += node_forces("external_force", external_force, shape)
+            load += validation.node_forces("external_force", external_force, shape)
         if gravity is not None:
             fall = gravity_vector(gravity, structure.dimension)
         self._structure = structure
@@ -313,7 +310,7 @@ class Model:
         ValueError
             If ``input`` is another word, or the model has no string law for it.
         """
-        choice("input", input, ("force_density", "rest_length"))
+        validation.choice("input", input, ("force_density", "rest_length"))
         return self.dynamics if input == "force_density" else self.rest_length_dynamics
 
     def equation(
@@ -359,21 +356,21 @@ class Model:
         FileNotFoundError
             If ``form`` is ``"loops"`` and there is no C compiler.
         """
-        choice("input", input, ("force_density", "rest_length"))
-        choice("form", form, ("auto", *FORMS))
+        validation.choice("input", input, ("force_density", "rest_length"))
+        validation.choice("form", form, ("auto", *FORMS))
         forces = self.forces(input)
         law = forces.law
         load = self._constant_force
         if external_force is not None:
-            load = load + node_forces("external_force", external_force, load.shape)
+            load = load + validation.node_forces("external_force", external_force, load.shape)
         sizes = self._parameter_sizes(parameters, law)
         form = "flat" if sizes else form
         if form == "auto":
             small = self._prepared.get("small", lambda: _is_small(self._structure))
             form = "flat" if small else "mapped" if compiler() is None else "auto"
-        degree = whole_number("degree", degree, 0, _MOST_DEGREE)
-        truth("load_input", load_input, "whether the load is an input")
-        truth("offset_input", offset_input, "whether supports move")
+        degree = validation.whole_number("degree", degree, 0, _MOST_DEGREE)
+        validation.truth("load_input", load_input, "whether the load is an input")
+        validation.truth("offset_input", offset_input, "whether supports move")
         entries = self._structure.nodes.size
         layout = InputLayout(
             len(self._structure.strings), entries * load_input, entries * offset_input, degree,
@@ -415,8 +412,8 @@ class Model:
         known = {"bar_mass": len(structure.bars), "point_mass": structure.nodes.shape[1]}
         known = {} if structure.blocks else known
         known |= {each.name: len(structure.strings) for each in (fields(law) if law else ())}
-        given = items("parameters", names, "names")
-        return tuple((choice("parameters", name, known), known[name]) for name in given)
+        given = validation.items("parameters", names, "names")
+        return tuple((validation.choice("parameters", name, known), known[name]) for name in given)
 
     def _flat_functions(
         self, forces: Forces, load: FloatArray, layout: InputLayout
@@ -489,7 +486,7 @@ class Model:
             Of the property, ``"string_motion"`` or ``"winding"``. In its x stand the positions and
             velocities of all nodes, those of supports, which may move, among them.
         """
-        build = getattr(self, f"_{choice('name', name, _OF_ALL_NODES)}")
+        build = getattr(self, f"_{validation.choice('name', name, _OF_ALL_NODES)}")
         key = "of all nodes", name
         return self._prepared.get(key, lambda: build(self._symbols(every=True)))
 

@@ -10,9 +10,10 @@ from typing import Any, final
 
 import numpy as np
 
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, IntArray, frozen
 from tenscontrol.interrupt import check
 from tenscontrol.properties import cached_property
-from tenscontrol.validation import FloatArray, IntArray, choice, float_array, frozen, vector
 
 # How a profile goes from one value to the next.
 _INTERPOLATIONS = ("hold", "linear", "cubic")
@@ -64,8 +65,11 @@ class Profile:
     interpolation: str = "linear"
 
     def __post_init__(self) -> None:
-        choice("interpolation", self.interpolation, _INTERPOLATIONS)
-        time, values = vector("time", self.time), float_array("values", self.values)
+        validation.choice("interpolation", self.interpolation, _INTERPOLATIONS)
+        time, values = (
+            validation.vector("time", self.time),
+            validation.float_array("values", self.values),
+        )
         if time.ndim != 1 or not len(time):
             raise ValueError(f"time has shape {time.shape}, expected (K,): at least one time, s")
         if values.ndim == 0 or values.shape[-1] != len(time):
@@ -117,7 +121,7 @@ class Profile:
         return self._evaluated(time, 1)
 
     def _evaluated(self, time: object, order: int) -> FloatArray:
-        at = float_array("time", time)
+        at = validation.float_array("time", time)
         found = self.pieces.derivative(order).at(at.ravel())
         return found.reshape(self.values.shape[:-1] + at.shape)
 
@@ -336,14 +340,14 @@ class _Sampler:
         # All at once: to check each takes longer than to call most functions.
         wrong = np.flatnonzero(~np.isfinite(values).reshape(len(times), -1).all(axis=1))
         if len(wrong):
-            float_array(f"{self.name} at {times[wrong[0]]:.6g} s", values[wrong[0]])
+            validation.float_array(f"{self.name} at {times[wrong[0]]:.6g} s", values[wrong[0]])
         return np.asarray(values.T.reshape(-1, len(times), order="C"))
 
     def _value(self, time: float) -> FloatArray:
         value, shape = self._function(time), self._shape
         if isinstance(value, np.ndarray) and value.shape == shape and value.dtype == float:
             return value
-        array = float_array(f"{self.name} at {time:.6g} s", value)
+        array = validation.float_array(f"{self.name} at {time:.6g} s", value)
         if array.shape != shape and (array.shape or len(shape) > 1):
             raise ValueError(
                 f"{self.name} returns shape {array.shape} at {time:.6g} s, expected {shape}"
@@ -465,7 +469,9 @@ def as_pieces(
                 f"that returns an array, {meaning}"
             ) from error
         return sampled(name, value, shape, start, end)
-    array = vector(name, value) if len(shape) == 1 else float_array(name, value)
+    array = (
+        validation.vector(name, value) if len(shape) == 1 else validation.float_array(name, value)
+    )
     if array.shape not in fitting and (array.ndim or array != 0):  # 0 is none
         raise ValueError(f"{name} has shape {array.shape}, expected {shape}: {meaning}")
     return Pieces.constant(np.broadcast_to(array, shape).ravel(order="F"))

@@ -8,11 +8,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from tenscontrol.arrays import IntArray
 from tenscontrol.dynamics import kernel
 from tenscontrol.dynamics.force import Columns, Force, Pass, Read, Write, shared
 from tenscontrol.dynamics.string_laws import StringLaw
-from tenscontrol.structure import Structure
-from tenscontrol.validation import IntArray
+from tenscontrol.structure.structure import Structure
 
 
 class StringForce(Force):

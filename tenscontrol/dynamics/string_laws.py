@@ -9,19 +9,11 @@ from typing import TYPE_CHECKING, Any, Self, final
 import casadi as ca
 import numpy as np
 
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.dynamics.evaluator import Function, Prepared, SharedEvaluator
 from tenscontrol.fields import Array, Field, converted
 from tenscontrol.properties import cached_property
-from tenscontrol.validation import (
-    FloatArray,
-    frozen,
-    member_parameters,
-    non_negative,
-    per_member,
-    positive,
-    vector,
-    whole_number,
-)
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -93,13 +85,13 @@ class StringLaw(ABC):
         given = {name: getattr(self, name) for name in self._names()}
         if given["damping"] is None:
             given["damping"] = 0.0
-        parameters = {name: vector(name, value) for name, value in given.items()}
-        member_parameters(parameters)
+        parameters = {name: validation.vector(name, value) for name, value in given.items()}
+        validation.member_parameters(parameters)
         for name, values in parameters.items():
             if name == "damping":
-                non_negative(name, np.atleast_1d(values), "damping takes energy out")
+                validation.non_negative(name, np.atleast_1d(values), "damping takes energy out")
             else:
-                positive(name, np.atleast_1d(values), "number")
+                validation.positive(name, np.atleast_1d(values), "number")
             object.__setattr__(self, name, frozen(values))
 
     @property
@@ -167,10 +159,10 @@ class StringLaw(ABC):
         ValueError
             If a parameter is given for another number of strings.
         """
-        count = whole_number("count", count, 0, _MOST_STRINGS)
+        count = validation.whole_number("count", count, 0, _MOST_STRINGS)
         return type(self)(
             **{
-                name: per_member(name, getattr(self, name), count, "string")
+                name: validation.per_member(name, getattr(self, name), count, "string")
                 for name in self._names()
             }
         )
@@ -233,8 +225,8 @@ class StringLaw(ABC):
         length, rest_length, rate = self._together(
             length=length, rest_length=rest_length, rate=rate
         )
-        positive("length", np.atleast_1d(length), "length in m")
-        positive("rest_length", np.atleast_1d(rest_length), "length in m")
+        validation.positive("length", np.atleast_1d(length), "length in m")
+        validation.positive("rest_length", np.atleast_1d(rest_length), "length in m")
         gamma = self._evaluated("force_density", length, rest_length, rate)
         return _representable("force density", gamma, bool(np.isfinite(gamma).all()))
 
@@ -263,8 +255,8 @@ class StringLaw(ABC):
             gives this γ: with constant stiffness k, γ must be below k.
         """
         length, gamma = self._together(length=length, force_density=force_density)
-        positive("length", np.atleast_1d(length), "length in m")
-        non_negative("force_density", np.atleast_1d(gamma), "a string can only pull")
+        validation.positive("length", np.atleast_1d(length), "length in m")
+        validation.non_negative("force_density", np.atleast_1d(gamma), "a string can only pull")
         if (gamma >= self.largest_force_density).any():
             limit = np.broadcast_to(self.largest_force_density, np.shape(gamma))
             i = np.flatnonzero(np.atleast_1d(gamma >= limit))[0]
@@ -278,9 +270,9 @@ class StringLaw(ABC):
 
     def _together(self, **values: object) -> list[FloatArray]:
         """Check that arguments and parameters go together, and give them one shape."""
-        arrays = {name: vector(name, value) for name, value in values.items()}
+        arrays = {name: validation.vector(name, value) for name, value in values.items()}
         own = {name: np.asarray(getattr(self, name)) for name in self._names()}
-        member_parameters({**arrays, **own})
+        validation.member_parameters({**arrays, **own})
         shape = np.broadcast(*arrays.values(), *own.values()).shape
         return [a if a.shape == shape else np.broadcast_to(a, shape) for a in arrays.values()]
 

@@ -9,19 +9,13 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
+from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.dynamics.evaluator import Function, evaluate_columns
 from tenscontrol.dynamics.force import Pass
 from tenscontrol.dynamics.model import Model
-from tenscontrol.structure import (
-    Block,
-    Structure,
-    bar_rows,
-    block_mass,
-    left_by_supports,
-    node_mass,
-    rigid_motions,
-)
-from tenscontrol.validation import FloatArray, IntArray
+from tenscontrol.structure.blocks import Block, bar_rows, block_mass, node_mass
+from tenscontrol.structure.structure import Structure
+from tenscontrol.structure.supports import left_by_supports, rigid_motions
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Evaluator
+from tenscontrol.arrays import FloatArray
+from tenscontrol.dynamics.evaluator import Evaluator
 from tenscontrol.estimation.sensors import Sensors
-from tenscontrol.plant import LinearPlant
-from tenscontrol.validation import FloatArray
+from tenscontrol.plant.linear_plant import LinearPlant
 
 # The correction is repeated about its own result until it moves by less than this part of the
 # standard deviation before it, but not more often than this.

@@ -7,8 +7,10 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from tenscontrol.actuation import Winches
-from tenscontrol.dynamics import Function
+from tenscontrol import validation
+from tenscontrol.actuation.winches import Winches
+from tenscontrol.arrays import FloatArray, frozen
+from tenscontrol.dynamics.evaluator import Function
 from tenscontrol.estimation.observability import (
     observed_plant,
     output_function,
@@ -17,27 +19,13 @@ from tenscontrol.estimation.observability import (
     unseen,
 )
 from tenscontrol.estimation.sensors import Sensors
-from tenscontrol.plant import (
-    LinearPlant,
-    Modes,
-    Sampled,
-    acceleration_response,
-    filter_riccati,
-    reduced_shape,
-    refuse_lost_place,
-    sampled,
-    sampled_dynamics,
-)
-from tenscontrol.structure import different_members, refuse_wrong_bar_lengths
-from tenscontrol.validation import (
-    FloatArray,
-    choice,
-    frozen,
-    instance,
-    positive_number,
-    truth,
-    whole_number,
-)
+from tenscontrol.plant.linear_plant import LinearPlant, Sampled, acceleration_response, sampled
+from tenscontrol.plant.modes import Modes
+from tenscontrol.plant.reduced_dynamics import refuse_lost_place, sampled_dynamics
+from tenscontrol.plant.reference import reduced_shape
+from tenscontrol.plant.riccati import filter_riccati
+from tenscontrol.structure.bar_geometry import refuse_wrong_bar_lengths
+from tenscontrol.structure.structure import different_members
 
 PREDICTIONS = ("linear", "nonlinear")
 
@@ -68,14 +56,14 @@ class FilterSettings:
     def __post_init__(self) -> None:
         noise = "accelerations of the strings"
         checked = {
-            "sample_time": positive_number("sample_time", self.sample_time, "s"),
-            "process_noise": positive_number("process_noise", self.process_noise, noise),
-            "load": truth("load", self.load, "whether to estimate an unknown load"),
-            "load_noise": positive_number("load_noise", self.load_noise, noise),
-            "prediction": choice("prediction", self.prediction, PREDICTIONS),
-            "gate": positive_number("gate", self.gate, "no unit, below 1"),
-            "patience": whole_number("patience", self.patience, least=1),
-            "start_spread": positive_number(
+            "sample_time": validation.positive_number("sample_time", self.sample_time, "s"),
+            "process_noise": validation.positive_number("process_noise", self.process_noise, noise),
+            "load": validation.truth("load", self.load, "whether to estimate an unknown load"),
+            "load_noise": validation.positive_number("load_noise", self.load_noise, noise),
+            "prediction": validation.choice("prediction", self.prediction, PREDICTIONS),
+            "gate": validation.positive_number("gate", self.gate, "no unit, below 1"),
+            "patience": validation.whole_number("patience", self.patience, least=1),
+            "start_spread": validation.positive_number(
                 "start_spread", self.start_spread, "sizes of the structure"
             ),
         }
@@ -84,7 +72,9 @@ class FilterSettings:
         if self.gate >= 1:
             raise ValueError(f"gate is {self.gate:g}, expected a probability above 0 and below 1")
         if self.winches is not None:
-            instance("winches", self.winches, Winches, "make them by Winches(substeps=...)")
+            validation.instance(
+                "winches", self.winches, Winches, "make them by Winches(substeps=...)"
+            )
 
     @property
     def substeps(self) -> int:
@@ -117,8 +107,8 @@ def filter_design(
     plant: LinearPlant, sensors: Sensors, settings: FilterSettings, start: object
 ) -> tuple[FilterDesign, FloatArray, tuple[FloatArray, FloatArray, np.ndarray, float]]:
     """Return the design of a filter, the derivative C of its readings, and the Riccati solution."""
-    instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
-    instance("sensors", sensors, Sensors, "make them by Sensors(structure=..., ...)")
+    validation.instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
+    validation.instance("sensors", sensors, Sensors, "make them by Sensors(structure=..., ...)")
     sample_time, substeps = settings.sample_time, settings.substeps
     plant.refuse_long_sample_time(sample_time)
     if settings.winches is not None and plant.input != "rest_length":

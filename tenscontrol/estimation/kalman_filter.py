@@ -8,14 +8,17 @@ from typing import Any, final
 
 import numpy as np
 
-from tenscontrol.actuation import Winches
-from tenscontrol.dynamics import Evaluator, Exclusive, exclusive
+from tenscontrol import validation
+from tenscontrol.actuation.winches import Winches
+from tenscontrol.arrays import FloatArray, IntArray, frozen
+from tenscontrol.dynamics.evaluator import Evaluator, Exclusive, exclusive
 from tenscontrol.estimation.correction import Correction
 from tenscontrol.estimation.filter_design import FilterDesign, FilterSettings, filter_design
 from tenscontrol.estimation.sensors import Sensors
-from tenscontrol.plant import LinearPlant, Modes, acceleration_response, warn_of_left_alone
+from tenscontrol.plant.controllability import warn_of_left_alone
+from tenscontrol.plant.linear_plant import LinearPlant, acceleration_response
+from tenscontrol.plant.modes import Modes
 from tenscontrol.status import Status
-from tenscontrol.validation import FloatArray, IntArray, frozen, measured, shaped
 
 # From one start anew to the next, without a good sample between, the spread grows by this.
 _WIDER = 10.0
@@ -377,7 +380,7 @@ class KalmanFilter:
         """
         z, P = self._design.start, self._design.start_covariance
         if state is not None:
-            z = shaped("state", state, (self._size,), "displacements, rates and load")
+            z = validation.shaped("state", state, (self._size,), "displacements, rates and load")
             try:
                 self.plant.to_nodes(z[: self.plant.degrees_of_freedom])
             except ValueError as error:
@@ -418,7 +421,9 @@ class KalmanFilter:
         count = len(self.sensors.noise)
         y = np.full(count, np.nan)
         if measurement is not None:
-            y = measured("measurement", measurement, (count,), "one entry per number read")
+            y = validation.measured(
+                "measurement", measurement, (count,), "one entry per number read"
+            )
         if len(self._inputs) < self.sensors.delay:
             self._tally.wait()
         else:
@@ -462,14 +467,14 @@ class KalmanFilter:
             self._start_over()
 
     def _checked_input(self, held: object) -> FloatArray:
-        return shaped("held", held, (self.plant.B.shape[1],), "one per string")
+        return validation.shaped("held", held, (self.plant.B.shape[1],), "one per string")
 
     def _pushed(self, force: object) -> FloatArray | None:
         """Return what known forces add to the state in a sample, shape (2r,)."""
         if force is None:
             return None
         shape = self.plant.nodes.shape
-        forces = shaped("force", force, shape, "one force per node, N")
+        forces = validation.shaped("force", force, shape, "one force per node, N")
         # Tᵀ M T = I: forces on the nodes give the accelerations Tᵀ f.
         given = self.plant.basis.T @ forces.ravel(order="F")
         return np.asarray(acceleration_response(self.plant, self.sample_time) @ given)
@@ -568,7 +573,7 @@ class KalmanFilter:
 
 
 def _checked_covariance(value: object, size: int) -> FloatArray:
-    P = shaped("covariance", value, (size, size), "one row per state")
+    P = validation.shaped("covariance", value, (size, size), "one row per state")
     largest = float(np.abs(P).max(initial=0.0))
     if np.abs(P - P.T).max(initial=0.0) > 1e-9 * largest:
         raise ValueError("covariance is not symmetric")

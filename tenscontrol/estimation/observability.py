@@ -9,25 +9,17 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Function, kernel
+from tenscontrol.arrays import FloatArray, frozen
+from tenscontrol.dynamics import kernel
+from tenscontrol.dynamics.evaluator import Function
 from tenscontrol.estimation.sensors import KINDS, Sensors, symbolic_readings
-from tenscontrol.plant import (
-    LeftSpace,
-    LinearPlant,
-    Modes,
-    in_coordinates,
-    left_spaces,
-    model_input,
-    modes_of,
-    near_symbol,
-    own_modes,
-    reached_states,
-    reduced_motion,
-    settled,
-    state_units,
-)
-from tenscontrol.structure import left_by_supports, rigid_motions
-from tenscontrol.validation import FloatArray, frozen
+from tenscontrol.plant.controllability import LeftSpace, left_spaces, own_modes, reached_states
+from tenscontrol.plant.linear_plant import LinearPlant, state_units
+from tenscontrol.plant.linearize import in_coordinates
+from tenscontrol.plant.modes import Modes, modes_of
+from tenscontrol.plant.reduced_dynamics import near_symbol, reduced_motion, settled
+from tenscontrol.plant.string_outputs import model_input
+from tenscontrol.structure.supports import left_by_supports, rigid_motions
 
 # A rigid-body motion that moves the readings less than this fraction of another is not seen.
 _UNSEEN = 1e-9

@@ -9,27 +9,13 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Function, SharedEvaluator, kernel
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, IntArray, frozen
+from tenscontrol.dynamics import kernel
+from tenscontrol.dynamics.evaluator import Function, SharedEvaluator
 from tenscontrol.fields import Field, OptionalArray, converted
 from tenscontrol.properties import cached_property
-from tenscontrol.structure import Structure
-from tenscontrol.validation import (
-    MOST_SAMPLES,
-    FloatArray,
-    IntArray,
-    choice,
-    float_array,
-    frozen,
-    index_array,
-    index_list,
-    instance,
-    measured,
-    number,
-    per_member,
-    positive,
-    shaped,
-    whole_number,
-)
+from tenscontrol.structure.structure import Structure
 
 # Kind of reading: its unit, the argument that chooses which ones, and its numbers in the plane and
 # in space.
@@ -126,17 +112,19 @@ class Sensors:
     outlier_rate: float = 0.0
 
     def __post_init__(self) -> None:
-        instance("structure", self.structure, Structure, "make one by Structure(...) or prism()")
+        validation.instance(
+            "structure", self.structure, Structure, "make one by Structure(...) or prism()"
+        )
         for kind, unit, chooser, _ in KINDS:
             noise, chosen = getattr(self, kind), getattr(self, chooser)
             if noise is None:
-                if chosen is not None and len(index_array(chooser, chosen)):
+                if chosen is not None and len(validation.index_array(chooser, chosen)):
                     raise ValueError(f"{chooser} is given, but {kind} is not: give its noise")
                 continue
             which = _chosen(chooser, chosen, self.count_of(chooser))
-            deviation = positive(
+            deviation = validation.positive(
                 kind,
-                per_member(kind, noise, len(which), f"entry of {chooser}"),
+                validation.per_member(kind, noise, len(which), f"entry of {chooser}"),
                 f"standard deviation, {unit}",
             )
             object.__setattr__(self, kind, frozen(deviation))
@@ -144,7 +132,9 @@ class Sensors:
         if not self._taken:
             names = ", ".join(kind for kind, *_ in KINDS)
             raise ValueError(f"nothing is measured: give the noise of one of {names}")
-        object.__setattr__(self, "delay", whole_number("delay", self.delay, 0, MOST_SAMPLES))
+        object.__setattr__(
+            self, "delay", validation.whole_number("delay", self.delay, 0, validation.MOST_SAMPLES)
+        )
         for name in ("drop_rate", "outlier_rate"):
             object.__setattr__(self, name, _rate(name, getattr(self, name)))
 
@@ -159,7 +149,7 @@ class Sensors:
         -------
         int
         """
-        if choice("chooser", chooser, [name for _, _, name, _ in KINDS]) == "nodes":
+        if validation.choice("chooser", chooser, [name for _, _, name, _ in KINDS]) == "nodes":
             return int(self.structure.nodes.shape[1])
         of_bars = chooser in ("bars", "rate_bars")
         return len(self.structure.bars if of_bars else self.structure.strings)
@@ -233,7 +223,7 @@ class Sensors:
                 raise ValueError(f"nodes: bar {bar} of those measured has no length")
         pulls, V = np.full(len(structure.strings), np.nan), np.full(N.shape, np.nan)
         if self.string_tension is not None and tension is not None:
-            pulls = shaped("tension", tension, pulls.shape, "one per string, N")
+            pulls = validation.shaped("tension", tension, pulls.shape, "one per string, N")
         if self.bar_rate is not None and velocities is not None:
             V = structure.checked_nodes("velocities", velocities)
         return self._read(N, V, pulls)[0]
@@ -266,9 +256,11 @@ class Sensors:
         TypeError, ValueError
             If ``generator`` is none, or ``exact`` has another shape or an infinite entry.
         """
-        exact = measured("exact", exact, self.noise.shape, "one entry per number read")
-        float_array("exact", np.nan_to_num(exact, posinf=np.inf, neginf=-np.inf))
-        instance("generator", generator, np.random.Generator, "np.random.default_rng(seed)")
+        exact = validation.measured("exact", exact, self.noise.shape, "one entry per number read")
+        validation.float_array("exact", np.nan_to_num(exact, posinf=np.inf, neginf=-np.inf))
+        validation.instance(
+            "generator", generator, np.random.Generator, "np.random.default_rng(seed)"
+        )
         count = len(self.readings)
         noise = generator.normal(size=len(self.noise))
         lost = generator.random() < self.drop_rate
@@ -316,11 +308,11 @@ def _chosen(name: str, chosen: Any, count: int) -> IntArray:
     """Return indices of what is measured, each once."""
     if chosen is None:
         return np.arange(count)
-    return index_list(name, chosen, count, f"there are {count}")
+    return validation.index_list(name, chosen, count, f"there are {count}")
 
 
 def _rate(name: str, value: object) -> float:
-    rate = number(name, value, "no unit")
+    rate = validation.number(name, value, "no unit")
     if not 0 <= rate < 1:
         raise ValueError(f"{name} is {rate:g}, expected a probability of at least 0 and below 1")
     return rate

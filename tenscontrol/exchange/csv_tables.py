@@ -9,11 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from tenscontrol.dynamics import LinearStrings, Model
+from tenscontrol import validation
+from tenscontrol.dynamics.model import Model
+from tenscontrol.dynamics.string_laws import LinearStrings
 from tenscontrol.exchange.imported import Imported
 from tenscontrol.files import read_text
-from tenscontrol.structure import Structure
-from tenscontrol.validation import choice, file_path, refuse_memory
+from tenscontrol.structure.structure import Structure
 
 _OF_NODES = ("name", "x", "y", "z", "mass", "fixed")
 _OF_MEMBERS = ("kind", "start", "end", "mass", "stiffness", "rest_length", "damping", "group")
@@ -76,13 +77,14 @@ def from_csv(nodes: object, members: object) -> Imported:
             fixed.append(i)
         else:
             fixed += [
-                (i, choice(points.cell(row, "fixed"), axis, axes)) for axis in dict.fromkeys(held)
+                (i, validation.choice(points.cell(row, "fixed"), axis, axes))
+                for axis in dict.fromkeys(held)
             ]
     mass = [points.number(row, "mass", 0.0) for row in points.rows]
     bars: list[_Row] = []
     strings: list[_Row] = []
     for row in pairs.rows:
-        kind = choice(pairs.cell(row, "kind"), row["kind"].lower(), _KINDS)
+        kind = validation.choice(pairs.cell(row, "kind"), row["kind"].lower(), _KINDS)
         (bars if _KINDS[kind] else strings).append(row)
     ends = [
         [[_node(pairs, row, side, names, len(points.rows)) for side in ("start", "end")]
@@ -123,12 +125,12 @@ class _Table:
     def __init__(
         self, name: str, source: object, known: Sequence[str], needed: Sequence[str]
     ) -> None:
-        self.path: Path = file_path(name, source)
+        self.path: Path = validation.file_path(name, source)
         text = read_text(self.path, _MOST_BYTES)
         counts = text.count("\n") + text.count("\r") + 1, text.count(",")
         taken = 2 * len(text) + _EACH_ROW * counts[0] + _EACH_CELL * counts[1]
         rows = f"{self.path}: it has {counts[0]:,} rows and {sum(counts):,} cells"
-        refuse_memory(rows, taken, "bytes", 1.0)
+        validation.refuse_memory(rows, taken, "bytes", 1.0)
         self.columns: list[str] = []
         self.rows: list[_Row] = []
         reader = csv.reader(StringIO(text, newline=""))
@@ -155,7 +157,7 @@ class _Table:
         """Return the names of the columns, or refuse what is none, is missing or is there twice."""
         columns = [cell.lower() for cell in cells]
         for column in columns:
-            choice(f"a column of {self.path}", column, known)
+            validation.choice(f"a column of {self.path}", column, known)
         missing = [column for column in needed if column not in columns]
         if missing or len(set(columns)) < len(columns):
             raise ValueError(

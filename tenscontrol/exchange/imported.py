@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from tenscontrol.dynamics import Model
-from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray, freeze_arrays
+from tenscontrol.arrays import FloatArray, freeze_arrays
+from tenscontrol.dynamics.model import Model
+from tenscontrol.structure.structure import Structure
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray
+from tenscontrol.arrays import FloatArray
+from tenscontrol.structure.structure import Structure
 
 #: The parent of bodies that hang on nothing, and the home of fixed nodes.
 WORLD = -1

@@ -11,8 +11,9 @@ from xml.parsers import expat
 
 import numpy as np
 
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray
 from tenscontrol.files import read_text
-from tenscontrol.validation import FloatArray, file_path
 
 # Elements that say nothing of the motion.
 _IGNORED = {
@@ -280,7 +281,7 @@ def _root(source: object) -> Element:
     if isinstance(source, str) and source.lstrip().startswith("<"):
         text, where = source, "source"
     else:
-        path: Path = file_path("source", source)
+        path: Path = validation.file_path("source", source)
         text, where = read_text(path, _MOST_BYTES), f"source, {path},"
     try:
         root = _Reader(where).read(text)

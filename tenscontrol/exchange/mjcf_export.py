@@ -10,11 +10,15 @@ from xml.etree.ElementTree import Element, SubElement
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Contacts, ElasticStrings, Ground, LinearStrings, Model
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray
+from tenscontrol.dynamics.contact_laws import Contacts, Ground
+from tenscontrol.dynamics.model import Model
+from tenscontrol.dynamics.string_laws import ElasticStrings, LinearStrings
 from tenscontrol.exchange.kinematic_tree import WORLD, KinematicTree, in_space
-from tenscontrol.plant import held_value
-from tenscontrol.simulation import checked_load, initial_state
-from tenscontrol.validation import FloatArray, choice, instance, positive_number
+from tenscontrol.plant.equilibrium import held_value
+from tenscontrol.simulation.inputs import checked_load
+from tenscontrol.simulation.start import initial_state
 
 # MuJoCo's contacts are springs and dashpots where their impedance is its least: its default takes
 # most of what other forces do from the bodies in contact, too.
@@ -108,10 +112,10 @@ def to_mujoco(
     >>> text.count("<spatial"), text.count("<general")
     (9, 9)
     """
-    instance("model", model, Model, "make one by Model(structure, strings=...)")
-    choice("actuators", actuators, _ACTUATORS)
-    choice("integrator", integrator, _INTEGRATORS)
-    timestep = positive_number("step", step, "s")
+    validation.instance("model", model, Model, "make one by Model(structure, strings=...)")
+    validation.choice("actuators", actuators, _ACTUATORS)
+    validation.choice("integrator", integrator, _INTEGRATORS)
+    timestep = validation.positive_number("step", step, "s")
     for term in model.forces("force_density").terms:
         if not isinstance(term, Contacts):
             raise ValueError(

@@ -9,11 +9,13 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from tenscontrol.dynamics import ElasticStrings, LinearStrings, Model, StringLaw
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray
+from tenscontrol.dynamics.model import Model
+from tenscontrol.dynamics.string_laws import ElasticStrings, LinearStrings, StringLaw
 from tenscontrol.exchange.imported import Imported
 from tenscontrol.exchange.mjcf_document import MjcfDocument, Placed, number, numbers, row
-from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray, positive_number
+from tenscontrol.structure.structure import Structure
 
 # Places that are closer, as part of the size, are one.
 _SAME = 1e-9
@@ -69,7 +71,7 @@ def from_mujoco(source: object, tolerance: float = 1e-6) -> Imported:
     >>> found.structure, bool(np.allclose(found.structure.nodes, ball.nodes, atol=1e-12))
     (Structure(12 nodes, 6 bars, 24 strings), True)
     """
-    off = positive_number("tolerance", tolerance, "part of a bar's length", 0.5)
+    off = validation.positive_number("tolerance", tolerance, "part of a bar's length", 0.5)
     return _Assembly(MjcfDocument(source), off).imported()
 
 

@@ -9,10 +9,11 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.files import write_file
-from tenscontrol.simulation import Trajectory
-from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray, IntArray, file_path, wrong_kind
+from tenscontrol.simulation.trajectory import Trajectory
+from tenscontrol.structure.structure import Structure
 
 # More files would fill a folder by mistake.
 _MOST_FRAMES = 100_000
@@ -56,11 +57,11 @@ def to_vtk(source: Structure | Trajectory, path: object) -> list[Path]:
     ['prism.vtp']
     """
     if isinstance(source, Structure):
-        file = file_path("path", path, [".vtp"])
+        file = validation.file_path("path", path, [".vtp"])
         return [write_file(file, _poly_data(source, source.nodes))]
     if not isinstance(source, Trajectory):
-        raise wrong_kind("source", source, "Structure or Trajectory")
-    file = file_path("path", path, [".pvd"])
+        raise validation.wrong_kind("source", source, "Structure or Trajectory")
+    file = validation.file_path("path", path, [".pvd"])
     count = len(source.time)
     if count > _MOST_FRAMES:
         raise ValueError(

@@ -10,9 +10,10 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import (
+from tenscontrol.arrays import FloatArray
+from tenscontrol.dynamics.equation import Equation
+from tenscontrol.dynamics.evaluator import (
     ColumnEvaluator,
-    Equation,
     Evaluator,
     Function,
     ProcessLock,
@@ -34,7 +35,6 @@ from tenscontrol.integrate.integrator import (
 )
 from tenscontrol.integrate.projection import NOT_RIGID, Projector
 from tenscontrol.interrupt import at_once, check, interruptible
-from tenscontrol.validation import FloatArray
 
 # States that one call returns. Powers of two, so that outputs fall on them. Where strings can go
 # slack they are looked at in each, so that a call should take about as many steps.

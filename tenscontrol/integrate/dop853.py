@@ -10,14 +10,10 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import (
-    Equation,
-    Function,
-    SharedEvaluator,
-    compiled_source,
-    compiler,
-    if_compiled,
-)
+from tenscontrol.arrays import FloatArray
+from tenscontrol.dynamics.equation import Equation
+from tenscontrol.dynamics.evaluator import Function, SharedEvaluator
+from tenscontrol.dynamics.machine_code import compiled_source, compiler, if_compiled
 from tenscontrol.integrate.dop853_loop import loop_source
 from tenscontrol.integrate.events import (
     FLAT,
@@ -49,7 +45,6 @@ from tenscontrol.integrate.integrator import (
 )
 from tenscontrol.integrate.projection import NOT_RIGID, Projector, projection
 from tenscontrol.interrupt import check
-from tenscontrol.validation import FloatArray
 
 # Evaluations of a step whose first slope is known, and of its interpolant.
 _STAGES, _MORE_STAGES = 12, 3

@@ -11,13 +11,8 @@ from typing import Any
 
 import casadi as ca
 
-from tenscontrol.dynamics.forms import (
-    C_EXPORT,
-    C_HEAD,
-    PACKED_HEAD,
-    external_interface,
-    packed_source,
-)
+from tenscontrol.dynamics.forms.loops import C_EXPORT, C_HEAD, external_interface
+from tenscontrol.dynamics.forms.packed_code import PACKED_HEAD, packed_source
 
 # Functions that are called so often that they are worth the time of the compiler.
 _OFTEN = ("slope", "room")

@@ -10,7 +10,11 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Equation, Evaluator, Function, kernel
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray
+from tenscontrol.dynamics import kernel
+from tenscontrol.dynamics.equation import Equation
+from tenscontrol.dynamics.evaluator import Evaluator, Function
 from tenscontrol.integrate.integrator import (
     IntegrationError,
     IntegrationInterrupt,
@@ -26,8 +30,7 @@ from tenscontrol.integrate.integrator import (
 from tenscontrol.integrate.multipliers import Coupled, cross
 from tenscontrol.integrate.projection import Bodies
 from tenscontrol.interrupt import check
-from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray, positive_number
+from tenscontrol.structure.structure import Structure
 
 # Tried steps per call into CasADi: those not needed cost next to nothing.
 _CHUNKS = (1, 8, 64)
@@ -140,7 +143,7 @@ class EnergyMomentum(Integrator):
                 "the equation is not of a structure, whose bars and strings this method needs; "
                 "make one by Model(structure).equation(...)"
             )
-        self.step = None if step is None else positive_number("step", step, "s")
+        self.step = None if step is None else validation.positive_number("step", step, "s")
         self.tolerance = (
             None if tolerance is None else checked_tolerance(tolerance, _LEAST_TOLERANCE)
         )

@@ -20,9 +20,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Equation, Function
+from tenscontrol.arrays import FloatArray
+from tenscontrol.dynamics.equation import Equation
+from tenscontrol.dynamics.evaluator import Function
 from tenscontrol.integrate.integrator import where_needed
-from tenscontrol.validation import FloatArray
 
 # How far a string may pass the border of slack before it is acted on, as part of its rest
 # length, and a contact as part of the size; in CVODES, of the largest of these. It covers

@@ -11,7 +11,11 @@ from typing import final
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Equation, Evaluator, Function, compiler
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray
+from tenscontrol.dynamics.equation import Equation
+from tenscontrol.dynamics.evaluator import Evaluator, Function
+from tenscontrol.dynamics.machine_code import compiler
 from tenscontrol.integrate.events import COUNTS, located, taut_strings
 from tenscontrol.integrate.integrator import (
     IntegrationError,
@@ -26,7 +30,6 @@ from tenscontrol.integrate.integrator import (
 )
 from tenscontrol.integrate.projection import projected
 from tenscontrol.interrupt import check
-from tenscontrol.validation import FloatArray, positive_number
 
 # Steps in a block, and blocks in a call into CasADi: enough that the call costs nothing, few enough
 # that a long run reports its progress and a short one does not wait for steps left out.
@@ -64,7 +67,7 @@ class FixedStep(Integrator):
         self, equation: Equation, step: float, project: bool = False, machine_code: bool = False
     ) -> None:
         super().__init__(equation, project, machine_code)
-        self.step = positive_number("step", step, "s")
+        self.step = validation.positive_number("step", step, "s")
         by = compiler() if machine_code else None
         steps = self._kept(lambda: self._build(project, machine_code), project, machine_code, by)
         self._size, self._many, self.back_end = steps.size, steps.many, steps.back_end

@@ -11,26 +11,15 @@ from typing import TypeVar
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import (
-    ContactLaw,
-    Equation,
-    Function,
-    SharedEvaluator,
-    compiled,
-    if_compiled,
-)
-from tenscontrol.structure import Structure, moving_mass, node_mass
-from tenscontrol.validation import (
-    LARGEST,
-    FloatArray,
-    function,
-    instance,
-    measured,
-    positive_number,
-    shaped,
-    truth,
-    whole_number,
-)
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray
+from tenscontrol.dynamics.contact_laws import ContactLaw
+from tenscontrol.dynamics.equation import Equation
+from tenscontrol.dynamics.evaluator import Function, SharedEvaluator
+from tenscontrol.dynamics.machine_code import compiled, if_compiled
+from tenscontrol.structure.blocks import node_mass
+from tenscontrol.structure.structure import Structure
+from tenscontrol.structure.supports import moving_mass
 
 _Built = TypeVar("_Built")
 
@@ -159,7 +148,7 @@ class IntegrationInterrupt(KeyboardInterrupt):
 
 def checked_tolerance(tolerance: object, least: float = 100 * float(np.finfo(float).eps)) -> float:
     """Return a tolerance, or raise: below ``least`` round-off would reject every step."""
-    value = positive_number("tolerance", tolerance, "of size and speed")
+    value = validation.positive_number("tolerance", tolerance, "of size and speed")
     if value < least:
         raise ValueError(
             f"tolerance is {value:g}, expected at least {least:.1e}: "
@@ -222,9 +211,9 @@ class Integrator(ABC):
     def __init__(
         self, equation: Equation, project: bool = False, machine_code: bool = False
     ) -> None:
-        instance("equation", equation, Equation, "make one by model.equation(input)")
-        truth("project", project, "whether to make bar lengths exact after each step")
-        truth("machine_code", machine_code, "whether to compile the steps")
+        validation.instance("equation", equation, Equation, "make one by model.equation(input)")
+        validation.truth("project", project, "whether to make bar lengths exact after each step")
+        validation.truth("machine_code", machine_code, "whether to compile the steps")
         self._equation = equation
 
     @property
@@ -241,16 +230,18 @@ class Integrator(ABC):
         """Return what :meth:`advance` is given, or refuse what the equation does not take."""
         size = self._equation.states
         if report is not None:
-            function("report", report, "it is told the time reached, s")
+            validation.function("report", report, "it is told the time reached, s")
         found = (
-            measured("state", state, (size,), "positions, then velocities"),
-            shaped("held", held, (self._equation.inputs,), "one number per input"),
-            positive_number("duration", duration, "s"),
-            whole_number("outputs", outputs, 1, int(_MOST_NUMBERS / max(size, 1))),
+            validation.measured("state", state, (size,), "positions, then velocities"),
+            validation.shaped("held", held, (self._equation.inputs,), "one number per input"),
+            validation.positive_number("duration", duration, "s"),
+            validation.whole_number("outputs", outputs, 1, int(_MOST_NUMBERS / max(size, 1))),
         )
-        if not (np.abs(found[0]) <= LARGEST).all():
+        if not (np.abs(found[0]) <= validation.LARGEST).all():
             nothing = Span(np.empty((size, 0)), Work())
-            raise IntegrationError(f"the state has run away, beyond {LARGEST:g}", 0.0, nothing)
+            raise IntegrationError(
+                f"the state has run away, beyond {validation.LARGEST:g}", 0.0, nothing
+            )
         return found
 
     def _kept(self, build: Callable[[], _Built], *settings: Hashable) -> _Built:

@@ -16,17 +16,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import (
-    OPERATIONS,
-    Equation,
-    Function,
-    compiled_library,
-    compiler,
-    if_compiled,
-    instructions,
-    number_text,
-)
-from tenscontrol.dynamics.forms import C_EXPORT
+from tenscontrol.arrays import FloatArray, IntArray
+from tenscontrol.dynamics.equation import Equation
+from tenscontrol.dynamics.evaluator import Function
+from tenscontrol.dynamics.forms.loops import C_EXPORT
+from tenscontrol.dynamics.instructions import OPERATIONS, instructions, number_text
+from tenscontrol.dynamics.machine_code import compiled_library, compiler, if_compiled
 from tenscontrol.integrate.events import (
     COUNTS,
     POLISHES,
@@ -46,7 +41,6 @@ from tenscontrol.integrate.events import (
 )
 from tenscontrol.integrate.fixed_step import FixedStep, not_finite
 from tenscontrol.integrate.integrator import IntegrationError, Span, Work
-from tenscontrol.validation import FloatArray, IntArray
 
 # Operations of a step up to which it is written out: compilers take half a millisecond for each.
 _MOST_WRITTEN = 30_000

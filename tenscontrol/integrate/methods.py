@@ -6,7 +6,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from tenscontrol.dynamics import Equation
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray
+from tenscontrol.dynamics.equation import Equation
 from tenscontrol.integrate.cvodes import CVODES
 from tenscontrol.integrate.dop853 import DOP853
 from tenscontrol.integrate.energy_momentum import EnergyMomentum
@@ -16,15 +18,6 @@ from tenscontrol.integrate.integrator import (
     MethodChange,
     contact_frequency,
     largest_frequency,
-)
-from tenscontrol.validation import (
-    FloatArray,
-    choice,
-    function,
-    text,
-    truth,
-    whole_number,
-    wrong_kind,
 )
 
 # The largest step of an explicit method is about this over the largest frequency.
@@ -81,16 +74,20 @@ class Method:
     order: int = 1
 
     def __post_init__(self) -> None:
-        text("name", self.name, "what the method is called")
-        text("about", self.about, "what the method is good for")
+        validation.text("name", self.name, "what the method is called")
+        validation.text("about", self.about, "what the method is good for")
         if not isinstance(self.settings, tuple) or not self.settings:
-            raise wrong_kind("settings", self.settings, "a tuple of 'step' and 'tolerance'")
+            raise validation.wrong_kind(
+                "settings", self.settings, "a tuple of 'step' and 'tolerance'"
+            )
         for i, setting in enumerate(self.settings):
-            choice(f"settings[{i}]", setting, ("step", "tolerance"))
-        function("make", self.make, "(equation, step=... or tolerance=...) -> Integrator")
+            validation.choice(f"settings[{i}]", setting, ("step", "tolerance"))
+        validation.function(
+            "make", self.make, "(equation, step=... or tolerance=...) -> Integrator"
+        )
         for name in ("drifts", "projects", "compiles", "differentiates", "follows", "locates"):
-            truth(name, getattr(self, name), "what the method does")
-        whole_number("order", self.order, 1)
+            validation.truth(name, getattr(self, name), "what the method does")
+        validation.whole_number("order", self.order, 1)
 
     @property
     def setting(self) -> str:
@@ -125,13 +122,19 @@ class Method:
         ValueError
             If the method takes no such setting, or keeps bar lengths by itself and is told not to.
         """
-        setting = self.setting if setting is None else choice("setting", setting, self.settings)
+        setting = (
+            self.setting
+            if setting is None
+            else validation.choice("setting", setting, self.settings)
+        )
         options: dict[str, float | bool] = {setting: value}
-        truth("machine_code", machine_code, "whether to compile the steps")
+        validation.truth("machine_code", machine_code, "whether to compile the steps")
         if self.compiles:
             options["machine_code"] = machine_code
         if project is not None:
-            truth("project", project, "whether to make bar lengths exact after each step")
+            validation.truth(
+                "project", project, "whether to make bar lengths exact after each step"
+            )
         if self.drifts:
             options["project"] = self.projects if project is None else project
         elif project is False:
@@ -187,7 +190,7 @@ def method_of(method: object) -> Method | None:
     """Return a method by its name, or as it is given; None for ``"auto"``."""
     if isinstance(method, Method):
         return method
-    name = choice("method", method, ("auto", *METHODS))
+    name = validation.choice("method", method, ("auto", *METHODS))
     return METHODS.get(name)
 
 

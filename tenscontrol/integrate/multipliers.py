@@ -14,10 +14,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Function, kernel
+from tenscontrol.arrays import FloatArray, IntArray
+from tenscontrol.dynamics import kernel
+from tenscontrol.dynamics.evaluator import Function
 from tenscontrol.integrate.integrator import where_needed
-from tenscontrol.structure import Structure, node_mass
-from tenscontrol.validation import FloatArray, IntArray
+from tenscontrol.structure.blocks import node_mass
+from tenscontrol.structure.structure import Structure
 
 # Steps of Newton's iteration at most. With the matrix of the start, each leaves about such a part
 # of the error as is the angle, rad, by which bars turn.

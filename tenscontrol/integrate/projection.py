@@ -7,10 +7,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Equation, Function, evaluate_columns, kernel
+from tenscontrol.arrays import FloatArray, IntArray
+from tenscontrol.dynamics import kernel
+from tenscontrol.dynamics.equation import Equation
+from tenscontrol.dynamics.evaluator import Function, evaluate_columns
 from tenscontrol.integrate.multipliers import Coupled
-from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray, IntArray
+from tenscontrol.structure.structure import Structure
 
 #: Why states cannot be projected.
 NOT_RIGID = "bars that share nodes cannot be put on their lengths near by; try a smaller tolerance"

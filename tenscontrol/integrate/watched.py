@@ -8,7 +8,9 @@ from typing import final
 
 import numpy as np
 
-from tenscontrol.dynamics import Equation, InputLayout
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray
+from tenscontrol.dynamics.equation import Equation, InputLayout
 from tenscontrol.integrate.integrator import (
     IntegrationError,
     IntegrationInterrupt,
@@ -19,7 +21,6 @@ from tenscontrol.integrate.integrator import (
     Span,
     Work,
 )
-from tenscontrol.validation import FloatArray, choice, positive_number
 
 #: The methods that it chooses from.
 WATCHED = ("dop853", "cvodes", "energy_momentum")
@@ -87,9 +88,9 @@ class Watched(Integrator):
         super().__init__(equation)
         self._make = make
         self._made: dict[str, tuple[Integrator, float]] = {}  # methods with their costs
-        self._at_work = choice("first", first, WATCHED)
+        self._at_work = validation.choice("first", first, WATCHED)
         self._now = start
-        self._end = start + positive_number("duration", duration, "s")
+        self._end = start + validation.positive_number("duration", duration, "s")
         self._failed: set[str] = set()
         self._is_shortened = False
         self._is_over = False

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray
 from tenscontrol.library.sizes import of_sizes
-from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray, positive_number
+from tenscontrol.structure.structure import Structure
 
 _GOLDEN = (1 + np.sqrt(5)) / 2
 
@@ -52,7 +53,7 @@ def six_bar_ball(bar_length: float = 1.7, bar_mass: object = 1.0) -> Structure:
     >>> ball, ball.string_length()[:2].round(4)
     (Structure(12 nodes, 6 bars, 24 strings), array([0.6124, 0.6124]))
     """
-    length = positive_number("bar_length", bar_length, "m")
+    length = validation.positive_number("bar_length", bar_length, "m")
     nodes = np.zeros((12, 3))
     for axis in range(3):  # the bars of a pair are along this one and apart along the next
         rows = 4 * axis + np.arange(4)
@@ -211,7 +212,7 @@ def _ball(
     """
     from scipy.linalg import eigh
 
-    length = positive_number("bar_length", bar_length, "m")
+    length = validation.positive_number("bar_length", bar_length, "m")
     group = _group(face, edge)
     pull, push = 3 * np.eye(3) - face - face.T - edge, np.eye(3) - bar
     # The bars with the least force: they leave the stress matrix without a negative eigenvalue.

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from tenscontrol import validation
 from tenscontrol.library.sizes import of_sizes
-from tenscontrol.structure import Structure, refuse_many_members
-from tenscontrol.validation import choice, positive_number, truth, whole_number
+from tenscontrol.structure.connectivity import refuse_many_members
+from tenscontrol.structure.structure import Structure
 
 
 @of_sizes
@@ -70,13 +71,15 @@ def class2_tower(
     >>> tower, tower.structure_class
     (Structure(12 nodes, 9 bars, 18 strings), 2)
     """
-    count = whole_number("stages", stages, least=1)
-    q = whole_number("sides", sides, least=3)
+    count = validation.whole_number("stages", stages, least=1)
+    q = validation.whole_number("sides", sides, least=3)
     refuse_many_members(f"stages is {count} and sides is {q}", 3 * count * q)
-    radius = positive_number("radius", radius, "m")
-    height = positive_number("height", height, "m")
-    mirror = 1.0 if choice("handedness", handedness, ("left", "right")) == "left" else -1.0
-    floats = truth("floating", floating, "whether nothing holds the bottom polygon")
+    radius = validation.positive_number("radius", radius, "m")
+    height = validation.positive_number("height", height, "m")
+    mirror = (
+        1.0 if validation.choice("handedness", handedness, ("left", "right")) == "left" else -1.0
+    )
+    floats = validation.truth("floating", floating, "whether nothing holds the bottom polygon")
 
     level, k = np.arange(count + 1)[:, None], np.arange(q)
     angle = -mirror * (2 * np.pi * k / q + (np.pi / 2 - np.pi / q) * level)
@@ -141,10 +144,10 @@ def arm(
     >>> reach, reach.dimension, reach.fixed
     (Structure(8 nodes, 6 bars, 9 strings), 2, array([0, 1]))
     """
-    count = whole_number("sections", sections, least=1)
+    count = validation.whole_number("sections", sections, least=1)
     refuse_many_members(f"sections is {count}", 5 * count)
-    length = positive_number("length", length, "m")
-    height = positive_number("height", height, "m")
+    length = validation.positive_number("length", length, "m")
+    height = validation.positive_number("height", height, "m")
     upright, end = np.divmod(np.arange(2 * count + 2), 2)
     low = 2 * np.arange(count)
     crossed = np.stack([np.column_stack([low, low + 3]), np.column_stack([low + 1, low + 2])], 1)
@@ -197,7 +200,7 @@ def stedy_arm(bar_length: float = 1.0, bar_mass: object = 1.0) -> Structure:
     >>> reach, reach.structure_class
     (Structure(16 nodes, 16 bars, 18 strings), 6)
     """
-    step = positive_number("bar_length", bar_length, "m") / np.sqrt(2)
+    step = validation.positive_number("bar_length", bar_length, "m") / np.sqrt(2)
     x = [0, 0, 1, 2, 2, 3, 4, 4, 5, 6, 5, 4, 3, 2, 1, 0]
     y = [0, -1, -1, -1, 0, -1, -1, 0, -1, 0, 1, 1, 1, 1, 1, 1]
     bars = [
@@ -273,14 +276,14 @@ def spine(
     >>> back, [block.is_redundant for block in back.blocks]
     (Structure(15 nodes, 30 bars, 16 strings), [True, True])
     """
-    count = whole_number("vertebrae", vertebrae, least=2)
+    count = validation.whole_number("vertebrae", vertebrae, least=2)
     refuse_many_members(f"vertebrae is {count}", 18 * count)
-    leg = positive_number("leg_length", leg_length, "m")
-    angle = positive_number("spread", spread, "rad")
+    leg = validation.positive_number("leg_length", leg_length, "m")
+    angle = validation.positive_number("spread", spread, "rad")
     if angle >= np.pi / 2:
         raise ValueError(f"spread is {angle:g} rad, expected below π/2: legs go up and down")
     rise, reach = leg * np.cos(angle), leg * np.sin(angle)
-    step = positive_number("spacing", spacing, "m")
+    step = validation.positive_number("spacing", spacing, "m")
     if step >= 2 * rise:
         raise ValueError(
             f"spacing is {step:g} m, expected below {2 * rise:g} m, twice the height of a leg: the "

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from tenscontrol import validation
 from tenscontrol.library.sizes import of_sizes
-from tenscontrol.structure import Structure, refuse_many_members
-from tenscontrol.validation import positive_number, truth, whole_number
+from tenscontrol.structure.connectivity import refuse_many_members
+from tenscontrol.structure.structure import Structure
 
 
 @of_sizes
@@ -53,8 +54,8 @@ def snelson_x(
     array([[0., 1., 1., 0.],
            [0., 0., 1., 1.]])
     """
-    width = positive_number("width", width, "m")
-    height = positive_number("height", height, "m")
+    width = validation.positive_number("width", width, "m")
+    height = validation.positive_number("height", height, "m")
     return Structure(
         nodes=_flat([[0, width, width, 0], [0, 0, height, height]], dimension),
         bars=[[0, 2], [1, 3]],
@@ -118,8 +119,8 @@ def kite(
     array([[-0.5,  0. ,  1.5,  0. ],
            [ 0. , -1.5,  0. ,  0.5]])
     """
-    width = positive_number("width", width, "m")
-    height = positive_number("height", height, "m")
+    width = validation.positive_number("width", width, "m")
+    height = validation.positive_number("height", height, "m")
     across, up = _share("across", across, "width"), _share("up", up, "height")
     left, low = -across * width, -up * height
     return Structure(
@@ -178,8 +179,8 @@ def d_bar(
     >>> len(on_rails.free_rows)
     5
     """
-    half = positive_number("width", width, "m") / 2
-    rise = positive_number("height", height, "m") / 2
+    half = validation.positive_number("width", width, "m") / 2
+    rise = validation.positive_number("height", height, "m") / 2
     return Structure(
         nodes=_flat([[-half, 0, half, 0], [0, -rise, 0, rise]], dimension),
         bars=[[3, 0], [0, 1], [1, 2], [2, 3]],
@@ -233,10 +234,10 @@ def d_bar_3d(
     >>> tip, tip.bar_length[:2]
     (Structure(5 nodes, 6 bars, 4 strings), array([1., 1.]))
     """
-    q = whole_number("sides", sides, least=3)
+    q = validation.whole_number("sides", sides, least=3)
     refuse_many_members(f"sides is {q}", 3 * q)
-    radius = positive_number("radius", radius, "m")
-    rise = positive_number("height", height, "m") / 2
+    radius = validation.positive_number("radius", radius, "m")
+    rise = validation.positive_number("height", height, "m") / 2
     k = np.arange(q)
     angle = 2 * np.pi * k / q
     ring = [radius * np.cos(angle), radius * np.sin(angle), np.zeros(q)]
@@ -303,10 +304,10 @@ def t_bar(
     >>> [tc.library.t_bar(continuous=one).structure_class for one in (False, True)]
     [4, 2]
     """
-    half = positive_number("width", width, "m") / 2
-    rise = positive_number("height", height, "m") / 2
+    half = validation.positive_number("width", width, "m") / 2
+    rise = validation.positive_number("height", height, "m") / 2
     bars, strings = [[0, 1], [0, 2], [0, 3], [0, 4]], [[1, 2], [2, 3], [3, 4], [4, 1]]
-    if truth("continuous", continuous, "whether the bar across is in one piece"):
+    if validation.truth("continuous", continuous, "whether the bar across is in one piece"):
         bars, strings = [[0, 1], [0, 3], [2, 4]], [*strings, [0, 2], [0, 4]]
     return Structure(
         nodes=_flat([[0, -half, 0, half, 0], [0, 0, -rise, 0, rise]], dimension),
@@ -319,12 +320,12 @@ def t_bar(
 
 def _flat(nodes: list[list[float]], dimension: int) -> np.ndarray:
     """Return nodes in the plane, or at z = 0 in space."""
-    d = whole_number("dimension", dimension, least=2, most=3)
+    d = validation.whole_number("dimension", dimension, least=2, most=3)
     return np.vstack([nodes, np.zeros((d - 2, len(nodes[0])))])
 
 
 def _share(name: str, value: float, of: str) -> float:
-    share = positive_number(name, value, f"shares of the {of}")
+    share = validation.positive_number(name, value, f"shares of the {of}")
     if share >= 1:
         raise ValueError(f"{name} is {share:g}, expected a share of the {of}, below 1")
     return share

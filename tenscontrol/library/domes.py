@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.library.sizes import of_sizes
-from tenscontrol.structure import Structure, refuse_many_members
-from tenscontrol.validation import FloatArray, IntArray, number, positive_number, whole_number
+from tenscontrol.structure.connectivity import refuse_many_members
+from tenscontrol.structure.structure import Structure
 
 
 @of_sizes
@@ -214,12 +216,12 @@ def cable_net(
     >>> saddle, len(saddle.free)
     (Structure(21 nodes, 0 bars, 24 strings), 9)
     """
-    m = whole_number("rows", rows, least=3)
-    n = whole_number("columns", columns, least=3)
+    m = validation.whole_number("rows", rows, least=3)
+    n = validation.whole_number("columns", columns, least=3)
     refuse_many_members(f"rows is {m} and columns is {n}", 2 * m * n)
-    step = positive_number("spacing", spacing, "m")
-    depth = number("sag", sag, "m")
-    mass = positive_number("node_mass", node_mass, "kg")
+    step = validation.positive_number("spacing", spacing, "m")
+    depth = validation.number("sag", sag, "m")
+    mass = validation.positive_number("node_mass", node_mass, "kg")
     i, j = np.divmod(np.arange(m * n), n)
     x, y = step * (j - (n - 1) / 2), step * (i - (m - 1) / 2)
     z = depth / x.max() ** 2 * (x**2 - y**2)
@@ -285,10 +287,10 @@ def wheel(
     >>> tc.library.wheel()
     Structure(14 nodes, 13 bars, 24 strings)
     """
-    q = whole_number("spokes", spokes, least=3)
+    q = validation.whole_number("spokes", spokes, least=3)
     refuse_many_members(f"spokes is {q}", 3 * q)
-    radius = positive_number("radius", radius, "m")
-    half = positive_number("width", width, "m") / 2
+    radius = validation.positive_number("radius", radius, "m")
+    half = validation.positive_number("width", width, "m") / 2
     k = np.arange(q)
     angle = 2 * np.pi * k / q
     rim = [radius * np.cos(angle), radius * np.sin(angle), np.zeros(q)]
@@ -306,14 +308,14 @@ def _profile(
     sides: int, hoops: int, radius: float, rise: float, slope: float, mast: bool
 ) -> tuple[int, FloatArray, FloatArray, FloatArray]:
     """Return q, and radii, heights of heads and heights of feet, m, from the rim inward."""
-    q = whole_number("sides", sides, least=3 if mast else 4)  # three have no prestress
-    count = whole_number("hoops", hoops, least=1)
+    q = validation.whole_number("sides", sides, least=3 if mast else 4)  # three have no prestress
+    count = validation.whole_number("hoops", hoops, least=1)
     refuse_many_members(f"sides is {q} and hoops is {count}", 6 * q * (count + 1))
-    outside = positive_number("radius", radius, "m")
-    up = positive_number("rise", rise, "m")
+    outside = validation.positive_number("radius", radius, "m")
+    up = validation.positive_number("rise", rise, "m")
     if up >= outside:
         raise ValueError(f"rise is {up:g} m, expected less than the radius, {outside:g} m")
-    angle = positive_number("slope", slope, "rad")
+    angle = validation.positive_number("slope", slope, "rad")
     if angle >= np.pi / 2:
         raise ValueError(f"slope is {angle:g} rad, expected below π/2: diagonals go inward")
     r = outside * np.arange(count + 1, -1 if mast else 0, -1) / (count + 1)

@@ -9,7 +9,7 @@ from inspect import signature
 from numbers import Real
 from typing import ParamSpec
 
-from tenscontrol.structure import Structure
+from tenscontrol.structure.structure import Structure
 
 _Arguments = ParamSpec("_Arguments")
 

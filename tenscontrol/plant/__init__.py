@@ -1,154 +1,33 @@
 """Linear plants and what controllers and filters need of them."""
 
-from tenscontrol.plant.controllability import (
-    Controllability,
-    LeftSpace,
-    controllability,
-    left_spaces,
-    own_modes,
-    reached_states,
-    refuse_empty,
-    refuse_unreachable,
-    unreached_modes,
-    warn_of_left_alone,
-)
-from tenscontrol.plant.equilibrium import (
-    equilibrium,
-    given_load,
-    held_value,
-    own_input,
-    refuse_load,
-)
-from tenscontrol.plant.input_bounds import input_bounds, largest_change, rest_length_bounds
-from tenscontrol.plant.linear_plant import (
-    INPUTS,
-    LinearPlant,
-    Sampled,
-    SparsePlant,
-    acceleration_response,
-    sampled,
-    state_units,
-)
+from tenscontrol.plant.controllability import Controllability, controllability
+from tenscontrol.plant.equilibrium import equilibrium
+from tenscontrol.plant.linear_plant import LinearPlant, SparsePlant
 from tenscontrol.plant.linearize import OperatingPoint, command_parents, in_coordinates, linearize
-from tenscontrol.plant.modes import Modes, modes, modes_of
-from tenscontrol.plant.reduced_dynamics import (
-    ReducedPlant,
-    acceleration_slopes,
-    checked_tracked,
-    exact_motion,
-    explicit_substeps,
-    linked_accelerations,
-    near_symbol,
-    reduce,
-    reduced_acceleration,
-    reduced_motion,
-    refuse_lost_place,
-    sampled_dynamics,
-    sampled_motion,
-    settled,
-    tracked_motion,
-    with_jacobian,
-)
-from tenscontrol.plant.reference import (
-    STRINGS_MOVE_NO_CENTRE,
-    Preview,
-    Reference,
-    ReferencePreview,
-    SmoothReference,
-    checked_reference,
-    reduced_shape,
-)
-from tenscontrol.plant.riccati import (
-    check_riccati,
-    energy_weights,
-    filter_riccati,
-    natural_weights,
-    regulator,
-    regulator_riccati,
-    riccati_residual,
-)
-from tenscontrol.plant.stance import Stance, StanceContacts, Tipping, convex_hull, set_down
-from tenscontrol.plant.string_outputs import (
-    StringMap,
-    model_input,
-    string_forces,
-    string_map,
-    to_commanded_strings,
-    to_model_strings,
-)
+from tenscontrol.plant.modes import Modes, modes
+from tenscontrol.plant.reduced_dynamics import ReducedPlant, reduce
+from tenscontrol.plant.reference import Reference
+from tenscontrol.plant.riccati import energy_weights
+from tenscontrol.plant.stance import Stance, StanceContacts, Tipping, set_down
 
 __all__ = [
-    "INPUTS",
-    "STRINGS_MOVE_NO_CENTRE",
     "Controllability",
-    "LeftSpace",
     "LinearPlant",
     "Modes",
     "OperatingPoint",
-    "Preview",
     "ReducedPlant",
     "Reference",
-    "ReferencePreview",
-    "Sampled",
-    "SmoothReference",
     "SparsePlant",
     "Stance",
     "StanceContacts",
-    "StringMap",
     "Tipping",
-    "acceleration_response",
-    "acceleration_slopes",
-    "check_riccati",
-    "checked_reference",
-    "checked_tracked",
     "command_parents",
     "controllability",
-    "convex_hull",
     "energy_weights",
     "equilibrium",
-    "exact_motion",
-    "explicit_substeps",
-    "filter_riccati",
-    "given_load",
-    "held_value",
     "in_coordinates",
-    "input_bounds",
-    "largest_change",
-    "left_spaces",
     "linearize",
-    "linked_accelerations",
-    "model_input",
     "modes",
-    "modes_of",
-    "natural_weights",
-    "near_symbol",
-    "own_input",
-    "own_modes",
-    "reached_states",
     "reduce",
-    "reduced_acceleration",
-    "reduced_motion",
-    "reduced_shape",
-    "refuse_empty",
-    "refuse_load",
-    "refuse_lost_place",
-    "refuse_unreachable",
-    "regulator",
-    "regulator_riccati",
-    "rest_length_bounds",
-    "riccati_residual",
-    "sampled",
-    "sampled_dynamics",
-    "sampled_motion",
     "set_down",
-    "settled",
-    "state_units",
-    "string_forces",
-    "string_map",
-    "to_commanded_strings",
-    "to_model_strings",
-    "tracked_motion",
-    "unreached_modes",
-    "warn_of_left_alone",
-    "with_jacobian",
 ]

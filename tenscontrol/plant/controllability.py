@@ -8,7 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from tenscontrol.dynamics import coordinates, on_one_thread
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, freeze_arrays, frozen
+from tenscontrol.dynamics.coordinates import coordinates
+from tenscontrol.dynamics.evaluator import on_one_thread
 from tenscontrol.plant.linear_plant import (
     LinearPlant,
     clusters,
@@ -20,7 +23,6 @@ from tenscontrol.plant.linear_plant import (
 from tenscontrol.plant.modes import Modes, modes_of
 from tenscontrol.plant.reduced_dynamics import reduce
 from tenscontrol.plant.string_outputs import to_commanded_strings
-from tenscontrol.validation import FloatArray, freeze_arrays, frozen, instance, whole_number
 
 # A direction or margin below this fraction of its surroundings does not exist.
 _TOLERANCE = 1e-9
@@ -125,9 +127,9 @@ def controllability(plant: LinearPlant, count: int | None = None) -> Controllabi
        0.0000  +14.6810j       0.11
        0.0000  +15.3523j      0.649
     """
-    instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
+    validation.instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
     if count is not None:
-        count = min(whole_number("count", count, 1), plant.degrees_of_freedom)
+        count = min(validation.whole_number("count", count, 1), plant.degrees_of_freedom)
     if count:
         return _of_lowest(plant, count)
     found = reached_states(plant)

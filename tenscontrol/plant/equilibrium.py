@@ -9,7 +9,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import BUILDING, Function, Model, Profile, builds, kernel
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray
+from tenscontrol.dynamics import kernel
+from tenscontrol.dynamics.evaluator import BUILDING, Function, builds
+from tenscontrol.dynamics.model import Model
+from tenscontrol.dynamics.profile import Profile
 from tenscontrol.plant.linear_plant import INPUTS
 from tenscontrol.plant.stance import (
     GroundPoints,
@@ -20,25 +25,15 @@ from tenscontrol.plant.stance import (
     let_down,
     refuse_slip,
 )
-from tenscontrol.statics import Prestress, balanced, member_forces
-from tenscontrol.structure import (
-    BarCrossing,
-    BarMotion,
-    Structure,
+from tenscontrol.statics.equilibrium_matrix import member_forces
+from tenscontrol.statics.prestress import Prestress, balanced
+from tenscontrol.structure.bar_clearance import BarCrossing, BarMotion
+from tenscontrol.structure.bar_geometry import refuse_strings_without_length, restore_bar_lengths
+from tenscontrol.structure.structure import Structure
+from tenscontrol.structure.supports import (
     free_coordinates,
     refuse_load_without_support,
     refuse_moved_supports,
-    refuse_strings_without_length,
-    restore_bar_lengths,
-)
-from tenscontrol.validation import (
-    FloatArray,
-    instance,
-    node_forces,
-    non_negative,
-    per_member,
-    positive,
-    truth,
 )
 
 # Newton steps that polish the answer of the optimizer, each of which doubles the digits, and how
@@ -176,8 +171,8 @@ def equilibrium(
     >>> (rest.structure.nodes[2, :3] - 1.0).round(4), rest.residual < 1e-9
     (array([-0.0041, -0.0041, -0.0041]), True)
     """
-    instance("model", model, Model, "make one by Model(structure)")
-    settles = truth(
+    validation.instance("model", model, Model, "make one by Model(structure)")
+    settles = validation.truth(
         "settle", settle, "whether feet move along the ground until they share its friction"
     )
     structure = model.structure
@@ -289,7 +284,7 @@ def own_input(model: Model, rest_length: object, force_density: object) -> tuple
     if count or force_density is not None:
         return rest_length, force_density
     if rest_length is not None:
-        per_member("rest_length", rest_length, count, "string")
+        validation.per_member("rest_length", rest_length, count, "string")
     return (None, ()) if rest_length is None or model.strings is None else (rest_length, None)
 
 
@@ -297,7 +292,7 @@ def given_load(model: Model, external_force: object) -> FloatArray:
     """Return a load beside what is built in, N, shape (d, n): of a model that takes none, 0."""
     if callable(external_force) or isinstance(external_force, Profile):
         refuse_load(model)
-    load = node_forces("external_force", external_force, model.structure.nodes.shape)
+    load = validation.node_forces("external_force", external_force, model.structure.nodes.shape)
     if load.any():
         refuse_load(model)
     return load
@@ -315,10 +310,10 @@ def held_value(model: Model, rest_length: object, force_density: object) -> Floa
     """Return what is held, shape (α,): the one that is not None, checked."""
     count = len(model.structure.strings)
     if force_density is None:
-        values = per_member("rest_length", rest_length, count, "string")
-        return positive("rest_length", values, "length in m")
-    gamma = per_member("force_density", force_density, count, "string")
-    return non_negative("force_density", gamma, "a string can only pull")
+        values = validation.per_member("rest_length", rest_length, count, "string")
+        return validation.positive("rest_length", values, "length in m")
+    gamma = validation.per_member("force_density", force_density, count, "string")
+    return validation.non_negative("force_density", gamma, "a string can only pull")
 
 
 def _stood(

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from tenscontrol.actuation import Winches
+from tenscontrol import validation
+from tenscontrol.actuation.winches import Winches
+from tenscontrol.arrays import FloatArray
 from tenscontrol.plant.linear_plant import LinearPlant
 from tenscontrol.string_bounds import string_bounds
-from tenscontrol.validation import FloatArray, instance, is_unlimited, limit_per_member, positive
 
 # Least rest length commanded, as part of that at the operating point, or of the string's length.
 _SHORTEST = 0.01
@@ -21,9 +22,9 @@ def input_bounds(
 ) -> tuple[FloatArray, FloatArray]:
     """Return least and largest command, shape (α,) each, or raise naming what does not fit."""
     if winches is not None:
-        instance("winches", winches, Winches, "make them by Winches(rate=...)")
+        validation.instance("winches", winches, Winches, "make them by Winches(rate=...)")
     if plant.input == "rest_length":
-        if not is_unlimited(max_force_density):
+        if not validation.is_unlimited(max_force_density):
             raise ValueError(
                 "max_force_density limits plants with input='force_density'; this one has "
                 "input='rest_length', and winches limit rest lengths"
@@ -70,9 +71,9 @@ def largest_change(
 ) -> FloatArray | None:
     """Return the largest change of so many inputs in a sample, shape (α,), or None for any."""
     change = None
-    if not is_unlimited(max_change):
-        change = limit_per_member("max_change", max_change, count, "string")
-        positive("max_change", change, f"change of {input.replace('_', ' ')}")
+    if not validation.is_unlimited(max_change):
+        change = validation.limit_per_member("max_change", max_change, count, "string")
+        validation.positive("max_change", change, f"change of {input.replace('_', ' ')}")
     rate = None if winches is None else winches.largest_rate
     if sample_time is None:
         if change is not None or rate is not None:
@@ -80,6 +81,6 @@ def largest_change(
             raise ValueError(f"{name} limits changes from sample to sample: give sample_time, s")
         return None
     if rate is not None:
-        reach = limit_per_member("winches.rate", rate, count, "string") * sample_time
+        reach = validation.limit_per_member("winches.rate", rate, count, "string") * sample_time
         change = reach if change is None else np.minimum(change, reach)
     return change

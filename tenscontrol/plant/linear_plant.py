@@ -10,16 +10,15 @@ from typing import TYPE_CHECKING, Concatenate, ParamSpec, TypeVar, overload
 
 import numpy as np
 
-from tenscontrol.dynamics import Coordinates, Model, Prepared, on_one_thread, refuse_large
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, IntArray, freeze_arrays, frozen
+from tenscontrol.dynamics.coordinates import Coordinates
+from tenscontrol.dynamics.evaluator import Prepared, on_one_thread
+from tenscontrol.dynamics.model import Model
+from tenscontrol.dynamics.tangent import refuse_large
 from tenscontrol.properties import cached_property
-from tenscontrol.structure import Structure, to_segments
-from tenscontrol.validation import (
-    FloatArray,
-    IntArray,
-    freeze_arrays,
-    frozen,
-    positive_number,
-)
+from tenscontrol.structure.segments import to_segments
+from tenscontrol.structure.structure import Structure
 
 if TYPE_CHECKING:
     import control
@@ -282,7 +281,9 @@ class LinearPlant:
         TypeError, ValueError
             If the sample time is not a positive finite number, or so long that digits are lost.
         """
-        return zero_order_hold(self, self.B, positive_number("sample_time", sample_time, "s"))
+        return zero_order_hold(
+            self, self.B, validation.positive_number("sample_time", sample_time, "s")
+        )
 
     @property
     def state_names(self) -> list[str]:

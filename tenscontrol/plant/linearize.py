@@ -7,45 +7,25 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tenscontrol.dynamics import (
-    KINDS,
-    Coordinates,
-    Model,
-    StringLaw,
-    Tangent,
-    refuse_large,
-    tangent,
-)
-from tenscontrol.dynamics import coordinates as frame_of
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, IntArray, frozen
+from tenscontrol.dynamics.coordinates import KINDS, Coordinates, coordinates as frame_of
+from tenscontrol.dynamics.model import Model
+from tenscontrol.dynamics.string_laws import StringLaw
+from tenscontrol.dynamics.tangent import Tangent, refuse_large, tangent
 from tenscontrol.fields import Array, OptionalArray, converted
 from tenscontrol.plant.linear_plant import INPUTS, LinearPlant, SparsePlant, norm
 from tenscontrol.plant.stance import Stance, standing_model
 from tenscontrol.plant.string_outputs import to_model_strings
-from tenscontrol.statics import Prestress, null_space
-from tenscontrol.structure import (
-    Structure,
-    is_movable,
-    refuse_moved_supports,
+from tenscontrol.statics.equilibrium_matrix import null_space
+from tenscontrol.statics.prestress import Prestress
+from tenscontrol.structure.bar_geometry import (
     refuse_strings_without_length,
     refuse_wrong_bar_lengths,
-    rigid_motions,
-    to_segments,
-    to_strings,
 )
-from tenscontrol.validation import (
-    FloatArray,
-    IntArray,
-    choice,
-    float_array,
-    frozen,
-    instance,
-    non_negative,
-    per_member,
-    positive,
-    shaped,
-    truth,
-    vector,
-)
+from tenscontrol.structure.segments import to_segments, to_strings
+from tenscontrol.structure.structure import Structure
+from tenscontrol.structure.supports import is_movable, refuse_moved_supports, rigid_motions
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -105,13 +85,13 @@ class OperatingPoint:
     external_force: OptionalArray = converted(None)
 
     def __post_init__(self) -> None:
-        nodes = float_array("nodes", self.nodes)
+        nodes = validation.float_array("nodes", self.nodes)
         if nodes.ndim != 2 or nodes.shape[0] not in (2, 3):
             raise ValueError(
                 f"nodes has shape {nodes.shape}, expected (3, n), or (2, n) in the plane: one "
                 "column per node"
             )
-        gamma = vector("force_density", self.force_density)
+        gamma = validation.vector("force_density", self.force_density)
         if gamma.ndim != 1:
             raise ValueError(
                 f"force_density has shape {gamma.shape}, expected (α,): one per string"
@@ -119,7 +99,9 @@ class OperatingPoint:
         load = self.external_force
         if load is not None:
             load = frozen(
-                shaped("external_force", load, nodes.shape, "one force for each of nodes")
+                validation.shaped(
+                    "external_force", load, nodes.shape, "one force for each of nodes"
+                )
             )
         object.__setattr__(self, "nodes", frozen(nodes))
         object.__setattr__(self, "force_density", frozen(gamma))
@@ -196,10 +178,12 @@ def linearize(
     >>> plant.A.shape, plant.B.shape
     ((18, 18), (18, 9))
     """
-    instance("model", model, Model, "make one by Model(structure)")
-    choice("input", input, INPUTS)
-    choice("coordinates", coordinates, KINDS)
-    truth("require_equilibrium", require_equilibrium, "whether to refuse unbalanced forces")
+    validation.instance("model", model, Model, "make one by Model(structure)")
+    validation.choice("input", input, INPUTS)
+    validation.choice("coordinates", coordinates, KINDS)
+    validation.truth(
+        "require_equilibrium", require_equilibrium, "whether to refuse unbalanced forces"
+    )
     if isinstance(at, Stance) and len(at.contacts.node):
         _refuse_other_structure(model.structure, at.structure)
         standing = standing_model(model, at)
@@ -260,7 +244,7 @@ def in_coordinates(plant: LinearPlant, kind: str) -> LinearPlant:
     >>> tc.plant.in_coordinates(plant, "minimal")
     LinearPlant(15 minimal coordinates, input force_density, 9 inputs)
     """
-    instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
+    validation.instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
 
     def build() -> LinearPlant:
         gamma = to_model_strings(plant, "force_density", plant.force_density)
@@ -274,7 +258,7 @@ def in_coordinates(plant: LinearPlant, kind: str) -> LinearPlant:
         other = _on_feet(other, plant.feet) if len(plant.feet) else other
         return other if plant.commanded is plant.model.structure else command_parents(other)
 
-    choice("kind", kind, KINDS)
+    validation.choice("kind", kind, KINDS)
     return plant.prepared.get(("in_coordinates", kind), build)
 
 
@@ -313,7 +297,7 @@ def command_parents(plant: LinearPlant) -> LinearPlant:
     """
     from scipy.sparse import csr_array
 
-    instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
+    validation.instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
     structure = plant.model.structure
     parent = structure.parent
     if parent is None:
@@ -453,11 +437,13 @@ def _checked_point(
     refuse_wrong_bar_lengths("at.nodes", structure, N)
     refuse_moved_supports("at.nodes", structure, N)
     count = len(structure.strings)
-    gamma = shaped("at.force_density", at.force_density, (count,), "one per string")
-    non_negative("at.force_density", gamma, "a string can only pull")
+    gamma = validation.shaped("at.force_density", at.force_density, (count,), "one per string")
+    validation.non_negative("at.force_density", gamma, "a string can only pull")
     load = np.zeros(N.shape)
     if at.external_force is not None:
-        load = shaped("at.external_force", at.external_force, N.shape, "one force per node")
+        load = validation.shaped(
+            "at.external_force", at.external_force, N.shape, "one force per node"
+        )
     return N, gamma, load
 
 
@@ -513,8 +499,8 @@ def _rest_length(
     found = law.rest_length(length, gamma)
     if given is None:
         return found
-    known = per_member("rest_length", given, len(gamma), "string")
-    positive("rest_length", known, "length in m")
+    known = validation.per_member("rest_length", given, len(gamma), "string")
+    validation.positive("rest_length", known, "length in m")
     off = np.abs(law.force_density(length, known) - gamma)
     if off.size and off.max() > _LAW_TOLERANCE * gamma.max(initial=0.0):
         i = int(off.argmax())

@@ -7,7 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tenscontrol.dynamics import normal_basis, on_one_thread, string_stretch
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, IntArray, frozen
+from tenscontrol.dynamics.evaluator import on_one_thread
+from tenscontrol.dynamics.tangent import normal_basis, string_stretch
 from tenscontrol.plant.linear_plant import (
     LinearPlant,
     clusters,
@@ -16,14 +19,8 @@ from tenscontrol.plant.linear_plant import (
     squared_frequencies,
 )
 from tenscontrol.plant.linearize import in_coordinates
-from tenscontrol.structure import Structure, affine_motions, left_by_supports, rigid_motions
-from tenscontrol.validation import (
-    FloatArray,
-    IntArray,
-    frozen,
-    instance,
-    whole_number,
-)
+from tenscontrol.structure.structure import Structure
+from tenscontrol.structure.supports import affine_motions, left_by_supports, rigid_motions
 from tenscontrol.viewable import Viewable
 
 if TYPE_CHECKING:
@@ -158,10 +155,10 @@ def modes(plant: LinearPlant, count: int | None = None) -> Modes:
        7       2.44339   0.0000  elastic
        8       2.44339   0.0000  elastic
     """
-    instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
+    validation.instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
     r = plant.degrees_of_freedom
     if count is not None:
-        count = min(whole_number("count", count, 1), r)
+        count = min(validation.whole_number("count", count, 1), r)
         found = lowest(plant, count)
         return _cut(modes(plant) if found is None else _in_order(plant, *found), count)
     stiffness, friction = -plant.A[r:, :r], -plant.A[r:, r:]

@@ -10,17 +10,14 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import ContactLaw, Function, kernel, on_one_thread
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray
+from tenscontrol.dynamics import kernel
+from tenscontrol.dynamics.contact_laws import ContactLaw
+from tenscontrol.dynamics.evaluator import Function, on_one_thread
 from tenscontrol.plant.linear_plant import LinearPlant, kept
 from tenscontrol.plant.modes import modes as all_modes  # `reduce` has an argument of this name
 from tenscontrol.plant.string_outputs import model_input, string_forces
-from tenscontrol.validation import (
-    FloatArray,
-    float_array,
-    index_list,
-    instance,
-    whole_number,
-)
 
 # Stiffness and damping below this part of the largest are none.
 _SINGULAR = 1e-11
@@ -138,7 +135,7 @@ def reduce(plant: LinearPlant, modes: object = 20) -> ReducedPlant:
     >>> small
     ReducedPlant(6 of 54 internal coordinates, input rest_length, 72 inputs)
     """
-    instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
+    validation.instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
     if plant.coordinates.kind == "nodes":
         raise ValueError(
             "plant is in 'nodes' coordinates, in which bars change their lengths; expected "
@@ -151,9 +148,9 @@ def reduce(plant: LinearPlant, modes: object = 20) -> ReducedPlant:
     undamped = replace(plant, sparse=replace(plant.sparse, damping=still), A=None, B=None)
     is_count = isinstance(modes, np.ndarray) and modes.ndim == 0
     if is_count or isinstance(modes, int | float | np.number):
-        chosen = np.arange(min(whole_number("modes", modes, 1), r))
+        chosen = np.arange(min(validation.whole_number("modes", modes, 1), r))
     else:
-        chosen = index_list("modes", modes, r, "modes of plant")
+        chosen = validation.index_list("modes", modes, r, "modes of plant")
         if not len(chosen):
             raise ValueError("modes is empty, expected a number of modes, or indices of modes")
     d, n = plant.nodes.shape
@@ -209,7 +206,7 @@ def _tracked_motion(plant: LinearPlant, matrix: FloatArray) -> ca.Function:
 
 def checked_tracked(plant: LinearPlant, tracked: object) -> FloatArray:
     """Return combinations of node positions, shape (p, d n), or raise naming the argument."""
-    matrix = float_array("tracked", tracked)
+    matrix = validation.float_array("tracked", tracked)
     if matrix.ndim != 2 or matrix.shape[1] != plant.nodes.size or not len(matrix):
         raise ValueError(
             f"tracked has shape {matrix.shape}, expected (p, {plant.nodes.size}): "

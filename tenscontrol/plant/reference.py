@@ -8,20 +8,15 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Function, evaluate_columns
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, frozen
+from tenscontrol.dynamics.evaluator import Function, evaluate_columns
 from tenscontrol.fields import Array, OptionalArray, converted
 from tenscontrol.plant.linear_plant import LinearPlant, Sampled, acceleration_response, kept
 from tenscontrol.plant.string_outputs import to_commanded_strings, to_model_strings
-from tenscontrol.structure import bar_distances, refuse_moved_supports, refuse_wrong_bar_lengths
-from tenscontrol.validation import (
-    FloatArray,
-    float_array,
-    frozen,
-    instance,
-    non_negative,
-    positive_number,
-    vector,
-)
+from tenscontrol.structure.bar_clearance import bar_distances
+from tenscontrol.structure.bar_geometry import refuse_wrong_bar_lengths
+from tenscontrol.structure.supports import refuse_moved_supports
 
 # Force densities of a reference shape may leave those of the operating point only as far as the
 # balance of forces gains from it, by this fraction of the largest singular value.
@@ -86,8 +81,8 @@ class Reference:
     force_density: OptionalArray = converted(None)
 
     def __post_init__(self) -> None:
-        time = vector("time", self.time)
-        nodes = float_array("nodes", self.nodes)
+        time = validation.vector("time", self.time)
+        nodes = validation.float_array("nodes", self.nodes)
         if time.ndim != 1 or len(time) == 0:
             raise ValueError(f"time has shape {time.shape}, expected (K,) with K at least 1")
         if (np.diff(time) <= 0).any():
@@ -102,14 +97,14 @@ class Reference:
                 f"(2, n, {len(time)}) in the plane: one shape per time"
             )
         if self.force_density is not None:
-            gamma = float_array("force_density", self.force_density)
+            gamma = validation.float_array("force_density", self.force_density)
             if gamma.ndim != 2 or gamma.shape[1] != len(time):
                 raise ValueError(
                     f"force_density has shape {gamma.shape}, expected (α, {len(time)}): "
                     "one row per string, one column per time"
                 )
             for i, row in enumerate(gamma):
-                non_negative(f"force_density[{i}]", row, "a string can only pull")
+                validation.non_negative(f"force_density[{i}]", row, "a string can only pull")
             object.__setattr__(self, "force_density", frozen(gamma))
         object.__setattr__(self, "time", frozen(time))
         object.__setattr__(self, "nodes", frozen(nodes))
@@ -162,8 +157,8 @@ class Reference:
         >>> there.then(there.reversed(), pause=1.0).time
         array([0., 2., 3., 5.])
         """
-        instance("other", other, Reference, "make one by Reference(time, nodes)")
-        pause = positive_number("pause", pause, "s")
+        validation.instance("other", other, Reference, "make one by Reference(time, nodes)")
+        pause = validation.positive_number("pause", pause, "s")
         for what in ("nodes", "force_density"):
             ours, theirs = (
                 None if value is None else value.shape[:-1]
@@ -368,7 +363,7 @@ def checked_reference(
         q = plant.measure(plant.nodes, np.zeros(shape))[: plant.degrees_of_freedom]
         return Reference([0.0], plant.nodes[:, :, None]), q[None]
     if not isinstance(reference, Reference):
-        nodes = float_array(name, reference)
+        nodes = validation.float_array(name, reference)
         if nodes.shape != shape:
             raise ValueError(
                 f"{name} has shape {nodes.shape}, expected {shape}: one column per node; "

@@ -7,10 +7,11 @@ from functools import partial
 
 import numpy as np
 
-from tenscontrol.dynamics import on_one_thread
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, frozen
+from tenscontrol.dynamics.evaluator import on_one_thread
 from tenscontrol.plant.controllability import reached_states
 from tenscontrol.plant.linear_plant import LinearPlant, state_units
-from tenscontrol.validation import FloatArray, frozen, instance, truth
 
 # A Riccati residual above this fraction of its terms means that the solution is wrong.
 _RESIDUAL_TOLERANCE = 1e-6
@@ -301,12 +302,12 @@ def energy_weights(plant: LinearPlant, by_mode: bool = False) -> tuple[FloatArra
     >>> round(float(Q[0, 0]), 1), float(Q[9, 9]), round(float(R[0, 0]), 3)
     (235.7, 1.0, 0.048)
     """
-    instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
+    validation.instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
     r = plant.degrees_of_freedom
     highest = plant.spectral_radius or 1.0
     largest = float(np.linalg.norm(plant.B, 2))
     Q = np.diag(np.r_[np.full(r, highest**2), np.ones(r)])
-    if truth("by_mode", by_mode, "whether each displacement costs its own energy"):
+    if validation.truth("by_mode", by_mode, "whether each displacement costs its own energy"):
         sizes, modes = np.linalg.eigh(-0.5 * (plant.A[r:, :r] + plant.A[r:, :r].T))
         stiffness = (modes * np.abs(sizes)) @ modes.T
         Q[:r, :r] = 0.5 * (stiffness + stiffness.T)

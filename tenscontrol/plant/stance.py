@@ -7,17 +7,17 @@ from dataclasses import dataclass, fields, replace
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Contacts, Function, Model
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, IntArray, freeze_arrays
+from tenscontrol.dynamics.contact_laws import Contacts
+from tenscontrol.dynamics.evaluator import Function
+from tenscontrol.dynamics.model import Model
 from tenscontrol.properties import cached_property
-from tenscontrol.statics import Prestress, equilibrium_matrix
-from tenscontrol.structure import Structure, bar_rows, free_coordinates, rigid_motions
-from tenscontrol.validation import (
-    FloatArray,
-    IntArray,
-    freeze_arrays,
-    index_list,
-    instance,
-)
+from tenscontrol.statics.equilibrium_matrix import equilibrium_matrix
+from tenscontrol.statics.prestress import Prestress
+from tenscontrol.structure.blocks import bar_rows
+from tenscontrol.structure.structure import Structure
+from tenscontrol.structure.supports import free_coordinates, rigid_motions
 
 # Nodes this near the ground touch it, and shapes that are set down end so near, by their size.
 _TOUCHING, _LANDED, _STEPS = 1e-6, 1e-12, 50
@@ -451,7 +451,7 @@ def set_down(model: Model, feet: object, nodes: object = None) -> FloatArray:
     >>> nodes[2, [0, 4, 8]].round(12) + 0.0, bool(nodes[2].min() > -1e-12)
     (array([0., 0., 0.]), True)
     """
-    instance("model", model, Model, "make one by Model(structure, ground=Ground(...))")
+    validation.instance("model", model, Model, "make one by Model(structure, ground=Ground(...))")
     structure = model.structure
     if not model.ground:
         raise ValueError(
@@ -461,7 +461,7 @@ def set_down(model: Model, feet: object, nodes: object = None) -> FloatArray:
         raise ValueError("the model has supports, which hold its nodes where they are")
     N = structure.nodes if nodes is None else structure.checked_nodes("nodes", nodes)
     d, count = N.shape
-    below = index_list("feet", feet, count, f"the structure has {count} nodes")
+    below = validation.index_list("feet", feet, count, f"the structure has {count} nodes")
     centre = N[:, below].sum(axis=1, keepdims=True) / max(len(below), 1)
     axes, sizes, _ = np.linalg.svd(N[:, below] - centre)
     if len(below) < d or sizes[d - 2] <= _TOUCHING * sizes[0]:

@@ -8,10 +8,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Function, kernel
+from tenscontrol.arrays import FloatArray
+from tenscontrol.dynamics import kernel
+from tenscontrol.dynamics.evaluator import Function
 from tenscontrol.plant.linear_plant import LinearPlant, kept
-from tenscontrol.structure import to_segments, to_strings
-from tenscontrol.validation import FloatArray
+from tenscontrol.structure.segments import to_segments, to_strings
 
 
 def to_model_strings(plant: LinearPlant, what: str, values: FloatArray) -> FloatArray:

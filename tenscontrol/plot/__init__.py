@@ -19,11 +19,9 @@ from tenscontrol.plot.mode_shapes import ModeShape, mode_shapes
 from tenscontrol.plot.motion_histories import health, motors, tracking, trajectory
 from tenscontrol.plot.pole_map import PoleMap, poles
 from tenscontrol.plot.structure_drawing import Drawing, structure
-from tenscontrol.plot.structure_drawing import new_space as new_space  # for figures of the demo
 from tenscontrol.plot.style import save_figure
 from tenscontrol.plot.sweep_figures import SweepDrawing, sweep
 from tenscontrol.plot.web_page import View
-from tenscontrol.plot.web_page import plotly_js as plotly_js  # for the command
 
 __all__ = [
     "Curves",

@@ -11,7 +11,12 @@ from matplotlib.patheffects import withStroke
 from matplotlib.text import Annotation
 from matplotlib.ticker import FuncFormatter
 
-from tenscontrol.accuracy import ConvergenceOrder, LongRun, StabilityMap, WorkPrecision
+from tenscontrol import validation
+from tenscontrol.accuracy.convergence import ConvergenceOrder
+from tenscontrol.accuracy.long_run import LongRun
+from tenscontrol.accuracy.stability_map import StabilityMap
+from tenscontrol.accuracy.work_precision import WorkPrecision
+from tenscontrol.arrays import FloatArray
 from tenscontrol.plot.histories import Curves
 from tenscontrol.plot.style import (
     DASHES,
@@ -24,7 +29,6 @@ from tenscontrol.plot.style import (
     flat_axes,
     legend_above,
 )
-from tenscontrol.validation import FloatArray, instance
 
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">")
 _PEER_GREYS = ("0.30", "0.45", "0.58", "0.68")
@@ -75,7 +79,7 @@ def work_precision(result: WorkPrecision, *, ax: Axes | None = None) -> Curves:
     ('log', ['rk4'])
     >>> plt.close(drawn.ax.figure)
     """
-    instance("result", result, WorkPrecision, "make one by work_precision(scene)")
+    validation.instance("result", result, WorkPrecision, "make one by work_precision(scene)")
     ax = flat_axes(ax, _SIZE)
     lines: dict[str, tuple[Line2D, ...]] = {}
     ends: dict[str, tuple[float, float, Any]] = {}
@@ -141,7 +145,9 @@ def convergence_order(result: ConvergenceOrder, *, ax: Axes | None = None) -> Cu
     ['rk4']
     >>> plt.close("all")
     """
-    instance("result", result, ConvergenceOrder, "make one by convergence_order(scene, method)")
+    validation.instance(
+        "result", result, ConvergenceOrder, "make one by convergence_order(scene, method)"
+    )
     ax = flat_axes(ax)
     style = _method_style(0) | {"linestyle": "none"}
     clean = result.is_clean
@@ -200,7 +206,7 @@ def stability_map(result: StabilityMap, *, ax: Axes | None = None) -> Curves:
     ['mass ratio 0.1']
     >>> plt.close("all")
     """
-    instance("result", result, StabilityMap, "make one by stability_map(method)")
+    validation.instance("result", result, StabilityMap, "make one by stability_map(method)")
     ax = flat_axes(ax)
     lines, references, ends = {}, {}, {}
     has_bound = bool(np.isfinite(result.limit))
@@ -261,7 +267,7 @@ def long_run(result: LongRun, *, ax: Axes | None = None) -> Curves:
     (['energy'], ['slope'])
     >>> plt.close("all")
     """
-    instance("result", result, LongRun, "make one by long_run(scene, method, setting)")
+    validation.instance("result", result, LongRun, "make one by long_run(scene, method, setting)")
     ax = flat_axes(ax)
     drift, scale, label = result.drifts[0], 1.0, f"change of {result.drifts[0].name}"
     if drift.name == "energy" and result.energy_scale > 0:

@@ -18,6 +18,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.files import write_file
 from tenscontrol.plot.ground_drawing import add_ground, ground_samples, near_ground, touching
 from tenscontrol.plot.structure_drawing import (
@@ -32,16 +34,7 @@ from tenscontrol.plot.structure_drawing import (
     sample,
 )
 from tenscontrol.plot.style import FAINT, NORMAL
-from tenscontrol.simulation import Trajectory
-from tenscontrol.validation import (
-    FloatArray,
-    IntArray,
-    file_path,
-    float_array,
-    instance,
-    positive_number,
-    whole_number,
-)
+from tenscontrol.simulation.trajectory import Trajectory
 
 # A GIF counts time in hundredths of a second, up to 65,535, and viewers slow down below two.
 _SLOWEST, _FASTEST = 0.01, 50.0
@@ -192,19 +185,19 @@ def animate(
     ...     path.name, path.stat().st_size > 0
     ('prism.gif', True)
     """
-    instance("run", run, Trajectory, "make one by simulate(model, ...)")
-    place = file_path("path", path, [".gif", ".mp4"])
+    validation.instance("run", run, Trajectory, "make one by simulate(model, ...)")
+    place = validation.file_path("path", path, [".gif", ".mp4"])
     if not place.parent.is_dir():
         raise FileNotFoundError(f"path is {str(place)!r}, but its folder is not there; make it")
     is_film = place.suffix.lower() == ".mp4"
     if is_film:
         _ffmpeg(place)
     rate, count, dots = _frames(run, fps, duration, dpi)
-    eye = float_array("view", view)
+    eye = validation.float_array("view", view)
     if eye.shape != (2,):
         raise ValueError(f"view has shape {eye.shape}, expected (2,): elevation and azimuth")
-    motion = float_array("run.nodes", run.nodes)
-    float_array("run.force_density", run.force_density)
+    motion = validation.float_array("run.nodes", run.nodes)
+    validation.float_array("run.force_density", run.force_density)
     goal = None if target is None else run.structure.checked_nodes("target", target)
     times = np.linspace(run.time[0], run.time[-1], count)
     scene = _Scene(run, _sampled(run, motion, times), goal, eye, dots)
@@ -219,7 +212,7 @@ def _frames(
     run: Trajectory, fps: float, duration: float | None, dpi: int
 ) -> tuple[float, int, int]:
     """Return frames a second, their number, and pixels an inch, after checking them."""
-    rate = positive_number("fps", fps, "1/s")
+    rate = validation.positive_number("fps", fps, "1/s")
     if not _SLOWEST <= rate <= _FASTEST:
         raise ValueError(
             f"fps is {rate:g}, expected at least {_SLOWEST:g} and at most {_FASTEST:g}: a "
@@ -227,8 +220,8 @@ def _frames(
         )
     length = float(run.time[-1] - run.time[0]) if duration is None else duration
     if duration is not None:
-        length = positive_number("duration", duration, "s")
-    dots = whole_number("dpi", dpi, least=10, most=_MOST_DOTS)
+        length = validation.positive_number("duration", duration, "s")
+    dots = validation.whole_number("dpi", dpi, least=10, most=_MOST_DOTS)
     pixels = length * rate * SIZE[0] * SIZE[1] * dots**2
     if pixels > _MOST_PIXELS:
         raise ValueError(

@@ -9,7 +9,7 @@ from matplotlib.artist import Artist
 from matplotlib.collections import LineCollection
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
-from tenscontrol.validation import FloatArray
+from tenscontrol.arrays import FloatArray
 
 # Depth at which lines are palest, at least, as part of the size of what is drawn: a flat structure
 # seen from the front has no far side.

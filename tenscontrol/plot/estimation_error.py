@@ -7,6 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray
 from tenscontrol.plot.histories import Curves, draw_curves, mark_statuses
 from tenscontrol.plot.style import (
     PALETTE,
@@ -16,10 +18,9 @@ from tenscontrol.plot.style import (
     legend_above,
     panel_axes,
 )
-from tenscontrol.simulation import Trajectory
+from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.status import Status
-from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray, instance
+from tenscontrol.structure.structure import Structure
 
 # Marks for what became of readings, told apart by their form.
 _MARKERS: dict[str, str] = {
@@ -74,7 +75,7 @@ def estimate(
     (['length', 'error'], 'error of length, mm')
     >>> plt.close(panels["length"].ax.figure)
     """
-    instance("run", run, Trajectory, "make one by simulate(model, ...)")
+    validation.instance("run", run, Trajectory, "make one by simulate(model, ...)")
     if run.control is None or run.control.estimate is None:
         raise ValueError("run has no estimate: give simulate a controller and an estimator")
     record = run.control.estimate

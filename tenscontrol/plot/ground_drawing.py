@@ -12,7 +12,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-from tenscontrol.dynamics import ContactLaw
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, IntArray
+from tenscontrol.dynamics.contact_laws import ContactLaw
 from tenscontrol.plot.histories import Curves, draw_curves
 from tenscontrol.plot.style import (
     GROUND,
@@ -24,8 +26,8 @@ from tenscontrol.plot.style import (
     marker_style,
     timed_panels,
 )
-from tenscontrol.simulation import ContactRecord, Trajectory
-from tenscontrol.validation import FloatArray, IntArray, instance
+from tenscontrol.simulation.contacts import ContactRecord
+from tenscontrol.simulation.trajectory import Trajectory
 
 # Points along each side of a curved ground, and how far beyond the nodes a surface reaches, as a
 # part of the size.
@@ -211,7 +213,7 @@ def contacts(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str
     (['normal_force', 'depth', 'touch', 'work', 'balance'], ['node 3', 'node 4'])
     >>> plt.close(panels["depth"].ax.figure)
     """
-    instance("run", run, Trajectory, "make one by simulate(model, ...)")
+    validation.instance("run", run, Trajectory, "make one by simulate(model, ...)")
     record = run.contacts
     if record is None:
         raise ValueError("run has no ground: make its model by Model(..., ground=Ground(...))")

@@ -9,6 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray
 from tenscontrol.plot.style import (
     PALETTE,
     closes_on_error,
@@ -19,7 +21,6 @@ from tenscontrol.plot.style import (
     marker_style,
     reference_style,
 )
-from tenscontrol.validation import FloatArray, float_array, text, wrong_kind
 
 # Up to so many curves of one name have full width; many more at least this share of it.
 _FEW, _THINNEST = 4, 0.35
@@ -98,7 +99,7 @@ def history(
         for name, values in _checked_mapping("series", series).items()
     }
     levels = checked_references(references, len(times))
-    text("ylabel", ylabel, "the quantity with its unit, like 'height, m'")
+    validation.text("ylabel", ylabel, "the quantity with its unit, like 'height, m'")
     return draw_curves(flat_axes(ax), times, rows, ylabel, references=levels)
 
 
@@ -149,7 +150,7 @@ def checked_references(references: object, count: int) -> dict[str, FloatArray]:
     for name, value in _checked_mapping(
         "references", {} if references is None else references
     ).items():
-        array = float_array(f"references[{name!r}]", value)
+        array = validation.float_array(f"references[{name!r}]", value)
         if array.shape not in ((), (count,)):
             raise ValueError(
                 f"references[{name!r}] has shape {array.shape}, expected () or ({count},): "
@@ -160,7 +161,7 @@ def checked_references(references: object, count: int) -> dict[str, FloatArray]:
 
 
 def _checked_time(time: object) -> FloatArray:
-    times = float_array("time", time)
+    times = validation.float_array("time", time)
     if times.ndim != 1 or len(times) == 0:
         raise ValueError(f"time has shape {times.shape}, expected (T,) with at least one time in s")
     back = np.flatnonzero(np.diff(times) < 0)
@@ -173,7 +174,7 @@ def _checked_time(time: object) -> FloatArray:
 
 
 def _checked_rows(name: str, values: object, count: int) -> FloatArray:
-    array = float_array(f"series[{name!r}]", values)
+    array = validation.float_array(f"series[{name!r}]", values)
     if array.ndim not in (1, 2) or array.shape[-1] != count:
         raise ValueError(
             f"series[{name!r}] has shape {array.shape}, expected ({count},) or (k, {count}): "
@@ -184,7 +185,7 @@ def _checked_rows(name: str, values: object, count: int) -> FloatArray:
 
 def _checked_mapping(name: str, mapping: object) -> Mapping[str, object]:
     if not isinstance(mapping, Mapping):
-        raise wrong_kind(name, mapping, "a dict from names to numbers")
+        raise validation.wrong_kind(name, mapping, "a dict from names to numbers")
     for key in mapping:
         if not isinstance(key, str):
             raise TypeError(f"{name} has the key {key!r}, expected text for the legend")

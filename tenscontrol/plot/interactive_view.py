@@ -7,14 +7,14 @@ from functools import singledispatch
 
 import numpy as np
 
-from tenscontrol.plant import Modes
+from tenscontrol import validation
+from tenscontrol.plant.modes import Modes
 from tenscontrol.plot.ground_drawing import ground_surface
 from tenscontrol.plot.structure_drawing import checked_force_density
 from tenscontrol.plot.web_page import View
-from tenscontrol.shape import ShapePath
-from tenscontrol.simulation import Trajectory
-from tenscontrol.structure import Structure
-from tenscontrol.validation import wrong_kind
+from tenscontrol.shape.shape_path import ShapePath
+from tenscontrol.simulation.trajectory import Trajectory
+from tenscontrol.structure.structure import Structure
 
 
 def view(
@@ -68,7 +68,9 @@ def view(
 
 @singledispatch
 def _view_of(shown: object) -> View:
-    raise wrong_kind("shown", shown, "a Structure, a Trajectory of simulate, Modes or a ShapePath")
+    raise validation.wrong_kind(
+        "shown", shown, "a Structure, a Trajectory of simulate, Modes or a ShapePath"
+    )
 
 
 @_view_of.register

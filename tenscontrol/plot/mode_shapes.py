@@ -10,7 +10,10 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 
-from tenscontrol.plant import LinearPlant, Modes
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray
+from tenscontrol.plant.linear_plant import LinearPlant
+from tenscontrol.plant.modes import Modes
 from tenscontrol.plot.structure_drawing import Drawing, draw, frame, new_view
 from tenscontrol.plot.style import (
     PALETTE,
@@ -20,7 +23,6 @@ from tenscontrol.plot.style import (
     closes_on_error,
     given_axes,
 )
-from tenscontrol.validation import FloatArray, instance, positive_number
 
 _COLUMNS = 3
 _MOST = 9  # modes shown unless the user says which
@@ -117,8 +119,8 @@ def mode_shapes(
     mechanism
     >>> plt.close(drawn.ax.figure)
     """
-    instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
-    instance("modes", modes, Modes, "make them by modes(plant)")
+    validation.instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
+    validation.instance("modes", modes, Modes, "make them by modes(plant)")
     structure, nodes = plant.model.structure, plant.nodes
     if modes.shape.shape[:2] != nodes.shape:
         raise ValueError(
@@ -131,7 +133,7 @@ def mode_shapes(
     chosen = list(range(min(count, _MOST)))
     if which is not None:
         chosen = checked_indices("which", which, count, "mode numbers", "[0, 5]")
-    share = positive_number("scale", scale, "structure sizes")
+    share = validation.positive_number("scale", scale, "structure sizes")
     size = float(share * np.ptp(nodes, axis=1).max())
     moved = [nodes + size * _at_largest(modes.shape[:, :, mode]) for mode in chosen]
     panels, top = _panels(axes, len(chosen), nodes)

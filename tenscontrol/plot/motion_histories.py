@@ -9,6 +9,8 @@ from itertools import cycle
 import numpy as np
 from matplotlib.axes import Axes
 
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray
 from tenscontrol.plot.histories import Curves, checked_references, draw_curves, mark_statuses
 from tenscontrol.plot.style import (
     REFERENCE_COLOR,
@@ -20,10 +22,12 @@ from tenscontrol.plot.style import (
     reference_style,
     timed_panels,
 )
-from tenscontrol.simulation import ControlRecord, CutString, Trajectory
+from tenscontrol.simulation.control_record import ControlRecord
+from tenscontrol.simulation.faults import CutString
+from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.status import Status
-from tenscontrol.structure import Structure, moving_mass
-from tenscontrol.validation import FloatArray, choice, float_array, instance
+from tenscontrol.structure.structure import Structure
+from tenscontrol.structure.supports import moving_mass
 
 # Marks for statuses, told apart by their form.
 _MARKERS = ("v", "x", "s", "d", "P", "^")
@@ -156,7 +160,7 @@ def trajectory(
     >>> plt.close(heights["coordinates"].ax.figure)
     >>> plt.close(panels["coordinates"].ax.figure)
     """
-    instance("run", run, Trajectory, "make one by simulate(model, ...)")
+    validation.instance("run", run, Trajectory, "make one by simulate(model, ...)")
     base, of = _base(run, relative_to)
     from_start, absolute = (
         isinstance(relative_to, str) and relative_to == each for each in ("start", "origin")
@@ -200,10 +204,10 @@ def _base(run: Trajectory, relative_to: object) -> tuple[FloatArray, str]:
     """Return what displacements are counted from, shape (d, n, 1) or (d, n, T), and their name."""
     start = run.nodes[:, :, :1]
     if isinstance(relative_to, str):
-        if choice("relative_to", relative_to, ("start", "origin")) == "start":
+        if validation.choice("relative_to", relative_to, ("start", "origin")) == "start":
             return start, "displacement\nfrom the start, m"
         return 0 * start, "node position, m"
-    base = float_array("relative_to", relative_to)
+    base = validation.float_array("relative_to", relative_to)
     if base.shape not in (run.nodes.shape[:2], run.nodes.shape):
         raise ValueError(
             f"relative_to has shape {base.shape}, expected {run.nodes.shape[:2]} for one shape, or "
@@ -326,7 +330,7 @@ def motors(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, 
     (['angle', 'speed', 'torque', 'power', 'energy'], ['top', 'bottom', 'vertical'])
     >>> plt.close(panels["angle"].ax.figure)
     """
-    instance("run", run, Trajectory, "make one by simulate(model, ...)")
+    validation.instance("run", run, Trajectory, "make one by simulate(model, ...)")
     record = None if run.control is None else run.control.motors
     if record is None:
         raise ValueError("run has no motors: simulate it with winches=Winches(motor=Motor(...))")
@@ -387,7 +391,7 @@ def health(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, 
     (['error', 'energy', 'momentum', 'bar_length_error'], 'log')
     >>> plt.close(panels["energy"].ax.figure)
     """
-    instance("run", run, Trajectory, "make one by simulate(model, ...)")
+    validation.instance("run", run, Trajectory, "make one by simulate(model, ...)")
     mass = moving_mass(run.structure)
     speed = float(np.linalg.norm(run.velocities, axis=0).max())
     arm = float(np.linalg.norm(run.nodes, axis=0).max())
@@ -471,7 +475,7 @@ def tracking(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str
     ['tracking_error', 'prediction_error', 'computing_time']
     >>> plt.close(panels["tracking_error"].ax.figure)
     """
-    instance("run", run, Trajectory, "make one by simulate(model, ...)")
+    validation.instance("run", run, Trajectory, "make one by simulate(model, ...)")
     record = run.control
     if record is None:
         raise ValueError("run has no controller: simulate(model, ..., controller=...) records one")

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from mpl_toolkits.mplot3d import proj3d
 
+from tenscontrol.arrays import FloatArray
 from tenscontrol.plot.style import NORMAL
-from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray
+from tenscontrol.structure.structure import Structure
 
 # Distance of a node's number from the node, relative to the size of the structure, and what it is
 # multiplied by where another number is in the way.

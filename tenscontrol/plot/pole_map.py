@@ -12,6 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.text import Annotation
 
+from tenscontrol import validation
 from tenscontrol.plot.style import (
     PALETTE,
     closes_on_error,
@@ -20,7 +21,6 @@ from tenscontrol.plot.style import (
     legend_above,
     marker_style,
 )
-from tenscontrol.validation import float_array
 
 # Poles closer than this fraction of the largest are drawn as one: round-off
 # splits a double pole by less.
@@ -215,5 +215,5 @@ def _checked(name: str, values: object) -> np.ndarray:
             f"{name}[{bad[0]}] is {array[bad[0]]}, expected a finite number in 1/s; "
             f"{len(bad)} of {len(array)} poles are not finite"
         )
-    float_array(name, array.view(float))
+    validation.float_array(name, array.view(float))
     return array

@@ -17,6 +17,8 @@ from matplotlib.lines import Line2D
 from matplotlib.path import Path as Outline
 from matplotlib.ticker import MaxNLocator
 
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.plot.depth_cue import DepthLines
 from tenscontrol.plot.ground_drawing import add_ground, ground_samples, near_ground, touching
 from tenscontrol.plot.number_labels import NumberPlaces, write_numbers
@@ -32,21 +34,10 @@ from tenscontrol.plot.style import (
     dress,
     marker_style,
 )
-from tenscontrol.shape import ShapeTarget
-from tenscontrol.simulation import Trajectory
-from tenscontrol.statics import Prestress
-from tenscontrol.structure import Structure
-from tenscontrol.validation import (
-    FloatArray,
-    IntArray,
-    float_array,
-    indices,
-    instance,
-    non_negative,
-    number,
-    per_member,
-    truth,
-)
+from tenscontrol.shape.target import ShapeTarget
+from tenscontrol.simulation.trajectory import Trajectory
+from tenscontrol.statics.prestress import Prestress
+from tenscontrol.structure.structure import Structure
 
 # A string below this fraction of the largest force density carries nothing.
 _SLACK = 1e-9
@@ -242,8 +233,8 @@ class Drawing:
         if self.supports is not None:
             moved.append((self.supports, positions[:, self.structure.fixed]))
         if self.touching is not None:
-            which = float_array("touching", () if touching is None else touching)
-            nodes_there = indices("touching", which, positions.shape[1], "nodes")
+            which = validation.float_array("touching", () if touching is None else touching)
+            nodes_there = validation.indices("touching", which, positions.shape[1], "nodes")
             moved.append((self.touching, positions[:, nodes_there]))
         for points, where in moved:
             set_places = points.set_data_3d if self.structure.dimension == 3 else points.set_data
@@ -344,8 +335,8 @@ def color_by_force(strings: Any, gamma: FloatArray) -> None:
 
 def checked_force_density(structure: Structure, force_density: object) -> FloatArray:
     """Return γ, one for each string, at least 0; or raise naming the argument."""
-    gamma = per_member("force_density", force_density, len(structure.strings), "string")
-    return non_negative("force_density", gamma, "a string can only pull")
+    gamma = validation.per_member("force_density", force_density, len(structure.strings), "string")
+    return validation.non_negative("force_density", gamma, "a string can only pull")
 
 
 def is_slack(gamma: FloatArray) -> np.ndarray:
@@ -481,8 +472,8 @@ def structure(
     laws = () if run is None else run.ground
     structure, nodes, colours, state = _in_a_shape(structure, nodes, force_density, time)
     for name, flag in {"labels": labels, "member_labels": member_labels, "faint": faint}.items():
-        truth(name, flag, "whether to draw so")
-    truth("legend", legend, "whether to show one")
+        validation.truth(name, flag, "whether to draw so")
+    validation.truth("legend", legend, "whether to show one")
     shape = structure.nodes if nodes is None else structure.checked_nodes("nodes", nodes)
     gamma = None
     if force_density is not None or (colours is not None and not faint):
@@ -541,13 +532,13 @@ def _in_a_shape(
     """Return a structure, nodes and force densities, those given or of a result, and its state."""
     if time is not None:
         made = "time goes with a run, which simulate(model, ...) returns"
-        instance("structure", drawn, Trajectory, made)
+        validation.instance("structure", drawn, Trajectory, made)
     shape, gamma, k = None, None, -1
     found = drawn.prestress if isinstance(drawn, ShapeTarget) else drawn
     if isinstance(found, Prestress):
         gamma, found = found.force_density, found.structure
     elif isinstance(found, Trajectory):
-        at = float(found.time[-1]) if time is None else number("time", time, "s")
+        at = float(found.time[-1]) if time is None else validation.number("time", time, "s")
         if not found.time[0] <= at <= found.time[-1]:
             raise ValueError(
                 f"time is {at:g} s, expected {found.time[0]:g} to {found.time[-1]:g} s, as the run"
@@ -555,7 +546,7 @@ def _in_a_shape(
         k = int(np.abs(found.time - at).argmin())
         shape, gamma, found = found.nodes[:, :, k], found.force_density[:, k], found.structure
     how = "or a Prestress, a ShapeTarget, a Trajectory; make one by Structure(...) or prism(...)"
-    instance("structure", found, Structure, how)
+    validation.instance("structure", found, Structure, how)
     assert isinstance(found, Structure)  # just checked
     chosen = shape if nodes is None else nodes, gamma if force_density is None else force_density
     return found, *chosen, k

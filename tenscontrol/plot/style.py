@@ -25,8 +25,8 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
+from tenscontrol import validation
 from tenscontrol.files import write_file
-from tenscontrol.validation import file_path, index_list, instance, wrong_kind
 
 _Arguments = ParamSpec("_Arguments")
 _Value = TypeVar("_Value")
@@ -169,7 +169,9 @@ def given_axes(axes: Sequence[Any], count: int, which: str, kind: str) -> list[A
     try:
         given = list(np.ravel(np.array(axes, dtype=object)))
     except (TypeError, ValueError):  # of what says that it is an array
-        raise wrong_kind("axes", axes, f"a sequence of {count} matplotlib Axes: {which}") from None
+        raise validation.wrong_kind(
+            "axes", axes, f"a sequence of {count} matplotlib Axes: {which}"
+        ) from None
     if len(given) != count:
         raise ValueError(
             f"axes has {len(given)} entries, expected {count}: {which}; "
@@ -193,7 +195,7 @@ def checked_axes(name: str, ax: object, kind: str) -> Any:
 
 def checked_indices(name: str, given: object, count: int, things: str, example: str) -> list[int]:
     """Return the numbers of some of ``count`` things, each checked to be there."""
-    found = index_list(name, given, count, f"there are {count} {things.split()[0]}s")
+    found = validation.index_list(name, given, count, f"there are {count} {things.split()[0]}s")
     if not len(found):
         raise TypeError(f"{name} is {given!r}, expected a sequence of {things}, like {example}")
     return found.tolist()  # type: ignore[no-any-return]
@@ -284,9 +286,9 @@ def save_figure(figure: Figure, path: str | PathLike[str]) -> Path:
     ...     tc.plot.save_figure(figure, pathlib.Path(folder) / "prism.png").name
     'prism.png'
     """
-    instance("figure", figure, Figure, "take ax.figure of what was drawn")
+    validation.instance("figure", figure, Figure, "take ax.figure of what was drawn")
     formats = sorted(f".{name}" for name in figure.canvas.get_supported_filetypes())
-    place, buffer = file_path("path", path, formats), BytesIO()
+    place, buffer = validation.file_path("path", path, formats), BytesIO()
     figure.savefig(buffer, dpi=_DPI, format=place.suffix[1:].lower())
     write_file(place, buffer.getbuffer())
     plt.close(figure)

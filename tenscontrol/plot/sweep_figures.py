@@ -10,6 +10,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray
 from tenscontrol.plot.style import (
     CURVE_WIDTH,
     DOTTED,
@@ -22,8 +24,7 @@ from tenscontrol.plot.style import (
     marker_style,
     panel_axes,
 )
-from tenscontrol.robustness import SweepReport
-from tenscontrol.validation import FloatArray, choice, float_array, instance, text, truth
+from tenscontrol.robustness.sweep_report import SweepReport
 
 # Inches; both panels side by side.
 _SIZE = (8.0, 3.4)
@@ -119,15 +120,15 @@ def sweep(
     (5, 'final_error, m')
     >>> plt.close(drawn.axes[0].figure)
     """
-    instance("report", report, SweepReport, "make one by sweep(case, parameters, count)")
-    values = np.sort(report.figure(choice("figure", figure, report.figures)))
-    truth("logarithmic", logarithmic, "whether the figure's axis is logarithmic")
+    validation.instance("report", report, SweepReport, "make one by sweep(case, parameters, count)")
+    values = np.sort(report.figure(validation.choice("figure", figure, report.figures)))
+    validation.truth("logarithmic", logarithmic, "whether the figure's axis is logarithmic")
     pair = _strongest(report, figure) if over is None else _checked_pair(report, over)
-    level = None if limit is None else float_array("limit", limit)
+    level = None if limit is None else validation.float_array("limit", limit)
     if level is not None and level.ndim:
         raise ValueError(f"limit has shape {level.shape}, expected one number")
-    truth("logarithmic", logarithmic, "whether the axis of the figure is")
-    text("unit", unit, "like 'm'")
+    validation.truth("logarithmic", logarithmic, "whether the axis of the figure is")
+    validation.text("unit", unit, "like 'm'")
     if axes is None:
         _, axes = plt.subplots(1, 2, figsize=_SIZE, layout="constrained")
     left, right = panel_axes(axes, ["runs", "figure"])
@@ -203,4 +204,6 @@ def _checked_pair(report: SweepReport, over: object) -> tuple[str, str]:
     pair = tuple(over) if isinstance(over, tuple | list) else ()
     if len(pair) != 2:
         raise TypeError(f"over is {over!r}, expected a pair of names from report.columns")
-    return choice("over[0]", pair[0], report.columns), choice("over[1]", pair[1], report.columns)
+    return validation.choice("over[0]", pair[0], report.columns), validation.choice(
+        "over[1]", pair[1], report.columns
+    )

@@ -17,10 +17,11 @@ from typing import Any
 
 import numpy as np
 
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.files import write_file
 from tenscontrol.properties import cached_property
-from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray, IntArray, file_path, float_array
+from tenscontrol.structure.structure import Structure
 
 # What a page holds at most: states of a motion, and numbers, of 4 bytes each. A notebook holds
 # fewer, as text: some 8 bytes a number.
@@ -96,9 +97,9 @@ class View:
 
     def __post_init__(self) -> None:
         """Refuse what is not finite: a motion that ran away."""
-        float_array("nodes", self.nodes)
+        validation.float_array("nodes", self.nodes)
         if self.force_density is not None:
-            float_array("force_density", self.force_density)
+            validation.float_array("force_density", self.force_density)
 
     # ---- what users call ----
 
@@ -119,7 +120,7 @@ class View:
         OSError
             If the file cannot be written: a file that was there is as it was.
         """
-        return write_file(file_path("path", path, [".html", ".htm"]), self.html())
+        return write_file(validation.file_path("path", path, [".html", ".htm"]), self.html())
 
     def html(self) -> str:
         """Return the page as text.

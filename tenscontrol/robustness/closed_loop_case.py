@@ -11,31 +11,28 @@ from typing import Any, final
 
 import numpy as np
 
-from tenscontrol.control import Controller, ControlWarning
-from tenscontrol.dynamics import ContactLaw, Coordinates, Model, StringLaw, coordinates
-from tenscontrol.estimation import KINDS, Sensors
-from tenscontrol.plant import LinearPlant, checked_reference
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, frozen
+from tenscontrol.control.command import ControlWarning
+from tenscontrol.control.controller import Controller
+from tenscontrol.dynamics.contact_laws import ContactLaw
+from tenscontrol.dynamics.coordinates import Coordinates, coordinates
+from tenscontrol.dynamics.model import Model
+from tenscontrol.dynamics.string_laws import StringLaw
+from tenscontrol.estimation.sensors import KINDS, Sensors
+from tenscontrol.plant.linear_plant import LinearPlant
+from tenscontrol.plant.reference import checked_reference
 from tenscontrol.robustness.distributions import one_number
 from tenscontrol.robustness.sweep_report import SweepError
-from tenscontrol.simulation import (
-    HealthLimits,
-    Scene,
-    Trajectory,
-    checked_controller,
-    simulate_many,
-)
+from tenscontrol.simulation.batch.compiled_loop import checked_controller
+from tenscontrol.simulation.batch.simulate_many import simulate_many
+from tenscontrol.simulation.health import HealthLimits
+from tenscontrol.simulation.scene import Scene
+from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.status import Status
-from tenscontrol.structure import Structure, refuse_moved_supports, refuse_wrong_bar_lengths
-from tenscontrol.validation import (
-    FloatArray,
-    float_array,
-    frozen,
-    instance,
-    per_member,
-    positive_number,
-    truth,
-    wrong_kind,
-)
+from tenscontrol.structure.bar_geometry import refuse_wrong_bar_lengths
+from tenscontrol.structure.structure import Structure
+from tenscontrol.structure.supports import refuse_moved_supports
 
 _PARAMETERS = (
     "bar_mass", "string_node_mass", "point_mass", "stiffness", "damping", "ground_stiffness",
@@ -89,9 +86,9 @@ class Outcome:
     def __init__(self, success: bool, figures: Mapping[str, object] | None = None) -> None:
         given = {} if figures is None else figures
         if not isinstance(given, Mapping):
-            raise wrong_kind("figures", given, "a dict of numbers")
+            raise validation.wrong_kind("figures", given, "a dict of numbers")
         put = object.__setattr__  # the dataclass is frozen for everyone else
-        put(self, "success", truth("success", success, "whether the run was a success"))
+        put(self, "success", validation.truth("success", success, "whether the run was a success"))
         for name in given:
             if not isinstance(name, str) or not name:
                 raise TypeError(f"figures has the key {name!r}, expected a name")
@@ -177,9 +174,11 @@ class ClosedLoopCase:
     _coordinates: Coordinates = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        instance("scene", self.scene, Scene, "make one by Scene(model, duration, controller=...)")
+        validation.instance(
+            "scene", self.scene, Scene, "make one by Scene(model, duration, controller=...)"
+        )
         put = object.__setattr__  # the dataclass is frozen for everyone else
-        put(self, "tolerance", positive_number("tolerance", self.tolerance, "m"))
+        put(self, "tolerance", validation.positive_number("tolerance", self.tolerance, "m"))
         law = self.scene.law
         if isinstance(law, Controller):
             put(self, "_coordinates", law.plant.coordinates)
@@ -342,16 +341,18 @@ class ClosedLoopCase:
         structure, strings = nominal_model.structure, nominal_model.strings
         if "bar_mass" in parameters:
             nominal = structure.bar_mass
-            factor = per_member("bar_mass", parameters["bar_mass"], len(nominal), "bar")
+            factor = validation.per_member("bar_mass", parameters["bar_mass"], len(nominal), "bar")
             structure = replace(structure, bar_mass=factor * nominal)
         mass, points = structure.point_mass.copy(), structure.string_nodes
         if "point_mass" in parameters:
             if not mass.any():
                 raise SweepError("point_mass is drawn, but no node has one")
-            mass *= per_member("point_mass", parameters["point_mass"], len(mass), "node")
+            mass *= validation.per_member("point_mass", parameters["point_mass"], len(mass), "node")
         if "string_node_mass" in parameters:
             given = parameters["string_node_mass"]
-            mass[points] *= per_member("string_node_mass", given, len(points), "string node")
+            mass[points] *= validation.per_member(
+                "string_node_mass", given, len(points), "string node"
+            )
         if (mass != structure.point_mass).any():
             structure = replace(structure, point_mass=mass)
         for name, of_law in (("stiffness", _STIFFNESS), ("damping", ("damping",))):
@@ -406,7 +407,7 @@ def _varied_strings(
     scaled = [each for each in of_law if each in found]
     if strings is None or not scaled:
         raise SweepError(f"{name} is drawn, but the strings have none: {strings!r}")
-    value = per_member(name, factor, count, "string")
+    value = validation.per_member(name, factor, count, "string")
     return replace(strings, **{scaled[0]: value * getattr(strings, scaled[0])})
 
 
@@ -416,7 +417,7 @@ def _varied_ground(ground: Any, name: str, factor: object) -> tuple[ContactLaw, 
     if not any(nominal):
         why = "the ground has none" if nominal else "there is no ground: give ground"
         raise SweepError(f"{name} is drawn, but {why}")
-    factors = per_member(name, factor, len(nominal), "contact law of the ground")
+    factors = validation.per_member(name, factor, len(nominal), "contact law of the ground")
     return tuple(
         replace(law, **{_GROUND[name]: by * value})
         for law, by, value in zip(ground, factors, nominal, strict=True)
@@ -431,12 +432,14 @@ def _varied_sensors(sensors: Sensors | None, parameters: Mapping[str, object]) -
             raise SweepError(f"{drawn[0]} is drawn, but nothing is measured: give estimator")
         return None
     if "noise" in parameters:
-        factor = positive_number("noise", parameters["noise"], "of the nominal deviations")
+        factor = validation.positive_number(
+            "noise", parameters["noise"], "of the nominal deviations"
+        )
         kinds = [kind for kind, *_ in KINDS if getattr(sensors, kind) is not None]
         deviations = {kind: factor * getattr(sensors, kind) for kind in kinds}
         sensors = replace(sensors, **deviations)
     if "delay" in parameters:
-        late = float_array("delay", parameters["delay"])
+        late = validation.float_array("delay", parameters["delay"])
         if late.ndim or late < 0 or late != np.round(late):
             raise SweepError(
                 f"delay is {parameters['delay']!r}, expected whole samples, at least 0: draw "
@@ -471,10 +474,10 @@ def farthest_node(plant: LinearPlant | Coordinates, nodes: FloatArray, target: F
     True
     """
     if not isinstance(plant, Coordinates):
-        instance("plant", plant, LinearPlant, "make one by linearize(model, at)")
+        validation.instance("plant", plant, LinearPlant, "make one by linearize(model, at)")
     known = plant if isinstance(plant, Coordinates) else plant.coordinates
     target = known.structure.checked_nodes("target", target)
-    nodes = float_array("nodes", nodes)
+    nodes = validation.float_array("nodes", nodes)
     if nodes.ndim != 3 or nodes.shape[:2] != target.shape:
         raise ValueError(f"nodes has shape {nodes.shape}, expected {(*target.shape, 'T')}")
     at_rest = np.zeros_like(known.nodes)

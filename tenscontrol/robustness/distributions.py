@@ -9,8 +9,9 @@ from typing import Any, final
 
 import numpy as np
 
+from tenscontrol import validation
+from tenscontrol.arrays import frozen
 from tenscontrol.fields import Array, converted
-from tenscontrol.validation import MOST_RUNS, float_array, frozen, vector, whole_number
 
 Drawn = float | list[float]
 
@@ -38,7 +39,9 @@ class Distribution(ABC):
 
     def __post_init__(self) -> None:
         if self.size is not None:
-            object.__setattr__(self, "size", whole_number("size", self.size, 1, MOST_RUNS))
+            object.__setattr__(
+                self, "size", validation.whole_number("size", self.size, 1, validation.MOST_RUNS)
+            )
 
     def draw(self, rng: np.random.Generator) -> Drawn:
         """Return what one run gets: a number, or a list of ``size`` numbers.
@@ -175,7 +178,7 @@ class OneOf(Distribution):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        values = vector("values", self.values)
+        values = validation.vector("values", self.values)
         if values.ndim != 1 or len(values) == 0:
             raise ValueError(f"values has shape {values.shape}, expected (k,) with k at least 1")
         object.__setattr__(self, "values", frozen(values))
@@ -186,7 +189,7 @@ class OneOf(Distribution):
 
 def one_number(name: str, value: object) -> float:
     """Return a finite number, or raise an error that names it."""
-    array = float_array(name, value)
+    array = validation.float_array(name, value)
     if array.ndim:
         raise ValueError(f"{name} has shape {array.shape}, expected one number")
     return float(array)

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from typing import Any
 
+from tenscontrol import validation
 from tenscontrol._version import __version__
 from tenscontrol.interrupt import interruptible
 from tenscontrol.progress import progress_bar
@@ -18,15 +19,6 @@ from tenscontrol.robustness.distributions import Distribution
 from tenscontrol.robustness.pool import do_runs, spread, workers
 from tenscontrol.robustness.store import Record
 from tenscontrol.robustness.sweep_report import SweepError, SweepReport, collected
-from tenscontrol.validation import (
-    LARGEST_SEED,
-    MOST_RUNS,
-    file_path,
-    instance,
-    truth,
-    whole_number,
-    wrong_kind,
-)
 
 # Runs from which they go together: what is compiled for that takes seconds the first time.
 _WORTHWHILE = 48
@@ -128,14 +120,14 @@ def sweep(
     """
     pickled = _pickled(case)
     distributions = _checked_parameters(parameters)
-    count = whole_number("count", count, 1, MOST_RUNS)
-    seed = whole_number("seed", seed, 0, LARGEST_SEED)
-    truth("progress", progress, "whether to show a progress bar")
+    count = validation.whole_number("count", count, 1, validation.MOST_RUNS)
+    seed = validation.whole_number("seed", seed, 0, validation.LARGEST_SEED)
+    validation.truth("progress", progress, "whether to show a progress bar")
     processes, in_flight = _checked_workers(executor, processes, in_flight)
     name = str(getattr(case, "__qualname__", type(case).__qualname__))
     settings = {name: each.settings() for name, each in distributions.items()}
     header = store.Header(__version__, name, seed, count, settings)
-    path = None if file is None else file_path("file", file)
+    path = None if file is None else validation.file_path("file", file)
     at_a_time, back_end = _runs_together(case, distributions, count)
     with store.opened(path, header, distributions) as (known_count, records, write):
         beyond = sum(run >= count for run in records)  # the file may be that of a longer sweep
@@ -186,7 +178,7 @@ def _checked_workers(
 ) -> tuple[int | None, int | None]:
     """Return numbers of processes and of runs handed in, checked."""
     if executor is not None:
-        instance(
+        validation.instance(
             "executor", executor, Executor, "of concurrent.futures; Dask's is client.get_executor()"
         )
         if processes is not None:
@@ -195,9 +187,9 @@ def _checked_workers(
                 "has its own workers"
             )
     if processes is not None:
-        processes = whole_number("processes", processes, least=1)
+        processes = validation.whole_number("processes", processes, least=1)
     if in_flight is not None:
-        in_flight = whole_number("in_flight", in_flight, least=1)
+        in_flight = validation.whole_number("in_flight", in_flight, least=1)
     return processes, in_flight
 
 
@@ -217,7 +209,7 @@ def _runs_together(
 
 def _pickled(case: object) -> bytes:
     if not callable(case):
-        raise wrong_kind("case", case, "a function case(parameters, rng)")
+        raise validation.wrong_kind("case", case, "a function case(parameters, rng)")
     try:
         return pickle.dumps(case)
     except (pickle.PicklingError, AttributeError, TypeError) as error:
@@ -230,11 +222,11 @@ def _pickled(case: object) -> bytes:
 
 def _checked_parameters(parameters: object) -> dict[str, Distribution]:
     if not isinstance(parameters, Mapping):
-        raise wrong_kind("parameters", parameters, "a dict of distributions")
+        raise validation.wrong_kind("parameters", parameters, "a dict of distributions")
     for name, distribution in parameters.items():
         if not isinstance(name, str) or not name:
             raise TypeError(f"parameters has the key {name!r}, expected a name")
-        instance(
+        validation.instance(
             f"parameters[{name!r}]", distribution, Distribution, "use Uniform, Normal or OneOf"
         )
     return dict(parameters)

@@ -25,12 +25,12 @@ from typing import Any, final
 
 import numpy as np
 
+from tenscontrol.arrays import frozen
 from tenscontrol.interrupt import check, finishing
 from tenscontrol.robustness.closed_loop_case import Outcome
 from tenscontrol.robustness.distributions import CASE, Distribution, Drawn, draw_run, generator
 from tenscontrol.robustness.store import Record
 from tenscontrol.robustness.sweep_report import SweepError
-from tenscontrol.validation import frozen
 
 # Runs in flight for each process: one at work, one that waits for it.
 _PER_PROCESS = 2

@@ -19,10 +19,10 @@ from typing import Any
 
 import numpy as np
 
+from tenscontrol import validation
 from tenscontrol.files import append_file, opened_file, read_file, write_file
 from tenscontrol.parsing import parse_json
 from tenscontrol.robustness.distributions import Distribution, Drawn, draw_run
-from tenscontrol.validation import whole_number
 
 _MOST_BYTES = 1_000_000_000  # of 3 million runs; each takes about four times its line
 
@@ -90,7 +90,7 @@ def read(
         try:
             entry = _entry(line)
             if "count" in entry:
-                count = whole_number("count", entry["count"], least=header.count + 1)
+                count = validation.whole_number("count", entry["count"], least=header.count + 1)
                 header = replace(header, count=count)
                 continue
             record = Record(**entry)

@@ -9,10 +9,11 @@ from typing import final
 
 import numpy as np
 
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, IntArray, frozen
 from tenscontrol.robustness import store
 from tenscontrol.robustness.store import Record
 from tenscontrol.tables import aligned
-from tenscontrol.validation import FloatArray, IntArray, choice, file_path, frozen, positive_number
 
 _QUANTILES = (0.05, 0.5, 0.95)
 
@@ -104,7 +105,7 @@ class SweepReport:
         RuntimeWarning
             If the last line is torn; that run is left out.
         """
-        header, records, _ = store.read(file_path("file", file))
+        header, records, _ = store.read(validation.file_path("file", file))
         return cls(header.case, header.seed, header.count, tuple(records.values()))
 
     def __len__(self) -> int:
@@ -200,7 +201,7 @@ class SweepReport:
         from scipy.special import betaincinv
 
         self._refuse_empty()
-        level = positive_number("level", level, "parts of 1")
+        level = validation.positive_number("level", level, "parts of 1")
         if level >= 1:
             raise ValueError(f"level is {level:g}, expected less than 1; 0.95 is usual")
         good, done = int(self.success.sum()), len(self)
@@ -231,7 +232,7 @@ class SweepReport:
             If there is no such figure, it is the same in all runs, or fewer than
             three runs were completed.
         """
-        values = self.figure(choice("figure", figure, self.figures))
+        values = self.figure(validation.choice("figure", figure, self.figures))
         if len(values) < 3 or np.ptp(values) == 0:
             raise ValueError(
                 f"figure {figure!r} has {len(np.unique(values))} values in {len(values)} completed "
@@ -263,7 +264,7 @@ class SweepReport:
             If there is no such figure.
         """
         figures = self.figures
-        return figures[choice("name", name, figures)]
+        return figures[validation.choice("name", name, figures)]
 
     def table(self) -> str:
         """Return the spread of each figure over the completed runs, as text."""

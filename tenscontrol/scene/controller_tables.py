@@ -15,40 +15,30 @@ from typing import Any
 
 import numpy as np
 
-from tenscontrol.actuation import Motor, Winches
-from tenscontrol.control import (
-    BaseController,
-    Controller,
-    OutputLimit,
-    as_controller,
-)
-from tenscontrol.dynamics import Model
-from tenscontrol.estimation import KalmanFilter, Sensors
+from tenscontrol import validation
+from tenscontrol.actuation.motors import Motor
+from tenscontrol.actuation.winches import Winches
+from tenscontrol.arrays import FloatArray
+from tenscontrol.control.controller import BaseController, Controller
+from tenscontrol.control.function_controller import as_controller
+from tenscontrol.control.mpc.constraints import OutputLimit
+from tenscontrol.dynamics.model import Model
+from tenscontrol.estimation.kalman_filter import KalmanFilter
+from tenscontrol.estimation.sensors import Sensors
 from tenscontrol.files import read_file
-from tenscontrol.plant import Reference, linearize
+from tenscontrol.plant.linearize import linearize
+from tenscontrol.plant.reference import Reference
 from tenscontrol.scene import schema
 from tenscontrol.scene.document import Document, Table
 from tenscontrol.scene.kinds import BY_STRING
 from tenscontrol.scene.structure_tables import columns, per_string
-from tenscontrol.shape import (
-    Demand,
-    Height,
-    NodesAt,
-    ShapeTarget,
-    Twist,
-    shape_path,
-    shape_target,
-)
-from tenscontrol.simulation import Fault
-from tenscontrol.statics import Prestress
-from tenscontrol.structure import Structure, whole_strings
-from tenscontrol.validation import (
-    LARGEST_SEED,
-    FloatArray,
-    non_negative,
-    positive_number,
-    whole_number,
-)
+from tenscontrol.shape.demands import Demand, Height, NodesAt, Twist
+from tenscontrol.shape.shape_path import shape_path
+from tenscontrol.shape.target import ShapeTarget, shape_target
+from tenscontrol.simulation.faults import Fault
+from tenscontrol.statics.prestress import Prestress
+from tenscontrol.structure.segments import whole_strings
+from tenscontrol.structure.structure import Structure
 
 # What is designed on: the model with its strings whole, about its equilibrium.
 Design = tuple[Model, Prestress]
@@ -78,7 +68,7 @@ def build_controller(
     input = table.choice("input", ("force_density", "rest_length"), "force_density")
     if "sample_time" in table:
         with table.checked("sample_time"):
-            positive_number("sample_time", table.get("sample_time"), "s")
+            validation.positive_number("sample_time", table.get("sample_time"), "s")
     table.need_required()
     if kind in ("mpc", "nmpc") and input == "force_density":
         table.need("max_force_density")
@@ -277,11 +267,11 @@ def _row(entry: Table, structure: Structure) -> FloatArray:
 def _span(entry: Table, now: float) -> tuple[float, float]:
     """Return when a move begins and ends, s."""
     with entry.checked("time"):
-        end = positive_number("time", entry.need("time"), "s")
+        end = validation.positive_number("time", entry.need("time"), "s")
     begin = now
     if "start" in entry:
         with entry.checked("start"):
-            begin = float(non_negative("start", np.array([entry.get("start")]), "s")[0])
+            begin = float(validation.non_negative("start", np.array([entry.get("start")]), "s")[0])
             if not begin >= now:
                 raise ValueError(f"start is {begin:g} s, expected at least {now:g} s")
     if not end > begin:
@@ -349,7 +339,7 @@ def build_estimator(
     sensors, estimator = document.table("sensors"), document.table("estimator")
     estimator.choice("kind", ("kalman",))
     with sensors.checked():
-        whole_number("seed", sensors.get("seed", 0), 0, LARGEST_SEED)
+        validation.whole_number("seed", sensors.get("seed", 0), 0, validation.LARGEST_SEED)
         readings = Sensors(structure=model.structure, **sensors.without("seed"))
     with estimator.checked():
         plant = linearize(model, rest, input=input)

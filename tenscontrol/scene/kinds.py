@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from math import isfinite
 
-from tenscontrol.validation import LARGEST_WHOLE
+from tenscontrol import validation
 
 # Beyond, squares and products leave the range of double precision.
 _LEAST, _MOST = 1e-30, 1e30
@@ -163,7 +163,10 @@ _BY_TYPE = (
         Kind(
             "a list of pairs of node numbers, or of paths of more",
             _is_list,
-            Kind("a pair of node numbers, or a path of more", _row(2, LARGEST_WHOLE, _is_whole)),
+            Kind(
+                "a pair of node numbers, or a path of more",
+                _row(2, validation.LARGEST_WHOLE, _is_whole),
+            ),
         ),
     ),
     (

@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from tenscontrol.actuation import to_rest_length
-from tenscontrol.dynamics import Model
-from tenscontrol.integrate import METHODS
-from tenscontrol.plant import equilibrium
+from tenscontrol import validation
+from tenscontrol.actuation.winches import to_rest_length
+from tenscontrol.arrays import FloatArray
+from tenscontrol.dynamics.model import Model
+from tenscontrol.integrate.methods import METHODS
+from tenscontrol.plant.equilibrium import equilibrium
 from tenscontrol.scene.controller_tables import (
     build_controller,
     build_estimator,
@@ -29,19 +31,11 @@ from tenscontrol.scene.structure_tables import (
     build_start,
     build_structure,
 )
-from tenscontrol.simulation import Integration, Scene
-from tenscontrol.structure import (
-    Structure,
-    refuse_load_without_support,
-    to_strings,
-    whole_strings,
-)
-from tenscontrol.validation import (
-    FloatArray,
-    positive_number,
-    truth,
-    wrong_kind,
-)
+from tenscontrol.simulation.integration import Integration
+from tenscontrol.simulation.scene import Scene
+from tenscontrol.structure.segments import to_strings, whole_strings
+from tenscontrol.structure.structure import Structure
+from tenscontrol.structure.supports import refuse_load_without_support
 
 # With strings whose law is known, rest lengths are the input if nothing else is said.
 _INPUTS = ("force_density", "rest_length")
@@ -168,8 +162,8 @@ def load_scene(file: str | Path, allow_code: bool = False) -> Scene:
     (Structure(6 nodes, 3 bars, 9 strings), 'force_density', Trajectory(0.15 s, 151 states, rk4))
     """
     if not isinstance(file, str | Path):
-        raise wrong_kind("file", file, "a path")
-    truth("allow_code", allow_code, "whether the scene may run code")
+        raise validation.wrong_kind("file", file, "a path")
+    validation.truth("allow_code", allow_code, "whether the scene may run code")
     return _Reading(read_document(file), allow_code).scene()
 
 
@@ -292,7 +286,7 @@ def _settings(run: Table) -> dict[str, Any]:
     }
     for key in run.without("method", "input"):
         with run.checked(key):
-            positive_number(key, run.get(key), run.keys[key].unit or "no unit")
+            validation.positive_number(key, run.get(key), run.keys[key].unit or "no unit")
     name = settings["method"]
     if name != "auto":
         takes = METHODS[name].settings

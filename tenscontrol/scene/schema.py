@@ -14,21 +14,18 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from tenscontrol import control, library
-from tenscontrol.actuation import Motor, Winches
-from tenscontrol.control import Controller, FunctionController, OutputLimit
+from tenscontrol.actuation.motors import Motor
+from tenscontrol.actuation.winches import Winches
+from tenscontrol.control.controller import Controller
+from tenscontrol.control.function_controller import FunctionController
+from tenscontrol.control.mpc.constraints import OutputLimit
 from tenscontrol.docstrings import documented
-from tenscontrol.dynamics import (
-    TERMS,
-    ContactLaw,
-    ElasticStrings,
-    Ground,
-    HertzGround,
-    LinearStrings,
-    Model,
-    SmoothGround,
-    StringLaw,
-)
-from tenscontrol.estimation import KalmanFilter, Sensors
+from tenscontrol.dynamics.contact_laws import ContactLaw, Ground, HertzGround, SmoothGround
+from tenscontrol.dynamics.forces import TERMS
+from tenscontrol.dynamics.model import Model
+from tenscontrol.dynamics.string_laws import ElasticStrings, LinearStrings, StringLaw
+from tenscontrol.estimation.kalman_filter import KalmanFilter
+from tenscontrol.estimation.sensors import Sensors
 from tenscontrol.scene.kinds import (
     FIXED,
     FORCES,
@@ -44,9 +41,13 @@ from tenscontrol.scene.kinds import (
     Kind,
     kind_of,
 )
-from tenscontrol.simulation import CutString, LostMeasurement, StuckWinch, simulate
-from tenscontrol.statics import prestress
-from tenscontrol.structure import STRUCTURE_KEYS, Structure, skin, subdivide
+from tenscontrol.simulation.faults import CutString, LostMeasurement, StuckWinch
+from tenscontrol.simulation.simulate import simulate
+from tenscontrol.statics.prestress import prestress
+from tenscontrol.structure.segments import subdivide
+from tenscontrol.structure.skin import skin
+from tenscontrol.structure.structure import Structure
+from tenscontrol.structure.structure_file import STRUCTURE_KEYS
 
 
 class Key(NamedTuple):

@@ -8,7 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from tenscontrol.dynamics import ContactLaw, Model, StringLaw
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray
+from tenscontrol.dynamics.contact_laws import ContactLaw
+from tenscontrol.dynamics.model import Model
+from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.scene.document import Document, Table
 from tenscontrol.scene.schema import (
     FORCE,
@@ -20,30 +24,19 @@ from tenscontrol.scene.schema import (
     LAWS,
     MEMBERS,
 )
-from tenscontrol.simulation import initial_state
-from tenscontrol.statics import Prestress, prestress
-from tenscontrol.structure import (
-    Structure,
-    from_table,
-    points,
-    restore_bar_lengths,
-    skin,
+from tenscontrol.simulation.start import initial_state
+from tenscontrol.statics.prestress import Prestress, prestress
+from tenscontrol.structure.bar_geometry import restore_bar_lengths
+from tenscontrol.structure.segments import (
     spread_force_density,
     subdivide,
     to_segments,
     to_strings,
     whole_strings,
 )
-from tenscontrol.validation import (
-    LARGEST_SEED,
-    FloatArray,
-    direction,
-    indices,
-    limit_per_member,
-    non_negative,
-    positive_number,
-    whole_number,
-)
+from tenscontrol.structure.skin import skin
+from tenscontrol.structure.structure import Structure
+from tenscontrol.structure.structure_file import from_table, points
 
 # What a value "per" refers to where strings are cut: the whole string, or each segment.
 _PER = ("string", "segment")
@@ -106,7 +99,7 @@ def per_string(table: Table, key: str, structure: Structure) -> FloatArray:
     count = len(structure.strings)
     if not isinstance(value, dict):
         with table.checked(key):
-            return limit_per_member(key, value, count, "string")
+            return validation.limit_per_member(key, value, count, "string")
     with table.checked(key):
         for group in value:
             structure.strings_in(group)
@@ -118,7 +111,7 @@ def per_string(table: Table, key: str, structure: Structure) -> FloatArray:
                 f"{', '.join(groups)}"
             )
         by_string = [value[group] for group in structure.string_groups]
-        return limit_per_member(key, by_string, count, "string")
+        return validation.limit_per_member(key, by_string, count, "string")
 
 
 def build_law(document: Document, structure: Structure) -> tuple[StringLaw, StringLaw] | None:
@@ -175,10 +168,10 @@ def build_ground(document: Document, structure: Structure) -> tuple[ContactLaw, 
         table.need_required()
         with table.checked():
             if "normal" in table:
-                direction("normal", table.get("normal"), structure.dimension)
+                validation.direction("normal", table.get("normal"), structure.dimension)
             if "nodes" in table:
                 given = np.array(table.get("nodes"), dtype=float)
-                indices("nodes", given, structure.nodes.shape[1], "nodes")
+                validation.indices("nodes", given, structure.nodes.shape[1], "nodes")
             found.append(GROUNDS[kind](**table.without("kind")))
     return tuple(found)
 
@@ -229,7 +222,7 @@ def build_force_density(document: Document, structure: Structure, load: FloatArr
     else:
         gamma = per_string(table, "force_density", given)
         with table.checked("force_density"):
-            non_negative("force_density", gamma, "a string can only pull")
+            validation.non_negative("force_density", gamma, "a string can only pull")
     return spread_force_density(structure, gamma) if given is not structure else gamma
 
 
@@ -284,8 +277,8 @@ def build_start(document: Document, model: Model) -> tuple[FloatArray, FloatArra
         raise table.error("seed", "in [start], seed goes with disturbance")
     if "disturbance" in table:
         with table.checked("disturbance"):
-            size = positive_number("disturbance", table.need("disturbance"), "m")
-            seed = whole_number("seed", table.get("seed", 0), 0, LARGEST_SEED)
+            size = validation.positive_number("disturbance", table.need("disturbance"), "m")
+            seed = validation.whole_number("seed", table.get("seed", 0), 0, validation.LARGEST_SEED)
             nodes = _disturbed(structure, size, seed)
     return nodes, velocities
 

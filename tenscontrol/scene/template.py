@@ -8,8 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from tenscontrol.dynamics import LinearStrings, Model
-from tenscontrol.plant import controllability, linearize, modes
+from tenscontrol import validation
+from tenscontrol.dynamics.model import Model
+from tenscontrol.dynamics.string_laws import LinearStrings
+from tenscontrol.plant.controllability import controllability
+from tenscontrol.plant.linearize import linearize
+from tenscontrol.plant.modes import modes
 from tenscontrol.scene.kinds import TABLES_OF_KEYS
 from tenscontrol.scene.schema import (
     CONTROLLER_KEYS,
@@ -20,9 +24,8 @@ from tenscontrol.scene.schema import (
     Key,
     Keys,
 )
-from tenscontrol.statics import prestress
-from tenscontrol.structure import Structure
-from tenscontrol.validation import choice
+from tenscontrol.statics.prestress import prestress
+from tenscontrol.structure.structure import Structure
 
 # Arguments without a default. A flat net has all strings taut where its edges are held.
 _SIZES: Mapping[str, dict[str, Any]] = {
@@ -92,7 +95,7 @@ def scene_template(name: str) -> str:
     seed = 1            # seed of the random numbers
     <BLANKLINE>
     """
-    choice("name", name, tuple(scene_names()))
+    validation.choice("name", name, tuple(scene_names()))
     keys = GENERATOR_KEYS[name]
     sizes = _SIZES.get(name, {})
     sizes = {key: known.default for key, known in keys.items() if _has_default(known)} | sizes

@@ -10,27 +10,12 @@ from typing import TYPE_CHECKING, Any, ClassVar, final
 import casadi as ca
 import numpy as np
 
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, IntArray, frozen
 from tenscontrol.fields import Array, Field, OptionalArray, converted
-from tenscontrol.structure import (
-    Structure,
-    left_by_supports,
-    node_mass,
-    rigid_basis,
-    rigid_motions,
-)
-from tenscontrol.validation import (
-    FloatArray,
-    IntArray,
-    direction,
-    float_array,
-    frozen,
-    index_array,
-    indices,
-    instance,
-    number,
-    refuse_fractions,
-    shaped,
-)
+from tenscontrol.structure.blocks import node_mass
+from tenscontrol.structure.structure import Structure
+from tenscontrol.structure.supports import left_by_supports, rigid_basis, rigid_motions
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -67,7 +52,7 @@ class Demand(ABC):
             put(self, name, node_list(name, getattr(self, name)))
         for name, value in self._checked().items():
             put(self, name, value)
-        tolerance = number("tolerance", self.tolerance, self.unit)
+        tolerance = validation.number("tolerance", self.tolerance, self.unit)
         if tolerance < 0:
             raise ValueError(f"tolerance is {tolerance:g} {self.unit}, expected at least 0")
         put(self, "tolerance", tolerance)
@@ -105,10 +90,14 @@ class Demand(ABC):
             What the message calls the demand.
         structure : Structure
         """
-        instance("structure", structure, Structure, "make one by Structure(...) or prism(...)")
+        validation.instance(
+            "structure", structure, Structure, "make one by Structure(...) or prism(...)"
+        )
         count = structure.nodes.shape[1]
         for field in self._node_lists:
-            indices(f"{name}.{field}", getattr(self, field), count, f"there are {count} nodes")
+            validation.indices(
+                f"{name}.{field}", getattr(self, field), count, f"there are {count} nodes"
+            )
         if self._dimension not in (None, structure.dimension):
             where = {2: "in the plane", 3: "in space"}
             raise ValueError(
@@ -157,11 +146,11 @@ class NodesAt(Demand):
     _numbers = "positions"
 
     def _checked(self) -> dict[str, object]:
-        positions = float_array("positions", self.positions)
+        positions = validation.float_array("positions", self.positions)
         directions, dimension = _directions(self.directions, positions)
         shape = (len(directions), len(self.nodes))
         meaning = "a row for each of directions, a column for each of nodes"
-        positions = shaped("positions", positions, shape, meaning)
+        positions = validation.shaped("positions", positions, shape, meaning)
         return {
             "positions": frozen(positions), "directions": directions, "_dimension": dimension
         }  # fmt: skip
@@ -218,12 +207,14 @@ class PointAt(Demand):
     _numbers = "position"
 
     def _checked(self) -> dict[str, object]:
-        place = float_array("position", self.position)
+        place = validation.float_array("position", self.position)
         directions, dimension = _directions(self.directions, place)
-        place = shaped("position", place, (len(directions),), "one for each of directions")
+        place = validation.shaped(
+            "position", place, (len(directions),), "one for each of directions"
+        )
         given: Any = self.weights
         weights = np.ones(len(self.nodes)) if given is None else given
-        weights = shaped("weights", weights, (len(self.nodes),), "one for each of nodes")
+        weights = validation.shaped("weights", weights, (len(self.nodes),), "one for each of nodes")
         if abs(weights.sum()) <= 1e-12 * np.abs(weights).sum():
             raise ValueError(f"weights add up to {weights.sum():g}, expected another sum than 0")
         return {
@@ -281,11 +272,11 @@ class Height(Demand):
     _numbers = "height"
 
     def _checked(self) -> dict[str, object]:
-        height = number("height", self.height, "m")
+        height = validation.number("height", self.height, "m")
         if self.axis is None:
             return {"height": height}
-        axis = float_array("axis", self.axis)
-        axis = direction("axis", axis, 2 if axis.shape == (2,) else 3)
+        axis = validation.float_array("axis", self.axis)
+        axis = validation.direction("axis", axis, 2 if axis.shape == (2,) else 3)
         return {"height": height, "axis": frozen(axis), "_dimension": len(axis)}
 
     @property
@@ -347,7 +338,7 @@ class Twist(Demand):
                 f"top has {len(self.top)} nodes and bottom {len(self.bottom)}, "
                 "expected as many of each, two at least: they are compared in pairs"
             )
-        angle = number("angle", self.angle, "rad")
+        angle = validation.number("angle", self.angle, "rad")
         if abs(angle) > 2 * np.pi:
             raise ValueError(
                 f"angle is {angle:g} rad, more than a whole turn; angles are in radians: for "
@@ -434,10 +425,10 @@ def centre_kept(structure: Structure, start: FloatArray) -> tuple[CentreKept, ..
 
 def node_list(name: str, nodes: object) -> IntArray:
     """Return node indices, at least one and each once; those of a set or a mask ascending."""
-    array = index_array(name, nodes)
+    array = validation.index_array(name, nodes)
     if len(array) == 0:
         raise ValueError(f"{name} has shape {array.shape}, expected (k,): indices of nodes")
-    refuse_fractions(name, array)
+    validation.refuse_fractions(name, array)
     for i, node in enumerate(array.tolist()):
         if not 0 <= node <= MOST_NODES:
             raise ValueError(

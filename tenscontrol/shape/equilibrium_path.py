@@ -8,10 +8,12 @@ from math import ceil
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Evaluator, Function, builds, kernel
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray
+from tenscontrol.dynamics import kernel
+from tenscontrol.dynamics.evaluator import Evaluator, Function, builds
 from tenscontrol.shape.nonlinear_program import EXACT, ShapeProblem
-from tenscontrol.statics import Prestress, prestress
-from tenscontrol.validation import FloatArray, refuse_memory
+from tenscontrol.statics.prestress import Prestress, prestress
 
 # Weight of γ against positions, both in their units.
 _FORCES = 1e-2
@@ -191,7 +193,7 @@ class TimedPath:
         total = scaling.shortest if duration is None else duration
         # A little more than needed: the path is slowed down below.
         each = 400 * continuation.problem.nodes.shape[1]
-        refuse_memory(f"step is {step:g} s", _SPARE * total / step, "shapes", each)
+        validation.refuse_memory(f"step is {step:g} s", _SPARE * total / step, "shapes", each)
         count = max(3, ceil(_SPARE * total / step) + 1)
         share = np.linspace(0.0, 1.0, count)
         at, speed = scaling.at(share)

@@ -6,18 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tenscontrol.actuation import Winches
-from tenscontrol.dynamics import Model
-from tenscontrol.statics import least_distance, member_forces
+from tenscontrol import validation
+from tenscontrol.actuation.winches import Winches
+from tenscontrol.arrays import FloatArray, IntArray
+from tenscontrol.dynamics.model import Model
+from tenscontrol.statics.equilibrium_matrix import member_forces
+from tenscontrol.statics.least_distance import least_distance
 from tenscontrol.string_bounds import StringBounds, string_bounds
-from tenscontrol.structure import Structure, free_coordinates, is_movable
-from tenscontrol.validation import (
-    FloatArray,
-    IntArray,
-    choice,
-    instance,
-    positive_number,
-)
+from tenscontrol.structure.structure import Structure
+from tenscontrol.structure.supports import free_coordinates, is_movable
 
 # In units of the level: what counts as zero, and what a null space is made of.
 _ZERO, _RANK = 1e-9, 1e-9
@@ -74,7 +71,7 @@ def checked_limits(
     structure, low, high = model.structure, bounds.low, bounds.high
     clearance = 0.0
     if min_clearance is not None:
-        clearance = positive_number("min_clearance", min_clearance, "m")
+        clearance = validation.positive_number("min_clearance", min_clearance, "m")
         if structure.dimension == 2:
             raise ValueError(
                 f"min_clearance is {clearance:g} m, but the structure is in the plane, where bars "
@@ -82,7 +79,7 @@ def checked_limits(
             )
     group = structure.string_groups[0]
     if reference is not None:
-        group = choice("reference", reference, dict.fromkeys(structure.string_groups))
+        group = validation.choice("reference", reference, dict.fromkeys(structure.string_groups))
     strings = structure.strings_in(group)
     # A string between two fixed nodes is part of the support.
     movable = is_movable(structure, structure.segments).astype(float)
@@ -94,7 +91,7 @@ def checked_limits(
         )
     level = None
     if force_density is not None:
-        level = positive_number("force_density", force_density, "N/m")
+        level = validation.positive_number("force_density", force_density, "N/m")
         if level < low[strings].mean() or level > high[strings].mean():
             raise ValueError(
                 f"force_density is {level:g} N/m, but the bounds leave the {group!r} strings "
@@ -132,7 +129,7 @@ def checked_bounds(
         raise ValueError("the structure has no strings, so there is nothing to balance")
     rest_length = None
     if winches is not None:
-        instance("winches", winches, Winches, "make them by Winches(shortest=...)")
+        validation.instance("winches", winches, Winches, "make them by Winches(shortest=...)")
         if model.strings is None:
             raise ValueError(
                 "winches bound rest lengths, but the model has no string law; "

@@ -7,11 +7,16 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import BUILDING, Function, Model, builds, built, kernel
+from tenscontrol.arrays import FloatArray, IntArray
+from tenscontrol.dynamics import kernel
+from tenscontrol.dynamics.evaluator import BUILDING, Function, builds, built
+from tenscontrol.dynamics.model import Model
 from tenscontrol.shape.symmetry import Reduction, RotationalSymmetry, reduction
-from tenscontrol.statics import Prestress, equilibrium_matrix, null_space
-from tenscontrol.structure import Structure, bar_rows, free_coordinates, is_movable
-from tenscontrol.validation import FloatArray, IntArray
+from tenscontrol.statics.equilibrium_matrix import equilibrium_matrix, null_space
+from tenscontrol.statics.prestress import Prestress
+from tenscontrol.structure.blocks import bar_rows
+from tenscontrol.structure.structure import Structure
+from tenscontrol.structure.supports import free_coordinates, is_movable
 
 # Newton steps onto the equations; each doubles the digits, unless they are singular.
 _STEPS = 30

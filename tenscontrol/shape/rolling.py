@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from tenscontrol.actuation import Winches
-from tenscontrol.dynamics import Model
+from tenscontrol import validation
+from tenscontrol.actuation.winches import Winches
+from tenscontrol.arrays import FloatArray, IntArray, freeze_arrays
+from tenscontrol.dynamics.model import Model
 from tenscontrol.shape.tipping import (
     CLOSE,
     MARGIN,
@@ -17,15 +19,6 @@ from tenscontrol.shape.tipping import (
     StuckError,
     TippingPlanner,
     across_edge,
-)
-from tenscontrol.validation import (
-    FloatArray,
-    IntArray,
-    freeze_arrays,
-    number,
-    positive_number,
-    shaped,
-    whole_number,
 )
 from tenscontrol.validation import direction as unit_vector
 
@@ -152,8 +145,8 @@ class RollingGait:
         self._structure = model.structure
         self._normal, self._height = _one_plane(model)
         self._direction = unit_vector("direction", direction, model.structure.dimension)
-        self.sample_time = positive_number("sample_time", sample_time, "s")
-        self._steps = np.inf if steps is None else whole_number("steps", steps, 1)
+        self.sample_time = validation.positive_number("sample_time", sample_time, "s")
+        self._steps = np.inf if steps is None else validation.whole_number("steps", steps, 1)
         size, gravity = self._planner.size, self._planner.gravity
         rate = None if winches is None else winches.largest_rate
         self._most = STEP * size if rate is None else rate * self.sample_time
@@ -181,7 +174,7 @@ class RollingGait:
             m.
         """
         home = self._planner.home
-        self._reached = shaped("value", value, home.shape, "one rest length per string")
+        self._reached = validation.shaped("value", value, home.shape, "one rest length per string")
 
     def command(self, time: float, nodes: ArrayLike, velocities: ArrayLike) -> FloatArray:
         """Return rest lengths, m, shape (α,).
@@ -193,7 +186,7 @@ class RollingGait:
         nodes, velocities : array_like, shape (d, n)
             m and m/s.
         """
-        time = number("time", time, "s")
+        time = validation.number("time", time, "s")
         nodes = self._structure.checked_nodes("nodes", nodes)
         velocities = self._structure.checked_nodes("velocities", velocities)
         above = self._normal @ nodes - self._height

@@ -6,15 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tenscontrol.actuation import Winches
-from tenscontrol.dynamics import Model, coordinates
-from tenscontrol.plant import (
-    STRINGS_MOVE_NO_CENTRE,
-    LinearPlant,
-    OperatingPoint,
-    Reference,
-    linearize,
-)
+from tenscontrol import validation
+from tenscontrol.actuation.winches import Winches
+from tenscontrol.arrays import FloatArray, freeze_arrays
+from tenscontrol.dynamics.coordinates import coordinates
+from tenscontrol.dynamics.model import Model
+from tenscontrol.plant.linear_plant import LinearPlant
+from tenscontrol.plant.linearize import OperatingPoint, linearize
+from tenscontrol.plant.reference import STRINGS_MOVE_NO_CENTRE, Reference
 from tenscontrol.shape.equilibrium_path import (
     Continuation,
     PathError,
@@ -26,30 +25,16 @@ from tenscontrol.shape.force_bounds import checked_bounds, refuse_ground
 from tenscontrol.shape.nonlinear_program import ShapeProblem
 from tenscontrol.shape.shape_search import STIFF
 from tenscontrol.shape.target import PLACES, ShapeTarget, moved_as_one_body
-from tenscontrol.statics import Prestress
-from tenscontrol.structure import (
-    BarMotion,
-    bar_distances,
+from tenscontrol.statics.prestress import Prestress
+from tenscontrol.structure.bar_clearance import BarMotion, bar_distances
+from tenscontrol.structure.bar_geometry import refuse_wrong_bar_lengths, restore_bar_lengths
+from tenscontrol.structure.structure import same_members
+from tenscontrol.structure.supports import (
     free_coordinates,
     left_by_supports,
     refuse_moved_supports,
-    refuse_wrong_bar_lengths,
-    restore_bar_lengths,
     rigid_basis,
     rigid_motions,
-    same_members,
-)
-from tenscontrol.validation import (
-    MOST_DESIGNS,
-    FloatArray,
-    choice,
-    float_array,
-    freeze_arrays,
-    instance,
-    one_or_per_string,
-    positive_number,
-    truth,
-    whole_number,
 )
 from tenscontrol.viewable import Viewable
 
@@ -121,7 +106,7 @@ class ShapePath(Viewable):
             return Reference(self.time, self.nodes, self.force_density)
         from scipy.interpolate import CubicHermiteSpline
 
-        at = float_array("times", times)
+        at = validation.float_array("times", times)
         if at.ndim != 1 or not len(at):
             raise ValueError(f"times has shape {at.shape}, expected (K,) with K at least 1")
         spline = CubicHermiteSpline(self.time, self.nodes, self.velocities, axis=2)
@@ -164,7 +149,7 @@ class ShapePath(Viewable):
         >>> [round(float(plant.nodes[2, 0]), 3) for plant in path.plants(3, input="rest_length")]
         [1.0, 0.964, 0.925]
         """
-        count = whole_number("count", count, 1, MOST_DESIGNS)
+        count = validation.whole_number("count", count, 1, validation.MOST_DESIGNS)
         distance = np.linalg.norm(np.diff(self.nodes, axis=2), axis=(0, 1))
         travel = np.concatenate([[0.0], np.cumsum(distance)])
         shares = np.linspace(0.0, 1.0, count) if count > 1 else np.array([0.5])
@@ -267,13 +252,15 @@ def shape_path(
     >>> path.reference().nodes.shape == path.nodes.shape
     True
     """
-    instance("model", model, Model, "make one by Model(structure)")
+    validation.instance("model", model, Model, "make one by Model(structure)")
     refuse_ground(model)
-    truth("require_stable", require_stable, "whether a path through shapes that buckle is refused")
-    choice("place", place, PLACES)
+    validation.truth(
+        "require_stable", require_stable, "whether a path through shapes that buckle is refused"
+    )
+    validation.choice("place", place, PLACES)
     begin, end = _path_end(model, "start", start), _path_end(model, "goal", goal)
-    step = positive_number("step", step, "s")
-    ramp = positive_number("ramp", ramp, "shares of the duration")
+    step = validation.positive_number("step", step, "s")
+    ramp = validation.positive_number("ramp", ramp, "shares of the duration")
     if ramp > 0.5:
         raise ValueError(f"ramp is {ramp:g}, expected at most 0.5: there are two of them")
     bounds = checked_bounds(model, min_force_density, max_force_density, winches)
@@ -281,9 +268,9 @@ def shape_path(
     bounds.refuse_outside("goal", end.force_density)
     rate = None if winches is None else winches.largest_rate
     if rate is not None:
-        one_or_per_string("winches.rate", rate, len(model.structure.strings))
+        validation.one_or_per_string("winches.rate", rate, len(model.structure.strings))
     if duration is not None:
-        duration = positive_number("duration", duration, "s")
+        duration = validation.positive_number("duration", duration, "s")
     elif rate is None:
         raise ValueError("expected duration, or winches with a rate, which settle the time")
     _refuse_same(model, begin, end)
@@ -356,7 +343,9 @@ def _with_centre_kept(
 def _path_end(model: Model, name: str, value: object) -> Prestress:
     """Return an end of the path as an equilibrium of this model."""
     rest = value.prestress if isinstance(value, ShapeTarget) else value
-    instance(name, rest, Prestress, "make one by shape_target(model, ...) or prestress(...)")
+    validation.instance(
+        name, rest, Prestress, "make one by shape_target(model, ...) or prestress(...)"
+    )
     assert isinstance(rest, Prestress)  # just checked
     structure, ours = rest.structure, model.structure
     if not same_members(structure, ours):

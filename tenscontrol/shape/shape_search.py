@@ -9,14 +9,17 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Function, Model, builds, kernel
+from tenscontrol.arrays import FloatArray
+from tenscontrol.dynamics import kernel
+from tenscontrol.dynamics.evaluator import Function, builds
+from tenscontrol.dynamics.model import Model
 from tenscontrol.shape.demands import CentreKept, Demand
 from tenscontrol.shape.force_bounds import ForceLimits, choose_force_density
 from tenscontrol.shape.nonlinear_program import EXACT, MIRRORED, ShapeProblem
 from tenscontrol.shape.symmetry import RotationalSymmetry
-from tenscontrol.statics import Prestress, prestress
-from tenscontrol.structure import Structure, bar_distances
-from tenscontrol.validation import FloatArray
+from tenscontrol.statics.prestress import Prestress, prestress
+from tenscontrol.structure.bar_clearance import bar_distances
+from tenscontrol.structure.structure import Structure
 
 # Weights of misses against distance from the start, one search after the other; the longer list is
 # for starts from which the first fails.

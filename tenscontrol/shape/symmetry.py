@@ -7,19 +7,11 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, IntArray, frozen
 from tenscontrol.fields import Array, Field, converted
 from tenscontrol.shape.demands import MOST_NODES, node_list
-from tenscontrol.structure import Structure
-from tenscontrol.validation import (
-    FloatArray,
-    IntArray,
-    direction,
-    float_array,
-    frozen,
-    items,
-    shaped,
-    whole_number,
-)
+from tenscontrol.structure.structure import Structure
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -67,7 +59,7 @@ class RotationalSymmetry:
 
     def __post_init__(self) -> None:
         put = object.__setattr__
-        given = items("cycles", self.cycles, "sequences of nodes")
+        given = validation.items("cycles", self.cycles, "sequences of nodes")
         cycles = tuple(node_list(f"cycles[{i}]", each) for i, each in enumerate(given))
         if len(cycles) == 0:
             raise ValueError("cycles is empty, expected at least one sequence of nodes")
@@ -79,12 +71,12 @@ class RotationalSymmetry:
                 )
         node_list("cycles", np.concatenate(cycles))
         put(self, "cycles", cycles)
-        put(self, "axis", frozen(direction("axis", self.axis)))
-        centre = float_array("centre", self.centre)
+        put(self, "axis", frozen(validation.direction("axis", self.axis)))
+        centre = validation.float_array("centre", self.centre)
         if centre.shape == (2,) and not self.axis[:2].any():
             centre = np.append(centre, 0.0)
-        put(self, "centre", frozen(shaped("centre", centre, (3,), "a point")))
-        put(self, "turns", whole_number("turns", self.turns, least=1 - self.order))
+        put(self, "centre", frozen(validation.shaped("centre", centre, (3,), "a point")))
+        put(self, "turns", validation.whole_number("turns", self.turns, least=1 - self.order))
         if self.turns % self.order == 0:
             raise ValueError(f"turns is {self.turns}, expected a turn that is not a whole one")
 
@@ -115,7 +107,7 @@ class RotationalSymmetry:
             If it is no whole number, or the cycles name other nodes.
         """
         largest = max(int(cycle.max()) for cycle in self.cycles)
-        to = np.arange(whole_number("count", count, largest + 1, MOST_NODES))
+        to = np.arange(validation.whole_number("count", count, largest + 1, MOST_NODES))
         for cycle in self.cycles:
             to[cycle] = np.roll(cycle, -1)
         return to

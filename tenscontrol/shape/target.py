@@ -8,22 +8,21 @@ from typing import Any
 
 import numpy as np
 
-from tenscontrol.actuation import Winches
-from tenscontrol.dynamics import Model, coordinates
-from tenscontrol.plant import STRINGS_MOVE_NO_CENTRE
+from tenscontrol import validation
+from tenscontrol.actuation.winches import Winches
+from tenscontrol.arrays import FloatArray, frozen
+from tenscontrol.dynamics.coordinates import coordinates
+from tenscontrol.dynamics.model import Model
+from tenscontrol.plant.reference import STRINGS_MOVE_NO_CENTRE
 from tenscontrol.shape.demands import Demand, centre_kept
 from tenscontrol.shape.force_bounds import ForceLimits, checked_limits, refuse_ground
 from tenscontrol.shape.shape_search import MET, STIFF, Solved, solve_shape
 from tenscontrol.shape.symmetry import RotationalSymmetry
-from tenscontrol.statics import Prestress
-from tenscontrol.structure import (
-    Structure,
-    bar_distances,
-    refuse_load_without_support,
-    refuse_moved_supports,
-    restore_bar_lengths,
-)
-from tenscontrol.validation import FloatArray, choice, frozen, instance, truth, wrong_kind
+from tenscontrol.statics.prestress import Prestress
+from tenscontrol.structure.bar_clearance import bar_distances
+from tenscontrol.structure.bar_geometry import restore_bar_lengths
+from tenscontrol.structure.structure import Structure
+from tenscontrol.structure.supports import refuse_load_without_support, refuse_moved_supports
 
 CHOICES = ("centred", "least")
 PLACES = ("anywhere", "centre")
@@ -231,22 +230,22 @@ def shape_target(
     """
     if isinstance(model, Structure):
         model = Model(model)
-    instance("model", model, Model, "make one by Model(structure)")
+    validation.instance("model", model, Model, "make one by Model(structure)")
     refuse_ground(model)
-    choice("prestress", prestress, CHOICES)
-    choice("place", place, PLACES)
-    truth("require_stable", require_stable, "whether a shape that buckles is refused")
+    validation.choice("prestress", prestress, CHOICES)
+    validation.choice("place", place, PLACES)
+    validation.truth("require_stable", require_stable, "whether a shape that buckles is refused")
     structure = model.structure
     wanted: Any = (demands,) if isinstance(demands, Demand) else () if demands is None else demands
     if not isinstance(wanted, Sequence) or isinstance(wanted, str):
         how = "a demand or a sequence of them: NodesAt, PointAt, Height, Twist"
-        raise wrong_kind("demands", demands, how)
+        raise validation.wrong_kind("demands", demands, how)
     for i, demand in enumerate(wanted):
-        instance(f"demands[{i}]", demand, Demand, "NodesAt, PointAt, Height or Twist")
+        validation.instance(f"demands[{i}]", demand, Demand, "NodesAt, PointAt, Height or Twist")
         demand.refuse_other_nodes(f"demands[{i}]", structure)
     if symmetry is not None:
         how = "make one by RotationalSymmetry(cycles)"
-        instance("symmetry", symmetry, RotationalSymmetry, how)
+        validation.instance("symmetry", symmetry, RotationalSymmetry, how)
     limits = checked_limits(
         model,
         force_density,

@@ -9,19 +9,17 @@ from typing import TYPE_CHECKING
 import casadi as ca
 import numpy as np
 
-from tenscontrol.actuation import Winches
-from tenscontrol.dynamics import Function, Model, SharedEvaluator, builds, kernel
-from tenscontrol.plant import convex_hull, held_value, rest_length_bounds
-from tenscontrol.structure import bar_distances, restore_bar_lengths
-from tenscontrol.validation import (
-    FloatArray,
-    IntArray,
-    freeze_arrays,
-    index_list,
-    instance,
-    number,
-    positive_number,
-)
+from tenscontrol import validation
+from tenscontrol.actuation.winches import Winches
+from tenscontrol.arrays import FloatArray, IntArray, freeze_arrays
+from tenscontrol.dynamics import kernel
+from tenscontrol.dynamics.evaluator import Function, SharedEvaluator, builds
+from tenscontrol.dynamics.model import Model
+from tenscontrol.plant.equilibrium import held_value
+from tenscontrol.plant.input_bounds import rest_length_bounds
+from tenscontrol.plant.stance import convex_hull
+from tenscontrol.structure.bar_clearance import bar_distances
+from tenscontrol.structure.bar_geometry import restore_bar_lengths
 from tenscontrol.validation import direction as unit_vector
 
 if TYPE_CHECKING:
@@ -183,8 +181,12 @@ def tipping_path(
         shape = restore_bar_lengths(model.structure, model.structure.checked_nodes("nodes", nodes))
     found = checked_feet(feet, *shape.shape)
     heading = unit_vector("direction", direction, len(shape))
-    enough = MARGIN * planner.size if margin is None else positive_number("margin", margin, "m")
-    most = STEP * planner.size if step is None else positive_number("step", step, "m")
+    enough = (
+        MARGIN * planner.size
+        if margin is None
+        else validation.positive_number("margin", margin, "m")
+    )
+    most = STEP * planner.size if step is None else validation.positive_number("step", step, "m")
     if most < _SHORTEST_STEP * planner.size:
         raise ValueError(
             f"step is {most:g} m, expected at least {_SHORTEST_STEP * planner.size:.3g} m"
@@ -236,7 +238,9 @@ class TippingPlanner:
     ) -> None:
         import scipy.linalg.lapack  # now, not within the first sample  # noqa: F401
 
-        instance("model", model, Model, "make one by Model(structure, strings=..., gravity=...)")
+        validation.instance(
+            "model", model, Model, "make one by Model(structure, strings=..., gravity=...)"
+        )
         structure, force = model.structure, model.constant_force.sum(axis=1)
         if len(structure.fixed_rows):
             raise ValueError(
@@ -258,9 +262,9 @@ class TippingPlanner:
         self.size = float(np.ptp(structure.nodes, axis=1).max())
         self.gravity = weight / float(structure.bar_mass.sum() + structure.point_mass.sum())
         if winches is not None:
-            instance("winches", winches, Winches, "make them by Winches(rate=...)")
+            validation.instance("winches", winches, Winches, "make them by Winches(rate=...)")
         self._low, self._high = rest_length_bounds(self.home, winches)
-        self._clearance = number("clearance", clearance, "m")
+        self._clearance = validation.number("clearance", clearance, "m")
         self._conditions = model.prepared.get("tipping", lambda: _conditions(model))
 
     @property
@@ -445,7 +449,7 @@ def nearest_plane(shape: FloatArray, down: FloatArray) -> tuple[FloatArray, Floa
 
 def checked_feet(feet: object, d: int, n: int) -> IntArray:
     """Return the nodes that a structure is to stand on, ascending."""
-    found = np.unique(index_list("feet", feet, n, "nodes"))
+    found = np.unique(validation.index_list("feet", feet, n, "nodes"))
     if len(found) < d:
         raise ValueError(f"feet are {found.tolist()}, expected at least {d} nodes")
     return found

@@ -1,18 +1,16 @@
 """Open- and closed-loop simulation."""
 
 from tenscontrol.simulation.arguments import Arguments
-from tenscontrol.simulation.batch import Batch, BatchCrossings, checked_controller, simulate_many
+from tenscontrol.simulation.batch import Batch, BatchCrossings, simulate_many
 from tenscontrol.simulation.contacts import ContactRecord
 from tenscontrol.simulation.control_record import ControlRecord
 from tenscontrol.simulation.faults import CutString, Fault, LostMeasurement, StuckWinch
 from tenscontrol.simulation.health import AccuracyWarning, BarCrossingWarning, Health, HealthLimits
-from tenscontrol.simulation.inputs import checked_load
 from tenscontrol.simulation.integration import Integration
 from tenscontrol.simulation.observation import EstimateRecord
 from tenscontrol.simulation.scene import Scene
 from tenscontrol.simulation.simulate import simulate
 from tenscontrol.simulation.simulation_error import SimulationError
-from tenscontrol.simulation.start import initial_state
 from tenscontrol.simulation.trajectory import Trajectory, load_run
 
 __all__ = [
@@ -34,9 +32,6 @@ __all__ = [
     "SimulationError",
     "StuckWinch",
     "Trajectory",
-    "checked_controller",
-    "checked_load",
-    "initial_state",
     "load_run",
     "simulate",
     "simulate_many",

@@ -7,33 +7,27 @@ from itertools import pairwise
 
 import numpy as np
 
-from tenscontrol.actuation import (
-    Drive,
+from tenscontrol import validation
+from tenscontrol.actuation.motors import (
     Instants,
     MotorRecord,
-    Winches,
-    WinchMove,
     cable_work,
     each_motor,
     motor_record,
     winding_work,
 )
-from tenscontrol.control import BaseController, Command
-from tenscontrol.dynamics import Evaluator, Pieces
+from tenscontrol.actuation.winches import Drive, Winches, WinchMove
+from tenscontrol.arrays import FloatArray, IntArray, frozen
+from tenscontrol.control.command import Command
+from tenscontrol.control.controller import BaseController
+from tenscontrol.dynamics.evaluator import Evaluator
+from tenscontrol.dynamics.profile import Pieces
 from tenscontrol.properties import cached_property
 from tenscontrol.simulation.dense_motion import DenseMotion
 from tenscontrol.simulation.plant_run import PlantRun
 from tenscontrol.simulation.trajectory import Trajectory
-from tenscontrol.structure import same_members, to_segments, to_strings
-from tenscontrol.validation import (
-    FloatArray,
-    IntArray,
-    frozen,
-    non_negative,
-    per_member,
-    positive,
-    shaped,
-)
+from tenscontrol.structure.segments import to_segments, to_strings
+from tenscontrol.structure.structure import same_members
 
 _NONE = frozen(np.zeros(0, dtype=np.int64))
 
@@ -119,7 +113,7 @@ class Actuators:
             self._current, self._earlier = run.control.applied[:, -1], run.control.motors
         if kind == "rest_length":  # the controller may command other strings than that of the run
             where = "string of the controller"
-            self.start = self._current = per_member(
+            self.start = self._current = validation.per_member(
                 "rest_length", self._current, self._count, where
             )
 
@@ -232,10 +226,10 @@ class Actuators:
 
     def _checked(self, value: object) -> FloatArray:
         """Return a command, or raise: a user's controller may break its promises."""
-        desired = shaped("command.value", value, (self._count,), "one per string")
+        desired = validation.shaped("command.value", value, (self._count,), "one per string")
         if self._input == "force_density":
-            return non_negative("command.value", desired, "a string can only pull")
-        return positive("command.value", desired, "rest length in m")
+            return validation.non_negative("command.value", desired, "a string can only pull")
+        return validation.positive("command.value", desired, "rest length in m")
 
     def _to_plant(self, what: str, values: FloatArray) -> FloatArray:
         """Return values of the plant's strings from those of the commanded ones."""

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tenscontrol.validation import frozen
+from tenscontrol.arrays import frozen
 
 
 @dataclass(frozen=True)

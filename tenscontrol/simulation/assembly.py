@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from tenscontrol.dynamics import Pieces
-from tenscontrol.integrate import IntegrationError
+from tenscontrol.arrays import FloatArray, frozen
+from tenscontrol.dynamics.profile import Pieces
+from tenscontrol.integrate.integrator import IntegrationError
 from tenscontrol.simulation.arguments import Arguments
 from tenscontrol.simulation.contacts import ContactRecord, record_contacts
 from tenscontrol.simulation.control_record import ControlRecord
@@ -18,8 +19,7 @@ from tenscontrol.simulation.health import ERROR_LIMIT, HealthLimits
 from tenscontrol.simulation.motion_functions import MotionFunctions
 from tenscontrol.simulation.plant_run import PlantRun
 from tenscontrol.simulation.trajectory import Trajectory
-from tenscontrol.structure import BarMotion
-from tenscontrol.validation import FloatArray, frozen
+from tenscontrol.structure.bar_clearance import BarMotion
 
 
 def assembled(

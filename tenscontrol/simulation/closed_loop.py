@@ -9,16 +9,17 @@ from time import perf_counter
 
 import numpy as np
 
-from tenscontrol.actuation import MotorRecord, Winches, WinchMove
-from tenscontrol.control import (
-    BaseController,
-    Command,
-    Controller,
-    FeedbackLinearizationStatistics,
-    MPCStatistics,
-    NMPCStatistics,
-)
-from tenscontrol.estimation import KalmanFilter, Sensors
+from tenscontrol import validation
+from tenscontrol.actuation.motors import MotorRecord
+from tenscontrol.actuation.winches import Winches, WinchMove
+from tenscontrol.arrays import FloatArray, IntArray, frozen
+from tenscontrol.control.command import Command
+from tenscontrol.control.controller import BaseController, Controller
+from tenscontrol.control.feedback_linearization import FeedbackLinearizationStatistics
+from tenscontrol.control.mpc.linear import MPCStatistics
+from tenscontrol.control.mpc.nonlinear import NMPCStatistics
+from tenscontrol.estimation.kalman_filter import KalmanFilter
+from tenscontrol.estimation.sensors import Sensors
 from tenscontrol.interrupt import check
 from tenscontrol.simulation.actuators import Actuators
 from tenscontrol.simulation.arguments import Arguments
@@ -26,13 +27,6 @@ from tenscontrol.simulation.control_record import ControlRecord
 from tenscontrol.simulation.observation import Observation
 from tenscontrol.simulation.plant_run import PlantRun, StoppedError
 from tenscontrol.simulation.trajectory import Trajectory
-from tenscontrol.validation import (
-    LARGEST,
-    FloatArray,
-    IntArray,
-    frozen,
-    refuse_memory,
-)
 
 _STATISTICS = MPCStatistics, NMPCStatistics, FeedbackLinearizationStatistics
 
@@ -61,7 +55,9 @@ class ClosedLoop:
         self._rest_length = rest_length
         self._sample = sample = _sample_time(controller, sample_time, run.integration.step)
         size = 1500 + 48 * len(controller.commanded.strings)  # bytes of objects and numbers
-        refuse_memory(f"sample_time is {sample:g} s", run.duration / sample, "samples", size)
+        validation.refuse_memory(
+            f"sample_time is {sample:g} s", run.duration / sample, "samples", size
+        )
         self._actuators = Actuators(run, controller, winches, rest_length, sample, start)
         self._estimation = estimation
         self._substeps = 1 if winches is None else winches.substeps
@@ -99,8 +95,10 @@ class ClosedLoop:
         self._state = state
         for number, begin, end in samples(self._sample, run.duration, run.now):
             run.go_to(begin)
-            if np.abs(self._state).max() > LARGEST:
-                raise StoppedError(f"the motion has run away, beyond {LARGEST:g} in m and m/s")
+            if np.abs(self._state).max() > validation.LARGEST:
+                raise StoppedError(
+                    f"the motion has run away, beyond {validation.LARGEST:g} in m and m/s"
+                )
             N, V = run.motion(self._state)
             command, taken = self._command(N, V)
             moment = run.now + 1e-9 * self._sample

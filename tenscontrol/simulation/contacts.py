@@ -8,10 +8,11 @@ from functools import partial
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import ContactLaw, Function, evaluate_columns
-from tenscontrol.integrate import IntegrationError
+from tenscontrol.arrays import FloatArray, IntArray, frozen
+from tenscontrol.dynamics.contact_laws import ContactLaw
+from tenscontrol.dynamics.evaluator import Function, evaluate_columns
+from tenscontrol.integrate.integrator import IntegrationError
 from tenscontrol.simulation.dense_motion import DenseMotion
-from tenscontrol.validation import FloatArray, IntArray, frozen
 
 # Nodes and weights of Lobatto's quadrature of order 8, over parts from 0 to 1.
 _INNER = np.sqrt(3 / 7) / 2

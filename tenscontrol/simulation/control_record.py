@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tenscontrol.actuation import MotorRecord
-from tenscontrol.control import Fallback
+from tenscontrol.actuation.motors import MotorRecord
+from tenscontrol.arrays import FloatArray
+from tenscontrol.control.command import Fallback
 from tenscontrol.simulation.arguments import Arguments
 from tenscontrol.simulation.observation import EstimateRecord
 from tenscontrol.status import UNSOLVED, Status
-from tenscontrol.validation import FloatArray
 
 # A run ends away from its reference: by this part of the size, with errors in the last third above
 # this part of those before, if it lasts so many radians of the slowest vibration. Or

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tenscontrol.dynamics import evaluate_columns, polynomial_at
+from tenscontrol.arrays import FloatArray, IntArray
+from tenscontrol.dynamics.evaluator import evaluate_columns
+from tenscontrol.dynamics.profile import polynomial_at
 from tenscontrol.properties import cached_property
 from tenscontrol.simulation.plant_run import PlantRun
-from tenscontrol.validation import FloatArray, IntArray
 
 
 @dataclass(eq=False)

@@ -10,9 +10,9 @@ from typing import Protocol
 
 import numpy as np
 
-from tenscontrol.integrate import IntegrationError, Span
-from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray, IntArray
+from tenscontrol.arrays import FloatArray, IntArray
+from tenscontrol.integrate.integrator import IntegrationError, Span
+from tenscontrol.structure.structure import Structure
 
 # With a tolerance, the motion is found again with this part of it, and so many times the difference
 # is the estimate. A method of order 2 would need more than twice the steps: it takes half as many,

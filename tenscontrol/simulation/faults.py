@@ -9,15 +9,8 @@ from typing import final
 
 import numpy as np
 
-from tenscontrol.validation import (
-    FloatArray,
-    IntArray,
-    float_array,
-    instance,
-    is_unlimited,
-    positive_number,
-    whole_number,
-)
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, IntArray
 
 # A cut string is given a rest length of so many sizes of the structure: it is slack for good.
 _SLACK = 1e6
@@ -31,13 +24,19 @@ class Fault(ABC):
 
     def __post_init__(self) -> None:
         if hasattr(self, "string"):
-            object.__setattr__(self, "string", whole_number("string", self.string, least=0))
-        time = float_array("time", self.time)
+            object.__setattr__(
+                self, "string", validation.whole_number("string", self.string, least=0)
+            )
+        time = validation.float_array("time", self.time)
         if time.ndim != 0 or time < 0:
             raise ValueError(f"time is {self.time}, expected a time in s of at least 0")
         object.__setattr__(self, "time", float(time))
         if self.until is not None:
-            end = None if is_unlimited(self.until) else positive_number("until", self.until, "s")
+            end = (
+                None
+                if validation.is_unlimited(self.until)
+                else validation.positive_number("until", self.until, "s")
+            )
             if end is not None and end <= self.time:
                 raise ValueError(f"until is {end:g} s, expected after time, {self.time:g} s")
             object.__setattr__(self, "until", end)
@@ -191,7 +190,7 @@ class Faults:
             )
         for i, fault in enumerate(faults):
             how = "make one by CutString(...), StuckWinch(...) or LostMeasurement(...)"
-            instance(f"faults[{i}]", fault, Fault, how)
+            validation.instance(f"faults[{i}]", fault, Fault, how)
         self.listed: tuple[Fault, ...] = tuple(faults)
         self._cuts = [fault for fault in faults if isinstance(fault, CutString)]
         self._stuck = [fault for fault in faults if isinstance(fault, StuckWinch)]

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
-from tenscontrol.integrate import Work
-from tenscontrol.structure import BarClearance, BarCrossing
-from tenscontrol.validation import choice, instance, is_unlimited, positive_number, whole_number
+from tenscontrol import validation
+from tenscontrol.integrate.integrator import Work
+from tenscontrol.structure.bar_clearance import BarClearance, BarCrossing
 
 # The error, as part of the size, up to which a motion is trusted unless the user says otherwise.
 ERROR_LIMIT = 0.01
@@ -148,17 +148,17 @@ class HealthLimits:
     crossings: int | None = 0
 
     def __post_init__(self) -> None:
-        choice("action", self.action, ("warn", "raise"))
+        validation.choice("action", self.action, ("warn", "raise"))
         for each in fields(self):
             value = getattr(self, each.name)
             if each.name == "action":
                 continue
-            if is_unlimited(value):
+            if validation.is_unlimited(value):
                 object.__setattr__(self, each.name, None)
             elif each.name == "crossings":
-                whole_number(each.name, value, 0)
+                validation.whole_number(each.name, value, 0)
             else:
-                positive_number(each.name, value, "a limit; None or inf for none")
+                validation.positive_number(each.name, value, "a limit; None or inf for none")
 
     @property
     def names(self) -> list[str]:
@@ -177,7 +177,7 @@ class HealthLimits:
         -------
         list of str
         """
-        instance("health", health, Health, "health of a trajectory")
+        validation.instance("health", health, Health, "health of a trajectory")
         found: list[str] = []
         for each in fields(self):
             limit = getattr(self, each.name)

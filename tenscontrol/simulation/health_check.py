@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from dataclasses import replace
 
-from tenscontrol.integrate import Choice
+from tenscontrol.integrate.methods import Choice
 from tenscontrol.simulation.health import AccuracyWarning, BarCrossingWarning, HealthLimits
 from tenscontrol.simulation.simulation_error import SimulationError
 from tenscontrol.simulation.trajectory import Trajectory

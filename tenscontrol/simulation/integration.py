@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from tenscontrol.integrate import METHODS, Method, method_of
+from tenscontrol import validation
+from tenscontrol.integrate.methods import METHODS, Method, method_of
 from tenscontrol.simulation.health import HealthLimits
-from tenscontrol.validation import choice, instance, positive_number, truth
 
 
 @dataclass(frozen=True)
@@ -58,16 +58,22 @@ class Integration:
 
     def __post_init__(self) -> None:
         put = object.__setattr__  # the dataclass is frozen for everyone else
-        put(self, "tolerance", positive_number("tolerance", self.tolerance, "of size and speed"))
-        choice("error", self.error, ("estimate", "none"))
+        put(
+            self,
+            "tolerance",
+            validation.positive_number("tolerance", self.tolerance, "of size and speed"),
+        )
+        validation.choice("error", self.error, ("estimate", "none"))
         if self.project is not None:
-            truth("project", self.project, "whether to make bar lengths exact after each step")
+            validation.truth(
+                "project", self.project, "whether to make bar lengths exact after each step"
+            )
         how = "make them by HealthLimits(bar_length_error=...)"
-        instance("limits", self.limits, HealthLimits, how)
-        truth("machine_code", self.machine_code, "whether to compile the steps")
+        validation.instance("limits", self.limits, HealthLimits, how)
+        validation.truth("machine_code", self.machine_code, "whether to compile the steps")
         for name in ("step", "output_step"):
             if getattr(self, name) is not None:
-                put(self, name, positive_number(name, getattr(self, name), "s"))
+                put(self, name, validation.positive_number(name, getattr(self, name), "s"))
         method = method_of(self.method)
         if method is None:
             return

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from casadi import Function
 
-from tenscontrol.dynamics import Model, evaluate_columns
-from tenscontrol.validation import FloatArray
+from tenscontrol.arrays import FloatArray
+from tenscontrol.dynamics.evaluator import evaluate_columns
+from tenscontrol.dynamics.model import Model
 
 # Times at which functions of the model are evaluated in one go: few enough that what they need of a
 # large structure stays small.

@@ -6,9 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from tenscontrol.dynamics import Model, Pieces, as_pieces
-from tenscontrol.structure import carried_by_supports, node_mass
-from tenscontrol.validation import FloatArray
+from tenscontrol.arrays import FloatArray
+from tenscontrol.dynamics.model import Model
+from tenscontrol.dynamics.profile import Pieces, as_pieces
+from tenscontrol.structure.blocks import node_mass
+from tenscontrol.structure.supports import carried_by_supports
 
 # A support whose place changes by more than this part of the size at once jumps; supports whose
 # motions differ by less than the second part of the largest move alike.

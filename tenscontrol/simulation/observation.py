@@ -7,12 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tenscontrol.control import BaseController
-from tenscontrol.dynamics import Evaluator, Model, pack_state
-from tenscontrol.estimation import Estimate, FilterStatistics, KalmanFilter, Sensors
+from tenscontrol.arrays import FloatArray, frozen
+from tenscontrol.control.controller import BaseController
+from tenscontrol.dynamics.equation import pack_state
+from tenscontrol.dynamics.evaluator import Evaluator
+from tenscontrol.dynamics.model import Model
+from tenscontrol.estimation.kalman_filter import Estimate, FilterStatistics, KalmanFilter
+from tenscontrol.estimation.sensors import Sensors
 from tenscontrol.status import Status
-from tenscontrol.structure import different_members, to_strings
-from tenscontrol.validation import FloatArray, frozen
+from tenscontrol.structure.segments import to_strings
+from tenscontrol.structure.structure import different_members
 
 
 @dataclass(frozen=True, eq=False)

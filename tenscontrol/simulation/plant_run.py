@@ -9,30 +9,24 @@ from math import ceil
 
 import numpy as np
 
-from tenscontrol.dynamics import (
-    Equation,
-    Evaluator,
-    Model,
-    Pieces,
-    polynomial_at,
-    unpack_states,
-)
-from tenscontrol.integrate import (
-    METHODS,
-    Choice,
+from tenscontrol.arrays import FloatArray, frozen
+from tenscontrol.dynamics.equation import Equation, unpack_states
+from tenscontrol.dynamics.evaluator import Evaluator
+from tenscontrol.dynamics.model import Model
+from tenscontrol.dynamics.profile import Pieces, polynomial_at
+from tenscontrol.integrate.integrator import (
     IntegrationError,
     IntegrationInterrupt,
     Integrator,
     Span,
-    Watched,
     Work,
-    choose,
 )
+from tenscontrol.integrate.methods import METHODS, Choice, choose
+from tenscontrol.integrate.watched import Watched
 from tenscontrol.simulation.faults import Faults
 from tenscontrol.simulation.integration import Integration
 from tenscontrol.simulation.motion_functions import BLOCK, MotionFunctions
 from tenscontrol.simulation.moving_supports import MovingSupports
-from tenscontrol.validation import FloatArray, frozen
 
 
 class StoppedError(Exception):

@@ -8,9 +8,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.simulation.error_estimate import Motion, Path, Stage
 from tenscontrol.simulation.plant_run import PlantRun
-from tenscontrol.validation import FloatArray, frozen
 
 
 def estimated_error(

@@ -19,40 +19,36 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from tenscontrol import validation
 from tenscontrol._version import __version__
-from tenscontrol.actuation import Motor, MotorRecord, Winches
-from tenscontrol.control import (
-    Fallback,
-    FeedbackLinearizationStatistics,
-    MPCStatistics,
-    NMPCStatistics,
-    OutputLimit,
-)
-from tenscontrol.dynamics import (
-    OPERATIONS,
-    ElasticStrings,
-    Function,
-    Ground,
-    HertzGround,
-    LinearStrings,
-    Model,
-    Profile,
-    SmoothGround,
-    instructions,
-)
-from tenscontrol.estimation import FilterStatistics
+from tenscontrol.actuation.motors import Motor, MotorRecord
+from tenscontrol.actuation.winches import Winches
+from tenscontrol.arrays import FloatArray, IntArray
+from tenscontrol.control.command import Fallback
+from tenscontrol.control.feedback_linearization import FeedbackLinearizationStatistics
+from tenscontrol.control.mpc.constraints import OutputLimit
+from tenscontrol.control.mpc.linear import MPCStatistics
+from tenscontrol.control.mpc.nonlinear import NMPCStatistics
+from tenscontrol.dynamics.contact_laws import Ground, HertzGround, SmoothGround
+from tenscontrol.dynamics.evaluator import Function
+from tenscontrol.dynamics.instructions import OPERATIONS, instructions
+from tenscontrol.dynamics.model import Model
+from tenscontrol.dynamics.profile import Profile
+from tenscontrol.dynamics.string_laws import ElasticStrings, LinearStrings
+from tenscontrol.estimation.kalman_filter import FilterStatistics
 from tenscontrol.files import opened_file, write_file
-from tenscontrol.integrate import Choice, MethodChange, Work
+from tenscontrol.integrate.integrator import MethodChange, Work
+from tenscontrol.integrate.methods import Choice
 from tenscontrol.parsing import parse_json
-from tenscontrol.plant import Reference
+from tenscontrol.plant.reference import Reference
 from tenscontrol.simulation.arguments import Arguments, Unsaved
 from tenscontrol.simulation.contacts import ContactRecord
 from tenscontrol.simulation.control_record import ControlRecord
 from tenscontrol.simulation.faults import CutString, LostMeasurement, StuckWinch
 from tenscontrol.simulation.observation import EstimateRecord
 from tenscontrol.status import Status
-from tenscontrol.structure import BarClearance, BarCrossing, Structure
-from tenscontrol.validation import FloatArray, IntArray, file_path
+from tenscontrol.structure.bar_clearance import BarClearance, BarCrossing
+from tenscontrol.structure.structure import Structure
 
 #: Version of the form; files of a later one are refused.
 VERSION = 1
@@ -150,7 +146,7 @@ _FAULTS = (
 
 def write_run(path: object, values: Mapping[str, Any]) -> Path:
     """Write the parts of a run by name, arrays and records; see :meth:`Trajectory.save`."""
-    file = file_path("path", path, (".npz",))
+    file = validation.file_path("path", path, (".npz",))
     out = _Writer()
     run = {name: out.node(value, (name,)) for name, value in values.items()}
     for place, what in out.unsaved.items():
@@ -242,7 +238,7 @@ def read_run(path: object) -> dict[str, Any]:
     Names, kinds, shapes and sizes of all arrays are checked before one is read. What no file can
     hold is :class:`Unsaved`. The model is None for a copy, which has none.
     """
-    file = file_path("path", path)
+    file = validation.file_path("path", path)
     with opened_file(file, _MOST_BYTES) as stream:
         pieces = _Pieces(stream.raw)
         try:
@@ -543,7 +539,7 @@ def _commanding(control: ControlRecord, time: FloatArray) -> IntArray:
 
 def write_table(run: Any, path: object) -> Path:
     """Write time, nodes, strings and commands of a run as CSV; see :meth:`Trajectory.to_csv`."""
-    file, (d, n, count) = file_path("path", path), run.nodes.shape
+    file, (d, n, count) = validation.file_path("path", path), run.nodes.shape
     head, columns = ["time [s]"], [run.time[None]]
     head += [f"node {i} {axis} [m]" for i in range(n) for axis in "xyz"[:d]]
     columns.append(run.nodes.swapaxes(0, 1).reshape(-1, count))

@@ -10,12 +10,21 @@ from typing import Any
 
 import numpy as np
 
-from tenscontrol.actuation import Winches, to_rest_length
-from tenscontrol.control import BaseController, ControlWarning, as_controller
-from tenscontrol.dynamics import Equation, Model, Pieces, pack_state, sampling_interval
-from tenscontrol.estimation import KalmanFilter, Sensors
+from tenscontrol import validation
+from tenscontrol.actuation.winches import Winches, to_rest_length
+from tenscontrol.arrays import FloatArray, frozen
+from tenscontrol.control.command import ControlWarning
+from tenscontrol.control.controller import BaseController
+from tenscontrol.control.function_controller import as_controller
+from tenscontrol.dynamics.equation import Equation, pack_state
+from tenscontrol.dynamics.model import Model
+from tenscontrol.dynamics.profile import Pieces, sampling_interval
+from tenscontrol.estimation.kalman_filter import KalmanFilter
+from tenscontrol.estimation.sensors import Sensors
 from tenscontrol.interrupt import InterruptionWarning, finishing, interruptible
-from tenscontrol.plant import LinearPlant, held_value, linearize, own_input
+from tenscontrol.plant.equilibrium import held_value, own_input
+from tenscontrol.plant.linear_plant import LinearPlant
+from tenscontrol.plant.linearize import linearize
 from tenscontrol.progress import long_run_note, progress_bar
 from tenscontrol.properties import cached_property
 from tenscontrol.simulation.arguments import Arguments
@@ -32,24 +41,9 @@ from tenscontrol.simulation.replay import estimated_error
 from tenscontrol.simulation.simulation_error import SimulationError
 from tenscontrol.simulation.start import Start, initial_state, start_beside_supports
 from tenscontrol.simulation.trajectory import Trajectory
-from tenscontrol.statics import prestress
-from tenscontrol.structure import Structure, same_members, to_segments
-from tenscontrol.validation import (
-    LARGEST_SEED,
-    FloatArray,
-    choice,
-    frozen,
-    instance,
-    non_negative,
-    per_member,
-    positive,
-    positive_number,
-    refuse_memory,
-    refuse_time,
-    text,
-    truth,
-    whole_number,
-)
+from tenscontrol.statics.prestress import prestress
+from tenscontrol.structure.segments import to_segments
+from tenscontrol.structure.structure import Structure, same_members
 
 # States kept of an adaptive run, unless the user says otherwise.
 _OUTPUTS = 1000
@@ -144,14 +138,16 @@ class Scene:
     note: str = ""
 
     def __post_init__(self) -> None:
-        instance("model", self.model, Model, "make one by Model(structure)")
+        validation.instance("model", self.model, Model, "make one by Model(structure)")
         if not len(self.model.structure.free):
             raise ValueError("every node of the model is fixed: nothing can move")
         put = object.__setattr__  # the dataclass is frozen for everyone else
-        put(self, "duration", positive_number("duration", self.duration, "s"))
-        instance("integration", self.integration, Integration, "make one by Integration(step=...)")
-        text("name", self.name, "for titles")
-        text("note", self.note, "what a reader of the result must know")
+        put(self, "duration", validation.positive_number("duration", self.duration, "s"))
+        validation.instance(
+            "integration", self.integration, Integration, "make one by Integration(step=...)"
+        )
+        validation.text("name", self.name, "for titles")
+        validation.text("note", self.note, "what a reader of the result must know")
         self._check_loop()
         self._take_over_start()
         self._check_inputs()
@@ -163,17 +159,25 @@ class Scene:
         put = object.__setattr__
         if self.estimator is not None:
             how = "make one by KalmanFilter(plant, sensors, sample_time=...)"
-            instance("estimator", self.estimator, KalmanFilter, how)
+            validation.instance("estimator", self.estimator, KalmanFilter, how)
         if self.sensors is not None:
-            instance("sensors", self.sensors, Sensors, "make them by Sensors(structure=..., ...)")
+            validation.instance(
+                "sensors", self.sensors, Sensors, "make them by Sensors(structure=..., ...)"
+            )
             if self.estimator is None:
                 raise ValueError("sensors go with an estimator; KalmanFilter(...) makes one")
         if self.winches is not None:
-            instance("winches", self.winches, Winches, "make them by Winches(rate=...)")
+            validation.instance("winches", self.winches, Winches, "make them by Winches(rate=...)")
         if self.sample_time is not None:
-            put(self, "sample_time", positive_number("sample_time", self.sample_time, "s"))
+            put(
+                self,
+                "sample_time",
+                validation.positive_number("sample_time", self.sample_time, "s"),
+            )
         if self.seed is not None:
-            put(self, "seed", whole_number("seed", self.seed, 0, LARGEST_SEED))
+            put(
+                self, "seed", validation.whole_number("seed", self.seed, 0, validation.LARGEST_SEED)
+            )
         alone = self.winches, self.sample_time, self.estimator
         if self.controller is None and any(part is not None for part in alone):
             raise ValueError("estimator, winches and sample_time go with a controller")
@@ -183,7 +187,7 @@ class Scene:
         run, put = self.start, object.__setattr__
         if run is None:
             return
-        instance("start", run, Trajectory, "a run that simulate(...) returned")
+        validation.instance("start", run, Trajectory, "a run that simulate(...) returned")
         if self.nodes is not None or self.velocities is not None:
             raise ValueError("start gives nodes and velocities: leave those out")
         structure = self.structure
@@ -215,12 +219,12 @@ class Scene:
             raise ValueError("force_density is commanded by the controller; leave it out")
         kind = "force_density" if self.model.strings is None else "rest_length"
         if self.input is not None:
-            kind = choice("input", self.input, ("rest_length", "force_density"))
+            kind = validation.choice("input", self.input, ("rest_length", "force_density"))
         put(self, "input", kind)
         if self.rest_length is not None and kind == "rest_length" and self.law is not None:
             count, what = len(self.law.commanded.strings), "string of the controller"
-            lengths = per_member("rest_length", self.rest_length, count, what)
-            put(self, "rest_length", positive("rest_length", lengths, "length in m"))
+            lengths = validation.per_member("rest_length", self.rest_length, count, what)
+            put(self, "rest_length", validation.positive("rest_length", lengths, "length in m"))
 
     def _check_open_loop(self) -> None:
         put = object.__setattr__
@@ -241,8 +245,10 @@ class Scene:
     def _keep_arrays(self) -> None:
         """Hold arrays that nobody else can change."""
         if self.prestress is not None:
-            gamma = per_member("prestress", self.prestress, len(self.structure.strings), "string")
-            gamma = non_negative("prestress", gamma, "a string can only pull")
+            gamma = validation.per_member(
+                "prestress", self.prestress, len(self.structure.strings), "string"
+            )
+            gamma = validation.non_negative("prestress", gamma, "a string can only pull")
             object.__setattr__(self, "prestress", frozen(gamma))
         if self.start is None and self.support_motion is None:
             nodes = self.structure.nodes
@@ -368,7 +374,7 @@ class Scene:
         ValueError
             If loads or supports change in time.
         """
-        truth("derivatives", derivatives, "whether derivatives are needed")
+        validation.truth("derivatives", derivatives, "whether derivatives are needed")
         load = self.load - self.model.constant_force
         equation = self.model.equation(self.input, load)
         if derivatives and equation.form == "loops":
@@ -497,7 +503,7 @@ class Scene:
         SimulationError
             If the motion runs away.
         """
-        truth("progress", progress, "whether to show a progress bar")
+        validation.truth("progress", progress, "whether to show a progress bar")
         if start is None:
             return run_scene(self, progress)
         return run_scene(
@@ -547,10 +553,10 @@ class Scene:
         name = "step" if how.output_step is None else "output_step"
         value: float = getattr(how, name)
         if how.step is not None:
-            refuse_time(f"step is {how.step:g} s", duration / how.step, "steps", 1e-6)
+            validation.refuse_time(f"step is {how.step:g} s", duration / how.step, "steps", 1e-6)
         size = 8 * 2 * self.structure.nodes.size
         advice = ". A longer output_step keeps fewer"
-        refuse_memory(f"{name} is {value:g} s", duration / value, "states", size, advice)
+        validation.refuse_memory(f"{name} is {value:g} s", duration / value, "states", size, advice)
         return value
 
     @property

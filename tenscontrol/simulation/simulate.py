@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from tenscontrol.actuation import Winches
-from tenscontrol.dynamics import Model
-from tenscontrol.estimation import KalmanFilter, Sensors
-from tenscontrol.integrate import Method
+from tenscontrol import validation
+from tenscontrol.actuation.winches import Winches
+from tenscontrol.dynamics.model import Model
+from tenscontrol.estimation.kalman_filter import KalmanFilter
+from tenscontrol.estimation.sensors import Sensors
+from tenscontrol.integrate.methods import Method
 from tenscontrol.interrupt import interruptible
 from tenscontrol.simulation.faults import Fault
 from tenscontrol.simulation.health import HealthLimits
 from tenscontrol.simulation.integration import Integration
 from tenscontrol.simulation.scene import Scene, run_scene
 from tenscontrol.simulation.trajectory import Trajectory
-from tenscontrol.validation import truth
 
 
 def simulate(
@@ -228,7 +229,7 @@ def simulate(
     >>> (run.rest_length[6, [0, 250, 500, 1000]] / start[6]).round(3)
     array([1.  , 0.95, 0.9 , 0.9 ])
     """
-    truth("progress", progress, "whether to show a progress bar")
+    validation.truth("progress", progress, "whether to show a progress bar")
     if controller is None and input is not None:
         raise ValueError("input goes with a controller; in open loop the given input is held")
     with interruptible():  # CasADi may lose a key while it builds

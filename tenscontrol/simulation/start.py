@@ -6,17 +6,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tenscontrol.dynamics import Model, pack_state
-from tenscontrol.integrate import Projector, largest_frequency, state_scale
+from tenscontrol.arrays import FloatArray, frozen
+from tenscontrol.dynamics.equation import pack_state
+from tenscontrol.dynamics.model import Model
+from tenscontrol.integrate.integrator import largest_frequency, state_scale
+from tenscontrol.integrate.projection import Projector
 from tenscontrol.simulation.moving_supports import MovingSupports
 from tenscontrol.simulation.trajectory import Trajectory
-from tenscontrol.structure import (
-    carried_by_supports,
-    refuse_moved_supports,
+from tenscontrol.structure.bar_geometry import (
     refuse_strings_without_length,
     refuse_wrong_bar_lengths,
 )
-from tenscontrol.validation import FloatArray, frozen
+from tenscontrol.structure.supports import carried_by_supports, refuse_moved_supports
 
 # A start whose bars are off by this part of their length, and stretching by this part of the
 # largest speed, is taken as it is; up to the second, at which a run counts as inaccurate, it is

@@ -9,8 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tenscontrol.dynamics import ContactLaw, Model
-from tenscontrol.integrate import Choice, Work
+from tenscontrol.arrays import FloatArray, IntArray
+from tenscontrol.dynamics.contact_laws import ContactLaw
+from tenscontrol.dynamics.model import Model
+from tenscontrol.integrate.integrator import Work
+from tenscontrol.integrate.methods import Choice
 from tenscontrol.properties import cached_property
 from tenscontrol.simulation.arguments import Arguments, Unsaved
 from tenscontrol.simulation.contacts import ContactRecord
@@ -27,8 +30,9 @@ from tenscontrol.simulation.run_file import (
     write_run,
     write_table,
 )
-from tenscontrol.structure import BarClearance, BarCrossing, BarMotion, Structure, moving_mass
-from tenscontrol.validation import FloatArray, IntArray
+from tenscontrol.structure.bar_clearance import BarClearance, BarCrossing, BarMotion
+from tenscontrol.structure.structure import Structure
+from tenscontrol.structure.supports import moving_mass
 from tenscontrol.viewable import Viewable
 
 if TYPE_CHECKING:

@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray
 from tenscontrol.properties import cached_property
 from tenscontrol.statics.inertia import held_factors, nearly_null
-from tenscontrol.structure import Structure, is_movable, left_by_supports, rigid_motions
-from tenscontrol.validation import FloatArray, instance, refuse_memory
+from tenscontrol.structure.structure import Structure
+from tenscontrol.structure.supports import is_movable, left_by_supports, rigid_motions
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array, csr_array
@@ -72,11 +74,13 @@ def equilibrium_matrix(structure: Structure, nodes: object = None) -> FloatArray
     >>> E.shape, int(np.linalg.matrix_rank(E))
     ((18, 12), 11)
     """
-    instance("structure", structure, Structure, "make one by Structure(...) or prism(...)")
+    validation.instance(
+        "structure", structure, Structure, "make one by Structure(...) or prism(...)"
+    )
     N = structure.nodes if nodes is None else structure.checked_nodes("nodes", nodes)
     count = len(structure.strings) + len(structure.bars)
     size = f"structure has {N.shape[1]} nodes and {count} members"
-    refuse_memory(size, N.size * count, "numbers in its equilibrium matrix", 8)
+    validation.refuse_memory(size, N.size * count, "numbers in its equilibrium matrix", 8)
     return np.asarray(sparse_equilibrium_matrix(structure, N).toarray())
 
 
@@ -289,7 +293,9 @@ class MemberForces:
         """States, particular and the least singular value, by the decomposition of all of E."""
         rows, count = self.matrix.shape
         size = f"structure has {rows} free coordinates and {count} members"
-        refuse_memory(size, (rows + count) ** 2, "numbers in E and its singular vectors", 8)
+        validation.refuse_memory(
+            size, (rows + count) ** 2, "numbers in E and its singular vectors", 8
+        )
         picture = affine_picture(self.structure)
         pictured, length = pictured_members(picture, self.matrix)
         U, sizes, Vt = np.linalg.svd(pictured.toarray())

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.properties import cached_property
-from tenscontrol.validation import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.statics.equilibrium_matrix import MemberForces, is_small, null_space
-from tenscontrol.validation import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array, csr_array

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, IntArray, frozen
 from tenscontrol.properties import cached_property
 from tenscontrol.statics.equilibrium_matrix import (
     MemberForces,
@@ -22,30 +24,9 @@ from tenscontrol.statics.stability import (
     tangent_stiffness,
 )
 from tenscontrol.string_bounds import string_bounds
-from tenscontrol.structure import (
-    BarCrossing,
-    Structure,
-    bar_distances,
-    free_coordinates,
-    rigid_basis,
-)
-from tenscontrol.validation import (
-    MOST_RUNS,
-    FloatArray,
-    IntArray,
-    choice,
-    frozen,
-    instance,
-    limit_per_member,
-    node_forces,
-    non_negative,
-    per_member,
-    positive,
-    positive_number,
-    shaped,
-    vector,
-    whole_number,
-)
+from tenscontrol.structure.bar_clearance import BarCrossing, bar_distances
+from tenscontrol.structure.structure import Structure
+from tenscontrol.structure.supports import free_coordinates, rigid_basis
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array
@@ -184,10 +165,10 @@ class Prestress:
         >>> [round(float(rest.tangent_stiffness(k).eigenvalues[0]), 1) for k in (31, 1e2, 1e4)]
         [15.7, 89.8, 97.8]
         """
-        k = per_member("stiffness", stiffness, len(self.force_density), "string")
-        positive("stiffness", k, "stiffness in N/m")
+        k = validation.per_member("stiffness", stiffness, len(self.force_density), "string")
+        validation.positive("stiffness", k, "stiffness in N/m")
         if count is not None:
-            whole_number("count", count, least=1)
+            validation.whole_number("count", count, least=1)
         return tangent_stiffness(
             self.structure, self.force_density, self.bar_force_density, k,
             self._is_loaded, count,
@@ -275,7 +256,9 @@ def prestress(
     >>> tc.prestress(tc.prism(), min_force_density=10.0).force_density[[0, 3, 6]].round(4)
     array([10.    , 10.    , 17.3205])
     """
-    instance("structure", structure, Structure, "make one by Structure(...) or prism(...)")
+    validation.instance(
+        "structure", structure, Structure, "make one by Structure(...) or prism(...)"
+    )
     alpha = len(structure.strings)
     is_bounded = min_force_density is not None or max_force_density is not None
     if alpha == 0:
@@ -284,17 +267,17 @@ def prestress(
             ("min_force_density", min_force_density),
             ("max_force_density", max_force_density),
         ):
-            limit_per_member(name, value, alpha, "string")
+            validation.limit_per_member(name, value, alpha, "string")
         force_density, reference, is_bounded = np.zeros(0), None, False
     if force_density is None and not is_bounded:
         raise TypeError(
             "force_density is None, expected a number or an array in N/m, or min_force_density or "
             "max_force_density"
         )
-    given = None if force_density is None else vector("force_density", force_density)
+    given = None if force_density is None else validation.vector("force_density", force_density)
     load = np.zeros(structure.nodes.shape)
     if external_force is not None:
-        load = node_forces("external_force", external_force, load.shape)
+        load = validation.node_forces("external_force", external_force, load.shape)
     if reference is not None and (given is None or given.ndim > 0):
         instead = "not with an array" if given is not None else "which is not given"
         raise ValueError(f"reference goes with a single force_density, {instead}")
@@ -305,12 +288,14 @@ def prestress(
                 "max_force_density have no effect; leave them out, or give force_density as one "
                 "number"
             )
-        gamma = shaped("force_density", given, (alpha,), "one per string")
-        non_negative("force_density", gamma, "a string can only pull")
+        gamma = validation.shaped("force_density", given, (alpha,), "one per string")
+        validation.non_negative("force_density", gamma, "a string can only pull")
         forces = member_forces(structure, free_coordinates(structure, load))
         hint = "prestress(structure, force_density=<one number>) finds force densities that balance"
         return balanced(structure, forces, gamma, load, "force_density does not balance", hint)
-    level = None if given is None else positive_number("force_density", float(given), "N/m")
+    level = (
+        None if given is None else validation.positive_number("force_density", float(given), "N/m")
+    )
     bounds = string_bounds(alpha, min_force_density, max_force_density, may_be_slack=True)
     low, high = bounds.low, bounds.high
     as_high = level is None and min_force_density is None
@@ -383,7 +368,11 @@ def _found(
 def _reference(structure: Structure, strings: IntArray, reference: str | None) -> IntArray:
     """Return which of some strings are of the reference group."""
     groups = dict.fromkeys(structure.string_groups)
-    group = next(iter(groups)) if reference is None else choice("reference", reference, groups)
+    group = (
+        next(iter(groups))
+        if reference is None
+        else validation.choice("reference", reference, groups)
+    )
     chosen = np.flatnonzero(np.isin(strings, structure.strings_in(group)))
     if len(chosen) == 0:
         raise ValueError(
@@ -478,12 +467,14 @@ def prism_force_density(
     >>> strings[[0, 3, 6]].round(4)
     array([10.    , 10.    , 17.3205])
     """
-    q = whole_number("sides", sides, 3, MOST_RUNS)
-    top = positive_number("force_density", force_density, "N/m")
-    b = positive_number("radius", radius, "m")
-    a = b if top_radius is None else positive_number("top_radius", top_radius, "m")
+    q = validation.whole_number("sides", sides, 3, validation.MOST_RUNS)
+    top = validation.positive_number("force_density", force_density, "N/m")
+    b = validation.positive_number("radius", radius, "m")
+    a = b if top_radius is None else validation.positive_number("top_radius", top_radius, "m")
     vertical = 2 * np.sin(np.pi / q) * top * a / b
-    bottom = positive_number("force_density (top_radius/radius)²", top * (a / b) ** 2, "N/m")
+    bottom = validation.positive_number(
+        "force_density (top_radius/radius)²", top * (a / b) ** 2, "N/m"
+    )
     return np.repeat([top, bottom, vertical], q), np.full(q, vertical)
 
 

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, IntArray, frozen
 from tenscontrol.statics.equilibrium_matrix import (
     affine_picture,
     is_small,
@@ -19,8 +21,8 @@ from tenscontrol.statics.equilibrium_matrix import (
     sparse_equilibrium_matrix,
 )
 from tenscontrol.statics.inertia import factorized, held_factors, nearly_null
-from tenscontrol.structure import Structure, bar_rows
-from tenscontrol.validation import FloatArray, IntArray, frozen, instance, refuse_memory, shaped
+from tenscontrol.structure.blocks import bar_rows
+from tenscontrol.structure.structure import Structure
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array, csr_array
@@ -156,7 +158,7 @@ def tangent_stiffness(
     if count is None or is_small(geometric):
         rows = geometric.shape[0]
         hint = ". Give count, a number of lowest eigenvalues"
-        refuse_memory(f"structure has {rows} free coordinates", 3 * rows**2,
+        validation.refuse_memory(f"structure has {rows} free coordinates", 3 * rows**2,
                       "numbers in its stiffness and modes", 8, hint)  # fmt: skip
         carrying = np.concatenate([np.zeros(len(taut), bool), np.ones(len(structure.bars), bool)])
         motions, floor = _left_free(structure, carrying, geometric, gross, loaded)
@@ -439,11 +441,17 @@ def stress_matrix(
     >>> int(np.linalg.matrix_rank(stress, tol=1e-9))
     2
     """
-    instance("structure", structure, Structure, "make one by Structure(...) or prism(...)")
-    gamma = shaped("force_density", force_density, (len(structure.strings),), "one per string")
-    lam = shaped("bar_force_density", bar_force_density, (len(structure.bars),), "one per bar")
+    validation.instance(
+        "structure", structure, Structure, "make one by Structure(...) or prism(...)"
+    )
+    gamma = validation.shaped(
+        "force_density", force_density, (len(structure.strings),), "one per string"
+    )
+    lam = validation.shaped(
+        "bar_force_density", bar_force_density, (len(structure.bars),), "one per bar"
+    )
     n = structure.nodes.shape[1]
-    refuse_memory(f"structure has {n} nodes", n**2, "numbers in its stress matrix", 8)
+    validation.refuse_memory(f"structure has {n} nodes", n**2, "numbers in its stress matrix", 8)
     return np.asarray(_sparse_stress(structure, gamma, lam).toarray())
 
 

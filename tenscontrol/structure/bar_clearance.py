@@ -9,9 +9,9 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.properties import cached_property
 from tenscontrol.structure.structure import Structure
-from tenscontrol.validation import FloatArray, IntArray
 
 # Of up to so many bars all pairs are looked at; of more, those near by, and to begin with so many
 # that are nearest to each.

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray
 from tenscontrol.structure.blocks import restore_block
 from tenscontrol.structure.structure import Structure
-from tenscontrol.validation import FloatArray, instance
 
 # How far, relative to its length, a bar may be off in a shape given by the user.
 _TOLERANCE = 1e-8
@@ -44,7 +45,9 @@ def restore_bar_lengths(structure: Structure, nodes: object) -> FloatArray:
     >>> bool(np.allclose(np.linalg.norm(prism.bar_vectors(nodes), axis=0), prism.bar_length))
     True
     """
-    instance("structure", structure, Structure, "make one by Structure(...) or prism(...)")
+    validation.instance(
+        "structure", structure, Structure, "make one by Structure(...) or prism(...)"
+    )
     moved = structure.checked_nodes("nodes", nodes).copy()
     largest = np.abs(moved[:, structure.bar_nodes]).max(initial=0.0)
     most = _TOLERANCE / np.finfo(float).eps * structure.bar_length.min(initial=np.inf)

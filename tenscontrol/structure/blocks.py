@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from tenscontrol.validation import FloatArray, IntArray, frozen, refuse_memory
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, IntArray, frozen
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -209,7 +210,7 @@ def _independent(structure: Jointed, block: Block) -> IntArray:
         asked = (
             f"bars has {len(bars):,} that are joined, {len(doubtful):,} of which may be redundant"
         )
-        refuse_memory(asked, r * len(doubtful), "numbers", 4 * 8.0)
+        validation.refuse_memory(asked, r * len(doubtful), "numbers", 4 * 8.0)
         left = _admitted(J[is_kept], J[doubtful].toarray().T)
         size = np.abs(left).max(axis=0)
         doubtful, left = doubtful[size > _DEPENDENT], left[:, size > _DEPENDENT]

@@ -7,16 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tenscontrol.validation import (
-    FloatArray,
-    IntArray,
-    choice,
-    float_array,
-    index_array,
-    indices,
-    items,
-    refuse_memory,
-)
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -30,14 +22,17 @@ Rollers = tuple[tuple[int, str], ...]
 
 def checked_members(name: str, pairs: Any, count: int) -> IntArray:
     """Return index pairs: shape (·, 2), whole numbers, in range, not from a node to itself."""
-    array = float_array(name, pairs)
+    array = validation.float_array(name, pairs)
     if array.shape in ((0,), (0, 2)):
         return np.zeros((0, 2), dtype=np.int64)
     if array.ndim != 2 or array.shape[1] != 2:
         raise ValueError(
             f"{name} has shape {array.shape}, expected (count, 2): a start and an end node each"
         )
-    ends = [indices(name, nodes, count, f"there are {count} nodes", "node ") for nodes in array.T]
+    ends = [
+        validation.indices(name, nodes, count, f"there are {count} nodes", "node ")
+        for nodes in array.T
+    ]
     loops = np.flatnonzero(ends[0] == ends[1])
     if len(loops):
         raise ValueError(f"{name}[{loops[0]}] joins node {ends[0][loops[0]]} to itself")
@@ -46,7 +41,7 @@ def checked_members(name: str, pairs: Any, count: int) -> IntArray:
 
 def checked_strings(strings: Any, paths: Any, count: int) -> tuple[IntArray, Paths]:
     """Return the first and last nodes of strings, shape (α, 2), and all paths if one is longer."""
-    given = () if paths is None else items("paths", paths, "paths of nodes")
+    given = () if paths is None else validation.items("paths", paths, "paths of nodes")
     if not given:
         if not (isinstance(strings, list | tuple) and any(map(_is_path, strings))):
             return checked_members("strings", strings, count), ()
@@ -54,7 +49,7 @@ def checked_strings(strings: Any, paths: Any, count: int) -> tuple[IntArray, Pat
     else:
         found = tuple(_path(f"paths[{i}]", path, count) for i, path in enumerate(given))
     ends = np.array([(path[0], path[-1]) for path in found])
-    if given and not np.array_equal(ends, float_array("strings", strings)):
+    if given and not np.array_equal(ends, validation.float_array("strings", strings)):
         raise ValueError(
             "strings and paths differ, expected in strings the first and the last node of each "
             "path. With new strings give paths=(): strings may hold paths themselves"
@@ -79,12 +74,12 @@ def checked_supports(fixed: Any, rollers: Any, shape: tuple[int, ...]) -> tuple[
                 f"fixed is {fixed!r}, expected node indices; a node and an axis are a pair of "
                 'their own, as in [0, (4, "z")]'
             )
-    array = index_array("fixed", nodes, count)
-    whole = indices("fixed", array, count, f"there are {count} nodes", "node ").tolist()
+    array = validation.index_array("fixed", nodes, count)
+    whole = validation.indices("fixed", array, count, f"there are {count} nodes", "node ").tolist()
     held = [(node, axis) for node in whole for axis in "xyz"[:d]]
     held += [_roller("fixed", pair, d, count) for pair in pairs]
     more = () if rollers is None else rollers
-    for pair in items("rollers", more, "pairs of a node and an axis"):
+    for pair in validation.items("rollers", more, "pairs of a node and an axis"):
         held.append(_roller("rollers", pair, d, count))
     by_node: dict[int, set[str]] = {}
     for node, axis in held:
@@ -134,7 +129,7 @@ def refuse_bars_without_length(nodes: FloatArray, bars: IntArray) -> None:
 
 def refuse_many_members(asked: str, count: float) -> None:
     """Raise if so many members do not fit in memory: to be checked, each takes 800 bytes."""
-    refuse_memory(asked, count, "bars and strings", 800)
+    validation.refuse_memory(asked, count, "bars and strings", 800)
 
 
 def signed_incidence(pairs: IntArray, columns: int) -> csr_array:
@@ -161,13 +156,13 @@ def _is_path(path: Any) -> bool:
 
 
 def _path(name: str, path: Any, count: int) -> tuple[int, ...]:
-    array = np.atleast_1d(float_array(name, path))
+    array = np.atleast_1d(validation.float_array(name, path))
     if array.ndim != 1 or len(array) < 2:
         raise ValueError(
             f"{name} has shape {array.shape}, expected (k,) with k at least 2: the nodes that "
             "the string runs over"
         )
-    nodes = indices(name, array, count, f"there are {count} nodes", "node ").tolist()
+    nodes = validation.indices(name, array, count, f"there are {count} nodes", "node ").tolist()
     for node, following in pairwise(nodes):
         if node == following:
             raise ValueError(f"{name} joins node {node} to itself")
@@ -184,8 +179,10 @@ def _path(name: str, path: Any, count: int) -> tuple[int, ...]:
 def _roller(name: str, pair: Any, d: int, count: int) -> tuple[int, str]:
     if not (isinstance(pair, list | tuple) and len(pair) == 2):
         raise ValueError(f"{name} has {pair!r}, expected pairs of a node and an axis")
-    number = float_array(name, pair[0])
+    number = validation.float_array(name, pair[0])
     if number.ndim:
         raise ValueError(f"{name} has {pair!r}, expected pairs of a node and an axis")
-    (node,) = indices(name, number[None], count, f"there are {count} nodes", "node ").tolist()
-    return node, choice(f"{name} axis of node {node}", pair[1], tuple("xyz"[:d]))
+    (node,) = validation.indices(
+        name, number[None], count, f"there are {count} nodes", "node "
+    ).tolist()
+    return node, validation.choice(f"{name} axis of node {node}", pair[1], tuple("xyz"[:d]))

@@ -4,16 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.structure.connectivity import refuse_many_members
 from tenscontrol.structure.structure import Structure
-from tenscontrol.validation import (
-    FloatArray,
-    IntArray,
-    choice,
-    index_array,
-    positive_number,
-    whole_number,
-)
 
 
 def net(
@@ -61,12 +55,12 @@ def net(
     >>> net, net.fixed
     (Structure(12 nodes, 0 bars, 17 strings), array([ 0,  3,  8, 11]))
     """
-    count_rows = whole_number("rows", rows, least=2)
-    count_columns = whole_number("columns", columns, least=2)
+    count_rows = validation.whole_number("rows", rows, least=2)
+    count_columns = validation.whole_number("columns", columns, least=2)
     asked = f"rows is {count_rows} and columns is {count_columns}"
     refuse_many_members(asked, 2 * count_rows * count_columns)
-    step = positive_number("spacing", spacing, "m")
-    mass = positive_number("node_mass", node_mass, "kg")
+    step = validation.positive_number("spacing", spacing, "m")
+    mass = validation.positive_number("node_mass", node_mass, "kg")
     knots = np.arange(count_rows * count_columns).reshape(count_rows, count_columns)
     held = _held(fixed, knots)
     if np.isin(knots, held).all():
@@ -93,8 +87,8 @@ def _held(fixed: object, knots: IntArray) -> IntArray | FloatArray:
     if fixed is None:
         return np.zeros(0, dtype=np.int64)
     if not isinstance(fixed, str):
-        return index_array("fixed", fixed, knots.size)
-    if choice("fixed", fixed, ("corners", "edges")) == "corners":
+        return validation.index_array("fixed", fixed, knots.size)
+    if validation.choice("fixed", fixed, ("corners", "edges")) == "corners":
         return knots[[0, 0, -1, -1], [0, -1, 0, -1]]
     inner = knots[1:-1, 1:-1]
     return np.setdiff1d(knots, inner)

@@ -6,16 +6,10 @@ from math import ceil
 
 import numpy as np
 
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.structure.connectivity import refuse_many_members
 from tenscontrol.structure.structure import Structure
-from tenscontrol.validation import (
-    FloatArray,
-    IntArray,
-    choice,
-    positive_number,
-    truth,
-    whole_number,
-)
 
 # Above this share of the stage height some towers would need strings that push.
 _LARGEST_OVERLAP = 0.4
@@ -78,12 +72,18 @@ def prism(
     >>> prism.nodes[:, 0].round(4), prism.bar_length.round(4)
     (array([ 0.483 , -0.1294,  1.    ]), array([1.3903, 1.3903, 1.3903]))
     """
-    q = whole_number("sides", sides, least=3)
+    q = validation.whole_number("sides", sides, least=3)
     refuse_many_members(f"sides is {q}", 5 * q)
-    bottom_radius = positive_number("radius", radius, "m")
-    height = positive_number("height", height, "m")
-    upper = bottom_radius if top_radius is None else positive_number("top_radius", top_radius, "m")
-    mirror = 1.0 if choice("handedness", handedness, ("left", "right")) == "left" else -1.0
+    bottom_radius = validation.positive_number("radius", radius, "m")
+    height = validation.positive_number("height", height, "m")
+    upper = (
+        bottom_radius
+        if top_radius is None
+        else validation.positive_number("top_radius", top_radius, "m")
+    )
+    mirror = (
+        1.0 if validation.choice("handedness", handedness, ("left", "right")) == "left" else -1.0
+    )
 
     k = np.arange(q)
     turn = _turn(q)
@@ -101,7 +101,9 @@ def prism(
         "bottom": np.column_stack([q + k, q + following]),
         "vertical": np.column_stack([k, q + k]),
     }
-    if truth("diagonals", diagonals, "whether there is a second set of strings from top to bottom"):
+    if validation.truth(
+        "diagonals", diagonals, "whether there is a second set of strings from top to bottom"
+    ):
         groups["diagonal"] = np.column_stack([k, q + (k - 1) % q])
     return Structure(
         nodes=nodes,
@@ -146,9 +148,9 @@ def prism_radius(bar_length: float, height: float, sides: int = 3) -> float:
     >>> bool(abs(lower.bar_length - length).max() < 1e-15)
     True
     """
-    length = positive_number("bar_length", bar_length, "m")
-    rise = positive_number("height", height, "m")
-    q = whole_number("sides", sides, least=3)
+    length = validation.positive_number("bar_length", bar_length, "m")
+    rise = validation.positive_number("height", height, "m")
+    q = validation.whole_number("sides", sides, least=3)
     if rise >= length:
         raise ValueError(
             f"height is {rise:g} m, expected less than the bar length {length:g} m: the bars lean"
@@ -230,18 +232,20 @@ def prism_tower(
     >>> rest.mechanisms, rest.is_super_stable, bool(rest.force_density.min() > 2.0)
     (0, True, True)
     """
-    count = whole_number("stages", stages, least=1)
-    q = whole_number("sides", sides, least=3)
+    count = validation.whole_number("stages", stages, least=1)
+    q = validation.whole_number("sides", sides, least=3)
     refuse_many_members(f"stages is {count} and sides is {q}", 8 * count * q)
-    radius = positive_number("radius", radius, "m")
-    height = positive_number("height", height, "m")
-    overlap = positive_number("overlap", overlap, "stage heights")
+    radius = validation.positive_number("radius", radius, "m")
+    height = validation.positive_number("height", height, "m")
+    overlap = validation.positive_number("overlap", overlap, "stage heights")
     if overlap > _LARGEST_OVERLAP:
         raise ValueError(
             f"overlap is {overlap:g}, expected at most {_LARGEST_OVERLAP:g}: with more, no "
             "self-stress of the tower has all strings in tension"
         )
-    mirror = 1.0 if choice("handedness", handedness, ("left", "right")) == "left" else -1.0
+    mirror = (
+        1.0 if validation.choice("handedness", handedness, ("left", "right")) == "left" else -1.0
+    )
 
     node = np.arange(count * 2 * q).reshape(count, 2, q)
     top, bottom = node[:, 0], node[:, 1]

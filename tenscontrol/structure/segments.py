@@ -6,21 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, IntArray, frozen
 from tenscontrol.structure.bar_geometry import refuse_strings_without_length
 from tenscontrol.structure.connectivity import refuse_many_members
 from tenscontrol.structure.structure import Structure
-from tenscontrol.validation import (
-    FloatArray,
-    IntArray,
-    choice,
-    frozen,
-    instance,
-    non_negative,
-    per_member,
-    positive,
-    positive_number,
-    refuse_fractions,
-)
 
 # A string of s segments in series, all with the same tension. The value of each segment is that of
 # the whole string times s to this power.
@@ -107,7 +97,9 @@ def subdivide(
 
     >>> strings = tc.LinearStrings(stiffness=100.0 * tc.structure.segment_counts(massive))
     """
-    instance("structure", structure, Structure, "make one by Structure(...) or prism(...)")
+    validation.instance(
+        "structure", structure, Structure, "make one by Structure(...) or prism(...)"
+    )
     counts = _counts(segments, len(structure.strings))
     mass = _point_masses(counts, node_mass, string_mass)
     if not len(mass):
@@ -157,9 +149,9 @@ def _counts(segments: object, count: int) -> IntArray:
     """Return the number of segments of each string."""
     if isinstance(segments, bool):
         raise TypeError(f"segments is {segments}, expected a whole number of at least 1")
-    counts = per_member("segments", segments, count, "string")
-    refuse_fractions("segments", counts)
-    positive("segments", counts, "whole number; 1 leaves the string as it is")
+    counts = validation.per_member("segments", segments, count, "string")
+    validation.refuse_fractions("segments", counts)
+    validation.positive("segments", counts, "whole number; 1 leaves the string as it is")
     refuse_many_members(f"segments is {float(np.max(counts, initial=1)):g}", counts.sum())
     return counts.astype(np.int64)
 
@@ -176,8 +168,8 @@ def _point_masses(counts: IntArray, node_mass: object, string_mass: object) -> F
         )
     new = counts - 1
     if node_mass is not None:
-        return np.full(int(new.sum()), positive_number("node_mass", node_mass, "kg"))
-    mass = per_member("string_mass", string_mass, len(counts), "string")
+        return np.full(int(new.sum()), validation.positive_number("node_mass", node_mass, "kg"))
+    mass = validation.per_member("string_mass", string_mass, len(counts), "string")
     for i, (m, points) in enumerate(zip(mass.tolist(), new.tolist(), strict=True)):
         if points == 0 and m != 0:
             raise ValueError(
@@ -211,7 +203,7 @@ def to_segments(structure: Structure, what: str, values: FloatArray) -> FloatArr
     >>> tc.structure.to_segments(massive, "force_density", np.full(9, 10.0))[:2]
     array([40., 40.])
     """
-    power = _POWER[choice("what", what, _POWER)]
+    power = _POWER[validation.choice("what", what, _POWER)]
     of, counts = _map(structure)
     _refuse_misfit(what, values, len(counts), "whole string")
     if structure.string_parent is None:
@@ -235,7 +227,7 @@ def to_strings(structure: Structure, what: str, values: FloatArray) -> FloatArra
     >>> tc.structure.to_strings(massive, "rest_length", np.full(36, 0.2))[:2]
     array([0.8, 0.8])
     """
-    choice("what", what, _POWER)
+    validation.choice("what", what, _POWER)
     of, counts = _map(structure)
     _refuse_misfit(what, values, len(of), "segment")
     if structure.string_parent is None:
@@ -318,12 +310,14 @@ def spread_rest_length(structure: Structure, rest_length: object) -> FloatArray:
 
 
 def _spread(structure: Structure, what: str, value: object, why: str) -> FloatArray:
-    values = per_member(what, value, len(_checked_whole(structure).strings), "whole string")
-    return to_segments(structure, what, non_negative(what, values, why))
+    values = validation.per_member(
+        what, value, len(_checked_whole(structure).strings), "whole string"
+    )
+    return to_segments(structure, what, validation.non_negative(what, values, why))
 
 
 def _checked_whole(structure: Structure) -> Structure:
-    instance("structure", structure, Structure, "make one by subdivide(...)")
+    validation.instance("structure", structure, Structure, "make one by subdivide(...)")
     return whole_strings(structure)
 
 

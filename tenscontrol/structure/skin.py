@@ -6,21 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.structure.connectivity import refuse_many_members
 from tenscontrol.structure.structure import Structure
-from tenscontrol.validation import (
-    FloatArray,
-    IntArray,
-    float_array,
-    identifier,
-    indices,
-    instance,
-    items,
-    per_member,
-    positive,
-    positive_number,
-    whole_number,
-)
 
 # Corners further off the plane of their panel than this part of its size are refused. Nodes
 # written down with four digits pass.
@@ -117,11 +106,13 @@ def skin(
     >>> tc.skin(tc.prism(), [(0, 1, 3)], panel_mass=0.05).string_node_mass
     array([0.05])
     """
-    instance("structure", structure, Structure, "make one by Structure(...) or prism(...)")
+    validation.instance(
+        "structure", structure, Structure, "make one by Structure(...) or prism(...)"
+    )
     if structure.dimension != 3:
         raise ValueError("structure is planar, nodes of shape (2, n); a skin needs one in space")
-    count = whole_number("iterations", iterations, 0, 500)  # 3^500 is a number yet
-    identifier("group", group)
+    count = validation.whole_number("iterations", iterations, 0, 500)  # 3^500 is a number yet
+    validation.identifier("group", group)
     loops = _loops(structure, panels)
     is_bare = count == 0 or not loops
     masses = {"node_mass": node_mass, "panel_mass": panel_mass, "areal_density": areal_density}
@@ -204,16 +195,16 @@ def skin_rest_length(
     >>> tc.structure.skin_rest_length(skinned, 0.8, prestretch=0.25).round(4)
     array([0.8, 0.8, 0.8, 0.8, 0.8, 0.8, 0.8, 0.8, 0.8, 0.4, 0.4, 0.4])
     """
-    instance("structure", structure, Structure, "make one by skin(...)")
+    validation.instance("structure", structure, Structure, "make one by skin(...)")
     if structure.string_parent is not None:
         raise ValueError(
             "structure is subdivided: give its parent, and spread_rest_length(...) spreads the "
             "answer over segments"
         )
     count = len((structure.parent or structure).strings)
-    given = per_member("rest_length", rest_length, count, "string of the parent")
-    positive("rest_length", given, "length in m")
-    stretch = float_array("prestretch", prestretch)
+    given = validation.per_member("rest_length", rest_length, count, "string of the parent")
+    validation.positive("rest_length", given, "length in m")
+    stretch = validation.float_array("prestretch", prestretch)
     if stretch.ndim or stretch <= -1:
         raise ValueError(f"prestretch is {prestretch!r}, expected a number above -1")
     return np.concatenate([given, structure.string_length()[count:] / (1 + float(stretch))])
@@ -240,10 +231,12 @@ def _density(loops: dict[str, Loop], nodes: FloatArray, masses: dict[str, object
         )
     name = given[0]
     if name == "node_mass":
-        positive_number(name, masses[name], "kg")
+        validation.positive_number(name, masses[name], "kg")
         return np.zeros(len(loops))
-    value = per_member(name, masses[name], len(loops), "panel")
-    positive(name, value, "mass in kg" if name == "panel_mass" else "areal density in kg/m²")
+    value = validation.per_member(name, masses[name], len(loops), "panel")
+    validation.positive(
+        name, value, "mass in kg" if name == "panel_mass" else "areal density in kg/m²"
+    )
     if name == "areal_density":
         return value
     for k, loop in enumerate(loops.values()):
@@ -265,7 +258,7 @@ def _loops(structure: Structure, panels: object) -> dict[str, Loop]:
     named = _named_panels(structure)
     found: dict[str, Loop] = {}
     known: set[frozenset[int]] = set()
-    entries = items("panels", panels, "panel names and node loops")
+    entries = validation.items("panels", panels, "panel names and node loops")
     for i, entry in enumerate(entries):
         if isinstance(entry, str):
             if entry not in named:
@@ -292,14 +285,14 @@ def _loops(structure: Structure, panels: object) -> dict[str, Loop]:
 
 def _given_loop(name: str, entry: object, count: int) -> Loop:
     """Return a loop given by its nodes, or say what is wrong with it."""
-    array = float_array(name, entry)
+    array = validation.float_array(name, entry)
     if array.ndim != 1:
         hint = "; a single loop is given as panels=[loop]" if array.ndim == 0 else ""
         raise ValueError(
             f"{name} has shape {array.shape}, expected a panel name or a sequence of node "
             f"indices{hint}"
         )
-    loop = indices(name, array, count, f"there are {count} nodes", "node ")
+    loop = validation.indices(name, array, count, f"there are {count} nodes", "node ")
     if len(loop) < 3:
         raise ValueError(f"{name} has {len(loop)} nodes, expected at least 3 around a panel")
     corners, times = np.unique(loop, return_counts=True)

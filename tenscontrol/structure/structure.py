@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, IntArray, frozen
 from tenscontrol.properties import cached_property
 from tenscontrol.structure.blocks import Block, find_blocks
 from tenscontrol.structure.connectivity import (
@@ -21,22 +23,6 @@ from tenscontrol.structure.connectivity import (
     signed_incidence,
 )
 from tenscontrol.structure.structure_file import read_structure, write_structure
-from tenscontrol.validation import (
-    FloatArray,
-    IntArray,
-    choice,
-    float_array,
-    frozen,
-    identifier,
-    indices,
-    instance,
-    items,
-    non_negative,
-    per_member,
-    positive,
-    shaped,
-    vector,
-)
 from tenscontrol.viewable import Viewable
 
 if TYPE_CHECKING:
@@ -160,7 +146,7 @@ class Structure(Viewable):
         rollers: Sequence[tuple[int, str]] | None = (),
         paths: Sequence[Sequence[int]] | None = (),
     ) -> None:
-        N = float_array("nodes", nodes)
+        N = validation.float_array("nodes", nodes)
         if N.ndim != 2 or N.shape[0] not in (2, 3) or N.shape[1] == 0:
             hint = "; transpose it" if N.ndim == 2 and N.shape[1] in (2, 3) else ""
             raise ValueError(
@@ -181,12 +167,14 @@ class Structure(Viewable):
         put(self, "fixed", frozen(held))
         put(self, "rollers", rolling)
         given = () if bar_mass is None and not len(self.bars) else bar_mass
-        mass = per_member("bar_mass", given, len(self.bars), "bar")
-        put(self, "bar_mass", frozen(positive("bar_mass", mass, "mass in kg")))
+        mass = validation.per_member("bar_mass", given, len(self.bars), "bar")
+        put(self, "bar_mass", frozen(validation.positive("bar_mass", mass, "mass in kg")))
         put(self, "point_mass", frozen(self._checked_point_mass(point_mass, string_node_mass)))
         put(self, "string_groups", self._checked_groups(string_groups))
         if parent is not None:
-            instance("parent", parent, Structure, "the structure that this one was made from")
+            validation.instance(
+                "parent", parent, Structure, "the structure that this one was made from"
+            )
         put(self, "parent", parent)
         put(self, "string_parent", self._checked_string_parent(string_parent))
         _ = self.blocks  # refuses what does not determine its forces
@@ -194,15 +182,15 @@ class Structure(Viewable):
     def _checked_point_mass(self, given: Any, alone: Any) -> FloatArray:
         """Return the mass at each node, from that of all and that of the string nodes alone."""
         points, count = self.string_nodes, self.nodes.shape[1]
-        mass = per_member("point_mass", 0.0 if given is None else given, count, "node")
-        non_negative("point_mass", mass, "mass in kg")
+        mass = validation.per_member("point_mass", 0.0 if given is None else given, count, "node")
+        validation.non_negative("point_mass", mass, "mass in kg")
         if alone is not None:
-            array = vector("string_node_mass", alone)
+            array = validation.vector("string_node_mass", alone)
             loose = np.setdiff1d(np.arange(count), self.bars.ravel())
             if array.shape == loose.shape:
                 points = loose  # fixed nodes among them
-            of_points = per_member("string_node_mass", array, len(points), "string node")
-            mass[points] = positive("string_node_mass", of_points, "mass in kg")
+            of_points = validation.per_member("string_node_mass", array, len(points), "string node")
+            mass[points] = validation.positive("string_node_mass", of_points, "mass in kg")
         points = self.string_nodes
         bare = points[mass[points] == 0]
         if len(bare):
@@ -216,13 +204,15 @@ class Structure(Viewable):
     def _checked_groups(self, given: Any) -> tuple[str, ...]:
         if given is None:
             return ("string",) * len(self.strings)
-        groups = items("string_groups", given, "names, one per string")
+        groups = validation.items("string_groups", given, "names, one per string")
         if len(groups) != len(self.strings):
             raise ValueError(
                 f"string_groups has {len(groups)} names, "
                 f"expected {len(self.strings)}: one per string"
             )
-        return tuple(identifier(f"string_groups[{i}]", group) for i, group in enumerate(groups))
+        return tuple(
+            validation.identifier(f"string_groups[{i}]", group) for i, group in enumerate(groups)
+        )
 
     def _checked_string_parent(self, given: Any) -> IntArray | None:
         if given is None:
@@ -230,8 +220,10 @@ class Structure(Viewable):
         if self.parent is None:
             raise ValueError("string_parent is given without parent, whose strings it counts")
         count = len(self.parent.strings)
-        array = shaped("string_parent", given, (len(self.strings),), "one per string")
-        parent = indices("string_parent", array, count, f"the parent has {count} strings")
+        array = validation.shaped("string_parent", given, (len(self.strings),), "one per string")
+        parent = validation.indices(
+            "string_parent", array, count, f"the parent has {count} strings"
+        )
         missing = np.setdiff1d(np.arange(count), parent)
         if len(missing):
             raise ValueError(
@@ -485,7 +477,7 @@ class Structure(Viewable):
         group : str
             A name from ``string_groups``.
         """
-        choice("group", group, dict.fromkeys(self.string_groups))
+        validation.choice("group", group, dict.fromkeys(self.string_groups))
         return np.array([i for i, name in enumerate(self.string_groups) if name == group])
 
     def checked_nodes(self, name: str, nodes: object) -> FloatArray:
@@ -499,7 +491,7 @@ class Structure(Viewable):
         """
         axes = ", ".join("xyz"[: self.dimension])
         meaning = f"one column of {axes} per node of the structure"
-        return shaped(name, nodes, self.nodes.shape, meaning)
+        return validation.shaped(name, nodes, self.nodes.shape, meaning)
 
     # The paper's matrices, built on demand. The dynamics never multiply by them:
     # every product is done member by member.

@@ -10,9 +10,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray
 from tenscontrol.files import read_text, write_file
 from tenscontrol.parsing import TomlLimits, parse_json, parse_toml
-from tenscontrol.validation import FloatArray, file_path, whole_number
 
 _Made = TypeVar("_Made")
 
@@ -73,7 +74,7 @@ def to_table(structure: Any) -> dict[str, Any]:
 
 def from_table(table: Mapping[str, Any], make: Callable[..., _Made]) -> _Made:
     """Return the structure that a table describes; ``make`` is :class:`Structure`."""
-    version = whole_number("version", table.get("version", VERSION), 1)
+    version = validation.whole_number("version", table.get("version", VERSION), 1)
     if version > VERSION:
         raise ValueError(
             f"version is {version}, expected at most {VERSION}: the file is of a later release of "
@@ -111,7 +112,7 @@ def from_table(table: Mapping[str, Any], make: Callable[..., _Made]) -> _Made:
 
 def write_structure(structure: Any, path: object) -> Path:
     """Write a structure as TOML or JSON, as the name of the file ends."""
-    file, table = file_path("path", path, _ENDINGS), to_table(structure)
+    file, table = validation.file_path("path", path, _ENDINGS), to_table(structure)
     if file.suffix.lower() == ".json":
         return write_file(file, json.dumps({"structure": table}, indent=1) + "\n")
     return write_file(file, _HEAD + "\n".join(_lines("structure", table)) + "\n")
@@ -119,7 +120,7 @@ def write_structure(structure: Any, path: object) -> Path:
 
 def read_structure(path: object, make: Callable[..., _Made]) -> _Made:
     """Return the structure of a TOML or JSON file, or raise a ValueError that names the file."""
-    file = file_path("path", path, _ENDINGS)
+    file = validation.file_path("path", path, _ENDINGS)
     text, name = read_text(file, _MOST_BYTES), str(file)
     found: Any
     if file.suffix.lower() == ".json":

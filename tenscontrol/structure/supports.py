@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.structure.structure import Structure
-from tenscontrol.validation import FloatArray, IntArray
 
 # Directions whose singular value is below this fraction of the largest do not exist.
 _RANK_TOLERANCE = 1e-9

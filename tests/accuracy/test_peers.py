@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 import tenscontrol as tc
 from tenscontrol.accuracy import Peer, Solution
 from tenscontrol.accuracy.peers import CasADiCVODES, CasADiRK, MuJoCo, SciPy
-from tenscontrol.dynamics import unpack_states
+from tenscontrol.dynamics.equation import unpack_states
 from tenscontrol.integrate import DOP853, RK4
 from tests.dynamics.scenes import (
     paper_force_density,

@@ -9,7 +9,7 @@ import pytest
 import tenscontrol as tc
 from tenscontrol.accuracy.open_loop import fastest_rate
 from tenscontrol.accuracy.peers import CasADiCVODES, SciPy
-from tenscontrol.dynamics import compiler
+from tenscontrol.dynamics.machine_code import compiler
 
 SCENES = Path(__file__).parent.parent.parent / "examples" / "scenes"
 

@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
 
 import tenscontrol as tc
-from tenscontrol.plant import largest_change
+from tenscontrol.plant.input_bounds import largest_change
 
 COUNT = 5
 RATE, SHORTEST, LONGEST, STEP = 0.5, 0.3, 1.5, 0.02

@@ -21,7 +21,7 @@ import numpy as np
 
 import tenscontrol as tc
 from tenscontrol.accuracy.peers.rigid_bodies import NodeReader
-from tenscontrol.dynamics import pack_state, unpack_states
+from tenscontrol.dynamics.equation import pack_state, unpack_states
 from tenscontrol.integrate import Projector
 from tests.benchmarks.command_line import options
 from tests.benchmarks.jax_peers import rk4_step

@@ -13,8 +13,9 @@ from collections.abc import Sequence
 import numpy as np
 
 import tenscontrol as tc
-from tenscontrol.dynamics import evaluate_columns, pack_state
-from tenscontrol.integrate import METHODS
+from tenscontrol.dynamics.equation import pack_state
+from tenscontrol.dynamics.evaluator import evaluate_columns
+from tenscontrol.integrate.methods import METHODS
 from tests.benchmarks.command_line import options
 from tests.integrate.coupled_scenes import d_bar, moving, tower
 from tests.integrate.stepping import fitted_order

@@ -14,7 +14,8 @@ from time import perf_counter, process_time
 import numpy as np
 
 import tenscontrol as tc
-from tenscontrol.dynamics import Evaluator, pack_state
+from tenscontrol.dynamics.equation import pack_state
+from tenscontrol.dynamics.evaluator import Evaluator
 from tests.benchmarks.command_line import options
 from tests.known_structures import class2_tower
 

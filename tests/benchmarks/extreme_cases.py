@@ -11,6 +11,7 @@ import numpy as np
 
 from tenscontrol.accuracy.open_loop import fastest_rate
 from tenscontrol.actuation import to_rest_length
+from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics import (
     ContactLaw,
     Ground,
@@ -19,12 +20,12 @@ from tenscontrol.dynamics import (
     Model,
     SmoothGround,
 )
-from tenscontrol.integrate import METHODS, largest_frequency
+from tenscontrol.integrate.integrator import largest_frequency
+from tenscontrol.integrate.methods import METHODS
 from tenscontrol.library import class2_tower, d_bar, six_bar_ball, spine
 from tenscontrol.simulation import Scene
 from tenscontrol.statics import prestress, prism_force_density
 from tenscontrol.structure import Structure, prism, segment_counts, spread_force_density, subdivide
-from tenscontrol.validation import FloatArray
 
 #: Error that a method is asked for, as part of the size of the structure.
 ASKED = 1e-3

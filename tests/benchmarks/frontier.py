@@ -28,7 +28,7 @@ import numpy as np
 import tenscontrol as tc
 from tenscontrol.accuracy.converged_motion import converged_motion
 from tenscontrol.accuracy.open_loop import fastest_rate
-from tenscontrol.integrate import METHODS
+from tenscontrol.integrate.methods import METHODS
 from tenscontrol.simulation import AccuracyWarning, SimulationError
 from tests.benchmarks.command_line import options
 from tests.benchmarks.error_against_time import example

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tenscontrol.integrate import METHODS
+from tenscontrol.integrate.methods import METHODS
 from tests.benchmarks.command_line import options
 from tests.integrate.ground_scenes import SCENES, Scene, nudged, resting
 from tests.integrate.stepping import fitted_order

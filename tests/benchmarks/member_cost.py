@@ -20,8 +20,9 @@ from unittest.mock import patch
 import numpy as np
 
 import tenscontrol as tc
-from tenscontrol.dynamics import Evaluator, Forces
-from tenscontrol.dynamics.forms import loops_source
+from tenscontrol.dynamics.evaluator import Evaluator
+from tenscontrol.dynamics.forces import Forces
+from tenscontrol.dynamics.forms.loops import loops_source
 from tenscontrol.dynamics.machine_code import compiled_library, compiler
 from tenscontrol.dynamics.model import LARGEST_FLAT
 from tests.benchmarks.command_line import options

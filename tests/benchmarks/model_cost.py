@@ -11,7 +11,7 @@ from time import perf_counter
 import numpy as np
 
 import tenscontrol as tc
-from tenscontrol.dynamics import Evaluator
+from tenscontrol.dynamics.evaluator import Evaluator
 from tests.benchmarks.command_line import options
 from tests.known_structures import d_bar
 

@@ -17,7 +17,7 @@ import numpy as np
 
 import tenscontrol as tc
 from tenscontrol.control import Controller
-from tenscontrol.plant import explicit_substeps
+from tenscontrol.plant.reduced_dynamics import explicit_substeps
 from tests.benchmarks.command_line import options
 from tests.control.mpc.contact_scenes import STRUCTURES, hop, models
 

@@ -13,7 +13,9 @@ from collections.abc import Sequence
 import numpy as np
 
 import tenscontrol as tc
-from tenscontrol.dynamics import Evaluator, compiler, pack_state
+from tenscontrol.dynamics.equation import pack_state
+from tenscontrol.dynamics.evaluator import Evaluator
+from tenscontrol.dynamics.machine_code import compiler
 from tests.benchmarks.command_line import options
 from tests.dynamics.test_any_motion import both
 from tests.library.structures import STRUCTURES

@@ -21,7 +21,10 @@ import numpy as np
 from scipy.sparse import csc_matrix, triu, vstack
 
 import tenscontrol as tc
-from tenscontrol.control.mpc import DAQPSolver, OSQPSolver, PIQPSolver, Sparse
+from tenscontrol.control.mpc.solvers.daqp_adapter import DAQPSolver
+from tenscontrol.control.mpc.solvers.osqp_adapter import OSQPSolver
+from tenscontrol.control.mpc.solvers.piqp_adapter import PIQPSolver
+from tenscontrol.control.mpc.sparse import Sparse
 from tenscontrol.demo import tour as demo
 from tests.benchmarks.command_line import options
 from tests.control.mpc.test_linear import kkt_residual

@@ -15,7 +15,7 @@ from unittest.mock import patch
 import numpy as np
 
 import tenscontrol as tc
-from tenscontrol.integrate import METHODS
+from tenscontrol.integrate.methods import METHODS
 from tests.benchmarks.command_line import options
 
 RUNS = {

@@ -15,7 +15,8 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import tenscontrol as tc
-from tenscontrol.dynamics import Evaluator, pack_state
+from tenscontrol.dynamics.equation import pack_state
+from tenscontrol.dynamics.evaluator import Evaluator
 from tenscontrol.integrate import RK4
 from tests.benchmarks.command_line import options
 from tests.dynamics.scenes import paper_force_density, rest_lengths

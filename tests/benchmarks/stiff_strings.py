@@ -14,8 +14,9 @@ from time import perf_counter
 import numpy as np
 
 import tenscontrol as tc
-from tenscontrol.dynamics import pack_state
-from tenscontrol.integrate import METHODS, largest_frequency
+from tenscontrol.dynamics.equation import pack_state
+from tenscontrol.integrate.integrator import largest_frequency
+from tenscontrol.integrate.methods import METHODS
 from tests.benchmarks.command_line import options
 
 STIFFNESS, NODE_MASS, SEGMENTS = 1e8, 1e-5, 4

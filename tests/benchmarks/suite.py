@@ -23,7 +23,8 @@ from typing import Any
 import numpy as np
 
 from tenscontrol.accuracy.open_loop import only_free, state_change
-from tenscontrol.dynamics import unpack_states
+from tenscontrol.arrays import FloatArray, frozen
+from tenscontrol.dynamics.equation import unpack_states
 from tenscontrol.integrate import CVODES, DOP853, RK4, EnergyMomentum, Integrator
 from tenscontrol.progress import progress_bar
 from tenscontrol.simulation import (
@@ -34,7 +35,6 @@ from tenscontrol.simulation import (
     simulate,
 )
 from tenscontrol.tables import aligned
-from tenscontrol.validation import FloatArray, frozen
 from tests.benchmarks.command_line import options
 from tests.benchmarks.extreme_cases import ASKED, TOLERANCE, Extreme, extremes, methods
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.integrate import METHODS
+from tenscontrol.integrate.methods import METHODS
 from tests.benchmarks import suite
 from tests.benchmarks.extreme_cases import ASKED, Extreme, extremes, methods
 from tests.benchmarks.suite import Truth, cells, judge, judged, main, summary, truth

@@ -10,11 +10,13 @@ import numpy as np
 
 import tenscontrol as tc
 from tenscontrol.control import Status
-from tenscontrol.control.mpc import DAQPSolver, OSQPSolver, QPSolution
+from tenscontrol.control.mpc import QPSolution
 from tenscontrol.control.mpc.problem import SubproblemSolution
+from tenscontrol.control.mpc.solvers.daqp_adapter import DAQPSolver
+from tenscontrol.control.mpc.solvers.osqp_adapter import OSQPSolver
 from tenscontrol.control.mpc.stages import LeastDistance, LeastDistanceArrays
-from tenscontrol.dynamics import Evaluator
-from tenscontrol.plant import sampled_dynamics
+from tenscontrol.dynamics.evaluator import Evaluator
+from tenscontrol.plant.reduced_dynamics import sampled_dynamics
 
 STEP, GAMMA = 0.02, 17.3205
 CHANGE = {"force_density": 6.0, "rest_length": 0.03}  # N/m and m a sample

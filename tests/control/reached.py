@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import tenscontrol as tc
-from tenscontrol.plant import reached_states
+from tenscontrol.plant.controllability import reached_states
 from tenscontrol.robustness import farthest_node
 from tests.random_structures import any_structure
 

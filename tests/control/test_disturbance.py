@@ -7,7 +7,7 @@ from scipy.linalg import expm
 import tenscontrol as tc
 from tenscontrol.control.disturbance import LoadObserver, load_model
 from tenscontrol.demo import tour as demo
-from tenscontrol.plant import acceleration_response
+from tenscontrol.plant.linear_plant import acceleration_response
 
 SAMPLE, LOAD = 0.02, 2.0
 

@@ -9,7 +9,7 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.control import Status
-from tenscontrol.control.mpc import OSQPSolver
+from tenscontrol.control.mpc.solvers.osqp_adapter import OSQPSolver
 from tests.control.fault_loop import (
     CHANGE,
     CONTROLLERS,

@@ -12,7 +12,7 @@ import tenscontrol as tc
 from tenscontrol.control import Status
 from tenscontrol.control.feedback_linearization import error_rates, rounded_up
 from tenscontrol.control.held_loop import held_error_rate
-from tenscontrol.plant import tracked_motion
+from tenscontrol.plant.reduced_dynamics import tracked_motion
 
 FREE = 300.0  # N/m, never reached
 

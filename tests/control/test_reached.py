@@ -8,7 +8,8 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.dynamics.machine_code import compiler
-from tenscontrol.plant import regulator, sampled
+from tenscontrol.plant.linear_plant import sampled
+from tenscontrol.plant.riccati import regulator
 from tenscontrol.robustness import farthest_node
 from tests.control.reached import (
     campaign,

@@ -9,7 +9,7 @@ import tenscontrol as tc
 from tenscontrol.control import Status
 from tenscontrol.control.mpc.settings import MPCSettings, design
 from tenscontrol.demo import tour as demo
-from tenscontrol.plant import sampled
+from tenscontrol.plant.linear_plant import sampled
 
 SAMPLE = 0.02
 STILL = np.zeros((3, 6))

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 import casadi as ca
 
-from tenscontrol.dynamics import BUILDING
+from tenscontrol.dynamics.evaluator import BUILDING
 
 EXPRESSIONS = (ca.SX, ca.MX)
 

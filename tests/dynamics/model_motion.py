@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from tenscontrol.dynamics import Evaluator, pack_state, unpack_states
+from tenscontrol.dynamics.equation import pack_state, unpack_states
+from tenscontrol.dynamics.evaluator import Evaluator
 from tests.oracle import Motion
 
 

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.dynamics import Evaluator, machine_code, pack_state
+from tenscontrol.dynamics import machine_code
+from tenscontrol.dynamics.equation import pack_state
+from tenscontrol.dynamics.evaluator import Evaluator
 from tenscontrol.dynamics.machine_code import compiler
 from tests.known_structures import KNOWN, class2_tower, d_bar, spine
 from tests.oracle import consistent_mass, node_acceleration, string_forces, string_motion
-from tests.random_structures import any_motion_of
-from tests.random_structures import any_structure as new_structure
+from tests.random_structures import any_motion_of, any_structure as new_structure
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="no C compiler here")
 # More by ``python -m tests.benchmarks.oracle_agreement``.

@@ -15,7 +15,8 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.control.mpc import stages
-from tenscontrol.dynamics import Evaluator, machine_code
+from tenscontrol.dynamics import machine_code
+from tenscontrol.dynamics.evaluator import Evaluator
 from tenscontrol.dynamics.machine_code import CompilerError, CompilerWarning, compiled, compiler
 from tests.dynamics.scenes import paper_force_density, rest_lengths
 

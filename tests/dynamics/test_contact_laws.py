@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.dynamics import ContactLaw, HertzGround, SmoothGround, pack_state
+from tenscontrol.dynamics import ContactLaw, HertzGround, SmoothGround
+from tenscontrol.dynamics.equation import pack_state
 from tenscontrol.dynamics.machine_code import compiler
 from tests.oracle import Plane, node_acceleration
 

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 import tenscontrol as tc
 from tests.dynamics.scenes import random_structure, random_turn, weighted_prism

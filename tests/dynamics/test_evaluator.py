@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.dynamics import Evaluator
+from tenscontrol.dynamics.evaluator import Evaluator
 from tests.dynamics.scenes import any_motion, random_force_density
 
 

@@ -7,7 +7,7 @@ from threading import Event, Thread
 
 import pytest
 
-from tenscontrol.dynamics import Prepared, ProcessLock
+from tenscontrol.dynamics.evaluator import Prepared, ProcessLock
 from tenscontrol.properties import cached_property
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="there are no forks")

@@ -5,8 +5,10 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.dynamics import Evaluator, Forces, pack_state
-from tenscontrol.dynamics.forms import loops_source
+from tenscontrol.dynamics.equation import pack_state
+from tenscontrol.dynamics.evaluator import Evaluator
+from tenscontrol.dynamics.forces import Forces
+from tenscontrol.dynamics.forms.loops import loops_source
 from tenscontrol.dynamics.machine_code import compiler
 from tenscontrol.dynamics.model import LARGEST_FLAT
 from tests.dynamics.scenes import any_motion, random_structure, side_by_side

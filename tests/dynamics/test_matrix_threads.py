@@ -15,7 +15,7 @@ from threadpoolctl import ThreadpoolController
 
 import tenscontrol as tc
 from tenscontrol.control import Command, Controller
-from tenscontrol.dynamics import Exclusive
+from tenscontrol.dynamics.evaluator import Exclusive
 
 BLAS = ThreadpoolController().select(user_api="blas")
 

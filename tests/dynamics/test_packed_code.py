@@ -7,14 +7,9 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.dynamics import compiled_source, compiler
-from tenscontrol.dynamics.forms import (
-    C_EXPORT,
-    C_HEAD,
-    PACKED_HEAD,
-    external_interface,
-    packed_source,
-)
+from tenscontrol.dynamics.forms.loops import C_EXPORT, C_HEAD, external_interface
+from tenscontrol.dynamics.forms.packed_code import PACKED_HEAD, packed_source
+from tenscontrol.dynamics.machine_code import compiled_source, compiler
 from tests.random_structures import any_structure
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")

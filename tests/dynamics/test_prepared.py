@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.dynamics import Prepared
+from tenscontrol.dynamics.evaluator import Prepared
 from tests.dynamics.scenes import paper_force_density, rest_lengths
 
 # What evaluates functions that are there, or asks about them. Anything else builds.

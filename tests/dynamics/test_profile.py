@@ -5,7 +5,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 import tenscontrol as tc
-from tenscontrol.dynamics import Pieces, as_pieces
+from tenscontrol.dynamics.profile import Pieces, as_pieces
 
 TIME = np.array([0.3, 0.5, 1.2, 2.0])
 LOOKS = np.linspace(0.3, 2.0, 200)[:-1]

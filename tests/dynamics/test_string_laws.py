@@ -5,11 +5,10 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 import tenscontrol as tc
-from tenscontrol.dynamics import compiler
+from tenscontrol.dynamics.machine_code import compiler
 from tests.dynamics.scenes import any_motion, random_structure
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.dynamics import pack_state, tangent
+from tenscontrol.dynamics.equation import pack_state
+from tenscontrol.dynamics.tangent import tangent
 from tests import known_structures
 from tests.random_structures import any_structure
 

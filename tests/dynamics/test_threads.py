@@ -17,7 +17,7 @@ import tenscontrol as tc
 from tenscontrol.accuracy import peers
 from tenscontrol.accuracy.converged_motion import PiecewiseSolver
 from tenscontrol.accuracy.open_loop import fastest_rate
-from tenscontrol.dynamics import BUILDING, Evaluator, Function, Prepared
+from tenscontrol.dynamics.evaluator import BUILDING, Evaluator, Function, Prepared
 from tests.accuracy.test_peers import prism_case
 from tests.dynamics.building import unlocked_calls
 from tests.fuzz import threads as fuzz

@@ -6,7 +6,7 @@ import numpy as np
 
 import tenscontrol as tc
 from tenscontrol.dynamics import SmoothGround
-from tenscontrol.plant import acceleration_response
+from tenscontrol.plant.linear_plant import acceleration_response
 from tests import coupled
 
 SAMPLE = 0.01

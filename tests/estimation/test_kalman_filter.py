@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.plant import acceleration_response
+from tenscontrol.plant.linear_plant import acceleration_response
 from tests.estimation.conftest import EVERY, STEP
 
 NAN, INF = float("nan"), float("inf")

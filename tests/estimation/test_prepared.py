@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.plant import string_map, tracked_motion
+from tenscontrol.plant.reduced_dynamics import tracked_motion
+from tenscontrol.plant.string_outputs import string_map
 
 from .conftest import EVERY, STEP
 

@@ -24,8 +24,8 @@ import numpy as np
 
 import tenscontrol as tc
 from tenscontrol.dynamics import machine_code
-from tenscontrol.dynamics.forms import loops_source
-from tenscontrol.integrate import method_of
+from tenscontrol.dynamics.forms.loops import loops_source
+from tenscontrol.integrate.methods import method_of
 from tests.deploy import scenes
 
 # Casts of what does not fit are not in "undefined".

@@ -15,7 +15,7 @@ from types import SimpleNamespace
 import numpy as np
 
 import tenscontrol as tc
-from tenscontrol.integrate import METHODS
+from tenscontrol.integrate.methods import METHODS
 from tests.control.test_control_input import linearizing, mpc, nmpc, short_path
 from tests.public import members, public
 from tests.refused import (

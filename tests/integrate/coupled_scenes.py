@@ -3,7 +3,7 @@
 import numpy as np
 
 import tenscontrol as tc
-from tenscontrol.dynamics import pack_state
+from tenscontrol.dynamics.equation import pack_state
 
 
 def d_bar(**options):

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import tenscontrol as tc
-from tenscontrol.dynamics import pack_state
+from tenscontrol.dynamics.equation import pack_state
 from tests.dynamics.scenes import side_by_side
 from tests.integrate.coupled_scenes import possible_velocities
 from tests.oracle import HeldRestLength, NodeMotion, Plane, RigidBars

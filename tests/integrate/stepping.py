@@ -4,7 +4,8 @@ import casadi as ca
 import numpy as np
 
 import tenscontrol as tc
-from tenscontrol.dynamics import Evaluator, pack_state
+from tenscontrol.dynamics.equation import pack_state
+from tenscontrol.dynamics.evaluator import Evaluator
 from tests.dynamics.scenes import paper_force_density, random_structure, rest_lengths
 from tests.oracle import HeldForceDensity, HeldRestLength, RigidBars
 

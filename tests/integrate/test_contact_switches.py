@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.dynamics import HertzGround, pack_state
-from tenscontrol.integrate import METHODS
+from tenscontrol.dynamics import HertzGround
+from tenscontrol.dynamics.equation import pack_state
+from tenscontrol.integrate.methods import METHODS
 from tests.integrate.coupled_scenes import mixed, possible_velocities
 from tests.integrate.ground_scenes import GRAVITY, GROUND, Scene, resting
 

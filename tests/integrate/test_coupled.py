@@ -10,8 +10,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import tenscontrol as tc
-from tenscontrol.dynamics import evaluate_columns, pack_state, unpack_states
-from tenscontrol.integrate import METHODS
+from tenscontrol.dynamics.equation import pack_state, unpack_states
+from tenscontrol.dynamics.evaluator import evaluate_columns
+from tenscontrol.integrate.methods import METHODS
 from tenscontrol.integrate.projection import project
 from tests.integrate import coupled_scenes
 from tests.integrate.coupled_scenes import SCENES, errors_of_bars, moving

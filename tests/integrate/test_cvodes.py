@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.dynamics import pack_state, smooth_equation, unpack_states
+from tenscontrol.dynamics.equation import pack_state, smooth_equation, unpack_states
 from tenscontrol.integrate import IntegrationError
 from tenscontrol.integrate.cvodes import CVODES
 from tests.dynamics.scenes import paper_force_density, rest_lengths

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.dynamics import Equation, pack_state, smooth_equation, unpack_states
+from tenscontrol.dynamics import Equation
+from tenscontrol.dynamics.equation import pack_state, smooth_equation, unpack_states
 from tenscontrol.integrate import IntegrationError
 from tenscontrol.integrate.cvodes import CVODES
 from tests.dynamics.scenes import paper_force_density, rest_lengths

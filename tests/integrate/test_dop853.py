@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.dynamics import Evaluator, smooth_equation
+from tenscontrol.dynamics.equation import smooth_equation
+from tenscontrol.dynamics.evaluator import Evaluator
 from tenscontrol.integrate import CVODES, DOP853, RK4, EnergyMomentum, IntegrationError
 from tenscontrol.integrate.dop853 import _DormandPrince, _interpolant_error
 from tests.dynamics.scenes import paper_force_density, rest_lengths

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.dynamics import pack_state, smooth_equation
+from tenscontrol.dynamics.equation import pack_state, smooth_equation
 from tenscontrol.integrate import DOP853, EnergyMomentum, IntegrationError
 from tenscontrol.integrate.energy_momentum import step_equations
 from tests.dynamics.scenes import (

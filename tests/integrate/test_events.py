@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.integrate import METHODS
+from tenscontrol.integrate.methods import METHODS
 from tests.dynamics.scenes import paper_force_density, random_structure, rest_lengths
 from tests.integrate.stepping import moving
 from tests.oracle import HeldRestLength, RigidBars

@@ -13,8 +13,11 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 import tenscontrol as tc
-from tenscontrol.dynamics import ContactLaw, HertzGround, SmoothGround, evaluate_columns, pack_state
-from tenscontrol.integrate import METHODS, choose, contact_frequency, largest_frequency
+from tenscontrol.dynamics import ContactLaw, HertzGround, SmoothGround
+from tenscontrol.dynamics.equation import pack_state
+from tenscontrol.dynamics.evaluator import evaluate_columns
+from tenscontrol.integrate.integrator import contact_frequency, largest_frequency
+from tenscontrol.integrate.methods import METHODS, choose
 from tests.integrate.coupled_scenes import errors_of_bars
 from tests.integrate.ground_scenes import (
     GRAVITY,

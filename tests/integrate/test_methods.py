@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.dynamics import pack_state
-from tenscontrol.integrate import choose, largest_frequency, state_scale
+from tenscontrol.dynamics.equation import pack_state
 from tenscontrol.integrate.fixed_step import FixedStep
+from tenscontrol.integrate.integrator import largest_frequency, state_scale
+from tenscontrol.integrate.methods import choose
 from tests.dynamics.scenes import paper_force_density, rest_lengths
 
 

@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 import tenscontrol as tc
-from tenscontrol.dynamics import pack_state, smooth_equation, unpack_states
+from tenscontrol.dynamics.equation import pack_state, smooth_equation, unpack_states
 from tenscontrol.integrate.projection import project, projected
 from tests.dynamics.scenes import any_motion, paper_force_density, random_structure
 from tests.integrate.stepping import (

@@ -3,11 +3,10 @@
 import casadi as ca
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 import tenscontrol as tc
-from tenscontrol.dynamics import smooth_equation
+from tenscontrol.dynamics.equation import smooth_equation
 from tenscontrol.integrate import RK4, IntegrationError
 from tests.dynamics.scenes import paper_force_density, rest_lengths
 from tests.oracle import HeldForceDensity, HeldRestLength, RigidBars

@@ -7,10 +7,9 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol import progress
-from tenscontrol.dynamics import pack_state
+from tenscontrol.dynamics.equation import pack_state
 from tenscontrol.integrate import (
     DOP853,
-    METHODS,
     IntegrationError,
     IntegrationInterrupt,
     IntegrationPause,
@@ -19,6 +18,7 @@ from tenscontrol.integrate import (
     Watched,
     Work,
 )
+from tenscontrol.integrate.methods import METHODS
 from tenscontrol.integrate.watched import WATCHED
 from tests.dynamics.scenes import paper_force_density, rest_lengths
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import tenscontrol as tc
-from tenscontrol.plant import reached_states, unreached_modes
+from tenscontrol.plant.controllability import reached_states, unreached_modes
 from tests.plant.scenes import INPUTS, KINDS, prism_plant
 
 UNREACHABLE = {"nodes": 18, "minimal": 12, "internal": 0}

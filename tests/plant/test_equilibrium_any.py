@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.dynamics import pack_state
+from tenscontrol.dynamics.equation import pack_state
 from tests.plant.equilibria import random_rest_of_any
 from tests.statics.structures import bipyramid, d_bar, square_body, two_crosses
 

@@ -5,13 +5,10 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.demo import tour as demo
-from tenscontrol.plant import (
-    ReferencePreview,
-    sampled,
-    to_commanded_strings,
-    to_model_strings,
-)
-from tenscontrol.structure import to_segments, to_strings
+from tenscontrol.plant.linear_plant import sampled
+from tenscontrol.plant.reference import ReferencePreview
+from tenscontrol.plant.string_outputs import to_commanded_strings, to_model_strings
+from tenscontrol.structure.segments import to_segments, to_strings
 
 SAMPLE, LENGTH = 0.02, 7
 

@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.plant import check_riccati, filter_riccati, regulator_riccati, riccati_residual
+from tenscontrol.plant.riccati import (
+    check_riccati,
+    filter_riccati,
+    regulator_riccati,
+    riccati_residual,
+)
 
 TRANSITION = np.array([[1.0, 0.1], [-0.2, 0.95]])
 DRIVE = np.array([[0.01], [0.3]])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.dynamics import compiler
+from tenscontrol.dynamics.machine_code import compiler
 from tests.robustness.cases import Inline, loop_case
 
 RUNS, TOGETHER = 5, 3  # the last group is a part of one

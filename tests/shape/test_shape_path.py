@@ -9,7 +9,7 @@ import tenscontrol as tc
 from tenscontrol.control import Controller
 from tenscontrol.shape import Height, PathError, PointAt, Twist, shape_path, shape_target
 from tenscontrol.shape.equilibrium_path import TimeScaling
-from tenscontrol.structure import bar_distances
+from tenscontrol.structure.bar_clearance import bar_distances
 
 TOP, BOTTOM = [0, 1, 2], [3, 4, 5]
 LEVEL = 17.320508075688775

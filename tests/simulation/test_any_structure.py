@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.integrate import METHODS
+from tenscontrol.integrate.methods import METHODS
 from tests.integrate import coupled_scenes
 from tests.integrate.coupled_scenes import SCENES, possible_velocities
 

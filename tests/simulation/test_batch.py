@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.dynamics import compiler, pack_state, unpack_states
+from tenscontrol.dynamics.equation import pack_state, unpack_states
+from tenscontrol.dynamics.machine_code import compiler
 from tenscontrol.integrate import Projector
 from tenscontrol.interrupt import InterruptionWarning
 

@@ -7,7 +7,7 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.control import Status
-from tenscontrol.dynamics import compiler
+from tenscontrol.dynamics.machine_code import compiler
 from tenscontrol.interrupt import InterruptionWarning
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="no C compiler")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.integrate import METHODS
+from tenscontrol.integrate.methods import METHODS
 
 GAMMA, STEP, CUT = 17.3205, 0.02, 0.1237
 PRECISE = {"method": "dop853", "tolerance": 1e-10}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.dynamics import Evaluator
+from tenscontrol.dynamics.evaluator import Evaluator
 from tests.dynamics.scenes import paper_force_density, rest_lengths
 
 

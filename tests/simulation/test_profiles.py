@@ -5,10 +5,12 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.dynamics import as_pieces, pack_state
-from tenscontrol.integrate import METHODS, Method
+from tenscontrol.dynamics.equation import pack_state
+from tenscontrol.dynamics.profile import as_pieces
+from tenscontrol.integrate import Method
 from tenscontrol.integrate.dop853 import _DormandPrince
 from tenscontrol.integrate.fixed_step import FixedStep
+from tenscontrol.integrate.methods import METHODS
 from tenscontrol.simulation.faults import Faults
 from tenscontrol.simulation.integration import Integration
 from tenscontrol.simulation.plant_run import PlantRun

@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import linprog
 
 import tenscontrol as tc
-from tenscontrol.dynamics import pack_state
+from tenscontrol.dynamics.equation import pack_state
 from tests.statics.structures import (
     bipyramid,
     d_bar,

@@ -8,7 +8,7 @@ from scipy.optimize import linprog, minimize
 from scipy.spatial.transform import Rotation
 
 import tenscontrol as tc
-from tenscontrol.statics import member_forces
+from tenscontrol.statics.equilibrium_matrix import member_forces
 from tests.dynamics.scenes import TOP_FORCE_DENSITY, random_force_density, random_structure
 
 SIDES = range(3, 9)

@@ -7,7 +7,8 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline
 
 import tenscontrol as tc
-from tenscontrol.structure import BarMotion, bar_clearance, bar_distances
+from tenscontrol.structure import bar_clearance
+from tenscontrol.structure.bar_clearance import BarMotion, bar_distances
 from tests.random_structures import any_structure
 
 

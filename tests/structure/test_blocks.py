@@ -5,11 +5,11 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
-from hypothesis import strategies as st
+from hypothesis import assume, given, strategies as st
 
 import tenscontrol as tc
-from tenscontrol.structure import bar_rows, node_mass, restore_bar_lengths
+from tenscontrol.structure import restore_bar_lengths
+from tenscontrol.structure.blocks import bar_rows, node_mass
 
 BODY = list(combinations(range(5), 2))  # ten bars on five nodes: one more than hold a body
 

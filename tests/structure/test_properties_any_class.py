@@ -10,11 +10,10 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 import tenscontrol as tc
-from tenscontrol.structure import same_members
+from tenscontrol.structure.structure import same_members
 
 FIELDS = [field.name for field in fields(tc.Structure)]
 DERIVED = (

@@ -9,8 +9,7 @@ from math import prod
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
-from hypothesis import strategies as st
+from hypothesis import assume, given, strategies as st
 
 import tenscontrol as tc
 

@@ -8,7 +8,7 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.dynamics import kernel
-from tenscontrol.structure import (
+from tenscontrol.structure.supports import (
     affine_motions,
     free_coordinates,
     is_movable,

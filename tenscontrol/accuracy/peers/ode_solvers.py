@@ -9,11 +9,13 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
+from tenscontrol import validation
 from tenscontrol.accuracy.peers.peer import Peer, Solution, checked_run, peer_settings, spaced
-from tenscontrol.dynamics import Equation, Evaluator, Function, builds, unpack_states
-from tenscontrol.integrate import is_expandable, jacobian_weight, state_jacobian
-from tenscontrol.simulation import Scene
-from tenscontrol.validation import FloatArray, choice
+from tenscontrol.arrays import FloatArray
+from tenscontrol.dynamics.equation import Equation, unpack_states
+from tenscontrol.dynamics.evaluator import Evaluator, Function, builds
+from tenscontrol.integrate.cvodes import is_expandable, jacobian_weight, state_jacobian
+from tenscontrol.simulation.scene import Scene
 
 _METHODS = ("DOP853", "RK45", "Radau", "LSODA")
 _IMPLICIT = ("Radau", "LSODA")
@@ -42,7 +44,7 @@ class SciPy(Peer):
     """
 
     def __init__(self, method: str, settings: Sequence[float] = _TOLERANCES) -> None:
-        self.method = choice("method", method, _METHODS)
+        self.method = validation.choice("method", method, _METHODS)
         self.name = f"scipy {method.lower()}"
         self.settings = peer_settings(settings)
 

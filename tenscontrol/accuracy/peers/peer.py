@@ -9,16 +9,9 @@ from math import ceil
 
 import numpy as np
 
-from tenscontrol.simulation import Scene
-from tenscontrol.validation import (
-    FloatArray,
-    float_array,
-    instance,
-    items,
-    positive,
-    positive_number,
-    refuse_time,
-)
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray
+from tenscontrol.simulation.scene import Scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,22 +109,24 @@ def spaced(times: FloatArray, step: float) -> tuple[float, int]:
     spacing = float(times[-1]) / len(times)
     inner = steps_between(spacing, step)
     asked = f"setting is {step:g} s and times end at {times[-1]:g} s"
-    refuse_time(asked, inner * len(times), "steps", 5e-5)
+    validation.refuse_time(asked, inner * len(times), "steps", 5e-5)
     return spacing, inner
 
 
 def peer_settings(settings: object) -> tuple[float, ...]:
     """Return the settings of a peer, or refuse what is no sequence of positive numbers."""
-    found = float_array("settings", items("settings", settings, "steps, s, or tolerances"))
+    found = validation.float_array(
+        "settings", validation.items("settings", settings, "steps, s, or tolerances")
+    )
     if found.ndim != 1:
         raise ValueError(f"settings has shape {found.shape}, expected (k,)")
-    return tuple(positive("settings", found, "step, s, or tolerance").tolist())
+    return tuple(validation.positive("settings", found, "step, s, or tolerance").tolist())
 
 
 def checked_run(case: Scene, setting: float, times: object) -> tuple[float, FloatArray]:
     """Return setting and output times of a run, or refuse what does not fit."""
-    instance("case", case, Scene, "make one by Scene(model, duration, ...)")
-    found = positive("times", float_array("times", times), "time in s")
+    validation.instance("case", case, Scene, "make one by Scene(model, duration, ...)")
+    found = validation.positive("times", validation.float_array("times", times), "time in s")
     if found.ndim != 1 or found.size == 0 or (np.diff(found) <= 0).any():
         raise ValueError("times does not rise, expected shape (T,): equally spaced output times")
-    return positive_number("setting", setting, "s or 1"), found
+    return validation.positive_number("setting", setting, "s or 1"), found

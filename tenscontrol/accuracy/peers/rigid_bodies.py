@@ -9,11 +9,12 @@ from typing import Any, final
 
 import numpy as np
 
+from tenscontrol import validation
 from tenscontrol.accuracy.peers.peer import Peer, Solution, checked_run, peer_settings, spaced
-from tenscontrol.exchange import to_mujoco
-from tenscontrol.simulation import Scene
-from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray, choice
+from tenscontrol.arrays import FloatArray
+from tenscontrol.exchange.mjcf_export import to_mujoco
+from tenscontrol.simulation.scene import Scene
+from tenscontrol.structure.structure import Structure
 
 # Method: evaluations of the forces a step, and name in MuJoCo.
 _METHODS = {
@@ -58,7 +59,7 @@ class MuJoCo(Peer):
     def __init__(
         self, method: str, settings: Sequence[float] = (1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5)
     ) -> None:
-        self.method = choice("method", method, _METHODS)
+        self.method = validation.choice("method", method, _METHODS)
         self.name = f"mujoco {method}"
         self.settings = peer_settings(settings)
 

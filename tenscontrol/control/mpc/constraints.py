@@ -8,19 +8,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.control.mpc.problem import RowBlock
 from tenscontrol.fields import Array, Field, converted
-from tenscontrol.plant import LinearPlant, ReferencePreview, string_map
-from tenscontrol.structure import bar_distances
-from tenscontrol.validation import (
-    FloatArray,
-    float_array,
-    frozen,
-    instance,
-    is_unlimited,
-    limit_per_member,
-    positive_number,
-)
+from tenscontrol.plant.linear_plant import LinearPlant
+from tenscontrol.plant.reference import ReferencePreview
+from tenscontrol.plant.string_outputs import string_map
+from tenscontrol.structure.bar_clearance import bar_distances
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -84,7 +79,7 @@ class OutputLimit:
     penalty: float | None = None
 
     def __post_init__(self) -> None:
-        matrix = np.atleast_2d(float_array("matrix", self.matrix))
+        matrix = np.atleast_2d(validation.float_array("matrix", self.matrix))
         if matrix.ndim != 2:
             raise ValueError(f"matrix has shape {matrix.shape}, expected (p, d n)")
         if not np.abs(matrix).sum(axis=1).all():
@@ -92,14 +87,14 @@ class OutputLimit:
         object.__setattr__(self, "matrix", frozen(matrix))
         for name, none in (("low", -np.inf), ("high", np.inf)):
             given = getattr(self, name)
-            bound = limit_per_member(name, given, len(matrix), "row of matrix", none)
+            bound = validation.limit_per_member(name, given, len(matrix), "row of matrix", none)
             object.__setattr__(self, name, frozen(bound))
         if np.any(self.low > self.high):
             raise ValueError(f"low {self.low} m exceeds high {self.high} m")
-        if is_unlimited(self.penalty):
+        if validation.is_unlimited(self.penalty):
             object.__setattr__(self, "penalty", None)
         else:
-            penalty = positive_number("penalty", self.penalty, "costs per m")
+            penalty = validation.positive_number("penalty", self.penalty, "costs per m")
             object.__setattr__(self, "penalty", penalty)
 
 
@@ -142,8 +137,8 @@ def clearance(plant: LinearPlant, clearance: float, penalty: float | None = None
     ((3, 18), array([0.2, 0.2, 0.2]))
     >>> mpc = tc.MPC(plant, horizon=20, sample_time=0.02, max_force_density=80.0, outputs=[limit])
     """
-    instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
-    clearance = positive_number("clearance", clearance, "m")
+    validation.instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
+    clearance = validation.positive_number("clearance", clearance, "m")
     structure, nodes = plant.model.structure, plant.nodes
     found = bar_distances(structure, nodes)
     passing = np.flatnonzero(found.side)

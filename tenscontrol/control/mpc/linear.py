@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.control.command import Command, ControlWarning, Fallback
 from tenscontrol.control.controller import clipped
 from tenscontrol.control.held_loop import warn_of_held_lengths
@@ -33,18 +35,15 @@ from tenscontrol.control.mpc.settings import (
     solver_kind,
     solver_name,
 )
-from tenscontrol.control.mpc.solvers import DAQPSolver, QPSolver
+from tenscontrol.control.mpc.solvers.daqp_adapter import DAQPSolver
+from tenscontrol.control.mpc.solvers.solver import QPSolver
 from tenscontrol.control.mpc.sparse import Sparse
 from tenscontrol.control.mpc.stages import LinearProgram, has_compiled_program
 from tenscontrol.docstrings import with_parameters_of
 from tenscontrol.fields import checked
-from tenscontrol.plant import (
-    LinearPlant,
-    Preview,
-    ReferencePreview,
-)
+from tenscontrol.plant.linear_plant import LinearPlant
+from tenscontrol.plant.reference import Preview, ReferencePreview
 from tenscontrol.status import Status
-from tenscontrol.validation import FloatArray, choice, frozen, instance
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array
@@ -331,7 +330,7 @@ class LinearSettings(MPCSettings):
         horizon, compiled where there is a compiler, and goes with solver="auto".
     """
 
-    form: str = field(default="auto", metadata=checked(choice, _FORMS))
+    form: str = field(default="auto", metadata=checked(validation.choice, _FORMS))
 
 
 def form_of(problem: MPCProblem, settings: LinearSettings) -> Form | None:
@@ -416,7 +415,7 @@ class MPC(PredictiveController):
 
     @from_settings(LinearSettings)
     def __init__(self, plant: LinearPlant, settings: LinearSettings) -> None:
-        instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
+        validation.instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
         made = design(plant, settings)
         super().__init__(plant, settings, made)
         self._law = MPCLaw(

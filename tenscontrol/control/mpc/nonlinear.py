@@ -10,6 +10,8 @@ from typing import final
 import casadi as ca
 import numpy as np
 
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.control.command import Command, ControlWarning, Fallback
 from tenscontrol.control.disturbance import LoadObserver
 from tenscontrol.control.mpc.problem import MPCProblem, Pair, StageData, Subproblem, Triple
@@ -22,15 +24,15 @@ from tenscontrol.control.mpc.settings import (
     from_settings,
     make_solver,
 )
-from tenscontrol.control.mpc.solvers import QPSolver
+from tenscontrol.control.mpc.solvers.solver import QPSolver
 from tenscontrol.control.mpc.sparse import Sparse, SparseSubproblem
 from tenscontrol.control.mpc.stages import LeastDistance, LeastDistanceArrays, has_compiled_program
 from tenscontrol.docstrings import with_parameters_of
 from tenscontrol.fields import checked
-from tenscontrol.plant import LinearPlant, ReferencePreview
+from tenscontrol.plant.linear_plant import LinearPlant
+from tenscontrol.plant.reference import ReferencePreview
 from tenscontrol.properties import cached_property
 from tenscontrol.status import Status
-from tenscontrol.validation import FloatArray, frozen, instance, number, truth, whole_number
 
 # Sequential quadratic programming has converged when no input changes by more, in its unit.
 CONVERGED = 1e-5
@@ -151,7 +153,7 @@ class NMPCLaw(PredictiveLaw):
 def _part(name: str, value: object) -> float | None:
     if value is None:
         return None
-    tolerance = number(name, value, "a part")
+    tolerance = validation.number(name, value, "a part")
     if tolerance < 0:
         raise ValueError(f"{name} is {tolerance:g}, expected at least 0")
     return tolerance
@@ -179,10 +181,10 @@ class NonlinearSettings(MPCSettings):
         for round-off, sooner. Libraries are kept for the next run, and serve every horizon.
     """
 
-    iterations: int = field(default=1, metadata=checked(whole_number, 1))
+    iterations: int = field(default=1, metadata=checked(validation.whole_number, 1))
     linearization_tolerance: float | None = field(default=None, metadata=checked(_part))
     machine_code: bool = field(
-        default=False, metadata=checked(truth, "whether to compile the derivatives")
+        default=False, metadata=checked(validation.truth, "whether to compile the derivatives")
     )
 
 
@@ -254,7 +256,7 @@ class NMPC(PredictiveController):
 
     @from_settings(NonlinearSettings)
     def __init__(self, plant: LinearPlant, settings: NonlinearSettings) -> None:
-        instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
+        validation.instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
         tolerance = settings.linearization_tolerance
         if tolerance and plant.model.contacts is not None:
             raise ValueError(
@@ -349,7 +351,7 @@ class NMPC(PredictiveController):
         TypeError, ValueError
             If it is not one finite number.
         """
-        return self._targets(number("time", time, "s"))
+        return self._targets(validation.number("time", time, "s"))
 
     def _targets(self, time: float) -> Pair:
         reference, inputs = self._law.targets(time)

@@ -20,10 +20,11 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from tenscontrol.plant import Preview, StringMap
+from tenscontrol.arrays import BoolArray, FloatArray, IntArray, freeze_arrays, frozen
+from tenscontrol.plant.reference import Preview
+from tenscontrol.plant.string_outputs import StringMap
 from tenscontrol.properties import cached_property
 from tenscontrol.status import Status
-from tenscontrol.validation import BoolArray, FloatArray, IntArray, freeze_arrays, frozen
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array

@@ -7,7 +7,8 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from tenscontrol.actuation import Winches
+from tenscontrol.actuation.winches import Winches
+from tenscontrol.arrays import BoolArray, FloatArray, IntArray
 from tenscontrol.control.disturbance import LoadObserver
 from tenscontrol.control.mpc.problem import (
     Constraints,
@@ -29,22 +30,19 @@ from tenscontrol.control.mpc.shooting import (
     repeated,
     transposed_jacobians,
 )
-from tenscontrol.dynamics import Evaluator, Function
-from tenscontrol.plant import (
-    LinearPlant,
+from tenscontrol.dynamics.evaluator import Evaluator, Function
+from tenscontrol.plant.linear_plant import LinearPlant, state_units
+from tenscontrol.plant.reduced_dynamics import (
     exact_motion,
     explicit_substeps,
-    model_input,
     near_symbol,
     reduced_acceleration,
     reduced_motion,
     settled,
-    state_units,
-    string_forces,
     with_jacobian,
 )
+from tenscontrol.plant.string_outputs import model_input, string_forces
 from tenscontrol.status import Status
-from tenscontrol.validation import BoolArray, FloatArray, IntArray
 
 # At a shape that changes its stiffness by a tenth these leave 1e-5 of what was off.
 NEWTON_STEPS = 5

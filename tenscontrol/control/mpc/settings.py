@@ -11,7 +11,9 @@ from typing import Any, ClassVar, Concatenate, ParamSpec, Self, TypeVar
 
 import numpy as np
 
-from tenscontrol.actuation import Winches
+from tenscontrol import validation
+from tenscontrol.actuation.winches import Winches
+from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.control.command import ControlWarning
 from tenscontrol.control.controller import Controller, warn_of_unreached
 from tenscontrol.control.disturbance import LoadModel, LoadObserver, load_observer
@@ -23,43 +25,19 @@ from tenscontrol.control.mpc.problem import (
     RowBlock,
     string_block,
 )
-from tenscontrol.control.mpc.solvers import DAQPSolver, OSQPSolver, PIQPSolver, QPSolver
+from tenscontrol.control.mpc.solvers.daqp_adapter import DAQPSolver
+from tenscontrol.control.mpc.solvers.osqp_adapter import OSQPSolver
+from tenscontrol.control.mpc.solvers.piqp_adapter import PIQPSolver
+from tenscontrol.control.mpc.solvers.solver import QPSolver
 from tenscontrol.fields import check_fields, checked
-from tenscontrol.plant import (
-    LinearPlant,
-    OperatingPoint,
-    Reference,
-    ReferencePreview,
-    Sampled,
-    acceleration_response,
-    input_bounds,
-    largest_change,
-    linearize,
-    natural_weights,
-    refuse_empty,
-    refuse_unreachable,
-    regulator,
-    sampled,
-    string_map,
-    to_commanded_strings,
-    to_model_strings,
-)
+from tenscontrol.plant.controllability import refuse_empty, refuse_unreachable
+from tenscontrol.plant.input_bounds import input_bounds, largest_change
+from tenscontrol.plant.linear_plant import LinearPlant, Sampled, acceleration_response, sampled
+from tenscontrol.plant.linearize import OperatingPoint, linearize
+from tenscontrol.plant.reference import Reference, ReferencePreview
+from tenscontrol.plant.riccati import natural_weights, regulator
+from tenscontrol.plant.string_outputs import string_map, to_commanded_strings, to_model_strings
 from tenscontrol.string_bounds import string_bounds
-from tenscontrol.validation import (
-    MOST_SAMPLES,
-    FloatArray,
-    float_array,
-    frozen,
-    instance,
-    is_unlimited,
-    items,
-    limit_per_member,
-    limits,
-    positive,
-    positive_number,
-    weight_matrix,
-    whole_number,
-)
 
 # Price of a violation by one level, against the cost of an input one level off.
 _PENALTY = 1e2
@@ -79,12 +57,12 @@ _SOLVERS: dict[str, type[QPSolver]] = {
 
 def _numbers(name: str, value: object) -> object:
     if value is not None:
-        float_array(name, value)
+        validation.float_array(name, value)
     return value
 
 
 def _limit(name: str, value: object) -> object:
-    limits(name, value)
+    validation.limits(name, value)
     return value
 
 
@@ -94,14 +72,16 @@ def _shapes(name: str, value: object) -> object:
 
 def _winches(name: str, value: Winches | None) -> Winches | None:
     if value is not None:
-        instance(name, value, Winches, "make them by Winches(rate=...)")
+        validation.instance(name, value, Winches, "make them by Winches(rate=...)")
     return value
 
 
 def _output_limits(name: str, value: object) -> Sequence[object]:
-    given = () if value is None else items(name, value, "OutputLimit")
+    given = () if value is None else validation.items(name, value, "OutputLimit")
     for i, limit in enumerate(given):
-        instance(f"{name}[{i}]", limit, OutputLimit, "make one by OutputLimit(matrix, low, high)")
+        validation.instance(
+            f"{name}[{i}]", limit, OutputLimit, "make one by OutputLimit(matrix, low, high)"
+        )
     return given
 
 
@@ -110,17 +90,17 @@ def _penalty(name: str, value: object) -> float:
         return _PENALTY
     if isinstance(value, float) and value == np.inf:
         return np.inf
-    return positive_number(name, value, "costs of an input, or inf for hard limits")
+    return validation.positive_number(name, value, "costs of an input, or inf for hard limits")
 
 
 def _gain(name: str, value: object) -> object:
-    if value is not None and (gain := positive_number(name, value, "no unit")) > 1:
+    if value is not None and (gain := validation.positive_number(name, value, "no unit")) > 1:
         raise ValueError(f"{name} is {gain:g}, expected above 0 and at most 1")
     return value
 
 
 def _time(name: str, value: object) -> float | None:
-    return None if is_unlimited(value) else positive_number(name, value, "s")
+    return None if validation.is_unlimited(value) else validation.positive_number(name, value, "s")
 
 
 def _solver(name: str, value: object) -> object:
@@ -211,8 +191,8 @@ class MPCSettings:
     100.0
     """
 
-    horizon: int = field(metadata=checked(whole_number, 1, MOST_SAMPLES))
-    sample_time: float = field(metadata=checked(positive_number, "s"))
+    horizon: int = field(metadata=checked(validation.whole_number, 1, validation.MOST_SAMPLES))
+    sample_time: float = field(metadata=checked(validation.positive_number, "s"))
     max_force_density: object = field(default=None, metadata=checked(_limit))
     Q: object = field(default=None, metadata=checked(_numbers))
     R: object = field(default=None, metadata=checked(_numbers))
@@ -225,8 +205,10 @@ class MPCSettings:
     string_penalty: float | None = field(default=None, metadata=checked(_penalty))
     load_gain: float | None = field(default=None, metadata=checked(_gain))
     tracked: object = field(default=None, metadata=checked(_numbers))
-    tolerance: float = field(default=1e-4, metadata=checked(positive_number, "units of an input"))
-    max_iterations: int = field(default=4000, metadata=checked(whole_number, 1))
+    tolerance: float = field(
+        default=1e-4, metadata=checked(validation.positive_number, "units of an input")
+    )
+    max_iterations: int = field(default=4000, metadata=checked(validation.whole_number, 1))
     time_limit: float | None = field(default=None, metadata=checked(_time))
     solver: str | type[QPSolver] = field(default="auto", metadata=checked(_solver))
 
@@ -329,8 +311,12 @@ def design(plant: LinearPlant, settings: MPCSettings, nonlinear: bool = False) -
     low, high = _command_range(plant, settings)
     natural_Q, natural_R = natural_weights(plant)
     Q, R = settings.Q, settings.R
-    state_weight = natural_Q if Q is None else weight_matrix("Q", Q, states, definite=False)
-    input_weight = natural_R if R is None else weight_matrix("R", R, count, definite=True)
+    state_weight = (
+        natural_Q if Q is None else validation.weight_matrix("Q", Q, states, definite=False)
+    )
+    input_weight = (
+        natural_R if R is None else validation.weight_matrix("R", R, count, definite=True)
+    )
     if not nonlinear or plant.model.contacts is None:
         refuse_unreachable(plant)
     else:
@@ -386,7 +372,7 @@ def _command_range(plant: LinearPlant, settings: MPCSettings) -> tuple[FloatArra
 
 def _row_blocks(plant: LinearPlant, settings: MPCSettings, penalty: float) -> list[RowBlock]:
     outputs = [output_block(plant, limit) for limit in settings.outputs]
-    has_strength = np.isfinite(limits("max_tension", settings.max_tension)).any()
+    has_strength = np.isfinite(validation.limits("max_tension", settings.max_tension)).any()
     if plant.input == "force_density" and not has_strength:
         return outputs
     blocks, count, strings = [], plant.B.shape[1], string_map(plant, plant.input)
@@ -404,8 +390,8 @@ def _row_blocks(plant: LinearPlant, settings: MPCSettings, penalty: float) -> li
         blocks.append(string_block("force_density", strings, low, high, level, penalty))
     if has_strength:
         structure = plant.model.structure
-        most = limit_per_member("max_tension", settings.max_tension, count, "string")
-        positive("max_tension", most, "tension in N")
+        most = validation.limit_per_member("max_tension", settings.max_tension, count, "string")
+        validation.positive("max_tension", most, "tension in N")
         if plant.commanded is not structure:
             most = most[structure.string_parent]
         over = np.flatnonzero(strings.tension > most)

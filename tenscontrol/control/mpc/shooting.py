@@ -9,25 +9,24 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
+from tenscontrol.arrays import BoolArray, FloatArray, IntArray
 from tenscontrol.control.mpc.problem import (
     Pair,
     StageJacobians,
     Triple,
 )
-from tenscontrol.dynamics import Evaluator, Function, builds, built, compiled, if_compiled
-from tenscontrol.plant import (
-    LinearPlant,
-    acceleration_response,
+from tenscontrol.dynamics.evaluator import Evaluator, Function, builds, built
+from tenscontrol.dynamics.machine_code import compiled, if_compiled
+from tenscontrol.plant.linear_plant import LinearPlant, acceleration_response
+from tenscontrol.plant.reduced_dynamics import (
     explicit_substeps,
     linked_accelerations,
-    model_input,
     reduced_acceleration,
     reduced_motion,
     sampled_dynamics,
     sampled_motion,
-    string_forces,
 )
-from tenscontrol.validation import BoolArray, FloatArray, IntArray
+from tenscontrol.plant.string_outputs import model_input, string_forces
 
 # Radau IIA with three stages: Hairer & Wanner, Solving Ordinary Differential Equations II, IV.5.
 _ROOT = 6**0.5

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
+from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.control.mpc.problem import (
     Form,
     LimitRows,
@@ -32,8 +33,7 @@ from tenscontrol.control.mpc.problem import (
     shifted,
 )
 from tenscontrol.control.mpc.settings import solver_name
-from tenscontrol.control.mpc.solvers import QPSolver
-from tenscontrol.validation import FloatArray, IntArray
+from tenscontrol.control.mpc.solvers.solver import QPSolver
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array

@@ -18,6 +18,7 @@ from typing import Any, final
 
 import numpy as np
 
+from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.control.mpc.problem import (
     MPCProblem,
     Pair,
@@ -27,10 +28,10 @@ from tenscontrol.control.mpc.problem import (
     SubproblemSolution,
     Triple,
 )
-from tenscontrol.control.mpc.solvers import active_set_source, least_distance, stages_source
-from tenscontrol.dynamics import compiled_library, compiler, if_compiled
+from tenscontrol.control.mpc.solvers.c_source import active_set_source, stages_source
+from tenscontrol.control.mpc.solvers.daqp_adapter import least_distance
+from tenscontrol.dynamics.machine_code import compiled_library, compiler, if_compiled
 from tenscontrol.status import Status
-from tenscontrol.validation import FloatArray, IntArray
 
 # Of a limit, in its unit: what round-off may leave of it.
 STAGES_TOLERANCE = 1e-10

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.dynamics import kernel
 from tenscontrol.dynamics.force import Columns, Pass, Read, Write, shared
-from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray, IntArray
+from tenscontrol.structure.structure import Structure
 
 
 def body_passes(structure: Structure) -> list[Pass]:

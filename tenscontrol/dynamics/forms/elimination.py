@@ -7,10 +7,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from tenscontrol.arrays import IntArray
 from tenscontrol.dynamics import kernel
 from tenscontrol.dynamics.force import Pass, Read, Write
-from tenscontrol.structure import Structure, block_mass
-from tenscontrol.validation import IntArray
+from tenscontrol.structure.blocks import block_mass
+from tenscontrol.structure.structure import Structure
 
 # Pairs of entries, each of which takes a product and a difference, that cost as much as a member.
 _PAIRS_A_MEMBER = 14

@@ -14,6 +14,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.dynamics.equation import InputLayout
 from tenscontrol.dynamics.evaluator import Function, evaluate_columns
 from tenscontrol.dynamics.force import VECTORS, Pass, Read, Write
@@ -21,8 +22,7 @@ from tenscontrol.dynamics.forces import Forces
 from tenscontrol.dynamics.forms.body_passes import body_passes
 from tenscontrol.dynamics.forms.elimination import SOLVE, Elimination
 from tenscontrol.dynamics.machine_code import compiled_source
-from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray, IntArray
+from tenscontrol.structure.structure import Structure
 
 
 def loops_functions(

@@ -13,14 +13,14 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics import kernel
 from tenscontrol.dynamics.equation import InputLayout
 from tenscontrol.dynamics.evaluator import Function
 from tenscontrol.dynamics.force import sum_on_nodes
 from tenscontrol.dynamics.forces import Forces
 from tenscontrol.dynamics.forms.body_passes import body_passes
-from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray
+from tenscontrol.structure.structure import Structure
 
 
 def mapped_functions(

@@ -9,22 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from tenscontrol.dynamics import Model, Pieces, weights
-from tenscontrol.plant import held_value, refuse_load
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray
+from tenscontrol.dynamics.equation import weights
+from tenscontrol.dynamics.model import Model
+from tenscontrol.dynamics.profile import Pieces
+from tenscontrol.plant.equilibrium import held_value, refuse_load
 from tenscontrol.properties import cached_property
 from tenscontrol.simulation.closed_loop import samples
 from tenscontrol.simulation.inputs import changes_in_time
 from tenscontrol.simulation.scene import Scene
 from tenscontrol.simulation.start import initial_state
-from tenscontrol.validation import (
-    LARGEST,
-    FloatArray,
-    choice,
-    float_array,
-    measured,
-    node_forces,
-    wrong_kind,
-)
 
 # A start whose bars are off by less than this, as part of their length and of the largest speed,
 # is taken as it is, as in a single run; the others are looked at one by one.
@@ -51,12 +46,14 @@ def given_by_run(model: Model, vary: object, **values: object) -> dict[str, Floa
             continue
         shape = shapes.get(name, (count,))
         if name == "external_force" and _axes(value) == 0:
-            value = node_forces(name, value, shape)
+            value = validation.node_forces(name, value, shape)
         stacked = _axes(value) > len(shape)
         wanted = (len(value), *shape) if stacked else shape  # type: ignore[arg-type]  # has an axis
         if len(shape) == 1 and _axes(value) == 0:
-            value = np.full(shape, measured(name, value, ()))
-        array = measured(name, value, wanted, f"of a run {shape}, with a first axis for runs")
+            value = np.full(shape, validation.measured(name, value, ()))
+        array = validation.measured(
+            name, value, wanted, f"of a run {shape}, with a first axis for runs"
+        )
         found[name] = array if stacked else array[None]
         runs |= {name: len(array)} if stacked else {}
     parameters = _varied_parameters(model, vary, values.get("rest_length") is not None)
@@ -79,7 +76,7 @@ def given_by_run(model: Model, vary: object, **values: object) -> dict[str, Floa
 def _varied_parameters(model: Model, vary: object, is_wound: bool) -> dict[str, FloatArray]:
     """Return parameters of the model, shape (runs, members); of strings if these are wound."""
     if vary is not None and not isinstance(vary, Mapping):
-        raise wrong_kind("vary", vary, "a dict of arrays, one entry a run")
+        raise validation.wrong_kind("vary", vary, "a dict of arrays, one entry a run")
     d, n = model.structure.nodes.shape
     found = {}
     sizes = {"bar_mass": len(model.structure.bars), "point_mass": n, "gravity": d}
@@ -87,14 +84,14 @@ def _varied_parameters(model: Model, vary: object, is_wound: bool) -> dict[str, 
         count = len(model.structure.strings)
         sizes |= {each.name: count for each in fields(model.strings)}
     for name, value in (vary or {}).items():
-        size = sizes[choice("vary", name, sizes)]
+        size = sizes[validation.choice("vary", name, sizes)]
         label = f"vary[{name!r}]"
         axes = _axes(value)
         if axes == 0 or axes > 2:
             expected = f"an array of shape (runs,) or (runs, {size}): one a run, or one a run and"
-            raise wrong_kind(label, value, f"{expected} member")
+            raise validation.wrong_kind(label, value, f"{expected} member")
         wanted = (len(value), size) if axes == 2 else (len(value),)
-        array = measured(label, value, wanted, "one a run, or one a run and member")
+        array = validation.measured(label, value, wanted, "one a run, or one a run and member")
         if array.ndim == 1:
             array = np.outer(array, _down(d) if name == "gravity" else np.ones(size))
         found[name] = array
@@ -194,7 +191,7 @@ class BatchInputs:
         else:
             held = self.held.at(np.zeros(1))[:, 0]
         if "external_force" in self.given:
-            float_array("external_force", self.entry("external_force", run))
+            validation.float_array("external_force", self.entry("external_force", run))
         nodes, velocities = self.entry("nodes", run), self.entry("velocities", run)
         return initial_state(model, nodes, velocities, self.input, held)[0]
 
@@ -236,8 +233,8 @@ class BatchInputs:
             values = values.reshape(len(values), -1) if values.size else np.zeros((1, 0))
             lowest = 0.0 if name in _FROM_ZERO else np.finfo(float).tiny
             if name in _SIGNED:
-                lowest = -LARGEST
-            fine &= ((values >= lowest) & (values <= LARGEST)).all(axis=1)
+                lowest = -validation.LARGEST
+            fine &= ((values >= lowest) & (values <= validation.LARGEST)).all(axis=1)
         rows = structure.fixed_rows
         at = structure.nodes.ravel(order="F")[rows]
         fine &= (every[0][:, rows] == at).all(axis=1) & (every[1][:, rows] == 0).all(axis=1)

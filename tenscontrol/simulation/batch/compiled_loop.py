@@ -9,10 +9,11 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from tenscontrol.control import Controller
-from tenscontrol.dynamics import Model
-from tenscontrol.structure import Structure, same_members
-from tenscontrol.validation import FloatArray, IntArray, wrong_kind
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, IntArray
+from tenscontrol.control.controller import Controller
+from tenscontrol.dynamics.model import Model
+from tenscontrol.structure.structure import Structure, same_members
 
 # Runs of a block: each has a controller of its own.
 MOST_CONTROLLERS = 64
@@ -36,7 +37,7 @@ def checked_controller(controller: object, model: Model) -> Controller:
     """Return a compiled controller that fits a model; raise TypeError or ValueError for others."""
     if not isinstance(controller, Controller) or not isinstance(controller, CompiledCode):
         advice = "the compiled code of one: generate_c(controller, folder).compile()"
-        raise wrong_kind("controller", controller, advice)
+        raise validation.wrong_kind("controller", controller, advice)
     structure, feet = model.structure, controller.feet if model.ground else ()
     for seen in (controller.structure, controller.commanded):
         if not same_members(seen, structure, feet):

@@ -13,31 +13,18 @@ from threading import local
 import casadi as ca
 import numpy as np
 
-from tenscontrol.control import Controller
-from tenscontrol.dynamics import (
-    Equation,
-    Model,
-    Pieces,
-    compiled,
-    compiler,
-    if_compiled,
-    unpack_states,
-)
-from tenscontrol.integrate import (
-    METHODS,
-    Choice,
-    FixedStep,
-    IntegrationError,
-    Integrator,
-    Lanes,
-    Method,
-    MethodChange,
-    Span,
-    Watched,
-    Work,
-    choose,
-    not_finite,
-)
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, IntArray
+from tenscontrol.control.controller import Controller
+from tenscontrol.dynamics.equation import Equation, unpack_states
+from tenscontrol.dynamics.machine_code import compiled, compiler, if_compiled
+from tenscontrol.dynamics.model import Model
+from tenscontrol.dynamics.profile import Pieces
+from tenscontrol.integrate.fixed_step import FixedStep, not_finite
+from tenscontrol.integrate.integrator import IntegrationError, Integrator, MethodChange, Span, Work
+from tenscontrol.integrate.lanes import Lanes
+from tenscontrol.integrate.methods import METHODS, Choice, Method, choose
+from tenscontrol.integrate.watched import Watched
 from tenscontrol.interrupt import check
 from tenscontrol.simulation.arguments import Arguments
 from tenscontrol.simulation.batch.batch_inputs import MASSES, BatchInputs, InputSpan
@@ -46,8 +33,7 @@ from tenscontrol.simulation.error_estimate import Motion, Path, Resolved, Stage
 from tenscontrol.simulation.health import ERROR_LIMIT
 from tenscontrol.simulation.motion_functions import MotionFunctions, by_node
 from tenscontrol.simulation.trajectory import Trajectory
-from tenscontrol.structure import BarMotion
-from tenscontrol.validation import LARGEST, FloatArray, IntArray, refuse_memory
+from tenscontrol.structure.bar_clearance import BarMotion
 
 # Runs in a call, and numbers that it may return.
 _BLOCK, _MOST_NUMBERS = 256, 4_000_000
@@ -79,7 +65,7 @@ class Runner:
         shape = scene.count, d, len(kept), len(self.time)
         hint = ". A longer output_step or fewer keep_nodes keep less"
         asked = f"{scene.count} runs with {len(self.time)} states of {len(kept)} nodes"
-        refuse_memory(f"asked for are {asked}", 2.0 * np.prod(shape), "numbers", 8, hint)
+        validation.refuse_memory(f"asked for are {asked}", 2.0 * np.prod(shape), "numbers", 8, hint)
         # Entries of the nodes that are kept: those of a state, and those that supports hold.
         entries = (d * kept[:, None] + np.arange(d)).ravel()
         place = np.full(d * n, -1)
@@ -94,7 +80,9 @@ class Runner:
         self.commands_not_ok: IntArray | None = None
         if controller is not None:
             size = scene.count, len(controller.commanded.strings), len(self.spans)
-            refuse_memory(f"{asked} and commands", 2.0 * np.prod(size), "numbers", 8, hint)
+            validation.refuse_memory(
+                f"{asked} and commands", 2.0 * np.prod(size), "numbers", 8, hint
+            )
             self.command, self.commands_not_ok = np.full(size, np.nan), np.zeros(size[0], int)
         # Of each run: what lanes counted, and the work of integrators.
         self._counts, self._work = np.zeros((scene.count, Lanes.counts)), dict[int, Work]()
@@ -324,9 +312,11 @@ class Runner:
         held: FloatArray, number: int,
     ) -> tuple[IntArray, FloatArray, FloatArray]:  # fmt: skip
         """Return the runs that go on in a sample, their states, and their inputs."""
-        away, start = np.abs(states).max(axis=1) > LARGEST, self.spans[number].start
+        away, start = np.abs(states).max(axis=1) > validation.LARGEST, self.spans[number].start
         for run in at[away]:
-            self._end(run, start, f"the motion has run away, beyond {LARGEST:g} in m and m/s")
+            self._end(
+                run, start, f"the motion has run away, beyond {validation.LARGEST:g} in m and m/s"
+            )
         if len(held) > 1:
             held = held[~away]
         at, states = at[~away], states[~away]

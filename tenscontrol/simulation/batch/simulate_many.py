@@ -16,11 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from tenscontrol.control import Controller
-from tenscontrol.dynamics import Model
-from tenscontrol.integrate import Choice, Method
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, IntArray, freeze_arrays
+from tenscontrol.control.controller import Controller
+from tenscontrol.dynamics.model import Model
+from tenscontrol.integrate.methods import Choice, Method
 from tenscontrol.interrupt import keeping
-from tenscontrol.plant import own_input
+from tenscontrol.plant.equilibrium import own_input
 from tenscontrol.progress import progress_bar
 from tenscontrol.properties import cached_property
 from tenscontrol.simulation.batch.batch_inputs import BatchInputs, given_by_run
@@ -31,17 +33,7 @@ from tenscontrol.simulation.health_check import check_health, finer
 from tenscontrol.simulation.integration import Integration
 from tenscontrol.simulation.scene import Scene
 from tenscontrol.simulation.trajectory import Trajectory
-from tenscontrol.structure import Structure
-from tenscontrol.validation import (
-    FloatArray,
-    IntArray,
-    choice,
-    freeze_arrays,
-    index_list,
-    instance,
-    truth,
-    whole_number,
-)
+from tenscontrol.structure.structure import Structure
 
 _INTERRUPTED = "interrupted"
 
@@ -141,10 +133,10 @@ class Batch:
         SimulationError
             If the motion passes a limit with ``action="raise"``.
         """
-        run = whole_number("run", run, 0, len(self.completed) - 1)
+        run = validation.whole_number("run", run, 0, len(self.completed) - 1)
         if limits is not None:
             how = "make them by HealthLimits(bar_length_error=...)"
-            instance("limits", limits, HealthLimits, how)
+            validation.instance("limits", limits, HealthLimits, how)
         assert self._runner is not None  # made by simulate_many
         scene, why = self._runner.scene, None
         if not self.completed[run]:
@@ -292,13 +284,13 @@ def simulate_many(
     >>> batch.nodes.shape, int(batch.completed.sum())
     ((100, 3, 6, 2), 100)
     """
-    instance("model", model, Model, "make one by Model(structure)")
+    validation.instance("model", model, Model, "make one by Model(structure)")
     integration = Integration(
         method, tolerance, step, output_step, project, machine_code, error="none"
     )
-    truth("progress", progress, "whether to show a progress bar")
-    choice("error", error, ("sample", "all", "none"))
-    threads = _processors() if threads is None else whole_number("threads", threads, 1)
+    validation.truth("progress", progress, "whether to show a progress bar")
+    validation.choice("error", error, ("sample", "all", "none"))
+    threads = _processors() if threads is None else validation.whole_number("threads", threads, 1)
     inputs, law = _inputs(model, rest_length, force_density, controller)
     given = given_by_run(
         model, vary, nodes=nodes, velocities=velocities, external_force=external_force, **inputs
@@ -310,7 +302,7 @@ def simulate_many(
     scene = BatchInputs(base, given)
     kept = np.arange(model.structure.nodes.shape[1])
     if keep_nodes is not None:
-        kept = index_list("keep_nodes", keep_nodes, len(kept), "nodes")
+        kept = validation.index_list("keep_nodes", keep_nodes, len(kept), "nodes")
     runner = errors = None
     with keeping("runs are done, the others are NaN", lambda: 0 if runner is None else runner.done):
         runner = Runner(scene, kept, law)

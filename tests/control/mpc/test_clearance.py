@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.structure import bar_distances
+from tenscontrol.structure.bar_clearance import bar_distances
 
 SAMPLE = 0.02
 

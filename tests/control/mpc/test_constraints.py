@@ -39,7 +39,7 @@ def solved(mpc, nodes, velocities=STILL):
 
 def predicted(mpc, name, z):
     """Return γ or tension at the start of each sample of a plan, shape (N, α)."""
-    from tenscontrol.plant import string_map
+    from tenscontrol.plant.string_outputs import string_map
 
     found = string_map(mpc.plant, mpc.plant.input)
     v = (mpc.plan - mpc.plant.equilibrium_input[:, None]).T

@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import expm
 
 import tenscontrol as tc
-from tenscontrol.control.mpc import Sparse
+from tenscontrol.control.mpc.sparse import Sparse
 
 HORIZON, SAMPLES = 5, 6
 

@@ -9,11 +9,11 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.control import Status
-from tenscontrol.control.mpc import OSQPSolver
 from tenscontrol.control.mpc.linear import Condensed
 from tenscontrol.control.mpc.problem import MPCProblem, StageData
+from tenscontrol.control.mpc.solvers.osqp_adapter import OSQPSolver
 from tenscontrol.control.mpc.sparse import Sparse
-from tenscontrol.dynamics import compiler
+from tenscontrol.dynamics.machine_code import compiler
 from tests.control.fault_loop import solve_nothing
 
 STILL = np.zeros((3, 6))

@@ -7,7 +7,9 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.demo import tour as demo
-from tenscontrol.plant import ReferencePreview, sampled, string_map
+from tenscontrol.plant.linear_plant import sampled
+from tenscontrol.plant.reference import ReferencePreview
+from tenscontrol.plant.string_outputs import string_map
 
 SAMPLE = 0.02
 STILL = np.zeros((3, 6))

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.control.mpc import OutputLimit
-from tenscontrol.control.mpc import stages as module
-from tenscontrol.dynamics import compiler
+from tenscontrol.control.mpc import OutputLimit, stages as module
+from tenscontrol.dynamics.machine_code import compiler
 
 KINDS = [
     pytest.param(

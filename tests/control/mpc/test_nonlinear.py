@@ -7,11 +7,11 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.control import NMPC, Status
-from tenscontrol.control.mpc import OSQPSolver
 from tenscontrol.control.mpc.problem import SubproblemSolution
+from tenscontrol.control.mpc.solvers.osqp_adapter import OSQPSolver
 from tenscontrol.demo import tour as demo
 from tenscontrol.dynamics.machine_code import compiler
-from tenscontrol.plant import explicit_substeps, sampled_dynamics
+from tenscontrol.plant.reduced_dynamics import explicit_substeps, sampled_dynamics
 from tests.control.mpc.nmpc_oracle import IpoptNMPC, closed_loop_cost
 from tests.control.mpc.test_linear import kkt_residual
 

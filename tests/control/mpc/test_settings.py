@@ -11,7 +11,7 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.control import MPCSettings, QPSolution, QPSolver, Status
-from tenscontrol.control.mpc import OSQPSolver
+from tenscontrol.control.mpc.solvers.osqp_adapter import OSQPSolver
 from tenscontrol.docstrings import documented
 from tests.deploy import scenes
 

@@ -9,14 +9,10 @@ from scipy.integrate import solve_ivp
 import tenscontrol as tc
 from tenscontrol.control.mpc.shooting import RK4, RadauIIA
 from tenscontrol.demo import tour as demo
-from tenscontrol.dynamics import Evaluator
-from tenscontrol.plant import (
-    ReferencePreview,
-    checked_reference,
-    reduced_acceleration,
-    sampled,
-    sampled_dynamics,
-)
+from tenscontrol.dynamics.evaluator import Evaluator
+from tenscontrol.plant.linear_plant import sampled
+from tenscontrol.plant.reduced_dynamics import reduced_acceleration, sampled_dynamics
+from tenscontrol.plant.reference import ReferencePreview, checked_reference
 
 SAMPLE = 0.02
 

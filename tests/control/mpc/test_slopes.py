@@ -9,7 +9,7 @@ import tenscontrol as tc
 from tenscontrol.control.mpc.real_time_iteration import TrajectoryModel, limited_rows
 from tenscontrol.control.mpc.settings import MPCSettings, design
 from tenscontrol.control.mpc.shooting import RK4, AccelerationSlopes
-from tenscontrol.plant import (
+from tenscontrol.plant.reduced_dynamics import (
     acceleration_slopes,
     linked_accelerations,
     reduced_acceleration,

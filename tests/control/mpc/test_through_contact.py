@@ -6,7 +6,7 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.dynamics import SmoothGround
-from tenscontrol.plant import explicit_substeps, sampled_dynamics
+from tenscontrol.plant.reduced_dynamics import explicit_substeps, sampled_dynamics
 from tests.control.mpc.contact_scenes import GROUND, SAMPLE, STRINGS, STRUCTURES, hop, models
 
 

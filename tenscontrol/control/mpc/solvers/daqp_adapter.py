@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
+from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.control.mpc.solvers.solver import QPSolution, QPSolver, check_values, refused
 from tenscontrol.status import Status
-from tenscontrol.validation import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array

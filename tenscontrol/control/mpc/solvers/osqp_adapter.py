@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
+from tenscontrol.arrays import FloatArray
 from tenscontrol.control.mpc.solvers.solver import QPSolution, QPSolver, check_values, refused
 from tenscontrol.status import Status
-from tenscontrol.validation import FloatArray
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array

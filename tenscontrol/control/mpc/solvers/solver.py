@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tenscontrol.arrays import FloatArray
 from tenscontrol.status import Status
-from tenscontrol.validation import FloatArray
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array

@@ -7,11 +7,10 @@ from functools import cache
 
 import numpy as np
 
+from tenscontrol.arrays import FloatArray
 from tenscontrol.control.mpc.solvers.c_source import active_set_source
-from tenscontrol.dynamics import compiler
-from tenscontrol.dynamics.machine_code import compiled_library
+from tenscontrol.dynamics.machine_code import compiled_library, compiler
 from tenscontrol.status import Status
-from tenscontrol.validation import FloatArray
 
 _CALLS = """
 typedef struct {

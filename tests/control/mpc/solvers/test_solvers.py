@@ -11,7 +11,9 @@ import pytest
 from scipy.sparse import csc_array
 
 from tenscontrol.control import Status
-from tenscontrol.control.mpc import DAQPSolver, OSQPSolver, PIQPSolver
+from tenscontrol.control.mpc.solvers.daqp_adapter import DAQPSolver
+from tenscontrol.control.mpc.solvers.osqp_adapter import OSQPSolver
+from tenscontrol.control.mpc.solvers.piqp_adapter import PIQPSolver
 from tests.control.mpc.test_linear import kkt_residual
 
 # A tolerance, and how well the optimality conditions then hold.
