@@ -42,7 +42,7 @@ def counts(structure):
     moves = ~np.isin(members, structure.fixed).all(axis=1)
     matrix = rows.reshape(len(members), -1)[moves][:, structure.free_rows]
     rank = np.linalg.matrix_rank(matrix, tol=1e-9 * np.linalg.norm(matrix, 2))
-    bodily = tc.structure.rigid_basis(structure).shape[1]
+    bodily = tc.structure.supports.rigid_basis(structure).shape[1]
     return len(matrix) - rank, matrix.shape[1] - rank - bodily
 
 

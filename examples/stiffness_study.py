@@ -25,6 +25,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 import tenscontrol as tc
+from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.control import Controller, ControlWarning, HeldLoop, Status, held_loop
 from tenscontrol.interrupt import check, interruptible, keeping
 from tenscontrol.plant import LinearPlant, Modes
@@ -37,10 +38,8 @@ from tenscontrol.statics import Prestress
 from tenscontrol.structure.bar_geometry import refuse_wrong_bar_lengths
 from tenscontrol.tables import aligned
 from tenscontrol.validation import (
-    FloatArray,
     choice,
     float_array,
-    frozen,
     instance,
     positive,
     positive_number,

@@ -238,8 +238,8 @@ def test_ground_motions(printed, monkeypatch):
         assert max(map(float, error.split())) < 1e-11
     assert "0 not located" in text
     orders = [float(order) for order in re.findall(r"order +(\S+)", text)]
-    for found, least in zip(orders, (3.8, 3.8, 5.5), strict=True):
-        assert found > least
+    assert len(orders) == 1
+    assert orders[0] > 3.8
 
 
 def test_mpc_step(printed):

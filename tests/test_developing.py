@@ -287,7 +287,8 @@ for method, setting in (("dop853", {}), ("rk4", {"step": 5e-3}),
 """
 
 FORMS = """
-from tenscontrol.dynamics import pack_state, tangent
+from tenscontrol.dynamics.equation import pack_state
+from tenscontrol.dynamics.tangent import tangent
 tower, gamma = tc.library.class2_tower(2), np.full(12, 10.0)
 model = tc.Model(tower, gravity=9.81, joint_friction=0.2)
 speeds = np.cos(np.arange(27.0)).reshape(3, 9) * ~np.isin(np.arange(9), tower.fixed)
@@ -458,7 +459,8 @@ def test_an_option_of_mpc_is_declared_once(tmp_path):
             ),
             (
                 "    tracked: object = field(",
-                "    effort: float = field(default=1.0, metadata=checked(positive_number, 'm'))\n",
+                "    effort: float = field(default=1.0, metadata=checked(\n"
+                "        validation.positive_number, 'm'))\n",
             ),
             (
                 "    if not nonlinear or plant.model.contacts is None:\n",
@@ -597,7 +599,7 @@ def test_a_controller_is_two_files(tmp_path):
                 "from tenscontrol.control.lqr import",
                 "from tenscontrol.control.relay import TwoPointRelay\n",
             ),
-            ('    "as_controller",\n', '    "TwoPointRelay",\n'),
+            ('    "clearance",\n', '    "TwoPointRelay",\n'),
         ],
     }
     assert len(changes) == 2

@@ -38,8 +38,10 @@ def files_passed():
         if event == "call":
             code = frame.f_code
             # The body of a module runs once, when it is imported.
-            if code.co_filename.startswith(PACKAGE) and code.co_name != "<module>":
-                found.add(code.co_filename.removeprefix(PACKAGE))
+            name = code.co_filename.removeprefix(PACKAGE)
+            # Checks and types at the base need not be opened.
+            if name != code.co_filename and "/" in name and code.co_name != "<module>":
+                found.add(name)
 
     before = sys.getprofile()
     sys.setprofile(look)

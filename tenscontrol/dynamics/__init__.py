@@ -9,12 +9,14 @@ from tenscontrol.dynamics.contact_laws import (
 )
 from tenscontrol.dynamics.coordinates import Coordinates, coordinates
 from tenscontrol.dynamics.equation import Equation
+from tenscontrol.dynamics.evaluator import BUILDING
 from tenscontrol.dynamics.machine_code import compiled
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.profile import Profile
 from tenscontrol.dynamics.string_laws import ElasticStrings, LinearStrings, StringLaw
 
 __all__ = [
+    "BUILDING",
     "ContactLaw",
     "Contacts",
     "Coordinates",

@@ -156,7 +156,7 @@ def compiled(function: ca.Function, timeout: float = 600.0) -> ca.Function | Non
     >>> import casadi as ca
     >>> from tenscontrol.dynamics.machine_code import compiled
     >>> x = ca.SX.sym("x")
-    >>> square = Function("square", [x], [x**2])
+    >>> square = ca.Function("square", [x], [x**2])
     >>> fast = compiled(square) or square
     >>> float(fast(3.0))
     9.0

@@ -12,7 +12,7 @@ import numpy as np
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, IntArray, frozen
 from tenscontrol.dynamics import kernel
-from tenscontrol.dynamics.evaluator import Function, SharedEvaluator
+from tenscontrol.dynamics.evaluator import Function, SharedEvaluator, builds
 from tenscontrol.fields import Field, OptionalArray, converted
 from tenscontrol.properties import cached_property
 from tenscontrol.structure.structure import Structure
@@ -229,6 +229,7 @@ class Sensors:
         return self._read(N, V, pulls)[0]
 
     @cached_property
+    @builds
     def _read(self) -> SharedEvaluator:
         """Function ``(N, V, tension) -> y``."""
         shape, count = self.structure.nodes.shape, len(self.structure.strings)

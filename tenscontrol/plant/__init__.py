@@ -7,7 +7,7 @@ from tenscontrol.plant.linearize import OperatingPoint, command_parents, in_coor
 from tenscontrol.plant.modes import Modes, modes
 from tenscontrol.plant.reduced_dynamics import ReducedPlant, reduce
 from tenscontrol.plant.reference import Reference
-from tenscontrol.plant.riccati import energy_weights
+from tenscontrol.plant.riccati import energy_weights, natural_weights
 from tenscontrol.plant.stance import Stance, StanceContacts, Tipping, set_down
 
 __all__ = [
@@ -28,6 +28,7 @@ __all__ = [
     "in_coordinates",
     "linearize",
     "modes",
+    "natural_weights",
     "reduce",
     "set_down",
 ]

@@ -315,7 +315,30 @@ def energy_weights(plant: LinearPlant, by_mode: bool = False) -> tuple[FloatArra
 
 
 def natural_weights(plant: LinearPlant) -> tuple[FloatArray, FloatArray]:
-    """Return Q and R that controllers take if the user gives none."""
+    """Return Q and R that controllers take if the user gives none: those of the energy.
+
+    Parameters
+    ----------
+    plant : LinearPlant
+
+    Returns
+    -------
+    Q, R : ndarray, shape (states, states) and (inputs, inputs)
+
+    See Also
+    --------
+    energy_weights : the weights themselves, for either input.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
+    >>> Q, R = tc.plant.natural_weights(plant)
+    >>> Q.shape, R.shape
+    ((18, 18), (9, 9))
+    """
+    validation.instance("plant", plant, LinearPlant, "make one by linearize(model, rest)")
     Q, R = energy_weights(plant, by_mode=plant.input == "rest_length")
     return Q, _INPUT_WEIGHT[plant.input] * R
 

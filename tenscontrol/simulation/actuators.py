@@ -21,6 +21,7 @@ from tenscontrol.arrays import FloatArray, IntArray, frozen
 from tenscontrol.control.command import Command
 from tenscontrol.control.controller import BaseController
 from tenscontrol.dynamics.evaluator import Evaluator
+from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.profile import Pieces
 from tenscontrol.properties import cached_property
 from tenscontrol.simulation.dense_motion import DenseMotion
@@ -59,7 +60,7 @@ class Actuators:
         run: Trajectory | None,
     ) -> None:
         self._structure = plant_run.model.structure
-        self._by_segment = _commands_parent(plant_run, controller)
+        self._by_segment = commands_parent(plant_run.model, controller)
         self._count = len(controller.commanded.strings)
         self._held = plant_run.input
         self._convert = plant_run.input == "rest_length" and controller.input == "force_density"
@@ -381,12 +382,12 @@ class Actuators:
             )
 
 
-def _commands_parent(plant_run: PlantRun, controller: BaseController) -> bool:
+def commands_parent(model: Model, controller: BaseController) -> bool:
     """Return whether a controller commands the strings of the plant's parent, or refuse it."""
-    structure, designed = plant_run.model.structure, controller.commanded
+    structure, designed = model.structure, controller.commanded
     seen, parent = controller.structure, structure.parent
     # Feet are fixed nodes to a controller for a stance; here the ground holds them.
-    feet = controller.feet if plant_run.model.ground else ()
+    feet = controller.feet if model.ground else ()
     by_segment = not same_members(designed, structure, feet)
     fits = same_members(seen, structure, feet)
     if by_segment:

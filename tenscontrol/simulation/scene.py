@@ -27,6 +27,7 @@ from tenscontrol.plant.linear_plant import LinearPlant
 from tenscontrol.plant.linearize import linearize
 from tenscontrol.progress import long_run_note, progress_bar
 from tenscontrol.properties import cached_property
+from tenscontrol.simulation.actuators import commands_parent
 from tenscontrol.simulation.arguments import Arguments
 from tenscontrol.simulation.assembly import assembled
 from tenscontrol.simulation.closed_loop import ClosedLoop
@@ -221,7 +222,9 @@ class Scene:
         if self.input is not None:
             kind = validation.choice("input", self.input, ("rest_length", "force_density"))
         put(self, "input", kind)
-        if self.rest_length is not None and kind == "rest_length" and self.law is not None:
+        assert self.law is not None  # there is a controller
+        commands_parent(self.model, self.law)
+        if self.rest_length is not None and kind == "rest_length":
             count, what = len(self.law.commanded.strings), "string of the controller"
             lengths = validation.per_member("rest_length", self.rest_length, count, what)
             put(self, "rest_length", validation.positive("rest_length", lengths, "length in m"))

@@ -95,7 +95,9 @@ def test_what_a_planar_motion_conserves():
     )  # fmt: skip
     structure = case.structure
     moments = zip(run.nodes.T, run.velocities.T, strict=True)
-    states = np.column_stack([tc.dynamics.pack_state(structure, N.T, V.T) for N, V in moments])
+    states = np.column_stack(
+        [tc.dynamics.equation.pack_state(structure, N.T, V.T) for N, V in moments]
+    )
     found = invariants(case, states)
     assert found.momentum.shape[0] == 2
     assert found.angular_momentum.shape[0] == 1

@@ -64,7 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             one, other = pair.statuses
             assert one == other  # what the table is about
             times = taken(pair)
-            code, numbers = sizes(found.command, Path(folder))
+            code, numbers = sizes(list(found), Path(folder))
         print(
             f"{name:26s} {pair.error:10.1e} {times[0] / times[1]:11.1f} "
             f"{max(pair.iterations):11d} {code / 1024:8.0f} {numbers / 1024:11.0f}"

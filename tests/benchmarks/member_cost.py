@@ -108,7 +108,7 @@ def build_yardstick(folder: Path) -> ctypes.CDLL:
     found = compiler()
     if found is None:
         raise SystemExit("no C compiler: none of $CC, cc, gcc and clang is on the path")
-    command = [*found.command, "-O3", "-fPIC", "-shared", str(source), "-o", str(library), "-lm"]
+    command = [*found, "-O3", "-fPIC", "-shared", str(source), "-o", str(library), "-lm"]
     subprocess.run(command, check=True)
     loaded = ctypes.CDLL(str(library))
     for name in ("time_yardstick", "time_function"):

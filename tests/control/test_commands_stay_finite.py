@@ -234,7 +234,7 @@ def test_references_that_cannot_be_are_refused_when_given(name, what, shape, mes
 def test_a_reference_moves_no_support():
     on, shape = on_supports()
     with pytest.raises(ValueError, match=r"in reference at 0 s, the fixed node \d is 0\.1 m"):
-        tc.plant.checked_reference(on, shape + np.array([[0.1], [0.0], [0.0]]))
+        tc.plant.reference.checked_reference(on, shape + np.array([[0.1], [0.0], [0.0]]))
 
 
 def test_a_way_around_is_a_reference():

@@ -75,7 +75,7 @@ def test_the_prediction_of_a_sample_is_that_of_the_oracle(name):
     both = plant.to_nodes(z[:r]), plant.to_velocities(z[:r], z[r:])
     start = np.concatenate([part.ravel(order="F")[rows] for part in both])
     end = solve_ivp(slope, (0, 2e-3), start, method="DOP853", rtol=1e-12, atol=1e-14).y[:, -1]
-    predicted = np.array(tc.plant.sampled_dynamics(plant, 2e-3)[0](z, u)).ravel()
+    predicted = np.array(tc.plant.reduced_dynamics.sampled_dynamics(plant, 2e-3)[0](z, u)).ravel()
     columns = np.zeros((2, structure.nodes.size))
     columns[0] = structure.nodes.ravel(order="F")
     columns[:, rows] = np.split(end, 2)

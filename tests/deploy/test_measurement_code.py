@@ -55,7 +55,7 @@ def test_measured_state_of_bars_that_share_nodes(name, plant):
     structure, rng = plant.model.structure, np.random.default_rng(0)
     d, n = structure.nodes.shape
     measure = measurement(plant)
-    left = tc.structure.rigid_basis(structure)
+    left = tc.structure.supports.rigid_basis(structure)
     for size in (0.0, 1e-6, 0.03):
         for _ in range(10):
             moved = 0.3 * left @ rng.normal(size=left.shape[1])

@@ -16,11 +16,13 @@ def frame(structure, kind):
 
 def constraints(structure):
     bars = np.arange(len(structure.bars))
-    return tc.structure.bar_rows(structure, bars, structure.nodes).toarray()[:, structure.free_rows]
+    return tc.structure.blocks.bar_rows(structure, bars, structure.nodes).toarray()[
+        :, structure.free_rows
+    ]
 
 
 def mass(structure):
-    node_mass = tc.structure.node_mass(structure).toarray()
+    node_mass = tc.structure.blocks.node_mass(structure).toarray()
     return np.kron(node_mass, np.eye(structure.dimension))
 
 

@@ -851,6 +851,7 @@ call("modes", lambda: {"plant": plant(), "count": 2})
 call("reduce", lambda: {"plant": plant(), "modes": [3, 4]})
 call("controllability", lambda: {"plant": plant(), "count": 3})
 call("energy_weights", lambda: {"plant": plant(), "by_mode": True})
+call("plant.natural_weights", lambda: {"plant": plant()})
 call(
     "equilibrium",
     lambda: {"model": elastic(), "rest_length": 0.98 * rest_length(), "nodes": nodes()},

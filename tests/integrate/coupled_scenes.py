@@ -68,7 +68,7 @@ def possible_velocities(structure, seed=0, size=0.5):
     """Random velocities, shape (d, n), that neither stretch bars nor move supports."""
     rows = structure.free_rows
     every = np.arange(len(structure.bars))
-    J = tc.structure.bar_rows(structure, every, structure.nodes).toarray()[:, rows]
+    J = tc.structure.blocks.bar_rows(structure, every, structure.nodes).toarray()[:, rows]
     v = np.random.default_rng(seed).normal(size=len(rows))
     v -= np.linalg.pinv(J, rcond=1e-10) @ (J @ v)
     flat = np.zeros(structure.nodes.size)
@@ -83,7 +83,7 @@ def moving(structure, seed=0, size=0.5):
 
 def errors_of_bars(structure, states):
     """Largest relative error of bar lengths, and rate along a bar, m/s."""
-    nodes, velocities = tc.dynamics.unpack_states(structure, states)
+    nodes, velocities = tc.dynamics.equation.unpack_states(structure, states)
     start, end = structure.bars.T
     B, Bd = nodes[:, end] - nodes[:, start], velocities[:, end] - velocities[:, start]
     length = structure.bar_length[:, None]

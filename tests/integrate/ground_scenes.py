@@ -38,7 +38,7 @@ class Scene:
         structure = self.structure
         d = structure.dimension
         weights = np.zeros_like(structure.nodes)
-        weights[-1] = -GRAVITY * tc.structure.node_mass(structure).sum(axis=0)
+        weights[-1] = -GRAVITY * tc.structure.blocks.node_mass(structure).sum(axis=0)
         planes = tuple(
             Plane(law.stiffness, law.damping, law.friction, law.slip_speed, tuple(law.up(d)),
                   law.height, 1.5 if isinstance(law, tc.dynamics.HertzGround) else 1.0)
@@ -57,7 +57,7 @@ class Scene:
         """Return nodes at equally spaced times from 0, shape (d, n, T), and the work."""
         span = integrator.advance(self.state, self.rest_length, times[-1], len(times) - 1)
         states = np.column_stack([self.state, span.states])
-        return tc.dynamics.unpack_states(self.structure, states)[0], span.work
+        return tc.dynamics.equation.unpack_states(self.structure, states)[0], span.work
 
 
 def dropped(structure, ground, height, velocity=(0.0, 0.0, 0.0), force_density=20.0, turn=None):

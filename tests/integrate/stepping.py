@@ -95,7 +95,7 @@ def smooth_motion(prism, held, damping=0.0, duration=1.0):
 
 def bar_errors(structure, states):
     """Largest relative errors of bar lengths and of rates along bars, m/s, of states (6n, T)."""
-    nodes, velocities = tc.dynamics.unpack_states(structure, np.atleast_2d(states.T).T)
+    nodes, velocities = tc.dynamics.equation.unpack_states(structure, np.atleast_2d(states.T).T)
     start, end = structure.bars.T
     B, Bd = nodes[:, end] - nodes[:, start], velocities[:, end] - velocities[:, start]
     length = structure.bar_length[:, None]

@@ -28,9 +28,9 @@ class Oracle:
     def __init__(self, structure, rest_length, damping=0.0):
         self.structure, self.rest_length, self.damping = structure, rest_length, damping
         d, rows = structure.dimension, structure.free_rows
-        M = np.kron(tc.structure.node_mass(structure).toarray(), np.eye(d))
+        M = np.kron(tc.structure.blocks.node_mass(structure).toarray(), np.eye(d))
         self.inverse = np.linalg.inv(M[np.ix_(rows, rows)])
-        weights = tc.structure.node_mass(structure).sum(axis=0)
+        weights = tc.structure.blocks.node_mass(structure).sum(axis=0)
         self.weight = np.zeros_like(structure.nodes)
         self.weight[-1] = -GRAVITY * weights
         self.moving = [
@@ -59,7 +59,7 @@ class Oracle:
         pull = S * ((taut * self.tension(x)[0])[s.segment_string] / np.linalg.norm(S, axis=0))
         np.add.at(F.T, s.segments[:, 0], pull.T)
         np.subtract.at(F.T, s.segments[:, 1], pull.T)
-        J = tc.structure.bar_rows(s, np.array(self.moving), nodes).toarray()[:, rows]
+        J = tc.structure.blocks.bar_rows(s, np.array(self.moving), nodes).toarray()[:, rows]
         f = F.ravel(order="F")[rows]
         known = -(s.bar_vectors(velocities)[:, self.moving] ** 2).sum(axis=0)
         JM = J @ self.inverse
@@ -194,7 +194,7 @@ def test_a_rigid_body_turns_by_eulers_equations(method, value, count):
     nodes = nodes[:, :count]
     bars = [(i, j) for i in range(count) for j in range(i)]
     body = tc.Structure(nodes, bars, [], bar_mass=np.linspace(0.5, 1.5, len(bars)))
-    M = tc.structure.node_mass(body).toarray()
+    M = tc.structure.blocks.node_mass(body).toarray()
     arms = nodes - (nodes @ M).sum(axis=1, keepdims=True) / M.sum()
     spread = arms @ M @ arms.T
     inertia = np.trace(spread) * np.eye(3) - spread

@@ -217,7 +217,7 @@ def test_a_ball_at_rest_presses_with_its_weight():
     state = pack_state(ball, nodes, np.zeros_like(nodes))
     integrator = METHODS["energy_momentum"].integrator(model.equation("rest_length"), 2e-2)
     end = integrator.advance(state, lengths, 60.0, 1).states[:, -1]
-    N, V = (each[:, :, 0] for each in tc.dynamics.unpack_states(ball, end[:, None]))
+    N, V = (each[:, :, 0] for each in tc.dynamics.equation.unpack_states(ball, end[:, None]))
     assert np.abs(V).max() < 1e-10
     N, V = ca.SX(ca.DM(N)), ca.SX(ca.DM(V))
     forces = np.array(ca.evalf(model.contacts.on_nodes(N, V)))

@@ -75,7 +75,7 @@ def test_counts_are_those_of_the_docstring(name, sizes, structure_class, states,
     structure = getattr(library, name)(**sizes)
     rows, _ = member_directions(structure)
     rank = np.linalg.matrix_rank(rows, tol=1e-9 * np.linalg.norm(rows, 2))
-    bodily = tc.structure.rigid_basis(structure).shape[1]
+    bodily = tc.structure.supports.rigid_basis(structure).shape[1]
     assert structure.structure_class == structure_class
     assert len(rows) - rank == states
     assert rows.shape[1] - rank - bodily == mechanisms
@@ -109,7 +109,7 @@ def test_balls_have_equal_bars_apart_from_one_another_and_alike_nodes(name):
     np.testing.assert_allclose(ball.bar_length, 0.7, rtol=1e-12)
     radius = np.linalg.norm(ball.nodes, axis=0)
     np.testing.assert_allclose(radius, radius[0], rtol=1e-12)
-    assert tc.structure.bar_distances(ball, ball.nodes).least > 0.07
+    assert tc.structure.bar_clearance.bar_distances(ball, ball.nodes).least > 0.07
     count = np.bincount(ball.strings.ravel())
     assert set(count) == {4 if name == "six_bar_ball" else 3}
     for group in dict.fromkeys(ball.string_groups):

@@ -57,12 +57,13 @@ def test_reduced_dynamics_and_their_slopes_are_exact(structure, held):
     of, r = acceleration(model, plant, at.external_force), plant.degrees_of_freedom
     random, u = np.random.default_rng(6), plant.equilibrium_input
     z = 0.01 * random.uniform(-1, 1, 2 * r)
-    found = tc.plant.reduced_acceleration(plant, taut=False)(z, u)
+    found = tc.plant.reduced_dynamics.reduced_acceleration(plant, taut=False)(z, u)
     scale = np.abs(plant.A[r:]).max()
     expected = of(z, u)
     np.testing.assert_allclose(np.array(found).ravel() / scale, expected / scale, atol=1e-12)
     value, by_q, by_v, by_u = (
-        np.array(part) for part in tc.plant.acceleration_slopes(plant, taut=False)(z, u)
+        np.array(part)
+        for part in tc.plant.reduced_dynamics.acceleration_slopes(plant, taut=False)(z, u)
     )
     np.testing.assert_allclose(value.ravel() / scale, expected / scale, atol=1e-12)
     dz, du, step = random.normal(size=2 * r), 0.1 * random.normal(size=len(u)), 1e-5
@@ -155,7 +156,7 @@ def test_strings_that_a_cluster_runs_through_are_one_input():
     nodes = tc.linearize(model, at, coordinates="nodes")
     assert nodes.state_names[:5] == ["x[1]", "y[1]", "x[2]", "y[2]", "x[3]"]
     assert nodes.output_names[:3] == ["delta_x[0]", "delta_y[0]", "delta_x[1]"]
-    found = tc.plant.string_map(plant, "rest_length")
+    found = tc.plant.string_outputs.string_map(plant, "rest_length")
     np.testing.assert_allclose(found.force_density, at.force_density, rtol=1e-12)
     length = arm().string_length()
     np.testing.assert_allclose(found.tension, at.force_density * length, rtol=1e-12)

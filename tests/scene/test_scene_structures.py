@@ -93,7 +93,7 @@ def test_generators_get_their_arguments(name, structure):
     keys = "".join(f"{key} = {toml(value)}\n" for key, value in SIZES[name].items())
     found = structure(f"[structure]\ngenerator = '{name}'\n{keys}")
     expected = getattr(tc.library, name)(**SIZES[name])
-    assert tc.structure.same_members(found, expected)
+    assert tc.structure.structure.same_members(found, expected)
     np.testing.assert_array_equal(found.nodes, expected.nodes)
     np.testing.assert_array_equal(found.bar_mass, expected.bar_mass)
     np.testing.assert_array_equal(found.point_mass, expected.point_mass)

@@ -59,7 +59,7 @@ def test_the_figures_of_a_run_in_the_plane():
         tc.Model(structure, strings=LAW), 0.5, None, possible_velocities(structure),
         rest_length=structure.string_length(), method="energy_momentum", step=1e-3,
     )  # fmt: skip
-    M = tc.structure.node_mass(structure).toarray()
+    M = tc.structure.blocks.node_mass(structure).toarray()
     momenta = np.einsum("int,nm->imt", run.velocities, M)
     np.testing.assert_allclose(run.momentum, momenta.sum(axis=1), atol=1e-14)
     turning = (run.nodes[0] * momenta[1] - run.nodes[1] * momenta[0]).sum(axis=0)

@@ -247,7 +247,7 @@ VALUES = st.recursive(
 def test_any_value_comes_back(value):
     writer = _Writer()
     text = json.dumps(writer.node(value, ("value",)), allow_nan=False)
-    arrays = {name: tc.validation.frozen(array) for name, array in writer.arrays.items()}
+    arrays = {name: tc.arrays.frozen(array) for name, array in writer.arrays.items()}
     assert_equal(value, _Reader(arrays).value(json.loads(text), "value"))
     _check_names({"value": json.loads(text)}, arrays.keys())
     assert writer.unsaved == {}

@@ -191,7 +191,8 @@ SHAPES = [
                 with_entry(body().nodes, (slice(None), 4), body().nodes[:, 0]), BODY, [], 1.0),
             ValueError, r"bars\[3\] has no length: nodes 0 and 4"),
     refused("a body with bars of inconsistent length",
-            lambda: tc.structure.refuse_wrong_bar_lengths("nodes", body(), shape_of_body(1e-3)),
+            lambda: tc.structure.bar_geometry.refuse_wrong_bar_lengths(
+                "nodes", body(), shape_of_body(1e-3)),
             ValueError, r"in nodes, bar \d has length .*restore_bar_lengths"),
     refused("a linkage pulled straight",
             lambda: tc.structure.restore_bar_lengths(
@@ -201,11 +202,11 @@ SHAPES = [
             lambda: tc.structure.restore_bar_lengths(body(), np.zeros((3, 5))), ValueError,
             r"in nodes, the ends of bar 0 are at the same point"),
     refused("a fixed node moved",
-            lambda: tc.structure.refuse_moved_supports(
+            lambda: tc.structure.supports.refuse_moved_supports(
                 "nodes", toggle(1.0), with_entry(toggle(1.0).nodes, (0, 2), 2.1)), ValueError,
             r"in nodes, the fixed node 2 is 0\.1 m from its place"),
     refused("a roller off its line",
-            lambda: tc.structure.refuse_moved_supports(
+            lambda: tc.structure.supports.refuse_moved_supports(
                 "nodes", lever(fixed=[0, (1, "y")]), np.array([[0, 1.3], [0, 0.2]])), ValueError,
             r"in nodes, node 1 is 0\.2 m off its roller, which holds its y at 0 m"),
 ]

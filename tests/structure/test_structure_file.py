@@ -98,7 +98,7 @@ def test_files_written_by_hand(tmp_path):
 
 def changed(**entries):
     """The text of a prism as JSON with other entries."""
-    table = json.loads(json.dumps(tc.structure.to_table(tc.prism()))) | entries
+    table = json.loads(json.dumps(tc.structure.structure_file.to_table(tc.prism()))) | entries
     return json.dumps({"structure": {k: v for k, v in table.items() if v != "absent"}})
 
 

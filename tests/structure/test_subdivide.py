@@ -366,7 +366,9 @@ def test_planar_structures_with_rollers_and_payloads_are_cut():
     np.testing.assert_array_equal(cut.point_mass[:6], mass)
     np.testing.assert_array_equal(cut.point_mass[6:], 0.1)
     np.testing.assert_allclose(
-        tc.structure.to_strings(cut, "length", cut.string_length()), arm.string_length(), rtol=1e-14
+        tc.structure.segments.to_strings(cut, "length", cut.string_length()),
+        arm.string_length(),
+        rtol=1e-14,
     )
     assert len(cut.blocks) == len(arm.blocks)
     for one, other in zip(cut.blocks, arm.blocks, strict=True):

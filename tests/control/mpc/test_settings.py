@@ -3,7 +3,6 @@
 import sys
 from dataclasses import FrozenInstanceError, fields, replace
 from inspect import signature
-from typing import ClassVar
 
 import casadi as ca
 import numpy as np
@@ -13,6 +12,7 @@ import tenscontrol as tc
 from tenscontrol.control import MPCSettings, QPSolution, QPSolver, Status
 from tenscontrol.control.mpc.solvers.osqp_adapter import OSQPSolver
 from tenscontrol.docstrings import documented
+from tenscontrol.dynamics.evaluator import Function
 from tests.deploy import scenes
 
 GIVEN = {"horizon": 4, "sample_time": scenes.SAMPLE, "max_force_density": 80.0}
@@ -99,16 +99,6 @@ def test_another_solver_is_one_class(kind):
     np.testing.assert_allclose(values[1], values[0], atol=1e-3)
 
 
-class NamedFunction(ca.Function):
-    """Notes the name of each function that is constructed."""
-
-    names: ClassVar[list[str]] = []
-
-    def __init__(self, name, *given):
-        self.names.append(name)
-        super().__init__(name, *given)
-
-
 @pytest.mark.parametrize("held", ["force_density", "rest_length"])
 @pytest.mark.parametrize("kind", [tc.MPC, tc.NMPC])
 def test_a_second_controller_on_a_plant_builds_no_expression(kind, held, monkeypatch):
@@ -116,12 +106,17 @@ def test_a_second_controller_on_a_plant_builds_no_expression(kind, held, monkeyp
     given = GIVEN | {"max_force_density": 80.0 if held == "force_density" else None}
     limit = tc.clearance(plant, clearance=0.1, penalty=1e4)
     given |= {"max_tension": 300.0, "outputs": [limit], "load_gain": 0.2}
-    monkeypatch.setattr(ca, "Function", NamedFunction)
-    names, values = [], []
+    names, values, built = [], [], []
+
+    def noted(self, name, *given):
+        built.append(name)
+        ca.Function.__init__(self, name, *given)
+
+    monkeypatch.setattr(Function, "__init__", noted)
     for _ in range(2):
-        monkeypatch.setattr(NamedFunction, "names", [])
+        built.clear()
         made = kind(plant, **given)
-        names.append(NamedFunction.names)
+        names.append(built.copy())
         values.append(made.command(0.0, plant.to_nodes(np.full(9, 0.003)), np.zeros((3, 6))).value)
     assert "strings" in names[0]
     assert names[1] == []
