@@ -157,7 +157,7 @@ def _new(options: argparse.Namespace) -> None:
 
 def _simulate(options: argparse.Namespace) -> None:
     from tenscontrol.scene.load_scene import load_scene
-    from tenscontrol.simulation.simulation_error import SimulationError
+    from tenscontrol.simulation.health_check import SimulationError
     from tenscontrol.simulation.trajectory import load_run
 
     scene = load_scene(options.scene, options.allow_code)

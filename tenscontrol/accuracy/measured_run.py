@@ -22,9 +22,9 @@ from tenscontrol.dynamics.evaluator import Function, builds, evaluate_columns
 from tenscontrol.integrate.integrator import Work
 from tenscontrol.integrate.methods import METHODS, Method
 from tenscontrol.simulation.health import AccuracyWarning, HealthLimits
+from tenscontrol.simulation.health_check import SimulationError
 from tenscontrol.simulation.scene import Scene
 from tenscontrol.simulation.simulate import simulate
-from tenscontrol.simulation.simulation_error import SimulationError
 from tenscontrol.simulation.trajectory import Trajectory
 
 # Steps by the fastest rate of the case, and tolerances, from coarse to fine.

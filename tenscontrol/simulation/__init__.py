@@ -6,11 +6,11 @@ from tenscontrol.simulation.contacts import ContactRecord
 from tenscontrol.simulation.control_record import ControlRecord
 from tenscontrol.simulation.faults import CutString, Fault, LostMeasurement, StuckWinch
 from tenscontrol.simulation.health import AccuracyWarning, BarCrossingWarning, Health, HealthLimits
+from tenscontrol.simulation.health_check import SimulationError
 from tenscontrol.simulation.integration import Integration
 from tenscontrol.simulation.observation import EstimateRecord
 from tenscontrol.simulation.scene import Scene
 from tenscontrol.simulation.simulate import simulate
-from tenscontrol.simulation.simulation_error import SimulationError
 from tenscontrol.simulation.trajectory import Trajectory, load_run
 
 __all__ = [

@@ -1,4 +1,4 @@
-"""Warnings and errors where the motion of a run passes a limit."""
+"""Errors and warnings of a run: it stops, or its motion passes a limit."""
 
 from __future__ import annotations
 
@@ -7,8 +7,21 @@ from dataclasses import replace
 
 from tenscontrol.integrate.methods import Choice
 from tenscontrol.simulation.health import AccuracyWarning, BarCrossingWarning, HealthLimits
-from tenscontrol.simulation.simulation_error import SimulationError
 from tenscontrol.simulation.trajectory import Trajectory
+
+
+class SimulationError(ArithmeticError):
+    """A simulation that stopped before its end; it carries the motion up to there.
+
+    Attributes
+    ----------
+    trajectory : Trajectory
+        The motion up to the time of the failure.
+    """
+
+    def __init__(self, message: str, trajectory: Trajectory) -> None:
+        super().__init__(message)
+        self.trajectory = trajectory
 
 
 def check_health(run: Trajectory, limits: HealthLimits, stacklevel: int = 3) -> None:

@@ -31,15 +31,14 @@ from tenscontrol.simulation.actuators import commands_parent
 from tenscontrol.simulation.arguments import Arguments
 from tenscontrol.simulation.assembly import assembled
 from tenscontrol.simulation.closed_loop import ClosedLoop
+from tenscontrol.simulation.error_estimate import estimated_error
 from tenscontrol.simulation.faults import Fault, Faults
 from tenscontrol.simulation.health import ERROR_LIMIT
-from tenscontrol.simulation.health_check import check_health
+from tenscontrol.simulation.health_check import SimulationError, check_health
 from tenscontrol.simulation.inputs import changes_in_time, checked_inputs, load_in_time
 from tenscontrol.simulation.integration import Integration
 from tenscontrol.simulation.moving_supports import MovingSupports, support_offset
 from tenscontrol.simulation.plant_run import PlantRun, StoppedError
-from tenscontrol.simulation.replay import estimated_error
-from tenscontrol.simulation.simulation_error import SimulationError
 from tenscontrol.simulation.start import Start, initial_state, start_beside_supports
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.statics.prestress import prestress
