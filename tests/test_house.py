@@ -119,6 +119,21 @@ def test_no_two_files_have_one_name():
     assert [name for name, count in names.items() if count > 1] == []
 
 
+# ---- what the page for developers says ----
+
+
+def test_the_walks_name_what_there_is():
+    text = (PROJECT / "docs" / "developing.rst").read_text("utf-8")
+    walks = text.partition("Two walks through the code")[2].partition("Where to put what is new")[0]
+    for walk in walks.split("**From a scene file"):
+        files = re.findall(r"``([\w/]+\.py)``", walk)
+        assert 5 < len(set(files)) <= 12
+        code = "\n".join((PACKAGE / file).read_text("utf-8") for file in files)
+        named = [name for name in re.findall(r"``([\w.]+)``", walk) if not name.endswith(".py")]
+        for name in named:
+            assert re.search(rf"(def|class) {name.split('.')[-1]}\b", code), name
+
+
 # ---- what its names are ----
 
 
