@@ -284,7 +284,7 @@ def whole_number(name: str, value: Any, least: int, most: int = LARGEST_WHOLE) -
         is_whole = bool(value == np.floor(value))
     if isinstance(value, _NO_NUMBERS) or not is_whole:
         raise TypeError(f"{name} is {_brief(value)}, expected a whole number of at least {least}")
-    if np.isfinite(value):  # limits beyond single precision
+    if isinstance(value, np.floating) and np.isfinite(value):  # limits exceed single precision
         value = int(value)
     if value < least:
         raise ValueError(f"{name} is {_brief(value)}, expected a whole number of at least {least}")

@@ -268,7 +268,7 @@ def gravity_vector(gravity: object, dimension: int) -> FloatArray:
     return vector
 
 
-def weights(
+def gravity_forces(
     structure: Structure, gravity: FloatArray, bar_mass: FloatArray, point_mass: FloatArray
 ) -> FloatArray:
     """Return the weights at the nodes, N, shape (…, d, n): half a bar's at each of its ends.

@@ -17,9 +17,9 @@ from tenscontrol.dynamics.equation import (
     FORMS,
     Equation,
     InputLayout,
+    gravity_forces,
     gravity_vector,
     in_time,
-    weights,
 )
 from tenscontrol.dynamics.evaluator import Function, Prepared, built
 from tenscontrol.dynamics.forces import Forces, terms_of
@@ -133,7 +133,7 @@ class Model:
         self._terms = terms_of(structure, others)
         self._external_force = takes_load
         masses = structure.bar_mass, structure.point_mass
-        self._constant_force = frozen(load + weights(structure, fall, *masses))
+        self._constant_force = frozen(load + gravity_forces(structure, fall, *masses))
         self._load, self._gravity = frozen(load), frozen(fall)
         self._arguments = others | {
             "structure": structure, "strings": strings, "external_force": takes_load or self._load,

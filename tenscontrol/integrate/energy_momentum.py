@@ -113,7 +113,7 @@ class EnergyMomentum(Integrator):
     A prism whose strings vibrate at 40 kHz turns over in steps of 5 ms:
 
     >>> import numpy as np, tenscontrol as tc
-    >>> from tenscontrol.dynamics import pack_state
+    >>> from tenscontrol.dynamics.equation import pack_state
     >>> from tenscontrol.integrate import EnergyMomentum
     >>> rest = tc.prestress(tc.prism(), force_density=17.3205)
     >>> model = tc.Model(rest.structure, strings=tc.LinearStrings(stiffness=1e10))

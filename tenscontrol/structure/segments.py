@@ -200,7 +200,7 @@ def to_segments(structure: Structure, what: str, values: FloatArray) -> FloatArr
     --------
     >>> import numpy as np, tenscontrol as tc
     >>> massive = tc.subdivide(tc.prism(), segments=4, node_mass=0.01)
-    >>> tc.structure.to_segments(massive, "force_density", np.full(9, 10.0))[:2]
+    >>> to_segments(massive, "force_density", np.full(9, 10.0))[:2]
     array([40., 40.])
     """
     power = _POWER[validation.choice("what", what, _POWER)]
@@ -224,7 +224,7 @@ def to_strings(structure: Structure, what: str, values: FloatArray) -> FloatArra
     --------
     >>> import numpy as np, tenscontrol as tc
     >>> massive = tc.subdivide(tc.prism(), segments=4, node_mass=0.01)
-    >>> tc.structure.to_strings(massive, "rest_length", np.full(36, 0.2))[:2]
+    >>> to_strings(massive, "rest_length", np.full(36, 0.2))[:2]
     array([0.8, 0.8])
     """
     validation.choice("what", what, _POWER)

@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -354,7 +355,8 @@ def test_a_full_disk(tmp_path, scene):
     [(MemoryError(), "ask for less"), (MemoryError("Unable to allocate 1. TiB"), "1. TiB")],
 )
 def test_memory_that_ends(error, message, capsys, scene, monkeypatch):
-    monkeypatch.setattr("tenscontrol.scene.load_scene", Mock(side_effect=error))
+    place = import_module("tenscontrol.scene.load_scene")
+    monkeypatch.setattr(place, "load_scene", Mock(side_effect=error))
     assert message in refused(capsys, "modes", scene)
 
 

@@ -65,9 +65,7 @@ def refused_or(ask):
 @pytest.mark.parametrize("name", SHAPES)
 def test_motions_that_keep_lengths_are_the_same(name, monkeypatch):
     structure = SHAPES[name]()
-    forces = tc.statics.equilibrium_matrix.member_forces(
-        structure, np.zeros(len(structure.free_rows))
-    )
+    forces = MATRIX.member_forces(structure, np.zeros(len(structure.free_rows)))
     picture = MATRIX.affine_picture(structure)
     whole, sparse = both(
         monkeypatch, lambda: MATRIX.kept_lengths(structure, picture, forces.matrix)

@@ -11,7 +11,7 @@ import numpy as np
 
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray
-from tenscontrol.dynamics.equation import weights
+from tenscontrol.dynamics.equation import gravity_forces
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.profile import Pieces
 from tenscontrol.plant.equilibrium import held_value, refuse_load
@@ -145,7 +145,7 @@ class BatchInputs:
         model, given = self.model, self.given
         if "external_force" in given and given["external_force"].any():
             refuse_load(model)
-        c = model.built_in_load + weights(
+        c = model.built_in_load + gravity_forces(
             model.structure,
             given.get("gravity", model.gravity),
             given.get("bar_mass", model.structure.bar_mass),

@@ -22,8 +22,8 @@ from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.profile import Pieces
 from tenscontrol.integrate.fixed_step import FixedStep, not_finite
 from tenscontrol.integrate.integrator import IntegrationError, Integrator, MethodChange, Span, Work
-from tenscontrol.integrate.lanes import Lanes
 from tenscontrol.integrate.methods import METHODS, Choice, Method, choose
+from tenscontrol.integrate.simd import Lanes
 from tenscontrol.integrate.watched import Watched
 from tenscontrol.interrupt import check
 from tenscontrol.simulation.arguments import Arguments
