@@ -223,7 +223,16 @@ def test_no_text_speaks_of_the_place_it_was_written_in():
     # Put together here, so that this file does not speak of it either.
     words = [r"(?<!\w)/" + r"work\b(?!-)", r"\.\./" + "shared", "shared" + "/d"]
     private, seen, mentions = re.compile("|".join(words)), 0, []
-    made = {"__pycache__", "_build", "auto_examples", "generated", "gen_modules", "build", "dist"}
+    made = {
+        "__pycache__",
+        "_build",
+        "auto_examples",
+        "gallery",
+        "generated",
+        "gen_modules",
+        "build",
+        "dist",
+    }
     paths = [path for pattern in ("*.md", "*.toml", "*.cff") for path in PROJECT.glob(pattern)]
     for folder in ("tenscontrol", "tests", "docs", "examples", ".ci", ".github"):
         paths += [path for path in (PROJECT / folder).rglob("*") if path.is_file()]
