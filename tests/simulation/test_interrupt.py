@@ -15,7 +15,7 @@ import tenscontrol as tc
 from tenscontrol.control import Command, Controller, Status
 from tenscontrol.control.mpc.solvers.osqp_adapter import OSQPSolver
 from tenscontrol.interrupt import InterruptionWarning, finishing, interruptible
-from tenscontrol.simulation import assembly, plant_run, replay, scene
+from tenscontrol.simulation import assembly, error_estimate, plant_run, scene
 from tests.dynamics.scenes import paper_force_density, rest_lengths
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
@@ -180,7 +180,7 @@ def test_a_key_while_the_trajectory_is_made(example, pressed_in):
 
 
 def test_a_key_while_the_error_is_estimated(example, pressed_in):
-    pressed_in(replay, "Motion")
+    pressed_in(error_estimate, "Motion")
     with pytest.warns(InterruptionWarning, match="complete"):
         run = tc.simulate(example.model, 1.0, rest_length=example.lengths, step=1e-3)
     assert run.time[-1] == 1.0
