@@ -188,8 +188,8 @@ class Model:
         >>> import tenscontrol as tc
         >>> model = tc.Model(tc.prism(), strings=tc.LinearStrings(stiffness=100.0))
         >>> heavy = model.replace(gravity=9.81)
-        >>> heavy.gravity, heavy.strings.stiffness[0]
-        (array([ 0.  ,  0.  , -9.81]), np.float64(100.0))
+        >>> heavy.gravity, float(heavy.strings.stiffness[0])
+        (array([ 0.  ,  0.  , -9.81]), 100.0)
         """
         return Model(**(self._arguments | arguments))
 
