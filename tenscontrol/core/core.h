@@ -124,6 +124,9 @@ typedef struct {
 
 enum { RK4_METHOD, DOP853_METHOD };
 
+/* The hash of the sources, as library.py makes it. */
+EXPORTED const char *tc_sources(void);
+
 /* Work memory that every call but the first takes, as a count of numbers. */
 EXPORTED size_t tc_motion_work_size(const Scene *scene, const Drive *drive);
 

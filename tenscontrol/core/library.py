@@ -3,39 +3,64 @@
 from __future__ import annotations
 
 import ctypes
+import hashlib
 import sys
+from contextlib import suppress
 from functools import cache
+from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
-import tenscontrol.core
-
-#: What the library is called, in the folder of this file.
+#: What the library is called.
 NAME = "_core.dll" if sys.platform == "win32" else "_core.so"
+
+_FOLDER = Path(__file__).parent
+
+_MISSING = (
+    "tenscontrol was installed without a C compiler, or its build failed: install one and run pip "
+    "install again, with -v to see the compiler's messages"
+)
+_OTHER = (
+    "the library of tenscontrol's core was built from other sources than those in this folder: "
+    "run pip install again"
+)
 
 
 @cache
 def library() -> ctypes.CDLL | None:
-    """Return the core, or None where the package was installed without it."""
-    file = _file()
-    if file is None:
-        return None
-    core = ctypes.CDLL(str(file))
-    core.tc_motion_work_size.restype = ctypes.c_size_t
-    core.tc_frequency.restype = core.tc_evaluations.restype = ctypes.c_double
-    return core
+    """Return the core, or None where there is none; :func:`absence` says why."""
+    return _loaded()[0]
 
 
 def absence() -> str:
     """Return why there is no core; nothing where there is one."""
-    if _file() is not None:
-        return ""
-    return (
-        "tenscontrol was installed without a C compiler, or its build failed: "
-        "install one and run pip install again, with -v to see the compiler's messages"
-    )
+    return _loaded()[1]
+
+
+@cache
+def _loaded() -> tuple[ctypes.CDLL | None, str]:
+    file = _file()
+    if file is None:
+        return None, _MISSING
+    core = ctypes.CDLL(str(file))
+    core.tc_sources.restype = ctypes.c_char_p
+    if any(_FOLDER.glob("*.c")) and core.tc_sources().decode() != sources_id():
+        return None, _OTHER
+    core.tc_motion_work_size.restype = ctypes.c_size_t
+    core.tc_frequency.restype = core.tc_evaluations.restype = ctypes.c_double
+    return core, ""
+
+
+def sources_id() -> str:
+    """Return what the sources in this folder are told apart from others by."""
+    files = sorted(file for kind in ("*.c", "*.h") for file in _FOLDER.glob(kind))
+    digests = "".join(hashlib.sha256(file.read_bytes()).hexdigest() for file in files)
+    return hashlib.sha256(digests.encode()).hexdigest()
 
 
 def _file() -> Path | None:
-    # An editable installation keeps the library apart from the sources: both are on the path.
-    places = (Path(folder) / NAME for folder in tenscontrol.core.__path__)
+    """Return the library: beside this file, or in the installation if this is a folder of it."""
+    places = [_FOLDER / NAME]
+    with suppress(PackageNotFoundError):  # the sources alone
+        installed = distribution("tenscontrol").locate_file(f"tenscontrol/core/{NAME}")
+        places.append(Path(str(installed)))
     return next((file for file in places if file.is_file()), None)

@@ -312,7 +312,7 @@ def _work(told: dict[str, float]) -> Work:
 
 
 def _core_work(progress: Progress) -> Work:
-    return _work({name: getattr(progress, name) for name, _ in Progress._fields_})
+    return _work({field[0]: getattr(progress, field[0]) for field in Progress._fields_})
 
 
 def _core_failure(motion: CoreMotion) -> IntegrationError:

@@ -51,7 +51,8 @@ class MotionFunctions:
     def kinetic_energy(self, nodes: FloatArray, velocities: FloatArray) -> FloatArray:
         """Return the kinetic energy at all times, J, shape (T,), read-only."""
         if self.core is None:
-            return self.of("kinetic_energy", nodes, velocities)[0][0]
+            energy: FloatArray = self.of("kinetic_energy", nodes, velocities)[0][0]
+            return energy
         return read_only(self.core.kinetic_energy(velocities))
 
     def string_energy(self, name: str, nodes: FloatArray, velocities: FloatArray) -> FloatArray:
@@ -60,7 +61,8 @@ class MotionFunctions:
         ``name`` is that of the function of the model.
         """
         if self.core is None:
-            return self.of(name, nodes, velocities, self.inputs)[0][0]
+            energy: FloatArray = self.of(name, nodes, velocities, self.inputs)[0][0]
+            return energy
         return read_only(self.core.string_energy(nodes, self.inputs))
 
     def of(

@@ -1,0 +1,47 @@
+"""Run the tests of the core on one that watches its memory and undefined behaviour.
+
+Run: ``python -m tests.watched_core``, with gcc. It builds the core anew, in a folder that is
+thrown away, with the address and the undefined-behaviour sanitizers.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+PROJECT = Path(__file__).parent.parent
+TESTS = ("tests/integrate/test_core_scene.py", "tests/integrate/test_core_run.py")
+FLAGS = ("-O1", "-g", "-std=c99", "-fPIC", "-shared", "-fno-sanitize-recover=all")
+
+
+def main() -> int:
+    """Build the core and run its tests; return what pytest returned."""
+    from tenscontrol.core.library import NAME, sources_id
+
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder)
+        for name in ("tenscontrol", "tests", "pyproject.toml"):
+            source = PROJECT / name
+            (shutil.copytree if source.is_dir() else shutil.copy)(source, copy / name)
+        core = copy / "tenscontrol" / "core"
+        sources = sorted(map(str, core.glob("*.c")))
+        subprocess.run(
+            ["gcc", *FLAGS, "-fsanitize=address,undefined",
+             f'-DTENSCONTROL_SOURCES="{sources_id()}"', "-o", str(core / NAME), *sources, "-lm"],
+            check=True,
+        )  # fmt: skip
+        library = subprocess.run(
+            ["gcc", "-print-file-name=libasan.so"], check=True, capture_output=True, text=True
+        ).stdout.strip()
+        # Python itself leaks; and what it loads is not told apart from the core.
+        watched = {"LD_PRELOAD": library, "ASAN_OPTIONS": "detect_leaks=0"}
+        command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *TESTS]
+        return subprocess.run(command, cwd=copy, env=os.environ | watched, check=False).returncode
+
+
+if __name__ == "__main__":
+    sys.exit(main())
