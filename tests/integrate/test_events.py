@@ -72,17 +72,6 @@ def test_steps_of_dop853_end_at_switches_on_their_interpolant(example):
     assert work.evaluations < 12 * tries + 55 * 11  # 55 * 14 by steps alone
 
 
-@pytest.mark.parametrize(("name", "setting"), [("rk4", 2e-3), ("dop853", 1e-8)])
-def test_machine_code_gives_the_same_numbers(example, name, setting):
-    there = METHODS[name].integrator(example[0].equation("rest_length"), setting, machine_code=True)
-    if there.back_end != "machine code":
-        pytest.skip("no C compiler")
-    one, work = run(*example[:2], name, setting)
-    other, other_work = run(*example[:2], name, setting, machine_code=True)
-    np.testing.assert_array_equal(one, other)
-    assert work == other_work
-
-
 # Two masses on a string: the stretch is that of one mass m/2 on a spring.
 MASS, STIFFNESS, REST = 2.0, 1e4, 1.0
 OMEGA = np.sqrt(2 * STIFFNESS / MASS)
