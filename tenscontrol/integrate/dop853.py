@@ -11,8 +11,11 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.arrays import FloatArray
+from tenscontrol.core.records import Progress
 from tenscontrol.dynamics.equation import Equation
 from tenscontrol.dynamics.evaluator import Evaluator, Function
+from tenscontrol.integrate.core_run import advance_in_core, settings_of
+from tenscontrol.integrate.core_scene import CoreMotion, core_scene
 from tenscontrol.integrate.events import Step, Switches, crossings
 from tenscontrol.integrate.integrator import (
     IntegrationError,
@@ -85,11 +88,16 @@ class DOP853(Integrator):
 
     def __init__(self, equation: Equation, tolerance: float, project: bool = True) -> None:
         super().__init__(equation, project)
+        self._project = project
         self.tolerance = checked_tolerance(tolerance)
         self._frequency = 0.0  # largest, rad/s
         # Longest step over the largest frequency and of the span, and the first of the usual.
         self._shares = _STABLE, 1.0, 1.0
         self._held: FloatArray | None = None  # input for which it was found
+        self._core = core_scene(equation)
+        if self._core is not None:
+            self.back_end = "core"
+            return
         built = self._kept(lambda: self._build(project), project)
         self._tried, self._interpolant, self._crossings = map(Evaluator, built)
         self._slope, self._switches = Evaluator(equation.slope), Switches(equation)
@@ -101,6 +109,8 @@ class DOP853(Integrator):
     def cost(self) -> float:
         """See :attr:`Integrator.cost`."""
         states = self._equation.states
+        if self.back_end == "core":
+            return 0.02 + 0.005 * states
         return 5.0 + 0.025 * states if self._equation.form == "loops" else 0.3 + 0.1 * states
 
     def _build(self, project: bool) -> tuple[ca.Function, ...]:
@@ -128,24 +138,34 @@ class DOP853(Integrator):
             self._frequency = largest_frequency(self._equation, state, held)
             self._held = of_strings.copy()
         scale = state_scale(self._equation, state, held, self._frequency)
-        taut = self._switches.taut(state, held)
-        slope = self._slope(state, held, taut)[0].copy()
-        stable, whole, first = self._shares
-        span = _Given(
-            held,
-            duration,
-            duration / outputs,
-            min(stable / max(self._frequency, 1e-300), whole * duration),
-            self.tolerance * scale,
-            np.empty((outputs, self._equation.states)),
-        )
-        now = _Motion(state, slope, taut, first * _first_step(slope, scale, duration))
+        core, (stable, whole, first) = self._core, self._shares
+        if core is None:
+            taut = self._switches.taut(state, held)
+            slope = self._slope(state, held, taut)[0].copy()
+        else:
+            taut = core.taut(state, held)
+            slope = core.slope(state, held, taut)
+        step = first * _first_step(slope, scale, duration)
+        longest = min(stable / max(self._frequency, 1e-300), whole * duration)
+        allowed = self.tolerance * scale
+        if core is not None:
+            settings = settings_of(
+                "dop853", duration, outputs, self._project, step, longest, allowed, self.limit
+            )
+            motion = CoreMotion(core, state, held, settings)
+            return advance_in_core(motion, _work, _core_failure, report)
+        states = np.empty((outputs, self._equation.states))
+        span = _Given(held, duration, duration / outputs, longest, allowed, states)
+        return self._advance(span, _Motion(state, slope, taut, step), report)
+
+    def _advance(self, span: _Given, now: _Motion, report: Report | None) -> Span:
+        """Return the states at the outputs of a span."""
         try:
             # A state that is not finite is looked for, so NumPy need not warn of it.
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
                 self._go_on(span, now, report)
             exact = self._projected(span.states[:-1].T)
-            if (count := exact.shape[1]) < outputs - 1:
+            if (count := exact.shape[1]) < len(span.states) - 1:
                 time = span.spacing * count
                 stopped = f"dop853 stopped after {time:.6g} s: {NOT_RIGID}"
                 raise IntegrationError(stopped, time, Span(exact, now.work))
@@ -163,12 +183,7 @@ class DOP853(Integrator):
             tries += 1
             is_over = now.time >= span.duration
             if now.is_stuck:
-                raise IntegrationError(
-                    f"dop853 stopped after {now.time:.6g} s: its step fell to {now.step:.1e} s, as "
-                    "the forces are no longer finite or change without end",
-                    now.time,
-                    self._reached(span, now),
-                )
+                raise _stuck(now.time, now.step, self._reached(span, now))
             if is_over or tries % _TRIES == 0:
                 if report is not None:
                     report(now.time)
@@ -294,16 +309,7 @@ class _Motion:
     @property
     def work(self) -> Work:
         """What the motion cost."""
-        return Work(
-            steps=self.tries - self.rejections,
-            rejections=self.rejections,
-            evaluations=1
-            # A landing takes a new start.
-            + _STAGES * (self.tries + self.approaches)
-            + self.landings
-            + _MORE_STAGES * self.interpolants,
-            switches=self.switches,
-        )
+        return _work(self)
 
 
 class _End(NamedTuple):
@@ -313,6 +319,35 @@ class _End(NamedTuple):
     taken: float  # s
     taut: FloatArray
     made: FloatArray | None = None  # the interpolant of the whole step, if it was needed
+
+
+def _work(counts: _Motion | Progress) -> Work:
+    """Return the work of a motion by the counts of either loop."""
+    return Work(
+        steps=counts.tries - counts.rejections,
+        rejections=counts.rejections,
+        evaluations=1
+        # A landing takes a new start.
+        + _STAGES * (counts.tries + counts.approaches)
+        + counts.landings
+        + _MORE_STAGES * counts.interpolants,
+        switches=counts.switches,
+    )
+
+
+def _stuck(time: float, step: float, reached: Span) -> IntegrationError:
+    return IntegrationError(
+        f"dop853 stopped after {time:.6g} s: its step fell to {step:.1e} s, as the forces are no "
+        "longer finite or change without end",
+        time,
+        reached,
+    )
+
+
+def _core_failure(motion: CoreMotion) -> IntegrationError:
+    progress = motion.progress
+    reached = Span(motion.states[: motion.done].T, _work(progress))
+    return _stuck(progress.time, progress.step, reached)
 
 
 def _factor(error: float) -> float:

@@ -1,5 +1,7 @@
 """Steps that end at slack switches: order, simultaneous, double and grazing switches."""
 
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,15 @@ from tests.dynamics.scenes import paper_force_density, random_structure, rest_le
 from tests.integrate.stepping import moving
 from tests.oracle import HeldRestLength, RigidBars
 from tests.random_scenes import random_scene
+from tests.without_core import without_core
+
+
+@pytest.fixture(params=["core", "Python"], autouse=True)
+def _loop(request):
+    """Both loops over steps: that of the core where it is, and that in Python."""
+    with without_core() if request.param == "Python" else nullcontext():
+        yield
+
 
 DURATION = 5.0
 TIMES = np.linspace(0.0, DURATION, 11)
