@@ -270,7 +270,6 @@ def _accuracy(options: argparse.Namespace) -> None:
             peers=_peers() if options.peers else (),
             outputs=options.outputs,
             repeats=options.repeats,
-            machine_code=options.machine_code,
             progress=True,
         )
     except (TypeError, ValueError) as error:

@@ -207,11 +207,6 @@ def _add_accuracy(commands: Any) -> None:
         default=5,
         help="number of runs; their median time is printed (default: %(default)s)",
     )
-    accuracy.add_argument(
-        "--machine-code",
-        action="store_true",
-        help="compile the methods, if there is a C compiler",
-    )
     printed = accuracy.add_mutually_exclusive_group()
     printed.add_argument("--csv", action="store_true", help="print CSV instead of the table")
     printed.add_argument("--markdown", action="store_true", help="print Markdown instead")

@@ -187,7 +187,7 @@ def test_batch(printed, monkeypatch):
 
 
 def test_ground_drop(printed):
-    text = printed("ground_drop", "--duration 0.3 --settings 2 --repeats 1 --plain")
+    text = printed("ground_drop", "--duration 0.3 --settings 2 --repeats 1")
     errors = [row(text, "dop853 ", which)[1] for which in range(2)]
     assert errors == sorted(errors, reverse=True)
     assert errors[-1] < 1e-4
@@ -382,7 +382,7 @@ def test_shape_control(printed):
 
 @needs("mujoco", "bench")
 def test_error_against_time(printed):
-    text = printed("error_against_time", "--plain --all --duration 0.5 --settings 3 --repeats 3")
+    text = printed("error_against_time", "--all --duration 0.5 --settings 3 --repeats 3")
     assert "every one of 6 switches located" in text
     for name, most in (
         ("rk4", 1e-3), ("dop853", 1e-4),
@@ -406,7 +406,7 @@ def test_trust(printed, tmp_path):
 
 @needs("jax", "jax")
 def test_thrown_ball(printed):
-    text = printed("thrown_ball", "--plain --all --duration 0.3 --settings 2 --repeats 1")
+    text = printed("thrown_ball", "--all --duration 0.3 --settings 2 --repeats 1")
     assert "order 8, tolerance 1e-13" in text
     for name, most in (("dop853", 1e-5), ("jax rk4", 1e-3)):
         first, last = (row(text, f"{name} ", k)[1] for k in range(2))

@@ -145,7 +145,7 @@ def test_integrator():
     prism = tc.prism()
     model = tc.Model(prism)
     make = lambda equation, step, project=False: Heun(equation, step)  # noqa: E731
-    method = Method("heun", ("step",), "order 2, fixed steps", make, compiles=False)
+    method = Method("heun", ("step",), "order 2, fixed steps", make)
     gamma = tc.prestress(prism, force_density=17.3205).force_density * np.linspace(0.8, 1.2, 9)
     loose = {"limits": tc.HealthLimits(crossings=None)}
     exact = tc.simulate(model, 0.5, force_density=gamma, method="dop853", tolerance=1e-12, **loose)
@@ -387,7 +387,7 @@ def test_integrator_in_the_package(tmp_path):
     beside = "from tenscontrol.integrate.integrator import"
     copy.replace(names, beside, "from tenscontrol.integrate.heun import Heun\n" + beside)
     own = "make = lambda equation, step, **_: Heun(equation, step)\n_ALL = (\n"
-    own += '    Method("heun", ("step",), "order 2", make, compiles=False),\n'
+    own += '    Method("heun", ("step",), "order 2", make),\n'
     copy.replace(names, "_ALL = (\n", own)
     copy.run("""
 import tenscontrol as tc

@@ -124,4 +124,4 @@ def test_a_simulated_sample(scene):
     with files_passed() as found:
         run = tc.simulate(scene.model, SAMPLE, controller=mpc, step=1e-3)
     assert len(run.control.status) == 1
-    count(found, "one simulated sample", 40)
+    count(found, "one simulated sample", 42)

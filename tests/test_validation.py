@@ -52,8 +52,6 @@ CASES = [
             ValueError, r"duration is inf"),
     refused("equation a model", lambda: tc.integrate.RK4(prism(), 0.1), TypeError,
             r"equation is a Structure, expected Equation"),
-    refused("machine code text", lambda: tc.integrate.RK4(equation(), 0.1, machine_code="no"),
-            TypeError, r"machine_code is 'no'"),
     refused("method without name",
             lambda: tc.integrate.Method(1, ("step",), "mine", tc.integrate.RK4), TypeError,
             r"name is 1, expected text"),

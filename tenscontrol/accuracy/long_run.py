@@ -140,7 +140,6 @@ def long_run(
     setting: float,
     steps: int = 1_000_000,
     outputs: int = 1000,
-    machine_code: bool = False,
     progress: bool = False,
 ) -> LongRun:
     """Return how far energy, momentum and bar lengths drift over very many steps.
@@ -161,8 +160,6 @@ def long_run(
         far as ``steps`` times the inverse of the fastest rate of the motion.
     outputs : int
         Times at which the state is looked at, equally spaced.
-    machine_code : bool
-        Whether the steps are compiled, where there is a C compiler.
     progress : bool
         Whether to show a progress bar; never shown away from a terminal.
 
@@ -201,7 +198,6 @@ def long_run(
     )
     steps = validation.whole_number("steps", steps, least=10)
     outputs = validation.whole_number("outputs", outputs, _BLOCKS, validation.MOST_RUNS)
-    validation.truth("machine_code", machine_code, "whether to compile the steps")
     duration = setting * steps if chosen.setting == "step" else steps / fastest_rate(case)
     case = replace(case, duration=duration)
     recorder = _Recorder(case)
@@ -209,7 +205,7 @@ def long_run(
     kept = keeping("states are judged", lambda: recorder.count * (recorder.count >= _BLOCKS))
     with kept, progress_bar(duration, progress, f"running {chosen.name}") as report:
         equation = case.equation(chosen.differentiates)
-        integrator = chosen.integrator(equation, setting, machine_code=machine_code)
+        integrator = chosen.integrator(equation, setting)
         for first in range(0, outputs, _PART):
             count = min(_PART, outputs - first)
             try:

@@ -203,7 +203,7 @@ class Measurement:
     bar_length_drift : float
         Largest difference of a bar from its length, m.
     back_end : str
-        What runs the steps: ``"virtual machine"`` or ``"machine code"``; empty for a peer.
+        What runs the steps, as ``run.choice.back_end`` says; empty for a peer.
     failure : str
         Why there is no motion; empty if there is.
     """
@@ -264,8 +264,8 @@ class TimedRun:
 class Bench:
     """Does runs of a case and judges them by its reference."""
 
-    def __init__(self, case: Scene, reference: ConvergedMotion, machine_code: bool = False) -> None:
-        self._case, self._reference, self._machine_code = case, reference, machine_code
+    def __init__(self, case: Scene, reference: ConvergedMotion) -> None:
+        self._case, self._reference = case, reference
         self._start = invariants(case, case.state[:, None])
         self._true = invariants(case, reference.states)
         self._own: dict[Peer, FloatArray] = {}
@@ -282,8 +282,7 @@ class Bench:
                     case.model, case.duration, case.nodes, case.velocities,
                     external_force=case.external_force, method=method,
                     output_step=case.duration / len(self._reference.time),
-                    machine_code=self._machine_code, error="none",
-                    limits=HealthLimits(crossings=None), **options,
+                    error="none", limits=HealthLimits(crossings=None), **options,
                 )  # fmt: skip
 
         began = process_time()

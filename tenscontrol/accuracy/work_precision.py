@@ -252,8 +252,6 @@ class WorkPrecision:
         if self.predictability is not None:
             lines.append(self.predictability.summary())
         lines.append(self.reference.summary())
-        if any(row.back_end == "machine code" for row in self.rows):
-            lines.append("our own methods that can be compiled are in machine code")
         lines += [f"{name} does not take part: {why}" for name, why in self.refused]
         lines += [
             f"{name} has a law of its own, {law}: its errors are against its own motion at a "
@@ -327,7 +325,6 @@ def work_precision(
     repeats: int = 5,
     outputs: int = 100,
     finest: float = 1e-9,
-    machine_code: bool = False,
     progress: bool = False,
 ) -> WorkPrecision:
     """Return error and run time of integration methods on one motion (work-precision diagram).
@@ -358,9 +355,6 @@ def work_precision(
         Times at which errors are looked at, equally spaced.
     finest : float
         Smallest error that is to be resolved, m.
-    machine_code : bool
-        Whether our own methods are compiled, where there is a C compiler. What
-        that takes is in the build time, less where the code was in the cache.
     progress : bool
         Whether to show a progress bar; never shown away from a terminal.
 
@@ -392,7 +386,6 @@ def work_precision(
     finest = validation.positive_number("finest", finest, "m")
     repeats = validation.whole_number("repeats", repeats, 1, validation.MOST_RUNS)
     outputs = validation.whole_number("outputs", outputs, 1, validation.MOST_RUNS)
-    validation.truth("machine_code", machine_code, "whether to compile our own methods")
     names = (
         tuple(METHODS)
         if methods is None
@@ -420,7 +413,7 @@ def work_precision(
             reference = converged_motion(case, outputs, lambda time: report(1 + time / cut))
         _refuse_other_times(reference, case)
         refusals = {peer.name: peer.refuse(case) for peer in peers}
-        bench = Bench(case, reference, machine_code)
+        bench = Bench(case, reference)
         spacing = case.duration / len(reference.time)
         runs = [partial(bench.own, m, x) for m in chosen for x in as_taken(m, wanted[m], spacing)]
         runs += [

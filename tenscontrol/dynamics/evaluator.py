@@ -341,7 +341,7 @@ class Evaluator(_Guarded):
         """Evaluate and return one array per output: a vector, or a matrix in Fortran order."""
         with self._in_use:
             for target, argument in zip(self._inputs, arguments, strict=True):
-                np.copyto(target, argument)
+                target[...] = argument
             self._run()
             self.calls += 1
         return self._outputs

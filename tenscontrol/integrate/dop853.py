@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import cache
+from dataclasses import dataclass
+from functools import cache, partial
 from math import factorial
-from typing import Any, final
+from typing import Any, NamedTuple, final
 
 import casadi as ca
 import numpy as np
@@ -13,26 +13,10 @@ import numpy as np
 from tenscontrol.arrays import FloatArray
 from tenscontrol.core.records import Progress
 from tenscontrol.dynamics.equation import Equation
-from tenscontrol.dynamics.evaluator import Function, SharedEvaluator
-from tenscontrol.dynamics.machine_code import compiled_source, compiler, if_compiled
+from tenscontrol.dynamics.evaluator import Evaluator, Function
 from tenscontrol.integrate.core_run import advance_in_core, settings_of
 from tenscontrol.integrate.core_scene import CoreMotion, core_scene
-from tenscontrol.integrate.dop853_loop import loop_source
-from tenscontrol.integrate.events import (
-    FLAT,
-    POLISHES,
-    SAMPLES,
-    approached,
-    crossing,
-    distance,
-    interpolant,
-    room_inside,
-    search,
-    switch_on_interpolant,
-    switching,
-    taut_strings,
-    zooms,
-)
+from tenscontrol.integrate.events import Step, Switches, crossings
 from tenscontrol.integrate.integrator import (
     IntegrationError,
     IntegrationInterrupt,
@@ -43,7 +27,6 @@ from tenscontrol.integrate.integrator import (
     Work,
     checked_tolerance,
     largest_frequency,
-    power_iteration,
     state_scale,
 )
 from tenscontrol.integrate.projection import NOT_RIGID, Projector, projection
@@ -55,15 +38,14 @@ _STAGES, _MORE_STAGES = 12, 3
 # Coefficients of the interpolant.
 _POWERS = 7
 
-# Turns (steps tried) per call, interpreted and compiled, and the most numbers that they may record.
-_TURNS, _COMPILED_TURNS = 32, 1024
-_MOST_RECORDED = 4e6
+# Steps tried from one report of the time, and look at the limit of evaluations, to the next.
+_TRIES = 32
 
 # How the step follows the error: by a factor 0.75 error^(-1/8) within these bounds.
 _SAFETY, _LEAST, _MOST, _ORDER = 0.75, 0.2, 10.0, 8
 
 # A step shorter than this part of the span is lost in round-off.
-_SHORTEST = 10 * np.finfo(float).eps
+_SHORTEST = 10 * float(np.finfo(float).eps)
 
 # A longer step, times the largest frequency, makes round-off grow, which no error estimate sees.
 _STABLE = 4.0
@@ -80,14 +62,10 @@ _SMOOTH = 0.3
 # Switches in a row without any time between them, at most.
 _MOST_STALLS = 50
 
-# What a turn carries beside x, its slope and taut.
-_CARRIED: tuple[str, ...] = ("time", "step", "stuck", "stalls", "tries", "rejections")
-_CARRIED += ("landings", "approaches", "switches", "interpolants")
-
 
 @final
 class DOP853(Integrator):
-    """Adaptive steps of order 8; the loop over the steps runs inside CasADi (``mapaccum``).
+    """Adaptive steps of order 8.
 
     Where a string can go slack, every step ends at each switch.
 
@@ -99,8 +77,6 @@ class DOP853(Integrator):
         positions, and of its characteristic speed for velocities.
     project : bool
         Whether to make the bar lengths exact after each step.
-    machine_code : bool
-        Whether to compile the steps, where there is a C compiler.
 
     Notes
     -----
@@ -110,10 +86,8 @@ class DOP853(Integrator):
 
     name = "dop853"
 
-    def __init__(
-        self, equation: Equation, tolerance: float, project: bool = True, machine_code: bool = False
-    ) -> None:
-        super().__init__(equation, project, machine_code)
+    def __init__(self, equation: Equation, tolerance: float, project: bool = True) -> None:
+        super().__init__(equation, project)
         self._project = project
         self.tolerance = checked_tolerance(tolerance)
         self._frequency = 0.0  # largest, rad/s
@@ -122,38 +96,27 @@ class DOP853(Integrator):
         self._held: FloatArray | None = None  # input for which it was found
         self._core = core_scene(equation)
         if self._core is not None:
-            self.back_end, self._largest = "core", None
+            self.back_end = "core"
             return
-        by = compiler() if machine_code else None
-        built = self._kept(lambda: self._build(project, machine_code), project, machine_code, by)
-        self._chunk, self._start, self._largest, self._turns, self.back_end, exact = built
-        self._projected = Projector(equation, project, exact)
+        built = self._kept(lambda: self._build(project), project)
+        self._tried, self._interpolant, self._crossings = map(Evaluator, built)
+        self._slope, self._switches = Evaluator(equation.slope), Switches(equation)
+        exact = projection(equation) if project else None
+        self._exact = None if exact is None else Evaluator(exact)
+        self._projected = Projector(equation, project)
 
     @property
     def cost(self) -> float:
         """See :attr:`Integrator.cost`."""
         states = self._equation.states
-        if self.back_end in ("core", "machine code"):
+        if self.back_end == "core":
             return 0.02 + 0.005 * states
         return 5.0 + 0.025 * states if self._equation.form == "loops" else 0.3 + 0.1 * states
 
-    def _build(self, project: bool, machine_code: bool) -> tuple[Any, ...]:
-        """Return what `__init__` keeps."""
-        equation = self._equation
-        most = int(np.clip(_MOST_RECORDED / (8 * equation.states), 1, _COMPILED_TURNS))
-        functions: tuple[ca.Function | None, ...] = ()
-        back_end = "machine code for the forces"
-        if equation.form != "loops":
-            functions, back_end = _compiled_turns(equation, project, most, machine_code)
-        if not functions:
-            most = min(most, _TURNS)
-            functions = _Turn(equation, project).function().mapaccum(most), None, None
-        x, u, _, _ = equation.symbols(ca.MX)
-        taut = taut_strings(equation, x, u)
-        start = Function("start", [x, u], [taut, equation.slope(x, u, taut)])
-        chunk, largest, exact = functions
-        by = None if largest is None else SharedEvaluator(largest)
-        return SharedEvaluator(chunk), SharedEvaluator(start), by, most, back_end, exact
+    def _build(self, project: bool) -> tuple[ca.Function, ...]:
+        """Return the step, its interpolant, and what counts its switches."""
+        method = _DormandPrince(self._equation, project)
+        return method.tried(), method.interpolant(), crossings(self._equation)
 
     def shorten(self) -> None:
         """See :meth:`Integrator.shorten`."""
@@ -169,101 +132,237 @@ class DOP853(Integrator):
     ) -> Span:
         """See :meth:`Integrator.advance`."""
         state, held, duration, outputs = self._checked(state, held, duration, outputs, report)
-        n, switches = self._equation.states, self._equation.switches
         before, of_strings = self._held, held[: self._equation.layout.strings]
         # The frequency is found again only where an input has changed by more than a fifth.
         if before is None or (np.abs(of_strings - before) > 0.2 * np.abs(before)).any():
-            self._frequency = largest_frequency(self._equation, state, held, self._largest)
+            self._frequency = largest_frequency(self._equation, state, held)
             self._held = of_strings.copy()
-        scene = self._core
-        if scene is None:
-            taut, slope = self._start(state, held)
-        else:
-            slope = scene.slope(state, held, scene.taut(state, held))
         scale = state_scale(self._equation, state, held, self._frequency)
-        stable, whole, first = self._shares
+        core, (stable, whole, first) = self._core, self._shares
+        if core is None:
+            taut = self._switches.taut(state, held)
+            slope = self._slope(state, held, taut)[0].copy()
+        else:
+            taut = core.taut(state, held)
+            slope = core.slope(state, held, taut)
         step = first * _first_step(slope, scale, duration)
-        spacing = duration / outputs
-        times: FloatArray = np.linspace(0.0, duration, outputs + 1)[1:]
-        states = np.empty((n, outputs))
         longest = min(stable / max(self._frequency, 1e-300), whole * duration)
-        if scene is not None:
-            allowed = self.tolerance * scale
+        allowed = self.tolerance * scale
+        if core is not None:
             settings = settings_of(
                 "dop853", duration, outputs, self._project, step, longest, allowed, self.limit
             )
-            return advance_in_core(
-                CoreMotion(scene, state, held, settings), _core_work, _core_failure, report
-            )
-        carried = np.concatenate([state, slope, taut, [0.0, step], np.zeros(len(_CARRIED) - 2)])
-        given = np.concatenate([held, [duration, spacing, longest], self.tolerance * scale])
-        if self._largest is None and self._turns > 1:  # a column for each turn of the graph
-            given = np.tile(given[:, None], (1, self._turns))
-        done, told = 0, dict.fromkeys(_CARRIED, 0.0)
+            motion = CoreMotion(core, state, held, settings)
+            return advance_in_core(motion, _work, _core_failure, report)
+        states = np.empty((outputs, self._equation.states))
+        span = _Given(held, duration, duration / outputs, longest, allowed, states)
+        return self._advance(span, _Motion(state, slope, taut, step), report)
+
+    def _advance(self, span: _Given, now: _Motion, report: Report | None) -> Span:
+        """Return the states at the outputs of a span."""
         try:
-            while told["time"] < duration:
-                check()
-                with self._chunk.outputs(carried, given) as (after, recorded):
-                    carried = after.reshape(len(carried), -1, order="F")[:, -1].copy()
-                    recorded = recorded.reshape(-1, self._turns, order="F").T
-                    done = _interpolate(recorded, times[:-1], states, done)
-                told = dict(zip(_CARRIED, carried[2 * n + switches :].tolist(), strict=True))
-                if told["stuck"]:
-                    raise IntegrationError(
-                        f"dop853 stopped after {told['time']:.6g} s: its step fell to "
-                        f"{told['step']:.1e} s, as the forces are no longer finite or change "
-                        "without end",
-                        told["time"],
-                        Span(self._projected(states[:, :done]), _work(told)),
-                    )
-                if report is not None:
-                    report(told["time"])
-                if told["time"] < duration and _work(told).evaluations >= self.limit:
-                    reached = Span(self._projected(states[:, :done]), _work(told))
-                    raise IntegrationPause(told["time"], carried[:n], reached)
-            exact = self._projected(states[:, :-1])
-            if (count := exact.shape[1]) < outputs - 1:
-                stopped = f"dop853 stopped after {spacing * count:.6g} s: {NOT_RIGID}"
-                raise IntegrationError(stopped, spacing * count, Span(exact, _work(told)))
-            states[:, :-1] = exact
-            states[:, -1] = carried[:n]
-            return Span(states, _work(told))
+            # A state that is not finite is looked for, so NumPy need not warn of it.
+            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+                self._go_on(span, now, report)
+            exact = self._projected(span.states[:-1].T)
+            if (count := exact.shape[1]) < len(span.states) - 1:
+                time = span.spacing * count
+                stopped = f"dop853 stopped after {time:.6g} s: {NOT_RIGID}"
+                raise IntegrationError(stopped, time, Span(exact, now.work))
+            span.states[:-1], span.states[-1] = exact.T, now.x
+            return Span(span.states.T, now.work)
         except KeyboardInterrupt:
-            reached = Span(self._projected(states[:, :done]), _work(told))
-            raise IntegrationInterrupt(told["time"], reached) from None
+            raise IntegrationInterrupt(now.time, self._reached(span, now)) from None
+
+    def _go_on(self, span: _Given, now: _Motion, report: Report | None) -> None:
+        """Try steps up to the end of the span."""
+        tries = 0
+        while now.time < span.duration:
+            check()
+            self._try_step(span, now)
+            tries += 1
+            is_over = now.time >= span.duration
+            if now.is_stuck:
+                raise _stuck(now.time, now.step, self._reached(span, now))
+            if is_over or tries % _TRIES == 0:
+                if report is not None:
+                    report(now.time)
+                if not is_over and now.work.evaluations >= self.limit:
+                    raise IntegrationPause(now.time, now.x, self._reached(span, now))
+
+    def _reached(self, span: _Given, now: _Motion) -> Span:
+        """Return the outputs so far."""
+        return Span(self._projected(span.states[: now.done].T), now.work)
+
+    def _try_step(self, span: _Given, now: _Motion) -> None:
+        """Try a step: it is accepted, cut at a switch, or thrown away."""
+        layout, h = self._equation.layout, min(now.step, span.longest, span.duration - now.time)
+        x, f, taut, u = now.x, now.slope, now.taut, layout.later(span.held, now.time)
+        x1, f1, errs, K = self._tried(x, f, u, taut, h, span.allowed)
+        error, is_crossed = errs.item(), False
+        now.tries += 1
+        if not error < 1:
+            now.step = h * (min(_factor(error), 1.0) if error < np.inf else _LEAST / 2)
+            now.rejections += 1
+            now.is_stuck = now.step < _SHORTEST * span.duration
+            return
+        if self._equation.switches:
+            is_crossed = bool(self._crossings(x, x1, u, taut, h)[0][0] > 0)
+        end = _End(x1, h, taut)
+        if is_crossed:
+            end = self._landed(Step(x, f, x1, f1, u, taut, h), K, error, span, now)
+        is_last = end.taken >= span.duration - now.time
+        after = span.duration if is_last else now.time + end.taken
+        # A step may reach a time but for round-off, as one to a switch may.
+        done = min(int(after * (1 + 2e-14) / span.spacing), len(span.states) - 1)
+        if done > now.done:
+            made, reach = end.made, h
+            if made is None:
+                reach, ends = end.taken, (x, end.x, f, f1)
+                made = self._interpolant(*ends, K, u, taut, reach)[0]
+                now.interpolants += 1
+            times = span.spacing * np.arange(now.done + 1, done + 1)
+            factors = _factors((times - now.time) / reach)
+            span.states[now.done : done] = x + factors.T @ made.T
+        now.x, now.taut, now.time, now.done = end.x.copy(), end.taut, after, done
+        factor = _factor(error)
+        if is_crossed:
+            now.landings += 1
+            now.stalls = now.stalls + 1 if end.taken < _SHORTEST * span.duration else 0
+            now.is_stuck = now.stalls > _MOST_STALLS
+            # The slope jumps with the strings.
+            now.slope = self._slope(now.x, layout.later(u, end.taken), now.taut)[0].copy()
+            factor = min(factor, 1.0)
+        else:
+            now.slope = f1.copy()
+        now.step = h * factor
+
+    def _landed(self, step: Step, K: FloatArray, error: float, span: _Given, now: _Motion) -> _End:
+        """Return the end of a step at its first switch; K are the slopes of its stages.
+
+        It is on the interpolant where that is good enough, else found by true steps, whose slopes
+        are then what the evaluator of steps holds.
+        """
+        # What ending late may change of velocities, as part of what a step may err.
+        allowed = 2 * _LATE * span.allowed[-1] * (span.longest / _STABLE) ** 2
+        cut = self._switches.first(step, allowed, 0.0)
+        if cut is None:
+            return _End(step.x1, step.h, step.taut)
+        made: FloatArray | None = None
+        if error * abs(np.polynomial.polynomial.polyval(cut.part, _interpolant_error())) < _SMOOTH:
+            ends = step.x, step.x1, step.slope, step.slope1
+            made = self._interpolant(*ends, K, step.u, step.taut, step.h)[0]
+            now.interpolants += 1
+            place = partial(self._inside, step.x, made)
+        else:
+            place = partial(self._by_step, step, span.allowed)
+        x, part, places = self._switches.approach(step, cut, place)
+        now.approaches += places if made is None else 0
+        taken = part * step.h
+        later = self._equation.layout.later(step.u, taken)
+        taut, switches = self._switches.switched(x, later, step.taut, cut)
+        now.switches += switches
+        return _End(x, taken, taut, made)
+
+    def _inside(self, x: FloatArray, made: FloatArray, part: float) -> FloatArray:
+        """Return the state at a part of the step from x, by its interpolant."""
+        end = np.asarray(x + made @ _factors(part))
+        return end if self._exact is None else self._exact(end)[0]
+
+    def _by_step(self, step: Step, allowed: FloatArray, part: float) -> FloatArray:
+        """Return the state after a part of a step."""
+        given = step.x, step.slope, step.u, step.taut, part * step.h, allowed
+        return self._tried(*given)[0]
 
 
-def _compiled_turns(
-    equation: Equation, project: bool, count: int, wanted: bool
-) -> tuple[tuple[ca.Function, ...], str]:
-    """Return so many turns of the loop in C, what finds the largest frequency, and a projection.
+@dataclass(frozen=True, eq=False)
+class _Given:
+    """A span that is advanced over."""
 
-    Or nothing, where it is not wanted, or no compiler works.
+    held: FloatArray
+    duration: float
+    spacing: float  # of the outputs, s
+    longest: float  # step, s
+    allowed: FloatArray  # error of a step
+    states: FloatArray  # at the outputs, one a row
+
+
+@dataclass(eq=False)
+class _Motion:
+    """A motion up to a time within the span, and its counts."""
+
+    x: FloatArray
+    slope: FloatArray
+    taut: FloatArray
+    step: float  # to try next, s
+    time: float = 0.0
+    is_stuck: bool = False
+    stalls: int = 0  # switches in a row without any time between them
+    done: int = 0  # outputs
+    tries: int = 0
+    rejections: int = 0
+    landings: int = 0
+    approaches: int = 0  # steps to a switch
+    switches: int = 0
+    interpolants: int = 0
+
+    @property
+    def work(self) -> Work:
+        """What the motion cost."""
+        return _work(self)
+
+
+class _End(NamedTuple):
+    """The end of a step."""
+
+    x: FloatArray
+    taken: float  # s
+    taut: FloatArray
+    made: FloatArray | None = None  # the interpolant of the whole step, if it was needed
+
+
+def _work(counts: _Motion | Progress) -> Work:
+    """Return the work of a motion by the counts of either loop."""
+    return Work(
+        steps=counts.tries - counts.rejections,
+        rejections=counts.rejections,
+        evaluations=1
+        # A landing takes a new start.
+        + _STAGES * (counts.tries + counts.approaches)
+        + counts.landings
+        + _MORE_STAGES * counts.interpolants,
+        switches=counts.switches,
+    )
+
+
+def _stuck(time: float, step: float, reached: Span) -> IntegrationError:
+    return IntegrationError(
+        f"dop853 stopped after {time:.6g} s: its step fell to {step:.1e} s, as the forces are no "
+        "longer finite or change without end",
+        time,
+        reached,
+    )
+
+
+def _core_failure(motion: CoreMotion) -> IntegrationError:
+    progress = motion.progress
+    reached = Span(motion.states[: motion.done].T, _work(progress))
+    return _stuck(progress.time, progress.step, reached)
+
+
+def _factor(error: float) -> float:
+    """Return by how much the step changes after an error."""
+    wanted = float(_SAFETY * max(error, 1e-16) ** (-1 / _ORDER))
+    return min(max(wanted, _LEAST), _MOST)
+
+
+def _factors(part: Any) -> FloatArray:
+    """Return what the coefficients of the interpolant count by at a part of the step, or several.
+
+    Coefficient k counts by k factors: the part, what is left of the step, and so on in turns.
     """
-    if not wanted or compiler() is None:
-        return (), "virtual machine"
-    exact = projection(equation) if project else None
-    functions = [equation.slope, *([] if exact is None else [exact])]
-    if equation.switches:
-        functions += [each(equation) for each in (crossing, distance, switching)]
-        functions += [interpolant(equation), room_inside(equation)]
-        functions.append(switch_on_interpolant(equation, 0.0))
-    functions.append(power_iteration(equation))
-    n = equation.states
-    sizes = {
-        "STATES": n, "INPUTS": equation.inputs, "SWITCHES": equation.switches,
-        "DEGREE": equation.layout.degree, "TURNS": count, "RECORD": 3 + n * (1 + _POWERS),
-        "POLISHES": POLISHES, "MOST_STALLS": _MOST_STALLS,
-        "SAMPLES": SAMPLES, "ZOOMS": zooms(equation),
-    }  # fmt: skip
-    numbers = {
-        "SAFETY": _SAFETY, "LEAST": _LEAST, "MOST": _MOST, "ORDER": _ORDER, "STABLE": _STABLE,
-        "SHORTEST": _SHORTEST, "TWICE_LATE": 2 * _LATE, "MORE": 1 + 1e-14, "SMOOTH": _SMOOTH,
-        "FLAT": FLAT,
-    }  # fmt: skip
-    source = loop_source(functions, sizes, numbers, _CARRIED, _coefficients(), _interpolant_error())
-    code = if_compiled(lambda: compiled_source(source, ("turns", "largest", "exact")))
-    return ((), "virtual machine") if code is None else (code, "machine code")
+    rest = 1 - part
+    return np.multiply.accumulate(np.array([part, rest, part, rest, part, rest, part]))
 
 
 def _coefficients() -> Any:
@@ -297,249 +396,10 @@ def _interpolant_error() -> tuple[float, ...]:
     return tuple(((true - found) * 0.1 * abs(third) / fifth**2).coef.tolist())
 
 
-def _work(told: dict[str, float]) -> Work:
-    tries, landings = round(told["tries"]), round(told["landings"])
-    return Work(
-        steps=tries - round(told["rejections"]),
-        rejections=round(told["rejections"]),
-        evaluations=1
-        # A landing takes a new start.
-        + _STAGES * (tries + round(told["approaches"]))
-        + landings
-        + _MORE_STAGES * round(told["interpolants"]),
-        switches=round(told["switches"]),
-    )
-
-
-def _core_work(progress: Progress) -> Work:
-    return _work({field[0]: getattr(progress, field[0]) for field in Progress._fields_})
-
-
-def _core_failure(motion: CoreMotion) -> IntegrationError:
-    progress = motion.progress
-    return IntegrationError(
-        f"dop853 stopped after {progress.time:.6g} s: its step fell to {progress.step:.1e} s, as "
-        "the forces are no longer finite or change without end",
-        progress.time,
-        Span(motion.states[: motion.done].T, _core_work(progress)),
-    )
-
-
-def _interpolate(recorded: FloatArray, times: FloatArray, states: FloatArray, done: int) -> int:
-    """Fill in states at times that the recorded steps (rows) reach, and return how many are."""
-    n = len(states)
-    made = np.flatnonzero(recorded[:, 1] > 0)
-    if not made.size:
-        return done
-    # A step that reaches a time but for round-off, as one to a switch may, was recorded for it.
-    ends = (recorded[made, 0] + recorded[made, 2]) * (1 + 2e-14)
-    reached = int(np.searchsorted(times, ends[-1], side="right"))
-    now = times[done:reached]
-    within = recorded[made[np.minimum(np.searchsorted(ends, now), len(ends) - 1)]]
-    part = (now[:, None] - within[:, :1]) / within[:, 1:2]
-    # Coefficient k counts by k factors: the part, what is left of the step, and so on in turns.
-    factors = np.ones((len(now), 1 + _POWERS))
-    factors[:, 1::2], factors[:, 2::2] = part, 1 - part
-    made_of = within[:, 3:].reshape(len(now), -1, n)
-    states[:, done:reached] = np.einsum("tk,tkn->nt", np.cumprod(factors, axis=1), made_of)
-    return reached
-
-
 def _first_step(slope: FloatArray, scale: FloatArray, duration: float) -> float:
     """Return a step that moves the state by a hundredth of its scale."""
     speed = float(np.max(np.abs(slope) / scale, initial=0.0))
     return min(duration, 0.01 / speed) if speed > 0 else duration
-
-
-class _Turn:
-    """One turn of the loop: a step is tried, then accepted, cut at a switch, or thrown away."""
-
-    def __init__(self, equation: Equation, project: bool) -> None:
-        self._equation = equation
-        self._method = _DormandPrince(equation, project)
-        self._tried, self._interpolant = self._method.tried(), self._method.interpolant()
-        n = equation.states
-        self._sizes = [n, n, equation.switches, *[1] * len(_CARRIED)]
-        self._given_sizes = [equation.inputs, 1, 1, 1, n]
-        self._carried = _symbols(("x", "f", "taut", *_CARRIED), self._sizes)
-        self._numbers = self._carried[3:]
-        names = ("u", "duration", "spacing", "longest", "scale")
-        given = _symbols(names, self._given_sizes)
-        self._u, self._duration, self._spacing, self._longest, self._scale = given
-        self._inputs = [*self._carried, *given]
-        # The step tried.
-        self._h, self._x1, self._f1, self._error = _symbols(("h", "x1", "f1", "e"), (1, n, n, 1))
-        self._K = ca.MX.sym("K", n, _STAGES + 1)
-        self._step = [self._h, self._x1, self._f1, self._error, self._K]
-        self._nothing = ca.DM.zeros(3 + n * (1 + _POWERS))
-
-    def function(self) -> ca.Function:
-        """Return ``(z, given) -> (z, record)``, for ``mapaccum``.
-
-        The record is the time at which the step began, the length of its interpolant, how much
-        of that was taken, x there, and the coefficients; zeros where no output lies in it.
-        """
-        z, given = ca.MX.sym("z", sum(self._sizes)), ca.MX.sym("given", sum(self._given_sizes))
-        carried = ca.vertsplit(z, _ends(self._sizes))
-        parts = [*carried, *ca.vertsplit(given, _ends(self._given_sizes))]
-        kept = self._branch("kept", self._carried, self._nothing, self._inputs)
-        time, stuck, duration = parts[3], parts[5], parts[-4]
-        over = ca.logic_or(time >= duration, stuck)
-        choose = ca.Function.if_else("turn_or_not", kept, self._going())
-        return Function("turn", [z, given], list(choose(over, *parts)))
-
-    def _going(self) -> ca.Function:
-        x, f, taut = self._carried[:3]
-        time, step = self._numbers[:2]
-        h = ca.fmin(ca.fmin(step, self._longest), self._duration - time)
-        u = self._input
-        x1, f1, error, K = self._tried(x, f, u, taut, h, self._scale)
-        crossed: Any = 0
-        branches = [self._thrown_away(), self._accepted()]
-        if self._equation.switches:
-            crossed = crossing(self._equation)(x, x1, u, taut, h)
-            branches.append(self._cut())
-        fate = ca.if_else(error < 1, 1 + crossed, 0)
-        choose = ca.Function.conditional("fate", branches[:-1], branches[-1])
-        outputs = choose(fate, *self._inputs, h, x1, f1, error, K)
-        return Function("going", self._inputs, list(outputs))
-
-    @property
-    def _input(self) -> Any:
-        """The input that begins with the step."""
-        return self._equation.ahead(self._u, self._numbers[0])
-
-    def _thrown_away(self) -> ca.Function:
-        finite = self._error < ca.inf
-        factor = ca.if_else(finite, ca.fmin(self._factor(), 1), _LEAST / 2)
-        shorter = self._h * factor
-        numbers = self._counted(
-            step=shorter, tries=1, rejections=1, stuck=shorter < _SHORTEST * self._duration
-        )
-        return self._branch("thrown_away", [*self._carried[:3], *numbers], self._nothing)
-
-    def _accepted(self) -> ca.Function:
-        x, f, taut = self._carried[:3]
-        time = self._after(self._h)
-        record, made = self._recorded(x, self._x1, f, self._f1, self._K, time, self._h)
-        step = self._h * self._factor()
-        numbers = self._counted(time=time, step=step, tries=1, interpolants=made)
-        return self._branch("accepted", [self._x1, self._f1, taut, *numbers], record)
-
-    def _cut(self) -> ca.Function:
-        x, f, taut = self._carried[:3]
-        u, h, equation = self._input, self._h, self._equation
-        # What ending late may change of velocities, as part of what a step may err; see landing().
-        speed = self._scale[equation.states - 1]
-        allowed = 2 * _LATE * speed * (self._longest / _STABLE) ** 2
-        found = search(equation)(x, taut, u, h, self._x1, f, self._f1, allowed)
-        switch = [ca.MX.sym("switch", each.sparsity()) for each in found]
-        errs = self._error * ca.fabs(ca.polyval(ca.DM(_interpolant_error()[::-1]), found[1]))
-        choose = ca.Function.if_else("where", self._cut_inside(switch), self._cut_by_steps(switch))
-        is_inside = ca.logic_and(found[0], errs < _SMOOTH)
-        inputs = [*self._inputs, *self._step]
-        return Function("cut", inputs, list(choose(is_inside, *inputs, *found)))
-
-    def _cut_inside(self, switch: list[Any]) -> ca.Function:
-        """Return the branch of a step that ends at a switch on its interpolant."""
-        x, f, taut = self._carried[:3]
-        u, h = self._input, self._h
-        made = ca.vec(self._interpolant(x, self._x1, f, self._f1, self._K, u, taut, h))
-        approach = approached(self._method.inside(), self._equation)
-        y = ca.vertcat(x, made, h)
-        x2, taut2, taken, switched, _ = approach(y, taut, u, h, self._x1, *switch)
-        needed = self._needed(self._after(taken))
-        record = ca.vertcat(self._numbers[0], h * needed, taken, x, made)
-        return self._landed(switch, x2, taut2, taken, switched, record, interpolants=1)
-
-    def _cut_by_steps(self, switch: list[Any]) -> ca.Function:
-        """Return the branch of a step that ends at a switch, found by true steps."""
-        x, f, taut = self._carried[:3]
-        n, u = self._equation.states, self._input
-        approach = approached(self._method.trial(), self._equation)
-        y, y1 = ca.vertcat(x, f), ca.vertcat(self._x1, self._f1, ca.vec(self._K))
-        y2, taut2, taken, switched, tries = approach(y, taut, u, self._h, y1, *switch)
-        x2, f2, K2 = y2[:n], y2[n : 2 * n], ca.reshape(y2[2 * n :], n, _STAGES + 1)
-        record, made = self._recorded(x, x2, f, f2, K2, self._after(taken), taken)
-        return self._landed(
-            switch, x2, taut2, taken, switched, record, interpolants=made, approaches=tries
-        )
-
-    def _landed(
-        self, switch: list[Any], x: Any, taut: Any, taken: Any, switched: Any, record: Any,
-        **counted: Any,
-    ) -> ca.Function:  # fmt: skip
-        """Return the branch of a step cut at a switch, where it ends in x."""
-        # Strings that switch again and again while no time passes.
-        stalled = taken < _SHORTEST * self._duration
-        stalls = ca.if_else(stalled, self._numbers[_CARRIED.index("stalls")] + 1, 0)
-        numbers = self._counted(
-            time=self._after(taken),
-            step=self._h * ca.fmin(self._factor(), 1),
-            tries=1,
-            landings=1,
-            switches=switched,
-            stalls=stalls,
-            stuck=stalls > _MOST_STALLS,
-            **counted,
-        )
-        # The slope jumps with the strings.
-        f = self._equation.slope(x, self._equation.ahead(self._input, taken), taut)
-        inputs = [*self._inputs, *self._step, *switch]
-        return self._branch("landed", [x, f, taut, *numbers], record, inputs)
-
-    def _branch(
-        self, name: str, state: list[Any], record: Any, inputs: list[Any] | None = None
-    ) -> ca.Function:
-        inputs = [*self._inputs, *self._step] if inputs is None else inputs
-        outputs = [ca.densify(ca.vertcat(*state)), ca.densify(record)]
-        return Function(name, inputs, outputs)
-
-    def _factor(self) -> Any:
-        error = ca.fmax(self._error, 1e-16)
-        return ca.fmin(ca.fmax(_SAFETY * error ** (-1 / _ORDER), _LEAST), _MOST)
-
-    def _after(self, taken: Any) -> Any:
-        """Return the time after the step: the end of the span exactly, if it was to be reached."""
-        time = self._numbers[0]
-        return ca.if_else(taken >= self._duration - time, self._duration, time + taken)
-
-    def _recorded(self, x: Any, x1: Any, f: Any, f1: Any, K: Any, after: Any, h: Any) -> Any:
-        """Return the record of a step, and whether an output lies in it."""
-        time = self._numbers[0]
-        names = ["x", "x1", "f", "f1", "K", "u", "taut", "h"]
-        values = [x, x1, f, f1, K, self._input, self._carried[2], h]
-        inputs = [ca.MX.sym(name, v.sparsity()) for name, v in zip(names, values, strict=True)]
-        made = ca.vertcat(inputs[0], ca.vec(self._interpolant(*inputs)))
-        left_out = Function("left_out", inputs, [ca.DM.zeros(made.shape)])
-        made = Function("made", inputs, [made])
-        choose = ca.Function.if_else("interpolant_or_not", made, left_out)
-        needed = self._needed(after)
-        return ca.vertcat(time, h * needed, h, choose(needed, *values)), needed
-
-    def _needed(self, after: Any) -> Any:
-        """Return whether an output lies in a step that ends at a time."""
-        time = self._numbers[0]
-        until, since = (ca.floor(t / self._spacing * (1 + 1e-14)) for t in (after, time))
-        # The end of the span needs no interpolant.
-        inside = ca.logic_or(after < self._duration, time + self._spacing < after)
-        return ca.logic_and(until > since, inside)
-
-    def _counted(self, **changes: Any) -> list[Any]:
-        """Return the numbers carried: those given replaced, the counts added to."""
-        replaced = ("time", "step", "stuck", "stalls")
-        return [
-            changes.get(name, old) if name in replaced else old + changes.get(name, 0)
-            for name, old in zip(_CARRIED, self._numbers, strict=True)
-        ]
-
-
-def _symbols(names: tuple[str, ...], sizes: Sequence[int]) -> list[Any]:
-    return [ca.MX.sym(name, size) for name, size in zip(names, sizes, strict=True)]
-
-
-def _ends(sizes: list[int]) -> list[int]:
-    return [sum(sizes[:i]) for i in range(len(sizes) + 1)]
 
 
 class _DormandPrince:
@@ -565,30 +425,6 @@ class _DormandPrince:
         """Return the input that begins after a part of the step."""
         _, _, u, _, h = self._inputs
         return self._equation.ahead(u, part * h)
-
-    def trial(self) -> ca.Function:
-        """Return ``([x; f], u, taut, h) -> [x1; f1; K]``: the step alone, without its error."""
-        x, _, u, taut, h = self._inputs
-        x1, slopes = self._stages()
-        f1 = self._equation.slope(x1, self._at(1.0), taut)
-        stages = Function("stages", self._inputs, [ca.vertcat(x1, f1, *slopes, f1)])
-        y = ca.MX.sym("y", 2 * x.shape[0])
-        end = stages(*ca.vertsplit(y, x.shape[0]), u, taut, h)
-        return Function("trial", [y, u, taut, h], [end])
-
-    def inside(self) -> ca.Function:
-        """Return ``([x; coefficients; h], u, taut, taken) -> x1`` on the interpolant of a step."""
-        x, _, u, taut, taken = self._inputs
-        n = x.shape[0]
-        y = ca.MX.sym("y", (1 + _POWERS) * n + 1)
-        *made, h = ca.vertsplit(y, [*range(0, (2 + _POWERS) * n, n), y.shape[0]])
-        value, part = ca.MX.zeros(n), taken / h
-        for k in range(_POWERS, 0, -1):
-            value = (value + made[k]) * (part if k % 2 else 1 - part)
-        end = made[0] + value
-        return Function(
-            "inside", [y, u, taut, taken], [end if self._project is None else self._project(end)]
-        )
 
     def tried(self) -> ca.Function:
         """Return ``(x, f, u, taut, h, scale) -> (x1, f1, error, K)``.

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import dataclass
 from math import ceil
-from time import perf_counter
 from typing import final
 
 import casadi as ca
@@ -16,10 +14,9 @@ from tenscontrol.arrays import FloatArray
 from tenscontrol.core.records import Progress
 from tenscontrol.dynamics.equation import Equation
 from tenscontrol.dynamics.evaluator import Evaluator, Function
-from tenscontrol.dynamics.machine_code import compiler
 from tenscontrol.integrate.core_run import advance_in_core, settings_of
 from tenscontrol.integrate.core_scene import CoreMotion, core_scene
-from tenscontrol.integrate.events import COUNTS, located, taut_strings
+from tenscontrol.integrate.events import LATE, Step, Switches, crossings
 from tenscontrol.integrate.integrator import (
     IntegrationError,
     IntegrationInterrupt,
@@ -27,38 +24,27 @@ from tenscontrol.integrate.integrator import (
     Report,
     Span,
     Work,
-    in_machine_code,
-    next_size,
-    where_needed,
 )
 from tenscontrol.integrate.projection import projected
 from tenscontrol.interrupt import check
 
-# Steps in a block, and blocks in a call into CasADi: enough that the call costs nothing, few enough
-# that a long run reports its progress and a short one does not wait for steps left out.
-_BLOCK, _MANY = 32, 16
+# Steps from one report of the time to the next.
+_BETWEEN_REPORTS = 32
 
-# Steps in the first call where there are more states than this: they may take long.
-_FEW, _LARGE = 4, 600
+# Substeps that a step may be cut into; the rest is then taken whole, and its switches counted.
+SUBSTEPS = 9
 
-# Numbers that a call may return: memory is for states that are kept.
-_MOST_NUMBERS = 1e6
+# What is left of a step below this part of it is round-off.
+REST = 1e-13
 
-
-@dataclass(frozen=True, eq=False)
-class _Steps:
-    """What a method builds once for an equation."""
-
-    block: ca.Function
-    blocks: ca.Function
-    taut: ca.Function
-    size: int  # of what is carried from step to step
-    many: int  # blocks in a call of ``blocks``
-    back_end: str
+#: What is counted beside the steps: what is tried in those that are cut, each with the evaluations
+#: of a step; landings on a switch, with two more; switches there, and in rests taken whole.
+COUNTS = ("tries", "landings", "switches", "missed")
+_MORE, _LANDINGS, _SWITCHES, _MISSED = range(len(COUNTS))
 
 
 class FixedStep(Integrator):
-    """A method with a fixed step; the loop over the steps runs inside CasADi (``mapaccum``).
+    """A method with a fixed step: a subclass says what a step is.
 
     Where a string can go slack, every step ends at each switch and goes on from there.
     """
@@ -69,34 +55,17 @@ class FixedStep(Integrator):
     #: Whether the compiled core has the method.
     runs_in_core = False
 
-    def __init__(
-        self, equation: Equation, step: float, project: bool = False, machine_code: bool = False
-    ) -> None:
-        super().__init__(equation, project, machine_code)
+    def __init__(self, equation: Equation, step: float, project: bool = False) -> None:
+        super().__init__(equation, project)
         self._project = project
         self.step = validation.positive_number("step", step, "s")
         self._core = core_scene(equation) if self.runs_in_core else None
         if self._core is not None:
             self.back_end = "core"
             return
-        by = compiler() if machine_code else None
-        steps = self._kept(lambda: self._build(project, machine_code), project, machine_code, by)
-        self._size, self._many, self.back_end = steps.size, steps.many, steps.back_end
-        self._blocks = {1: Evaluator(steps.block), steps.many: Evaluator(steps.blocks)}
-        self._taut = Evaluator(steps.taut)
-        # Steps in the next call, at most.
-        self._most = _FEW if equation.states > _LARGE else _BLOCK * _MANY
-
-    def _build(self, project: bool, machine_code: bool) -> _Steps:
-        equation = self._equation
-        step = _carried(self.smooth_step(project), equation)
-        block, back_end = in_machine_code(equation, _block(step), machine_code)
-        size = int(step.size1_in(0))
-        many = int(np.clip(_MOST_NUMBERS / (_BLOCK * size), 1, _MANY))
-        x, u, _, _ = equation.symbols(ca.MX)
-        taut = Function("taut", [x, u], [taut_strings(equation, x, u)])
-        blocks = block if many == 1 else block.mapaccum(many)
-        return _Steps(block, blocks, taut, size, many, back_end)
+        attempt = self._kept(lambda: _attempt(self.smooth_step(project), equation), project)
+        self._attempt, self._slope = Evaluator(attempt), Evaluator(equation.slope)
+        self._switches = Switches(equation)
 
     def smooth_step(self, project: bool) -> ca.Function:
         """Return :meth:`step_function` of the method's own equation.
@@ -128,55 +97,77 @@ class FixedStep(Integrator):
     ) -> Span:
         """See :meth:`Integrator.advance`."""
         state, held, duration, outputs = self._checked(state, held, duration, outputs, report)
-        inner = self.steps_between(duration, outputs)
+        layout, inner = self._equation.layout, self.steps_between(duration, outputs)
         total = outputs * inner
         step = duration / total
-        n, switches = self._equation.states, self._equation.switches
-        states = np.empty((n, outputs))
-        taut = self._taut(state, held)[0] if switches else np.zeros(0)
-        # The time within the span, where the input is a polynomial in it.
-        clock = np.zeros(min(self._equation.layout.degree, 1))
-        carried = np.concatenate([state, clock, taut, np.zeros(len(COUNTS))])[: self._size]
-        done = 0
+        states = np.empty((len(state), outputs))
+        counts, done = np.zeros(len(COUNTS)), 0
+        x, taut = state, self._switches.taut(state, held)
         try:
-            while done < total:
-                check()
-                began = perf_counter()
-                left = min(total - done, self._most)
-                blocks = self._many if left >= self._many * _BLOCK else 1
-                size = min(blocks * _BLOCK, left)
-                steps: FloatArray = np.zeros(blocks * _BLOCK)
-                steps[:size] = step
-                inputs = held
-                if blocks > 1:
-                    steps = steps.reshape(blocks, _BLOCK).T
-                    inputs = np.tile(held[:, None], (1, blocks))
-                result = self._blocks[blocks](carried, inputs, steps)[0]
-                result = result.reshape(self._size, -1, order="F")[:, :size]
-                first = -(-(done + 1) // inner)  # the next output
-                kept = result[:n, first * inner - done - 1 :: inner]
-                states[:, first - 1 : first - 1 + kept.shape[1]] = kept
-                carried = result[:, -1].copy()
-                if not np.isfinite(carried).all():
-                    # Once not finite, never finite again: the good states come first.
-                    fine = int(np.isfinite(result).all(axis=0).sum())
-                    good = done + fine
-                    work = self.work_of(
-                        good, result[:, fine - 1] if fine else np.zeros(len(COUNTS))
-                    )
-                    raise IntegrationError(
-                        not_finite(good, step),
-                        step * good,
-                        Span(states[:, : good // inner], work),
-                    )
-                done += size
-                self._most = next_size(self._most, size, perf_counter() - began)
-                if report is not None:
-                    report(step * done)
+            # A state that is not finite is looked for, so NumPy need not warn of it.
+            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+                while done < total:
+                    check()
+                    u = layout.later(held, step * done)
+                    end, crossed = self._attempt(x, u, taut, step)
+                    if crossed[0]:
+                        before = counts.copy()
+                        x, taut = self._cut(x, end.copy(), crossed[0], taut, u, step, counts)
+                        if not np.isfinite(x).all():
+                            reached = Span(states[:, : done // inner], self.work_of(done, before))
+                            raise IntegrationError(not_finite(done, step), step * done, reached)
+                    else:
+                        x = end.copy()
+                    if (done + 1) % inner == 0:
+                        states[:, done // inner] = x
+                    done += 1
+                    if report is not None and (done % _BETWEEN_REPORTS == 0 or done == total):
+                        report(step * done)
         except KeyboardInterrupt:
-            reached = Span(states[:, : done // inner], self.work_of(done, carried))
+            reached = Span(states[:, : done // inner], self.work_of(done, counts))
             raise IntegrationInterrupt(step * done, reached) from None
-        return Span(states, self.work_of(total, carried))
+        return Span(states, self.work_of(total, counts))
+
+    def _cut(
+        self, x: FloatArray, x1: FloatArray, crossed: float, taut: FloatArray, u: FloatArray,
+        h: float, counts: FloatArray,
+    ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+        """Return the state and ``taut`` after a step to x1, cut at its switches; count them."""
+        left, layout = h, self._equation.layout
+        for _ in range(SUBSTEPS):
+            if not crossed > 0:
+                return x1, taut
+            x, taut, taken = self._landed(x, x1, taut, layout.later(u, h - left), left, counts)
+            left -= taken
+            if left <= REST * h:
+                return x, taut
+            end, (crossed,) = self._attempt(x, layout.later(u, h - left), taut, left)
+            x1 = end.copy()
+            counts[_MORE] += 1
+        counts[_MISSED] += max(crossed, 0)
+        return x1, self._switches.taut(x1, layout.later(u, h))
+
+    def _landed(
+        self, x: FloatArray, x1: FloatArray, taut: FloatArray, u: FloatArray, h: float,
+        counts: FloatArray,
+    ) -> tuple[FloatArray, FloatArray, float]:  # fmt: skip
+        """Return the state and ``taut`` at the first switch of a step, and the time up to it."""
+        layout = self._equation.layout
+        slope = self._slope(x, u, taut)[0].copy()
+        slope1 = self._slope(x1, layout.later(u, h), taut)[0]
+        step = Step(x, slope, x1, slope1, u, taut, h)
+        counts[_LANDINGS] += 1
+        cut = self._switches.first(step, 0.0, LATE)
+        if cut is None:
+            return x1, taut, h
+        x1, part, tries = self._switches.approach(
+            step, cut, lambda part: self._attempt(x, u, taut, part * h)[0]
+        )
+        x1, taken = x1.copy(), part * h
+        taut, switches = self._switches.switched(x1, layout.later(u, taken), taut, cut)
+        counts[_MORE] += tries
+        counts[_SWITCHES] += switches
+        return x1, taut, taken
 
     def steps_between(self, duration: float, outputs: int) -> int:
         """Return the number of steps from one state that is kept to the next.
@@ -191,21 +182,19 @@ class FixedStep(Integrator):
         # The small allowance lets 0.02/0.001 be 20 steps, whatever round-off says.
         return max(1, ceil(duration / outputs / self.step - 1e-9))
 
-    def work_of(self, steps: int, carried: FloatArray) -> Work:
+    def work_of(self, steps: int, counts: FloatArray) -> Work:
         """Return the work of some steps.
 
         Parameters
         ----------
         steps : int
-        carried : ndarray, shape (k,)
-            What the last one left; it ends in the counts.
+        counts : ndarray, shape (4,)
+            Those of :data:`COUNTS`.
         """
-        if not self._equation.switches:
-            return Work(steps=steps, evaluations=self.evaluations_per_step * steps)
-        tries, landings, switches, missed = (round(c) for c in carried[-len(COUNTS) :])
+        tries, landings, switches, missed = (round(count) for count in counts)
         return Work(
             steps=steps + landings,
-            evaluations=self.evaluations_per_step * tries + 2 * landings,
+            evaluations=self.evaluations_per_step * (steps + tries) + 2 * landings,
             switches=switches,
             missed=missed,
         )
@@ -272,29 +261,11 @@ def not_finite(good: int, step: float) -> str:
     )
 
 
-def _block(step: ca.Function) -> ca.Function:
-    """Return ``(z, u, [h1 h2 …]) -> [z1 z2 …]``, one column a step; none is taken where h is 0."""
-    z, u, h = (ca.MX.sym(step.name_in(i), step.size1_in(i)) for i in range(3))
-    maybe = Function("maybe", [z, u, h], [where_needed(step)(h > 0, z, u, h)])
-    steps = ca.MX.sym("h", _BLOCK)
-    many = maybe.mapaccum(_BLOCK)(z, ca.repmat(u, 1, _BLOCK), steps.T)
-    return Function("block", [z, u, steps], [many])
-
-
-def _carried(step: ca.Function, equation: Equation) -> ca.Function:
-    """Return ``(z, u, h) -> z``: a step that carries the time, which strings pull, and counts.
-
-    Without strings that can go slack, and with an input that is held, z is the state alone.
-    """
-    u, h = ca.MX.sym("u", equation.inputs), ca.MX.sym("h")
-    clocks = min(equation.layout.degree, 1)
-    sizes = [equation.states, clocks, equation.switches, len(COUNTS) * (equation.switches > 0)]
-    z = ca.MX.sym("z", sum(sizes))
-    x, clock, taut, counts = ca.vertsplit(z, np.cumsum([0, *sizes]).tolist())
-    now = equation.ahead(u, clock)
-    later = [clock + h] * clocks
-    if not equation.switches:
-        x1 = step(x, now, ca.MX(0, 1), h)
-        return Function("step", [z, u, h], [ca.vertcat(x1, *later)])
-    x1, taut1, more = located(step, equation)(x, taut, now, h)
-    return Function("step", [z, u, h], [ca.vertcat(x1, *later, taut1, counts + more)])
+def _attempt(step: ca.Function, equation: Equation) -> ca.Function:
+    """Return ``(x, u, taut, h) -> (x1, crossings)``: a step, and how many switches it has."""
+    written = step.is_a("SXFunction") and equation.form == "flat"
+    x, u, taut, h = equation.symbols(ca.SX if written else ca.MX)
+    x1 = step(x, u, taut, h)
+    outputs = [x1, crossings(equation)(x, x1, u, taut, h)]
+    outputs = [ca.densify(each) for each in outputs]
+    return Function("attempt", [x, u, taut, h], outputs)

@@ -16,7 +16,6 @@ from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics.contact_laws import ContactLaw
 from tenscontrol.dynamics.equation import Equation
 from tenscontrol.dynamics.evaluator import Function, SharedEvaluator
-from tenscontrol.dynamics.machine_code import compiled, if_compiled
 from tenscontrol.integrate.core_scene import core_scene
 from tenscontrol.structure.blocks import node_mass
 from tenscontrol.structure.structure import Structure
@@ -158,17 +157,6 @@ def checked_tolerance(tolerance: object, least: float = 100 * float(np.finfo(flo
     return value
 
 
-def in_machine_code(equation: Equation, step: ca.Function, wanted: bool) -> tuple[ca.Function, str]:
-    """Return steps in machine code, if that is wanted and a compiler works, and what runs them.
-
-    Where the forces are compiled loops already, the steps around them stay with CasADi.
-    """
-    if equation.form == "loops":
-        return step, "machine code for the forces"
-    code = if_compiled(lambda: compiled(step)) if wanted else None
-    return (step, "virtual machine") if code is None else (code, "machine code")
-
-
 def next_size(most: int, size: int, taken: float) -> int:
     """Return how many steps a call may take, after one of a size that took so long, s."""
     if taken > _LONGEST_CALL:
@@ -192,15 +180,12 @@ class Integrator(ABC):
     equation : Equation
     project : bool
         Whether to make the bar lengths exact after each step, in a method from which they drift.
-    machine_code : bool
-        Whether to compile the steps, in a method that can be compiled.
     """
 
     #: Name as users give it to ``simulate(method=...)``.
     name: str
 
-    #: What runs the steps: ``"core"`` (compiled at installation), ``"virtual machine"`` (CasADi's),
-    #: ``"machine code"`` (compiled C), or ``"machine code for the forces"``.
+    #: What runs the steps: ``"core"``, compiled at installation, or CasADi's ``"virtual machine"``.
     back_end = "virtual machine"
 
     #: Evaluations after which :meth:`advance` raises :class:`IntegrationPause`, where it can.
@@ -209,12 +194,9 @@ class Integrator(ABC):
     #: Methods that took over from the first one.
     changes: tuple[MethodChange, ...] = ()
 
-    def __init__(
-        self, equation: Equation, project: bool = False, machine_code: bool = False
-    ) -> None:
+    def __init__(self, equation: Equation, project: bool = False) -> None:
         validation.instance("equation", equation, Equation, "make one by model.equation(input)")
         validation.truth("project", project, "whether to make bar lengths exact after each step")
-        validation.truth("machine_code", machine_code, "whether to compile the steps")
         self._equation = equation
 
     @property
@@ -334,15 +316,12 @@ def _size_and_mass(structure: Structure) -> tuple[float, float]:
     return float(size), moving_mass(structure)
 
 
-def largest_frequency(
-    equation: Equation, state: FloatArray, held: FloatArray, by: SharedEvaluator | None = None
-) -> float:
+def largest_frequency(equation: Equation, state: FloatArray, held: FloatArray) -> float:
     """Return the largest frequency of small motions about a state with all strings taut, rad/s.
 
     By power iteration on the derivative of the accelerations with respect to
     the positions: its largest eigenvalue is -ω². It is 0 for an equation that is no structure's.
-    The ground is left out: see :func:`contact_frequency`. It is found ``by`` what evaluates
-    :func:`power_iteration`, if an integrator has compiled that.
+    The ground is left out: see :func:`contact_frequency`.
     """
     if equation.structure is None:
         return 0.0
@@ -352,12 +331,12 @@ def largest_frequency(
     core = core_scene(equation)
     if core is not None:
         return core.frequency(state, held, _DIFFERENCE * size, random)
-    square = by or _shared(equation, "frequency", lambda: power_iteration(equation))
+    square = _shared(equation, "frequency", lambda: _power_iteration(equation))
     given = (state, held, _strings_alone(equation), _DIFFERENCE * size, random)
     return float(np.sqrt(square(*given)[0][0]))
 
 
-def power_iteration(equation: Equation) -> ca.Function:
+def _power_iteration(equation: Equation) -> ca.Function:
     """Return ``(x, u, taut, difference, vector) -> square`` of the largest frequency."""
     n = equation.states // 2
     x, u, taut, difference = equation.symbols(ca.MX)

@@ -43,13 +43,11 @@ class Method:
         What it is good for, one line.
     make : callable
         ``(equation, step=... or tolerance=...) -> Integrator``, with
-        ``project`` and ``machine_code`` where it knows them.
+        ``project`` where bar lengths drift.
     drifts : bool
         Whether bar lengths drift unless they are made exact after each step.
     projects : bool
         Whether they are, unless the user says otherwise.
-    compiles : bool
-        Whether its steps can be compiled.
     differentiates : bool
         Whether it takes derivatives of the equation.
     follows : bool
@@ -67,7 +65,6 @@ class Method:
     make: Callable[..., Integrator]
     drifts: bool = True
     projects: bool = False
-    compiles: bool = True
     differentiates: bool = False
     follows: bool = False
     locates: bool = True
@@ -85,7 +82,7 @@ class Method:
         validation.function(
             "make", self.make, "(equation, step=... or tolerance=...) -> Integrator"
         )
-        for name in ("drifts", "projects", "compiles", "differentiates", "follows", "locates"):
+        for name in ("drifts", "projects", "differentiates", "follows", "locates"):
             validation.truth(name, getattr(self, name), "what the method does")
         validation.whole_number("order", self.order, 1)
 
@@ -100,7 +97,6 @@ class Method:
         value: float,
         setting: str | None = None,
         project: bool | None = None,
-        machine_code: bool = False,
     ) -> Integrator:
         """Return the integrator.
 
@@ -113,9 +109,6 @@ class Method:
             Which of the two; the usual one of the method if not given.
         project : bool, optional
             Whether to make bar lengths exact after each step; as :attr:`projects` if not given.
-        machine_code : bool
-            Whether to compile the steps, where the method can be compiled and
-            there is a C compiler; :attr:`Integrator.back_end` says what came.
 
         Raises
         ------
@@ -128,9 +121,6 @@ class Method:
             else validation.choice("setting", setting, self.settings)
         )
         options: dict[str, float | bool] = {setting: value}
-        validation.truth("machine_code", machine_code, "whether to compile the steps")
-        if self.compiles:
-            options["machine_code"] = machine_code
         if project is not None:
             validation.truth(
                 "project", project, "whether to make bar lengths exact after each step"
@@ -163,7 +153,6 @@ _ALL = (
         "orders 1 to 5, implicit, steps of its own: stiff damped strings",
         CVODES,
         projects=True,
-        compiles=False,
         differentiates=True,
         follows=True,
         order=5,
@@ -174,7 +163,6 @@ _ALL = (
         "order 2, implicit, conserves energy and momenta: stiff strings, long runs",
         EnergyMomentum,
         drifts=False,
-        compiles=False,
         differentiates=True,
         follows=True,
         locates=False,

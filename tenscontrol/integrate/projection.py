@@ -66,11 +66,8 @@ def projection(equation: Equation) -> ca.Function | None:
 class Projector:
     """Makes the bar lengths of states exact, one a column, if wanted and there are bars."""
 
-    def __init__(
-        self, equation: Equation, wanted: bool, compiled: ca.Function | None = None
-    ) -> None:
-        exact = projection(equation) if wanted else None
-        self._exact = exact if exact is None or compiled is None else compiled
+    def __init__(self, equation: Equation, wanted: bool) -> None:
+        self._exact = projection(equation) if wanted else None
 
     def __call__(self, states: FloatArray) -> FloatArray:
         """Return states of shape (states, count), up to the first that is too far off."""

@@ -22,25 +22,20 @@ from tenscontrol.dynamics.evaluator import Function
 from tenscontrol.dynamics.forms.loops import C_EXPORT
 from tenscontrol.dynamics.instructions import OPERATIONS, instructions, number_text
 from tenscontrol.dynamics.machine_code import compiled_library, compiler, if_compiled
-from tenscontrol.integrate.events import (
-    COUNTS,
-    POLISHES,
-    REST,
-    SUBSTEPS,
+from tenscontrol.integrate.events import POLISHES, interpolant, zooms
+from tenscontrol.integrate.fixed_step import COUNTS, REST, SUBSTEPS, FixedStep, not_finite
+from tenscontrol.integrate.integrator import IntegrationError, Span, Work
+from tenscontrol.integrate.simd_switches import (
     corrected,
     crossing,
     distance,
-    interpolant,
     missed,
     part_to_try,
     switch_on_interpolant,
     switching,
     taut_strings,
     zoom_in,
-    zooms,
 )
-from tenscontrol.integrate.fixed_step import FixedStep, not_finite
-from tenscontrol.integrate.integrator import IntegrationError, Span, Work
 
 # Operations of a step up to which it is written out: compilers take half a millisecond for each.
 _MOST_WRITTEN = 30_000
@@ -197,7 +192,7 @@ def lanes_source(smooth: ca.Function, equation: Equation) -> str | None:
     sizes = {
         "W": 4 if wide else 2, "STATES": equation.states, "INPUTS": equation.inputs,
         "SWITCHES": equation.switches, "COUNTS": len(COUNTS), "ZOOMS": zooms(equation),
-        "POLISHES": POLISHES, "SUBSTEPS": SUBSTEPS, "REST": repr(REST),
+        "POLISHES": POLISHES, "SUBSTEPS": SUBSTEPS - 1, "REST": repr(REST),
         "LANES": '__attribute__((target("avx2")))' if wide else "",
     }  # fmt: skip
     texts = [f"#define {name} {value}" for name, value in sizes.items()]
@@ -319,7 +314,6 @@ LANES static void cut(M cut_lanes, V *x, V *taut, const V *u, const V *clock, co
   memcpy(pulls, taut, sizeof(pulls));
   left[0] = h[0];
   done[0] = ALL(0.0);
-  counts[0] += ONLY(active, ALL(1.0));
   for (int sub = 0; any(active); ++sub) {
     if (sub) {
       lanes_smooth(at, pulls, u, clock, done, left, end);
@@ -412,7 +406,6 @@ EXPORTED LANES void run_lanes(
       V crossed[1];
       lanes_crossing(x, x1, taut, u, clock, none, h, crossed);
       const M lanes = crossed[0] != 0.0;
-      counted[0] += ONLY(~lanes, ALL(1.0));
       if (any(lanes)) cut(lanes, x, taut, u, clock, h, x1, counted);
 #endif
       V finite = ALL(0.0);

@@ -26,8 +26,6 @@ class Integration:
         Largest time between states kept, s; see :func:`simulate`.
     project : bool, optional
         Whether to make the bar lengths exact after each step; see :func:`simulate`.
-    machine_code : bool
-        Whether to compile the steps by the C compiler of the machine.
     error : {"estimate", "none"}
         Whether to estimate the error of the motion, by a second run at another resolution.
     limits : HealthLimits
@@ -52,7 +50,6 @@ class Integration:
     step: float | None = None
     output_step: float | None = None
     project: bool | None = None
-    machine_code: bool = False
     error: str = "estimate"
     limits: HealthLimits = field(default_factory=HealthLimits)
 
@@ -70,7 +67,6 @@ class Integration:
             )
         how = "make them by HealthLimits(bar_length_error=...)"
         validation.instance("limits", self.limits, HealthLimits, how)
-        validation.truth("machine_code", self.machine_code, "whether to compile the steps")
         for name in ("step", "output_step"):
             if getattr(self, name) is not None:
                 put(self, name, validation.positive_number(name, getattr(self, name), "s"))

@@ -164,7 +164,7 @@ class PlantRun:
             equation = self._equation_of("mapped")
         # Not what the user says of a method that he has not chosen, and that needs no projection.
         project = how.project if method.drifts or self._method is not None else None
-        return method.integrator(equation, value, self.choice.setting, project, how.machine_code)
+        return method.integrator(equation, value, self.choice.setting, project)
 
     def go_to(self, time: float) -> None:
         """Set the clock to a time that differs by round-off: samples are counted, not added up."""

@@ -37,7 +37,6 @@ def simulate(
     step: float | None = None,
     output_step: float | None = None,
     project: bool | None = None,
-    machine_code: bool = False,
     limits: HealthLimits | None = None,
     error: str = "estimate",
     progress: bool = False,
@@ -111,11 +110,6 @@ def simulate(
         Whether to make the bar lengths exact after each step, for a method
         from which they drift. If not given, methods that control their error
         do, and RK4 does not: its drift shows too long a step.
-    machine_code : bool
-        Whether to compile the steps by the C compiler of the machine: the same
-        numbers, several times as fast, after some seconds for the first run.
-        Where there is no compiler, or it fails, or the method cannot be compiled,
-        the steps run in CasADi's virtual machine; see ``run.choice.back_end``.
     limits : HealthLimits, optional
         Limits on the figures in ``run.health``; ``HealthLimits()`` if not given.
     error : {"estimate", "none"}
@@ -234,7 +228,7 @@ def simulate(
         raise ValueError("input goes with a controller; in open loop the given input is held")
     with interruptible():  # CasADi may lose a key while it builds
         integration = Integration(
-            method, tolerance, step, output_step, project, machine_code, error,
+            method, tolerance, step, output_step, project, error,
             HealthLimits() if limits is None else limits,
         )  # fmt: skip
         scene = Scene(

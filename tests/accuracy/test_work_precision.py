@@ -237,18 +237,6 @@ def test_steps_that_shorten_to_the_same_are_run_once(case, reference):
     assert [row.setting for row in rows] == pytest.approx([0.04, 0.02])
 
 
-def test_machine_code_gives_the_same_motion(case, reference):
-    settings = {"rk4": [0.01]}
-    plain, compiled = (
-        tc.work_precision(case, ["rk4"], settings, (), reference, 1, machine_code=code)
-        for code in (False, True)
-    )
-    assert plain.rows[0].back_end == "virtual machine"
-    assert compiled.rows[0].error == plain.rows[0].error
-    is_compiled = compiled.rows[0].back_end == "machine code"
-    assert ("in machine code" in compiled.table()) == is_compiled
-
-
 def test_damped_motion_is_compared_with_the_energy_of_the_reference():
     case = paper_case(0.4, vertical=45.0, damping=1.0)
     found = tc.work_precision(case, ["rk4"], {"rk4": [2e-3, 1e-3]}, repeats=1, outputs=10)

@@ -89,7 +89,7 @@ def controlled(prism: tc.Structure, runs: int, duration: float) -> None:
         runs = (
             tc.simulate(
                 plant.model, duration, start, controller=controller, output_step=0.02,
-                machine_code=True, **how,
+                **how,
             )
             for start in starts[:_SINGLE]
         )  # fmt: skip

@@ -1,12 +1,12 @@
 """Error against run time on the paper's example 1, beside MuJoCo, SciPy and CVODES.
 
-``python -m tests.benchmarks.error_against_time [--plain] [--massive] [--all]``: a prism released
+``python -m tests.benchmarks.error_against_time [--massive] [--all]``: a prism released
 with slack strings, 5 s, massless or with four massive segments a string. Times are of the
 processor: of our methods of a second ``tc.simulate``, whole, with its checks and its trajectory, of
 peers of their integration; what is built before is the column ``building``. The tables are the time
-of a peer over that of our fastest method, at errors that both reach. With ``--plain``
-nothing is compiled, with ``--all`` every run is told, with ``--settings 3`` each method has its
-three coarsest settings. Needs the extra ``bench``.
+of a peer over that of our fastest method, at errors that both reach. With ``--all``
+every run is told, with ``--settings 3`` each method has its three coarsest settings. Needs
+the extra ``bench``.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def example(segments: int, duration: float) -> tc.Scene:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print the tables."""
     given = options(
-        __doc__, arguments, plain=False, massive=False, all=False, duration=5.0,
+        __doc__, arguments, massive=False, all=False, duration=5.0,
         settings=len(STEPS), repeats=60,  # most runs take milliseconds
     )  # fmt: skip
     case = example(4 if given.massive else 1, given.duration)
@@ -71,11 +71,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         peers,
         repeats=given.repeats,
         outputs=max(1, round(10 * given.duration)),
-        machine_code=not given.plain,
         progress=True,
     )
     errors = [10.0**-k for k in range(3, 9 if given.massive else 10)]
-    print(f"{case.name}, {'nothing compiled' if given.plain else 'compiled'}")
+    print(case.name)
     print(found.summary())
     if given.all:
         print(found.table())

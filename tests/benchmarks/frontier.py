@@ -1,6 +1,6 @@
 """Which method needs the least work for an error: random scenes, library structures, long runs.
 
-Run: ``python -m tests.benchmarks.frontier [--count 20] [--seed 0] [--compiled] [--cells]``. Each
+Run: ``python -m tests.benchmarks.frontier [--count 20] [--seed 0] [--cells]``. Each
 motion is run by each method at settings from coarse to fine, without an estimate of the error,
 until a run takes more than ``--limit`` s of processor time. Errors are the largest distance of a
 node at 20 times from a reference, as part of the size. References of the random scenes come from
@@ -92,12 +92,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Print the tables."""
     given = options(
         __doc__, arguments, count=20, seed=0, library=20, cache=str(default_folder()), limit=0.2,
-        compiled=False, cells=False, methods=tuple(METHODS),
+        cells=False, methods=tuple(METHODS),
     )  # fmt: skip
     cells: dict[str, dict[str, list[dict[str, float]]]] = defaultdict(lambda: defaultdict(list))
     for motion in motions(given):
         points = {
-            label: measured(motion, name, setting, given.compiled, given.limit)
+            label: measured(motion, name, setting, given.limit)
             for label, name, setting in ways(given.methods)
         }
         for error in ERRORS:
@@ -110,7 +110,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 if given.cells and work == "seconds":
                     print_cell(motion, error, cell)
     for work, kinds in cells.items():
-        print(f"least {work}, {'compiled' if given.compiled else 'nothing compiled'}")
+        print(f"least {work}")
         for kind, some in kinds.items():
             print_kind(kind, some)
 
@@ -259,9 +259,7 @@ def drop(stiffness: float, loss: float) -> tc.Scene:
 # ---- measurement ----
 
 
-def measured(
-    motion: Motion, method: str, setting: str, compiled: bool, limit: float
-) -> list[Point]:
+def measured(motion: Motion, method: str, setting: str, limit: float) -> list[Point]:
     """Return points of a method from coarse to fine, until a run takes longer than the limit."""
     fixed = setting == "step"
     values = [angle / motion.rate for angle in ANGLES] if fixed else TOLERANCES
@@ -269,7 +267,6 @@ def measured(
     is_first = True
     for value in values:
         options = {"method": method, setting: value, "error": "none"}
-        options["machine_code"] = compiled and METHODS[method].compiles
         begin = process_time()
         with warnings.catch_warnings(), time_limit(LONGEST):
             warnings.simplefilter("ignore", AccuracyWarning)

@@ -1,12 +1,12 @@
 """Error against run time of a ball that drops on the ground, beside MuJoCo with its own contact.
 
-``python -m tests.benchmarks.ground_drop [--duration 1.0] [--settings 7] [--plain]``: a six-bar
+``python -m tests.benchmarks.ground_drop [--duration 1.0] [--settings 7]``: a six-bar
 ball dropped from 0.3 m with 0.5 m/s sideways on ground of 5e3 N/m, 0.3 s/m and friction 0.5. The
 laws differ: MuJoCo's damping is linear and its friction viscous below that of Coulomb; its
 stiffness is that of the ground, by a negative solref at the least impedance. So each is measured
 against a converged motion of its own law: ours against ``converged_motion``, MuJoCo against itself
-in steps 8 times finer than its finest. How far apart the laws are is printed. With ``--plain``
-nothing is compiled. Needs the extra ``bench``.
+in steps 8 times finer than its finest. How far apart the laws are is printed. Needs the
+extra ``bench``.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def drop(duration: float, height: float = 0.3) -> tc.Scene:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print the table."""
-    given = options(__doc__, arguments, plain=False, duration=1.0, settings=len(STEPS), repeats=5)
+    given = options(__doc__, arguments, duration=1.0, settings=len(STEPS), repeats=5)
     case = drop(given.duration)
     settings = {name: values[: given.settings] for name, values in SETTINGS.items()}
     peers = [MuJoCo(kind, settings=STEPS[: given.settings]) for kind in METHODS]
@@ -57,7 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     reference = tc.accuracy.converged_motion(case, outputs)
     found = tc.work_precision(
         case, list(settings), settings, peers, reference=reference, repeats=given.repeats,
-        machine_code=not given.plain, progress=True,
+        progress=True,
     )  # fmt: skip
     print(found.table())
     if found.own_laws:

@@ -97,7 +97,6 @@ def morph(stiffness, pieces, rate=RATE, machine_code=True):
             rest_length=path.rest_length[:, 0],
             step=min(1e-3, 1.0 / fastest),
             output_step=SAMPLE,
-            machine_code=True,
         )
     return _read(run, (start, goal), path.time[-1], rate, controller)
 

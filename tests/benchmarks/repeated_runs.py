@@ -1,8 +1,7 @@
 """What a second simulation of the same model saves: time outside the steps, first and second call.
 
 Run: ``python -m tests.benchmarks.repeated_runs``. A prism of 9 bars and 27 strings moves for 0.1 s,
-then again from another start; a state is kept every millisecond. Compiled steps come from the
-cache on the disk in both calls.
+then again from another start; a state is kept every millisecond.
 """
 
 from __future__ import annotations
@@ -20,7 +19,6 @@ from tests.benchmarks.command_line import options
 
 RUNS = {
     "rk4": {"method": "rk4", "step": 1e-3},
-    "rk4, compiled": {"method": "rk4", "step": 1e-3, "machine_code": True},
     "dop853": {"method": "dop853", "tolerance": 1e-6},
     "cvodes": {"method": "cvodes", "tolerance": 1e-6},
     "energy_momentum": {"method": "energy_momentum", "step": 2e-3},
@@ -31,7 +29,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     repeats = options(__doc__, arguments, repeats=3).repeats
     print("0.1 s of a prism with 36 members   outside the steps      second/first   in the steps")
     for name, settings in RUNS.items():
-        run("warm-up", settings)  # compiled steps are on the disk from here on
+        run("warm-up", settings)
         runs = [run(name, settings) for _ in range(repeats)]
         first, second, steps = np.median(runs, axis=0)
         print(

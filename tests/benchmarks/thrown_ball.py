@@ -60,16 +60,14 @@ def peers(settings: int) -> list[Peer]:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print the tables."""
-    given = options(
-        __doc__, arguments, duration=5.0, settings=13, repeats=15, all=False, plain=False
-    )
+    given = options(__doc__, arguments, duration=5.0, settings=13, repeats=15, all=False)
     case = example(given.duration)
     settings = {name: values[: given.settings] for name, values in SETTINGS.items()}
     found = tc.work_precision(
         case, list(settings), settings, peers(given.settings), repeats=given.repeats,
-        outputs=max(1, round(10 * given.duration)), machine_code=not given.plain, progress=True,
+        outputs=max(1, round(10 * given.duration)), progress=True,
     )  # fmt: skip
-    print(f"{case.name}, {'nothing of ours compiled' if given.plain else 'compiled'}")
+    print(case.name)
     print(found.summary())
     if given.all:
         print(found.table())

@@ -1,7 +1,7 @@
 """Generated C under the sanitizers of the compiler and under valgrind, on absurd samples.
 
 ``python -m tests.fuzz.sanitizers`` compiles the C code of every controller in
-``tests/deploy/scenes.py``, and the steps that ``dynamics/machine_code.py`` compiles, with the
+``tests/deploy/scenes.py``, and the loops over the members of a large structure, with the
 address and the undefined-behaviour sanitizer, and runs them on samples among which are NaN,
 infinities, the largest and the smallest numbers; then without them under valgrind, which finds
 memory that is read before it is written. ``--count`` sets the number of samples, ``--only`` the
@@ -15,17 +15,14 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from contextlib import suppress
 from functools import cache, partial
 from pathlib import Path
-from unittest import mock
 
 import numpy as np
 
 import tenscontrol as tc
 from tenscontrol.dynamics import machine_code
 from tenscontrol.dynamics.forms.loops import loops_source
-from tenscontrol.integrate.methods import method_of
 from tests.deploy import scenes
 
 # Casts of what does not fit are not in "undefined".
@@ -225,7 +222,7 @@ def without_check(folder):
     data.write_text(re.sub(rf"(#define (?:{limits})) .*", r"\1 INFINITY", text))
 
 
-# ---- steps in machine code ----
+# ---- loops over the members ----
 
 _CALL = """
 #include <stdio.h>
@@ -302,34 +299,6 @@ def model(damping=0.0, supported=False):
     return tc.Model(structure, strings=tc.LinearStrings(stiffness=100.0, damping=damping))
 
 
-class _RecordedError(Exception):
-    """Ends what was only begun to see what it compiles."""
-
-
-def recorded(build_it):
-    """Return the C text that would be compiled to build something, with its function."""
-    found, source = [], machine_code._source
-
-    def note(function):
-        found.append((function.name(), source(function)))
-        raise _RecordedError
-
-    with mock.patch.object(machine_code, "_source", note), suppress(_RecordedError):
-        build_it()
-    return found
-
-
-def method(name, damping, supported):
-    """The C text of the steps of a method, with their functions."""
-
-    def build_it():
-        equation = model(damping, supported).equation(input="rest_length")
-        setting = 1e-6 if name == "dop853" else 1e-3
-        method_of(name).integrator(equation, setting, machine_code=True)
-
-    return recorded(build_it)
-
-
 def loops(damping, supported):
     """The C text of the loops over the members, with its functions."""
     shown = model(damping, supported)
@@ -338,21 +307,16 @@ def loops(damping, supported):
     return [(name, source) for name in ("slope", "gap", "force")]
 
 
-_METHODS = {"rk4": 0.5, "dop853": 0.5}
-STEPS = {
-    f"{name}{' on supports' if supported else ''}": partial(method, name, damping, supported)
-    for name, damping in _METHODS.items()
-    for supported in (False, True)
-} | {
+LOOPS = {
     "loops": partial(loops, 0.5, False),
     "loops on supports": partial(loops, 0.5, True),
 }
 
 
-def check_steps(name, count, flags=CHECKED):
-    """Build what is compiled for a method and call it; return how often."""
+def check_loops(name, count, flags=CHECKED):
+    """Build the loops of a scene and call them; return how often."""
     by_text = {}
-    for function, source in STEPS[name]():
+    for function, source in LOOPS[name]():
         by_text.setdefault(source, []).append(function)
     words = {
         "absurd": ", ".join(_c(x) for x in ABSURD),
@@ -378,7 +342,7 @@ def _c(value):
 
 
 def main(arguments=None):
-    names = [*CONTROLLERS, *STEPS]
+    names = [*CONTROLLERS, *LOOPS]
     parser = argparse.ArgumentParser(prog="python -m tests.fuzz.sanitizers", description=__doc__)
     parser.add_argument("--count", type=int, default=1000, help="samples (default: 1000)")
     parser.add_argument("--only", nargs="*", default=names, choices=names, metavar="NAME")
@@ -388,7 +352,7 @@ def main(arguments=None):
         return 2
     wrong = 0
     for name in options.only:
-        check = check_controller if name in CONTROLLERS else check_steps
+        check = check_controller if name in CONTROLLERS else check_loops
         for watched, flags, count in (
             ("sanitizers", CHECKED, options.count),
             ("valgrind", PLAIN, max(1, options.count // 10)),

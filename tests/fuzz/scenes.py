@@ -258,7 +258,7 @@ LINES = _words(
     """[structure] [run] [controller] [[faults]] [[run]] [a] [a.b.c] [loads] [skin] [[structure]]
 [prestress.force_density] x=1 =1 [ ] [] [[]] key "a"=1 ключ=1 "ключ"=1 ʎ.z=1 sides=3 duration=1
 [controller.reference] [[controller.reference]] [[controller.outputs]] time=1.0 height=0.9 #
-start=0.1 twist=0.1 shape_gives=true gravity=9.81 fixed=[0] seed=3 machine_code=true
+start=0.1 twist=0.1 shape_gives=true gravity=9.81 fixed=[0] seed=3
 method="cvodes" tolerance=1e-3 output_step=1e-9 segments=100000 iterations=12 horizon=5000
 per="string" delay=100 bar_mass=1e-9 radius=1e-9 height=1e20 stiffness=1e15 damping=1e9
 kind="hertz" kind="smooth" width=0.1 friction=5 slip_speed=1e-9 normal=[0,0,1] [ground] [[ground]]

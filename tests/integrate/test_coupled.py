@@ -393,15 +393,3 @@ def test_a_step_that_is_too_long_is_shortened():
     x = pack_state(structure, structure.nodes, velocities)
     span = METHODS["energy_momentum"].integrator(equation, 1.0).advance(x, np.zeros(0), 1.0, 1)
     assert span.work.rejections
-
-
-def test_machine_code_takes_the_same_steps():
-    structure = double_pendulum()
-    equation = tc.Model(structure, gravity=9.8).equation("force_density")
-    x = pack_state(structure, structure.nodes, np.zeros((2, 3)))
-    spans = [
-        METHODS["rk4"].integrator(equation, 0.01, machine_code=machine_code)
-        .advance(x, np.zeros(0), 0.3, 1)
-        for machine_code in (False, True)
-    ]  # fmt: skip
-    np.testing.assert_allclose(spans[1].states, spans[0].states, rtol=0, atol=1e-12)

@@ -1,5 +1,7 @@
 """Steps that end at slack switches: order, simultaneous, double and grazing switches."""
 
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,15 @@ from tests.dynamics.scenes import paper_force_density, random_structure, rest_le
 from tests.integrate.stepping import moving
 from tests.oracle import HeldRestLength, RigidBars
 from tests.random_scenes import random_scene
+from tests.without_core import without_core
+
+
+@pytest.fixture(params=["core", "Python"], autouse=True)
+def _loop(request):
+    """Both loops over steps: that of the core where it is, and that in Python."""
+    with without_core() if request.param == "Python" else nullcontext():
+        yield
+
 
 DURATION = 5.0
 TIMES = np.linspace(0.0, DURATION, 11)
@@ -70,17 +81,6 @@ def test_steps_of_dop853_end_at_switches_on_their_interpolant(example):
     tries = work.steps + work.rejections
     assert work.switches == 6 * 55
     assert work.evaluations < 12 * tries + 55 * 11  # 55 * 14 by steps alone
-
-
-@pytest.mark.parametrize(("name", "setting"), [("rk4", 2e-3), ("dop853", 1e-8)])
-def test_machine_code_gives_the_same_numbers(example, name, setting):
-    there = METHODS[name].integrator(example[0].equation("rest_length"), setting, machine_code=True)
-    if there.back_end != "machine code":
-        pytest.skip("no C compiler")
-    one, work = run(*example[:2], name, setting)
-    other, other_work = run(*example[:2], name, setting, machine_code=True)
-    np.testing.assert_array_equal(one, other)
-    assert work == other_work
 
 
 # Two masses on a string: the stretch is that of one mass m/2 on a spring.

@@ -97,7 +97,7 @@ MIDPOINT = tc.integrate.Method("midpoint", ("step",), "order 2, explicit", Midpo
 
 
 def test_a_method_of_your_own_is_taken_as_it_is(prism):
-    """Its order holds through slack switches, projected and compiled as well."""
+    """Its order holds through slack switches, projected as well."""
     lengths = rest_lengths(prism, paper_force_density(9.0), 100.0)
     model = tc.Model(prism, strings=tc.LinearStrings(100.0))
     limits = tc.HealthLimits(energy_error=None, bar_length_error=None, position_error=None)
@@ -108,7 +108,7 @@ def test_a_method_of_your_own_is_taken_as_it_is(prism):
         np.abs(run(method=MIDPOINT, step=step).nodes[:, :, -1] - exact).max() for step in steps
     ]
     assert 1.8 < np.polyfit(np.log(steps), np.log(errors), 1)[0] < 2.3
-    fine = run(method=MIDPOINT, step=1e-3, project=True, machine_code=True)
+    fine = run(method=MIDPOINT, step=1e-3, project=True)
     assert fine.method == "midpoint"
     assert np.abs(fine.bar_length_error).max() < 1e-14
     with pytest.raises(ValueError, match="method 'midpoint' needs a step"):

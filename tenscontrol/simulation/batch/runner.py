@@ -50,9 +50,11 @@ class Runner:
 
     def __init__(
         self, scene: BatchInputs, kept: IntArray, controller: Controller | None,
+        machine_code: bool,
     ) -> None:  # fmt: skip
         structure = scene.model.structure
         self.scene, self.kept, self._controller = scene, kept, controller
+        self._machine_code = machine_code
         self.how, output_step = scene.base.integration, scene.base.integration.output_step
         sample_time = None if controller is None else controller.sample_time
         self.spans = scene.spans(output_step, sample_time)
@@ -127,13 +129,13 @@ class Runner:
             if method.differentiates and shared.form == "loops":
                 shared = self._equation(scene.model, "mapped", ())
             self._shared = shared
-            if how.machine_code and steps:
-                self._plain = self._integrator(shared, machine_code=False)
+            if self._machine_code and steps:
+                self._plain = self._integrator(shared)
                 self._lanes = Lanes.of(self._plain, shared, self._projects)
         if self._lanes is not None:
             back_end = self._lanes.back_end
         elif self._shares:
-            back_end = self._integrator(self._shared, how.machine_code).back_end
+            back_end = self._integrator(self._shared).back_end
         else:
             back_end = "a model built for each run"
         self.choice = replace(chosen, back_end=back_end)
@@ -176,17 +178,12 @@ class Runner:
         # Strings without any damping have simpler equations.
         return damping is None or bool((damping > 0).any(axis=1).all())
 
-    def _integrator(
-        self, equation: Equation, machine_code: bool, value: float | None = None
-    ) -> Integrator:
-        value = self.choice.value if value is None else value
-        return self._made(self._method, equation, machine_code, value)
+    def _integrator(self, equation: Equation, value: float | None = None) -> Integrator:
+        return self._made(self._method, equation, self.choice.value if value is None else value)
 
-    def _made(
-        self, method: Method, equation: Equation, machine_code: bool, value: float
-    ) -> Integrator:
+    def _made(self, method: Method, equation: Equation, value: float) -> Integrator:
         project = self._project_of(method)
-        return method.integrator(equation, value, self.choice.setting, project, machine_code)
+        return method.integrator(equation, value, self.choice.setting, project)
 
     def _project_of(self, method: Method) -> bool | None:
         """Return what the user says, unless the method was chosen and needs no projection."""
@@ -398,15 +395,14 @@ class Runner:
 
         ``value`` is its step or tolerance, that of the batch if not given.
         """
-        code = self.how.machine_code
         if self._watches:
             return self._watched(run, self.choice.value if value is None else value)
         if self._shares:
-            return self._integrator(self._shared, code, value)
+            return self._integrator(self._shared, value)
         equation = self._equation(self.scene.model_of(run), "auto", ())
         if self._method.differentiates and equation.form == "loops":
             equation = self._equation(self.scene.model_of(run), "mapped", ())
-        return self._integrator(equation, code, value)
+        return self._integrator(equation, value)
 
     def _watched(self, run: int, value: float) -> Integrator:
         model = self.scene.model if self._shares else self.scene.model_of(run)
@@ -416,7 +412,7 @@ class Runner:
             method = METHODS[name]
             is_mapped = method.differentiates and equation.form == "loops"
             of = self._equation(model, "mapped", ()) if is_mapped else equation
-            return self._made(method, of, self.how.machine_code, value)
+            return self._made(method, of, value)
 
         return Watched(equation, self._methods_of(run)[-1], make, self.scene.duration)
 
@@ -588,7 +584,7 @@ class Runner:
         """Return what integrates a run with another step or tolerance."""
         if self._lanes is None:
             return self._made_for(run, value)
-        plain = self._integrator(self._shared, False, value)
+        plain = self._integrator(self._shared, value)
         lanes = Lanes.of(plain, self._shared, self._projects)
         assert lanes is not None  # those of the runs have the same code
         return lanes.single
@@ -604,9 +600,9 @@ class Runner:
 
         def build() -> ca.Function:
             function = shared.of_parameters(name, names) if names else getattr(shared, name)
-            code = if_compiled(lambda: compiled(function)) if self.how.machine_code else None
+            code = if_compiled(lambda: compiled(function)) if self._machine_code else None
             return function if code is None else code
 
-        key = "shared", name, tuple(names), self.how.machine_code and compiler()
+        key = "shared", name, tuple(names), self._machine_code and compiler()
         found = shared.prepared.get(key, build)
         return found, [scene.some(each, run, run + 1)[0] for each in names]

@@ -285,9 +285,8 @@ def simulate_many(
     ((100, 3, 6, 2), 100)
     """
     validation.instance("model", model, Model, "make one by Model(structure)")
-    integration = Integration(
-        method, tolerance, step, output_step, project, machine_code, error="none"
-    )
+    integration = Integration(method, tolerance, step, output_step, project, error="none")
+    validation.truth("machine_code", machine_code, "whether to compile the steps")
     validation.truth("progress", progress, "whether to show a progress bar")
     validation.choice("error", error, ("sample", "all", "none"))
     threads = _processors() if threads is None else validation.whole_number("threads", threads, 1)
@@ -305,7 +304,7 @@ def simulate_many(
         kept = validation.index_list("keep_nodes", keep_nodes, len(kept), "nodes")
     runner = errors = None
     with keeping("runs are done, the others are NaN", lambda: 0 if runner is None else runner.done):
-        runner = Runner(scene, kept, law)
+        runner = Runner(scene, kept, law, machine_code)
         with progress_bar(scene.count, progress, label="simulating", unit="runs") as report:
             runner.run(threads, report)
         if error != "none":
