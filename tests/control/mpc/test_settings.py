@@ -50,7 +50,7 @@ def test_a_controller_keeps_its_settings(kind):
         (
             "simplex",
             ValueError,
-            "solver is 'simplex', expected one of 'auto', 'daqp', 'osqp', 'piqp'",
+            "solver is 'simplex', expected one of 'auto', 'stages', 'osqp'",
         ),
         (dict, TypeError, "solver is <class 'dict'>, expected a name or a subclass of QPSolver"),
     ],
