@@ -249,8 +249,8 @@ def test_mpc_step(printed):
     assert 2 < push <= 5
     assert len(re.findall(r"^  (?:stages|osqp), (?:updated|built anew) ", text, re.M)) == 8
     assert row(text, "        5 ")[0] == 45
-    assert float(re.search(r"difference of a command: (\S+) m", text)[1]) < 1e-3
-    assert row(text, "  stages ")[4] > 0
+    *_, changes, _, _ = map(float, text.splitlines()[-1].split())
+    assert changes > 0
 
 
 def test_stiffness(printed):

@@ -2,8 +2,8 @@
 
 Run: ``python -m tests.benchmarks.mpc_step``. Prints ratios measured in one run, of processor time;
 the prism is moved to a new height (no bound active) and recovers from a push (bounds active).
-Then MPC by winches on a tower of prisms, along the stages and by OSQP: processor time and growth of
-memory of its making, and times of commands: the first, those until 0.2 s after pushes that make
+Then MPC by winches on a tower of prisms, along the stages: processor time and growth of memory of
+its making, and times of commands: the first, those until 0.2 s after pushes that make
 limits active, and the others.
 
 With ``--other FOLDER``, another checkout of the project, whole commands of the two are timed in
@@ -90,39 +90,32 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def on_tower(stages, horizon, push):
-    """Print what MPC on a tower takes along the stages and by OSQP, from the same states."""
+    """Print what MPC on a tower takes along the stages."""
     rest = tc.prestress(tc.prism_tower(stages), min_force_density=5.0)
     model = tc.Model(rest.structure, strings=tc.LinearStrings(stiffness=1e3))
     plant = tc.linearize(model, rest, input="rest_length")
     states, inputs = plant.B.shape
     print(f"\ntower of {stages} stages, {states} states, {inputs} inputs, horizon {horizon}")
-    print("  solver     build s     MB    first ms  pushed ms: median  99 %  changes  "
+    print("  build s     MB    first ms  pushed ms: median  99 %  changes  "
           "others ms: median  99 %")  # fmt: skip
-    seen, plans = [], {}
-    for solver in SOLVERS:
-        before, began = peak(), process_time()
-        mpc = tc.MPC(
-            plant, horizon=horizon, sample_time=demo.SAMPLE, winches=tc.Winches(rate=0.3),
-            solver=solver, max_iterations=100_000,
-        )  # fmt: skip
-        took, memory = process_time() - began, peak() - before
-        moments = seen or recovery(plant, mpc, push)
-        seen, found = moments, []
-        mpc.reset()
-        times = []
-        for moment in moments:
-            began = process_time()
-            found.append(mpc.command(*moment).value)
-            times.append(1e3 * (process_time() - began))
-        plans[solver], work = np.array(found), mpc.statistics.iterations
-        after = (np.arange(len(times)) % 30 < 10) & (np.arange(len(times)) > 0)
-        hurried, calm = np.array(times)[after], np.array(times)[~after][1:]
-        print(f"  {solver:10s} {took:7.2f} {memory:6.0f} {times[0]:11.1f} "
-              f"{np.median(hurried):18.1f} {np.quantile(hurried, 0.99):5.1f} "
-              f"{work[after].max():7d} {np.median(calm):18.1f} "
-              f"{np.quantile(calm, 0.99):5.1f}", flush=True)  # fmt: skip
-    off = np.abs(plans["stages"] - plans["osqp"]).max()
-    print(f"  largest difference of a command: {off:.0e} m")
+    before, began = peak(), process_time()
+    mpc = tc.MPC(
+        plant, horizon=horizon, sample_time=demo.SAMPLE, winches=tc.Winches(rate=0.3),
+        solver="stages",
+    )  # fmt: skip
+    took, memory = process_time() - began, peak() - before
+    moments, times = recovery(plant, mpc, push), []
+    mpc.reset()
+    for moment in moments:
+        began = process_time()
+        mpc.command(*moment)
+        times.append(1e3 * (process_time() - began))
+    work = mpc.statistics.iterations
+    after = (np.arange(len(times)) % 30 < 10) & (np.arange(len(times)) > 0)
+    hurried, calm = np.array(times)[after], np.array(times)[~after][1:]
+    print(f"  {took:7.2f} {memory:6.0f} {times[0]:11.1f} {np.median(hurried):18.1f} "
+          f"{np.quantile(hurried, 0.99):5.1f} {work[after].max():8d} {np.median(calm):18.1f} "
+          f"{np.quantile(calm, 0.99):5.1f}", flush=True)  # fmt: skip
 
 
 def peak():

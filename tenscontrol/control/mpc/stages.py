@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import ctypes
 import math
+from collections.abc import Iterable
 from functools import cache
 from time import perf_counter
 from typing import Any, final
@@ -223,14 +224,14 @@ class _CoreProgram:
         )
         return bool(self._prepare(self.program, slots, fresh, tolerance, *addresses))
 
-    def solve(self, state: int, acting: int, previous: int, deadline: float) -> Status:
-        """Solve for vectors at these addresses; they may be left for want of time."""
+    def solve(self, measured: Iterable[int], deadline: float) -> Status:
+        """Solve for state, acting and previous input at these addresses, until the deadline."""
         stop = _NEVER
         if deadline < np.inf:
             if perf_counter() >= deadline:
                 return Status.OUT_OF_TIME
             stop = _Stop(lambda _: perf_counter() >= deadline)
-        number: int = self._solve(self.program, state, acting, previous, stop)
+        number: int = self._solve(self.program, *measured, stop)
         return _STATUS[number]
 
 
@@ -278,13 +279,10 @@ class StagesSubproblem(Subproblem):
     ) -> SubproblemSolution:  # fmt: skip
         """See :meth:`Subproblem.solve`."""
         core = self._core
-        targets = data.reference, data.input_reference, data.drift
-        targets, measured = (
-            tuple(np.ascontiguousarray(part, float) for part in parts)
-            for parts in (targets, (state, acting, previous))
-        )
-        core.aim(core.program, *map(_address, targets))
-        status = core.solve(*map(_address, measured), deadline=deadline)
+        given = data.reference, data.input_reference, data.drift, state, acting, previous
+        kept = [np.ascontiguousarray(part, float) for part in given]
+        core.aim(core.program, *map(_address, kept[:3]))
+        status = core.solve(map(_address, kept[3:]), deadline)
         if status is Status.OUT_OF_TIME:
             return SubproblemSolution(status, 0, None)
         plan = None
@@ -369,7 +367,7 @@ class StagesProgram(LinearProgram):
         if self._data is not data:
             self._aim(data)
         self._state[:], self._previous[:] = state, previous
-        status = core.solve(*self._given, deadline)
+        status = core.solve(self._given, deadline)
         work = 0 if status is Status.OUT_OF_TIME else core.iterations(core.program)
         if status is not Status.OK:
             self.forget()
