@@ -11,9 +11,12 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.arrays import FloatArray
+from tenscontrol.core.records import Progress
 from tenscontrol.dynamics.equation import Equation
 from tenscontrol.dynamics.evaluator import Function, SharedEvaluator
 from tenscontrol.dynamics.machine_code import compiled_source, compiler, if_compiled
+from tenscontrol.integrate.core_run import advance_in_core, settings_of
+from tenscontrol.integrate.core_scene import CoreMotion, core_scene
 from tenscontrol.integrate.dop853_loop import loop_source
 from tenscontrol.integrate.events import (
     FLAT,
@@ -111,11 +114,16 @@ class DOP853(Integrator):
         self, equation: Equation, tolerance: float, project: bool = True, machine_code: bool = False
     ) -> None:
         super().__init__(equation, project, machine_code)
+        self._project = project
         self.tolerance = checked_tolerance(tolerance)
         self._frequency = 0.0  # largest, rad/s
         # Longest step over the largest frequency and of the span, and the first of the usual.
         self._shares = _STABLE, 1.0, 1.0
         self._held: FloatArray | None = None  # input for which it was found
+        self._core = core_scene(equation)
+        if self._core is not None:
+            self.back_end, self._largest = "core", None
+            return
         by = compiler() if machine_code else None
         built = self._kept(lambda: self._build(project, machine_code), project, machine_code, by)
         self._chunk, self._start, self._largest, self._turns, self.back_end, exact = built
@@ -125,7 +133,7 @@ class DOP853(Integrator):
     def cost(self) -> float:
         """See :attr:`Integrator.cost`."""
         states = self._equation.states
-        if self.back_end == "machine code":
+        if self.back_end in ("core", "machine code"):
             return 0.02 + 0.005 * states
         return 5.0 + 0.025 * states if self._equation.form == "loops" else 0.3 + 0.1 * states
 
@@ -167,15 +175,27 @@ class DOP853(Integrator):
         if before is None or (np.abs(of_strings - before) > 0.2 * np.abs(before)).any():
             self._frequency = largest_frequency(self._equation, state, held, self._largest)
             self._held = of_strings.copy()
-        taut, slope = self._start(state, held)
+        scene = self._core
+        if scene is None:
+            taut, slope = self._start(state, held)
+        else:
+            slope = scene.slope(state, held, scene.taut(state, held))
         scale = state_scale(self._equation, state, held, self._frequency)
         stable, whole, first = self._shares
         step = first * _first_step(slope, scale, duration)
-        carried = np.concatenate([state, slope, taut, [0.0, step], np.zeros(len(_CARRIED) - 2)])
         spacing = duration / outputs
         times: FloatArray = np.linspace(0.0, duration, outputs + 1)[1:]
         states = np.empty((n, outputs))
         longest = min(stable / max(self._frequency, 1e-300), whole * duration)
+        if scene is not None:
+            allowed = self.tolerance * scale
+            settings = settings_of(
+                "dop853", duration, outputs, self._project, step, longest, allowed, self.limit
+            )
+            return advance_in_core(
+                CoreMotion(scene, state, held, settings), _core_work, _core_failure, report
+            )
+        carried = np.concatenate([state, slope, taut, [0.0, step], np.zeros(len(_CARRIED) - 2)])
         given = np.concatenate([held, [duration, spacing, longest], self.tolerance * scale])
         if self._largest is None and self._turns > 1:  # a column for each turn of the graph
             given = np.tile(given[:, None], (1, self._turns))
@@ -288,6 +308,20 @@ def _work(told: dict[str, float]) -> Work:
         + landings
         + _MORE_STAGES * round(told["interpolants"]),
         switches=round(told["switches"]),
+    )
+
+
+def _core_work(progress: Progress) -> Work:
+    return _work({name: getattr(progress, name) for name, _ in Progress._fields_})
+
+
+def _core_failure(motion: CoreMotion) -> IntegrationError:
+    progress = motion.progress
+    return IntegrationError(
+        f"dop853 stopped after {progress.time:.6g} s: its step fell to {progress.step:.1e} s, as "
+        "the forces are no longer finite or change without end",
+        progress.time,
+        Span(motion.states[: motion.done].T, _core_work(progress)),
     )
 
 

@@ -13,9 +13,12 @@ import numpy as np
 
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray
+from tenscontrol.core.records import Progress
 from tenscontrol.dynamics.equation import Equation
 from tenscontrol.dynamics.evaluator import Evaluator, Function
 from tenscontrol.dynamics.machine_code import compiler
+from tenscontrol.integrate.core_run import advance_in_core, settings_of
+from tenscontrol.integrate.core_scene import CoreMotion, core_scene
 from tenscontrol.integrate.events import COUNTS, located, taut_strings
 from tenscontrol.integrate.integrator import (
     IntegrationError,
@@ -63,11 +66,19 @@ class FixedStep(Integrator):
     #: Evaluations of the right-hand side, or of the forces, in one step.
     evaluations_per_step: int
 
+    #: Whether the compiled core has the method.
+    runs_in_core = False
+
     def __init__(
         self, equation: Equation, step: float, project: bool = False, machine_code: bool = False
     ) -> None:
         super().__init__(equation, project, machine_code)
+        self._project = project
         self.step = validation.positive_number("step", step, "s")
+        self._core = core_scene(equation) if self.runs_in_core else None
+        if self._core is not None:
+            self.back_end = "core"
+            return
         by = compiler() if machine_code else None
         steps = self._kept(lambda: self._build(project, machine_code), project, machine_code, by)
         self._size, self._many, self.back_end = steps.size, steps.many, steps.back_end
@@ -206,6 +217,41 @@ class RK4(FixedStep):
 
     name = "rk4"
     evaluations_per_step = 4
+    runs_in_core = True
+
+    def advance(
+        self,
+        state: FloatArray,
+        held: FloatArray,
+        duration: float,
+        outputs: int,
+        report: Report | None = None,
+    ) -> Span:
+        """See :meth:`Integrator.advance`."""
+        scene = self._core
+        if scene is None:
+            return super().advance(state, held, duration, outputs, report)
+        state, held, duration, outputs = self._checked(state, held, duration, outputs, report)
+        inner = self.steps_between(duration, outputs)
+        step = duration / (inner * outputs)
+        settings = settings_of("rk4", duration, outputs, self._project, step=self.step)
+        motion = CoreMotion(scene, state, held, settings)
+
+        def work(progress: Progress) -> Work:
+            steps = round(progress.time / step)
+            return Work(
+                steps=steps + progress.landings,
+                evaluations=4 * progress.tries + 2 * progress.landings,
+                switches=progress.switches,
+                missed=progress.missed,
+            )
+
+        def failure(motion: CoreMotion) -> IntegrationError:
+            good = round(motion.progress.time / step) - 1
+            reached = Span(motion.states[: motion.done].T, work(motion.progress))
+            return IntegrationError(not_finite(good, step), step * good, reached)
+
+        return advance_in_core(motion, work, failure, report)
 
     def step_function(self, equation: Equation) -> ca.Function:
         """See :meth:`FixedStep.step_function`."""

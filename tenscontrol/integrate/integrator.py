@@ -17,6 +17,7 @@ from tenscontrol.dynamics.contact_laws import ContactLaw
 from tenscontrol.dynamics.equation import Equation
 from tenscontrol.dynamics.evaluator import Function, SharedEvaluator
 from tenscontrol.dynamics.machine_code import compiled, if_compiled
+from tenscontrol.integrate.core_scene import core_scene
 from tenscontrol.structure.blocks import node_mass
 from tenscontrol.structure.structure import Structure
 from tenscontrol.structure.supports import moving_mass
@@ -198,8 +199,8 @@ class Integrator(ABC):
     #: Name as users give it to ``simulate(method=...)``.
     name: str
 
-    #: What runs the steps: ``"virtual machine"`` (CasADi's), ``"machine code"`` (compiled C), or
-    #: ``"machine code for the forces"``.
+    #: What runs the steps: ``"core"`` (compiled at installation), ``"virtual machine"`` (CasADi's),
+    #: ``"machine code"`` (compiled C), or ``"machine code for the forces"``.
     back_end = "virtual machine"
 
     #: Evaluations after which :meth:`advance` raises :class:`IntegrationPause`, where it can.
@@ -313,9 +314,13 @@ def state_scale(
     if structure is None or force is None:
         return 1 + np.abs(state)
     q, v = state[: len(state) // 2], state[len(state) // 2 :]
-    taut = _shared(equation, "gap", lambda: equation.gap)(state, held)[0] > 0
-    found = _shared(equation, "force", lambda: force)(q, v, held, taut)[0]
-    forces = np.abs(found).max(initial=0.0)
+    core = core_scene(equation)
+    if core is None:
+        taut = _shared(equation, "gap", lambda: equation.gap)(state, held)[0] > 0
+        on_free = _shared(equation, "force", lambda: force)(q, v, held, taut)[0]
+    else:
+        on_free = core.forces(state, held, core.taut(state, held))
+    forces = np.abs(on_free).max(initial=0.0)
     size, mass = equation.prepared.get("size and mass", partial(_size_and_mass, structure))
     speeds = (np.abs(v).max(initial=0.0), np.sqrt(forces * size / mass), 1e-3 * size * frequency)
     # Where nothing moves and nothing pulls, any speed will do.
@@ -343,8 +348,11 @@ def largest_frequency(
         return 0.0
     n = equation.states // 2
     size = float(np.abs(state[:n] - state[:n].mean()).max()) or 1.0
-    square = by or _shared(equation, "frequency", lambda: power_iteration(equation))
     random = equation.prepared.get("random", lambda: np.random.default_rng(0).standard_normal(n))
+    core = core_scene(equation)
+    if core is not None:
+        return core.frequency(state, held, _DIFFERENCE * size, random)
+    square = by or _shared(equation, "frequency", lambda: power_iteration(equation))
     given = (state, held, _strings_alone(equation), _DIFFERENCE * size, random)
     return float(np.sqrt(square(*given)[0][0]))
 

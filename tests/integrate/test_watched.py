@@ -21,6 +21,7 @@ from tenscontrol.integrate import (
 from tenscontrol.integrate.methods import METHODS
 from tenscontrol.integrate.watched import WATCHED
 from tests.dynamics.scenes import paper_force_density, rest_lengths
+from tests.without_core import without_core
 
 PRISM = tc.prism()
 LENGTHS = rest_lengths(PRISM, paper_force_density(9.0), 100.0)
@@ -212,6 +213,7 @@ def stiff_and_damped():
     return tc.Model(PRISM, strings=law), lengths
 
 
+@without_core()  # where an explicit step costs a hundredth, none is too short
 def test_a_run_says_which_methods_it_took(tmp_path):
     model, lengths = stiff_and_damped()
     spin = np.cross([1.0, 0.0, 0.0], PRISM.nodes.T).T

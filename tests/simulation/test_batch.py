@@ -14,11 +14,19 @@ from tenscontrol.dynamics.equation import pack_state, unpack_states
 from tenscontrol.dynamics.machine_code import compiler
 from tenscontrol.integrate import Projector
 from tenscontrol.interrupt import InterruptionWarning
+from tests.without_core import without_core
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="no C compiler")
 
 RUNS = 6  # more than lanes, and not a multiple of them
 LOOKED_AT = (0, 3, 5)
+
+
+@pytest.fixture(autouse=True)
+def _no_core():
+    """Single runs have the bits of those of a batch where both are CasADi's."""
+    with without_core():
+        yield
 
 
 def thrown(structure, speed, seed=0):

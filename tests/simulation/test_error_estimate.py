@@ -164,7 +164,7 @@ def test_the_other_motion_takes_about_as_many_steps(example, monkeypatch):
     works = []
     for options, most in ({}, 2.4), ({"method": "rk4", "step": 1e-3}, 1.65):
         works.clear()
-        for kind in (tc.integrate.DOP853, tc.integrate.fixed_step.FixedStep):
+        for kind in (tc.integrate.DOP853, tc.integrate.RK4):
             advance = kind.advance
 
             def counted(self, *arguments, advance=advance):

@@ -1,0 +1,1 @@
+"""The compiled core: steps of integrators and programs of controllers in C, behind ctypes."""

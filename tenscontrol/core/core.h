@@ -1,0 +1,155 @@
+/* The compiled core: equation of motion, steps, located switches, many steps a call.
+
+   Units are SI. Vectors of nodes are stored node by node, d entries each. Places of nodes in tables
+   are places of their first entry, d times the number of the node. The state is the free entries of
+   the positions, then those of the velocities. A Scene and its tables belong to the caller and are
+   not written to; work memory is the caller's too, of `tc_work_size` numbers. */
+#ifndef TENSCONTROL_CORE_H
+#define TENSCONTROL_CORE_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#if defined(_WIN32)
+#define EXPORTED __declspec(dllexport)
+#else
+#define EXPORTED __attribute__((visibility("default")))
+#endif
+
+/* The same operations, so the same numbers, in wider registers where the machine has them. */
+#if defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && !defined(__clang__)
+#define WIDE __attribute__((target_clones("avx2", "default")))
+#else
+#define WIDE
+#endif
+
+enum { FORCE_DENSITY_HELD, LINEAR_STRINGS, ELASTIC_STRINGS };
+enum { LINEAR_GROUND, HERTZ_GROUND, SMOOTH_GROUND };
+
+/* A plane that some nodes can touch. */
+typedef struct {
+  int32_t kind, count, first_switch; /* of contacts; -1 where the force is smooth */
+  const int32_t *node;
+  double stiffness, damping, friction, slip_speed, height, width, normal[3];
+} Ground;
+
+/* A structure with its strings, loads, supports and ground. */
+typedef struct {
+  int32_t dimension, entries, free; /* d; d n; entries that supports leave free */
+  int32_t law, damped, strings, segments, clustered, slacking, switches;
+  int32_t free_bars, swinging_bars, points, grounds;
+  int32_t block_bars, block_rows, unknowns, factors;
+  double size;     /* largest extent of the structure, m */
+  double shortest; /* length below which a segment of a cluster has no direction, m */
+  const int32_t *free_row; /* (free), or null where all are */
+  const double *place;     /* (entries): positions of what supports hold, m */
+  const double *load;      /* (entries), N, or null */
+  const int32_t *segment_start, *segment_end, *segment_string;
+  const double *stiffness, *damping; /* (strings): N/m or N, and N s/m */
+  const int32_t *bar_start, *bar_end;
+  const int32_t *bar_row; /* (free_bars, 2): places of its ends among the free entries */
+  const double *bar_constants;
+  const int32_t *hinge, *tip;
+  const int32_t *tip_row;
+  const double *tip_constants;
+  const int32_t *point;
+  const double *point_inverse_mass;
+  const Ground *ground;
+  /* Bars that share nodes: LDL' of [[M, J'], [J, 0]] in an order without vanishing pivots. The
+     array of factors holds the entries below the diagonal, column by column, the diagonal, and one
+     entry for what supports hold. */
+  const int32_t *block_start, *block_end;    /* (block_bars) */
+  const int32_t *entry_start, *entry_end;    /* (block_bars, d): places of b among the factors */
+  const int32_t *right_place;                /* (block_bars): of its equation among the unknowns */
+  const double *block_mass;                  /* (factors + unknowns + 1) */
+  const int32_t *factor_row, *factor_first, *factor_pair;
+  const int32_t *block_row, *block_place;    /* (block_rows): among the entries, the unknowns */
+} Scene;
+
+/* The inputs of a span as polynomials in time: coefficients of power 0 of all values, of power 1, and
+   so on. Values are those of strings, then loads on all entries, then displacements of all. */
+typedef struct {
+  const double *coefficients;
+  double begin; /* time of the polynomials at the start of the span, s */
+  int32_t count, degree, is_loaded, is_moved;
+} Drive;
+
+/* A block of bars that nothing holds: it is turned as one body to keep its angular momentum. */
+typedef struct {
+  int32_t bars, nodes;
+  const int32_t *start, *end; /* (bars): places of nodes among the free entries */
+  const double *bar_mass;
+  const int32_t *node;        /* (nodes): the same of its nodes */
+  const double *point_mass;
+} Body;
+
+/* Bars that are put on their lengths after a step, m. */
+typedef struct {
+  const double *bar_length, *tip_length; /* (free_bars), (swinging_bars) */
+  const double *block_length;            /* (block_bars) */
+  const int32_t *block_free;             /* (block_rows): their places among the free entries */
+  int32_t bodies;
+  const Body *body;
+} Lengths;
+
+/* A motion between two calls: it goes on from here, to the last bit. */
+typedef struct {
+  double time, step; /* s */
+  int32_t stuck, stalls;
+  int64_t tries, rejections, landings, approaches, switches, interpolants, missed;
+} Progress;
+
+/* How a motion is integrated. */
+typedef struct {
+  int32_t method; /* RK4_METHOD or DOP853_METHOD */
+  int32_t projects;
+  int32_t outputs; /* equally spaced over the span, the last at its end */
+  int32_t budget;  /* steps tried in a call, at most */
+  double duration, step, longest;
+  double limit;        /* evaluations from which on no step is tried, of dop853 */
+  const double *scale; /* (states): what a step may err, of dop853 */
+} Settings;
+
+enum { RK4_METHOD, DOP853_METHOD };
+
+/* Work memory that every call but the first takes, as a count of numbers. */
+EXPORTED size_t tc_motion_work_size(const Scene *scene, const Drive *drive);
+
+/* xdot of a state at the start of a span; taut says which strings pull and which contacts press,
+   1 or 0 each. */
+EXPORTED void tc_slope(const Scene *scene, const Drive *drive, const double *state,
+                       const double *taut, double *slope, double *work);
+
+/* Forces on all entries, N. */
+EXPORTED void tc_forces(const Scene *scene, const Drive *drive, const double *state,
+                        const double *taut, double *forces, double *work);
+
+/* How far strings are from slack and contacts from open, m, and the rates of it, m/s. */
+EXPORTED void tc_gap(const Scene *scene, const Drive *drive, const double *state, double *gap,
+                     double *rate, double *work);
+
+/* Which strings pull and contacts press in a state. */
+EXPORTED void tc_taut(const Scene *scene, const Drive *drive, const double *state, double *taut,
+                      double *work);
+
+/* Puts the bars of a state on their lengths. */
+EXPORTED void tc_restore(const Scene *scene, const Drive *drive, const Lengths *lengths,
+                         double *state, double *work);
+
+/* The largest angular frequency of small motions about a state, rad/s, by power iteration on the
+   derivative of the accelerations by positions, from differences of a length. `vector` is where it
+   begins. Contacts are taken as open. */
+EXPORTED double tc_frequency(const Scene *scene, const Drive *drive, const double *state,
+                             double difference, const double *vector, double *work);
+
+/* Evaluations of the equation by dop853 so far. */
+EXPORTED double tc_evaluations(const Progress *progress);
+
+/* Integrates until the end of the span, or until the budget or the limit is used up; writes the
+   states at outputs that are reached, one a row of `states`, and returns how many are. `slope` is
+   that of the state, of dop853. */
+EXPORTED int32_t tc_advance(const Scene *scene, const Drive *drive, const Lengths *lengths,
+                            const Settings *settings, Progress *progress, double *state,
+                            double *slope, double *taut, double *states, double *work);
+
+#endif

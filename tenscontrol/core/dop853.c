@@ -1,0 +1,234 @@
+/* Adaptive steps of order 8 by Dormand and Prince, which end at switches.
+
+   E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, 2nd ed., II.5
+   (coefficients, error estimate) and II.6 (interpolant). */
+#include <float.h>
+#include <math.h>
+#include <string.h>
+
+#include "dop853_coefficients.h"
+#include "kernels.h"
+#include "methods.h"
+
+enum { STAGES = 12, MORE_STAGES = 3, SLOPES = 16, POWERS = 7, ORDER = 8, MOST_STALLS = 50 };
+
+/* Steps aim at an error of this part of what it may be; they change by these factors at most. */
+static const double SAFETY = 0.75, LEAST = 0.2, MOST = 10;
+
+/* A step shorter than this part of the span is lost in round-off. */
+static const double SHORTEST = 10 * DBL_EPSILON;
+
+/* A longer step, times the largest frequency, makes round-off grow, which no estimate sees. */
+static const double STABLE = 4;
+
+/* What ending late at a switch may change of velocities, as part of what a step may err. */
+static const double LATE = 0.003;
+
+/* Steps end at a switch on their interpolant where it errs less than this part of it. */
+static const double SMOOTH = 0.3;
+
+typedef struct {
+  Span *span;
+  const double *x, *taut;
+  double time, h; /* of the step */
+  double *K, *y, *interpolant;
+  double reach; /* h of the interpolant */
+} Dop853;
+
+#define STAGE(k)                                                              \
+  do {                                                                        \
+    for (int i = 0; i < n; ++i) y[i] = x[i] + h * STAGE_##k;                  \
+    slope_at(m->span, y, m->time + TIME_##k * h, m->taut, K + k * n);         \
+  } while (0)
+
+/* The sums of a stage, in wide registers. */
+#define SUM(k)                                                                                   \
+  WIDE static void sum_##k(const double *restrict x, double h, const double *restrict K,         \
+                           double *restrict y, int n) {                                          \
+    for (int i = 0; i < n; ++i) y[i] = x[i] + h * STAGE_##k;                                     \
+  }
+SUM(1) SUM(2) SUM(3) SUM(4) SUM(5) SUM(6) SUM(7) SUM(8) SUM(9) SUM(10) SUM(11)
+SUM(13) SUM(14) SUM(15)
+#undef STAGE
+#define STAGE(k)                                                      \
+  do {                                                                \
+    sum_##k(x, h, K, y, n);                                           \
+    slope_at(m->span, y, m->time + TIME_##k * h, m->taut, K + k * n); \
+  } while (0)
+
+WIDE static void sum_end(const double *restrict x, double h, const double *restrict K,
+                         double *restrict y, int n) {
+  for (int i = 0; i < n; ++i) y[i] = x[i] + h * END;
+}
+
+/* A step of length h, whose first slope is known. */
+static void step_of(Dop853 *m, double h, double *x1) {
+  const int n = m->span->states;
+  const double *x = m->x;
+  double *K = m->K, *y = m->y;
+  STAGE(1); STAGE(2); STAGE(3); STAGE(4); STAGE(5); STAGE(6);
+  STAGE(7); STAGE(8); STAGE(9); STAGE(10); STAGE(11);
+  sum_end(x, h, K, x1, n);
+  restore_bars(m->span, x1);
+}
+
+/* The root mean square of the error over the state, as part of what it may be. */
+WIDE static double error_of(const double *restrict K, const double *restrict scale, double h,
+                            int n) {
+  double fifth = 0, third = 0, below;
+  for (int i = 0; i < n; ++i) {
+    const double a = FIFTH / scale[i], b = THIRD / scale[i];
+    fifth += a * a;
+    third += b * b;
+  }
+  below = sqrt((fifth + 0.01 * third) * n);
+  /* Nothing moves: no error. Squares that overflow: a step far too long. */
+  return below > 0 && below < INFINITY ? h * fifth / below : below;
+}
+
+static double factor_of(double error) {
+  return smaller(larger(SAFETY * pow(larger(error, 1e-16), -1.0 / ORDER), LEAST), MOST);
+}
+
+WIDE static void dense(const double *restrict x, const double *restrict x1,
+                       const double *restrict K, double h, double *restrict made, int n) {
+  const double *f = K, *f1 = K + STAGES * n;
+  for (int i = 0; i < n; ++i) {
+    const double step = x1[i] - x[i];
+    made[i] = step;
+    made[n + i] = h * f[i] - step;
+    made[2 * n + i] = 2 * step - h * (f1[i] + f[i]);
+  }
+  for (int i = 0; i < n; ++i) made[3 * n + i] = h * DENSE_0;
+  for (int i = 0; i < n; ++i) made[4 * n + i] = h * DENSE_1;
+  for (int i = 0; i < n; ++i) made[5 * n + i] = h * DENSE_2;
+  for (int i = 0; i < n; ++i) made[6 * n + i] = h * DENSE_3;
+}
+
+/* The coefficients of the interpolant of a step of length h to x1. */
+static void interpolate(Dop853 *m, double h, const double *x1) {
+  const int n = m->span->states;
+  const double *x = m->x;
+  double *K = m->K, *y = m->y;
+  STAGE(13); STAGE(14); STAGE(15);
+  dense(x, x1, K, h, m->interpolant, n);
+  m->reach = h;
+}
+
+/* The state on the interpolant a time after the start of the step. */
+WIDE static void within(const double *restrict x, const double *restrict made, double part,
+                        double *restrict to, int n) {
+  for (int i = 0; i < n; ++i) {
+    double value = 0;
+    for (int k = POWERS - 1; k >= 0; --k)
+      value = (value + made[k * n + i]) * (k % 2 ? 1 - part : part);
+    to[i] = x[i] + value;
+  }
+}
+
+static void place_inside(void *by, double part, double *x1) {
+  Dop853 *m = by;
+  within(m->x, m->interpolant, part * m->h / m->reach, x1, m->span->states);
+  restore_bars(m->span, x1);
+}
+
+static void place_by_step(void *by, double part, double *x1) {
+  Dop853 *m = by;
+  step_of(m, part * m->h, x1);
+}
+
+/* What the interpolant errs at a part of the step, as part of the error estimate. */
+static double interpolant_error(double part) {
+  double value = 0;
+  for (int k = sizeof INTERPOLANT_ERROR / sizeof(double) - 1; k >= 0; --k)
+    value = INTERPOLANT_ERROR[k] + part * value;
+  return fabs(value);
+}
+
+/* A landing takes a new start. */
+double tc_evaluations(const Progress *now) {
+  return 1.0 + STAGES * (double)(now->tries + now->approaches) + (double)now->landings +
+         MORE_STAGES * (double)now->interpolants;
+}
+
+int advance_by_dop853(Span *span, const Settings *settings, Progress *now, double *x, double *slope,
+                      double *taut, double *states, double *work) {
+  const int n = span->states, m = span->switches;
+  const double duration = settings->duration, *scale = settings->scale;
+  const double spacing = duration / settings->outputs;
+  double *x1 = work, *K = x1 + n, *y = K + SLOPES * n, *made = y + n, *started = made + POWERS * n;
+  Dop853 method = {span, x, taut, 0, 0, K, y, made, 0};
+  /* The first output that is not reached yet. */
+  int done = (int)floor(now->time / spacing * (1 + 1e-14));
+  for (int tried = 0; tried < settings->budget && now->time < duration && !now->stuck; ++tried) {
+    if (tc_evaluations(now) >= settings->limit) break;
+    const double time = now->time;
+    const double h = smaller(smaller(now->step, settings->longest), duration - time);
+    const Tried step = {x, x1, K, K + STAGES * n, taut, time, h};
+    double taken = h, after, error, until;
+    int crossed = 0, is_inside = 0, places = 0;
+    method.time = time;
+    method.h = h;
+    memcpy(K, slope, n * sizeof *K);
+    step_of(&method, h, x1);
+    error = error_of(K, scale, h, n);
+    now->tries += 1;
+    if (!(error < 1)) {
+      now->step = h * (error < INFINITY ? smaller(factor_of(error), 1) : LEAST / 2);
+      now->rejections += 1;
+      now->stuck = now->step < SHORTEST * duration;
+      continue;
+    }
+    slope_at(span, x1, time + h, taut, K + STAGES * n);
+    crossed = m && is_crossed(span, &step);
+    memcpy(started, taut, m * sizeof *taut);
+    if (crossed) {
+      const double reach = settings->longest / STABLE;
+      const double allowed = 2 * LATE * scale[n - 1] * (reach * reach);
+      const Cut cut = first_switch(span, &step, allowed, 0);
+      if (cut.found) {
+        is_inside = error * interpolant_error(cut.part) < SMOOTH;
+        if (is_inside) {
+          interpolate(&method, h, x1);
+          now->interpolants += 1;
+        }
+        taken = h * approach(span, &step, cut, is_inside ? place_inside : place_by_step, &method,
+                             x1, &places);
+        if (!is_inside) now->approaches += places;
+        now->switches += switch_over(span, x1, time + taken, taut);
+      }
+    }
+    after = taken >= duration - time ? duration : time + taken;
+    until = after * (1 + 2e-14);
+    if (done + 1 < settings->outputs && (done + 1) * spacing <= until && after > time) {
+      if (!is_inside) {
+        method.taut = started;
+        if (crossed) slope_at(span, x1, time + taken, started, K + STAGES * n);
+        interpolate(&method, taken, x1);
+        method.taut = taut;
+        now->interpolants += 1;
+      }
+      for (; done + 1 < settings->outputs && (done + 1) * spacing <= until; ++done) {
+        double *to = states + (size_t)done * n;
+        within(x, made, ((done + 1) * spacing - time) / method.reach, to, n);
+        restore_bars(span, to);
+      }
+    }
+    now->time = after;
+    now->step = h * (crossed ? smaller(factor_of(error), 1) : factor_of(error));
+    memcpy(x, x1, n * sizeof *x);
+    if (crossed) {
+      now->landings += 1;
+      now->stalls = taken < SHORTEST * duration ? now->stalls + 1 : 0;
+      now->stuck = now->stalls > MOST_STALLS;
+      slope_at(span, x, after, taut, slope);
+    } else {
+      memcpy(slope, K + STAGES * n, n * sizeof *slope);
+    }
+  }
+  if (now->time >= duration) {
+    memcpy(states + (size_t)(settings->outputs - 1) * n, x, n * sizeof *x);
+    done = settings->outputs;
+  }
+  return done;
+}

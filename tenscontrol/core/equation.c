@@ -1,0 +1,186 @@
+/* The equation of motion by tables: forces on nodes, accelerations, and gaps of switches. */
+#include "motion.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "blocks.h"
+#include "kernels.h"
+
+/* Parts of the work memory. */
+typedef struct {
+  double *p, *v, *f, *a;                             /* (entries) */
+  double *ends, *end_rates;                          /* (entries): of strings that supports move */
+  double *S, *length, *rate, *gamma;                 /* (d, segments), (segments) */
+  double *string_length, *string_rate, *string_gamma; /* (strings) */
+  double *factors, *unknowns;
+} Work;
+
+size_t equation_work_size(const Scene *s) {
+  return 6 * (size_t)s->entries + (size_t)(s->dimension + 3) * s->segments +
+         3 * (size_t)s->strings + (size_t)s->factors + 2 * (size_t)s->unknowns + 1;
+}
+
+static Work parts_of(const Scene *s, double *work) {
+  Work w;
+  double **each[] = {&w.p, &w.v, &w.f, &w.a, &w.ends, &w.end_rates};
+  for (size_t i = 0; i < sizeof each / sizeof *each; ++i, work += s->entries) *each[i] = work;
+  w.S = work;
+  w.length = w.S + s->dimension * s->segments;
+  w.rate = w.length + s->segments;
+  w.gamma = w.rate + s->segments;
+  w.string_length = w.gamma + s->segments;
+  w.string_rate = w.string_length + s->strings;
+  w.string_gamma = w.string_rate + s->strings;
+  w.factors = w.string_gamma + s->strings;
+  w.unknowns = w.factors + s->factors + s->unknowns + 1;
+  return w;
+}
+
+/* Sums over the segments of each string. */
+static void sum_by_string(const Scene *s, const double *of_segments, double *of_strings) {
+  memset(of_strings, 0, s->strings * sizeof *of_strings);
+  for (int i = 0; i < s->segments; ++i) of_strings[s->segment_string[i]] += of_segments[i];
+}
+
+/* Force densities of strings, N/m; of those that are slack 0. */
+WIDE static void force_densities(const Scene *s, const double *restrict length,
+                                 const double *restrict rate, const double *restrict u,
+                                 const double *restrict taut, double *restrict gamma) {
+  const double *restrict k = s->stiffness, *restrict c = s->damping;
+  const int count = s->strings, linear = s->law == LINEAR_STRINGS;
+  if (s->law == FORCE_DENSITY_HELD) {
+    memcpy(gamma, u, count * sizeof *gamma);
+    return;
+  }
+  if (linear && !s->damped)
+    for (int i = 0; i < count; ++i)
+      linear_undamped_force_density(length[i], u[i], k[i], gamma + i);
+  else if (linear)
+    for (int i = 0; i < count; ++i)
+      linear_damped_force_density(length[i], u[i], rate[i], k[i], c[i], gamma + i);
+  else if (!s->damped)
+    for (int i = 0; i < count; ++i)
+      elastic_undamped_force_density(length[i], u[i], k[i], gamma + i);
+  else
+    for (int i = 0; i < count; ++i)
+      elastic_damped_force_density(length[i], u[i], rate[i], k[i], c[i], gamma + i);
+  for (int i = 0; i < count; ++i) gamma[i] *= taut[i];
+}
+
+WIDE static void string_gaps(const Scene *s, const double *restrict length,
+                             const double *restrict rate, const double *restrict u,
+                             double *restrict gap) {
+  const double *restrict k = s->stiffness, *restrict c = s->damping;
+  const int count = s->strings;
+  if (!s->damped)
+    for (int i = 0; i < count; ++i) gap[i] = length[i] - u[i];
+  else if (s->law == LINEAR_STRINGS)
+    for (int i = 0; i < count; ++i) linear_damped_gap(length[i], u[i], rate[i], k[i], c[i], gap + i);
+  else
+    for (int i = 0; i < count; ++i) elastic_damped_gap(length[i], u[i], rate[i], k[i], c[i], gap + i);
+}
+
+/* Factorizes the matrix of the blocks by LDL', without pivoting, in place. */
+void factorize(const Scene *s, double *K) {
+  double *diagonal = K + s->factors;
+  const int32_t *pair = s->factor_pair, *first = s->factor_first;
+  for (int c = 0; c < s->unknowns; ++c) {
+    const double inverse = 1 / diagonal[c];
+    diagonal[c] = inverse;
+    for (int k = first[c]; k < first[c + 1]; ++k) {
+      const double factor = K[k] * inverse;
+      for (int m = first[c]; m <= k; ++m) K[*pair++] -= factor * K[m];
+    }
+  }
+}
+
+/* Solves by the factors; the right-hand side becomes the solution. */
+void solve(const Scene *s, const double *K, double *y) {
+  const double *inverse = K + s->factors;
+  const int32_t *row = s->factor_row, *first = s->factor_first;
+  for (int c = 0; c < s->unknowns; ++c)
+    for (int k = first[c]; k < first[c + 1]; ++k) y[row[k]] -= K[k] * inverse[c] * y[c];
+  for (int c = s->unknowns - 1; c >= 0; --c) {
+    double sum = y[c];
+    for (int k = first[c]; k < first[c + 1]; ++k) sum -= K[k] * y[row[k]];
+    y[c] = sum * inverse[c];
+  }
+}
+
+#define D 2
+#include "equation_body.h"
+#undef D
+#define D 3
+#include "equation_body.h"
+#undef D
+
+static void spread(const Scene *s, const double *from, double *to) {
+  for (int i = 0; i < s->free; ++i) to[s->free_row[i]] = from[i];
+}
+
+static const double *moved(const double *of, const double *by, double *to, int count) {
+  if (!by) return of;
+  for (int i = 0; i < count; ++i) to[i] = of[i] + by[i];
+  return to;
+}
+
+/* Positions and velocities of all entries. */
+static void nodes_of(const Scene *s, const double *state, const double **p, const double **v,
+                     const Work *w) {
+  *p = state;
+  *v = state + s->free;
+  if (!s->free_row) return;
+  memcpy(w->p, s->place, s->entries * sizeof(double));
+  memset(w->v, 0, s->entries * sizeof(double));
+  spread(s, state, w->p);
+  spread(s, state + s->free, w->v);
+  *p = w->p;
+  *v = w->v;
+}
+
+void slope_of(const Scene *s, const double *state, const Input *input, const double *taut,
+              double *slope, double *work) {
+  const Work w = parts_of(s, work);
+  const double *p, *v, *ends, *end_rates;
+  double *a = s->free_row ? w.a : slope + s->free;
+  nodes_of(s, state, &p, &v, &w);
+  ends = moved(p, input->offset, w.ends, s->entries);
+  end_rates = moved(v, input->offset_rate, w.end_rates, s->entries);
+  if (s->dimension == 2) {
+    forces_2(s, ends, end_rates, input, taut, w.f, &w);
+    accelerations_2(s, p, v, w.f, a, &w);
+  } else {
+    forces_3(s, ends, end_rates, input, taut, w.f, &w);
+    accelerations_3(s, p, v, w.f, a, &w);
+  }
+  memcpy(slope, state + s->free, s->free * sizeof(double));
+  if (s->free_row)
+    for (int i = 0; i < s->free; ++i) slope[s->free + i] = a[s->free_row[i]];
+}
+
+void forces_of(const Scene *s, const double *state, const Input *input, const double *taut,
+               double *forces, double *work) {
+  const Work w = parts_of(s, work);
+  const double *p, *v;
+  nodes_of(s, state, &p, &v, &w);
+  p = moved(p, input->offset, w.ends, s->entries);
+  v = moved(v, input->offset_rate, w.end_rates, s->entries);
+  if (s->dimension == 2)
+    forces_2(s, p, v, input, taut, forces, &w);
+  else
+    forces_3(s, p, v, input, taut, forces, &w);
+}
+
+void gap_of(const Scene *s, const double *state, const Input *input, double *gap, double *rate,
+            double *work) {
+  const Work w = parts_of(s, work);
+  const double *p, *v;
+  nodes_of(s, state, &p, &v, &w);
+  p = moved(p, input->offset, w.ends, s->entries);
+  v = moved(v, input->offset_rate, w.end_rates, s->entries);
+  if (s->dimension == 2)
+    gaps_2(s, p, v, input->strings, gap, rate, &w);
+  else
+    gaps_3(s, p, v, input->strings, gap, rate, &w);
+}

@@ -1,0 +1,188 @@
+/* The equation of motion in D dimensions: included by equation.c, once for each. */
+
+#define NAME_(name, d) name##_##d
+#define NAME2(name, d) NAME_(name, d)
+#define N(name) NAME2(name, D)
+
+/* The vectors of segments, one row a direction, and their lengths. */
+WIDE static void N(segments)(const Scene *s, const double *restrict p, const double *restrict rest,
+                             double *restrict S, double *restrict length) {
+  const int count = s->segments;
+  const int32_t *restrict start = s->segment_start, *restrict end = s->segment_end;
+  for (int i = 0; i < count; ++i)
+    for (int k = 0; k < D; ++k) S[k * count + i] = p[end[i] + k] - p[start[i] + k];
+  if (!length) return;
+  if (s->clustered) {
+    const double least = s->shortest;
+    for (int i = 0; i < count; ++i) {
+      double square = 0;
+      for (int k = 0; k < D; ++k) square += S[k * count + i] * S[k * count + i];
+      length[i] = sqrt(larger(square, least * least));
+    }
+    return;
+  }
+  for (int i = 0; i < count; ++i) {
+    double one[D];
+    for (int k = 0; k < D; ++k) one[k] = S[k * count + i];
+    N(pulling_length)(one, rest[i], length + i);
+  }
+}
+
+WIDE static void N(length_rates)(const Scene *s, const double *restrict v,
+                                 const double *restrict S, const double *restrict length,
+                                 double *restrict rate) {
+  const int count = s->segments;
+  const int32_t *restrict start = s->segment_start, *restrict end = s->segment_end;
+  for (int i = 0; i < count; ++i) {
+    double one[D], change[D];
+    for (int k = 0; k < D; ++k) {
+      one[k] = S[k * count + i];
+      change[k] = v[end[i] + k] - v[start[i] + k];
+    }
+    N(length_rate)(one, change, length[i], rate + i);
+  }
+}
+
+/* Adds the pull of the strings to the forces on nodes. */
+WIDE static void N(pull)(const Scene *s, const double *p, const double *v, const double *u,
+                         const double *taut, double *restrict f, const Work *w) {
+  const int count = s->segments;
+  double *restrict S = w->S, *restrict length = w->length, *restrict rate = w->rate;
+  double *restrict gamma = w->gamma;
+  const int is_held = s->law == FORCE_DENSITY_HELD;
+  N(segments)(s, p, u, S, is_held && !s->clustered ? 0 : length);
+  if (!is_held && s->damped) N(length_rates)(s, v, S, length, rate);
+  if (s->clustered) {
+    sum_by_string(s, length, w->string_length);
+    if (!is_held && s->damped) sum_by_string(s, rate, w->string_rate);
+    force_densities(s, w->string_length, w->string_rate, u, taut, w->string_gamma);
+    for (int i = 0; i < count; ++i) {
+      const int j = s->segment_string[i];
+      gamma[i] = w->string_gamma[j] * w->string_length[j] / length[i];
+    }
+  } else {
+    force_densities(s, length, rate, u, taut, gamma);
+  }
+  for (int k = 0; k < D; ++k)
+    for (int i = 0; i < count; ++i) S[k * count + i] *= gamma[i];
+  for (int i = 0; i < count; ++i) {
+    double *on_start = f + s->segment_start[i], *on_end = f + s->segment_end[i];
+    for (int k = 0; k < D; ++k) {
+      on_start[k] += S[k * count + i];
+      on_end[k] -= S[k * count + i];
+    }
+  }
+}
+
+static void N(touch)(const Ground *g, const double *p, const double *v, const double *taut,
+                     double *f) {
+  for (int i = 0; i < g->count; ++i) {
+    const int at = g->node[i];
+    double force[D];
+    switch (g->kind) {
+    case LINEAR_GROUND:
+      N(linear_ground)(p + at, v + at, taut[i], g->stiffness, g->damping, g->friction,
+                       g->slip_speed, g->height, g->normal, force);
+      break;
+    case HERTZ_GROUND:
+      N(hertz_ground)(p + at, v + at, taut[i], g->stiffness, g->damping, g->friction,
+                      g->slip_speed, g->height, g->normal, force);
+      break;
+    default:
+      N(smooth_ground)(p + at, v + at, g->stiffness, g->damping, g->friction, g->slip_speed,
+                       g->height, g->width, g->normal, force);
+    }
+    for (int k = 0; k < D; ++k) f[at + k] += force[k];
+  }
+}
+
+static void N(forces)(const Scene *s, const double *p, const double *v, const Input *input,
+                      const double *taut, double *f, const Work *w) {
+  if (input->load)
+    memcpy(f, input->load, s->entries * sizeof *f);
+  else if (s->load)
+    memcpy(f, s->load, s->entries * sizeof *f);
+  else
+    memset(f, 0, s->entries * sizeof *f);
+  if (s->segments) N(pull)(s, p, v, input->strings, taut, f, w);
+  for (int i = 0; i < s->grounds; ++i) {
+    const Ground *g = s->ground + i;
+    N(touch)(g, p, v, g->first_switch < 0 ? 0 : taut + s->slacking + g->first_switch, f);
+  }
+}
+
+static inline void N(difference)(const double *from, int start, int end, double *to) {
+  for (int k = 0; k < D; ++k) to[k] = from[end + k] - from[start + k];
+}
+
+static void N(coupled)(const Scene *s, const double *p, const double *v, const double *f, double *a,
+                       const Work *w) {
+  double *K = w->factors, *y = w->unknowns;
+  memcpy(K, s->block_mass, (s->factors + s->unknowns + 1) * sizeof *K);
+  for (int i = 0; i < s->block_rows; ++i) y[s->block_place[i]] = f[s->block_row[i]];
+  for (int i = 0; i < s->block_bars; ++i) {
+    double bar[D], rate[D];
+    N(difference)(p, s->block_start[i], s->block_end[i], bar);
+    N(difference)(v, s->block_start[i], s->block_end[i], rate);
+    for (int k = 0; k < D; ++k) {
+      K[s->entry_end[D * i + k]] = bar[k];
+      K[s->entry_start[D * i + k]] = -bar[k];
+    }
+    N(coupled_bar)(rate, y + s->right_place[i]);
+  }
+  factorize(s, K);
+  solve(s, K, y);
+  for (int i = 0; i < s->block_rows; ++i) a[s->block_row[i]] = y[s->block_place[i]];
+}
+
+/* Accelerations of all entries; those that supports hold are left as they are. */
+WIDE static void N(accelerations)(const Scene *s, const double *restrict p,
+                                  const double *restrict v, const double *restrict f,
+                                  double *restrict a, const Work *w) {
+  for (int i = 0; i < s->free_bars; ++i) {
+    const int start = s->bar_start[i], end = s->bar_end[i];
+    double bar[D], rate[D];
+    N(difference)(p, start, end, bar);
+    N(difference)(v, start, end, rate);
+    N(free_bar)(bar, rate, f + start, f + end, s->bar_constants + FREE_BAR_2_CONSTANTS * i,
+                a + start, a + end);
+  }
+  for (int i = 0; i < s->swinging_bars; ++i) {
+    double bar[D], rate[D];
+    N(difference)(p, s->hinge[i], s->tip[i], bar);
+    N(difference)(v, s->hinge[i], s->tip[i], rate);
+    N(swinging_bar)(bar, rate, f + s->tip[i], s->tip_constants + SWINGING_BAR_2_CONSTANTS * i,
+                    a + s->tip[i]);
+  }
+  for (int i = 0; i < s->points; ++i)
+    for (int k = 0; k < D; ++k)
+      a[s->point[i] + k] = f[s->point[i] + k] * s->point_inverse_mass[i];
+  if (s->block_bars) N(coupled)(s, p, v, f, a, w);
+}
+
+static void N(gaps)(const Scene *s, const double *p, const double *v, const double *u, double *gap,
+                    double *rate, const Work *w) {
+  if (s->slacking) {
+    double *length = w->length, *change = s->clustered ? w->rate : rate;
+    N(segments)(s, p, u, w->S, length);
+    N(length_rates)(s, v, w->S, length, change);
+    if (s->clustered) {
+      sum_by_string(s, length, w->string_length);
+      sum_by_string(s, change, rate);
+      length = w->string_length;
+    }
+    string_gaps(s, length, rate, u, gap);
+  }
+  for (int i = 0; i < s->grounds; ++i) {
+    const Ground *g = s->ground + i;
+    if (g->first_switch < 0) continue;
+    for (int j = 0; j < g->count; ++j) {
+      const int at = s->slacking + g->first_switch + j, node = g->node[j];
+      N(ground_gap)(p + node, v + node, g->damping, g->height, g->normal, gap + at, rate + at);
+    }
+  }
+}
+
+#undef NAME_
+#undef NAME2
+#undef N

@@ -1,0 +1,677 @@
+/* Kernels of one member: printed by tests/core_kernels.py, not by hand.
+
+   Vectors have as many entries as the name says. Units are SI; signs are those of the module
+   tenscontrol.dynamics.kernel: force densities of strings are positive in tension, those of bars
+   in compression. */
+#ifndef TENSCONTROL_KERNELS_H
+#define TENSCONTROL_KERNELS_H
+
+#include <math.h>
+
+/* Calls of the library's fmax and fmin would keep loops from being fast; these give the same. */
+static inline double larger(double x, double y) { return x > y || y != y ? x : y; }
+static inline double smaller(double x, double y) { return x < y || y != y ? x : y; }
+
+enum { FREE_BAR_2_CONSTANTS = 4 };
+static inline void free_bar_2_constants(const double mass, double *constants) {
+  const double t3 = 2.0 / mass;
+  const double t4 = 0.5 * t3;
+  constants[0] = t4;
+  const double t7 = 3.0 / mass;
+  constants[1] = t7;
+  const double t10 = mass / 12.0;
+  constants[2] = t10;
+  const double t13 = 6.0 / mass;
+  constants[3] = t13;
+}
+
+static inline void free_bar_2(const double *bar, const double *rate, const double *on_start, const double *on_end, const double *constants, double *start, double *end) {
+  const double t2 = on_start[0] + on_end[0];
+  const double t4 = t2 * constants[0];
+  const double t5 = on_end[0] - on_start[0];
+  const double t7 = t5 * constants[1];
+  const double t12 = rate[0] * rate[0];
+  const double t14 = rate[1] * rate[1];
+  const double t15 = t12 + t14;
+  const double t16 = constants[2] * t15;
+  const double t17 = bar[0] * t5;
+  const double t21 = on_end[1] - on_start[1];
+  const double t22 = bar[1] * t21;
+  const double t23 = t17 + t22;
+  const double t25 = t23 / 2.0;
+  const double t26 = t16 + t25;
+  const double t27 = bar[0] * bar[0];
+  const double t28 = bar[1] * bar[1];
+  const double t29 = t27 + t28;
+  const double t30 = t26 / t29;
+  const double t31 = constants[3] * t30;
+  const double t32 = bar[0] * t31;
+  const double t33 = t7 - t32;
+  const double t34 = t4 - t33;
+  start[0] = t34;
+  const double t36 = on_start[1] + on_end[1];
+  const double t37 = t36 * constants[0];
+  const double t38 = t21 * constants[1];
+  const double t39 = bar[1] * t31;
+  const double t40 = t38 - t39;
+  const double t41 = t37 - t40;
+  start[1] = t41;
+  const double t43 = t4 + t33;
+  end[0] = t43;
+  const double t45 = t37 + t40;
+  end[1] = t45;
+}
+
+enum { SWINGING_BAR_2_CONSTANTS = 2 };
+static inline void swinging_bar_2_constants(const double mass, double *constants) {
+  const double t2 = mass / 3.0;
+  constants[0] = t2;
+  const double t4 = 3.0 / mass;
+  constants[1] = t4;
+}
+
+static inline void swinging_bar_2(const double *bar, const double *rate, const double *on_tip, const double *constants, double *tip) {
+  const double t4 = rate[0] * rate[0];
+  const double t6 = rate[1] * rate[1];
+  const double t7 = t4 + t6;
+  const double t8 = constants[0] * t7;
+  const double t9 = bar[0] * on_tip[0];
+  const double t12 = bar[1] * on_tip[1];
+  const double t13 = t9 + t12;
+  const double t14 = t8 + t13;
+  const double t15 = bar[0] * bar[0];
+  const double t16 = bar[1] * bar[1];
+  const double t17 = t15 + t16;
+  const double t18 = t14 / t17;
+  const double t19 = bar[0] * t18;
+  const double t20 = on_tip[0] - t19;
+  const double t22 = t20 * constants[1];
+  tip[0] = t22;
+  const double t24 = bar[1] * t18;
+  const double t25 = on_tip[1] - t24;
+  const double t26 = t25 * constants[1];
+  tip[1] = t26;
+}
+
+static inline void coupled_bar_2(const double *rate, double *right) {
+  const double t1 = rate[0] * rate[0];
+  const double t3 = rate[1] * rate[1];
+  const double t4 = t1 + t3;
+  const double t5 = -t4;
+  *right = t5;
+}
+
+static inline void pulling_length_2(const double *segment, const double rest, double *length) {
+  const double t1 = segment[0] * segment[0];
+  const double t3 = segment[1] * segment[1];
+  const double t4 = t1 + t3;
+  const double t7 = 1e-12 * rest;
+  const double t8 = t7 * t7;
+  const double t9 = larger(t4, t8);
+  const double t10 = sqrt(t9);
+  *length = t10;
+}
+
+static inline void length_rate_2(const double *segment, const double *change, const double length, double *rate) {
+  const double t2 = segment[0] * change[0];
+  const double t5 = segment[1] * change[1];
+  const double t6 = t2 + t5;
+  const double t8 = t6 / length;
+  *rate = t8;
+}
+
+static inline void ground_gap_2(const double *x, const double *v, const double damping, const double height, const double *normal, double *gap, double *rate) {
+  const double t3 = normal[0] * x[0];
+  const double t6 = normal[1] * x[1];
+  const double t7 = t3 + t6;
+  const double t8 = height - t7;
+  const double t10 = t8 < 0.0;
+  const double t14 = normal[0] * v[0];
+  const double t16 = normal[1] * v[1];
+  const double t17 = t14 + t16;
+  const double t18 = damping * t17;
+  const double t19 = 1.0 - t18;
+  const double t20 = smaller(t19, 1.0);
+  const double t22 = larger(t20, 0.1);
+  const double t23 = t10 ? t22 : 0;
+  const double t24 = !t10;
+  const double t25 = t24 ? t20 : 0;
+  const double t26 = t23 + t25;
+  const double t27 = t8 * t26;
+  *gap = t27;
+  const double t29 = -t17;
+  *rate = t29;
+}
+
+static inline void linear_ground_2(const double *x, const double *v, const double pressing, const double stiffness, const double damping, const double friction, const double slip_speed, const double height, const double *normal, double *force) {
+  const double t5 = normal[0] * x[0];
+  const double t8 = normal[1] * x[1];
+  const double t9 = t5 + t8;
+  const double t10 = height - t9;
+  const double t11 = stiffness * t10;
+  const double t15 = normal[0] * v[0];
+  const double t17 = normal[1] * v[1];
+  const double t18 = t15 + t17;
+  const double t19 = damping * t18;
+  const double t20 = 1.0 - t19;
+  const double t21 = t11 * t20;
+  const double t22 = pressing * t21;
+  const double t23 = normal[0] * t22;
+  const double t24 = normal[0] * v[0];
+  const double t25 = normal[1] * v[1];
+  const double t26 = t24 + t25;
+  const double t27 = normal[0] * t26;
+  const double t28 = v[0] - t27;
+  const double t30 = friction * t22;
+  const double t31 = t28 * t28;
+  const double t32 = normal[1] * t26;
+  const double t33 = v[1] - t32;
+  const double t34 = t33 * t33;
+  const double t35 = t31 + t34;
+  const double t37 = slip_speed * slip_speed;
+  const double t38 = t35 + t37;
+  const double t39 = sqrt(t38);
+  const double t40 = t30 / t39;
+  const double t41 = t28 * t40;
+  const double t42 = t23 - t41;
+  force[0] = t42;
+  const double t44 = normal[1] * t22;
+  const double t45 = t33 * t40;
+  const double t46 = t44 - t45;
+  force[1] = t46;
+}
+
+static inline void hertz_ground_2(const double *x, const double *v, const double pressing, const double stiffness, const double damping, const double friction, const double slip_speed, const double height, const double *normal, double *force) {
+  const double t5 = normal[0] * x[0];
+  const double t8 = normal[1] * x[1];
+  const double t9 = t5 + t8;
+  const double t10 = height - t9;
+  const double t11 = stiffness * t10;
+  const double t12 = t10 * t10;
+  const double t14 = t12 + 1e-30;
+  const double t16 = pow(t14, 0.25);
+  const double t17 = t11 * t16;
+  const double t21 = normal[0] * v[0];
+  const double t23 = normal[1] * v[1];
+  const double t24 = t21 + t23;
+  const double t25 = damping * t24;
+  const double t26 = 1.0 - t25;
+  const double t27 = t17 * t26;
+  const double t28 = pressing * t27;
+  const double t29 = normal[0] * t28;
+  const double t30 = normal[0] * v[0];
+  const double t31 = normal[1] * v[1];
+  const double t32 = t30 + t31;
+  const double t33 = normal[0] * t32;
+  const double t34 = v[0] - t33;
+  const double t36 = friction * t28;
+  const double t37 = t34 * t34;
+  const double t38 = normal[1] * t32;
+  const double t39 = v[1] - t38;
+  const double t40 = t39 * t39;
+  const double t41 = t37 + t40;
+  const double t43 = slip_speed * slip_speed;
+  const double t44 = t41 + t43;
+  const double t45 = sqrt(t44);
+  const double t46 = t36 / t45;
+  const double t47 = t34 * t46;
+  const double t48 = t29 - t47;
+  force[0] = t48;
+  const double t50 = normal[1] * t28;
+  const double t51 = t39 * t46;
+  const double t52 = t50 - t51;
+  force[1] = t52;
+}
+
+static inline void smooth_ground_2(const double *x, const double *v, const double stiffness, const double damping, const double friction, const double slip_speed, const double height, const double width, const double *normal, double *force) {
+  const double t4 = normal[0] * x[0];
+  const double t7 = normal[1] * x[1];
+  const double t8 = t4 + t7;
+  const double t9 = height - t8;
+  const double t11 = t9 + width;
+  const double t13 = larger(t11, 0.0);
+  const double t14 = 2 * width;
+  const double t15 = smaller(t13, t14);
+  const double t16 = t15 * t15;
+  const double t18 = 4.0 * width;
+  const double t19 = t16 / t18;
+  const double t20 = t9 - width;
+  const double t21 = larger(t20, 0.0);
+  const double t22 = t19 + t21;
+  const double t23 = stiffness * t22;
+  const double t27 = normal[0] * v[0];
+  const double t29 = normal[1] * v[1];
+  const double t30 = t27 + t29;
+  const double t31 = damping * t30;
+  const double t32 = 1.0 - t31;
+  const double t33 = t32 * t32;
+  const double t35 = t33 + 0.010000000000000002;
+  const double t36 = sqrt(t35);
+  const double t37 = t32 + t36;
+  const double t39 = t37 / 2.0;
+  const double t40 = t23 * t39;
+  const double t41 = normal[0] * t40;
+  const double t42 = normal[0] * v[0];
+  const double t43 = normal[1] * v[1];
+  const double t44 = t42 + t43;
+  const double t45 = normal[0] * t44;
+  const double t46 = v[0] - t45;
+  const double t48 = friction * t40;
+  const double t49 = t46 * t46;
+  const double t50 = normal[1] * t44;
+  const double t51 = v[1] - t50;
+  const double t52 = t51 * t51;
+  const double t53 = t49 + t52;
+  const double t55 = slip_speed * slip_speed;
+  const double t56 = t53 + t55;
+  const double t57 = sqrt(t56);
+  const double t58 = t48 / t57;
+  const double t59 = t46 * t58;
+  const double t60 = t41 - t59;
+  force[0] = t60;
+  const double t62 = normal[1] * t40;
+  const double t63 = t51 * t58;
+  const double t64 = t62 - t63;
+  force[1] = t64;
+}
+
+enum { FREE_BAR_3_CONSTANTS = 4 };
+static inline void free_bar_3_constants(const double mass, double *constants) {
+  const double t3 = 2.0 / mass;
+  const double t4 = 0.5 * t3;
+  constants[0] = t4;
+  const double t7 = 3.0 / mass;
+  constants[1] = t7;
+  const double t10 = mass / 12.0;
+  constants[2] = t10;
+  const double t13 = 6.0 / mass;
+  constants[3] = t13;
+}
+
+static inline void free_bar_3(const double *bar, const double *rate, const double *on_start, const double *on_end, const double *constants, double *start, double *end) {
+  const double t2 = on_start[0] + on_end[0];
+  const double t4 = t2 * constants[0];
+  const double t5 = on_end[0] - on_start[0];
+  const double t7 = t5 * constants[1];
+  const double t12 = rate[0] * rate[0];
+  const double t14 = rate[1] * rate[1];
+  const double t15 = t12 + t14;
+  const double t17 = rate[2] * rate[2];
+  const double t18 = t15 + t17;
+  const double t19 = constants[2] * t18;
+  const double t20 = bar[0] * t5;
+  const double t24 = on_end[1] - on_start[1];
+  const double t25 = bar[1] * t24;
+  const double t26 = t20 + t25;
+  const double t30 = on_end[2] - on_start[2];
+  const double t31 = bar[2] * t30;
+  const double t32 = t26 + t31;
+  const double t34 = t32 / 2.0;
+  const double t35 = t19 + t34;
+  const double t36 = bar[0] * bar[0];
+  const double t37 = bar[1] * bar[1];
+  const double t38 = t36 + t37;
+  const double t39 = bar[2] * bar[2];
+  const double t40 = t38 + t39;
+  const double t41 = t35 / t40;
+  const double t42 = constants[3] * t41;
+  const double t43 = bar[0] * t42;
+  const double t44 = t7 - t43;
+  const double t45 = t4 - t44;
+  start[0] = t45;
+  const double t47 = on_start[1] + on_end[1];
+  const double t48 = t47 * constants[0];
+  const double t49 = t24 * constants[1];
+  const double t50 = bar[1] * t42;
+  const double t51 = t49 - t50;
+  const double t52 = t48 - t51;
+  start[1] = t52;
+  const double t54 = on_start[2] + on_end[2];
+  const double t55 = t54 * constants[0];
+  const double t56 = t30 * constants[1];
+  const double t57 = bar[2] * t42;
+  const double t58 = t56 - t57;
+  const double t59 = t55 - t58;
+  start[2] = t59;
+  const double t61 = t4 + t44;
+  end[0] = t61;
+  const double t63 = t48 + t51;
+  end[1] = t63;
+  const double t65 = t55 + t58;
+  end[2] = t65;
+}
+
+enum { SWINGING_BAR_3_CONSTANTS = 2 };
+static inline void swinging_bar_3_constants(const double mass, double *constants) {
+  const double t2 = mass / 3.0;
+  constants[0] = t2;
+  const double t4 = 3.0 / mass;
+  constants[1] = t4;
+}
+
+static inline void swinging_bar_3(const double *bar, const double *rate, const double *on_tip, const double *constants, double *tip) {
+  const double t4 = rate[0] * rate[0];
+  const double t6 = rate[1] * rate[1];
+  const double t7 = t4 + t6;
+  const double t9 = rate[2] * rate[2];
+  const double t10 = t7 + t9;
+  const double t11 = constants[0] * t10;
+  const double t12 = bar[0] * on_tip[0];
+  const double t15 = bar[1] * on_tip[1];
+  const double t16 = t12 + t15;
+  const double t19 = bar[2] * on_tip[2];
+  const double t20 = t16 + t19;
+  const double t21 = t11 + t20;
+  const double t22 = bar[0] * bar[0];
+  const double t23 = bar[1] * bar[1];
+  const double t24 = t22 + t23;
+  const double t25 = bar[2] * bar[2];
+  const double t26 = t24 + t25;
+  const double t27 = t21 / t26;
+  const double t28 = bar[0] * t27;
+  const double t29 = on_tip[0] - t28;
+  const double t31 = t29 * constants[1];
+  tip[0] = t31;
+  const double t33 = bar[1] * t27;
+  const double t34 = on_tip[1] - t33;
+  const double t35 = t34 * constants[1];
+  tip[1] = t35;
+  const double t37 = bar[2] * t27;
+  const double t38 = on_tip[2] - t37;
+  const double t39 = t38 * constants[1];
+  tip[2] = t39;
+}
+
+static inline void coupled_bar_3(const double *rate, double *right) {
+  const double t1 = rate[0] * rate[0];
+  const double t3 = rate[1] * rate[1];
+  const double t4 = t1 + t3;
+  const double t6 = rate[2] * rate[2];
+  const double t7 = t4 + t6;
+  const double t8 = -t7;
+  *right = t8;
+}
+
+static inline void pulling_length_3(const double *segment, const double rest, double *length) {
+  const double t1 = segment[0] * segment[0];
+  const double t3 = segment[1] * segment[1];
+  const double t4 = t1 + t3;
+  const double t6 = segment[2] * segment[2];
+  const double t7 = t4 + t6;
+  const double t10 = 1e-12 * rest;
+  const double t11 = t10 * t10;
+  const double t12 = larger(t7, t11);
+  const double t13 = sqrt(t12);
+  *length = t13;
+}
+
+static inline void length_rate_3(const double *segment, const double *change, const double length, double *rate) {
+  const double t2 = segment[0] * change[0];
+  const double t5 = segment[1] * change[1];
+  const double t6 = t2 + t5;
+  const double t9 = segment[2] * change[2];
+  const double t10 = t6 + t9;
+  const double t12 = t10 / length;
+  *rate = t12;
+}
+
+static inline void ground_gap_3(const double *x, const double *v, const double damping, const double height, const double *normal, double *gap, double *rate) {
+  const double t3 = normal[0] * x[0];
+  const double t6 = normal[1] * x[1];
+  const double t7 = t3 + t6;
+  const double t10 = normal[2] * x[2];
+  const double t11 = t7 + t10;
+  const double t12 = height - t11;
+  const double t14 = t12 < 0.0;
+  const double t18 = normal[0] * v[0];
+  const double t20 = normal[1] * v[1];
+  const double t21 = t18 + t20;
+  const double t23 = normal[2] * v[2];
+  const double t24 = t21 + t23;
+  const double t25 = damping * t24;
+  const double t26 = 1.0 - t25;
+  const double t27 = smaller(t26, 1.0);
+  const double t29 = larger(t27, 0.1);
+  const double t30 = t14 ? t29 : 0;
+  const double t31 = !t14;
+  const double t32 = t31 ? t27 : 0;
+  const double t33 = t30 + t32;
+  const double t34 = t12 * t33;
+  *gap = t34;
+  const double t36 = -t24;
+  *rate = t36;
+}
+
+static inline void linear_ground_3(const double *x, const double *v, const double pressing, const double stiffness, const double damping, const double friction, const double slip_speed, const double height, const double *normal, double *force) {
+  const double t5 = normal[0] * x[0];
+  const double t8 = normal[1] * x[1];
+  const double t9 = t5 + t8;
+  const double t12 = normal[2] * x[2];
+  const double t13 = t9 + t12;
+  const double t14 = height - t13;
+  const double t15 = stiffness * t14;
+  const double t19 = normal[0] * v[0];
+  const double t21 = normal[1] * v[1];
+  const double t22 = t19 + t21;
+  const double t24 = normal[2] * v[2];
+  const double t25 = t22 + t24;
+  const double t26 = damping * t25;
+  const double t27 = 1.0 - t26;
+  const double t28 = t15 * t27;
+  const double t29 = pressing * t28;
+  const double t30 = normal[0] * t29;
+  const double t31 = normal[0] * v[0];
+  const double t32 = normal[1] * v[1];
+  const double t33 = t31 + t32;
+  const double t34 = normal[2] * v[2];
+  const double t35 = t33 + t34;
+  const double t36 = normal[0] * t35;
+  const double t37 = v[0] - t36;
+  const double t39 = friction * t29;
+  const double t40 = t37 * t37;
+  const double t41 = normal[1] * t35;
+  const double t42 = v[1] - t41;
+  const double t43 = t42 * t42;
+  const double t44 = t40 + t43;
+  const double t45 = normal[2] * t35;
+  const double t46 = v[2] - t45;
+  const double t47 = t46 * t46;
+  const double t48 = t44 + t47;
+  const double t50 = slip_speed * slip_speed;
+  const double t51 = t48 + t50;
+  const double t52 = sqrt(t51);
+  const double t53 = t39 / t52;
+  const double t54 = t37 * t53;
+  const double t55 = t30 - t54;
+  force[0] = t55;
+  const double t57 = normal[1] * t29;
+  const double t58 = t42 * t53;
+  const double t59 = t57 - t58;
+  force[1] = t59;
+  const double t61 = normal[2] * t29;
+  const double t62 = t46 * t53;
+  const double t63 = t61 - t62;
+  force[2] = t63;
+}
+
+static inline void hertz_ground_3(const double *x, const double *v, const double pressing, const double stiffness, const double damping, const double friction, const double slip_speed, const double height, const double *normal, double *force) {
+  const double t5 = normal[0] * x[0];
+  const double t8 = normal[1] * x[1];
+  const double t9 = t5 + t8;
+  const double t12 = normal[2] * x[2];
+  const double t13 = t9 + t12;
+  const double t14 = height - t13;
+  const double t15 = stiffness * t14;
+  const double t16 = t14 * t14;
+  const double t18 = t16 + 1e-30;
+  const double t20 = pow(t18, 0.25);
+  const double t21 = t15 * t20;
+  const double t25 = normal[0] * v[0];
+  const double t27 = normal[1] * v[1];
+  const double t28 = t25 + t27;
+  const double t30 = normal[2] * v[2];
+  const double t31 = t28 + t30;
+  const double t32 = damping * t31;
+  const double t33 = 1.0 - t32;
+  const double t34 = t21 * t33;
+  const double t35 = pressing * t34;
+  const double t36 = normal[0] * t35;
+  const double t37 = normal[0] * v[0];
+  const double t38 = normal[1] * v[1];
+  const double t39 = t37 + t38;
+  const double t40 = normal[2] * v[2];
+  const double t41 = t39 + t40;
+  const double t42 = normal[0] * t41;
+  const double t43 = v[0] - t42;
+  const double t45 = friction * t35;
+  const double t46 = t43 * t43;
+  const double t47 = normal[1] * t41;
+  const double t48 = v[1] - t47;
+  const double t49 = t48 * t48;
+  const double t50 = t46 + t49;
+  const double t51 = normal[2] * t41;
+  const double t52 = v[2] - t51;
+  const double t53 = t52 * t52;
+  const double t54 = t50 + t53;
+  const double t56 = slip_speed * slip_speed;
+  const double t57 = t54 + t56;
+  const double t58 = sqrt(t57);
+  const double t59 = t45 / t58;
+  const double t60 = t43 * t59;
+  const double t61 = t36 - t60;
+  force[0] = t61;
+  const double t63 = normal[1] * t35;
+  const double t64 = t48 * t59;
+  const double t65 = t63 - t64;
+  force[1] = t65;
+  const double t67 = normal[2] * t35;
+  const double t68 = t52 * t59;
+  const double t69 = t67 - t68;
+  force[2] = t69;
+}
+
+static inline void smooth_ground_3(const double *x, const double *v, const double stiffness, const double damping, const double friction, const double slip_speed, const double height, const double width, const double *normal, double *force) {
+  const double t4 = normal[0] * x[0];
+  const double t7 = normal[1] * x[1];
+  const double t8 = t4 + t7;
+  const double t11 = normal[2] * x[2];
+  const double t12 = t8 + t11;
+  const double t13 = height - t12;
+  const double t15 = t13 + width;
+  const double t17 = larger(t15, 0.0);
+  const double t18 = 2 * width;
+  const double t19 = smaller(t17, t18);
+  const double t20 = t19 * t19;
+  const double t22 = 4.0 * width;
+  const double t23 = t20 / t22;
+  const double t24 = t13 - width;
+  const double t25 = larger(t24, 0.0);
+  const double t26 = t23 + t25;
+  const double t27 = stiffness * t26;
+  const double t31 = normal[0] * v[0];
+  const double t33 = normal[1] * v[1];
+  const double t34 = t31 + t33;
+  const double t36 = normal[2] * v[2];
+  const double t37 = t34 + t36;
+  const double t38 = damping * t37;
+  const double t39 = 1.0 - t38;
+  const double t40 = t39 * t39;
+  const double t42 = t40 + 0.010000000000000002;
+  const double t43 = sqrt(t42);
+  const double t44 = t39 + t43;
+  const double t46 = t44 / 2.0;
+  const double t47 = t27 * t46;
+  const double t48 = normal[0] * t47;
+  const double t49 = normal[0] * v[0];
+  const double t50 = normal[1] * v[1];
+  const double t51 = t49 + t50;
+  const double t52 = normal[2] * v[2];
+  const double t53 = t51 + t52;
+  const double t54 = normal[0] * t53;
+  const double t55 = v[0] - t54;
+  const double t57 = friction * t47;
+  const double t58 = t55 * t55;
+  const double t59 = normal[1] * t53;
+  const double t60 = v[1] - t59;
+  const double t61 = t60 * t60;
+  const double t62 = t58 + t61;
+  const double t63 = normal[2] * t53;
+  const double t64 = v[2] - t63;
+  const double t65 = t64 * t64;
+  const double t66 = t62 + t65;
+  const double t68 = slip_speed * slip_speed;
+  const double t69 = t66 + t68;
+  const double t70 = sqrt(t69);
+  const double t71 = t57 / t70;
+  const double t72 = t55 * t71;
+  const double t73 = t48 - t72;
+  force[0] = t73;
+  const double t75 = normal[1] * t47;
+  const double t76 = t60 * t71;
+  const double t77 = t75 - t76;
+  force[1] = t77;
+  const double t79 = normal[2] * t47;
+  const double t80 = t64 * t71;
+  const double t81 = t79 - t80;
+  force[2] = t81;
+}
+
+static inline void linear_undamped_force_density(const double length, const double rest, const double stiffness, double *force_density) {
+  const double t3 = length - rest;
+  const double t4 = stiffness * t3;
+  const double t5 = t4 / length;
+  *force_density = t5;
+}
+
+static inline void linear_damped_force_density(const double length, const double rest, const double rate, const double stiffness, const double damping, double *force_density) {
+  const double t3 = length - rest;
+  const double t4 = stiffness * t3;
+  const double t7 = damping * rate;
+  const double t8 = t4 + t7;
+  const double t9 = t8 / length;
+  *force_density = t9;
+}
+
+static inline void linear_damped_gap(const double length, const double rest, const double rate, const double stiffness, const double damping, double *gap) {
+  const double t2 = length - rest;
+  const double t4 = length - rest;
+  const double t5 = stiffness * t4;
+  const double t8 = damping * rate;
+  const double t9 = t5 + t8;
+  const double t10 = t9 / stiffness;
+  const double t11 = smaller(t2, t10);
+  *gap = t11;
+}
+
+static inline void elastic_undamped_force_density(const double length, const double rest, const double stiffness, double *force_density) {
+  const double t3 = length / rest;
+  const double t5 = t3 - 1.0;
+  const double t6 = stiffness * t5;
+  const double t7 = t6 / length;
+  *force_density = t7;
+}
+
+static inline void elastic_damped_force_density(const double length, const double rest, const double rate, const double stiffness, const double damping, double *force_density) {
+  const double t3 = length / rest;
+  const double t5 = t3 - 1.0;
+  const double t6 = stiffness * t5;
+  const double t9 = damping * rate;
+  const double t10 = t6 + t9;
+  const double t11 = t10 / length;
+  *force_density = t11;
+}
+
+static inline void elastic_damped_gap(const double length, const double rest, const double rate, const double stiffness, const double damping, double *gap) {
+  const double t2 = length - rest;
+  const double t4 = length / rest;
+  const double t6 = t4 - 1.0;
+  const double t7 = stiffness * t6;
+  const double t10 = damping * rate;
+  const double t11 = t7 + t10;
+  const double t12 = stiffness / rest;
+  const double t13 = t11 / t12;
+  const double t14 = smaller(t2, t13);
+  *gap = t14;
+}
+
+#endif

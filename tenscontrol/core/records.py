@@ -1,0 +1,91 @@
+"""The records that the core is given and gives back, as core.h has them."""
+
+from __future__ import annotations
+
+import ctypes
+
+_POINTER = ctypes.c_void_p
+_COUNT = ctypes.c_int32
+_NUMBER = ctypes.c_double
+
+
+class Ground(ctypes.Structure):
+    """A plane that some nodes can touch."""
+
+    _fields_ = (
+        *((name, _COUNT) for name in ("kind", "count", "first_switch")),
+        ("node", _POINTER),
+        *((name, _NUMBER) for name in (
+            "stiffness", "damping", "friction", "slip_speed", "height", "width",
+        )),
+        ("normal", _NUMBER * 3),
+    )  # fmt: skip
+
+
+class Scene(ctypes.Structure):
+    """A structure with its strings, loads, supports and ground."""
+
+    _fields_ = (
+        *((name, _COUNT) for name in (
+            "dimension", "entries", "free",
+            "law", "damped", "strings", "segments", "clustered", "slacking", "switches",
+            "free_bars", "swinging_bars", "points", "grounds",
+            "block_bars", "block_rows", "unknowns", "factors",
+        )),
+        ("size", _NUMBER), ("shortest", _NUMBER),
+        *((name, _POINTER) for name in (
+            "free_row", "place", "load", "segment_start", "segment_end", "segment_string",
+            "stiffness", "damping", "bar_start", "bar_end", "bar_row", "bar_constants",
+            "hinge", "tip", "tip_row", "tip_constants", "point", "point_inverse_mass", "ground",
+            "block_start", "block_end", "entry_start", "entry_end", "right_place", "block_mass",
+            "factor_row", "factor_first", "factor_pair", "block_row", "block_place",
+        )),
+    )  # fmt: skip
+
+
+class Drive(ctypes.Structure):
+    """The inputs of a span as polynomials in time."""
+
+    _fields_ = (
+        ("coefficients", _POINTER), ("begin", _NUMBER),
+        *((name, _COUNT) for name in ("count", "degree", "is_loaded", "is_moved")),
+    )  # fmt: skip
+
+
+class Body(ctypes.Structure):
+    """A block of bars that nothing holds."""
+
+    _fields_ = (
+        ("bars", _COUNT), ("nodes", _COUNT),
+        *((name, _POINTER) for name in ("start", "end", "bar_mass", "node", "point_mass")),
+    )  # fmt: skip
+
+
+class Lengths(ctypes.Structure):
+    """Bars that are put on their lengths after a step."""
+
+    _fields_ = (
+        *((name, _POINTER) for name in ("bar_length", "tip_length", "block_length", "block_free")),
+        ("bodies", _COUNT), ("body", _POINTER),
+    )  # fmt: skip
+
+
+class Progress(ctypes.Structure):
+    """A motion between two calls."""
+
+    _fields_ = (
+        ("time", _NUMBER), ("step", _NUMBER), ("stuck", _COUNT), ("stalls", _COUNT),
+        *((name, ctypes.c_int64) for name in (
+            "tries", "rejections", "landings", "approaches", "switches", "interpolants", "missed",
+        )),
+    )  # fmt: skip
+
+
+class Settings(ctypes.Structure):
+    """How a motion is integrated."""
+
+    _fields_ = (
+        *((name, _COUNT) for name in ("method", "projects", "outputs", "budget")),
+        *((name, _NUMBER) for name in ("duration", "step", "longest", "limit")),
+        ("scale", _POINTER),
+    )  # fmt: skip

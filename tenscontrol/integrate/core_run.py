@@ -1,0 +1,84 @@
+"""A span of a motion in the compiled core, called in parts that leave time for signals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from time import perf_counter
+
+from tenscontrol.arrays import FloatArray
+from tenscontrol.core import records
+from tenscontrol.integrate.core_scene import CoreMotion
+from tenscontrol.integrate.integrator import (
+    IntegrationError,
+    IntegrationInterrupt,
+    IntegrationPause,
+    Report,
+    Span,
+    Work,
+)
+from tenscontrol.interrupt import check
+
+# Steps in the first call, and seconds that a call should take at most.
+_FIRST, _LONGEST = 64, 0.05
+
+# The methods in the order of the core's own numbers for them.
+_METHODS = ("rk4", "dop853")
+
+
+def settings_of(
+    method: str,
+    duration: float,
+    outputs: int,
+    project: bool,
+    step: float = 0.0,
+    longest: float = 0.0,
+    scale: FloatArray | None = None,
+    limit: float = float("inf"),
+) -> records.Settings:
+    """Return the settings of a span for the core."""
+    return records.Settings(
+        _METHODS.index(method), project, outputs, 0, duration, step, longest, limit,
+        None if scale is None else scale.ctypes.data,
+    )  # fmt: skip
+
+
+def advance_in_core(
+    motion: CoreMotion,
+    work_of: Callable[[records.Progress], Work],
+    failure: Callable[[CoreMotion], IntegrationError],
+    report: Report | None,
+) -> Span:
+    """Return the states at the outputs of a motion; see :meth:`Integrator.advance`.
+
+    Parameters
+    ----------
+    motion : CoreMotion
+    work_of : callable
+        What the motion has cost so far.
+    failure : callable
+        The error of a motion that cannot go on.
+    report : callable, optional
+        Told the time reached.
+    """
+    progress, budget = motion.progress, _FIRST
+    outputs = len(motion.states)
+
+    def reached() -> Span:
+        return Span(motion.states[: motion.done].T, work_of(progress))
+
+    try:
+        while motion.done < outputs:
+            check()
+            began = perf_counter()
+            motion.advance(budget)
+            taken = perf_counter() - began
+            if progress.stuck:
+                raise failure(motion)
+            if report is not None:
+                report(progress.time)
+            if motion.done < outputs and motion.is_paused:
+                raise IntegrationPause(progress.time, motion.state, reached())
+            budget = int(min(max(budget * _LONGEST / (taken + 1e-9), 1), 8 * budget))
+        return reached()
+    except KeyboardInterrupt:
+        raise IntegrationInterrupt(progress.time, reached()) from None

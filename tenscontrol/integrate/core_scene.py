@@ -1,0 +1,337 @@
+"""An equation of motion as the compiled core runs it: its tables, and calls into the core."""
+
+from __future__ import annotations
+
+import ctypes
+from functools import partial
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from tenscontrol.arrays import FloatArray, IntArray
+from tenscontrol.core import records
+from tenscontrol.core.library import library
+from tenscontrol.dynamics.contact_laws import Ground, HertzGround, SmoothGround
+from tenscontrol.dynamics.equation import Equation
+from tenscontrol.dynamics.forms.elimination import Elimination
+from tenscontrol.dynamics.string_laws import ElasticStrings, LinearStrings
+from tenscontrol.structure.structure import Structure
+
+# In the order of the core's own numbers for them.
+_GROUNDS = (Ground, HertzGround, SmoothGround)
+_LAWS = (type(None), LinearStrings, ElasticStrings)
+
+
+def core_scene(equation: Equation) -> CoreScene | None:
+    """Return an equation as the core runs it, kept with it; None where there is no core for it.
+
+    The core knows the forces of this package: strings by its laws, flat grounds, loads.
+    """
+    if library() is None or not _is_known(equation):
+        return None
+    return equation.prepared.get("core", partial(CoreScene, equation))
+
+
+def _is_known(equation: Equation) -> bool:
+    forces = equation.forces
+    if forces is None or type(forces.law) not in _LAWS or equation.layout.parameters:
+        return False
+    if any(term is not forces.contacts for term in forces.terms):
+        return False
+    return all(
+        type(law) in _GROUNDS and not isinstance(law.height, ca.Function)
+        for law, _, _ in forces.contacts or ()
+    )
+
+
+class CoreScene:
+    """The tables of an equation, and what the core makes of states by them.
+
+    Parameters
+    ----------
+    equation : Equation
+        One that :func:`core_scene` takes.
+    """
+
+    def __init__(self, equation: Equation) -> None:
+        core = library()
+        assert core is not None  # else there is nothing to make
+        self.core = core
+        self._layout = equation.layout
+        self._arrays: list[Any] = []  # that the records point to
+        structure = equation.structure
+        assert structure is not None  # it has forces
+        self._free_rows = structure.free_rows
+        self.states = 2 * len(structure.free_rows)
+        self.switches = equation.switches
+        self.scene, self.lengths = records.Scene(), records.Lengths()
+        # Places of entries among those that are free.
+        is_free = np.isin(np.arange(structure.nodes.size), structure.free_rows)
+        free_place = np.cumsum(is_free) - 1
+        self._put_counts(equation, structure)
+        self._put_nodes(equation, structure)
+        self._put_strings(equation, structure)
+        self._put_bars(structure, free_place)
+        self._put_grounds(equation, structure.dimension)
+        if structure.blocks:
+            self._put_blocks(Elimination(structure), structure.dimension)
+        self._put_lengths(structure, free_place)
+        self.work_size = core.tc_motion_work_size(_at(self.scene), _at(self.drive(np.zeros(0))))
+
+    # ---- tables ----
+
+    def _put_counts(self, equation: Equation, structure: Structure) -> None:
+        law = equation.law
+        slacking = 0 if law is None else len(structure.strings)
+        counts = {
+            "dimension": structure.dimension, "entries": structure.nodes.size,
+            "free": len(structure.free_rows), "law": _LAWS.index(type(law)),
+            "damped": law is not None and law.is_damped, "strings": len(structure.strings),
+            "segments": len(structure.segments), "clustered": structure.has_clusters,
+            "slacking": slacking, "switches": equation.switches,
+            "free_bars": len(structure.free_bars), "swinging_bars": len(structure.swinging_bars),
+            "points": len(structure.string_nodes),
+        }  # fmt: skip
+        for name, count in counts.items():
+            setattr(self.scene, name, int(count))
+        size = float(np.ptp(structure.nodes, axis=1).max())
+        self.scene.size, self.scene.shortest = size, 1e-12 * size
+
+    def _put_nodes(self, equation: Equation, structure: Structure) -> None:
+        if len(structure.fixed_rows):
+            self._put("free_row", structure.free_rows)
+        self._put("place", structure.nodes.ravel(order="F"))
+        if equation.load is not None:
+            self._put("load", equation.load.ravel(order="F"))
+        self._put("point", structure.dimension * structure.string_nodes)
+        self._put("point_inverse_mass", 1 / structure.string_node_mass)
+
+    def _put_strings(self, equation: Equation, structure: Structure) -> None:
+        law = equation.law
+        self._put("segment_start", structure.dimension * structure.segments[:, 0])
+        self._put("segment_end", structure.dimension * structure.segments[:, 1])
+        self._put("segment_string", structure.segment_string)
+        if isinstance(law, (LinearStrings, ElasticStrings)):
+            stiffness = law.axial_rigidity if isinstance(law, ElasticStrings) else law.stiffness
+            self._put("stiffness", stiffness)
+            self._put("damping", law.damping)
+
+    def _put_bars(self, structure: Structure, free_place: IntArray) -> None:
+        d = structure.dimension
+        ends, mass = structure.bars[structure.free_bars], structure.bar_mass[structure.free_bars]
+        self._put("bar_start", d * ends[:, 0])
+        self._put("bar_end", d * ends[:, 1])
+        self._put("bar_row", free_place[d * ends])
+        constants = [0.5 * (2 / mass), 3 / mass, mass / 12, 6 / mass]
+        self._put("bar_constants", np.stack(constants, axis=1))
+        hinge, tip = structure.hinged_pairs.T
+        mass = structure.bar_mass[structure.swinging_bars]
+        self._put("hinge", d * hinge)
+        self._put("tip", d * tip)
+        self._put("tip_row", free_place[d * tip])
+        self._put("tip_constants", np.stack([mass / 3, 3 / mass], axis=1))
+
+    def _put_grounds(self, equation: Equation, d: int) -> None:
+        grounds = []
+        for law, nodes, switch in equation.contacts or ():
+            ground = records.Ground()
+            ground.kind = _GROUNDS.index(type(law))
+            ground.count = len(nodes)
+            ground.first_switch = -1 if switch is None else switch.start
+            self._put("node", d * nodes, ground)
+            for name in ("stiffness", "damping", "friction", "slip_speed", "height"):
+                setattr(ground, name, float(getattr(law, name)))
+            ground.width = getattr(law, "width", 0.0)
+            ground.normal[:d] = law.up(d).tolist()
+            grounds.append(ground)
+        self.scene.grounds = len(grounds)
+        self.scene.ground = self._array_of(records.Ground, grounds)
+
+    def _put_blocks(self, elimination: Elimination, d: int) -> None:
+        scene, tables, sizes = self.scene, elimination.tables, elimination.sizes
+        assembly = elimination.assembly
+        scene.factors, scene.unknowns = sizes["FACTORS"], sizes["UNKNOWNS"]
+        scene.block_rows, scene.block_bars = sizes["BLOCK_ROWS"], assembly.count
+        starts, ends = (assembly.reads[f"p_{end}"].at for end in ("start", "end"))
+        assert starts is not None  # bars have nodes
+        assert ends is not None  # at both ends
+        to_end, to_start, right = assembly.writes
+        self._put("block_start", d * starts)
+        self._put("block_end", d * ends)
+        self._put("entry_end", to_end.at)
+        self._put("entry_start", to_start.at)
+        self._put("right_place", right.at)
+        for name in (
+            "block_mass", "factor_row", "factor_first", "factor_pair", "block_row", "block_place"
+        ):  # fmt: skip
+            self._put(name, tables[name])
+
+    def _put_lengths(self, structure: Structure, free_place: IntArray) -> None:
+        d, lengths, length = structure.dimension, self.lengths, structure.bar_length
+        self._put("bar_length", length[structure.free_bars], lengths)
+        self._put("tip_length", length[structure.swinging_bars], lengths)
+        if structure.blocks:
+            bars = np.concatenate([block.independent for block in structure.blocks])
+            rows = np.concatenate([block.rows for block in structure.blocks])
+            self._put("block_length", length[bars], lengths)
+            self._put("block_free", free_place[rows], lengths)
+        bodies = []
+        for block in structure.blocks:
+            is_held = np.isin(structure.bars[block.bars], structure.fixed).any()
+            if is_held or len(block.rows) < d * len(block.nodes):
+                continue
+            body = records.Body(len(block.bars), len(block.nodes))
+            ends = free_place[d * structure.bars[block.bars]]
+            self._put("start", ends[:, 0], body)
+            self._put("end", ends[:, 1], body)
+            self._put("bar_mass", structure.bar_mass[block.bars], body)
+            self._put("node", free_place[d * block.nodes], body)
+            self._put("point_mass", structure.point_mass[block.nodes], body)
+            bodies.append(body)
+        lengths.bodies, lengths.body = len(bodies), self._array_of(records.Body, bodies)
+
+    def _put(self, name: str, values: Any, record: Any = None) -> None:
+        kind = np.int32 if np.asarray(values).dtype.kind in "iub" else np.float64
+        array = np.ascontiguousarray(values, dtype=kind)
+        self._arrays.append(array)
+        setattr(self.scene if record is None else record, name, array.ctypes.data)
+
+    def _array_of(self, kind: type[Any], entries: list[Any]) -> int:
+        array = (kind * max(1, len(entries)))(*entries)
+        self._arrays.append(array)
+        return ctypes.addressof(array)
+
+    # ---- calls ----
+
+    def drive(self, u: FloatArray) -> records.Drive:
+        """Return the record of an input u."""
+        layout = self._layout
+        begin = float(u[-1]) if layout.degree and len(u) else 0.0
+        return records.Drive(
+            u.ctypes.data, begin, layout.count, layout.degree, layout.load > 0, layout.offset > 0
+        )
+
+    def taut(self, state: FloatArray, u: FloatArray) -> FloatArray:
+        """Return which strings pull and contacts press, 1 or 0 each, shape (switches,)."""
+        taut, work = np.zeros(self.switches), np.empty(self.work_size)
+        self.core.tc_taut(
+            _at(self.scene), _at(self.drive(u)), _data(state), _data(taut), _data(work)
+        )
+        return taut
+
+    def slope(self, state: FloatArray, u: FloatArray, taut: FloatArray) -> FloatArray:
+        """Return ẋ for fixed switches, shape (states,)."""
+        slope, work = np.empty(self.states), np.empty(self.work_size)
+        self.core.tc_slope(
+            _at(self.scene), _at(self.drive(u)), _data(state), _data(taut), _data(slope),
+            _data(work),
+        )  # fmt: skip
+        return slope
+
+    def forces(self, state: FloatArray, u: FloatArray, taut: FloatArray) -> FloatArray:
+        """Return the forces along the free coordinates for fixed switches, N."""
+        forces, work = np.empty(self.scene.entries), np.empty(self.work_size)
+        self.core.tc_forces(
+            _at(self.scene), _at(self.drive(u)), _data(state), _data(taut), _data(forces),
+            _data(work),
+        )  # fmt: skip
+        return forces[self._free_rows]
+
+    def gap(self, state: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the gap of each switch, m, and its rate, m/s; see :class:`Equation`."""
+        gap, rate, work = np.empty(self.switches), np.empty(self.switches), np.empty(self.work_size)
+        self.core.tc_gap(
+            _at(self.scene), _at(self.drive(u)), _data(state), _data(gap), _data(rate),
+            _data(work),
+        )  # fmt: skip
+        return gap, rate
+
+    def restored(self, state: FloatArray) -> FloatArray:
+        """Return a state with its bars on their lengths; see :func:`project`."""
+        state, work = state.copy(), np.empty(self.work_size)
+        drive = self.drive(np.zeros(0))
+        self.core.tc_restore(
+            _at(self.scene), _at(drive), _at(self.lengths), _data(state), _data(work)
+        )
+        return state
+
+    def frequency(
+        self, state: FloatArray, u: FloatArray, difference: float, vector: FloatArray
+    ) -> float:
+        """Return the largest angular frequency of small motions about a state, rad/s.
+
+        By power iteration from a vector on differences of a length, m. Contacts are taken as open.
+        """
+        work = np.empty(self.work_size)
+        return float(
+            self.core.tc_frequency(
+                _at(self.scene), _at(self.drive(u)), _data(state), ctypes.c_double(difference),
+                _data(vector), _data(work),
+            )
+        )  # fmt: skip
+
+    def motion(self, state: FloatArray, u: FloatArray, settings: records.Settings) -> CoreMotion:
+        """Return a motion from a state, to be advanced."""
+        return CoreMotion(self, state, u, settings)
+
+
+class CoreMotion:
+    """A motion within a span, advanced by the core in parts.
+
+    Attributes
+    ----------
+    state : ndarray, shape (states,)
+        Where it has come to.
+    states : ndarray, shape (outputs, states)
+        At the outputs; those that are reached are filled in.
+    done : int
+        Outputs that are reached.
+    progress : Progress
+    """
+
+    def __init__(
+        self, scene: CoreScene, state: FloatArray, u: FloatArray, settings: records.Settings
+    ) -> None:
+        self._scene, self._u, self._settings = scene, u, settings
+        self._drive = scene.drive(u)
+        self.state = state.copy()
+        self._taut = scene.taut(state, u)
+        self._slope = scene.slope(state, u, self._taut)
+        self.states = np.empty((settings.outputs, len(state)))
+        self.done = 0
+        self.progress = records.Progress(step=settings.step)
+        self._work = np.empty(scene.work_size)
+
+    @property
+    def slope(self) -> FloatArray:
+        """ẋ where it has come to."""
+        return self._slope
+
+    @property
+    def evaluations(self) -> int:
+        """Of the equation, by DOP853."""
+        return int(self._scene.core.tc_evaluations(_at(self.progress)))
+
+    @property
+    def is_paused(self) -> bool:
+        """Whether the evaluations of the settings are used up."""
+        return bool(self.evaluations >= self._settings.limit)
+
+    def advance(self, budget: int) -> None:
+        """Go on by at most so many steps that are tried."""
+        scene = self._scene
+        self._settings.budget = budget
+        self.done = scene.core.tc_advance(
+            _at(scene.scene), _at(self._drive), _at(scene.lengths), _at(self._settings),
+            _at(self.progress), _data(self.state), _data(self._slope), _data(self._taut),
+            _data(self.states), _data(self._work),
+        )  # fmt: skip
+
+
+def _at(record: ctypes.Structure) -> Any:
+    return ctypes.byref(record)
+
+
+def _data(array: FloatArray) -> ctypes.c_void_p:
+    return ctypes.c_void_p(array.ctypes.data)

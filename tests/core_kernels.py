@@ -1,0 +1,249 @@
+"""The kernels of the core: C code of one member, printed from the statement of the physics.
+
+Run: ``python -m tests.core_kernels --write`` after a change of :mod:`tenscontrol.dynamics.kernel`
+or of a law. A test prints them anew and compares.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+
+from tenscontrol.dynamics import kernel
+from tenscontrol.dynamics.contact_laws import Ground, HertzGround, SmoothGround
+from tenscontrol.dynamics.string_laws import ElasticStrings, LinearStrings
+
+FILE = Path(__file__).parent.parent / "tenscontrol" / "core" / "kernels.h"
+
+_HEAD = """\
+/* Kernels of one member: printed by tests/core_kernels.py, not by hand.
+
+   Vectors have as many entries as the name says. Units are SI; signs are those of the module
+   tenscontrol.dynamics.kernel: force densities of strings are positive in tension, those of bars
+   in compression. */
+#ifndef TENSCONTROL_KERNELS_H
+#define TENSCONTROL_KERNELS_H
+
+#include <math.h>
+
+/* Calls of the library's fmax and fmin would keep loops from being fast; these give the same. */
+static inline double larger(double x, double y) { return x > y || y != y ? x : y; }
+static inline double smaller(double x, double y) { return x < y || y != y ? x : y; }
+"""
+
+_OPERATIONS = {
+    ca.OP_ASSIGN: "{0}", ca.OP_ADD: "{0} + {1}", ca.OP_SUB: "{0} - {1}", ca.OP_MUL: "{0} * {1}",
+    ca.OP_DIV: "{0} / {1}", ca.OP_INV: "1 / {0}", ca.OP_NEG: "-{0}", ca.OP_SQ: "{0} * {0}",
+    ca.OP_TWICE: "2 * {0}", ca.OP_SQRT: "sqrt({0})", ca.OP_FMAX: "larger({0}, {1})",
+    ca.OP_FMIN: "smaller({0}, {1})", ca.OP_FABS: "fabs({0})", ca.OP_LT: "{0} < {1}",
+    ca.OP_LE: "{0} <= {1}", ca.OP_IF_ELSE_ZERO: "{0} ? {1} : 0", ca.OP_NOT: "!{0}",
+    ca.OP_CONSTPOW: "pow({0}, {1})", ca.OP_POW: "pow({0}, {1})",
+}  # fmt: skip
+
+
+class _Symbol(ca.SX):
+    """A parameter that is there: laws leave out what has none."""
+
+    def __bool__(self) -> bool:
+        return True
+
+
+def _symbol(name: str) -> _Symbol:
+    return _Symbol(ca.SX.sym(name))
+
+
+def printed(name: str, inputs: dict[str, Any], outputs: dict[str, Any]) -> str:
+    """Return the C text of a function of numbers and vectors, by name."""
+    function = ca.Function(name, list(inputs.values()), [ca.densify(o) for o in outputs.values()])
+    names = list(inputs), list(outputs)
+    given = [
+        f"const double {'*' if size > 1 else ''}{key}"
+        for key, size in ((key, each.numel()) for key, each in inputs.items())
+    ]
+    given += [f"double *{key}" for key in outputs]
+    lines, known = [], {}
+    for k in range(function.n_instructions()):
+        op, ins = function.instruction_id(k), function.instruction_input(k)
+        out = function.instruction_output(k)
+        if op == ca.OP_CONST:
+            known[out[0]] = repr(float(function.instruction_constant(k)))
+        elif op == ca.OP_INPUT:
+            key = names[0][ins[0]]
+            known[out[0]] = key if inputs[key].numel() == 1 else f"{key}[{ins[1]}]"
+        elif op == ca.OP_OUTPUT:
+            key = names[1][out[0]]
+            entry = f"*{key}" if outputs[key].numel() == 1 else f"{key}[{out[1]}]"
+            lines.append(f"{entry} = {known[ins[0]]};")
+        else:
+            text = _OPERATIONS[op].format(*(known[i] for i in ins))
+            lines.append(f"const double t{k} = {text};")
+            known[out[0]] = f"t{k}"
+    body = "\n  ".join(lines)
+    return f"static inline void {name}({', '.join(given)}) {{\n  {body}\n}}\n"
+
+
+def with_constants(
+    name: str, inputs: dict[str, Any], mass: Any, outputs: dict[str, Any]
+) -> list[str]:
+    """Return the C text of a function, and of one that finds what it needs of the mass, once."""
+    expressions = list(outputs.values())
+    stacked, found, values = ca.extract_parametric(ca.vertcat(*expressions), mass)
+    if ca.depends_on(stacked, mass):
+        found, values = [*found, mass], [*values, mass]
+    constants = ca.SX.sym("constants", len(found))
+    stacked = ca.substitute([stacked], found, ca.vertsplit(constants))[0]
+    ends = [0]
+    for each in expressions:
+        ends.append(ends[-1] + each.numel())
+    parts = dict(zip(outputs, ca.vertsplit(stacked, ends), strict=True))
+    return [
+        f"enum {{ {name.upper()}_CONSTANTS = {len(found)} }};",
+        printed(f"{name}_constants", {"mass": mass}, {"constants": ca.vertcat(*values)}),
+        printed(name, {**inputs, "constants": constants}, parts),
+    ]
+
+
+def kernels() -> str:
+    """Return the header."""
+    texts = [_HEAD]
+    for d in (2, 3):
+        texts += _of_bodies(d) + _of_segments(d) + _of_ground(d)
+    texts += _of_laws()
+    return "\n".join([*texts, "#endif\n"])
+
+
+def _of_bodies(d: int) -> list[str]:
+    B, Bd, start, end = (ca.SX.sym(name, d) for name in ("B", "Bd", "start", "end"))
+    mass = ca.SX.sym("mass")
+    given = {"bar": B, "rate": Bd}
+    at_start, at_end, _ = kernel.free_bar(B, Bd, start, end, mass)
+    at_tip, _ = kernel.swinging_bar(B, Bd, end, mass)
+    return [
+        *with_constants(f"free_bar_{d}", {**given, "on_start": start, "on_end": end}, mass,
+                        {"start": at_start, "end": at_end}),
+        *with_constants(f"swinging_bar_{d}", {**given, "on_tip": end}, mass, {"tip": at_tip}),
+        printed(f"coupled_bar_{d}", {"rate": Bd}, {"right": -kernel.dots(Bd, Bd)}),
+    ]  # fmt: skip
+
+
+def _of_segments(d: int) -> list[str]:
+    S, Sd = ca.SX.sym("S", d), ca.SX.sym("Sd", d)
+    length, rest = ca.SX.sym("length"), ca.SX.sym("rest")
+    return [
+        printed(f"pulling_length_{d}", {"segment": S, "rest": rest},
+                {"length": kernel.pulling_length(S, rest)}),
+        printed(f"length_rate_{d}", {"segment": S, "change": Sd, "length": length},
+                {"rate": kernel.length_rate(S, Sd, length)}),
+    ]  # fmt: skip
+
+
+def _of_laws() -> list[str]:
+    texts = []
+    length, rest, rate, stiffness = (ca.SX.sym(n) for n in ("length", "rest", "rate", "stiffness"))
+    for name, kind, field in (
+        ("linear", LinearStrings, "stiffness"), ("elastic", ElasticStrings, "axial_rigidity"),
+    ):  # fmt: skip
+        for damping in (None, ca.SX.sym("damping")):
+            law = kind(1.0).with_parameters(
+                {field: stiffness} | ({} if damping is None else {"damping": damping})
+            )
+            given = {"length": length, "rest": rest}
+            given |= {} if damping is None else {"rate": rate}
+            given |= {"stiffness": stiffness}
+            given |= {} if damping is None else {"damping": damping}
+            full = f"{name}_{'undamped' if damping is None else 'damped'}"
+            texts.append(
+                printed(
+                    f"{full}_force_density",
+                    given,
+                    {"force_density": law.taut_force_density(length, rest, rate)},
+                )
+            )
+            if damping is not None:
+                texts.append(printed(f"{full}_gap", given, {"gap": law.gap(length, rest, rate)}))
+    return texts
+
+
+def _of_ground(d: int) -> list[str]:
+    texts = []
+    x, v, normal = (ca.SX.sym(name, d) for name in ("x", "v", "n"))
+    pressing = ca.SX.sym("pressing")
+    for name, kind in (("linear", Ground), ("hertz", HertzGround), ("smooth", SmoothGround)):
+        law = object.__new__(kind)
+        fields = ["stiffness", "damping", "friction", "slip_speed", "height"]
+        fields += ["width"] if kind is SmoothGround else []
+        symbols = {field: _symbol(field) for field in fields}
+        for field, symbol in symbols.items():
+            object.__setattr__(law, field, symbol)
+        depth, rate = law.height - kernel.dots(normal, x), -kernel.dots(normal, v)
+        given = {"x": x, "v": v}
+        if kind is not SmoothGround:
+            given |= {"pressing": pressing}
+            gap = {"gap": law.gap(depth, rate), "rate": rate}
+            if name == "linear":
+                texts.append(
+                    printed(
+                        f"ground_gap_{d}",
+                        {
+                            "x": x,
+                            "v": v,
+                            "damping": law.damping,
+                            "height": law.height,
+                            "normal": normal,
+                        },
+                        gap,
+                    )
+                )
+        press = law.normal_force(depth, rate)
+        if kind is not SmoothGround:
+            press = pressing * press
+        force = law.resultant(press, normal, v)
+        texts.append(
+            printed(f"{name}_ground_{d}", given | symbols | {"normal": normal}, {"force": force})
+        )
+    return texts
+
+
+COEFFICIENTS = Path(__file__).parent.parent / "tenscontrol" / "core" / "dop853_coefficients.h"
+
+
+def coefficients() -> str:
+    """Return the header of the coefficients of DOP853, as SciPy has them."""
+    from scipy.integrate import DOP853
+
+    from tenscontrol.integrate.dop853 import _interpolant_error
+
+    def sums(name: str, weights: Any) -> str:
+        terms = " + ".join(f"K[{k} * n + i] * {float(a)!r}" for k, a in enumerate(weights) if a)
+        return f"#define {name} ({terms})"
+
+    lines = [
+        "/* Coefficients of DOP853 (Hairer, Norsett, Wanner), II.5 and II.6: printed by",
+        "   tests/core_kernels.py. Sums of the slopes K of stages, entry i of n. */",
+    ]
+    for k, (a, c) in enumerate(zip(DOP853.A[1:], DOP853.C[1:], strict=True), 1):
+        lines += [sums(f"STAGE_{k}", a), f"#define TIME_{k} {float(c)!r}"]
+    for k, (a, c) in enumerate(zip(DOP853.A_EXTRA, DOP853.C_EXTRA, strict=True), len(DOP853.B) + 1):
+        lines += [sums(f"STAGE_{k}", a), f"#define TIME_{k} {float(c)!r}"]
+    lines += [sums("END", DOP853.B), sums("FIFTH", DOP853.E5), sums("THIRD", DOP853.E3)]
+    lines += [sums(f"DENSE_{k}", d) for k, d in enumerate(DOP853.D)]
+    share = ", ".join(repr(float(a)) for a in _interpolant_error())
+    lines.append("/* What the interpolant errs at a part of a step, over the error estimate. */")
+    lines.append(f"static const double INTERPOLANT_ERROR[] = {{{share}}};")
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    """Write the kernels, or say whether those in the package are up to date."""
+    if sys.argv[1:] == ["--write"]:
+        FILE.write_text(kernels(), encoding="utf-8")
+        COEFFICIENTS.write_text(coefficients(), encoding="utf-8")
+    else:
+        print("up to date" if FILE.read_text("utf-8") == kernels() else "run it with --write")
+
+
+if __name__ == "__main__":
+    main()

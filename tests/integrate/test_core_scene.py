@@ -1,0 +1,76 @@
+"""The compiled core evaluates the equation of motion that CasADi states."""
+
+import numpy as np
+import pytest
+
+from tenscontrol.core.library import library
+from tenscontrol.integrate.core_scene import core_scene
+from tenscontrol.integrate.projection import project
+from tests import core_kernels
+from tests.random_scenes import random_scene
+from tests.without_core import without_core
+
+pytestmark = pytest.mark.skipif(library() is None, reason="installed without a compiler")
+
+
+def scene_and_state(seed):
+    """A random scene, its equation, a state near by with any velocities, an input, switches."""
+    scene, rng = random_scene(seed), np.random.default_rng(seed)
+    structure = scene.structure
+    rows = structure.free_rows
+    position = structure.nodes.ravel(order="F")[rows] * (1 + 1e-3 * rng.normal(size=len(rows)))
+    state = np.concatenate([position, rng.normal(size=len(rows)) * scene.size])
+    equation = scene.model.equation(scene.input)
+    u = np.asarray(scene.value, dtype=float) * np.ones(len(structure.strings))
+    taut = (rng.random(equation.switches) < 0.7).astype(float)
+    return scene, equation, state, u, taut
+
+
+def apart(left, right):
+    """The largest difference as part of the largest number."""
+    left, right = np.ravel(left), np.ravel(right)
+    size = np.abs(right).max(initial=0.0)
+    return np.abs(left - right).max(initial=0.0) / max(size, 1e-300)
+
+
+@pytest.mark.parametrize("first", range(0, 120, 20))
+def test_slopes_gaps_and_forces_are_those_of_the_equation(first):
+    for seed in range(first, first + 20):
+        _, equation, state, u, taut = scene_and_state(seed)
+        core = core_scene(equation)
+        half = len(state) // 2
+        assert apart(core.slope(state, u, taut), equation.slope(state, u, taut).full()) < 1e-12
+        gap, rate = core.gap(state, u)
+        wanted = [value.full() for value in equation.gap(state, u)]
+        assert apart(gap, wanted[0]) < 1e-12
+        assert apart(rate, wanted[1]) < 1e-12
+        forces = equation.force(state[:half], state[half:], u, taut).full()
+        assert apart(core.forces(state, u, taut), forces) < 1e-12
+
+
+def test_bars_are_put_on_their_lengths():
+    for seed in range(40):
+        scene, equation, state, _, _ = scene_and_state(seed)
+        if len(scene.structure.bars) == 0:
+            continue
+        off = state.copy()
+        off[: len(off) // 2] += (
+            1e-5 * scene.size * np.random.default_rng(0).normal(size=len(off) // 2)
+        )
+        wanted = project(scene.structure)(off).full()
+        assert (
+            apart(core_scene(equation).restored(off), wanted) < 1e-7
+        )  # how a bar spins about itself
+
+
+def test_what_the_core_does_not_know_is_left_to_casadi():
+    _, equation, _, _, _ = scene_and_state(0)
+    with without_core():
+        assert core_scene(equation) is None
+    assert core_scene(equation) is not None
+
+
+def test_the_kernels_are_those_of_the_laws():
+    """``python -m tests.core_kernels --write`` prints them anew."""
+    assert core_kernels.FILE.read_text("utf-8") == core_kernels.kernels()
+    assert core_kernels.COEFFICIENTS.read_text("utf-8") == core_kernels.coefficients()
