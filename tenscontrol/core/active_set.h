@@ -53,14 +53,19 @@
 
 #include <stddef.h>
 
-/* The shared library of the package shows these functions, and has wider registers where the
-   machine does: the same operations, so the same numbers. */
-#ifdef TENSCONTROL_CORE
-#include "core.h"
-#define SOLVER_API EXPORTED
-#define SOLVER_WIDE WIDE
+/* Functions that a shared library shows. */
+#if defined(_WIN32)
+#define SOLVER_API __declspec(dllexport)
+#elif defined(__GNUC__)
+#define SOLVER_API __attribute__((visibility("default")))
 #else
 #define SOLVER_API
+#endif
+
+/* The same operations, so the same numbers, in wider registers where the machine has them. */
+#if defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && !defined(__clang__)
+#define SOLVER_WIDE __attribute__((target_clones("avx2", "default")))
+#else
 #define SOLVER_WIDE
 #endif
 

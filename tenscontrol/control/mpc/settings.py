@@ -27,7 +27,7 @@ from tenscontrol.control.mpc.problem import (
 from tenscontrol.control.mpc.solvers.osqp_adapter import OSQPSolver
 from tenscontrol.control.mpc.solvers.solver import QPSolver
 from tenscontrol.control.mpc.sparse import Sparse
-from tenscontrol.control.mpc.stages import why_no_stages
+from tenscontrol.core.library import absence
 from tenscontrol.fields import check_fields, checked
 from tenscontrol.plant.controllability import refuse_empty, refuse_unreachable
 from tenscontrol.plant.input_bounds import input_bounds, largest_change
@@ -253,7 +253,7 @@ def uses_stages(settings: MPCSettings) -> bool:
     """Return whether programs are solved along the stages, or raise where that cannot be."""
     if settings.solver not in ("auto", "stages"):
         return False
-    missing = why_no_stages()
+    missing = absence()
     if missing and settings.solver == "stages":
         raise ValueError(
             f"solver is 'stages', which is in the compiled core, but {missing}. Take 'auto' or "

@@ -29,6 +29,7 @@ from tenscontrol.control.mpc.problem import (
     SubproblemSolution,
     Triple,
 )
+from tenscontrol.core.library import library
 from tenscontrol.status import Status
 
 # Of a limit, in its unit: what round-off may leave of it.
@@ -59,30 +60,15 @@ class _Data(ctypes.Structure):
 
 @cache
 def _library() -> ctypes.CDLL:
-    from importlib.resources import files
-
-    from tenscontrol.dynamics.machine_code import compiled_library
-
-    folder = files("tenscontrol") / "core"
-    text = "".join(
-        (folder / name).read_text(encoding="utf-8")
-        for name in ("active_set.h", "active_set.c", "stages.h", "stages.c")
-    )
-    text = text.replace('#include "active_set.h"', "").replace('#include "stages.h"', "")
-    library = ctypes.CDLL(str(compiled_library(text)))
-    library.stages_program_size.restype = ctypes.c_size_t
+    """Return the core with the types of its functions."""
+    core = library()
+    assert core is not None  # callers look for it
+    core.stages_program_size.restype = ctypes.c_size_t
     pointer = ctypes.c_void_p
-    library.stages_program_prepare.argtypes = [*[pointer] * 3, ctypes.c_double, *[pointer] * 8]
-    library.stages_program_aim.argtypes = [pointer] * 4
-    library.stages_program_solve.argtypes = [*[pointer] * 4, _Stop]
-    return library
-
-
-def why_no_stages() -> str:
-    """Return why the core is not there; empty if it is."""
-    from tenscontrol.dynamics.machine_code import compiler
-
-    return "" if compiler() is not None else "there is no compiler"
+    core.stages_program_prepare.argtypes = [*[pointer] * 3, ctypes.c_double, *[pointer] * 8]
+    core.stages_program_aim.argtypes = [pointer] * 4
+    core.stages_program_solve.argtypes = [*[pointer] * 4, _Stop]
+    return core
 
 
 @cache
@@ -178,22 +164,22 @@ class _CoreProgram:
     def __init__(
         self, problem: MPCProblem, row_bounds: Pair, max_iterations: int, bounds: Pair, alike: bool
     ) -> None:
-        library, N, (m, a) = _library(), problem.length, problem.input_matrix.shape
+        core, N, (m, a) = _library(), problem.length, problem.input_matrix.shape
         sizes, data = stages_data(problem, row_bounds, max_iterations, bounds, alike)
         n, p, rows = sizes["states"], sizes["limited"], data["price"].size
         self._data, self.scale = data, data["scale"]
-        self.program = ctypes.create_string_buffer(library.stages_program_size())
+        self.program = ctypes.create_string_buffer(core.stages_program_size())
         counts, views = (ctypes.c_size_t * 3)(), (ctypes.c_void_p * 7)()
         given = (
             self.program, ctypes.byref(_Sizes(**sizes)), ctypes.c_double(problem.level),
             ctypes.c_double(STAGES_TOLERANCE), _multiply(),
             ctypes.byref(_Data(**{name: _address(part) for name, part in data.items()})),
         )  # fmt: skip
-        library.stages_program_place(*given, None, None, None, counts, views)
+        core.stages_program_place(*given, None, None, None, counts, views)
         numbers = np.zeros(counts[0])
         self._memory = numbers, np.zeros(counts[1], np.intc), np.zeros(counts[2], np.intp)
         places = (ctypes.c_void_p(_address(part)) for part in self._memory)
-        library.stages_program_place(*given, *places, counts, views)
+        core.stages_program_place(*given, *places, counts, views)
         shapes = [(N + 1, m), (N + 1, a), (rows,), (N + 1, n), (N, a), (N, n), (N, p)]
         (
             self.states, self.inputs, self.multipliers, moves, self.input_moves, self.gap,
@@ -204,7 +190,7 @@ class _CoreProgram:
         )  # fmt: skip
         self.moves = moves[:, :m]
         self.shift, self._prepare, self.aim, self._solve, self.plan, self.iterations = (
-            getattr(library, f"stages_program_{name}")
+            getattr(core, f"stages_program_{name}")
             for name in ("shift", "prepare", "aim", "solve", "plan", "iterations")
         )
 

@@ -9,10 +9,11 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.control import Status
-from tenscontrol.control.mpc import settings, stages
+from tenscontrol.control.mpc import settings
 from tenscontrol.control.mpc.problem import MPCProblem, StageData
 from tenscontrol.control.mpc.solvers.osqp_adapter import OSQPSolver
 from tenscontrol.control.mpc.sparse import Sparse
+from tenscontrol.core.library import absence
 from tests.control.fault_loop import solve_nothing
 from tests.control.mpc.optimum import exact_optimum, point_of_inputs
 
@@ -313,13 +314,12 @@ def test_program_answers_infeasible_unbounded_and_bad_data_without_a_solution():
 
 
 def test_the_core_solves_programs_where_it_is(plant, monkeypatch):
-    core = not stages.why_no_stages()
+    core = not absence()
     usual = tc.MPC(plant, horizon=20, **GIVEN)
     assert usual.solver == ("stages" if core else "osqp")
     named = tc.MPC(plant, horizon=20, **GIVEN, solver="osqp")
     assert repr(named).endswith("sample time 0.02 s, osqp)")
-    for module in (stages, settings):
-        monkeypatch.setattr(module, "why_no_stages", lambda: "the package was installed without it")
+    monkeypatch.setattr(settings, "absence", lambda: "the package was installed without it")
     assert tc.MPC(plant, horizon=20, **GIVEN).solver == "osqp"
     with pytest.raises(
         ValueError, match=r"solver is 'stages', .* core, but the package was .*osqp"

@@ -8,10 +8,10 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.control.mpc import OutputLimit
-from tenscontrol.control.mpc.stages import why_no_stages
+from tenscontrol.core.library import absence
 from tests.control.mpc.optimum import exact_optimum, point_of_inputs
 
-pytestmark = pytest.mark.skipif(why_no_stages() != "", reason="there is no compiled core")
+pytestmark = pytest.mark.skipif(absence() != "", reason="there is no compiled core")
 
 
 def plant_of(structure, held):

@@ -15,11 +15,12 @@ from tenscontrol.control.mpc.problem import (
     StageJacobians,
     Subproblem,
 )
-from tenscontrol.control.mpc.stages import StagesSubproblem, why_no_stages
+from tenscontrol.control.mpc.stages import StagesSubproblem
+from tenscontrol.core.library import absence
 from tests.control.mpc.optimum import exact_optimum, fill_violations, is_feasible
 
 SAMPLE = 0.02
-pytestmark = pytest.mark.skipif(why_no_stages() != "", reason="there is no compiled core")
+pytestmark = pytest.mark.skipif(absence() != "", reason="there is no compiled core")
 
 
 def exact_plan(problem, bounds, row_bounds, plan, motion, rows, given, found):
