@@ -23,7 +23,7 @@ import numpy as np
 from scipy.sparse import csc_array, csc_matrix, triu, vstack
 
 import tenscontrol as tc
-from tenscontrol.control.mpc.solvers.osqp_adapter import OSQPSolver
+from tenscontrol.control.mpc.osqp_solver import OSQPSolver
 from tenscontrol.demo import tour as demo
 from tests.benchmarks.command_line import options
 from tests.control.mpc.optimum import exact_optimum, point_of_inputs

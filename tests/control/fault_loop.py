@@ -11,8 +11,8 @@ import numpy as np
 import tenscontrol as tc
 from tenscontrol.control import Status
 from tenscontrol.control.mpc import QPSolution
+from tenscontrol.control.mpc.osqp_solver import OSQPSolver
 from tenscontrol.control.mpc.problem import LinearSolution, SubproblemSolution
-from tenscontrol.control.mpc.solvers.osqp_adapter import OSQPSolver
 from tenscontrol.control.mpc.stages import StagesProgram, StagesSubproblem
 from tenscontrol.dynamics.evaluator import Evaluator
 from tenscontrol.plant.reduced_dynamics import sampled_dynamics

@@ -12,8 +12,8 @@ from collections import Counter
 
 import numpy as np
 
-from tests.control.mpc.solvers.active_set_library import ActiveSetProgram
-from tests.control.mpc.solvers.test_active_set import BATCHES, is_solvable, optimality, programs
+from tests.control.mpc.active_set_library import ActiveSetProgram
+from tests.control.mpc.test_active_set import BATCHES, is_solvable, optimality, programs
 
 
 def main():

@@ -18,14 +18,14 @@ from tenscontrol.control.command import ControlWarning
 from tenscontrol.control.controller import Controller, warn_of_unreached
 from tenscontrol.control.disturbance import LoadModel, LoadObserver, load_observer
 from tenscontrol.control.mpc.constraints import OutputLimit, broken_limits, output_block
+from tenscontrol.control.mpc.osqp_solver import OSQPSolver
 from tenscontrol.control.mpc.problem import (
     Constraints,
     MPCProblem,
     RowBlock,
     string_block,
 )
-from tenscontrol.control.mpc.solvers.osqp_adapter import OSQPSolver
-from tenscontrol.control.mpc.solvers.solver import QPSolver
+from tenscontrol.control.mpc.qp_solver import QPSolver
 from tenscontrol.control.mpc.sparse import Sparse
 from tenscontrol.core.library import absence
 from tenscontrol.fields import check_fields, checked

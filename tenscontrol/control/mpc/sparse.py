@@ -20,6 +20,7 @@ import numpy as np
 
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, IntArray, frozen
+from tenscontrol.control.mpc.osqp_solver import OSQPSolver
 from tenscontrol.control.mpc.problem import (
     LinearProgram,
     LinearSolution,
@@ -32,8 +33,7 @@ from tenscontrol.control.mpc.problem import (
     Triple,
     applied,
 )
-from tenscontrol.control.mpc.solvers.osqp_adapter import OSQPSolver
-from tenscontrol.control.mpc.solvers.solver import QPSolver
+from tenscontrol.control.mpc.qp_solver import QPSolver
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array

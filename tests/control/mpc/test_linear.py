@@ -10,8 +10,8 @@ import pytest
 import tenscontrol as tc
 from tenscontrol.control import Status
 from tenscontrol.control.mpc import settings
+from tenscontrol.control.mpc.osqp_solver import OSQPSolver
 from tenscontrol.control.mpc.problem import MPCProblem, StageData
-from tenscontrol.control.mpc.solvers.osqp_adapter import OSQPSolver
 from tenscontrol.control.mpc.sparse import Sparse
 from tenscontrol.core.library import absence
 from tests.control.fault_loop import solve_nothing
@@ -287,7 +287,7 @@ def test_out_of_iterations_is_a_fallback_and_not_a_bad_command(plant):
 def test_every_status_of_osqp_is_mapped():
     import osqp
 
-    from tenscontrol.control.mpc.solvers.osqp_adapter import _STATUS
+    from tenscontrol.control.mpc.osqp_solver import _STATUS
 
     assert {status.name for status in osqp.SolverStatus} == set(_STATUS)
     assert [name for name, status in _STATUS.items() if status is Status.OK] == ["OSQP_SOLVED"]

@@ -7,8 +7,8 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.control import NMPC, Status
+from tenscontrol.control.mpc.osqp_solver import OSQPSolver
 from tenscontrol.control.mpc.problem import SubproblemSolution
-from tenscontrol.control.mpc.solvers.osqp_adapter import OSQPSolver
 from tenscontrol.demo import tour as demo
 from tenscontrol.dynamics.machine_code import compiler
 from tenscontrol.plant.reduced_dynamics import explicit_substeps, sampled_dynamics

@@ -10,7 +10,7 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.control import MPCSettings, QPSolution, QPSolver, Status
-from tenscontrol.control.mpc.solvers.osqp_adapter import OSQPSolver
+from tenscontrol.control.mpc.osqp_solver import OSQPSolver
 from tenscontrol.docstrings import documented
 from tenscontrol.dynamics.evaluator import Function
 from tests.deploy import scenes

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from tests.control.mpc.active_set_library import ActiveSetProgram, library
 from tests.control.mpc.optimum import is_feasible
-from tests.control.mpc.solvers.active_set_library import ActiveSetProgram, library
 
 pytestmark = pytest.mark.skipif(library() is None, reason="needs a C compiler")
 

@@ -11,7 +11,7 @@ import pytest
 from scipy.sparse import csc_array
 
 from tenscontrol.control import Status
-from tenscontrol.control.mpc.solvers.osqp_adapter import OSQPSolver
+from tenscontrol.control.mpc.osqp_solver import OSQPSolver
 from tests.control.mpc.test_linear import kkt_residual
 
 FREE, HARD, SOFT = 12, 8, 5
