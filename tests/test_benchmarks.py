@@ -247,10 +247,11 @@ def test_mpc_step(printed):
     ramp, push = map(int, re.findall(r"samples with a bound active: (\d+)", text))
     assert ramp == 0
     assert 2 < push <= 5
-    assert len(re.findall(r"^  (?:condensed|sparse), (?:updated|built anew) ", text, re.M)) == 8
+    assert len(re.findall(r"^  (?:stages|osqp), (?:updated|built anew) ", text, re.M)) == 8
     assert row(text, "        5 ")[0] == 45
-    assert float(re.search(r"difference of a command: (\S+) m", text)[1]) < 1e-12
-    assert row(text, "  stages ")[4] > 0
+    *_, changes, median, late = map(float, text.splitlines()[-1].split())
+    assert changes >= 0
+    assert 0 < median <= late
 
 
 def test_stiffness(printed):
@@ -267,14 +268,15 @@ def test_stiffness(printed):
 def test_qp_solvers(printed):
     text = printed("qp_solvers", "--starts 1 --samples 6 --lengths 4")
     assert "horizon 4: 6 programs, 36 inputs" in text
-    errors = {"DAQP, condensed": 1e-12, "OSQP, condensed": 1e-2, "OSQP, sparse": 1e-2}
+    errors = {"stages": 1e-9, "OSQP, sparse": 1e-2}
     errors |= {"PIQP multistage, sparse": 1e-2} if find_spec("piqp") else {}
-    errors |= {"quadprog, condensed": 1e-9} if find_spec("quadprog") else {}
+    errors |= {"DAQP, dense": 1e-9} if find_spec("daqp") else {}
+    errors |= {"quadprog, dense": 1e-9} if find_spec("quadprog") else {}
     for name, most in errors.items():
         times, worst = row(text, name)[::2], row(text, name)[1::2]
         assert len(times) == len(worst) >= 1
         assert max(worst) < most
-    assert row(text, "DAQP, condensed")[0] == 1.0
+    assert row(text, "stages")[0] == 1.0
 
 
 def test_contact_estimation(printed):

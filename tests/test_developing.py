@@ -169,24 +169,23 @@ def dense_admm():
     from tenscontrol.control.mpc import QPSolution, QPSolver
 
     class DenseADMM(QPSolver):
-        rho = 0.1
-
         def __init__(self, P, A, tolerance, max_iterations, *, equations=False):
             self.P, self.A = P.toarray(), A.toarray()
             self.tolerance, self.max_iterations = tolerance, max_iterations
 
         def update(self, A):
-            raise NotImplementedError("the matrix of a condensed program stays")
+            raise NotImplementedError("the matrix of a linear plant stays")
 
         def solve(self, q, l, u, start=None, deadline=np.inf):  # noqa: E741
-            A, rho, status = self.A, self.rho, tc.control.Status
-            inverse = np.linalg.inv(self.P + rho * A.T @ A)
+            A, status = self.A, tc.control.Status
+            rho = np.where(l == u, 100.0, 0.1)  # of equations, and of the rest
+            inverse = np.linalg.inv(self.P + A.T * rho @ A)
             z, y = np.clip(0.0, l, u), np.zeros(len(l))
             for k in range(self.max_iterations):
                 x = inverse @ (A.T @ (rho * z - y) - q)
                 z, last = np.clip(A @ x + y / rho, l, u), z
                 y = y + rho * (A @ x - z)
-                if max(np.abs(A @ x - z).max(), rho * np.abs(z - last).max()) < self.tolerance:
+                if max(np.abs(A @ x - z).max(), (rho * np.abs(z - last)).max()) < self.tolerance:
                     return QPSolution(status.OK, x, y, k + 1)
             return QPSolution(status.OUT_OF_ITERATIONS, None, None, self.max_iterations)
 
@@ -199,7 +198,7 @@ def dense_admm():
 def test_qp_solver():
     prism = tc.prism()
     plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
-    usual = {"horizon": 5, "sample_time": 0.02, "max_force_density": 33.0, "form": "condensed"}
+    usual = {"horizon": 5, "sample_time": 0.02, "max_force_density": 33.0}
     nodes = plant.to_nodes([0.05, *np.zeros(8)])
     wanted = tc.MPC(plant, **usual, tolerance=1e-9).command(0.0, nodes, STILL)
     dense = tc.MPC(plant, **usual, solver=dense_admm(), tolerance=1e-9, max_iterations=10**5)

@@ -175,7 +175,7 @@ def values(tmp_path_factory):
 
 
 # What integrators, solvers and peers hand to each other holds arrays of their own.
-WITHIN_A_RUN = {"Equation", "Method", "QPSolution", "Solution", "Span"}
+WITHIN_A_RUN = {"Equation", "Method", "QPSolution", "QuadraticProgram", "Solution", "Span"}
 DATA = [
     cls.__name__
     for name, cls in public_classes().items()

@@ -18,6 +18,7 @@ from tenscontrol.control.mpc import (
     OutputLimit,
     QPSolution,
     QPSolver,
+    QuadraticProgram,
     clearance,
 )
 from tenscontrol.status import Status
@@ -41,6 +42,7 @@ __all__ = [
     "OutputLimit",
     "QPSolution",
     "QPSolver",
+    "QuadraticProgram",
     "Status",
     "clearance",
     "held_loop",

@@ -23,7 +23,7 @@ from tenscontrol.status import Status
 from tenscontrol.structure.structure import Structure
 
 # Methods of controllers that use what they remember of the samples before.
-_WITH_MEMORY = {"applied", "command", "fall_back", "follow", "prepare", "reset"}
+_WITH_MEMORY = {"applied", "command", "fall_back", "follow", "prepare", "program", "reset"}
 
 
 def clipped(value: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:

@@ -13,8 +13,8 @@ from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.control.command import Command, Fallback
 from tenscontrol.control.controller import Controller
 from tenscontrol.control.held_loop import warn_of_slow_errors
-from tenscontrol.control.mpc.solvers.osqp_adapter import OSQPSolver
-from tenscontrol.control.mpc.solvers.solver import QPSolution
+from tenscontrol.control.mpc.osqp_solver import OSQPSolver
+from tenscontrol.control.mpc.qp_solver import QPSolution
 from tenscontrol.dynamics.evaluator import Evaluator
 from tenscontrol.plant.input_bounds import input_bounds, largest_change
 from tenscontrol.plant.linear_plant import LinearPlant

@@ -43,7 +43,7 @@ def _loaded() -> tuple[ctypes.CDLL | None, str]:
         return None, _MISSING
     core = ctypes.CDLL(str(file))
     core.tc_sources.restype = ctypes.c_char_p
-    if any(_FOLDER.glob("*.c")) and core.tc_sources().decode() != sources_id():
+    if (_FOLDER / "core.h").is_file() and core.tc_sources().decode() != sources_id():
         return None, _OTHER
     core.tc_motion_work_size.restype = ctypes.c_size_t
     core.tc_frequency.restype = core.tc_evaluations.restype = ctypes.c_double

@@ -72,7 +72,8 @@ def code_files(controller: Controller, law: LawCode, name: str) -> dict[str, str
         "README.txt": _template("README.txt", name, words),
         **_casadi(functions, name),
     }
-    return texts | {f"{name}_{each}.h": text for each, text in law.headers.items()}
+    core = files("tenscontrol") / "core"
+    return texts | {file: (core / file).read_text(encoding="utf-8") for file in law.sources}
 
 
 def status_and_fallback(number: int) -> tuple[Status, Fallback | None]:
@@ -113,6 +114,7 @@ def _data(controller: Controller, law: LawCode, functions: list[ca.Function]) ->
         "FASTEST": float(check.fastest),
         "LARGEST_VELOCITY": float(check.largest_velocity),
         "SUPPORT_DISTANCE": float(check.support_distance),
+        "MATRICES": len(law.matrices),
         **work,
         **law.constants,
     }

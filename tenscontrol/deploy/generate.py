@@ -144,11 +144,11 @@ def generate_c(controller: Controller, folder: object, *, name: str = "controlle
     Notes
     -----
     The quadratic program is solved exactly, by a dual active-set method (Goldfarb & Idnani
-    1983, doi:10.1007/BF02591962), condensed for MPC and along the stages of the horizon for
-    NMPC, whatever solves it in Python: commands are equal to round-off where that is exact too,
-    and to its tolerance otherwise. ``max_iterations`` limits changes of the active set. The
-    reduced state is found by code that CasADi generates. A reference that moves is put into a
-    table, a row a sample, and time is rounded to a whole sample.
+    1983, doi:10.1007/BF02591962) along the stages of the horizon, with the C sources of the
+    compiled core. Commands are equal to round-off to those of ``solver="stages"``, and to the
+    tolerance to those of another solver. ``max_iterations`` limits changes of the active set.
+    The reduced state is found by code that CasADi generates. A reference that moves is put into
+    a table, a row a sample, and time is rounded to a whole sample.
 
     Examples
     --------

@@ -1,9 +1,9 @@
-"""Time of one MPC step: a program updated in place against one built anew at each sample.
+"""Time of one MPC step: along the stages and by OSQP, updated in place and built anew.
 
 Run: ``python -m tests.benchmarks.mpc_step``. Prints ratios measured in one run, of processor time;
 the prism is moved to a new height (no bound active) and recovers from a push (bounds active).
-Then MPC by winches on a tower of prisms, along the stages and condensed: processor time and growth
-of memory of its making, and times of commands: the first, those until 0.2 s after pushes that make
+Then MPC by winches on a tower of prisms, along the stages: processor time and growth of memory of
+its making, and times of commands: the first, those until 0.2 s after pushes that make
 limits active, and the others.
 
 With ``--other FOLDER``, another checkout of the project, whole commands of the two are timed in
@@ -29,6 +29,7 @@ import tenscontrol as tc
 from tenscontrol.demo import tour as demo
 from tests.benchmarks.command_line import options
 
+SOLVERS = ("stages", "osqp")
 LENGTHS = (10, 20, 40, 80)
 LIMIT = 34.0  # N/m, little above the prestress, so that bounds are met
 
@@ -60,13 +61,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for name, (plant, reference, measured) in scenes.items():
         print(f"\n{name}: horizon 20, {len(measured)} samples")
         rows = {}
-        for form in ("condensed", "sparse"):
+        for solver in SOLVERS:
             for rebuilt in (False, True):
-                mpc = controller(plant, reference, form, 20)
+                mpc = controller(plant, reference, solver, 20)
                 times = run(mpc, measured, rebuilt)
-                rows[f"{form}, {'built anew' if rebuilt else 'updated'}"] = times
+                rows[f"{solver}, {'built anew' if rebuilt else 'updated'}"] = times
                 bounds = sum(touches(mpc, moment) for moment in measured) if not rebuilt else None
-                if bounds is not None and form == "condensed":
+                if bounds is not None and solver == "stages":
                     print(f"  samples with a bound active: {bounds}")
         best = min(np.median(times) for times in rows.values())
         print("  program                  median   / best  p99 / median")
@@ -76,50 +77,45 @@ def main(arguments: Sequence[str] | None = None) -> None:
         updated = min(np.median(times) for label, times in rows.items() if "updated" in label)
         anew = min(np.median(times) for label, times in rows.items() if "anew" in label)
         print(f"  fastest updated / fastest built anew: {updated / anew:.3f}")
-    print("\ncondensed against sparse, both updated, push")
-    print("  horizon  inputs  condensed / sparse")
+    print("\nstages against OSQP, both updated, push")
+    print("  horizon  inputs  stages / OSQP")
     plant, reference, measured = scenes["push"]
     for length in given.lengths:
         medians = [
-            np.median(run(controller(plant, reference, form, length), measured, rebuilt=False))
-            for form in ("condensed", "sparse")
+            np.median(run(controller(plant, reference, solver, length), measured, rebuilt=False))
+            for solver in SOLVERS
         ]
         print(f"  {length:7d}  {9 * length:6d}  {medians[0] / medians[1]:8.2f}")
     on_tower(given.tower, given.horizon, given.push)
 
 
 def on_tower(stages, horizon, push):
-    """Print what MPC on a tower takes along the stages and condensed, from the same states."""
+    """Print what MPC on a tower takes along the stages."""
     rest = tc.prestress(tc.prism_tower(stages), min_force_density=5.0)
     model = tc.Model(rest.structure, strings=tc.LinearStrings(stiffness=1e3))
     plant = tc.linearize(model, rest, input="rest_length")
     states, inputs = plant.B.shape
     print(f"\ntower of {stages} stages, {states} states, {inputs} inputs, horizon {horizon}")
-    print("  form       build s     MB    first ms  pushed ms: median  99 %  changes  "
+    print("  build s     MB    first ms  pushed ms: median  99 %  changes  "
           "others ms: median  99 %")  # fmt: skip
-    seen, plans = [], {}
-    for form in ("stages", "condensed"):
-        before, began = peak(), process_time()
-        mpc = tc.MPC(
-            plant, horizon=horizon, sample_time=demo.SAMPLE, winches=tc.Winches(rate=0.3), form=form
-        )
-        took, memory = process_time() - began, peak() - before
-        moments = seen or recovery(plant, mpc, push)
-        seen, found = moments, []
-        mpc.reset()
-        times = []
-        for moment in moments:
-            began = process_time()
-            found.append(mpc.command(*moment).value)
-            times.append(1e3 * (process_time() - began))
-        plans[form], work = np.array(found), mpc.statistics.iterations
-        after = (np.arange(len(times)) % 30 < 10) & (np.arange(len(times)) > 0)
-        hurried, calm = np.array(times)[after], np.array(times)[~after][1:]
-        print(f"  {form:10s} {took:7.2f} {memory:6.0f} {times[0]:11.1f} {np.median(hurried):18.1f} "
-              f"{np.quantile(hurried, 0.99):5.1f} {work[after].max():8d} {np.median(calm):18.1f} "
-              f"{np.quantile(calm, 0.99):5.1f}", flush=True)  # fmt: skip
-    off = np.abs(plans["stages"] - plans["condensed"]).max()
-    print(f"  largest difference of a command: {off:.0e} m")
+    before, began = peak(), process_time()
+    mpc = tc.MPC(
+        plant, horizon=horizon, sample_time=demo.SAMPLE, winches=tc.Winches(rate=0.3),
+        solver="stages",
+    )  # fmt: skip
+    took, memory = process_time() - began, peak() - before
+    moments, times = recovery(plant, mpc, push), []
+    mpc.reset()
+    for moment in moments:
+        began = process_time()
+        mpc.command(*moment)
+        times.append(1e3 * (process_time() - began))
+    work = mpc.statistics.iterations
+    after = (np.arange(len(times)) % 30 < 10) & (np.arange(len(times)) > 0)
+    hurried, calm = np.array(times)[after], np.array(times)[~after][1:]
+    print(f"  {took:7.2f} {memory:6.0f} {times[0]:11.1f} {np.median(hurried):18.1f} "
+          f"{np.quantile(hurried, 0.99):5.1f} {work[after].max():8d} {np.median(calm):18.1f} "
+          f"{np.quantile(calm, 0.99):5.1f}", flush=True)  # fmt: skip
 
 
 def peak():
@@ -212,7 +208,7 @@ def scene(push, target, duration):
     start = tc.linearize(model, tc.prestress(prism, demo.TOP_FORCE_DENSITY))
     reference = demo.ramp(prism, 1.0, target, 2.0)
     nodes = start.to_nodes(push * np.random.default_rng(0).normal(size=9))
-    mpc = controller(plant, reference, "condensed", 20)
+    mpc = controller(plant, reference, "stages", 20)
     loop = tc.simulate(model, duration, nodes, controller=mpc, step=2e-3)
     at = np.searchsorted(loop.time, loop.control.time - 1e-9)
     return (
@@ -222,7 +218,7 @@ def scene(push, target, duration):
     )
 
 
-def controller(plant, reference, form, length):
+def controller(plant, reference, solver, length):
     return tc.MPC(
         plant,
         horizon=length,
@@ -230,7 +226,7 @@ def controller(plant, reference, form, length):
         max_force_density=LIMIT,
         R=1e-3,
         reference=reference,
-        form=form,
+        solver=solver,
     )
 
 
@@ -243,7 +239,7 @@ def run(mpc, measured, rebuilt):
     for moment in measured:
         began = process_time()
         if rebuilt:
-            mpc._solver = mpc.law.solver()
+            mpc._program = mpc.law.program()
         command = mpc.command(*moment)
         times.append(process_time() - began)
         if command.status != "ok":

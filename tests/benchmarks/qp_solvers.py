@@ -1,13 +1,14 @@
 """The quadratic programs of linear MPC, solved by one solver after the other.
 
 Run: ``python -m tests.benchmarks.qp_solvers``. The prism, 18 reduced states, 9 inputs, 0.02 s
-samples, recovers from pushes with bounds active. Each sample is written the condensed way (dense)
-and the sparse way, and goes to each solver by that solver's own interface, updated in place and
-started from the last plan where it can be; qpOASES alone comes through CasADi, which has it in its
-wheel. Times are of the processor, as ratios to DAQP's of the same samples. Errors are those of the
-planned inputs, beside the answer that meets the optimality conditions best, in units of an input.
-Samples are put together by how many bounds are active in them. Programs of NMPC are in
-``nmpc_step``.
+samples, recovers from pushes with bounds active. Each sample is written with its states (sparse)
+and with the states eliminated (dense), and goes to each solver by that solver's own interface,
+updated in place and started from the last plan where it can be; qpOASES alone comes through CasADi,
+which has it in its wheel. Beside them is the program along the stages. Times are of the processor,
+as ratios to that of the stages of the same samples; elimination is not counted. Errors are those of
+the planned inputs, in units of an input, beside the optimum by elimination of the rows that are
+active, whose conditions are checked. Samples are put together by how many bounds are active in
+them. Programs of NMPC are in ``nmpc_step``.
 """
 
 from __future__ import annotations
@@ -15,19 +16,17 @@ from __future__ import annotations
 import importlib.util
 from collections.abc import Sequence
 from time import process_time
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
-from scipy.sparse import csc_matrix, triu, vstack
+from scipy.sparse import csc_array, csc_matrix, triu, vstack
 
 import tenscontrol as tc
-from tenscontrol.control.mpc.solvers.daqp_adapter import DAQPSolver
-from tenscontrol.control.mpc.solvers.osqp_adapter import OSQPSolver
-from tenscontrol.control.mpc.solvers.piqp_adapter import PIQPSolver
-from tenscontrol.control.mpc.sparse import Sparse
+from tenscontrol.control.mpc.osqp_solver import OSQPSolver
 from tenscontrol.demo import tour as demo
 from tests.benchmarks.command_line import options
-from tests.control.mpc.test_linear import kkt_residual
+from tests.control.mpc.optimum import exact_optimum, point_of_inputs
 
 HORIZONS = (10, 20, 40, 80)
 ACTIVE = ((1, 2), (3, 10), (11, 60))  # least and most bounds active in a program
@@ -40,8 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         __doc__, arguments, starts=3, samples=25, lengths=HORIZONS, slowest=1.0
     )  # s, of a program; a slower solver is stopped
     for horizon in given.lengths:
-        samples = recorded(horizon, given.starts, given.samples)
-        report(horizon, samples, given.slowest)
+        report(horizon, recorded(horizon, given.starts, given.samples), given.slowest)
 
 
 def recorded(horizon, starts, count):
@@ -50,50 +48,83 @@ def recorded(horizon, starts, count):
     plant = tc.linearize(tc.Model(prism), tc.prestress(prism, demo.TOP_FORCE_DENSITY))
     most = 1.02 * float(plant.force_density.max())
     given = {"horizon": horizon, "sample_time": demo.SAMPLE, "max_force_density": most, "R": 1e-3}
-    mpc = tc.MPC(plant, form="condensed", solver="daqp", **given)
-    law = mpc.law
-    forms = {"condensed": law.form, "sparse": Sparse(law.design.problem)}
-    transition, by_input = law.design.sampled.transition, law.design.sampled.by_input
-    programs = []
+    mpc = tc.MPC(plant, solver="stages", **given)
+    sampled, program = mpc.law.design.sampled, mpc._program
+    solve, samples = program.solve, []
+
+    def timed(*given):
+        began = process_time()
+        answer = solve(*given)
+        samples[-1].spent = process_time() - began
+        return answer
+
+    program.solve = timed
     for seed in range(starts):
         rng = np.random.default_rng(seed)
-        state = (0.01 + 0.03 * seed / max(starts - 1, 1)) * rng.normal(size=len(transition))
+        size = len(sampled.transition)
+        state = (0.01 + 0.03 * seed / max(starts - 1, 1)) * rng.normal(size=size)
         mpc.reset()
         for k in range(count):
-            data = law.stage_data(law.preview(0.0), None)
-            given = {name: form.vectors(state, data, np.zeros(9)) for name, form in forms.items()}
-            programs.append((k == 0, state, data, given))
             nodes = plant.to_nodes(state[:9])
             speeds = (plant.basis @ state[9:]).reshape(nodes.shape, order="F")
+            whole = mpc.program(0.0, nodes, speeds)
+            samples.append(SimpleNamespace(begins=k == 0, sparse=whole, dense=eliminated(whole)))
             command = mpc.command(0.0, nodes, speeds)
             if command.status != "ok":
                 raise SystemExit(f"a program was not solved: {command}")
-            state = transition @ state + by_input @ (command.value - plant.equilibrium_input)
-    return forms, programs
+            samples[-1].x = point_of_inputs(whole, mpc.plan)
+            off = command.value - plant.equilibrium_input
+            state = sampled.transition @ state + sampled.by_input @ off
+    return samples
+
+
+def eliminated(whole):
+    """Return a program of the inputs alone, and what gives the unknowns of the whole one."""
+    states, A = slice(0, whole.first), whole.A.toarray()
+    inverse = np.linalg.inv(A[states, states])
+    start = np.zeros(A.shape[1])
+    start[states] = inverse @ whole.l[states]
+    matrix = np.vstack([-inverse @ A[states, whole.first :], np.eye(A.shape[1] - whole.first)])
+    rows, P = A[whole.first :], whole.P
+    known = rows @ start
+    return SimpleNamespace(
+        P=csc_array(matrix.T @ (P @ matrix)), q=matrix.T @ (whole.q + P @ start),
+        A=csc_array(rows @ matrix), l=whole.l[whole.first :] - known,
+        u=whole.u[whole.first :] - known, first=0, whole=lambda x: start + matrix @ x,
+    )  # fmt: skip
 
 
 def report(horizon, samples, slowest) -> None:
-    forms, programs = samples
-    found, notes = {}, {}
+    found, notes = {"stages": along_stages(samples)}, {}
     for name, (form, make) in solvers().items():
-        answer = run(forms[form], form, make, programs, slowest)
+        answer = run(form, make, samples, slowest)
         (notes if isinstance(answer, str) else found)[name] = answer
-    best = [min(part, key=lambda each: each[1])[2] for part in zip(*found.values(), strict=True)]
-    active = np.array([each[3] for each in found["DAQP, condensed"]])
+    programs = [each.sparse for each in samples]
+    best = [
+        exact_optimum(whole.P, whole.q, whole.A, whole.l, whole.u, each.x)
+        for whole, each in zip(programs, samples, strict=True)
+    ]
+    unknown = slice(programs[0].first, None)
+    active = np.array(
+        [
+            (np.minimum(whole.u - whole.A @ x, whole.A @ x - whole.l)[unknown] < 1e-7).sum()
+            for whole, x in zip(programs, best, strict=True)
+        ]
+    )
     parts = [(active >= least) & (active <= most) for least, most in ACTIVE]
     heads = [f"{least} to {most} active ({part.sum()})" for (least, most), part in
              zip(ACTIVE, parts, strict=True)]  # fmt: skip
     print(
-        f"\nhorizon {horizon}: {len(programs)} programs, {9 * horizon} inputs; time / DAQP, error"
+        f"\nhorizon {horizon}: {len(samples)} programs, {9 * horizon} inputs; time / stages', error"
     )
     print(" " * 24 + "".join(f"{head:>24s}" for head in heads))
-    base = np.array([each[0] for each in found["DAQP, condensed"]])
-    for name in solvers():
+    base = np.array([each[0] for each in found["stages"]])
+    for name in ("stages", *solvers()):
         if name in notes:
             print(f"{name:24s} {notes[name]}")
             continue
         times = np.array([each[0] for each in found[name]])
-        errors = np.array([np.abs(each[2] - exact).max() for each, exact in
+        errors = np.array([np.abs(each[1] - exact)[unknown].max() for each, exact in
                            zip(found[name], best, strict=True)])  # fmt: skip
         cells = [
             f"{np.median(times[part]) / np.median(base[part]):13.2f} {errors[part].max():10.1e}"
@@ -103,50 +134,46 @@ def report(horizon, samples, slowest) -> None:
         print(f"{name:24s}" + "".join(cells))
     for part, head in zip(parts, heads, strict=True):
         if part.any():
-            print(f"DAQP, {head}: median {1e6 * np.median(base[part]):.0f} µs")
+            print(f"stages, {head}: median {1e6 * np.median(base[part]):.0f} µs")
 
 
-def run(form, kind, make, programs, slowest):
-    """Return time, residual, inputs and active bounds of each program, or why there are none."""
-    solver = make(form)
+def along_stages(samples):
+    """Return time and unknowns of each program along the stages."""
+    return [(each.spent, each.x) for each in samples]
+
+
+def run(form, make, samples, slowest):
+    """Return time and unknowns of each program, or why there are none."""
+    first = vars(samples[0])[form]
+    solver = make(first)
     if isinstance(solver, str):
         return solver
     answers, guess = [], None
-    for begins, state, data, given in programs:
-        q, low, high = given[kind]
-        guess = None if begins else guess
+    for each in samples:
+        program = vars(each)[form]
         began = process_time()
-        answer = solver(q, low, high, guess)
+        answer = solver(program.q, program.l, program.u, None if each.begins else guess)
         spent = process_time() - began
         if answer is None:
             return f"failed after {len(answers)} programs"
         if spent > slowest:
             return f"stopped: a program took {spent:.1f} s"
-        x, y = answer
-        guess = form.shifted(x, y)
-        far = (np.clip(bound, -1e9, 1e9) for bound in (low, high))
-        residual = kkt_residual(form.P, q, form.A, *far, x, y)
-        inputs = form.inputs(x, state, data) / form_level(form)
-        answers.append((spent, residual, inputs, int((np.abs(y[low < high]) > 1e-9).sum())))
+        guess, x = answer, answer[0]
+        answers.append((spent, x if form == "sparse" else program.whole(x)))
     return answers
-
-
-def form_level(form):
-    return (form.limits if isinstance(form, Sparse) else form._limits).level
 
 
 def solvers():
     """Return form and maker of each solver, by name."""
     return {
-        "DAQP, condensed": ("condensed", family(DAQPSolver, ADMM)),
-        "OSQP, condensed": ("condensed", family(OSQPSolver, ADMM)),
-        "PIQP, condensed": ("condensed", piqp),
-        "quadprog, condensed": ("condensed", quadprog),
-        "qpOASES, condensed": ("condensed", qpoases),
-        "Clarabel, condensed": ("condensed", clarabel),
-        "OSQP, sparse": ("sparse", family(OSQPSolver, ADMM)),
-        "PIQP multistage, sparse": ("sparse", family(PIQPSolver, INTERIOR, "piqp")),
+        "OSQP, sparse": ("sparse", osqp),
+        "PIQP multistage, sparse": ("sparse", piqp_multistage),
         "Clarabel, sparse": ("sparse", clarabel),
+        "DAQP, dense": ("dense", daqp),
+        "PIQP, dense": ("dense", piqp),
+        "quadprog, dense": ("dense", quadprog),
+        "qpOASES, dense": ("dense", qpoases),
+        "Clarabel, dense": ("dense", clarabel),
     }
 
 
@@ -154,21 +181,70 @@ def missing(name):
     return "not installed (extra bench)" if importlib.util.find_spec(name) is None else None
 
 
-def family(kind, tolerance, package=None):
-    """Return what makes a solver of the package, as the controllers use it."""
+def osqp(form):
+    """As the controllers use it."""
+    solver = OSQPSolver(form.P, form.A, ADMM, MOST)
 
-    def make(form):
-        if package is not None and missing(package):
-            return missing(package)
-        solver = kind(form.P, form.A, tolerance, MOST)
+    def solve(q, low, high, guess):
+        answer = solver.solve(q, low, high, guess)
+        return None if answer.x is None else (answer.x, answer.y)
 
-        def solve(q, low, high, guess):
-            answer = solver.solve(q, low, high, guess)
-            return None if answer.x is None else (answer.x, answer.y)
+    return solve
 
-        return solve
 
-    return make
+def daqp(form):
+    """Updated in place, from the active set of its last answer."""
+    if missing("daqp"):
+        return missing("daqp")
+    import daqp
+
+    P, A, state = form.P.toarray(), form.A.toarray(), {}
+
+    def solve(q, low, high, guess):
+        sense = np.zeros(len(low), np.intc)
+        if "model" not in state:
+            state["model"] = daqp.Model()
+            state["model"].setup(P, q, A, high, low, sense)
+            state["model"].settings = {"primal_tol": 1e-10}
+        else:
+            y = state["y"] if guess is not None else np.zeros(len(low))
+            sense[y > 1e-12], sense[y < -1e-12] = 1, 3
+            state["model"].update(f=q, bupper=high, blower=low, sense=sense)
+        x, _, flag, info = state["model"].solve()
+        if flag != 1:
+            return None
+        state["y"] = info["lam"]
+        return x, info["lam"]
+
+    return solve
+
+
+def piqp_multistage(form):
+    """With bounds of unknowns as rows; equations are apart."""
+    if missing("piqp"):
+        return missing("piqp")
+    import piqp
+
+    solver, state = piqp.SparseSolver(), {"fresh": True}
+    settings = solver.settings
+    settings.kkt_solver = piqp.KKTSolver.sparse_multistage
+    settings.eps_abs = settings.eps_rel = INTERIOR
+    P, A, rows = csc_matrix(form.P), form.A.tocsr(), slice(form.first, None)
+    equations, others = csc_matrix(A[: form.first]), csc_matrix(A[rows])
+
+    def solve(q, low, high, guess):
+        given = {"c": q, "b": low[: form.first], "h_l": low[rows], "h_u": high[rows]}
+        if state["fresh"]:
+            solver.setup(P, A=equations, G=others, **given)
+            state["fresh"] = False
+        else:
+            solver.update(**given)
+        if solver.solve() != piqp.PIQP_SOLVED:
+            return None
+        result = solver.result
+        return np.array(result.x), np.concatenate([result.y, result.z_u - result.z_l])
+
+    return solve
 
 
 def piqp(form):

@@ -11,10 +11,9 @@ import numpy as np
 import tenscontrol as tc
 from tenscontrol.control import Status
 from tenscontrol.control.mpc import QPSolution
-from tenscontrol.control.mpc.problem import SubproblemSolution
-from tenscontrol.control.mpc.solvers.daqp_adapter import DAQPSolver
-from tenscontrol.control.mpc.solvers.osqp_adapter import OSQPSolver
-from tenscontrol.control.mpc.stages import LeastDistance, LeastDistanceArrays
+from tenscontrol.control.mpc.osqp_solver import OSQPSolver
+from tenscontrol.control.mpc.problem import LinearSolution, SubproblemSolution
+from tenscontrol.control.mpc.stages import StagesProgram, StagesSubproblem
 from tenscontrol.dynamics.evaluator import Evaluator
 from tenscontrol.plant.reduced_dynamics import sampled_dynamics
 
@@ -88,11 +87,10 @@ def broken(rng, nodes, velocities):
 
 def solve_nothing(patch, status, iterations=1):
     """Let no solver solve."""
-    for kind in (DAQPSolver, OSQPSolver):
-        patch.setattr(kind, "solve", lambda *_, **__: QPSolution(status, None, None, iterations))
-    unsolved = SubproblemSolution(status, iterations, None)
-    for kind in (LeastDistance, LeastDistanceArrays):
-        patch.setattr(kind, "solve", lambda *_: unsolved)
+    answer, unsolved = QPSolution(status, None, None, iterations), (status, iterations, None)
+    patch.setattr(OSQPSolver, "solve", lambda *_, **__: answer)
+    patch.setattr(StagesProgram, "solve", lambda *_: LinearSolution(*unsolved))
+    patch.setattr(StagesSubproblem, "solve", lambda *_: SubproblemSolution(*unsolved))
 
 
 @dataclass

@@ -9,7 +9,7 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.control import Status
-from tenscontrol.control.mpc.solvers.osqp_adapter import OSQPSolver
+from tenscontrol.control.mpc.osqp_solver import OSQPSolver
 from tests.control.fault_loop import (
     CHANGE,
     CONTROLLERS,
@@ -246,9 +246,9 @@ def test_time_that_osqp_counts_before_the_solve_is_given_back(monkeypatch):
     from scipy.sparse import csc_array, identity
 
     looks = count()
-    for module in ("osqp_adapter", "solver"):
+    for module in ("osqp_solver", "qp_solver"):
         monkeypatch.setattr(
-            f"tenscontrol.control.mpc.solvers.{module}.perf_counter", lambda: 0.25 * next(looks)
+            f"tenscontrol.control.mpc.{module}.perf_counter", lambda: 0.25 * next(looks)
         )
     dense, zero = np.random.default_rng(0).normal(size=(5, 5)), np.zeros(5)
     program = OSQPSolver(identity(5).tocsc(), csc_array(dense), 1e-6, 4000)

@@ -44,7 +44,7 @@ def test_a_diagonal_may_be_a_column():
     )
 
 
-@pytest.mark.parametrize("form", ["auto", "condensed", "stages"])
+@pytest.mark.parametrize("solver", ["auto", "osqp"])
 @pytest.mark.parametrize(
     "none",
     [
@@ -61,19 +61,16 @@ def test_a_diagonal_may_be_a_column():
     ],
     ids=repr,
 )
-def test_infinite_limits_of_mpc_are_none(none, form):
-    np.testing.assert_allclose(command(mpc(form=form, **none)), command(mpc()), rtol=1e-5)
+def test_infinite_limits_of_mpc_are_none(none, solver):
+    np.testing.assert_allclose(command(mpc(solver=solver, **none)), command(mpc()), rtol=1e-5)
 
 
-@pytest.mark.parametrize("form", ["condensed", "stages"])
-def test_some_strings_may_have_no_limit_of_change(form):
+def test_some_strings_may_have_no_limit_of_change():
     """That of one string is reached, as if those of the others were large."""
     for kind in (tc.MPC, tc.NMPC):
         found = []
         for free in (INF, 1e4):
             given = {"max_change": [0.05] + [free] * 8, "max_force_density": INF}
-            if kind is tc.MPC:
-                given["form"] = form
             law = kind(PLANT, sample_time=0.02, horizon=5, **given)
             found.append(command(law))
         np.testing.assert_allclose(found[0], found[1], rtol=1e-6)

@@ -49,8 +49,8 @@ def test_ball_with_winches_and_soft_limits(tmp_path):
     assert pair.statuses[0] == pair.statuses[1]
     assert pair.error < 1e-12
     assert max(pair.iterations) > 3  # changes of the active set
-    # All stages are alike: their rows stand in the code once.
-    assert "response[96][96]" in (tmp_path / "controller_data.h").read_text("utf-8")
+    # All stages are alike: their motion is in the code once.
+    assert "motion_by_state[2304]" in (tmp_path / "controller_data.h").read_text("utf-8")
 
 
 def test_winches_that_wind_under_an_unknown_load(tmp_path):

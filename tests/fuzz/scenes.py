@@ -248,7 +248,7 @@ WORDS = _words(
 "mpc" "nmpc" "lqr" "feedback_linearization" "rest_length" "linear" "top"
 "force_density" "elastic" "kalman" "sides" "vertical" "a\u0000b" "\U0001F600" 'über' "rk4"
 "dop853" "cvodes" "energy_momentum" "gauss4" "auto" "string" "segment"
-"nonlinear" "condensed" "sparse" "explicit" "z" "cut_string" "stuck_winch" "lost_measurement"
+"nonlinear" "stages" "osqp" "explicit" "z" "cut_string" "stuck_winch" "lost_measurement"
 true false [] {} [[]] [0] [0,0,0] [1,2,3] [[0,0,0]] [nan] [1e300,1,2] [true] [""] [[1],[2,3]]
 1979-05-27 07:32:00 1979-05-27T07:32:00Z {top=1} {a.b=1} {top=1,bottom=1,vertical=1} [{node=0}]
 [0,1,2,3] [-1] [99] [0.5] [[0,1]] [[0,1],[1,2],[2,0]] [1e-300,0,0] {top={}}

@@ -963,7 +963,7 @@ call(
         }
     ),
 )
-call("MPC", lambda: dict(plant=plant(), form="condensed", **SETTINGS), share=0.4)
+call("MPC", lambda: dict(plant=plant(), **SETTINGS), share=0.4)
 call(
     "MPC, winches",
     lambda: {

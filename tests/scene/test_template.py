@@ -96,7 +96,7 @@ def test_every_key_has_a_comment_of_unit_and_meaning(table, keys):
         (
             "controller",
             "solver",
-            'solver of the quadratic programs: "auto", "daqp", "osqp" or "piqp"',
+            'solver of the quadratic programs: "auto", "stages" or "osqp"',
         ),
         (
             "controller",

@@ -13,7 +13,7 @@ from scipy.sparse import csc_array
 
 import tenscontrol as tc
 from tenscontrol.control import Command, Controller, Status
-from tenscontrol.control.mpc.solvers.osqp_adapter import OSQPSolver
+from tenscontrol.control.mpc.osqp_solver import OSQPSolver
 from tenscontrol.interrupt import InterruptionWarning, finishing, interruptible
 from tenscontrol.simulation import assembly, error_estimate, plant_run, scene
 from tests.dynamics.scenes import paper_force_density, rest_lengths

@@ -3,8 +3,9 @@
 from tenscontrol.control.mpc.constraints import OutputLimit, clearance
 from tenscontrol.control.mpc.linear import MPC, MPCStatistics
 from tenscontrol.control.mpc.nonlinear import NMPC, NMPCStatistics
+from tenscontrol.control.mpc.qp_solver import QPSolution, QPSolver
 from tenscontrol.control.mpc.settings import MPCSettings
-from tenscontrol.control.mpc.solvers import QPSolution, QPSolver
+from tenscontrol.control.mpc.sparse import QuadraticProgram
 
 __all__ = [
     "MPC",
@@ -15,5 +16,6 @@ __all__ = [
     "OutputLimit",
     "QPSolution",
     "QPSolver",
+    "QuadraticProgram",
     "clearance",
 ]

@@ -1,10 +1,11 @@
-"""Linear model predictive control with γ ≥ 0, and its condensed quadratic program."""
+"""Linear model predictive control with γ ≥ 0."""
 
 from __future__ import annotations
 
+import copy
 import warnings
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, final
+from dataclasses import dataclass
+from typing import final
 
 import numpy as np
 
@@ -12,17 +13,9 @@ from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.control.command import Command, ControlWarning, Fallback
 from tenscontrol.control.controller import clipped
+from tenscontrol.control.disturbance import LoadObserver
 from tenscontrol.control.held_loop import warn_of_held_lengths
-from tenscontrol.control.mpc.problem import (
-    Form,
-    LimitRows,
-    MPCProblem,
-    Pair,
-    StageData,
-    Triple,
-    prediction,
-    shifted,
-)
+from tenscontrol.control.mpc.problem import LinearProgram, StageData
 from tenscontrol.control.mpc.settings import (
     Design,
     MPCSettings,
@@ -32,39 +25,19 @@ from tenscontrol.control.mpc.settings import (
     from_settings,
     law_in_shape,
     make_solver,
-    solver_kind,
-    solver_name,
+    uses_stages,
 )
-from tenscontrol.control.mpc.solvers.daqp_adapter import DAQPSolver
-from tenscontrol.control.mpc.solvers.solver import QPSolver
-from tenscontrol.control.mpc.sparse import Sparse
-from tenscontrol.control.mpc.stages import LinearProgram, has_compiled_program
+from tenscontrol.control.mpc.sparse import QuadraticProgram, Sparse, SparseProgram
+from tenscontrol.control.mpc.stages import StagesProgram
 from tenscontrol.docstrings import with_parameters_of
-from tenscontrol.fields import checked
 from tenscontrol.plant.linear_plant import LinearPlant
 from tenscontrol.plant.reference import Preview, ReferencePreview
 from tenscontrol.status import Status
-
-if TYPE_CHECKING:
-    from scipy.sparse import csc_array
-
-_FORMS = ("auto", "condensed", "sparse", "stages")
-
-# Up to so many unknown inputs the dense form is the cheaper one: tests/benchmarks/mpc_step.py.
-_LARGEST_CONDENSED: dict[type[QPSolver], int] = {DAQPSolver: 2000}
-_LARGEST_OF_OTHERS = 600
 
 # A reference is farther than the linear plant holds where its loop comes to rest off by more than
 # this part of the size, or errors grow faster, 1/s. Those nearer than the third part of the size
 # are not tried. ``python -m tests.benchmarks.reference_distance`` shows runs on both sides.
 _OFF, _GROWS, _NEAR = 0.02, 0.5, 0.02
-
-# From so many on the compiled active set along the stages is faster than DAQP, and built sooner.
-# It is so below too, by tenths of a millisecond: not worth a compiler's second.
-_SMALLEST_STAGES = 200
-
-# Of unknown inputs. Beyond, dense matrices fill gigabytes.
-_MOST_CONDENSED = 5000
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,17 +70,15 @@ class MPCLaw(PredictiveLaw):
 
     plant: LinearPlant
     design: Design
-    form: Form | None  # None: along the stages
 
-    def solver(self) -> QPSolver | LinearProgram:
-        """Return the solver of the programs, as it is before the first solve."""
-        if self.form is not None:
-            return make_solver(self.settings, self.form)
-        made = self.design
-        return LinearProgram(
-            made.problem, made.constraints.limits, self.settings.max_iterations,
-            (made.low, made.high),
-        )  # fmt: skip
+    def program(self) -> LinearProgram:
+        """Return the program with its solver, as it is before the first solve."""
+        settings, made = self.settings, self.design
+        if uses_stages(settings):
+            limits, bounds = made.constraints.limits, (made.low, made.high)
+            return StagesProgram(made.problem, limits, settings.max_iterations, bounds)
+        form = Sparse(made.problem)
+        return SparseProgram(form, make_solver(settings, form))
 
     def preview(self, time: float) -> Preview:
         """Return the reference over the horizon: the same object while it rests."""
@@ -142,32 +113,6 @@ class MPCLaw(PredictiveLaw):
             previous_origin=preview.previous_input,
         )
 
-    def vectors(
-        self,
-        data: StageData,
-        state: FloatArray,
-        previous_input: FloatArray,
-        previous_within_bounds: FloatArray,
-    ) -> Triple:
-        """Return q, l and u of the program, from the measured state and what actuators hold."""
-        assert self.form is not None  # else a program of its own is solved
-        first = self.first_state(data, state, previous_input)
-        previous = previous_within_bounds - data.origin[0]
-        return self.form.vectors(first, data, previous)
-
-    def inputs(
-        self,
-        x: FloatArray,
-        data: StageData,
-        state: FloatArray,
-        previous_input: FloatArray,
-        samples: int | None = None,
-    ) -> FloatArray:
-        """Return the inputs that a solution of the program plans, shape (N, α), or the first."""
-        assert self.form is not None  # else a program of its own is solved
-        first = self.first_state(data, state, previous_input)
-        return data.origin[:samples] + self.form.inputs(x, first, data, samples)
-
     def free_response(
         self, data: StageData, state: FloatArray, previous_input: FloatArray
     ) -> FloatArray:
@@ -185,180 +130,8 @@ class MPCLaw(PredictiveLaw):
         return np.concatenate([state, previous_input - data.previous_origin])
 
 
-@dataclass(frozen=True, eq=False)
-class _Horizon:
-    """What stage data make of a condensed program at ``z_0 = 0``, with a previous input of 0."""
-
-    data: StageData
-    low: FloatArray  # bounds of the rows
-    high: FloatArray
-    inputs: FloatArray  # v_0 …, without limits
-
-
 @final
-class Condensed(Form):
-    """Only the departures from the LQR law, and violations, are unknown: small and dense.
-
-    With ``v_k = −K z_k + c_k`` and the LQR cost at the end, the Hessian in the
-    c_k is block diagonal and the same at each sample (Rossiter, Kouvaritakis &
-    Rice 1998, doi:10.1016/S0005-1098(97)00192-5). Measured by its Cholesky
-    factor it is the identity, and an ADMM solver needs a few iterations where
-    the problem in the v_k takes tens. Measured from the optimum without limits,
-    the program asks for the least distance from it that keeps them.
-    """
-
-    dense = True
-
-    def __init__(self, problem: MPCProblem) -> None:
-        from scipy.linalg import solve_triangular
-        from scipy.sparse import block_diag, csc_array, diags_array, hstack, identity
-
-        self._length, self._count = problem.length, problem.input_count
-        N, states = problem.length, len(problem.drift)
-        scale = problem.cost_scale
-        free, forced, drifts = prediction(problem)
-        feedback = np.kron(np.eye(N), problem.feedback)
-        # v = by_state z_0 + by_choice c + by_drift d: the law sees z_0 … z_{N−1}.
-        before = [np.vstack([first, part[:-states]]) for first, part in (
-            (np.eye(states), free),
-            (np.zeros((states, forced.shape[1])), forced),
-            (np.zeros((states, N * states)), drifts),
-        )]  # fmt: skip
-        by_state, by_choice, by_drift = (-feedback @ part for part in before)
-        by_choice += np.eye(len(by_choice))
-        weighted = _weigh(problem, forced)
-        effort = np.kron(np.eye(N), problem.input_weight) @ by_choice
-        hessian = scale * (forced.T @ weighted + by_choice.T @ effort)
-        factor = np.linalg.cholesky(0.5 * (hessian + hessian.T))
-        # c = unit x, with unitᵀ hessian unit = I.
-        unit = solve_triangular(factor, np.eye(len(factor)), lower=True).T
-        self._to_inputs = by_choice @ unit
-        self._by_state, self._by_drift = by_state, by_drift
-        limits = LimitRows(problem)
-        self._limits, self._violations = limits, len(limits.price)
-        on_choice = limits.on_inputs @ _trimmed(self._to_inputs)
-        if problem.rows is not None:
-            on_choice = on_choice + limits.on_states @ _trimmed(forced @ unit)
-        self.A = csc_array(hstack([on_choice, limits.on_violations]))
-        self.P = csc_array(block_diag([identity(len(unit)), diags_array(limits.price)]))
-        self._moved_by_state = (
-            limits.on_inputs @ by_state + limits.on_states @ free + limits.on_first.toarray()
-        )
-        self._moved_by_drift = limits.on_inputs @ by_drift + limits.on_states @ drifts
-        slope = scale * unit.T
-        self._from_reference = -slope @ weighted.T
-        self._from_drift = slope @ (weighted.T @ drifts + effort.T @ by_drift)
-        self._from_input_reference = -slope @ effort.T
-        # The optimum without limits is at x = −(from_state z_0 + …): x is measured from there.
-        from_state = slope @ (weighted.T @ free + effort.T @ by_state)
-        self._moved_by_state -= on_choice @ from_state
-        self._by_state -= self._to_inputs @ from_state
-        self._on_choice = on_choice
-        self._q = frozen(np.concatenate([np.zeros(self._count), limits.price]))
-        self._kept: _Horizon | None = None
-
-    def vectors(self, state: FloatArray, data: StageData, previous: FloatArray) -> Triple:
-        """See :meth:`Form.vectors`."""
-        known = self._known(data)
-        offset = self._moved_by_state @ state
-        low, high = known.low - offset, known.high - offset
-        first = self._limits.first_change
-        if first is not None:
-            moved = previous / self._limits.level
-            low[first] += moved
-            high[first] += moved
-        return self._q, low, high
-
-    def inputs(
-        self, x: FloatArray, state: FloatArray, data: StageData, samples: int | None = None
-    ) -> FloatArray:
-        """See :meth:`Form.inputs`."""
-        width = self._count // self._length
-        taken = slice(None if samples is None else samples * width)
-        base = self._by_state[taken] @ state + self._known(data).inputs[taken]
-        v = self._to_inputs[taken] @ x[: self._count] + base
-        return np.asarray(v.reshape(-1, width))
-
-    def _known(self, data: StageData) -> _Horizon:
-        """Return what does not depend on the measured state; kept while the data stay."""
-        kept = self._kept
-        if kept is None or kept.data is not data:
-            drift = data.drift.ravel()
-            slope = self._from_reference @ data.reference.ravel() + self._from_drift @ drift
-            if data.input_reference.any():
-                slope += self._from_input_reference @ data.input_reference.ravel()
-            offset = self._moved_by_drift @ drift - self._on_choice @ slope
-            low, high = self._limits.bounds(np.zeros(self._count // self._length), data)
-            inputs = self._by_drift @ drift - self._to_inputs @ slope
-            kept = self._kept = _Horizon(data, low - offset, high - offset, inputs)
-        return kept
-
-    def shifted(self, x: FloatArray, y: FloatArray) -> Pair:
-        """See :meth:`Form.shifted`."""
-        # After the horizon the law is followed as it is.
-        N = self._length
-        return (
-            shifted(x, N, [self._count // N, self._violations // N], repeat=False),
-            shifted(y, N, self._limits.widths, repeat=False),
-        )
-
-
-def _weigh(problem: MPCProblem, forced: FloatArray) -> FloatArray:
-    blocks = forced.reshape(problem.length, len(problem.drift), -1)
-    weighted = np.einsum("ij,kjm->kim", problem.state_weight, blocks)
-    weighted[-1] = problem.terminal_weight @ blocks[-1]
-    return np.asarray(weighted.reshape(forced.shape))
-
-
-def _trimmed(matrix: FloatArray) -> csc_array:
-    """Return a block triangular matrix without the round-off above its diagonal blocks."""
-    from scipy.sparse import csc_array
-
-    return csc_array(np.where(np.abs(matrix) > 1e-14 * np.abs(matrix).max(), matrix, 0.0))
-
-
 @with_parameters_of(MPCSettings)
-@dataclass(frozen=True, eq=False, kw_only=True)
-class LinearSettings(MPCSettings):
-    """Settings of :class:`MPC`.
-
-    Parameters
-    ----------
-    form : {"auto", "condensed", "sparse", "stages"}
-        Form of the quadratic program. All give the same inputs; "auto" takes the cheapest one by
-        size and solver. "stages" has a solver of its own, an active set along the stages of the
-        horizon, compiled where there is a compiler, and goes with solver="auto".
-    """
-
-    form: str = field(default="auto", metadata=checked(validation.choice, _FORMS))
-
-
-def form_of(problem: MPCProblem, settings: LinearSettings) -> Form | None:
-    """Return the form of a program, None for that along the stages, or raise where it cannot be."""
-    count, automatic, form = problem.input_count, settings.solver == "auto", settings.form
-    if form == "auto":
-        largest = _LARGEST_CONDENSED.get(solver_kind(settings, dense=True), _LARGEST_OF_OTHERS)
-        form = "condensed" if count <= largest else "sparse"
-        large = count >= _SMALLEST_STAGES
-        if automatic and (form == "sparse" or (large and has_compiled_program())):
-            form = "stages"
-    if form == "stages":
-        if not automatic:
-            raise ValueError(
-                f"form is 'stages', which has a solver of its own, and solver is "
-                f"{settings.solver!r}; expected 'auto'"
-            )
-        return None
-    if form == "condensed" and count > _MOST_CONDENSED:
-        raise ValueError(
-            f"form is 'condensed', which is dense, for {count} unknown inputs; "
-            f"expected at most {_MOST_CONDENSED}. Take form='stages'"
-        )
-    return Condensed(problem) if form == "condensed" else Sparse(problem)
-
-
-@final
-@with_parameters_of(LinearSettings)
 class MPC(PredictiveController):
     """Linear model predictive control; no string is ever commanded to push (γ ≥ 0).
 
@@ -413,8 +186,8 @@ class MPC(PredictiveController):
 
     _law: MPCLaw
 
-    @from_settings(LinearSettings)
-    def __init__(self, plant: LinearPlant, settings: LinearSettings) -> None:
+    @from_settings(MPCSettings)
+    def __init__(self, plant: LinearPlant, settings: MPCSettings) -> None:
         validation.instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
         made = design(plant, settings)
         super().__init__(plant, settings, made)
@@ -422,13 +195,13 @@ class MPC(PredictiveController):
             plant=plant,
             settings=settings,
             design=made,
-            form=form_of(made.problem, settings),
             load=None if self._observer is None else self._observer.model,
             path=ReferencePreview(plant, settings.reference, made.sampled),
         )
         for text in self._concerns(self._law.path):
             warnings.warn(text, ControlWarning, stacklevel=3)
-        self._solver = self._law.solver()
+        self._program = self._law.program()
+        self._sparse: Sparse | None = None  # for other solvers, once it is asked for
         # The data of a reference that rests, which no sample changes.
         self._resting: tuple[Preview, StageData] | None = None
         self.reset()
@@ -464,18 +237,9 @@ class MPC(PredictiveController):
         return self._law
 
     @property
-    def form(self) -> str:
-        """``"condensed"``, ``"sparse"`` or ``"stages"``."""
-        if self._law.form is None:
-            return "stages"
-        return "condensed" if isinstance(self._law.form, Condensed) else "sparse"
-
-    @property
     def solver(self) -> str:
-        """What solves its programs: ``"daqp"``, ``"stages"``, … or the name of a class."""
-        if isinstance(self._solver, LinearProgram):
-            return self._solver.program.solver_name
-        return solver_name(self._solver)
+        """What solves its programs: ``"stages"``, ``"osqp"``, or the name of a class."""
+        return self._program.solver_name
 
     @property
     def statistics(self) -> MPCStatistics:
@@ -486,79 +250,99 @@ class MPC(PredictiveController):
     @property
     def plan(self) -> FloatArray:
         """Inputs that the last solved program planned, shape (α, N); empty before the first."""
-        return frozen(self._plan.T)
+        return frozen(self._planned.T)
+
+    @property
+    def _planned(self) -> FloatArray:
+        # Solved to a tolerance: what is left outside the bounds is cut off.
+        plan = self._program.plan
+        return clipped(plan, self._low, self._high) if len(plan) else np.zeros((0, len(self._low)))
 
     def reset(self) -> None:
         """See :meth:`PredictiveController.reset`."""
         super().reset()
-        # What the last solved program was, and its plan once it is asked for.
-        self._solved: tuple[FloatArray, StageData, FloatArray, FloatArray] | None = None
-        self._planned: FloatArray | None = None
+        self._program.reset()
         self._used = 0
-        self._forget_guess()
         self._iterations: list[int] = []
-        if not isinstance(self._solver, LinearProgram):
-            self._solver.reset()
 
-    def _forget_guess(self) -> None:
-        self._guess: Pair | None = None
-        if isinstance(self._solver, LinearProgram):
-            self._solver.program.forget()
-
-    @property
-    def _plan(self) -> FloatArray:
-        """Inputs that the last solved program planned, shape (N, α)."""
-        if self._planned is None:
-            if self._solved is None:
-                return np.zeros((0, len(self._low)))
-            # Solved to a tolerance: what is left outside the bounds is cut off.
-            self._planned = clipped(self._law.inputs(*self._solved), self._low, self._high)
-        return self._planned
-
-    def _stage_data(self, time: float) -> StageData:
+    def _stage_data(self, time: float, observer: LoadObserver | None) -> StageData:
         """Return the data of this sample: those of the last one where nothing moves."""
         preview = self._law.preview(time)
-        if self._observer is not None:
-            return self._law.stage_data(preview, self._observer.acceleration)
+        if observer is not None:
+            return self._law.stage_data(preview, observer.acceleration)
         if self._resting is None or self._resting[0] is not preview:
             self._resting = preview, self._law.stage_data(preview, None)
         return self._resting[1]
 
+    def program(self, time: float, nodes: object, velocities: object) -> QuadraticProgram:
+        """Return the quadratic program of the sample that starts now, for another solver.
+
+        It is the one that :meth:`command` would solve; nothing is commanded or remembered.
+
+        Parameters
+        ----------
+        time : float
+            s.
+        nodes, velocities : array_like, shape (d, n)
+            Measured motion, m and m/s.
+
+        Returns
+        -------
+        QuadraticProgram
+            P, q, A, l, u, with the states as unknowns, and ``inputs(x)`` of a solution x.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If an argument does not fit or is not finite.
+
+        Examples
+        --------
+        >>> import numpy as np, tenscontrol as tc
+        >>> prism = tc.prism()
+        >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
+        >>> mpc = tc.MPC(plant, horizon=20, sample_time=0.02, max_force_density=300.0)
+        >>> program = mpc.program(0.0, prism.nodes, np.zeros((3, 6)))
+        >>> program.P.shape, program.A.shape
+        ((540, 540), (540, 540))
+        """
+        time = validation.number("time", time, "s")
+        state = self.plant.measure(nodes, velocities)
+        data, previous, first = self._sample(time, state, copy.copy(self._observer))
+        if self._sparse is None:
+            self._sparse = Sparse(self._law.design.problem)
+        within = clipped(previous, self._low, self._high)
+        return self._sparse.program(first, data, within)
+
+    def _sample(
+        self, time: float, state: FloatArray, observer: LoadObserver | None
+    ) -> tuple[StageData, FloatArray, FloatArray]:
+        """Return data, previous input and z_0 of a sample; the observer learns from the state."""
+        law, previous = self._law, self._previous_input
+        if observer is not None and previous is not None:
+            observer.correct(state, law.design.sampled.by_input @ previous)
+        data = self._stage_data(time, observer)
+        if previous is None:
+            previous = data.previous_origin
+        return data, previous, law.first_state(data, state, previous)
+
     def _decide(self, time: float, state: FloatArray) -> Command:
         law, observer = self._law, self._observer
-        by_input = law.design.sampled.by_input
         deadline = self._called + self._longest_time
-        if observer is not None and self._previous_input is not None:
-            observer.correct(state, by_input @ self._previous_input)
-        data = self._stage_data(time)
-        if self._previous_input is None:
-            self._previous_input = frozen(data.previous_origin)
-        previous = self._previous_input
+        data, previous, first = self._sample(time, state, observer)
         free = law.free_response(data, state, previous)
         if observer is not None:
             observer.expect(free)
-        within = self._previous_within_bounds
-        if isinstance(self._solver, LinearProgram):
-            start = law.first_state(data, state, previous)
-            found = self._solver.solve(start, data, within, deadline)
-            self._iterations.append(found.iterations)
-            if found.plan is None:
-                return self._continue(found.status)
-            self._planned = clipped(found.plan[1][1:], self._low, self._high)
-            value = self._planned[0]
-        else:
-            assert law.form is not None  # as the solver has its program
-            vectors = law.vectors(data, state, previous, within)
-            answer = self._solver.solve(*vectors, start=self._guess, deadline=deadline)
-            self._iterations.append(answer.iterations)
-            if answer.x is None or answer.y is None:
-                return self._continue(answer.status)
-            self._solved, self._planned = (answer.x, data, state, previous), None
-            self._guess = law.form.shifted(answer.x, answer.y)
-            first = law.inputs(*self._solved, samples=1)[0]
-            value = clipped(first, self._low, self._high)
+        if self._previous_input is None:
+            self._previous_input = frozen(previous)
+        within = clipped(previous, self._low, self._high)
+        answer = self._program.solve(first, data, within, deadline)
+        self._iterations.append(answer.iterations)
+        if answer.input is None:
+            return self._continue(answer.status)
         self._used = 0
-        self._predicted = free + by_input @ value
+        value = clipped(answer.input, self._low, self._high)
+        self._predicted = free + law.design.sampled.by_input @ value
         return Command(value)
 
     def _fall_back(self, status: Status) -> Command:
@@ -569,13 +353,13 @@ class MPC(PredictiveController):
     def _continue(self, status: Status) -> Command:
         """Go on without a new plan."""
         self._used += 1
-        self._forget_guess()
-        if self._used < len(self._plan):
-            return Command(self._plan[self._used], status, Fallback.PLAN_CONTINUED)
+        self._program.forget()
+        if self._used < len(planned := self._planned):
+            return Command(planned[self._used], status, Fallback.PLAN_CONTINUED)
         return self._hold(status)
 
     def __repr__(self) -> str:
         return (
             f"MPC({self.plant!r}, horizon {self.horizon}, "
-            f"sample time {self.sample_time:g} s, {self.form}, {self.solver})"
+            f"sample time {self.sample_time:g} s, {self.solver})"
         )

@@ -23,10 +23,10 @@ from tenscontrol.control.mpc.settings import (
     design,
     from_settings,
     make_solver,
+    uses_stages,
 )
-from tenscontrol.control.mpc.solvers.solver import QPSolver
 from tenscontrol.control.mpc.sparse import Sparse, SparseSubproblem
-from tenscontrol.control.mpc.stages import LeastDistance, LeastDistanceArrays, has_compiled_program
+from tenscontrol.control.mpc.stages import StagesSubproblem
 from tenscontrol.docstrings import with_parameters_of
 from tenscontrol.fields import checked
 from tenscontrol.plant.linear_plant import LinearPlant
@@ -89,27 +89,19 @@ class NMPCLaw(PredictiveLaw):
     rounds: int  # programs solved in a sample at most
     linearization_tolerance: float
 
-    def subproblem(self) -> Sparse:
-        """Return the SQP subproblem, before anything is linearized."""
-        return Sparse(self.problem, self.units, varying=True)
-
-    def solver(self, form: Sparse) -> QPSolver:
-        """Return the solver of a subproblem, as it is before the first solve."""
-        # Slopes by implicit steps are of different sizes in these units: the solver scales them.
-        return make_solver(self.settings, form, equations=not self.model.implicit)
-
     def program(self) -> Subproblem:
         """Return the SQP subproblem with its solver."""
-        if self.settings.solver in ("auto", "daqp"):
-            compiled = self.settings.solver == "auto" and self.model.back_end == "machine code"
-            compiled = compiled and has_compiled_program()
-            given = self.problem, self.row_bounds, self.settings.max_iterations, self.bounds
-            if compiled:
-                return LeastDistance(*given, tolerance=self.linearization_tolerance)
-            return LeastDistanceArrays(*given)
+        settings = self.settings
+        if uses_stages(settings):
+            return StagesSubproblem(
+                self.problem, self.row_bounds, settings.max_iterations, self.bounds,
+                self.linearization_tolerance,
+            )  # fmt: skip
+        form, implicit = Sparse(self.problem, self.units, varying=True), self.model.implicit
+        # Slopes by implicit steps are of different sizes in these units: the solver scales them.
         # Stiff strings are sensitive to rest lengths: measured from those of the plan.
-        form = self.subproblem()
-        return SparseSubproblem(form, self.solver(form), relative=self.model.implicit)
+        solver = make_solver(settings, form, equations=not implicit)
+        return SparseSubproblem(form, solver, relative=implicit)
 
     def targets(self, time: float) -> Pair:
         """Return r_1 … r_N, shape (N, s), and s_0 … s_{N−1}, shape (N, α), without a load."""
@@ -177,8 +169,8 @@ class NonlinearSettings(MPCSettings):
         exact all the same. 0 finds all anew, in every sample, as C code does. By default 0.05 where
         steps are implicit and one program is solved in a sample, else 0.
     machine_code : bool
-        Compile the derivatives and the solver, where there is a C compiler: the same numbers but
-        for round-off, sooner. Libraries are kept for the next run, and serve every horizon.
+        Compile the derivatives, where there is a C compiler: the same numbers, sooner. Libraries
+        are kept for the next run, and serve every horizon.
     """
 
     iterations: int = field(default=1, metadata=checked(validation.whole_number, 1))
@@ -308,7 +300,7 @@ class NMPC(PredictiveController):
 
     @property
     def solver(self) -> str:
-        """What solves its programs: ``"stages"``, a name of ``solver=``, or that of a class."""
+        """What solves its programs: ``"stages"``, ``"osqp"``, or the name of a class."""
         return self._plan.program.solver_name
 
     @property

@@ -1,4 +1,4 @@
-"""The finite-horizon problem of MPC as data, and the interface of its programs.
+"""The finite-horizon problem of MPC as data, with the interfaces of its programs.
 
     minimize    Σ (z_k − r_k)ᵀ Q (z_k − r_k) + Σ (v_k − s_k)ᵀ R (v_k − s_k)
                 + (z_N − r_N)ᵀ P (z_N − r_N) + Σ 2 πᵀ (e_k + ½ e_k²)
@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -25,10 +24,6 @@ from tenscontrol.plant.reference import Preview
 from tenscontrol.plant.string_outputs import StringMap
 from tenscontrol.properties import cached_property
 from tenscontrol.status import Status
-
-if TYPE_CHECKING:
-    from scipy.sparse import csc_array
-
 
 Pair = tuple[FloatArray, FloatArray]
 Triple = tuple[FloatArray, FloatArray, FloatArray]
@@ -204,164 +199,6 @@ class MPCProblem:
         return int(self.length * self.input_matrix.shape[1])
 
 
-def prediction(problem: MPCProblem) -> Triple:
-    """Return S, G, H of ``Z = S z_0 + G C + H D`` with Z = [z_1; …; z_N] and v = −K z + c."""
-    N, (states, inputs) = problem.length, problem.input_matrix.shape
-    closed = problem.transition - problem.input_matrix @ problem.feedback
-    free = np.zeros((N, states, states))
-    forced = np.zeros((N, states, N, inputs))
-    drifts = np.zeros((N, states, N, states))
-    for k in range(N):
-        before = np.eye(states) if k == 0 else free[k - 1]
-        free[k] = closed @ before
-        if k:
-            # What c_j does to z_{k+1} is what c_{j−1} did to z_k.
-            forced[k, :, 1:], drifts[k, :, 1:] = forced[k - 1, :, :-1], drifts[k - 1, :, :-1]
-        forced[k, :, 0], drifts[k, :, 0] = before @ problem.input_matrix, before
-    return (
-        free.reshape(N * states, states),
-        forced.reshape(N * states, N * inputs),
-        drifts.reshape(N * states, N * states),
-    )
-
-
-class LimitRows:
-    """Limits as matrices on inputs, states and violations, shared by both forms.
-
-    Rows come in blocks of N times some width: inputs, changes, hard rows, soft rows from
-    above, soft rows from below, violations. Each is in units of its level or scale.
-
-    ``on_inputs``, ``on_states``, ``on_first`` and ``on_violations`` multiply v_0 …, z_1 …, z_0 and
-    the violations; ``price`` is the linear cost of those, in units of the scaled cost.
-    """
-
-    def __init__(self, problem: MPCProblem) -> None:
-        from scipy.sparse import csc_array, eye, identity, kron, vstack
-
-        self._problem, self.level = problem, problem.level
-        N, count = problem.length, len(problem.low)
-        # The rows of the first change, which the previous input moves.
-        self.first_change = None if problem.change is None else slice(N * count, (N + 1) * count)
-        each, earlier = identity(N), eye(N, k=-1)
-        first = csc_array(([1.0], ([0], [0])), shape=(N, 1))
-        soft = np.zeros(0, dtype=int) if problem.rows is None else problem.rows.soft
-        # One block a row: what multiplies v, z_1 …, z_0 and the violations.
-        blocks: list[tuple[csc_array, csc_array, csc_array, csc_array | None]]
-        blocks = [self._block(kron(each, identity(count)) / problem.level)]
-        if problem.change is not None:
-            differences = kron(each - earlier, identity(count)) / problem.level
-            blocks.append(self._block(differences))
-        self._parts: list[tuple[IntArray, bool, bool]] = []
-        if problem.rows is not None:
-            rows = problem.rows
-            hard = np.setdiff1d(np.arange(len(rows.scale)), soft)
-            above, below = rows.bounded
-            for taken, sign, low, high in (
-                (hard, 0, True, True),
-                (soft, -1, False, True),
-                (soft, 1, True, False),
-            ):
-                if not len(taken) or (sign < 0 and not above) or (sign > 0 and not below):
-                    continue
-                E, F, G = (
-                    csc_array(part[taken] / rows.scale[taken, None])
-                    for part in (rows.by_state, rows.by_next_state, rows.by_input)
-                )
-                blocks.append((
-                    kron(each, G),
-                    kron(earlier, E) + kron(each, F),
-                    kron(first, E),
-                    sign * identity(N * len(soft)) if sign else None,
-                ))  # fmt: skip
-                self._parts.append((taken, low, high))
-        self._slacks = N * len(soft)
-        if len(soft):
-            empty = self._block(csc_array((self._slacks, N * count)))
-            blocks.append((*empty[:3], identity(self._slacks)))
-        columns = list(zip(*blocks, strict=True))
-        self.on_inputs, self.on_states, self.on_first = (
-            csc_array(vstack(column)) for column in columns[:3]
-        )
-        for part in (self.on_inputs, self.on_states):
-            part.eliminate_zeros()  # kron fills blocks up
-        self.on_violations = csc_array(vstack([
-            csc_array((block[0].shape[0], self._slacks)) if block[3] is None else block[3]
-            for block in blocks
-        ]))  # fmt: skip
-        self.price = np.zeros(0)
-        if problem.rows is not None:
-            price = problem.rows.penalty[soft] * problem.rows.scale[soft]
-            self.price = np.tile(problem.cost_scale * price, N)
-        self.widths = [block[0].shape[0] // N for block in blocks]
-
-    @property
-    def parts(self) -> list[tuple[IntArray, int]]:
-        """Indices of the limited rows in each block of them, and the first row of the block."""
-        before = len(self.widths) - len(self._parts) - (1 if len(self.price) else 0)
-        starts = self._problem.length * np.cumsum([0, *self.widths])[before:]
-        return [(part[0], int(start)) for part, start in zip(self._parts, starts, strict=False)]
-
-    def _block(self, on_inputs: csc_array) -> tuple[csc_array, csc_array, csc_array, None]:
-        """Return a block of rows that sees inputs alone."""
-        from scipy.sparse import csc_array
-
-        rows, states = on_inputs.shape[0], len(self._problem.drift)
-        none = csc_array((rows, self._problem.length * states))
-        return on_inputs, none, csc_array((rows, states)), None
-
-    def bounds(self, previous: FloatArray, data: StageData) -> Pair:
-        """Return bounds of all rows, without the part of known states; previous is v_{−1}."""
-        problem = self._problem
-        low, high = [data.low.ravel() / problem.level], [data.high.ravel() / problem.level]
-        if problem.change is not None:
-            middle = -data.shift / problem.level
-            middle[0] += previous / problem.level
-            reach = problem.change / problem.level
-            low.append((middle - reach).ravel())
-            high.append((middle + reach).ravel())
-        for taken, below, above in self._parts:
-            assert problem.rows is not None  # there are parts
-            scale = problem.rows.scale[taken]
-            least, most = data.row_low[:, taken] / scale, data.row_high[:, taken] / scale
-            low.append((least if below else np.full_like(least, -np.inf)).ravel())
-            high.append((most if above else np.full_like(most, np.inf)).ravel())
-        low.append(np.zeros(self._slacks))
-        high.append(np.full(self._slacks, np.inf))
-        return np.concatenate(low), np.concatenate(high)
-
-
-def shifted(vector: FloatArray, length: int, widths: list[int], repeat: bool) -> FloatArray:
-    """Drop the first step of each block of (length, width), and repeat the last or append zeros."""
-    parts, at = [], 0
-    for width in widths:
-        block = vector[at : at + length * width].reshape(length, width)
-        parts += [block[1:].ravel(), block[-1] if repeat else np.zeros(width)]
-        at += length * width
-    return np.concatenate(parts)
-
-
-class Form(ABC):
-    """One way to write the problem as ``min ½ xᵀ P x + qᵀ x, l ≤ A x ≤ u``."""
-
-    dense: ClassVar[bool]  # whether rows of A are mostly full
-    P: csc_array
-    A: csc_array
-
-    @abstractmethod
-    def vectors(self, state: FloatArray, data: StageData, previous: FloatArray) -> Triple:
-        """Return q, l and u from z_0 and v_{−1}, which matters only where the change is limited."""
-
-    @abstractmethod
-    def inputs(
-        self, x: FloatArray, state: FloatArray, data: StageData, samples: int | None = None
-    ) -> FloatArray:
-        """Return v_0 … v_{N−1}, shape (N, α), or the first of them, from a solution."""
-
-    @abstractmethod
-    def shifted(self, x: FloatArray, y: FloatArray) -> Pair:
-        """Return a primal and dual solution moved on by one sample, to start the next from."""
-
-
 @dataclass(frozen=True, eq=False)
 class StageJacobians:
     """Functions along a plan to first order: their values there, and their slopes.
@@ -449,4 +286,42 @@ class Subproblem(ABC):
 
         Changes are limited from ``previous``, the motion starts with the input ``acting``, shape
         (α,) each. ``deadline`` is as for :meth:`QPSolver.solve`.
+        """
+
+
+@dataclass(frozen=True, eq=False)
+class LinearSolution:
+    """Status, iterations of the solver, and the first input, (α,); None unless the status is OK."""
+
+    status: Status
+    iterations: int
+    input: FloatArray | None
+
+
+class LinearProgram(ABC):
+    """The quadratic program of linear MPC. ``solver_name`` says what solves it."""
+
+    solver_name: str
+
+    @abstractmethod
+    def reset(self) -> None:
+        """Forget the plan, the last solution, and all that was adapted to it."""
+
+    @abstractmethod
+    def forget(self) -> None:
+        """Forget the last solution, from which the next solve would start; the plan stays."""
+
+    @property
+    @abstractmethod
+    def plan(self) -> FloatArray:
+        """Inputs that the last solved program planned, shape (N, α); none before the first."""
+
+    @abstractmethod
+    def solve(
+        self, state: FloatArray, data: StageData, previous: FloatArray, deadline: float
+    ) -> LinearSolution:
+        """Solve for z_0, from the last solution moved on by a sample.
+
+        Changes are limited from the input ``previous``, shape (α,). ``deadline`` is as for
+        :meth:`QPSolver.solve`.
         """

@@ -415,9 +415,11 @@ class RealTimeIterate:
             return np.ones(N, bool)
         before = inputs[:-1] if self._discretization.ramp else inputs[:-1, :0]
         parts = np.hstack([self._states[:-1], inputs[1:], before]) / self._reach
+        own = np.abs(parts - self._at[self._slots]).max(axis=1) <= self._tolerance
+        if own.all():
+            return np.zeros(N, bool)
         off = np.abs(parts[:, None] - self._at).max(axis=2)  # of samples from slots
         off[np.isnan(off)] = np.inf
-        own = off[np.arange(N), self._slots] <= self._tolerance
         self._slots = np.where(own, self._slots, off.argmin(axis=1))
         fresh = np.zeros(N, bool)
         # Samples that are farthest from all slots are linearized first: they may serve others.

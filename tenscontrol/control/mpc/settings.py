@@ -18,17 +18,16 @@ from tenscontrol.control.command import ControlWarning
 from tenscontrol.control.controller import Controller, warn_of_unreached
 from tenscontrol.control.disturbance import LoadModel, LoadObserver, load_observer
 from tenscontrol.control.mpc.constraints import OutputLimit, broken_limits, output_block
+from tenscontrol.control.mpc.osqp_solver import OSQPSolver
 from tenscontrol.control.mpc.problem import (
     Constraints,
-    Form,
     MPCProblem,
     RowBlock,
     string_block,
 )
-from tenscontrol.control.mpc.solvers.daqp_adapter import DAQPSolver
-from tenscontrol.control.mpc.solvers.osqp_adapter import OSQPSolver
-from tenscontrol.control.mpc.solvers.piqp_adapter import PIQPSolver
-from tenscontrol.control.mpc.solvers.solver import QPSolver
+from tenscontrol.control.mpc.qp_solver import QPSolver
+from tenscontrol.control.mpc.sparse import Sparse
+from tenscontrol.core.library import absence
 from tenscontrol.fields import check_fields, checked
 from tenscontrol.plant.controllability import refuse_empty, refuse_unreachable
 from tenscontrol.plant.input_bounds import input_bounds, largest_change
@@ -45,11 +44,7 @@ _PENALTY = 1e2
 # Least γ in a shape, relative to the largest: there a string is taken as taut.
 _TAUT = 1e-6
 
-_SOLVERS: dict[str, type[QPSolver]] = {
-    "daqp": DAQPSolver,
-    "osqp": OSQPSolver,
-    "piqp": PIQPSolver,
-}
+_SOLVERS = ("auto", "stages", "osqp")
 
 
 # Checks of one setting each. Those of arrays leave shapes for later: they depend on the plant.
@@ -105,8 +100,8 @@ def _time(name: str, value: object) -> float | None:
 
 def _solver(name: str, value: object) -> object:
     if isinstance(value, str):
-        if value != "auto" and value not in _SOLVERS:
-            known = ", ".join(map(repr, ("auto", *_SOLVERS)))
+        if value not in _SOLVERS:
+            known = ", ".join(map(repr, _SOLVERS))
             raise ValueError(
                 f"{name} is {value!r}, expected one of {known}, or a subclass of QPSolver"
             )
@@ -170,13 +165,11 @@ class MPCSettings:
         Most computing time of a command, s, from its call. A program that is not solved by then is
         given up at the end of an iteration of the solver. The few operations that follow are not
         counted.
-    solver : {"auto", "daqp", "osqp", "piqp"} or subclass of QPSolver
-        Solver of the quadratic programs. DAQP, an active set, is exact to round-off, and the
-        fastest where a program is dense; OSQP (ADMM, to the tolerance) where it is sparse and
-        large. "auto" takes the one or the other by the form of the program, and for NMPC an active
-        set along the stages of the horizon, by DAQP where nothing is compiled; see the attribute
-        ``solver`` of a controller. PIQP, an interior point for sparse programs, needs the extra
-        ``tenscontrol[piqp]``, and is never taken unless named.
+    solver : {"auto", "stages", "osqp"} or subclass of QPSolver
+        Solver of the quadratic programs. "stages" is an active set along the stages of the horizon,
+        exact to round-off, in the compiled core. OSQP (ADMM, to the tolerance) solves the sparse
+        program with its states, as a solver of your own does. "auto" takes "stages" where the core
+        is there, else OSQP; see the attribute ``solver`` of a controller.
 
     Raises
     ------
@@ -256,25 +249,23 @@ def from_settings(
     return decorate
 
 
-def solver_kind(settings: MPCSettings, dense: bool) -> type[QPSolver]:
-    """Return what solves programs that are dense, or sparse."""
-    named = settings.solver
-    if named == "auto":
-        named = "daqp" if dense else "osqp"
-    return _SOLVERS[named] if isinstance(named, str) else named
+def uses_stages(settings: MPCSettings) -> bool:
+    """Return whether programs are solved along the stages, or raise where that cannot be."""
+    if settings.solver not in ("auto", "stages"):
+        return False
+    missing = absence()
+    if missing and settings.solver == "stages":
+        raise ValueError(
+            f"solver is 'stages', which is in the compiled core, but {missing}. Take 'auto' or "
+            "'osqp'"
+        )
+    return not missing
 
 
-def make_solver(settings: MPCSettings, form: Form, equations: bool = False) -> QPSolver:
-    """Return a solver of a program, as it is before the first solve."""
-    kind = solver_kind(settings, form.dense)
+def make_solver(settings: MPCSettings, form: Sparse, equations: bool = False) -> QPSolver:
+    """Return a solver of a sparse program, as it is before the first solve."""
+    kind = OSQPSolver if isinstance(settings.solver, str) else settings.solver
     return kind(form.P, form.A, settings.tolerance, settings.max_iterations, equations=equations)
-
-
-def solver_name(solver: QPSolver) -> str:
-    """Return the name by which a solver is chosen, or that of its class."""
-    return next(
-        (name for name, kind in _SOLVERS.items() if type(solver) is kind), type(solver).__name__
-    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -434,12 +434,13 @@ class RadauIIA(Discretization):
         found = np.zeros((1, 3, self._r)) if stages is None else stages[None]
         equations, slot = near or (self._single, 0)
         quick, moved, keep = stages is not None, np.inf, solved > _SOLVED
+        at_stages = np.tile(load, 3)
         for _ in range(_MOST_ROUNDS):
             left, entries = self._left(self._once, states, inputs, found)
             if not quick:
                 equations, slot = self._single, 0
                 self._differentiate(self._once, entries, np.arange(1), equations, np.arange(1))
-            change = equations.solved(slot, np.tile(load, 3) - left[0]).reshape(found.shape)
+            change = equations.solved(slot, at_stages - left[0]).reshape(found.shape)
             last, moved = moved, np.abs(self._to_place @ change).max()
             if quick and not moved < max(_QUICK * last, solved * self._size):
                 quick, keep, found = False, False, np.zeros_like(found)
@@ -512,7 +513,7 @@ class RadauIIA(Discretization):
         q, v = states[:, None, :r], states[:, None, r:]
         speeds = v + self._to_speed @ stages
         places = q + self._sample_time * _NODES[:, None] * v + self._to_place @ stages
-        at_stages = inputs[:-1, None] + self._share * np.diff(inputs, axis=0)[:, None]
+        at_stages = inputs[:-1, None] + self._share * (inputs[1:] - inputs[:-1])[:, None]
         points = np.concatenate([places, speeds], axis=2).reshape(3 * N, -1)
         values, entries = slopes.values(points, at_stages.reshape(3 * N, -1))
         return stages.reshape(N, 3 * r) - values.reshape(N, 3 * r), entries

@@ -18,10 +18,12 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from tenscontrol.arrays import FloatArray, IntArray
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, IntArray, frozen
+from tenscontrol.control.mpc.osqp_solver import OSQPSolver
 from tenscontrol.control.mpc.problem import (
-    Form,
-    LimitRows,
+    LinearProgram,
+    LinearSolution,
     MPCProblem,
     Pair,
     StageData,
@@ -30,13 +32,16 @@ from tenscontrol.control.mpc.problem import (
     SubproblemSolution,
     Triple,
     applied,
-    shifted,
 )
-from tenscontrol.control.mpc.settings import solver_name
-from tenscontrol.control.mpc.solvers.solver import QPSolver
+from tenscontrol.control.mpc.qp_solver import QPSolver
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array
+
+
+def solver_name(solver: QPSolver) -> str:
+    """Return the name by which a solver is chosen, or that of its class."""
+    return "osqp" if isinstance(solver, OSQPSolver) else type(solver).__name__
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,8 +57,123 @@ class SparsityIndices:
         data[self.index] = self.factor * slope.reshape(-1)[self.source]
 
 
+class LimitRows:
+    """Limits as matrices on inputs, states and violations.
+
+    Rows come in blocks of N times some width: inputs, changes, hard rows, soft rows from
+    above, soft rows from below, violations. Each is in units of its level or scale.
+
+    ``on_inputs``, ``on_states``, ``on_first`` and ``on_violations`` multiply v_0 …, z_1 …, z_0 and
+    the violations; ``price`` is the linear cost of those, in units of the scaled cost.
+    """
+
+    def __init__(self, problem: MPCProblem) -> None:
+        from scipy.sparse import csc_array, eye, identity, kron, vstack
+
+        self._problem, self.level = problem, problem.level
+        N, count = problem.length, len(problem.low)
+        # The rows of the first change, which the previous input moves.
+        self.first_change = None if problem.change is None else slice(N * count, (N + 1) * count)
+        each, earlier = identity(N), eye(N, k=-1)
+        first = csc_array(([1.0], ([0], [0])), shape=(N, 1))
+        soft = np.zeros(0, dtype=int) if problem.rows is None else problem.rows.soft
+        # One block a row: what multiplies v, z_1 …, z_0 and the violations.
+        blocks: list[tuple[csc_array, csc_array, csc_array, csc_array | None]]
+        blocks = [self._block(kron(each, identity(count)) / problem.level)]
+        if problem.change is not None:
+            differences = kron(each - earlier, identity(count)) / problem.level
+            blocks.append(self._block(differences))
+        self._parts: list[tuple[IntArray, bool, bool]] = []
+        if problem.rows is not None:
+            rows = problem.rows
+            hard = np.setdiff1d(np.arange(len(rows.scale)), soft)
+            above, below = rows.bounded
+            for taken, sign, low, high in (
+                (hard, 0, True, True),
+                (soft, -1, False, True),
+                (soft, 1, True, False),
+            ):
+                if not len(taken) or (sign < 0 and not above) or (sign > 0 and not below):
+                    continue
+                E, F, G = (
+                    csc_array(part[taken] / rows.scale[taken, None])
+                    for part in (rows.by_state, rows.by_next_state, rows.by_input)
+                )
+                blocks.append((
+                    kron(each, G),
+                    kron(earlier, E) + kron(each, F),
+                    kron(first, E),
+                    sign * identity(N * len(soft)) if sign else None,
+                ))  # fmt: skip
+                self._parts.append((taken, low, high))
+        self._slacks = N * len(soft)
+        if len(soft):
+            empty = self._block(csc_array((self._slacks, N * count)))
+            blocks.append((*empty[:3], identity(self._slacks)))
+        columns = list(zip(*blocks, strict=True))
+        self.on_inputs, self.on_states, self.on_first = (
+            csc_array(vstack(column)) for column in columns[:3]
+        )
+        for part in (self.on_inputs, self.on_states):
+            part.eliminate_zeros()  # kron fills blocks up
+        self.on_violations = csc_array(vstack([
+            csc_array((block[0].shape[0], self._slacks)) if block[3] is None else block[3]
+            for block in blocks
+        ]))  # fmt: skip
+        self.price = np.zeros(0)
+        if problem.rows is not None:
+            price = problem.rows.penalty[soft] * problem.rows.scale[soft]
+            self.price = np.tile(problem.cost_scale * price, N)
+        self.widths = [block[0].shape[0] // N for block in blocks]
+
+    @property
+    def parts(self) -> list[tuple[IntArray, int]]:
+        """Indices of the limited rows in each block of them, and the first row of the block."""
+        before = len(self.widths) - len(self._parts) - (1 if len(self.price) else 0)
+        starts = self._problem.length * np.cumsum([0, *self.widths])[before:]
+        return [(part[0], int(start)) for part, start in zip(self._parts, starts, strict=False)]
+
+    def _block(self, on_inputs: csc_array) -> tuple[csc_array, csc_array, csc_array, None]:
+        """Return a block of rows that sees inputs alone."""
+        from scipy.sparse import csc_array
+
+        rows, states = on_inputs.shape[0], len(self._problem.drift)
+        none = csc_array((rows, self._problem.length * states))
+        return on_inputs, none, csc_array((rows, states)), None
+
+    def bounds(self, previous: FloatArray, data: StageData) -> Pair:
+        """Return bounds of all rows, without the part of known states; previous is v_{−1}."""
+        problem = self._problem
+        low, high = [data.low.ravel() / problem.level], [data.high.ravel() / problem.level]
+        if problem.change is not None:
+            middle = -data.shift / problem.level
+            middle[0] += previous / problem.level
+            reach = problem.change / problem.level
+            low.append((middle - reach).ravel())
+            high.append((middle + reach).ravel())
+        for taken, below, above in self._parts:
+            assert problem.rows is not None  # there are parts
+            scale = problem.rows.scale[taken]
+            least, most = data.row_low[:, taken] / scale, data.row_high[:, taken] / scale
+            low.append((least if below else np.full_like(least, -np.inf)).ravel())
+            high.append((most if above else np.full_like(most, np.inf)).ravel())
+        low.append(np.zeros(self._slacks))
+        high.append(np.full(self._slacks, np.inf))
+        return np.concatenate(low), np.concatenate(high)
+
+
+def shifted(vector: FloatArray, length: int, widths: list[int], repeat: bool) -> FloatArray:
+    """Drop the first step of each block of (length, width), and repeat the last or append zeros."""
+    parts, at = [], 0
+    for width in widths:
+        block = vector[at : at + length * width].reshape(length, width)
+        parts += [block[1:].ravel(), block[-1] if repeat else np.zeros(width)]
+        at += length * width
+    return np.concatenate(parts)
+
+
 @final
-class Sparse(Form):
+class Sparse:
     """States, inputs and violations are unknown, the dynamics are constraints.
 
     Unknowns are z_1 … z_N, u_0 … u_{N−1} and the violations, in units of the state, of one
@@ -64,8 +184,6 @@ class Sparse(Form):
     are C_k too. ``motion_indices`` are of A_k, B_k and C_k; A_0 and C_0 meet only what is known.
     ``row_indices`` are of E_k, G_k and F_k, for each part of the limited rows.
     """
-
-    dense = False
 
     def __init__(
         self, problem: MPCProblem, units: FloatArray | None = None, varying: bool = False
@@ -214,7 +332,10 @@ class Sparse(Form):
         previous: FloatArray,
         previous_input: FloatArray | None = None,
     ) -> Triple:
-        """See :meth:`Form.vectors`. With C_k the previous input of the motion is needed too."""
+        """Return q, l and u from z_0 and v_{−1}, which matters only where the change is limited.
+
+        With C_k the previous input of the motion is needed too.
+        """
         level = self._problem.level
         if self._about is not None:
             states, planned = self._about
@@ -252,11 +373,12 @@ class Sparse(Form):
             np.concatenate([equal, high]),
         )  # fmt: skip
 
-    def inputs(
-        self, x: FloatArray, state: FloatArray, data: StageData, samples: int | None = None
-    ) -> FloatArray:
-        """See :meth:`Form.inputs`."""
-        return self.trajectory(x)[1][:samples]
+    def program(self, state: FloatArray, data: StageData, previous: FloatArray) -> QuadraticProgram:
+        """Return the program of linear MPC; changes count from ``previous``, a whole input."""
+        q, low, high = self.vectors(state, data, previous - data.origin[0])
+        origin = frozen(data.origin.T)
+        P, A = self.P.copy(), self.A.copy()
+        return QuadraticProgram(P, q, A, low, high, self._states, self._problem.level, origin)
 
     def trajectory(self, x: FloatArray) -> Pair:
         """Return z_1 … z_N (N, s) and u_0 … u_{N−1} (N, α) of a solution."""
@@ -277,12 +399,99 @@ class Sparse(Form):
         return x, guess[1]
 
     def shifted(self, x: FloatArray, y: FloatArray) -> Pair:
-        """See :meth:`Form.shifted`."""
+        """Return a primal and dual solution moved on by one sample, to start the next from."""
         N, (s, a) = self._problem.length, self._problem.input_matrix.shape
         return (
             shifted(x, N, [s, a, len(self.limits.price) // N], repeat=True),
             shifted(y, N, [s, *self.limits.widths], repeat=False),
         )
+
+
+@dataclass(frozen=True, eq=False)
+class QuadraticProgram:
+    """A program ``min ½ xᵀ P x + qᵀ x  subject to  l ≤ A x ≤ u``. Made by :meth:`MPC.program`.
+
+    The unknowns are z_1 … z_N, departures of the inputs u_0 … u_{N−1} in their unit, and violations
+    of soft limits.
+
+    Attributes
+    ----------
+    P : sparse array, shape (k, k)
+        Symmetric; all of it.
+    q : ndarray, shape (k,)
+    A : sparse array, shape (m, k)
+    l, u : ndarray, shape (m,)
+        May be infinite, or equal.
+    first : int
+        Which unknown is the first departure of an input; they follow sample by sample.
+    unit : float
+        Unit of departures, N/m or m.
+    origin : ndarray, shape (α, N)
+        Inputs that departures are measured from, N/m or m.
+    """
+
+    P: csc_array
+    q: FloatArray
+    A: csc_array
+    l: FloatArray  # noqa: E741 - the letters of the problem
+    u: FloatArray
+    first: int
+    unit: float
+    origin: FloatArray
+
+    def inputs(self, x: object) -> FloatArray:
+        """Return the inputs that a solution plans, shape (α, N), N/m or m: the command first.
+
+        Parameters
+        ----------
+        x : array_like, shape (k,)
+
+        Raises
+        ------
+        TypeError, ValueError
+            If it is not finite or has the wrong shape.
+        """
+        solution = validation.shaped("x", x, self.q.shape, "one number per unknown")
+        planned = solution[self.first : self.first + self.origin.size]
+        return self.origin + self.unit * planned.reshape(self.origin.shape[::-1]).T
+
+
+@final
+class SparseProgram(LinearProgram):
+    """The program of linear MPC with its states, and a solver of quadratic programs."""
+
+    def __init__(self, form: Sparse, solver: QPSolver) -> None:
+        self.form, self.solver, self.solver_name = form, solver, solver_name(solver)
+        self._plan = np.zeros((0, 0))
+        self._guess: Pair | None = None
+
+    def reset(self) -> None:
+        """See :meth:`LinearProgram.reset`."""
+        self._plan = np.zeros((0, 0))
+        self.forget()
+        self.solver.reset()
+
+    def forget(self) -> None:
+        """See :meth:`LinearProgram.forget`."""
+        self._guess = None
+
+    @property
+    def plan(self) -> FloatArray:
+        """See :attr:`LinearProgram.plan`."""
+        return self._plan
+
+    def solve(
+        self, state: FloatArray, data: StageData, previous: FloatArray, deadline: float
+    ) -> LinearSolution:
+        """See :meth:`LinearProgram.solve`."""
+        vectors = self.form.vectors(state, data, previous - data.origin[0])
+        answer = self.solver.solve(*vectors, start=self._guess, deadline=deadline)
+        self._guess = None
+        if answer.x is None or answer.y is None:
+            return LinearSolution(answer.status, answer.iterations, None)
+        self._guess = self.form.shifted(answer.x, answer.y)
+        self._plan = data.origin + self.form.trajectory(answer.x)[1]
+        return LinearSolution(answer.status, answer.iterations, self._plan[0])
 
 
 @final

@@ -61,6 +61,7 @@ static double bounded_input(const double *desired_input, int i)
                  low[i], high[i]);
 }
 
+#if MATRICES > 0
 /* y += M x, with M by rows. */
 static void add_product(const Matrix *M, const double *x, double *y)
 {
@@ -72,6 +73,7 @@ static void add_product(const Matrix *M, const double *x, double *y)
         y[i] += sum;
     }
 }
+#endif
 
 /* Work space of functions by CasADi. */
 static casadi_int casadi_integers[CASADI_IW];

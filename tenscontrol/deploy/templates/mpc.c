@@ -1,20 +1,18 @@
 
-/* ---- model predictive control ---- */
+/* ---- linear model predictive control ---- */
 
 /* Places in a row of the table over time. */
-#define ROW_LOW UNKNOWNS
-#define ROW_HIGH (ROW_LOW + ROWS)
-#define ROW_INPUTS (ROW_HIGH + ROWS)
-#define ROW_PREVIOUS_INPUT (ROW_INPUTS + PLANNED)
-#define ROW_FREE_RESPONSE (ROW_PREVIOUS_INPUT + CONTROLLER_COMMANDS)
-
-/* What the program is affine in: [state; previous input; the same within bounds; load]. */
-#define MEASURED (STATES + CONTROLLER_COMMANDS)
-#define GIVEN (MEASURED + CONTROLLER_COMMANDS + LOADS)
+#define ROW_REFERENCE 0
+#define ROW_PREVIOUS_ORIGIN (ROW_REFERENCE + HORIZON * PROGRAM_STATES)
+#define ROW_ORIGIN (ROW_PREVIOUS_ORIGIN + CONTROLLER_COMMANDS)
+#define ROW_AIM (ROW_ORIGIN + PLANNED)
+#define ROW_DRIFT (ROW_AIM + PLANNED)
+#define ROW_VALUES (ROW_DRIFT + HORIZON * PROGRAM_STATES)
+#define ROW_FREE_RESPONSE (ROW_VALUES + HORIZON * LIMITED)
 
 static struct {
     double plan[PLANNED];
-    int has_plan, used;
+    int has_plan, used, aimed;
 #if LOADS > 0
     double load[LOADS], free_response[STATES];
     int has_free_response;
@@ -22,8 +20,20 @@ static struct {
     double row[ROW_LENGTH];
 } memory;
 
+/* All stages are alike, and prepared once, about a plan of zeros. */
+static void prepare_program(void)
+{
+    static const double ends[PROGRAM_STATES], values[LIMITED + 1];
+    place_program();
+    stages_program_prepare(&program.stages, NULL, NULL, 0.0, ends, motion_by_state,
+                           motion_by_input, NULL, values, limited_by_state, limited_by_input,
+                           limited_by_next_state);
+}
+
 static void forget(void)
 {
+    if (!program.placed)
+        prepare_program();
     memset(&memory, 0, sizeof memory);
     forget_program();
 }
@@ -33,7 +43,7 @@ static int continue_plan(int reason, double *desired_input)
 {
     memory.used++;
     forget_program();
-    if (memory.has_plan && memory.used < PLANNED / CONTROLLER_COMMANDS) {
+    if (memory.has_plan && memory.used < HORIZON) {
         copy(desired_input, memory.plan + memory.used * CONTROLLER_COMMANDS, CONTROLLER_COMMANDS);
         return reason | CONTROLLER_PLAN_CONTINUED;
     }
@@ -46,19 +56,6 @@ static int fall_back(int reason, double *desired_input)
     memory.has_free_response = 0;
 #endif
     return continue_plan(reason, desired_input);
-}
-
-/* [state; previous input; the same within bounds; load] */
-static void gather(const double *state, double *given)
-{
-    int i;
-    copy(given, state, STATES);
-    copy(given + STATES, previous_input, CONTROLLER_COMMANDS);
-    for (i = 0; i < CONTROLLER_COMMANDS; i++)
-        given[MEASURED + i] = previous_within_bounds(i);
-#if LOADS > 0
-    copy(given + MEASURED + CONTROLLER_COMMANDS, memory.load, LOADS);
-#endif
 }
 
 #if LOADS > 0
@@ -74,35 +71,48 @@ static void correct_load(const double *state)
         error[i] = state[i] - (memory.free_response[i] + response[i]);
     add_product(&load_gain, error, memory.load);
 }
-#endif
 
-/* q and bounds: those of the row, plus a linear function of what is given. */
-static void fill_program(const double *given, const double *row)
+/* Move references and inputs to where the plant is at rest under the load. */
+static void rest_under_load(double *row)
 {
-    static double moved[UNKNOWNS + ROWS];
-    int i;
-    memset(moved, 0, sizeof moved);
-    add_product(&vectors, given, moved);
-    for (i = 0; i < UNKNOWNS; i++)
-        program.q[i] = row[i] + moved[i];
-    for (i = 0; i < ROWS; i++) {
-        program.low[i] = row[ROW_LOW + i] + moved[UNKNOWNS + i];
-        program.high[i] = row[ROW_HIGH + i] + moved[UNKNOWNS + i];
+    int k;
+    for (k = 0; k < HORIZON; k++) {
+        add_product(&load_shift, memory.load, row + ROW_REFERENCE + k * PROGRAM_STATES);
+        add_product(&load_effort, memory.load, row + ROW_AIM + k * CONTROLLER_COMMANDS);
+        add_product(&load_response, memory.load, row + ROW_DRIFT + k * PROGRAM_STATES);
     }
 }
 
-/* Store the plan, clipped to the bounds, which a solution satisfies to round-off. */
-static void store_plan(const double *given, const double *row)
+/* The state a sample later, without the input of the sample. */
+static void predict(const double *start, const double *row)
 {
-    int i, k;
-    copy(memory.plan, row + ROW_INPUTS, PLANNED);
-    add_product(&inputs, given, memory.plan);
-    for (i = 0; i < PLANNED; i++) { /* inputs are the first values of a stage */
-        int length;
-        const double *of = response_row(i / STAGE_INPUTS * STAGE_ROWS + i % STAGE_INPUTS, &length);
-        k = i % CONTROLLER_COMMANDS;
-        memory.plan[i] += LEVEL * active_set_dot(of, program.x, length);
-        memory.plan[i] = clamp(memory.plan[i], low[k], high[k]);
+    copy(memory.free_response, row + ROW_FREE_RESPONSE, STATES);
+    add_product(&load_response, memory.load, memory.free_response);
+    add_product(&transition, start, memory.free_response);
+    memory.has_free_response = 1;
+}
+#endif
+
+/* Put in the targets, and what inputs and limited values are measured from. */
+static void aim_program(const double *row)
+{
+    if (memory.aimed && VARYING == 0 && LOADS == 0)
+        return;
+    copy(program.inputs - CONTROLLER_COMMANDS, row + ROW_PREVIOUS_ORIGIN,
+         PLANNED + CONTROLLER_COMMANDS);
+    copy(program.values, row + ROW_VALUES, HORIZON * LIMITED);
+    memset(program.gaps, 0, HORIZON * PROGRAM_STATES * sizeof *program.gaps);
+    stages_program_aim(&program.stages, row + ROW_REFERENCE, row + ROW_AIM, row + ROW_DRIFT);
+    memory.aimed = 1;
+}
+
+static void store_plan(void)
+{
+    int i;
+    stages_program_plan(&program.stages);
+    for (i = 0; i < PLANNED; i++) {
+        int j = i % CONTROLLER_COMMANDS;
+        memory.plan[i] = clamp(program.inputs[i] + program.input_moves[i], low[j], high[j]);
     }
     memory.has_plan = 1;
     memory.used = 0;
@@ -110,25 +120,33 @@ static void store_plan(const double *given, const double *row)
 
 static int decide(double time, const double *state, double *desired_input)
 {
-    const double *row = row_at(time, memory.row);
-    double given[GIVEN];
-    int reason;
+    double start[PROGRAM_STATES], previous[CONTROLLER_COMMANDS];
+    const double *row;
+    int i, reason;
+    if (!program.placed)
+        forget();
+    row = row_at(time, memory.row);
 #if LOADS > 0
     correct_load(state);
+    rest_under_load(memory.row);
 #endif
     if (!has_previous_input)
-        set_previous_input(row + ROW_PREVIOUS_INPUT);
-    gather(state, given);
+        set_previous_input(row + ROW_PREVIOUS_ORIGIN);
+    copy(start, state, STATES);
+    for (i = STATES; i < PROGRAM_STATES; i++) /* of ramps */
+        start[i] = previous_input[i - STATES] - row[ROW_PREVIOUS_ORIGIN + i - STATES];
 #if LOADS > 0
-    copy(memory.free_response, row + ROW_FREE_RESPONSE, STATES);
-    add_product(&free_response, given, memory.free_response);
-    memory.has_free_response = 1;
+    predict(start, row);
 #endif
-    fill_program(given, row);
-    reason = solve_program();
+    aim_program(row);
+    for (i = 0; i < CONTROLLER_COMMANDS; i++)
+        previous[i] = previous_within_bounds(i);
+    reason = stages_program_solve(&program.stages, start, previous, previous, NULL);
+    iterations = stages_program_iterations(&program.stages);
     if (reason != CONTROLLER_OK)
         return continue_plan(reason, desired_input);
-    store_plan(given, row);
+    store_plan();
+    stages_program_shift(&program.stages);
     copy(desired_input, memory.plan, CONTROLLER_COMMANDS);
     return CONTROLLER_OK;
 }

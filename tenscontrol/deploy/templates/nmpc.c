@@ -1,11 +1,6 @@
 
 /* ---- nonlinear model predictive control by real-time iterations ---- */
 
-#include "controller_active_set.h"
-
-#define STAGES_WIDE /* no instructions but those that the compiler is told of */
-#include "controller_stages.h"
-
 /* Places in a row of the table over time. */
 #define ROW_REFERENCE 0
 #define ROW_ORIGIN (ROW_REFERENCE + HORIZON * STATES)
@@ -13,23 +8,6 @@
 /* Slopes of a sample by states and by inputs, of the motion and of what is limited. */
 #define WIDTH (STATES + CONTROLLER_COMMANDS)
 #define SLOPES (HORIZON * (STATES * WIDTH + LIMITED * (WIDTH + STATES)))
-
-#define ROWS (HORIZON * (CONTROLLER_COMMANDS * (CHANGES ? 2 : 1) + LIMITED))
-#define MOST ACTIVE_SET_MOST(ROWS, PLANNED, SOFT)
-
-/* The program along the plan, and its memory. */
-static struct {
-    StagesProgram stages;
-    int placed;
-    double *states; /* z_0 ... z_N of the plan */
-    double *inputs; /* u_0 ... u_{N-1} */
-    double *y;      /* multipliers that the next solve starts from */
-    const double *state_moves, *input_moves; /* what a solution adds to the plan */
-    double numbers[STAGES_NUMBERS(HORIZON, STATES, CONTROLLER_COMMANDS, LIMITED, ROWS, SOFT)];
-    int integers[ACTIVE_SET_INTEGERS(ROWS, MOST) +
-                 STAGES_INTEGERS(0, HORIZON, CONTROLLER_COMMANDS, ROWS)];
-    const double *pointers[ACTIVE_SET_POINTERS(MOST)];
-} program;
 
 static struct {
     int has_plan, prepared, shifted; /* linearized; shifted to this sample */
@@ -46,36 +24,11 @@ static struct {
     double row[ROW_LENGTH];
 } memory;
 
-static void forget_program(void)
-{
-    if (program.placed)
-        memset(program.y, 0, ROWS * sizeof *program.y);
-}
-
 static void forget_plan(void)
 {
     memory.has_plan = memory.prepared = 0;
     memory.shifted = 1;
     forget_program();
-}
-
-static void place_program(void)
-{
-    static const int sizes[] = {HORIZON, STATES, CONTROLLER_COMMANDS, LIMITED, 0, CHANGES,
-                                SOFT, ITERATIONS, AHEAD, 0, 0};
-    static const double *const data[] = {state_weight, input_weight, terminal_weight, limit_scale,
-                                         largest_change, low, high, limit_low, limit_high, price,
-                                         price};
-    size_t counts[3];
-    double *views[7];
-    stages_program_place(&program.stages, sizes, LEVEL, TOLERANCE, NULL, data, program.numbers,
-                         program.integers, program.pointers, counts, views);
-    program.states = views[0];
-    program.inputs = views[1] + CONTROLLER_COMMANDS; /* behind the input before */
-    program.y = views[2];
-    program.state_moves = views[3];
-    program.input_moves = views[4];
-    program.placed = 1;
 }
 
 static void forget(void)
@@ -195,8 +148,8 @@ static int solve_program(const double *state, const double *row)
 #if LOADS > 0
     drift = memory.drift;
 #endif
-    status = stages_program_solve(&program.stages, state, previous_input, row + ROW_REFERENCE,
-                                  row + ROW_ORIGIN, drift, previous, NULL);
+    stages_program_aim(&program.stages, row + ROW_REFERENCE, row + ROW_ORIGIN, drift);
+    status = stages_program_solve(&program.stages, state, previous_input, previous, NULL);
     iterations = stages_program_iterations(&program.stages);
     return status;
 }

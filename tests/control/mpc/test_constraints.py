@@ -48,9 +48,8 @@ def predicted(mpc, name, z):
     return start + z[:-1] @ by_z.T + v @ by_v.T
 
 
-@pytest.mark.parametrize("form", ["condensed", "sparse"])
 @pytest.mark.parametrize("penalty", [None, np.inf])
-def test_solution_satisfies_the_optimality_conditions(plant, form, penalty):
+def test_solution_satisfies_the_optimality_conditions(plant, penalty):
     from tests.control.mpc.test_linear import kkt_residual
 
     limit = OutputLimit(height_row(), low=0.995, high=1.004, penalty=1e4)
@@ -59,45 +58,40 @@ def test_solution_satisfies_the_optimality_conditions(plant, form, penalty):
         horizon=6,
         sample_time=SAMPLE,
         max_force_density=60.0,
-        form=form,
+        solver="osqp",
         max_tension=40.0,
         outputs=[limit],
         string_penalty=penalty,
         tolerance=1e-8,
         max_iterations=50000,
     )
-    program = {}
-    solve = mpc._solver.solve
+    program, form, solver = {}, mpc._program.form, mpc._program.solver
+    solve = solver.solve
 
     def kept(q, l, u, start=None, **_):  # noqa: E741
         program["data"], program["answer"] = (q, l, u), solve(q, l, u, start)
         return program["answer"]
 
-    mpc._solver.solve = kept
+    solver.solve = kept
     mpc.command(0.0, pushed(plant, 0.01), STILL)
     answer, (q, l, u) = program["answer"], program["data"]  # noqa: E741
     assert answer.status is Status.OK
     scale = max(1.0, np.abs(answer.y).max())
     far = 1e9  # for infinity, which times zero is nothing
     low, high = np.clip(l, -far, far), np.clip(u, -far, far)
-    residual = kkt_residual(mpc.law.form.P, q, mpc.law.form.A, low, high, answer.x, answer.y)
+    residual = kkt_residual(form.P, q, form.A, low, high, answer.x, answer.y)
     assert residual < 1e-6 * scale
 
 
-@pytest.mark.parametrize("form", ["condensed", "sparse"])
-def test_violations_cost_what_the_docstrings_say(plant, form, monkeypatch):
+def test_violations_cost_what_the_docstrings_say(plant):
     """A price times (2 ε + ε²), for strings in costs of an input that is off by its unit."""
-    row, penalty, linear = height_row(), 1e4, []
+    row, penalty = height_row(), 1e4
     mpc = tc.MPC(
-        plant, horizon=2, sample_time=SAMPLE, max_force_density=60.0, form=form,
+        plant, horizon=2, sample_time=SAMPLE, max_force_density=60.0,
         max_tension=40.0, outputs=[OutputLimit(row, low=0.995, penalty=penalty)],
         string_penalty=50.0,
     )  # fmt: skip
-    solve = mpc._solver.solve
-    monkeypatch.setattr(
-        mpc._solver, "solve", lambda q, *rest, **more: linear.append(q) or solve(q, *rest, **more)
-    )
-    mpc.command(0.0, plant.nodes, STILL)
+    program = mpc.program(0.0, plant.nodes, STILL)
     problem = mpc.law.design.problem
     # A program is half of the cost, over that of an input off by its unit.
     unit = problem.level**2 * np.linalg.eigvalsh(problem.input_weight).min()
@@ -105,11 +99,11 @@ def test_violations_cost_what_the_docstrings_say(plant, form, monkeypatch):
     strings = len(problem.rows.soft) - 1
     # π (2 e + e²/u) is π u (2 ε + ε²).
     expected = np.tile(np.r_[np.full(strings, 50.0), penalty * u / unit], 2)
-    np.testing.assert_allclose(linear[0][-len(expected) :], expected)
-    np.testing.assert_allclose(mpc.law.form.P.diagonal()[-len(expected) :], expected)
+    np.testing.assert_allclose(program.q[-len(expected) :], expected)
+    np.testing.assert_allclose(program.P.diagonal()[-len(expected) :], expected)
 
 
-def test_both_forms_give_the_same_commands(plant):
+def test_both_solvers_give_the_same_commands(plant):
     limit = OutputLimit(height_row(), low=0.995, high=1.004, penalty=1e4)
     values = [
         tc.MPC(
@@ -117,7 +111,7 @@ def test_both_forms_give_the_same_commands(plant):
             horizon=6,
             sample_time=SAMPLE,
             max_force_density=60.0,
-            form=form,
+            solver=solver,
             max_tension=40.0,
             outputs=[limit],
             tolerance=1e-8,
@@ -125,7 +119,7 @@ def test_both_forms_give_the_same_commands(plant):
         )
         .command(0.0, pushed(plant, 0.02), STILL)
         .value
-        for form in ("condensed", "sparse")
+        for solver in ("auto", "osqp")
     ]
     level = 30.0 if plant.input == "force_density" else 0.1
     assert np.allclose(*values, atol=1e-5 * level)
@@ -136,7 +130,6 @@ def test_strength_of_strings_is_kept_and_matters(plant):
     free, z = solved(
         tc.MPC(plant, horizon=8, sample_time=SAMPLE, max_force_density=300.0, tolerance=1e-7), nodes
     )
-    mpc = tc.MPC(plant, horizon=8, sample_time=SAMPLE, max_force_density=300.0, tolerance=1e-7)
     highest = predicted(mpc_with(plant, None, nodes), "tension", z).max()
     limit = 0.5 * (highest + 31.0)
     assert highest > limit  # the case is worth something
@@ -152,7 +145,6 @@ def test_strength_of_strings_is_kept_and_matters(plant):
     command, z = solved(held, nodes)
     assert predicted(held, "tension", z).max() < limit * (1 + 1e-4)
     assert np.abs(command.value - free.value).max() > 0
-    assert mpc.form == "condensed"
 
 
 def mpc_with(plant, limit, nodes):

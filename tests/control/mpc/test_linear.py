@@ -9,12 +9,13 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.control import Status
-from tenscontrol.control.mpc.linear import Condensed
+from tenscontrol.control.mpc import settings
+from tenscontrol.control.mpc.osqp_solver import OSQPSolver
 from tenscontrol.control.mpc.problem import MPCProblem, StageData
-from tenscontrol.control.mpc.solvers.osqp_adapter import OSQPSolver
 from tenscontrol.control.mpc.sparse import Sparse
-from tenscontrol.dynamics.machine_code import compiler
+from tenscontrol.core.library import absence
 from tests.control.fault_loop import solve_nothing
+from tests.control.mpc.optimum import exact_optimum, point_of_inputs
 
 STILL = np.zeros((3, 6))
 GIVEN = {"sample_time": 0.02, "max_force_density": 60.0}
@@ -51,66 +52,51 @@ def steady_data(problem, reference):
     return StageData(reference, still, drift, *bounds, still, none, none, still, still[0])
 
 
-@pytest.mark.parametrize("form", ["condensed", "sparse"])
 @pytest.mark.parametrize("max_change", [None, 2.0])
 @pytest.mark.parametrize("size", [0.01, 0.1])
-def test_solution_satisfies_the_optimality_conditions(plant, form, max_change, size):
+def test_solution_satisfies_the_optimality_conditions(plant, max_change, size):
     mpc = tc.MPC(
         plant,
         horizon=20,
         sample_time=0.02,
         max_force_density=60.0,
-        form=form,
+        solver="osqp",
         max_change=max_change,
         tolerance=1e-7,
         R=1e-3,
     )
     state = plant.measure(pushed(plant, size), STILL)
     data = steady_data(mpc.law.design.problem, np.zeros((20, 18)))
-    vectors = mpc.law.form.vectors(state, data, np.zeros(9))
-    answer = mpc._solver.solve(*vectors)
+    form = mpc._program.form
+    vectors = form.vectors(state, data, np.zeros(9))
+    answer = mpc._program.solver.solve(*vectors)
     assert answer.status is Status.OK
-    P, A = mpc.law.form.P, mpc.law.form.A
     scale = max(1.0, np.abs(answer.y).max())
-    assert kkt_residual(P, vectors[0], A, *vectors[1:], answer.x, answer.y) < 1e-6 * scale
+    assert kkt_residual(form.P, vectors[0], form.A, *vectors[1:], answer.x, answer.y) < 1e-6 * scale
     # The case is worth something only if bounds are met where the push is large.
-    inputs = mpc.law.form.inputs(answer.x, state, data) + plant.force_density
+    inputs = form.trajectory(answer.x)[1] + plant.force_density
     assert inputs.min() > -1e-5
     if size == 0.1 and max_change is None:
         assert (inputs < 1e-4).any()
         assert (inputs > 45 - 1e-4).any()
 
 
-def test_both_forms_give_the_same_commands(plant):
+def test_both_solvers_give_the_same_commands(plant):
     commands = {}
-    for form in ("condensed", "sparse"):
+    for solver in ("auto", "osqp"):
         mpc = tc.MPC(
             plant,
             horizon=20,
             sample_time=0.02,
             max_force_density=60.0,
-            form=form,
+            solver=solver,
             max_change=3.0,
             tolerance=1e-9,
         )
-        commands[form] = [
+        commands[solver] = [
             mpc.command(0.02 * k, pushed(plant, 0.1, seed=k), STILL).value for k in range(5)
         ]
-    assert np.allclose(commands["condensed"], commands["sparse"], atol=1e-4)
-
-
-def unknowns(form, plan, state, data, low):
-    """Return the x of a program, without violations, in which a plan is followed."""
-    equations = form.A.shape[1] - plan.size  # those of the dynamics, one for each entry of a state
-
-    def follows(x):
-        """What is zero where x follows the plan."""
-        off = form.inputs(x, state, data) - plan
-        return np.r_[(form.A @ x - low)[:equations], off.ravel()]
-
-    none = follows(np.zeros(form.A.shape[1]))
-    slopes = np.column_stack([follows(unit) - none for unit in np.eye(len(none))])
-    return np.linalg.solve(slopes, -none)
+    assert np.allclose(commands["auto"], commands["osqp"], atol=1e-4)
 
 
 def test_horizon_cost_is_the_sum_it_stands_for(plant):
@@ -134,16 +120,13 @@ def test_horizon_cost_is_the_sum_it_stands_for(plant):
         return 0.5 * total
 
     first, second = rng.normal(size=(2, N, a))
-    for form in (Condensed(problem), Sparse(problem)):
-        data = steady_data(problem, reference)
-        q, low, _ = form.vectors(state, data, np.zeros(a))
-        values = []
-        for plan in (first, second):
-            x = unknowns(form, plan, state, data, low)
-            assert np.allclose(form.inputs(x, state, data), plan)
-            values.append(0.5 * x @ (form.P @ x) + q @ x)
-        expected = problem.cost_scale * (cost(first) - cost(second))
-        assert values[0] - values[1] == pytest.approx(expected, rel=1e-9)
+    form, data = Sparse(problem), steady_data(problem, reference)
+    program, values = form.program(state, data, np.zeros(a)), []
+    for plan in (first, second):
+        x = point_of_inputs(program, plan.T)
+        values.append(0.5 * x @ (program.P @ x) + program.q @ x)
+    expected = problem.cost_scale * (cost(first) - cost(second))
+    assert values[0] - values[1] == pytest.approx(expected, rel=1e-9)
 
 
 def test_unconstrained_first_input_is_that_of_the_discrete_lqr(plant):
@@ -176,41 +159,32 @@ def test_pattern_of_the_program_is_fixed_and_setup_happens_once(plant, monkeypat
     assert len(setups) == 1
 
 
-@pytest.mark.parametrize("form", ["condensed", "sparse"])
-def test_start_moved_on_by_a_sample_saves_iterations(plant, form):
+def test_start_moved_on_by_a_sample_saves_iterations(plant):
     """The last solution, shifted, is a better start than the last solution as it was."""
     model = tc.Model(plant.model.structure, strings=tc.LinearStrings(100.0))
     work = {}
     for shifted in (True, False):
-        mpc = tc.MPC(plant, horizon=20, sample_time=0.02, max_force_density=34.0, R=1e-3, form=form)
+        mpc = tc.MPC(
+            plant, horizon=20, sample_time=0.02, max_force_density=34.0, R=1e-3, solver="osqp"
+        )
         if not shifted:
-            solve = mpc._solver.solve
-            mpc._solver.solve = lambda q, l, u, solve=solve, **_: solve(q, l, u)  # noqa: E741
+            solver = mpc._program.solver
+            solve = solver.solve
+            solver.solve = lambda q, l, u, solve=solve, **_: solve(q, l, u)  # noqa: E741
         tc.simulate(model, 1.0, pushed(plant, 0.05), controller=mpc, step=2e-3)
         work[shifted] = mpc.statistics.iterations.sum()
     assert work[True] < work[False]
 
 
-def test_departures_from_the_lqr_law_need_far_fewer_iterations(plant):
-    """The change of unknowns is what makes the condensed form cheap."""
-    work = {}
-    for form in ("condensed", "sparse"):
-        mpc = tc.MPC(plant, horizon=20, sample_time=0.02, max_force_density=34.0, R=1e-3, form=form)
-        for k in range(20):
-            mpc.command(0.02 * k, pushed(plant, 0.05, seed=k), STILL)
-        work[form] = mpc.statistics.iterations.sum()
-    assert work["condensed"] < 0.6 * work["sparse"]
-
-
-@pytest.mark.parametrize("form", ["condensed", "sparse"])
-def test_commands_are_within_bounds_exactly_and_changes_within_theirs(plant, form):
+@pytest.mark.parametrize("solver", ["auto", "osqp"])
+def test_commands_are_within_bounds_exactly_and_changes_within_theirs(plant, solver):
     high = np.linspace(40, 60, 9)
     mpc = tc.MPC(
         plant,
         horizon=10,
         sample_time=0.02,
         max_force_density=high,
-        form=form,
+        solver=solver,
         max_change=4.0,
         tolerance=1e-3,
     )
@@ -313,7 +287,7 @@ def test_out_of_iterations_is_a_fallback_and_not_a_bad_command(plant):
 def test_every_status_of_osqp_is_mapped():
     import osqp
 
-    from tenscontrol.control.mpc.solvers.osqp_adapter import _STATUS
+    from tenscontrol.control.mpc.osqp_solver import _STATUS
 
     assert {status.name for status in osqp.SolverStatus} == set(_STATUS)
     assert [name for name, status in _STATUS.items() if status is Status.OK] == ["OSQP_SOLVED"]
@@ -339,23 +313,37 @@ def test_program_answers_infeasible_unbounded_and_bad_data_without_a_solution():
     assert 1 - 1e-4 <= good.x[0] <= 2 + 1e-4
 
 
-def test_form_is_chosen_by_size(plant):
-    found = [
-        (mpc.form, mpc.solver)
-        for length in (20, 100, 400)
-        for solver in ("auto", "osqp")
-        for mpc in [tc.MPC(plant, horizon=length, **GIVEN, solver=solver)]
-    ]
-    assert found == [
-        ("condensed", "daqp"), ("condensed", "osqp"),
-        ("condensed", "daqp") if compiler() is None else ("stages", "stages"), ("sparse", "osqp"),
-        ("stages", "daqp") if compiler() is None else ("stages", "stages"), ("sparse", "osqp"),
-    ]  # fmt: skip
-    with pytest.raises(ValueError, match="'stages', which has a solver of its own, and solver is"):
-        tc.MPC(plant, horizon=20, **GIVEN, form="stages", solver="daqp")
-    named = tc.MPC(plant, horizon=20, **GIVEN, form="sparse")
-    assert named.solver == "osqp"
-    assert repr(named).endswith("sparse, osqp)")
+def test_the_core_solves_programs_where_it_is(plant, monkeypatch):
+    core = not absence()
+    usual = tc.MPC(plant, horizon=20, **GIVEN)
+    assert usual.solver == ("stages" if core else "osqp")
+    named = tc.MPC(plant, horizon=20, **GIVEN, solver="osqp")
+    assert repr(named).endswith("sample time 0.02 s, osqp)")
+    monkeypatch.setattr(settings, "absence", lambda: "the package was installed without it")
+    assert tc.MPC(plant, horizon=20, **GIVEN).solver == "osqp"
+    with pytest.raises(
+        ValueError, match=r"solver is 'stages', .* core, but the package was .*osqp"
+    ):
+        tc.MPC(plant, horizon=20, **GIVEN, solver="stages")
+
+
+def test_a_program_is_for_any_solver_and_changes_nothing(plant):
+    """Its solution has the plan of the next command, under a load and along a reference too."""
+    given = {"horizon": 5, "max_force_density": 40.0, "max_change": 2.0, "load_gain": 0.5}
+    mpc, same = (tc.MPC(plant, sample_time=0.02, **given) for _ in range(2))
+    for k in range(3):
+        moment = 0.02 * k, pushed(plant, 0.05, seed=k), STILL
+        program = mpc.program(*moment)
+        value = mpc.command(*moment).value
+        np.testing.assert_array_equal(value, same.command(*moment).value)
+        solver = OSQPSolver(program.P, program.A, 1e-10, 100_000)
+        x = solver.solve(program.q, program.l, program.u).x
+        exact = exact_optimum(program.P, program.q, program.A, program.l, program.u, x)
+        np.testing.assert_allclose(program.inputs(exact)[:, 0], value, rtol=0, atol=1e-9 * 17)
+    with pytest.raises(ValueError, match=r"x has shape \(3,\), expected"):
+        program.inputs(np.zeros(3))
+    with pytest.raises(ValueError, match="nodes"):
+        mpc.program(0.0, np.full((3, 6), np.nan), STILL)
 
 
 def test_an_operating_point_without_prestress_can_be_controlled():

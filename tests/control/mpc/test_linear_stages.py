@@ -1,4 +1,4 @@
-"""Linear MPC along the stages gives the inputs of the condensed program."""
+"""Linear MPC along the stages gives the inputs of the optimum of its program."""
 
 import pickle
 import warnings
@@ -7,15 +7,11 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.control.mpc import OutputLimit, stages as module
-from tenscontrol.dynamics.machine_code import compiler
+from tenscontrol.control.mpc import OutputLimit
+from tenscontrol.core.library import absence
+from tests.control.mpc.optimum import exact_optimum, point_of_inputs
 
-KINDS = [
-    pytest.param(
-        True, id="C", marks=pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
-    ),
-    pytest.param(False, id="NumPy"),
-]
+pytestmark = pytest.mark.skipif(absence() != "", reason="there is no compiled core")
 
 
 def plant_of(structure, held):
@@ -61,37 +57,45 @@ def scene(name):
 @pytest.mark.parametrize(
     "name", ["tower", "ball", "along a reference", "plane, ramps and load", "few modes"]
 )
-@pytest.mark.parametrize("compiled", KINDS)
-def test_inputs_are_those_of_the_condensed_program(compiled, name, monkeypatch):
-    if not compiled:
-        monkeypatch.setattr(module, "compiler", lambda: None)
+def test_inputs_are_those_of_the_optimum(name):
     plant, given, size = scene(name)
-    laws = []
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of a ball, which twists as it likes
-        for form in ("stages", "condensed"):
-            laws.append(tc.MPC(plant, horizon=6, sample_time=0.02, form=form, **given))
-    assert laws[0].form == "stages"
-    assert laws[0].solver == ("stages" if compiled else "daqp")
+        mpc = tc.MPC(plant, horizon=6, sample_time=0.02, **given)
+    inputs_are_those_of_the_optimum(plant, mpc, size)
+
+
+def test_inputs_of_a_horizon_with_too_many_limits_for_a_map_from_the_state():
+    plant, given, size = scene("tower")
+    mpc = tc.MPC(plant, horizon=60, sample_time=0.02, **given)
+    inputs_are_those_of_the_optimum(plant, mpc, 0.5 * size, samples=2)
+
+
+def inputs_are_those_of_the_optimum(plant, mpc, size, samples=10):
+    assert mpc.solver == "stages"
     rng, active = np.random.default_rng(0), 0
-    level = laws[0].law.design.problem.level
-    for k in range(10):
+    level = mpc.law.design.problem.level
+    for k in range(samples):
         if k == 5:  # a copy is prepared anew, and goes on
-            laws[0] = pickle.loads(pickle.dumps(laws[0]))
+            mpc = pickle.loads(pickle.dumps(mpc))
         # Measured is what another structure may do: pushes now and then, still in between.
         push = size * rng.normal(size=(2, plant.degrees_of_freedom)) * (k in (0, 1, 6))
         nodes = plant.to_nodes(push[0])
         speeds = (plant.basis @ push[1]).reshape(nodes.shape, order="F")
-        found, expected = (law.command(0.02 * k, nodes, speeds) for law in laws)
-        assert found.status == expected.status == "ok"
-        np.testing.assert_allclose(laws[0].plan, laws[1].plan, atol=1e-9 * level)
-        active += laws[0].statistics.iterations[-1]
+        program = mpc.program(0.02 * k, nodes, speeds)
+        command = mpc.command(0.02 * k, nodes, speeds)
+        assert command.status == "ok"
+        near = point_of_inputs(program, mpc.plan)
+        exact = exact_optimum(program.P, program.q, program.A, program.l, program.u, near)
+        np.testing.assert_allclose(mpc.plan, program.inputs(exact), rtol=0, atol=1e-9 * level)
+        np.testing.assert_allclose(mpc.plan[:, 0], command.value, rtol=1e-14)
+        active += mpc.statistics.iterations[-1]
     assert active > 5
 
 
 def test_a_program_without_solution_is_told_and_forgotten():
     plant, given, size = scene("tower")
-    law = tc.MPC(plant, horizon=6, sample_time=0.02, form="stages", max_iterations=1, **given)
+    law = tc.MPC(plant, horizon=6, sample_time=0.02, max_iterations=1, **given)
     q = 5 * size * np.random.default_rng(0).normal(size=plant.degrees_of_freedom)
     still = np.zeros_like(plant.nodes)
     assert law.command(0.0, plant.to_nodes(q), still).status == "out of iterations"

@@ -7,8 +7,8 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.control import NMPC, Status
+from tenscontrol.control.mpc.osqp_solver import OSQPSolver
 from tenscontrol.control.mpc.problem import SubproblemSolution
-from tenscontrol.control.mpc.solvers.osqp_adapter import OSQPSolver
 from tenscontrol.demo import tour as demo
 from tenscontrol.dynamics.machine_code import compiler
 from tenscontrol.plant.reduced_dynamics import explicit_substeps, sampled_dynamics
@@ -260,12 +260,9 @@ def test_horizon_of_one_sample():
 def test_machine_code_gives_the_same_commands():
     plant = at_rest()
     fast, plain = (
-        NMPC(
-            plant, horizon=3, sample_time=SAMPLE, max_force_density=60.0, machine_code=code,
-            solver="daqp",
-        )
+        NMPC(plant, horizon=3, sample_time=SAMPLE, max_force_density=60.0, machine_code=code)
         for code in (True, False)
-    )  # fmt: skip
+    )
     assert plain.back_end == "virtual machine"
     assert fast.back_end == ("virtual machine" if compiler() is None else "machine code")
     for k in range(3):
@@ -285,7 +282,7 @@ def test_equations_are_not_over_relaxed(monkeypatch):
             return OSQPSolver(P, A, tolerance, most, equations=as_wanted)
 
         with monkeypatch.context() as patch:
-            patch.setitem(settings._SOLVERS, "osqp", relaxed)
+            patch.setattr(settings, "OSQPSolver", relaxed)
             nmpc = NMPC(
                 plant, horizon=10, sample_time=SAMPLE, max_force_density=33.0, solver="osqp"
             )

@@ -10,7 +10,7 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.control import MPCSettings, QPSolution, QPSolver, Status
-from tenscontrol.control.mpc.solvers.osqp_adapter import OSQPSolver
+from tenscontrol.control.mpc.osqp_solver import OSQPSolver
 from tenscontrol.docstrings import documented
 from tenscontrol.dynamics.evaluator import Function
 from tests.deploy import scenes
@@ -50,7 +50,7 @@ def test_a_controller_keeps_its_settings(kind):
         (
             "simplex",
             ValueError,
-            "solver is 'simplex', expected one of 'auto', 'daqp', 'osqp', 'piqp'",
+            "solver is 'simplex', expected one of 'auto', 'stages', 'osqp'",
         ),
         (dict, TypeError, "solver is <class 'dict'>, expected a name or a subclass of QPSolver"),
     ],

@@ -1,9 +1,8 @@
-"""The program of NMPC along its stages against the same program condensed, dense, by DAQP."""
+"""The program of NMPC along its stages against the optimum of the same program, dense."""
 
 import copy
 from functools import cache
 
-import daqp
 import numpy as np
 import pytest
 
@@ -16,17 +15,19 @@ from tenscontrol.control.mpc.problem import (
     StageJacobians,
     Subproblem,
 )
-from tenscontrol.control.mpc.stages import LeastDistance, LeastDistanceArrays
-from tenscontrol.dynamics.machine_code import compiler
+from tenscontrol.control.mpc.stages import StagesSubproblem
+from tenscontrol.core.library import absence
+from tests.control.mpc.optimum import exact_optimum, fill_violations, is_feasible
 
 SAMPLE = 0.02
-needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
-KINDS = [pytest.param(LeastDistance, marks=needs_compiler), LeastDistanceArrays]
-both = pytest.mark.parametrize("kind", KINDS)
+pytestmark = pytest.mark.skipif(absence() != "", reason="there is no compiled core")
 
 
-def dense_solution(problem, bounds, row_bounds, plan, motion, rows, given):
-    """Return the plan of the optimum: states eliminated by dense matrices, violations unknown."""
+def exact_plan(problem, bounds, row_bounds, plan, motion, rows, given, found):
+    """Return the plan of the optimum next to inputs that were found; None if there is none.
+
+    States are eliminated by dense matrices, violations are unknown.
+    """
     state, data, previous, acting = given
     N, (s, a) = problem.length, problem.input_matrix.shape
     ramp = len(problem.terminal_weight) > s
@@ -76,14 +77,15 @@ def dense_solution(problem, bounds, row_bounds, plan, motion, rows, given):
     )
     scale = problem.cost_scale
     hessian, gradient = scale * hessian, scale * gradient
-    # Violations of hard rows are no part of the problem.
-    x, _, flag, _ = daqp.solve(
-        0.5 * (hessian + hessian.T), gradient, matrix, high, low, primal_tol=1e-12, dual_tol=1e-13
-    )
-    if flag != 1:
-        return flag, None, None
+    hessian = 0.5 * (hessian + hessian.T)
+    if found is None:
+        assert not is_feasible(matrix, low, high)
+        return None
+    near = np.zeros(unknowns)
+    near[: N * a] = ((found - planned[1:]) / level).ravel()
+    fill_violations(near, matrix, low, high, N * a)
+    x = exact_optimum(hessian, gradient, matrix, low, high, near)
     return (
-        flag,
         np.array([m @ x + c for m, c in states]),
         np.array([m @ x + c for m, c in (inputs(k) for k in range(N))]),
     )
@@ -183,60 +185,56 @@ def random_program(seed, N, ramp, limited, changes, hard, size=(5, 3)):
     return problem, bounds, (-reach, reach), plan, motion, along, given
 
 
-@both
 @pytest.mark.parametrize("N", [1, 2, 7])
 @pytest.mark.parametrize(("ramp", "limited", "changes", "hard"), [
     (False, False, False, False), (True, False, True, False), (False, True, False, False),
     (False, True, True, True), (True, True, True, False),
 ])  # fmt: skip
-def test_random_programs(kind, N, ramp, limited, changes, hard):
+def test_random_programs(N, ramp, limited, changes, hard):
     """Twice each: cold, then from the active set of the first, at another state."""
     solved = 0
     for seed in range(4):
         made = random_program(seed, N, ramp, limited, changes, hard)
         problem, bounds, row_bounds, plan, motion, rows, given = made
-        program = kind(problem, row_bounds, 500, bounds)
+        program = StagesSubproblem(problem, row_bounds, 500, bounds)
         for factor in (1.0, 0.8):
             at = factor * given[0], *given[1:]
             assert program.linearize(*plan, motion, rows)
             found = program.solve(*at, np.inf)
-            flag, states, inputs = dense_solution(*made[:-1], at)
-            assert (found.status is Status.INFEASIBLE) == (flag == -1)
             if found.plan is None:
+                assert found.status is Status.INFEASIBLE
+                assert exact_plan(*made[:-1], at, None) is None
                 continue
+            states, inputs = exact_plan(*made[:-1], at, found.plan[1][1:])
             np.testing.assert_allclose(found.plan[1][1:], inputs, rtol=0, atol=1e-9)
             np.testing.assert_allclose(found.plan[0], states, rtol=0, atol=1e-8)
             solved += 1
     assert solved >= 4
     # From the active set of the answer, nothing changes.
     program.linearize(*plan, motion, rows)
-    if found.plan is not None and kind is LeastDistance:
+    if found.plan is not None:
         assert program.solve(*at, np.inf).iterations == 0
 
 
-@both
 @pytest.mark.parametrize("ramp", [False, True])
-def test_large_programs(kind, ramp):
+def test_large_programs(ramp):
     """So large that the BLAS multiplies, with rows of all stages and kinds in a batch."""
     made = random_program(3, 3, ramp, True, True, False, (35, 33))
     problem, bounds, row_bounds, plan, motion, rows, given = made
     for slope in motion.slopes:
         slope *= 0.3
-    program = kind(problem, row_bounds, 500, bounds)
+    program = StagesSubproblem(problem, row_bounds, 500, bounds)
     changes = []
     for _ in range(2):
         assert program.linearize(*plan, motion, rows)
         found = program.solve(*given, np.inf)
-        flag, _, inputs = dense_solution(*made)
-        assert flag == 1
+        _, inputs = exact_plan(*made, found.plan[1][1:])
         np.testing.assert_allclose(found.plan[1][1:], inputs, rtol=0, atol=1e-9)
         changes.append(found.iterations)
     assert changes[0] > 40
-    if kind is LeastDistance:
-        assert changes[1] == 0  # more rows than a batch are reached again
+    assert changes[1] == 0  # more rows than a batch are reached again
 
 
-@needs_compiler
 @pytest.mark.parametrize("ramp", [False, True])
 def test_stages_of_a_plan_that_moved_on_stay_in_their_places(ramp):
     """Kept are matrices, and costs within the tolerance; with none, all is as in a new one."""
@@ -245,7 +243,7 @@ def test_stages_of_a_plan_that_moved_on_stay_in_their_places(ramp):
         1, N, ramp, True, True, False
     )
     exact, kept, near = (
-        LeastDistance(problem, row_bounds, 500, bounds, tolerance=tolerance)
+        StagesSubproblem(problem, row_bounds, 500, bounds, tolerance=tolerance)
         for tolerance in (0.0, 0.0, 1e-3)
     )
     for program in (kept, near):
@@ -264,7 +262,6 @@ def test_stages_of_a_plan_that_moved_on_stay_in_their_places(ramp):
     assert np.abs(found[2] - found[0]).max() < 1e-2
 
 
-@needs_compiler
 @pytest.mark.parametrize("ramp", [False, True])
 def test_samples_that_share_their_derivatives_have_the_plan_of_equal_ones(ramp):
     """Slots go from sample to sample; no step of the recursion may be that of other derivatives."""
@@ -272,14 +269,14 @@ def test_samples_that_share_their_derivatives_have_the_plan_of_equal_ones(ramp):
     problem, bounds, row_bounds, plan, motion, rows, given = random_program(
         1, N, ramp, True, True, False
     )
-    shared = LeastDistance(problem, row_bounds, 500, bounds)
+    shared = StagesSubproblem(problem, row_bounds, 500, bounds)
     rng, slots, fresh = np.random.default_rng(6), np.zeros(N, int), np.arange(N) == 0
     for _ in range(12):
         for slot in slots[fresh]:
             for part in motion.slopes:
                 part[slot] = 0.4 * rng.normal(size=part[slot].shape)
         jacobians = StageJacobians(motion.values, motion.slopes, slots, fresh)
-        exact = LeastDistance(problem, row_bounds, 500, bounds)
+        exact = StagesSubproblem(problem, row_bounds, 500, bounds)
         answers = []
         for program, data in ((shared, jacobians), (exact, jacobians.in_order())):
             assert program.linearize(*plan, data, rows)
@@ -294,12 +291,11 @@ def test_samples_that_share_their_derivatives_have_the_plan_of_equal_ones(ramp):
         fresh[filling] = True
 
 
-@both
-def test_data_without_value_are_told(kind):
+def test_data_without_value_are_told():
     problem, bounds, row_bounds, plan, motion, rows, given = random_program(
         0, 3, False, True, True, False
     )
-    program = kind(problem, row_bounds, 500, bounds)
+    program = StagesSubproblem(problem, row_bounds, 500, bounds)
     for part in (motion.values, motion.slopes[0], rows.slopes[2]):
         kept = part.copy()
         part.flat[-1] = np.nan
@@ -340,42 +336,34 @@ def scene(name):
 
 
 class Compared(Subproblem):
-    """All ways to solve the program of an NMPC, each against the dense one."""
+    """The program of an NMPC, each solution against the optimum."""
 
     def __init__(self, law):
         self._law, self.changes = law, 0
-        given = law.problem, law.row_bounds, 500, law.bounds
-        kinds = [LeastDistanceArrays] + [LeastDistance] * (compiler() is not None)
-        self._programs = [kind(*given) for kind in kinds]
+        self._program = StagesSubproblem(law.problem, law.row_bounds, 500, law.bounds)
 
     def reset(self):
         self.forget()
 
     def forget(self):
-        for program in self._programs:
-            program.forget()
+        self._program.forget()
 
     def shift(self):
-        for program in self._programs:
-            program.shift()
+        self._program.shift()
 
     def linearize(self, states, inputs, motion, rows):
         self._data = (states.copy(), inputs.copy()), motion, rows
-        found = [each.linearize(states, inputs, motion, rows) for each in self._programs]
-        return all(found)
+        return self._program.linearize(states, inputs, motion, rows)
 
     def solve(self, *given):
         law = self._law
-        flag, _, inputs = dense_solution(
-            law.problem, law.bounds, law.row_bounds, *self._data, given[:-1]
+        found = self._program.solve(*given)
+        assert found.status is Status.OK
+        _, inputs = exact_plan(
+            law.problem, law.bounds, law.row_bounds, *self._data, given[:-1], found.plan[1][1:]
         )
-        assert flag == 1
-        for program in self._programs:
-            found = program.solve(*given)
-            assert found.status is Status.OK
-            off = np.abs(found.plan[1][1:] - inputs).max()
-            assert off < 1e-9 * law.problem.level
-            self.changes += found.iterations
+        assert np.abs(found.plan[1][1:] - inputs).max() < 1e-9 * law.problem.level
+        self.changes += found.iterations
         return found
 
 
@@ -398,23 +386,19 @@ def test_structures(name):
     assert compared.changes > 0  # limits matter
 
 
-@pytest.mark.parametrize(("solver", "code", "name"), [
-    ("auto", True, "daqp" if compiler() is None else "stages"), ("auto", False, "daqp"),
-    ("osqp", False, "osqp"),
-])  # fmt: skip
-def test_solvers_agree(solver, code, name):
+def test_solvers_agree():
     prism = tc.prism()
     plant = tc.linearize(tc.Model(prism), tc.prestress(prism, 30 / np.sqrt(3)))
     nodes = plant.to_nodes(0.05 * np.random.default_rng(0).normal(size=9))
     values = []
-    for kind in ({"solver": solver, "machine_code": code}, {"solver": "daqp"}):
+    for solver in ("stages", "osqp"):
         nmpc = NMPC(
             plant, horizon=4, sample_time=SAMPLE, max_force_density=33.0, max_change=1.0,
-            tolerance=1e-9, max_iterations=50_000, **kind,
+            tolerance=1e-9, max_iterations=50_000, solver=solver,
         )  # fmt: skip
         values.append(nmpc.command(0.0, nodes, np.zeros((3, 6))).value)
-        assert nmpc.solver == (name if len(values) == 1 else "daqp")
-    np.testing.assert_allclose(*values, rtol=0, atol=(1e-6 if solver == "osqp" else 1e-9) * 17)
+        assert nmpc.solver == solver
+    np.testing.assert_allclose(*values, rtol=0, atol=1e-6 * 17)
 
 
 @pytest.mark.parametrize("code", [True, False])

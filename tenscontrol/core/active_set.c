@@ -1,128 +1,15 @@
-/*
- * A dual active-set method for least-distance programs.
- *
- *     minimize    1/2 |x|^2 + q'x + sum_i (price_i s_i + 1/2 curvature_i s_i^2)
- *     subject to  low_i - s_i <= (M x)_i <= high_i + s_i,   s_i >= 0,   s_i = 0 in hard rows
- *
- * Bounds may be infinite, or equal; no two may cross. A row is soft where its price is finite; its
- * curvature is then positive. The violation of a soft row is no unknown: its multiplier is bounded
- * by the price while the row holds, and beyond it grows with the violation,
- * |y| = price + curvature s. Multipliers y have the sign of x + q + M'y = 0: positive at upper
- * bounds.
- *
- * The method is that of Goldfarb & Idnani (1983), doi:10.1007/BF02591962, on the LDL' factors of
- * the Gram matrix of the active rows, which follow each change by a rank-one update. The iterates
- * are multipliers, and rise in the dual problem until all rows hold. The last step is repeated on
- * the residuals of the answer, which is so exact to round-off.
- *
- * Rows are reached by two functions, so that M need not be a matrix:
- *
- *     products(data, x, out)        out = M x
- *     batch(data, count, which, space, entries, length)
- *                                   finds rows which[0] ... which[count - 1], ACTIVE_SET_BATCH of
- *                                   them at most, and none twice. Row which[j] is written to
- *                                   space[j], of `columns` numbers, or lies elsewhere and stays
- *                                   there; entries[j] is set to where it is, and length[j] to where
- *                                   zeros begin that last to its end.
- *
- * All products cost much where M is no matrix. So the rows that are violated most by one are
- * reached in a batch, and are candidates: the set changes among itself and them while one of them
- * is violated, by no less than a part of what the worst row was, and only then are all products
- * found again. No row is violated at the end.
- *
- * How to use it:
- *
- *     ActiveSet set = {0};
- *     set.rows = ...; set.columns = ...; set.batch = ...; set.products = ...; set.data = ...;
- *     set.price = ...; set.curvature = ...;      both NULL if no row is soft; price INFINITY: hard
- *     set.most = ACTIVE_SET_MOST(rows, columns, soft);    active rows at most; fewer saves memory
- *     set.stored = 1;                            0 if `batch` never writes to `space`
- *     set.limit = 500; set.tolerance = 1e-11;    changes of the set; violation in units of a row
- *     active_set_place(&set, numbers, integers, pointers);
- *     active_set_start(&set, y);                 y of `rows` numbers, or NULL: nothing is active
- *     status = active_set_solve(&set, q, low, high, x);
- *     ...                                        set.y are the multipliers, 0 where inactive
- *
- * `active_set_start` may run before q, low and high are known: it reaches the rows where y is not
- * zero and factorizes them. Without it, a solve starts from the active set of the last one, whose
- * rows must not have changed. `numbers`, `integers` and `pointers` are memory of the sizes of the
- * macros below; nothing else is allocated, and there are no globals.
- */
+/* The dual active-set method of active_set.h. */
+#include "active_set.h"
+
 #include <math.h>
-#include <stddef.h>
 #include <string.h>
-
-#ifndef ACTIVE_SET_API
-#define ACTIVE_SET_API static
-#endif
-
-/* Statuses, by their numbers in tenscontrol/status.py. */
-#define ACTIVE_SET_OK 0
-#define ACTIVE_SET_INACCURATE 6        /* a violation could not be brought below the tolerance */
-#define ACTIVE_SET_INFEASIBLE 7        /* hard rows contradict each other, or bounds cross */
-#define ACTIVE_SET_OUT_OF_ITERATIONS 9 /* ... or more rows are active than `most` */
-#define ACTIVE_SET_OUT_OF_TIME 10      /* `stop` said so */
-#define ACTIVE_SET_BAD_DATA 14         /* q, bounds or rows are not finite */
-
-/* Rows that are reached at once, at most. */
-#ifndef ACTIVE_SET_BATCH
-#define ACTIVE_SET_BATCH 32
-#endif
 
 /*
  * Candidates are left for new ones where all are violated by less than this part of what the worst
  * row was. With 0 there are fewest products, but up to twice as many changes of the set: rows are
  * added that worse ones, unknown as yet, push out again.
  */
-#ifndef ACTIVE_SET_PART
 #define ACTIVE_SET_PART 0.3
-#endif
-
-/* Rows that can be active at once: independent ones, violated soft ones, and one that is added. */
-#define ACTIVE_SET_MOST(rows, columns, soft) \
-    ((rows) < (columns) + (soft) + 1 ? (rows) : (columns) + (soft) + 1)
-
-/* Sizes of the memory; `columns` counts once more for each row where rows are stored. */
-#define ACTIVE_SET_NUMBERS(rows, columns, most, stored)                          \
-    (2 * (size_t)(rows) + (columns) + 3 * (size_t)(most) +                       \
-     (size_t)(most) * ((size_t)(most) - 1) / 2 + ((stored) ? (size_t)(most) * (columns) : 0))
-#define ACTIVE_SET_INTEGERS(rows, most) ((size_t)(rows) + 5 * (size_t)(most))
-#define ACTIVE_SET_POINTERS(most) ((size_t)(most))
-
-typedef struct {
-    /* given by the caller */
-    int rows, columns, most, stored, limit;
-    double tolerance;
-    const double *price, *curvature;
-    void (*products)(void *data, const double *x, double *out);
-    void (*batch)(void *data, int count, const int *which, double *const *space,
-                  const double **entries, int *length);
-    int (*stop)(void *data); /* asked at each change; NULL: never stops */
-    void *data;
-    /* answer, besides x */
-    double *y;      /* (rows) */
-    int iterations; /* changes of the active set in the last solve */
-    /* the active set */
-    int count, singular; /* whether the last active row depends on the others */
-    int candidates;      /* how many are behind the active rows in the lists of rows */
-    int *place;          /* (rows), of a row among the active ones; -1 if it is not, -2 if barred */
-    int *active, *length, *slot; /* (most), lists of rows: which, and where they are stored */
-    const double **entries;      /* (most), a list of rows as well */
-    int *side, *violated;        /* (most), of the active rows */
-    double *stored_rows, *factor, *pivot; /* of L D L' */
-    double *product, *step, *residual, *column;
-} ActiveSet;
-
-/* Give the solver its memory. Nothing is active then. */
-ACTIVE_SET_API void active_set_place(ActiveSet *set, double *numbers, int *integers,
-                                     const double **pointers);
-
-/* Forget the active set, and begin with the rows whose multiplier is not zero; y may be NULL. */
-ACTIVE_SET_API void active_set_start(ActiveSet *set, const double *y);
-
-/* Solve. Returns a status; x, of `columns` numbers, is the answer where that is 0. */
-ACTIVE_SET_API int active_set_solve(ActiveSet *set, const double *q, const double *low,
-                                    const double *high, double *x);
 
 /* A row whose distance from the span of the others is below this part of its length, squared. */
 #define ACTIVE_SET_DEPENDENT 1e-12
@@ -191,7 +78,7 @@ static double active_set_diagonal(const ActiveSet *set, int k)
 }
 
 /* Solve L' p = p for the first rows. */
-static void active_set_backward(const ActiveSet *set, double *p, int count)
+SOLVER_WIDE static void active_set_backward(const ActiveSet *set, double *p, int count)
 {
     int k;
     for (k = count - 1; k > 0; k--)
@@ -199,7 +86,7 @@ static void active_set_backward(const ActiveSet *set, double *p, int count)
 }
 
 /* x += factor M' y, of the active rows. */
-static void active_set_combine(const ActiveSet *set, const double *y, double factor, double *x)
+SOLVER_WIDE static void active_set_combine(const ActiveSet *set, const double *y, double factor, double *x)
 {
     int k;
     for (k = 0; k < set->count; k++)
@@ -207,7 +94,7 @@ static void active_set_combine(const ActiveSet *set, const double *y, double fac
 }
 
 /* The pivot of a row as the square of its distance from the span of those before it. */
-static double active_set_distance(const ActiveSet *set, int k, const double *l)
+SOLVER_WIDE static double active_set_distance(const ActiveSet *set, int k, const double *l)
 {
     double *p = set->step, *z = set->column, square = active_set_softness(set, k);
     int m;
@@ -252,7 +139,7 @@ static void active_set_exchange(ActiveSet *set, int j, int k)
 }
 
 /* Factorize the Gram matrix with a candidate, whose multiplier has this side, after all others. */
-static void active_set_append(ActiveSet *set, int candidate, int side, int violated)
+SOLVER_WIDE static void active_set_append(ActiveSet *set, int candidate, int side, int violated)
 {
     int k = set->count++, m;
     double *l = active_set_factor_row(set, k), diagonal, pivot;
@@ -279,7 +166,7 @@ static void active_set_append(ActiveSet *set, int candidate, int side, int viola
 }
 
 /* Add alpha w w' to the factors of the rows from k on; w, of the rows before `count`, is lost. */
-static void active_set_update(ActiveSet *set, int k, double alpha, double *w)
+SOLVER_WIDE static void active_set_update(ActiveSet *set, int k, double alpha, double *w)
 {
     int j, m;
     for (j = k; j < set->count; j++) {
@@ -346,7 +233,7 @@ static void active_set_switch(ActiveSet *set, int k)
     }
 }
 
-ACTIVE_SET_API void active_set_place(ActiveSet *set, double *numbers, int *integers,
+void active_set_place(ActiveSet *set, double *numbers, int *integers,
                                      const double **pointers)
 {
     size_t rows = (size_t)set->rows, most = (size_t)set->most;
@@ -388,7 +275,7 @@ static void active_set_append_all(ActiveSet *set, const double *y)
     }
 }
 
-ACTIVE_SET_API void active_set_start(ActiveSet *set, const double *y)
+void active_set_start(ActiveSet *set, const double *y)
 {
     int i, next = 0;
     set->count = set->candidates = set->singular = 0;
@@ -421,7 +308,7 @@ static void active_set_point(ActiveSet *set, const double *q, double *x)
 }
 
 /* What is left of the conditions of the active rows: slopes of the dual problem. */
-static double active_set_residuals(ActiveSet *set, const double *x, const double *low,
+SOLVER_WIDE static double active_set_residuals(ActiveSet *set, const double *x, const double *low,
                                    const double *high)
 {
     double largest = 0.0;
@@ -439,7 +326,7 @@ static double active_set_residuals(ActiveSet *set, const double *x, const double
 }
 
 /* The step to where all active rows hold, in set->step, which adds to the multipliers. */
-static void active_set_direction(ActiveSet *set)
+SOLVER_WIDE static void active_set_direction(ActiveSet *set)
 {
     double *p = set->step;
     int k;
@@ -726,7 +613,7 @@ static int active_set_iterate(ActiveSet *set, const double *q, const double *low
     }
 }
 
-ACTIVE_SET_API int active_set_solve(ActiveSet *set, const double *q, const double *low,
+int active_set_solve(ActiveSet *set, const double *q, const double *low,
                                     const double *high, double *x)
 {
     int status;

@@ -1,4 +1,4 @@
-"""All solvers of quadratic programs behind one interface: optimality, statuses, resets."""
+"""OSQP behind the interface of solvers of quadratic programs: optimality, statuses, resets."""
 
 import os
 import pickle
@@ -11,25 +11,14 @@ import pytest
 from scipy.sparse import csc_array
 
 from tenscontrol.control import Status
-from tenscontrol.control.mpc.solvers.daqp_adapter import DAQPSolver
-from tenscontrol.control.mpc.solvers.osqp_adapter import OSQPSolver
-from tenscontrol.control.mpc.solvers.piqp_adapter import PIQPSolver
+from tenscontrol.control.mpc.osqp_solver import OSQPSolver
 from tests.control.mpc.test_linear import kkt_residual
 
-# A tolerance, and how well the optimality conditions then hold.
-SOLVERS = {OSQPSolver: (1e-9, 1e-6), DAQPSolver: (1e-4, 1e-11), PIQPSolver: (1e-10, 1e-6)}
 FREE, HARD, SOFT = 12, 8, 5
 
 
-@pytest.fixture(params=SOLVERS, ids=lambda kind: kind.__name__)
-def kind(request):
-    if request.param is PIQPSolver:
-        pytest.importorskip("piqp")
-    return request.param
-
-
-def make(kind, P, A, most=20_000):
-    return kind(csc_array(P), csc_array(A), SOLVERS[kind][0], most)
+def make(P, A, most=20_000):
+    return OSQPSolver(csc_array(P), csc_array(A), 1e-9, most)
 
 
 def program(seed):
@@ -57,9 +46,9 @@ def vectors(price, rng):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_answers_are_optimal(kind, seed):
+def test_answers_are_optimal(seed):
     P, A, price = program(seed)
-    solver, rng = make(kind, P, A), np.random.default_rng(seed)
+    solver, rng = make(P, A), np.random.default_rng(seed)
     violated = 0
     for k in range(6):
         q, low, high = vectors(price, rng)
@@ -76,20 +65,20 @@ def test_answers_are_optimal(kind, seed):
         assert answer.status is Status.OK
         bounds = (np.clip(bound, -1e9, 1e9) for bound in (low, high))
         error = kkt_residual(P, q, A, *bounds, answer.x, answer.y)
-        assert error < SOLVERS[kind][1]
+        assert error < 1e-6
         violated += (answer.x[FREE:] > 1e-3).sum()
     assert violated > 2
 
 
-def test_reset_and_pickle_leave_a_fresh_solver(kind):
+def test_reset_and_pickle_leave_a_fresh_solver():
     P, A, price = program(0)
-    used, rng = make(kind, P, A), np.random.default_rng(7)
+    used, rng = make(P, A), np.random.default_rng(7)
     given = vectors(price, rng)
     for _ in range(3):
         used.solve(*vectors(price, rng))
     used.update(csc_array(A).data * 1.1)
     used.solve(*vectors(price, rng))
-    copied, fresh = pickle.loads(pickle.dumps(used)), make(kind, P, A)
+    copied, fresh = pickle.loads(pickle.dumps(used)), make(P, A)
     used.reset()
     first = fresh.solve(*given)
     for solver in (used, copied):
@@ -98,9 +87,9 @@ def test_reset_and_pickle_leave_a_fresh_solver(kind):
         np.testing.assert_array_equal(answer.y, first.y)
 
 
-def test_data_that_are_refused_leave_nothing_behind(kind):
+def test_data_that_are_refused_leave_nothing_behind():
     P, A, price = program(1)
-    used, fresh = make(kind, P, A), make(kind, P, A)
+    used, fresh = make(P, A), make(P, A)
     q, low, high = vectors(price, np.random.default_rng(1))
     used.solve(q, low, high)
     broken = q.copy()
@@ -126,37 +115,17 @@ def test_data_that_are_refused_leave_nothing_behind(kind):
             used.update(values)
 
 
-def test_too_few_iterations(kind):
+def test_too_few_iterations():
     P, A, price = program(1)
-    answer = make(kind, P, A, most=1).solve(*vectors(price, np.random.default_rng(1)))
+    answer = make(P, A, most=1).solve(*vectors(price, np.random.default_rng(1)))
     assert (answer.status, answer.x) == (Status.OUT_OF_ITERATIONS, None)
 
 
-def test_a_hessian_that_is_not_convex():
-    P, A, price = program(1)
-    P[0, 0] = -3.0
-    answer = make(DAQPSolver, P, A).solve(*vectors(price, np.random.default_rng(1)))
-    assert (answer.status, answer.x) == (Status.NOT_CONVEX, None)
-
-
-@pytest.mark.parametrize("kind", [DAQPSolver, PIQPSolver])
-def test_every_status_is_mapped(kind):
-    from tenscontrol.control.mpc.solvers import daqp_adapter, piqp_adapter
-
-    if kind is DAQPSolver:
-        assert set(daqp_adapter._STATUS) == {*range(-8, 0), *range(1, 6)}
-        return
-    piqp = pytest.importorskip("piqp")
-    assert set(piqp_adapter._STATUS) == {
-        name for name in dir(piqp) if name.startswith("PIQP_") and name != "PIQP_VERSION"
-    }
-
-
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
-def test_ctrl_c_reaches_the_caller(kind):
+def test_ctrl_c_reaches_the_caller():
     """The key is pressed while a program is solved again and again."""
     P, A, price = program(0)
-    solver, rng = make(kind, P, A), np.random.default_rng(0)
+    solver, rng = make(P, A), np.random.default_rng(0)
     given = vectors(price, rng)
     main = os.getpid()
     timer = threading.Timer(0.05, os.kill, (main, signal.SIGINT))

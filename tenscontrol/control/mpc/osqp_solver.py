@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from tenscontrol.arrays import FloatArray
-from tenscontrol.control.mpc.solvers.solver import QPSolution, QPSolver, check_values, refused
+from tenscontrol.control.mpc.qp_solver import QPSolution, QPSolver, check_values, refused
 from tenscontrol.status import Status
 
 if TYPE_CHECKING:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import ctypes
 from functools import cache
+from importlib.resources import files
 
 import numpy as np
 
 from tenscontrol.arrays import FloatArray
-from tenscontrol.control.mpc.solvers.c_source import active_set_source
 from tenscontrol.dynamics.machine_code import compiled_library, compiler
 from tenscontrol.status import Status
 
@@ -120,7 +120,9 @@ def library(batch: int | None = None) -> ctypes.CDLL | None:
     if compiler() is None:
         return None
     size = "" if batch is None else f"#define ACTIVE_SET_BATCH {batch}\n"
-    text = size + "#define ACTIVE_SET_API\n" + active_set_source() + _CALLS
+    core = files("tenscontrol") / "core"
+    parts = [(core / f"active_set.{end}").read_text(encoding="utf-8") for end in "hc"]
+    text = size + parts[0] + parts[1].replace('#include "active_set.h"', "") + _CALLS
     found = ctypes.CDLL(str(compiled_library(text)))
     found.sizes.restype = ctypes.c_size_t
     return found

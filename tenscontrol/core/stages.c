@@ -1,94 +1,14 @@
-/*
- * A linear-quadratic problem along a horizon as a least-distance program, without its matrix.
- *
- *     minimize    1/2 sum |z_k - r_k|_Q^2 + 1/2 sum |u_k - s_k|_R^2 + 1/2 |z_N - r_N|_P^2
- *     subject to  z_{k+1} = A_k z_k + B_k u_k + d_k
- *
- * A Riccati recursion gives U_k' U_k = R + B_k' P_{k+1} B_k and W_k = U_k^-T B_k' P_{k+1} A_k. With
- *
- *     u_k = S_k (x_k - f_k - W_k z_k),   S_k = U_k^-1,
- *
- * the cost is 1/2 |x|^2 and a constant: x = 0 is the optimum where nothing is limited. Limited are
- * inputs, their changes from stage to stage, and E_k z_k + G_k u_k + F_k z_{k+1}. The values of all
- * limits for some x take one simulation forward; a batch of rows of their matrix takes one sweep
- * backward.
- *
- * Where inputs are ramps, the state is z and the input before. States and inputs are departures
- * from a plan. Matrices are stored by rows. There are no globals, and no memory is allocated.
- */
+/* Programs along the stages of a horizon: see stages.h. */
+#include "stages.h"
+
 #include <math.h>
-#include <stddef.h>
 #include <string.h>
-
-/* The same operations, so the same numbers, in wider registers where the machine has them. */
-#ifdef STAGES_WIDE
-#elif defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && !defined(__clang__)
-#define STAGES_WIDE __attribute__((target_clones("avx2", "default")))
-#else
-#define STAGES_WIDE
-#endif
-
-#ifndef STAGES_API
-#define STAGES_API static
-#endif
 
 /* Blocks from this size on are multiplied by the BLAS, where there is one. */
 #define STAGES_LARGE 32
 
 /* Rows that are factorized together. */
 #define STAGES_BLOCK 32
-
-typedef void (*StagesMultiply)(char *, char *, int *, int *, int *, double *, double *, int *,
-                               double *, int *, double *, double *, int *);
-
-typedef struct {
-    /* sizes */
-    int stages, states, inputs, limited; /* N; n, with the input before for ramps; a; p */
-    int ramp, changes;                   /* whether inputs are ramps, and changes are limited */
-    int alike; /* whether all stages have the same matrices, stored once, and P is that of the LQR */
-    int *slot; /* (N): where the derivatives of a stage are; several stages may have the same */
-    int *step; /* (N): where its step of the recursion is, also shared */
-    int *from; /* (N): the slot that a step was found from; -1: the step is none */
-    /* what does not change */
-    double level;                             /* unit of an input */
-    const double *Q, *R, *P, *scale, *change; /* (n, n) (a, a) (n, n); units of rows (p); (a) */
-    StagesMultiply gemm;                      /* of the BLAS, or NULL */
-    /* the plan */
-    double *z, *u; /* (N + 1, n - a or n); (N + 1, a), the input before first */
-    /* the problem linearized along it */
-    double *motion, *motion_t;             /* by slots: (N, a + n, n), [B A]'; (N, n, a + n), [B A] */
-    const double *E, *G, *F;               /* (N, n, p) (N, a, p) (N, n, p), by columns; of ramps
-                                              E and F end before the inputs */
-    double *values;                        /* (N, p), in their units */
-    double *gap;                           /* (N, n): d */
-    double *costs, *before;                /* by steps: (N, n, n), P behind a stage and before it */
-    double *S, *S_t, *W, *W_t;             /* by steps: (N, a, a) twice; (N, a, n); (N, n, a) */
-    double *first;                         /* (N, a): f */
-    double *work;                          /* STAGES_WORK(n, a) */
-    /* for many inputs that move few states, with alike stages: S = unit (I - Y Y') */
-    int thin;
-    const double *unit, *Y; /* (a); (a, n), in place of S, and Y' in place of S_t */
-    int *span;              /* (a, 2), where columns of G begin and end, of alike stages */
-    int ahead;              /* whether F may be other than zero */
-} Stages;
-
-#define STAGES_WORK(n, a) \
-    ((size_t)((n) + (a)) * (2 * (size_t)((n) + (a)) + 3 * (size_t)ACTIVE_SET_BATCH + 6))
-
-/* Numbers of the memory of a program. */
-#define STAGES_NUMBERS(N, n, a, p, rows, soft)                                                   \
-    (ACTIVE_SET_NUMBERS(rows, (N) * (a), ACTIVE_SET_MOST(rows, (N) * (a), soft), 1) +            \
-     STAGES_OTHERS(N, N, n, a, p, rows))
-#define STAGES_OTHERS(N, many, n, a, p, rows)                                                    \
-    ((size_t)(many) * (2 * ((a) + (n)) * (n) + 2 * (n) * (n) + 2 * (a) * (a) + 2 * (a) * (n)) +  \
-     (size_t)(N) * ((p) + (n) + 4 * (a)) + (size_t)((N) + 1) * (2 * (n) + (a)) +                 \
-     4 * (size_t)(rows) + STAGES_WORK(n, a))
-
-/* Integers of the memory, besides those of the active set. */
-#define STAGES_INTEGERS(alike, N, a, rows) ((alike) ? (rows) / (N) + 2 * (a) : 3 * (size_t)(N))
-
-/* Rows that may be active at once where all stages are alike, and so may be very many. */
-#define STAGES_MOST 5000
 
 /* The place of the derivatives of stage k. */
 static size_t stages_slot(const Stages *s, int k)
@@ -108,7 +28,7 @@ static int stages_rows(const Stages *s)
 }
 
 /* C = A B of (rows, inner) and (inner, columns); with `upper`, right of the diagonal alone. */
-STAGES_WIDE static void stages_loops(int rows, int inner, int columns, const double *A, int lda,
+SOLVER_WIDE static void stages_loops(int rows, int inner, int columns, const double *A, int lda,
                                      const double *B, int ldb, double *C, int ldc, int upper)
 {
     int i, j, k, r, c;
@@ -164,7 +84,7 @@ static void stages_product(const Stages *s, int rows, int inner, int columns, co
 }
 
 /* y += factor A'x of (rows, columns): a sum of rows, as all products with vectors here. */
-STAGES_WIDE static void stages_add(int rows, int columns, double factor, const double *A,
+SOLVER_WIDE static void stages_add(int rows, int columns, double factor, const double *A,
                                    const double *x, double *y)
 {
     int i, j;
@@ -279,7 +199,7 @@ static void stages_find_spans(Stages *s)
 }
 
 /* Factorize rows of X = U'U in place, from what is right of the diagonal; whether X is definite. */
-STAGES_WIDE static int stages_factorize_rows(int first, int a, int width, double *X)
+SOLVER_WIDE static int stages_factorize_rows(int first, int a, int width, double *X)
 {
     int i, j, k;
     for (i = first; i < a; i++) {
@@ -491,24 +411,23 @@ static void stages_aim(Stages *s, const double *r, const double *aim, const doub
 }
 
 /*
- * Simulate: z_1 ..., of (N + 1, n) where z_0 is the first, and u of (N, a). With `whole`, f and d
- * count; else they do not, and z_0 is zero. x may be NULL.
+ * Simulate from the first state in z, of (N + 1, n), with u_k = S_k (x_k - f_k - W_k z_k), of
+ * (N, a). x, f and the gaps may be NULL: zeros.
  */
-static void stages_simulate(const Stages *s, const double *x, int whole, double *z, double *u)
+static void stages_simulate(const Stages *s, const double *x, const double *f, const double *gap,
+                            double *z, double *u)
 {
     int n = s->states, a = s->inputs, w = a + n, j, k;
     double *h = s->work;
-    if (!whole)
-        memset(z, 0, (size_t)n * sizeof *z);
     for (k = 0; k < s->stages; k++, z += n, u += a) {
         const double *motion = s->motion + stages_slot(s, k) * w * n;
+        size_t at = (size_t)k * a;
         for (j = 0; j < a; j++)
-            h[j] = (x == NULL ? 0.0 : x[(size_t)k * a + j]) -
-                   (whole ? s->first[(size_t)k * a + j] : 0.0);
+            h[j] = (x == NULL ? 0.0 : x[at + j]) - (f == NULL ? 0.0 : f[at + j]);
         stages_add(n, a, -1.0, s->W_t + stages_step(s, k) * a * n, z, h);
         stages_unfactor(s, k, 0, h, u);
-        if (whole)
-            memcpy(z + n, s->gap + (size_t)k * n, (size_t)n * sizeof *z);
+        if (gap != NULL)
+            memcpy(z + n, gap + (size_t)k * n, (size_t)n * sizeof *z);
         else
             memset(z + n, 0, (size_t)n * sizeof *z);
         stages_add(a, n, 1.0, motion, u, z + n);
@@ -629,19 +548,6 @@ static void stages_batch(const Stages *s, int count, const int *which, double *c
     }
 }
 
-/* The program of a horizon, and its plan: what a sample of nonlinear MPC takes. */
-typedef struct {
-    Stages stages;
-    ActiveSet set;
-    const double *low, *high, *least, *most; /* bounds of inputs (a), of limited values (p) */
-    double *lower, *upper, *values, *y;      /* (rows) each; y: multipliers to start from */
-    double *x, *none;                        /* (N a), none: zeros */
-    double *dz, *du;                         /* (N + 1, n) and (N, a): departures from the plan */
-    double *last; /* (rows of a stage, N a): of the last stage, where all stages are alike */
-    int *known;   /* (rows of a stage), whether they are found */
-    int moved;    /* whether the departures are no more those of x = 0 */
-} StagesProgram;
-
 static void stages_program_batch(void *data, int count, const int *which, double *const *space,
                                  const double **entries, int *length)
 {
@@ -672,12 +578,14 @@ static void stages_program_batch(void *data, int count, const int *which, double
 static void stages_program_products(void *data, const double *x, double *out)
 {
     StagesProgram *program = data;
+    const Stages *s = &program->stages;
     if (program->set.count == 0) { /* then x is zero */
         memset(out, 0, (size_t)program->set.rows * sizeof *out);
         return;
     }
-    stages_simulate(&program->stages, x, 0, program->dz, program->du);
-    stages_limits(&program->stages, program->dz, program->du, out);
+    memset(program->dz, 0, (size_t)s->states * sizeof *program->dz);
+    stages_simulate(s, x, NULL, NULL, program->dz, program->du);
+    stages_limits(s, program->dz, program->du, out);
     program->moved = 1;
 }
 
@@ -700,120 +608,129 @@ static double *stages_take(double **memory, size_t count)
     return taken;
 }
 
-/*
- * Lay a program out in memory.
- *
- *     sizes    N, n, a, p; whether inputs are ramps, and changes are limited; soft rows; the most
- *              changes of the active set; whether limited values depend on z_{k+1}; whether all
- *              stages are alike, and are so with few states and a diagonal R: then the last data are
- *              the unit and Y
- *     data     Q, R, P, units of rows, limits of changes, bounds of inputs and of limited values,
- *              prices and curvatures of all rows: what does not change, and stays where it is
- *     numbers, integers, pointers
- *              memory of the sizes in `counts`, which is written first; NULL: nothing else is
- *     views    where z, u, y, the departures from the plan dz, du, the gaps, and the limited values
- *              of the plan in their units are
- */
-STAGES_API void stages_program_place(StagesProgram *program, const int *sizes, double level,
-                                     double tolerance, StagesMultiply gemm,
-                                     const double *const *data, double *numbers, int *integers,
-                                     const double **pointers, size_t *counts, double **views)
+/* Take the memory of the stages. */
+static void stages_place(Stages *s, double **memory)
+{
+    size_t N = (size_t)s->stages, n = (size_t)s->states, a = (size_t)s->inputs;
+    size_t m = s->ramp ? n - a : n, many = s->alike ? 1 : N; /* of each matrix */
+    s->motion = stages_take(memory, many * (a + n) * n);
+    s->motion_t = stages_take(memory, many * (a + n) * n);
+    s->values = stages_take(memory, N * (size_t)s->limited);
+    s->gap = stages_take(memory, N * n);
+    s->costs = stages_take(memory, many * n * n);
+    s->before = stages_take(memory, many * n * n);
+    s->S = stages_take(memory, s->thin ? 0 : many * a * a);
+    s->S_t = stages_take(memory, many * a * (s->thin ? n : a));
+    s->W = stages_take(memory, many * a * n);
+    s->W_t = stages_take(memory, many * a * n);
+    s->first = stages_take(memory, N * a);
+    s->work = stages_take(memory, STAGES_WORK(n, a));
+    s->z = stages_take(memory, (N + 1) * m);
+    s->u = stages_take(memory, (N + 1) * a);
+}
+
+/* Take the memory that a program has where all stages are alike. */
+static void stages_program_place_alike(StagesProgram *program, double **memory, int *integers)
+{
+    Stages *s = &program->stages;
+    size_t rows = (size_t)program->set.rows, n = (size_t)s->states, N = (size_t)s->stages;
+    size_t a = (size_t)s->inputs, mapped = STAGES_MAPPED(rows, n);
+    program->last = stages_take(memory, rows * a);
+    program->low_offset = stages_take(memory, rows);
+    program->high_offset = stages_take(memory, rows);
+    program->chosen = stages_take(memory, N * a);
+    program->drift = stages_take(memory, N * n);
+    program->start = stages_take(memory, n);
+    program->map = mapped ? stages_take(memory, mapped) : NULL;
+    program->known = integers;
+    s->span = integers + rows / N;
+}
+
+size_t stages_program_size(void)
+{
+    return sizeof(StagesProgram);
+}
+
+void stages_program_place(StagesProgram *program, const StagesSizes *sizes, double level,
+                          double tolerance, StagesMultiply gemm, const StagesData *data,
+                          double *numbers, int *integers, const double **pointers, size_t *counts,
+                          double **views)
 {
     Stages *s = &program->stages;
     ActiveSet *set = &program->set;
-    size_t N = (size_t)sizes[0], n = (size_t)sizes[1], a = (size_t)sizes[2], p = (size_t)sizes[3];
-    size_t rows, m = sizes[4] ? n - a : n, used, many = sizes[9] ? 1 : N; /* of each matrix */
-    size_t narrow = a; /* columns of S */
-    double *at = numbers;
-    memset(program, 0, sizeof *program);
-    s->stages = sizes[0];
-    s->states = sizes[1];
-    s->inputs = sizes[2];
-    s->limited = sizes[3];
-    s->ramp = sizes[4];
-    s->changes = sizes[5];
-    s->ahead = sizes[8];
-    s->alike = sizes[9];
-    s->thin = s->alike && sizes[10];
-    if (s->thin)
-        narrow = n;
-    rows = N * (size_t)stages_rows(s);
-    set->rows = (int)rows;
-    set->columns = (int)(N * a);
-    set->most = ACTIVE_SET_MOST(set->rows, set->columns, sizes[6]);
-    if (s->alike && set->most > STAGES_MOST)
-        set->most = STAGES_MOST;
-    set->stored = !s->alike;
-    set->limit = sizes[7];
-    set->tolerance = tolerance;
-    used = ACTIVE_SET_NUMBERS(set->rows, set->columns, set->most, set->stored);
-    counts[0] = used + STAGES_OTHERS(N, many, n, a, p, rows) + (s->alike ? rows * a : 0);
-    counts[1] = ACTIVE_SET_INTEGERS(set->rows, set->most) + STAGES_INTEGERS(s->alike, N, a, rows);
-    counts[2] = ACTIVE_SET_POINTERS(set->most);
+    size_t N = (size_t)sizes->stages, n = (size_t)sizes->states, a = (size_t)sizes->inputs;
+    size_t p = (size_t)sizes->limited, rows = STAGES_ROWS(N, a, p, sizes->changes), columns = N * a;
+    size_t soft = (size_t)sizes->soft, most = STAGES_ACTIVE(sizes->alike, rows, columns, soft);
+    int thin = sizes->alike && sizes->thin;
+    counts[0] = STAGES_NUMBERS(sizes->alike, thin, N, n, a, p, rows, most);
+    counts[1] = STAGES_INTEGERS(sizes->alike, N, a, rows, most);
+    counts[2] = ACTIVE_SET_POINTERS(most);
     if (numbers == NULL)
         return;
+    memset(program, 0, sizeof *program);
+    s->stages = sizes->stages;
+    s->states = sizes->states;
+    s->inputs = sizes->inputs;
+    s->limited = sizes->limited;
+    s->ramp = sizes->ramp;
+    s->changes = sizes->changes;
+    s->ahead = sizes->ahead;
+    s->alike = sizes->alike;
+    s->thin = thin;
     s->level = level;
     s->gemm = gemm;
-    s->Q = data[0];
-    s->R = data[1];
-    s->P = data[2];
-    s->scale = data[3];
-    s->change = data[4];
-    if (s->thin) {
-        s->unit = data[11];
-        s->Y = data[12];
-    }
-    program->low = data[5];
-    program->high = data[6];
-    program->least = data[7];
-    program->most = data[8];
-    set->price = data[9];
-    set->curvature = data[10];
+    s->Q = data->Q;
+    s->R = data->R;
+    s->P = data->P;
+    s->scale = data->scale;
+    s->change = data->change;
+    s->unit = data->unit;
+    s->Y = data->Y;
+    program->data = *data;
+    set->rows = (int)rows;
+    set->columns = (int)columns;
+    set->most = (int)most;
+    set->stored = !s->alike;
+    set->limit = sizes->limit;
+    set->tolerance = tolerance;
+    set->price = data->price;
+    set->curvature = data->curvature;
     set->batch = stages_program_batch;
     set->products = stages_program_products;
     set->data = program;
-    active_set_place(set, stages_take(&at, used), integers, pointers);
-    s->motion = stages_take(&at, many * (a + n) * n);
-    s->motion_t = stages_take(&at, many * (a + n) * n);
-    s->values = stages_take(&at, N * p);
-    s->gap = stages_take(&at, N * n);
-    s->costs = stages_take(&at, many * n * n);
-    s->before = stages_take(&at, many * n * n);
-    s->S = stages_take(&at, s->thin ? 0 : many * a * a);
-    s->S_t = stages_take(&at, many * a * narrow);
-    s->W = stages_take(&at, many * a * n);
-    s->W_t = stages_take(&at, many * a * n);
-    s->first = stages_take(&at, N * a);
-    s->work = stages_take(&at, STAGES_WORK(n, a));
-    program->x = stages_take(&at, N * a);
-    program->none = stages_take(&at, N * a);
-    program->lower = stages_take(&at, rows);
-    program->upper = stages_take(&at, rows);
-    program->values = stages_take(&at, rows);
-    views[0] = s->z = stages_take(&at, (N + 1) * m);
-    views[1] = s->u = stages_take(&at, (N + 1) * a);
-    views[2] = program->y = stages_take(&at, rows);
-    views[3] = program->dz = stages_take(&at, (N + 1) * n);
-    views[4] = program->du = stages_take(&at, N * a);
+    active_set_place(
+        set, stages_take(&numbers, ACTIVE_SET_NUMBERS(rows, columns, most, set->stored)), integers,
+        pointers);
+    integers += ACTIVE_SET_INTEGERS(rows, most);
+    stages_place(s, &numbers);
+    program->x = stages_take(&numbers, columns);
+    program->none = stages_take(&numbers, columns);
+    program->lower = stages_take(&numbers, rows);
+    program->upper = stages_take(&numbers, rows);
+    program->values = stages_take(&numbers, rows);
+    program->y = stages_take(&numbers, rows);
+    program->dz = stages_take(&numbers, (N + 1) * n);
+    program->du = stages_take(&numbers, columns);
+    views[0] = s->z;
+    views[1] = s->u;
+    views[2] = program->y;
+    views[3] = program->dz;
+    views[4] = program->du;
     views[5] = s->gap;
     views[6] = s->values;
-    integers += ACTIVE_SET_INTEGERS(set->rows, set->most);
     if (s->alike) {
-        program->last = stages_take(&at, rows * a);
-        program->known = integers;
-        s->span = program->known + rows / N;
+        stages_program_place_alike(program, &numbers, integers);
     } else {
         s->slot = integers;
         s->step = s->slot + N;
         s->from = s->step + N;
         stages_forget(s);
     }
-    memset(program->none, 0, N * a * sizeof *program->none);
+    memset(program->none, 0, columns * sizeof *program->none);
     memset(program->y, 0, rows * sizeof *program->y);
 }
 
-/* Move the multipliers, and the steps of the recursion, on by a sample. */
-STAGES_API void stages_program_shift(StagesProgram *program)
+void stages_program_shift(StagesProgram *program)
 {
     Stages *s = &program->stages;
     int rows = stages_rows(s), last = s->stages - 1, kept = rows * last;
@@ -826,17 +743,21 @@ STAGES_API void stages_program_shift(StagesProgram *program)
     memset(program->y + kept, 0, (size_t)rows * sizeof(double));
 }
 
-/*
- * All that needs no measurement: the problem along its plan, from the stage Jacobians of motion and
- * limited values, stored by columns, and the rows that may be active. E, G and F are not copied, and
- * must last for the solves. Returns whether data are finite; if they are not, all stages must be
- * fresh in the next call.
- *
- * A, B and C of stage k are in its slot. Only the slots of `fresh` stages are others than in the last
- * call. NULL for both: each stage has a slot of its own, and all are fresh. The tolerance is that of
- * the costs behind stages whose derivatives are known.
- */
-STAGES_API int stages_program_prepare(StagesProgram *program, const int *slots, const int *fresh,
+/* Find what the first state does to the limits, where all stages are alike. */
+static void stages_program_find_map(StagesProgram *program)
+{
+    const Stages *s = &program->stages;
+    int j;
+    for (j = 0; program->map != NULL && j < s->states; j++) {
+        memset(program->dz, 0, (size_t)s->states * sizeof *program->dz);
+        program->dz[j] = 1.0;
+        stages_simulate(s, NULL, NULL, NULL, program->dz, program->du);
+        stages_limits(s, program->dz, program->du,
+                      program->map + (size_t)j * (size_t)program->set.rows);
+    }
+}
+
+int stages_program_prepare(StagesProgram *program, const int *slots, const int *fresh,
                                       double tolerance, const double *ends, const double *A,
                                       const double *B, const double *C, const double *limited,
                                       const double *E, const double *G, const double *F)
@@ -876,12 +797,81 @@ STAGES_API int stages_program_prepare(StagesProgram *program, const int *slots, 
     }
     if (!stages_prepare(s, tolerance))
         return 0;
-    if (s->alike && p)
+    if (!s->alike) {
+        active_set_start(&program->set, program->y);
+        return 1;
+    }
+    if (p)
         stages_find_spans(s);
-    if (s->alike)
-        memset(program->known, 0, (size_t)stages_rows(s) * sizeof *program->known);
-    active_set_start(&program->set, program->y);
+    memset(program->known, 0, (size_t)stages_rows(s) * sizeof *program->known);
+    stages_program_find_map(program);
     return 1;
+}
+
+/*
+ * Bounds of all limits less their values, for what changes are limited from; NULL: zeros, and the
+ * values are those of departures from z_0 = 0.
+ */
+static void stages_program_bounds(const StagesProgram *program, const double *previous,
+                                  const double *value, double *lower, double *upper)
+{
+    const Stages *s = &program->stages;
+    const StagesData *data = &program->data;
+    int a = s->inputs, p = s->limited, k, i;
+    for (k = 0; k < s->stages; k++) {
+        const double *u = s->u + (size_t)(k + 1) * a, *before = k ? u - a : previous;
+        for (i = 0; i < a; i++, lower++, upper++, value++) {
+            *lower = (data->low[i] - u[i]) / s->level - *value;
+            *upper = (data->high[i] - u[i]) / s->level - *value;
+        }
+        for (i = 0; s->changes && i < a; i++, lower++, upper++, value++) {
+            double change = (before == NULL ? 0.0 : before[i]) - u[i];
+            *lower = (change - s->change[i]) / s->level - *value;
+            *upper = (change + s->change[i]) / s->level - *value;
+        }
+        for (i = 0; i < p; i++, lower++, upper++, value++) {
+            double here = s->values[(size_t)k * p + i] + *value;
+            *lower = data->least[i] / s->scale[i] - here;
+            *upper = data->most[i] / s->scale[i] - here;
+        }
+    }
+}
+
+void stages_program_aim(StagesProgram *program, const double *r, const double *aim,
+                        const double *drift)
+{
+    Stages *s = &program->stages;
+    stages_aim(s, r, aim, drift);
+    if (!s->alike)
+        return;
+    memset(program->dz, 0, (size_t)s->states * sizeof *program->dz);
+    stages_simulate(s, NULL, s->first, s->gap, program->dz, program->du);
+    stages_limits(s, program->dz, program->du, program->values);
+    stages_program_bounds(program, NULL, program->values, program->low_offset,
+                          program->high_offset);
+}
+
+/* Bounds of all limits less what they are without inputs of the program, where stages are alike. */
+static void stages_program_move_bounds(StagesProgram *program, const double *previous)
+{
+    const Stages *s = &program->stages;
+    int rows = program->set.rows, a = s->inputs, i;
+    double *value = program->values;
+    if (program->map == NULL) {
+        stages_simulate(s, NULL, NULL, NULL, program->dz, program->du);
+        stages_limits(s, program->dz, program->du, value);
+    } else {
+        memset(value, 0, (size_t)rows * sizeof *value);
+        stages_add(s->states, rows, 1.0, program->map, program->dz, value);
+    }
+    for (i = 0; i < rows; i++) {
+        program->lower[i] = program->low_offset[i] - value[i];
+        program->upper[i] = program->high_offset[i] - value[i];
+    }
+    for (i = a; s->changes && i < 2 * a; i++) {
+        program->lower[i] += previous[i - a] / s->level;
+        program->upper[i] += previous[i - a] / s->level;
+    }
 }
 
 /* The first departure from the plan. */
@@ -896,40 +886,33 @@ static void stages_program_begin(StagesProgram *program, const double *state,
         program->dz[i] = acting[i - m] - s->u[i - m];
 }
 
-/*
- * The rest: state, the input that acts before a ramp, targets, drift (NULL: none), the input that
- * changes are limited from, and what may stop the method (NULL: nothing). Returns a status of the active-set method; with 0 the departures from
- * the plan are those of the optimum, and the multipliers are kept.
- */
-STAGES_API int stages_program_solve(StagesProgram *program, const double *state,
-                                    const double *acting, const double *r, const double *aim,
-                                    const double *drift, const double *previous,
-                                    int (*stop)(void *))
+/* Keep the solution, and find its first input, where all stages are alike. */
+static void stages_program_choose(StagesProgram *program)
+{
+    const Stages *s = &program->stages;
+    size_t N = (size_t)s->stages, n = (size_t)s->states, a = (size_t)s->inputs, i;
+    double *h = s->work;
+    for (i = 0; i < N * a; i++)
+        program->chosen[i] = program->x[i] - s->first[i];
+    memcpy(program->drift, s->gap, N * n * sizeof *s->gap);
+    memcpy(h, program->chosen, a * sizeof *h);
+    stages_add(s->states, s->inputs, -1.0, s->W_t, program->start, h);
+    stages_unfactor(s, 0, 0, h, program->du);
+}
+
+int stages_program_solve(StagesProgram *program, const double *state, const double *acting,
+                         const double *previous, int (*stop)(void *))
 {
     Stages *s = &program->stages;
-    int a = s->inputs, p = s->limited, k, i, status;
-    double *lower = program->lower, *upper = program->upper, *value = program->values;
-    if (s->alike) /* prepared once, moved on since */
-        active_set_start(&program->set, program->y);
-    stages_aim(s, r, aim, drift);
+    int status;
     stages_program_begin(program, state, acting);
-    stages_simulate(s, NULL, 1, program->dz, program->du);
-    stages_limits(s, program->dz, program->du, value);
-    for (k = 0; k < s->stages; k++) {
-        const double *u = s->u + (size_t)(k + 1) * a, *before = k ? u - a : previous;
-        for (i = 0; i < a; i++, lower++, upper++, value++) {
-            *lower = (program->low[i] - u[i]) / s->level - *value;
-            *upper = (program->high[i] - u[i]) / s->level - *value;
-        }
-        for (i = 0; s->changes && i < a; i++, lower++, upper++, value++) {
-            *lower = (before[i] - u[i] - s->change[i]) / s->level - *value;
-            *upper = (before[i] - u[i] + s->change[i]) / s->level - *value;
-        }
-        for (i = 0; i < p; i++, lower++, upper++, value++) {
-            double here = s->values[(size_t)k * p + i] + *value;
-            *lower = program->least[i] / s->scale[i] - here;
-            *upper = program->most[i] / s->scale[i] - here;
-        }
+    if (s->alike) { /* prepared once, moved on since */
+        active_set_start(&program->set, program->y);
+        stages_program_move_bounds(program, previous);
+    } else {
+        stages_simulate(s, NULL, s->first, s->gap, program->dz, program->du);
+        stages_limits(s, program->dz, program->du, program->values);
+        stages_program_bounds(program, previous, program->values, program->lower, program->upper);
     }
     program->set.stop = stop;
     program->moved = 0;
@@ -937,17 +920,26 @@ STAGES_API int stages_program_solve(StagesProgram *program, const double *state,
                               program->x);
     if (status != ACTIVE_SET_OK)
         return status;
-    memcpy(program->y, program->set.y,
-           (size_t)s->stages * (size_t)stages_rows(s) * sizeof(double));
-    if (program->moved) {
+    memcpy(program->y, program->set.y, (size_t)program->set.rows * sizeof(double));
+    if (s->alike) {
         stages_program_begin(program, state, acting);
-        stages_simulate(s, program->x, 1, program->dz, program->du);
+        memcpy(program->start, program->dz, (size_t)s->states * sizeof(double));
+        stages_program_choose(program);
+    } else if (program->moved) {
+        stages_program_begin(program, state, acting);
+        stages_simulate(s, program->x, s->first, s->gap, program->dz, program->du);
     }
     return status;
 }
 
-/* Changes of the active set in the last solve. */
-STAGES_API int stages_program_iterations(const StagesProgram *program)
+void stages_program_plan(StagesProgram *program)
+{
+    const Stages *s = &program->stages;
+    memcpy(program->dz, program->start, (size_t)s->states * sizeof *program->dz);
+    stages_simulate(s, program->chosen, NULL, program->drift, program->dz, program->du);
+}
+
+int stages_program_iterations(const StagesProgram *program)
 {
     return program->set.iterations;
 }
