@@ -479,15 +479,15 @@ class Drive:
         with np.errstate(divide="ignore", invalid="ignore"):
             share = np.where(moved != 0, (reached - self.rest_length) / moved, 1.0)
         if winches.jumps:
-            found = Tick(reached[:, None], np.column_stack([end, still, still]), share)
+            tick = Tick(reached[:, None], np.column_stack([end, still, still]), share)
         else:
             motion = np.column_stack([self.position, first, acceleration / 2])
             string = np.column_stack([self.rest_length, share * first, share * acceleration / 2])
-            found = Tick(string[:, : winches.degree + 1], motion, share)
+            tick = Tick(string[:, : winches.degree + 1], motion, share)
         self.rest_length, self.position, self.speed = reached, end, speed
         if winches.motor is not None:
-            self._history.append((now, found))
-        return found
+            self._history.append((now, tick))
+        return tick
 
     def turning(self, begins: FloatArray, times: FloatArray, force: FloatArray) -> Turning:
         """Return the motion of the motors at times, s, in intervals with these beginnings, (T,).
@@ -497,12 +497,12 @@ class Drive:
         starts, k = self._tick_at(begins)
         motion = np.stack([tick.motor for _, tick in self._history])
         share = np.stack([tick.share for _, tick in self._history])
-        c, at = motion[k].transpose(1, 2, 0), times - starts[k]
-        rate = polynomial_at(c, at, 1)
+        c, times_in_tick = motion[k].transpose(1, 2, 0), times - starts[k]
+        rate = polynomial_at(c, times_in_tick, 1)
         if self._winches.jumps:
             came = np.vstack([self._before, motion[:-1, :, 0]])
             rate = ((motion[:, :, 0] - came) * self.ticks / self._sample_time)[k].T
-        return Turning(polynomial_at(c, at), rate, 2 * c[:, 2], force * share[k].T)
+        return Turning(polynomial_at(c, times_in_tick), rate, 2 * c[:, 2], force * share[k].T)
 
     def rest_lengths(self, times: FloatArray) -> FloatArray:
         """Return rest lengths at times, s, of the ticks that there were, m, shape (α, T)."""
@@ -550,12 +550,12 @@ class Drive:
                     np.abs(speed) > rate, lag * np.log((still - gap) / (still - edge)), np.inf
                 )
                 until = np.where(full, until, slower)
-                part = np.minimum(left, until)
+                span = np.minimum(left, until)
                 moved = np.where(
-                    full, gap - way * closing * part, still + (gap - still) * np.exp(-part / lag)
+                    full, gap - way * closing * span, still + (gap - still) * np.exp(-span / lag)
                 )
-                self._slow |= full & (part > 0) & (lag > 0)
-                gap, left = np.where(until < left, edge, moved), left - part
+                self._slow |= full & (span > 0) & (lag > 0)
+                gap, left = np.where(until < left, edge, moved), left - span
         at_once = np.clip(target, self.position - rate * time, self.position + rate * time)
         self._slow |= (lag == 0) & (at_once != target)
         return np.where(lag > 0, target - gap, at_once)

@@ -277,4 +277,4 @@ def _under_load(motion: ca.Function, by_load: FloatArray) -> ca.Function:
     end = ca.vertcat(end + ca.DM(by_load) @ z[size:], z[size:])
     rows = ca.blockcat([[of_state, ca.DM(by_load)], [ca.DM(r, size), ca.DM.eye(r)]])
     below = ca.vertcat(of_input, ca.DM(r, motion.size1_in(1)))
-    return Function("loaded", [z, u], [ca.densify(each) for each in (end, rows, below)])
+    return Function("loaded", [z, u], [ca.densify(expression) for expression in (end, rows, below)])

@@ -183,7 +183,7 @@ class ControlRecord:
         if self.at_bound is not None:
             share = np.count_nonzero(self.at_bound) / len(self.at_bound)
             lines.append(f"at a bound        {100 * share:.2g} % of the samples")
-        slow, out = (int((each > 0).sum()) for each in (self.rate_limited, self.range_limited))
+        slow, out = (int((counts > 0).sum()) for counts in (self.rate_limited, self.range_limited))
         if slow or out:
             lines.append(f"winches           too slow in {slow} samples, out of range in {out}")
         if self.motors is not None and self.motors.rest_length_error:
