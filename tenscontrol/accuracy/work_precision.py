@@ -226,8 +226,8 @@ class WorkPrecision:
             if against is None
             else validation.items("against", against, "names of methods")
         )
-        for i, each in enumerate(names):
-            validation.choice(f"against[{i}]", each, (*self.methods, *self.peers))
+        for i, other in enumerate(names):
+            validation.choice(f"against[{i}]", other, (*self.methods, *self.peers))
         errors = [
             validation.positive_number(f"errors[{i}]", error, "m")
             for i, error in enumerate(validation.items("errors", errors, "numbers in m"))

@@ -63,10 +63,10 @@ class RotationalSymmetry:
         cycles = tuple(node_list(f"cycles[{i}]", cycle) for i, cycle in enumerate(given))
         if len(cycles) == 0:
             raise ValueError("cycles is empty, expected at least one sequence of nodes")
-        for i, each in enumerate(cycles):
-            if len(each) != len(cycles[0]) or len(each) < 2:
+        for i, nodes in enumerate(cycles):
+            if len(nodes) != len(cycles[0]) or len(nodes) < 2:
                 raise ValueError(
-                    f"cycles[{i}] has {len(each)} nodes and cycles[0] {len(cycles[0])}, "
+                    f"cycles[{i}] has {len(nodes)} nodes and cycles[0] {len(cycles[0])}, "
                     "expected as many in each, two at least"
                 )
         node_list("cycles", np.concatenate(cycles))
