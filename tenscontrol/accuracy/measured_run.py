@@ -1,4 +1,4 @@
-"""One run of one method: its error, run time, conserved quantities and work."""
+"""One measured run of one method: error, run time, work."""
 
 from __future__ import annotations
 

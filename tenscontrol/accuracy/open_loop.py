@@ -1,4 +1,4 @@
-"""Motion in open loop on which integration methods are compared, and its fastest rate."""
+"""Motion in open loop on which integration methods are compared."""
 
 from __future__ import annotations
 

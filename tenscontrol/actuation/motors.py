@@ -1,4 +1,4 @@
-"""Motors of winches and of force-controlled cables, and their record in a run."""
+"""Motors of winches and cables: their limits, work and record."""
 
 from __future__ import annotations
 

@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tenscontrol.actuation.winches import Winches, to_rest_length
+from tenscontrol.actuation.rest_lengths import to_rest_length
+from tenscontrol.actuation.winches import Winches
 from tenscontrol.arrays import FloatArray
 from tenscontrol.control.lqr import LQR
 from tenscontrol.control.mpc.linear import MPC

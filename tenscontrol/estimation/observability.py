@@ -1,4 +1,4 @@
-"""Readings as a function of state and input, and the observability of a plant from them."""
+"""Observability of a plant from its readings."""
 
 from __future__ import annotations
 

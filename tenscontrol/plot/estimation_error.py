@@ -1,4 +1,4 @@
-"""Estimated lengths beside the true ones, and their error."""
+"""Figure of an estimate: lengths beside the true ones, with their error."""
 
 from __future__ import annotations
 

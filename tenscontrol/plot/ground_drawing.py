@@ -1,4 +1,4 @@
-"""The ground beneath a structure, and the contacts of a run over time."""
+"""Drawings of the ground: beneath a structure, and its contacts over time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Report of a sweep, and the error that carries one if it stops."""
+"""Report of a sweep, also of one that stops."""
 
 from __future__ import annotations
 

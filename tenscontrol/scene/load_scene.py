@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tenscontrol import validation
-from tenscontrol.actuation.winches import to_rest_length
+from tenscontrol.actuation.rest_lengths import to_rest_length
 from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics.model import Model
 from tenscontrol.integrate.methods import METHODS

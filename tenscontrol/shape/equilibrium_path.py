@@ -1,4 +1,4 @@
-"""Equilibria between two equilibria, by continuation, and their timing."""
+"""Timed path of equilibria between two equilibria, by continuation."""
 
 from __future__ import annotations
 

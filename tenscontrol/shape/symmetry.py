@@ -1,4 +1,4 @@
-"""Rotational symmetry of a shape, and coordinates that keep it."""
+"""Rotational symmetry of a shape, in coordinates that keep it."""
 
 from __future__ import annotations
 

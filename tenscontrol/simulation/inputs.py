@@ -1,4 +1,4 @@
-"""Inputs and loads of a simulation: held, or in time as pieces of polynomials."""
+"""Inputs of a simulation, loads among them: held, or pieces of polynomials in time."""
 
 from __future__ import annotations
 

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from tenscontrol import validation
-from tenscontrol.actuation.winches import Winches, to_rest_length
+from tenscontrol.actuation.rest_lengths import to_rest_length
+from tenscontrol.actuation.winches import Winches
 from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.control.command import ControlWarning
 from tenscontrol.control.controller import BaseController
