@@ -39,7 +39,7 @@ def ran(page, **instead):
 
 def test_mpc():
     with pytest.warns(RuntimeWarning, match=r"no string reaches 1 mode of .*at 2\.013 Hz"):
-        names = ran("mpc")
+        names = ran("mpc", **{"heavy,\n    1.0,": "heavy,\n    0.3,"})
     run = names["run"]
     assert np.abs(run.control.winch_rate).max() < 0.15 + 1e-9
     assert set(run.control.status) == {"ok"}
@@ -94,7 +94,7 @@ def test_ground():
 
 
 def test_accuracy():
-    names = ran("accuracy", **{"stages=100": "stages=20"})
+    names = ran("accuracy", **{"stages=100": "stages=20", "loose, 10.0,": "loose, 2.0,"})
     assert names["second"].time[-1] == pytest.approx(1.0)
 
 
