@@ -6,6 +6,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 
+from example_numbers import check_numbers, keep_names  # beside this file
+
 project = "tenscontrol"
 author = "The tenscontrol developers"
 copyright = "2026, The tenscontrol developers"
@@ -52,6 +54,9 @@ sphinx_gallery_conf = {
     "minigallery_sort_order": place_in_gallery,
     "backreferences_dir": "gen_modules",  # galleries of a section need one
     "abort_on_example_error": True,
+    "image_scrapers": ("matplotlib", keep_names),
+    "reset_modules": ("matplotlib", "seaborn", check_numbers),
+    "reset_modules_order": "both",
     "capture_repr": ("_repr_html_",),  # not the text of what a plot function returns
     "show_memory": False,
     "min_reported_time": 1,

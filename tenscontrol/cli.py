@@ -223,17 +223,17 @@ def _modes(options: argparse.Namespace) -> None:
     scene = load_scene(options.scene, options.allow_code)
     try:
         plant = scene.linearize(options.input, options.coordinates)
-        found = modes(plant)
+        spectrum = modes(plant)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{options.scene}: {error}") from error
     print(f"{plant.input.replace('_', ' ')} held")
-    print(found.table())
+    print(spectrum.table())
     folder = make_folder(options.output or Path(f"tenscontrol-{options.scene.stem}"))
-    figure = _save(plot.mode_shapes(plant, found)[0].ax.figure, folder / "modes.png")
+    figure = _save(plot.mode_shapes(plant, spectrum)[0].ax.figure, folder / "modes.png")
     if options.json:
         from tenscontrol.summaries import of_modes
 
-        _print_json(options, of_modes(plant, found), [figure])
+        _print_json(options, of_modes(plant, spectrum), [figure])
 
 
 def _view(options: argparse.Namespace) -> None:
@@ -264,7 +264,7 @@ def _accuracy(options: argparse.Namespace) -> None:
     scene = load_scene(options.scene, options.allow_code)
     names = None if options.methods is None else options.methods.split(",")
     try:
-        found = work_precision(
+        comparison = work_precision(
             scene,
             methods=names,
             peers=_peers() if options.peers else (),
@@ -276,8 +276,8 @@ def _accuracy(options: argparse.Namespace) -> None:
         raise ValueError(f"{options.scene}: {error}") from error
     folder = make_folder(options.output or Path(f"tenscontrol-{options.scene.stem}"))
     with finishing():
-        saved = found.to_csv(folder / "accuracy.csv")
-        page = write_file(folder / "accuracy.md", found.to_markdown())
+        saved = comparison.to_csv(folder / "accuracy.csv")
+        page = write_file(folder / "accuracy.md", comparison.to_markdown())
     if options.csv:
         print(saved.read_text(encoding="utf-8"), end="")
         files = sys.stderr  # so that what is printed is CSV and nothing else
@@ -285,22 +285,24 @@ def _accuracy(options: argparse.Namespace) -> None:
         print(page.read_text(encoding="utf-8"))
         files = sys.stderr
     else:
-        print(found.table())
-        if found.peers:
+        print(comparison.table())
+        if comparison.peers:
             print("\nrun time by that of our fastest, at equal error")
-            print(found.ratios().table())
+            print(comparison.ratios().table())
         files = sys.stdout
     paths = [saved, page]
     for path in paths:
         print(path, file=files)
-    if len(found.failures) < len(found.rows):
+    if len(comparison.failures) < len(comparison.rows):
         from tenscontrol import plot
 
-        paths.append(_save(plot.work_precision(found).ax.figure, folder / "accuracy.png", files))
+        paths.append(
+            _save(plot.work_precision(comparison).ax.figure, folder / "accuracy.png", files)
+        )
     if options.json:
         from tenscontrol.summaries import of_comparison
 
-        _print_json(options, of_comparison(found), paths)
+        _print_json(options, of_comparison(comparison), paths)
 
 
 def _peers() -> list[Peer]:

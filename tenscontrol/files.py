@@ -38,10 +38,10 @@ def write_file(path: Path, content: bytes | memoryview | str, flush: bool = True
             with path.open("wb") as stream:
                 stream.write(data)
             return path
-        place = Path(os.path.realpath(path))
-        if mode is not None and not os.access(place, os.W_OK):
+        target = Path(os.path.realpath(path))
+        if mode is not None and not os.access(target, os.W_OK):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
-        beside = place.with_name(f".tenscontrol-{os.urandom(8).hex()}")
+        beside = target.with_name(f".tenscontrol-{os.urandom(8).hex()}")
         try:
             with beside.open("xb") as stream:
                 stream.write(data)
@@ -50,7 +50,7 @@ def write_file(path: Path, content: bytes | memoryview | str, flush: bool = True
                     os.fsync(stream.fileno())
             if mode is not None:
                 beside.chmod(stat.S_IMODE(mode))
-            os.replace(beside, place)
+            os.replace(beside, target)
         except BaseException:  # Ctrl-C too
             with suppress(OSError):
                 beside.unlink()
@@ -77,11 +77,11 @@ def opened_file(path: Path, most: int) -> Iterator[BufferedReader]:
         _refuse_irregular(path.stat())  # a device may act on being opened
         descriptor = os.open(path, os.O_RDONLY | _AT_ONCE)
     with os.fdopen(descriptor, "rb") as stream, _explained(path, "cannot be read: {}"):
-        found = os.fstat(stream.fileno())
-        _refuse_irregular(found)
-        if found.st_size > most:
-            said = f"it is too large: {found.st_size:,} bytes, at most {most:,} are read"
-            raise OSError(errno.EFBIG, said)
+        status = os.fstat(stream.fileno())
+        _refuse_irregular(status)
+        if status.st_size > most:
+            reason = f"it is too large: {status.st_size:,} bytes, at most {most:,} are read"
+            raise OSError(errno.EFBIG, reason)
         yield stream
 
 
@@ -125,5 +125,5 @@ def _explained(path: Path, said: str = "cannot write: {}; {}") -> Iterator[None]
         yield
     except OSError as error:
         number = error.errno or errno.EIO
-        told = said.format(error.strerror or error, _REMEDY.get(number, "write elsewhere"))
-        raise OSError(number, told, str(path)) from None
+        message = said.format(error.strerror or error, _REMEDY.get(number, "write elsewhere"))
+        raise OSError(number, message, str(path)) from None

@@ -1,4 +1,4 @@
-"""The commands of ``tenscontrol``, their options and their help."""
+"""The command line of ``tenscontrol``: commands, options, help."""
 
 from __future__ import annotations
 

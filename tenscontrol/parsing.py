@@ -62,10 +62,10 @@ def parse_toml(
     try:
         return tomllib.loads(text), written
     except ValueError as error:
-        found = re.search(r" ?\(at (?:line (\d+), column \d+|end of document)\)", str(error))
+        position = re.search(r" ?\(at (?:line (\d+), column \d+|end of document)\)", str(error))
         where = ""
-        if found:
-            where = f":{found.group(1) or max(1, len(text.splitlines()))}"
+        if position:
+            where = f":{position.group(1) or max(1, len(text.splitlines()))}"
         elif digits := re.search(r"\d{4000}", text):  # Python reads no whole number as long
             where = f":{text.count(chr(10), 0, digits.start()) + 1}"
         raise ValueError(f"{name}{where}: not TOML: {error}") from error

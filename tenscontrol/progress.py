@@ -1,4 +1,4 @@
-"""A progress bar over simulated time, or over whatever is counted, and a word on long runs."""
+"""Progress of long runs: a bar, and a note where a run will take long."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ else:
             """Return the value of an object, or the property itself for a class."""
             if instance is None:
                 return self
-            kept = vars(instance)
-            if self.attrname in kept:
-                return kept[self.attrname]
-            return kept.setdefault(self.attrname, self.func(instance))
+            values = vars(instance)
+            if self.attrname in values:
+                return values[self.attrname]
+            return values.setdefault(self.attrname, self.func(instance))

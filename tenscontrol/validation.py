@@ -62,11 +62,11 @@ def float_array(name: str, value: object) -> FloatArray:
     if not np.abs(array).max(initial=0.0) <= LARGEST:  # what is not a number makes it false
         bad = np.argwhere(~(np.abs(array) <= LARGEST))
         where = "" if array.ndim == 0 else f"[{', '.join(str(i) for i in bad[0])}]"
-        found = array[tuple(bad[0])]
-        if np.isfinite(found):
-            raise ValueError(f"{name}{where} is {found:g}, expected at most {LARGEST:g} in size")
+        entry = array[tuple(bad[0])]
+        if np.isfinite(entry):
+            raise ValueError(f"{name}{where} is {entry:g}, expected at most {LARGEST:g} in size")
         raise ValueError(
-            f"{name}{where} is {found}, expected a finite number; "
+            f"{name}{where} is {entry}, expected a finite number; "
             f"{array.size - int(np.isfinite(array).sum())} of {array.size} entries are not finite"
         )
     return array
@@ -200,8 +200,8 @@ def index_list(name: str, value: object, count: int, of: str, noun: str = "") ->
     ``value`` is one index, a sequence or set of them, or a mask: a boolean array, shape (count,).
     """
     array = index_array(name, value, count)
-    found = indices(name, array, count, of, noun)
-    return found[np.sort(np.unique(found, return_index=True)[1])]
+    numbers = indices(name, array, count, of, noun)
+    return numbers[np.sort(np.unique(numbers, return_index=True)[1])]
 
 
 def index_array(name: str, value: object, count: int | None = None) -> FloatArray:
@@ -242,9 +242,9 @@ def positive(name: str, array: FloatArray, what: str) -> FloatArray:
     """Refuse an array with an entry that is not greater than zero."""
     if (array < 1 / LARGEST).any():
         bad = np.flatnonzero(array < 1 / LARGEST)
-        found = array.flat[bad[0]]
-        least = f" of at least {1 / LARGEST:g}" if found > 0 else ""
-        raise ValueError(f"{name}[{bad[0]}] is {found:g}, expected a positive {what}{least}")
+        entry = array.flat[bad[0]]
+        least = f" of at least {1 / LARGEST:g}" if entry > 0 else ""
+        raise ValueError(f"{name}[{bad[0]}] is {entry:g}, expected a positive {what}{least}")
     return array
 
 
@@ -329,8 +329,8 @@ def member_parameters(parameters: dict[str, FloatArray]) -> None:
             )
     counts = {array.shape for array in parameters.values() if array.ndim == 1}
     if len(counts) > 1:
-        found = ", ".join(f"{name} {array.shape}" for name, array in parameters.items())
-        raise ValueError(f"shapes do not go together: {found}; expected one count of strings")
+        shapes = ", ".join(f"{name} {array.shape}" for name, array in parameters.items())
+        raise ValueError(f"shapes do not go together: {shapes}; expected one count of strings")
 
 
 def wrong_kind(name: str, value: object, expected: str) -> TypeError:

@@ -76,7 +76,7 @@ def test_reference_distance(printed):
 
 
 def test_motor_substeps(printed):
-    text = printed("motor_substeps", "--substeps 2 4 --finest 16")
+    text = printed("motor_substeps", "--substeps 2 4 --finest 8")
     for name in ("torque alone", "lag 30 ms", "play 0.3 rad"):
         few, more = row(text, name), row(text, name, 1)
         assert more[1] < 0.5 * few[1]  # rest length, after the substeps

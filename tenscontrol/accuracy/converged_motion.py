@@ -119,12 +119,12 @@ def converged_motion(
         validation.function("report", report, "it is told the time reached, s")
     times = case.duration * np.arange(1, count + 1) / count
     solver = PiecewiseSolver(case)
-    found = []
+    columns = []
     for time, state in zip(times, solver.states(times, _TOLERANCE), strict=True):
-        found.append(state)
+        columns.append(state)
         if report is not None:
             report(float(time))
-    states = np.column_stack(found)
+    states = np.column_stack(columns)
     span = DOP853(case.equation(), _TOLERANCE).advance(
         case.state, case.input_value, case.duration, count
     )
@@ -177,21 +177,21 @@ class PiecewiseSolver:
             stepper = _stepper(slope, now, state, times[-1], tolerance)
             switch = None
             while switch is None and stepper.status == "running":
-                at, before = float(stepper.t), stepper.y.copy()
+                begin, before = float(stepper.t), stepper.y.copy()
                 _advance(stepper)
-                near = self._comes_near(before, stepper.y, float(stepper.t) - at, sign)
+                near = self._comes_near(before, stepper.y, float(stepper.t) - begin, sign)
                 if not near and stepper.t < times[done]:
                     continue
                 between = stepper.dense_output()
-                if near and self._crosses(between(at + (stepper.t - at) * _LOOKS), sign):
-                    switch = self._first_crossing(between, at, float(stepper.t), sign)
+                if near and self._crosses(between(begin + (stepper.t - begin) * _LOOKS), sign):
+                    switch = self._first_crossing(between, begin, float(stepper.t), sign)
                 reached = float(stepper.t) if switch is None else switch
                 while done < len(times) and times[done] <= reached:
                     yield np.asarray(between(times[done]))
                     done += 1
             if switch is not None:
                 # Dense output is less accurate than a step: step to the switch anew.
-                stepper = _stepper(slope, at, before, switch, tolerance)
+                stepper = _stepper(slope, begin, before, switch, tolerance)
                 while stepper.status == "running":
                     _advance(stepper)
                 state, now = np.asarray(stepper.y), switch
@@ -229,7 +229,7 @@ class PiecewiseSolver:
             return False
         if self._is_damped:  # the border then moves with the speed
             return True
-        gap0, rate0 = (part.copy() for part in self._gap(x0, self._case.input_value))
+        gap0, rate0 = (output.copy() for output in self._gap(x0, self._case.input_value))
         gap1, rate1 = self._gap(x1, self._case.input_value)
         way = 2 * step * np.maximum(np.abs(rate0), np.abs(rate1))
         return bool((sign * (gap0 + gap1) <= way + _BORDER).any())

@@ -158,8 +158,8 @@ def convergence_order(
         settings = checked_settings("steps", steps, unit)
     settings = as_taken(chosen, settings, case.duration / count)
     rows: list[Measurement] = []
-    total, kept = 1 + len(settings), keeping("runs are measured", rows.__len__)
-    with kept, progress_bar(total, progress, "fitting the order", "runs") as report:
+    total, keep_runs = 1 + len(settings), keeping("runs are measured", rows.__len__)
+    with keep_runs, progress_bar(total, progress, "fitting the order", "runs") as report:
         reference = reference or converged_motion(case, count)
         report(1)
         bench = Bench(case, reference)

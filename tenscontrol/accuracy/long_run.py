@@ -262,30 +262,30 @@ class _Recorder:
         good = int((np.abs(states) <= validation.LARGEST).all(axis=0).cumprod().sum())
         if not good:
             return 0
-        found, start = invariants(self._case, states[:, :good]), self._start
+        conserved, start = invariants(self._case, states[:, :good]), self._start
         rows = {}
         if self._has_energy:
-            rows["energy", "J"] = found.energy - start.energy
+            rows["energy", "J"] = conserved.energy - start.energy
         if self._has_momentum:
-            rows["momentum", "kg m/s"] = found.momentum - start.momentum
-            angular = found.angular_momentum - start.angular_momentum
+            rows["momentum", "kg m/s"] = conserved.momentum - start.momentum
+            angular = conserved.angular_momentum - start.angular_momentum
             rows["angular momentum", "kg m^2/s"] = angular
         if len(self._case.structure.bars):
-            rows["bar length", "m"] = found.stretch
+            rows["bar length", "m"] = conserved.stretch
         for key, values in rows.items():
             self._rows.setdefault(key, []).append(values)
-        change = float(np.abs(found.potential - start.potential).max())
-        self.energy_scale = max(self.energy_scale, float(found.kinetic.max()), change)
+        change = float(np.abs(conserved.potential - start.potential).max())
+        self.energy_scale = max(self.energy_scale, float(conserved.kinetic.max()), change)
         self.count += good
         return good
 
     def drifts(self, spacing: float) -> tuple[Drift, ...]:
-        found = []
+        drifts = []
         for (name, unit), rows in self._rows.items():
             error = np.concatenate(rows, axis=-1)
             size = error if error.ndim == 1 else np.linalg.norm(error, axis=0)
-            found.append(Drift(name, unit, frozen(size), *trend(spacing, error)))
-        return tuple(found)
+            drifts.append(Drift(name, unit, frozen(size), *trend(spacing, error)))
+        return tuple(drifts)
 
 
 def trend(spacing: float, values: FloatArray) -> tuple[float, float]:

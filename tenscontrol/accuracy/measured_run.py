@@ -1,4 +1,4 @@
-"""One run of one method: its error, run time, conserved quantities and work."""
+"""One measured run of one method: error, run time, work."""
 
 from __future__ import annotations
 
@@ -58,12 +58,12 @@ def default_settings(method: Method, case: Scene) -> tuple[float, ...]:
 def checked_settings(name: str, settings: object, unit: str) -> tuple[float, ...]:
     """Return the settings of an argument from coarse to fine, each once and positive."""
     given = validation.items(name, settings, f"numbers in {unit}")
-    found = [
+    numbers = [
         validation.positive_number(f"{name}[{i}]", value, unit) for i, value in enumerate(given)
     ]
-    if not found:
+    if not numbers:
         raise ValueError(f"{name} is empty, expected at least one number in {unit}")
-    return tuple(sorted(set(found), reverse=True))
+    return tuple(sorted(set(numbers), reverse=True))
 
 
 def as_taken(method: Method, settings: Iterable[float], spacing: float) -> tuple[float, ...]:
@@ -287,14 +287,16 @@ class Bench:
 
         began = process_time()
         try:
-            found = run()
+            trajectory = run()
         except SimulationError as error:
             return TimedRun(replace(row, **_counts(error.trajectory.work), failure=str(error)))
         except (ValueError, ArithmeticError) as error:
             return TimedRun(replace(row, failure=str(error)))
         first = process_time() - began
-        row = replace(row, **_counts(found.work), back_end=found.choice.back_end)
-        nodes, velocities = (part[:, :, 1:] for part in (found.nodes, found.velocities))
+        row = replace(row, **_counts(trajectory.work), back_end=trajectory.choice.back_end)
+        nodes, velocities = (
+            motion[:, :, 1:] for motion in (trajectory.nodes, trajectory.velocities)
+        )
         return TimedRun(self._judged(row, nodes, velocities, self._reference.nodes), run, first)
 
     def peer(self, peer: Peer, setting: float, finest: float) -> TimedRun:
@@ -350,8 +352,8 @@ class Bench:
         structure = self._case.structure
         moments = zip(nodes.T, velocities.T, strict=True)
         states = np.column_stack([pack_state(structure, N.T, V.T) for N, V in moments])
-        found = invariants(self._case, states)
-        return replace(row, **deviations(self._case, found, self._true, self._start))
+        conserved = invariants(self._case, states)
+        return replace(row, **deviations(self._case, conserved, self._true, self._start))
 
 
 def _counts(work: Work) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Motion in open loop on which integration methods are compared, and its fastest rate."""
+"""Motion in open loop on which integration methods are compared."""
 
 from __future__ import annotations
 
@@ -74,9 +74,9 @@ def fastest_rate(case: Scene) -> float:
 def _largest_eigenvalue(matrix: ca.DM) -> float:
     """Return the largest magnitude of the eigenvalues of a square matrix."""
     if matrix.shape[0] <= _DENSE:
-        found = np.linalg.eigvals(matrix.full())
+        eigenvalues = np.linalg.eigvals(matrix.full())
     else:
         from scipy.sparse.linalg import eigs
 
-        found = eigs(matrix.sparse().tocsc(), k=6, which="LM", return_eigenvectors=False)
-    return float(np.abs(found).max(initial=0.0))
+        eigenvalues = eigs(matrix.sparse().tocsc(), k=6, which="LM", return_eigenvectors=False)
+    return float(np.abs(eigenvalues).max(initial=0.0))

@@ -11,7 +11,7 @@ import numpy as np
 from tenscontrol import validation
 from tenscontrol.accuracy.measured_run import checked_settings, method_named
 from tenscontrol.accuracy.open_loop import fastest_rate
-from tenscontrol.actuation.winches import to_rest_length
+from tenscontrol.actuation.rest_lengths import to_rest_length
 from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.dynamics.evaluator import evaluate_columns
 from tenscontrol.dynamics.model import Model

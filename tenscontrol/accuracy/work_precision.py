@@ -226,16 +226,16 @@ class WorkPrecision:
             if against is None
             else validation.items("against", against, "names of methods")
         )
-        for i, each in enumerate(names):
-            validation.choice(f"against[{i}]", each, (*self.methods, *self.peers))
+        for i, other in enumerate(names):
+            validation.choice(f"against[{i}]", other, (*self.methods, *self.peers))
         errors = [
-            validation.positive_number(f"errors[{i}]", each, "m")
-            for i, each in enumerate(validation.items("errors", errors, "numbers in m"))
+            validation.positive_number(f"errors[{i}]", error, "m")
+            for i, error in enumerate(validation.items("errors", errors, "numbers in m"))
         ]
         best = [self.fastest(error) for error in errors]
         others = np.array([[self.time_at(name, error) for name in names] for error in errors])
         others = others.reshape(len(best), len(names))
-        time = np.array([each for _, each in best])
+        time = np.array([seconds for _, seconds in best])
         return Ratios(
             errors=tuple(errors),
             best=tuple(name for name, _ in best),
@@ -402,8 +402,8 @@ def work_precision(
     other = [(p, x) for p in peers for x in theirs[p]]
     total = 2 + 2 * (sum(map(len, wanted.values())) + len(other))
     done: list[TimedRun] = []
-    kept = keeping("runs are measured", done.__len__)
-    with kept, progress_bar(total, progress, "measuring", "runs") as report:
+    keep_rows = keeping("runs are measured", done.__len__)
+    with keep_rows, progress_bar(total, progress, "measuring", "runs") as report:
         growth: Predictability | None = None
         if reference is None:
             full = case.duration
@@ -424,12 +424,12 @@ def work_precision(
             report(2 + len(done))
         # In turns: a machine that slows down does so for all.
         for count in range(_IN_A_ROW, repeats + _IN_A_ROW, _IN_A_ROW):
-            for i, each in enumerate(done):
-                each.repeat(min(count, repeats))
+            for i, timed in enumerate(done):
+                timed.repeat(min(count, repeats))
                 share = (count - _IN_A_ROW + _IN_A_ROW * i / len(done)) / repeats
                 report(2 + len(done) * (1 + min(share, 1)))
         report(total)
-    rows = tuple(each.measurement() for each in done)
+    rows = tuple(timed.measurement() for timed in done)
     refused = tuple((name, why) for name, why in refusals.items() if why is not None)
     laws = {peer.name: peer.own_law(case) for peer in peers if refusals[peer.name] is None}
     own = tuple((name, law) for name, law in laws.items() if law is not None)
@@ -472,12 +472,12 @@ def frontier(rows: Sequence[Measurement], floor: float) -> tuple[FloatArray, Flo
     points = sorted(
         (row.time, max(row.error, floor)) for row in rows if not row.failure and row.time > 0
     )
-    kept: list[tuple[float, float]] = []
+    best: list[tuple[float, float]] = []
     for time, error in points:
-        if np.isfinite(error) and (not kept or error < kept[-1][1]):
-            kept.append((time, error))
-    found = np.array(kept).reshape(-1, 2)
-    return found[:, 0], found[:, 1]
+        if np.isfinite(error) and (not best or error < best[-1][1]):
+            best.append((time, error))
+    envelope = np.array(best).reshape(-1, 2)
+    return envelope[:, 0], envelope[:, 1]
 
 
 def time_to_reach(rows: Sequence[Measurement], error: float, floor: float) -> float:

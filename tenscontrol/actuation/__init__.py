@@ -1,13 +1,8 @@
-"""From commands to actuators: rest lengths, winches and motors."""
+"""Actuators of strings: rest lengths, winches, motors."""
 
 from tenscontrol.actuation.motors import Motor, MotorRecord
-from tenscontrol.actuation.winches import (
-    RestLengths,
-    Winches,
-    WinchMove,
-    to_force_density,
-    to_rest_length,
-)
+from tenscontrol.actuation.rest_lengths import RestLengths, to_force_density, to_rest_length
+from tenscontrol.actuation.winches import Winches, WinchMove
 
 __all__ = [
     "Motor",

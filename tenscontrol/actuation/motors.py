@@ -1,4 +1,4 @@
-"""Motors of winches and of force-controlled cables, and their record in a run."""
+"""Motors of winches and cables: their limits, work and record."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ class Motor:
     def __post_init__(self) -> None:
         check_fields(self)
         validation.member_parameters(
-            {name: each for name, each in vars(self).items() if each is not None}
+            {name: value for name, value in vars(self).items() if value is not None}
         )
         torque = np.inf if self.torque is None else self.torque
         if np.any((self.inertia > 0) & (torque == np.inf)):
@@ -188,13 +188,13 @@ class Motor:
 
 def _for_each(label: str, value: object, name: str, array: FloatArray) -> FloatArray:
     """Return a number of motors for each row of an array that is called ``name``."""
-    found = validation.float_array(label, value)
-    if found.shape not in ((), (len(array),)):
+    numbers = validation.float_array(label, value)
+    if numbers.shape not in ((), (len(array),)):
         raise ValueError(
-            f"{name} has shape {array.shape}, and {label} {found.shape}: expected one number for "
+            f"{name} has shape {array.shape}, and {label} {numbers.shape}: expected one number for "
             "all strings, or as many"
         )
-    return np.broadcast_to(found, len(array)).copy()
+    return np.broadcast_to(numbers, len(array)).copy()
 
 
 def each_motor(motor: Motor, count: int) -> EachMotor:
@@ -297,7 +297,7 @@ def cable_work(model: Model, ends: tuple[Instants, Instants]) -> tuple[list[Turn
     for end in ends:
         length, rate = evaluate_columns(model.of_all_nodes("string_motion"), end.states)
         turning.append(Turning(length, rate, np.zeros_like(rate), end.inputs[0] * length))
-    before, after = (each.position for each in turning)
+    before, after = (motion.position for motion in turning)
     return turning, ends[0].inputs[0] * (before**2 - after**2) / 2
 
 
@@ -316,9 +316,9 @@ def winding_work(
     winding, count = model.of_all_nodes("winding"), len(ends[0].time)
     middle = motion(np.full(count, 0.5), np.arange(count))
     stored, forces, powers, slopes = [], [], [], []
-    for each in (ends[0], middle, ends[1]):
-        lengths, rates, accelerations = each.inputs
-        energy, force, change, *_ = evaluate_columns(winding, each.states, lengths, rates)
+    for instants in (ends[0], middle, ends[1]):
+        lengths, rates, accelerations = instants.inputs
+        energy, force, change, *_ = evaluate_columns(winding, instants.states, lengths, rates)
         stored.append(energy)
         forces.append(force)
         powers.append(-force * rates)
@@ -358,14 +358,14 @@ def motor_record(
 
     ``asked`` are the rest lengths of commands, m, ``weak`` how many motors met their torque.
     """
-    lever, most, inertia = (part[:, None] for part in motor[:3])
+    lever, most, inertia = (column[:, None] for column in motor[:3])
     zero = np.where(np.isnan(motor.zero), zero, motor.zero)
     braked, torques, speeds = np.zeros(work.shape, dtype=bool), [], []
-    for each in turning:
-        torque = each.force * lever - inertia * each.acceleration / lever
+    for motion in turning:
+        torque = motion.force * lever - inertia * motion.acceleration / lever
         braked |= np.abs(torque) > most
         torques.append(np.clip(torque, -most, most))
-        speeds.append(-each.rate / lever)
+        speeds.append(-motion.rate / lever)
     power = [torque * speed for torque, speed in zip(torques, speeds, strict=True)]
     given = work + inertia / 2 * (speeds[1] ** 2 - speeds[0] ** 2)
     # Where a brake helps, what is left to the motor.

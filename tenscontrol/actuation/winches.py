@@ -1,4 +1,4 @@
-"""Rest lengths that give force densities, and the winches that set them."""
+"""Winches, which wind strings in and out: their limits, ramps and motion."""
 
 from __future__ import annotations
 
@@ -10,11 +10,8 @@ import numpy as np
 from tenscontrol import validation
 from tenscontrol.actuation.motors import Motor, Turning, each_motor
 from tenscontrol.arrays import FloatArray, IntArray, freeze_arrays, frozen
-from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.profile import polynomial_at
-from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.fields import Field, OptionalArray, check_fields, checked, converted
-from tenscontrol.structure.bar_geometry import refuse_strings_without_length
 
 _SUBSTEPS = 10
 
@@ -31,108 +28,6 @@ _LEAST_INERTIA = 1e-30
 #: Force that winds each string in, N, how fast it falls with the rest length, N/m, and the length
 #: of the string, m, each of shape (α,), at rest lengths, m, shape (α,), so long after now, s.
 Pull = Callable[[FloatArray, float], tuple[FloatArray, FloatArray, FloatArray]]
-
-
-@dataclass(frozen=True, eq=False)
-class RestLengths:
-    """Rest lengths that give wanted force densities. Made by :func:`to_rest_length`.
-
-    Attributes
-    ----------
-    rest_length : ndarray, shape (α,)
-        m. Just the current length where γ = 0 is wanted.
-    slack : ndarray of int
-        Strings with γ = 0: any longer rest length would do as well.
-    """
-
-    rest_length: FloatArray
-    slack: IntArray
-
-
-def to_rest_length(model: Model, nodes: object, force_density: object) -> RestLengths:
-    """Return the rest lengths that give the strings these force densities in a given shape.
-
-    Parameters
-    ----------
-    model : Model
-        With a string law.
-    nodes : array_like, shape (d, n)
-        Current node positions, m.
-    force_density : float or array_like, shape (α,)
-        Wanted γ, N/m, at least 0.
-
-    Returns
-    -------
-    RestLengths
-
-    Raises
-    ------
-    TypeError, ValueError
-        If the model has no string law, an argument does not fit, or a string is too soft for its γ.
-
-    Examples
-    --------
-    >>> import tenscontrol as tc
-    >>> prism = tc.prism()
-    >>> model = tc.Model(prism, strings=tc.LinearStrings(stiffness=100.0))
-    >>> rest = tc.prestress(prism, force_density=17.3205)
-    >>> found = tc.to_rest_length(model, prism.nodes, rest.force_density)
-    >>> found.rest_length[[0, 6]].round(4), found.slack
-    (array([0.716 , 0.7231]), array([], dtype=int64))
-    >>> tc.to_force_density(model, prism.nodes, found.rest_length)[[0, 6]].round(4)
-    array([17.3205, 30.    ])
-    """
-    law, length = _law_and_length(model, nodes)
-    rest_length = law.rest_length(length, force_density)
-    wanted = np.broadcast_to(np.asarray(force_density, dtype=float), length.shape)
-    return RestLengths(frozen(rest_length), frozen(np.flatnonzero(wanted == 0)))
-
-
-def to_force_density(model: Model, nodes: object, rest_length: object) -> FloatArray:
-    """Return the force densities of strings from their rest lengths, in a given shape at rest.
-
-    Parameters
-    ----------
-    model : Model
-        With a string law.
-    nodes : array_like, shape (d, n)
-        Current node positions, m.
-    rest_length : float or array_like, shape (α,)
-        m, positive.
-
-    Returns
-    -------
-    ndarray, shape (α,)
-        γ, N/m; 0 for a slack string.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If the model has no string law or an argument does not fit.
-
-    Examples
-    --------
-    >>> import tenscontrol as tc
-    >>> prism = tc.prism()
-    >>> model = tc.Model(prism, strings=tc.LinearStrings(stiffness=100.0))
-    >>> tc.to_force_density(model, prism.nodes, rest_length=0.7)[[0, 6]].round(3)
-    array([19.171, 32.233])
-    """
-    law, length = _law_and_length(model, nodes)
-    return law.force_density(length, rest_length)
-
-
-def _law_and_length(model: Model, nodes: object) -> tuple[StringLaw, FloatArray]:
-    """Return the string law, and the string lengths in a shape, m."""
-    validation.instance("model", model, Model, "make one by Model(structure, strings=...)")
-    if model.strings is None:
-        raise ValueError(
-            "the model has no string law, so rest lengths have no meaning for it; "
-            "build it as Model(structure, strings=LinearStrings(stiffness=...))"
-        )
-    shape = model.structure.checked_nodes("nodes", nodes)
-    refuse_strings_without_length("nodes", model.structure, shape)
-    return model.strings, model.structure.string_length(shape)
 
 
 @dataclass(frozen=True, eq=False)
@@ -479,15 +374,15 @@ class Drive:
         with np.errstate(divide="ignore", invalid="ignore"):
             share = np.where(moved != 0, (reached - self.rest_length) / moved, 1.0)
         if winches.jumps:
-            found = Tick(reached[:, None], np.column_stack([end, still, still]), share)
+            tick = Tick(reached[:, None], np.column_stack([end, still, still]), share)
         else:
             motion = np.column_stack([self.position, first, acceleration / 2])
             string = np.column_stack([self.rest_length, share * first, share * acceleration / 2])
-            found = Tick(string[:, : winches.degree + 1], motion, share)
+            tick = Tick(string[:, : winches.degree + 1], motion, share)
         self.rest_length, self.position, self.speed = reached, end, speed
         if winches.motor is not None:
-            self._history.append((now, found))
-        return found
+            self._history.append((now, tick))
+        return tick
 
     def turning(self, begins: FloatArray, times: FloatArray, force: FloatArray) -> Turning:
         """Return the motion of the motors at times, s, in intervals with these beginnings, (T,).
@@ -497,12 +392,12 @@ class Drive:
         starts, k = self._tick_at(begins)
         motion = np.stack([tick.motor for _, tick in self._history])
         share = np.stack([tick.share for _, tick in self._history])
-        c, at = motion[k].transpose(1, 2, 0), times - starts[k]
-        rate = polynomial_at(c, at, 1)
+        c, times_in_tick = motion[k].transpose(1, 2, 0), times - starts[k]
+        rate = polynomial_at(c, times_in_tick, 1)
         if self._winches.jumps:
             came = np.vstack([self._before, motion[:-1, :, 0]])
             rate = ((motion[:, :, 0] - came) * self.ticks / self._sample_time)[k].T
-        return Turning(polynomial_at(c, at), rate, 2 * c[:, 2], force * share[k].T)
+        return Turning(polynomial_at(c, times_in_tick), rate, 2 * c[:, 2], force * share[k].T)
 
     def rest_lengths(self, times: FloatArray) -> FloatArray:
         """Return rest lengths at times, s, of the ticks that there were, m, shape (α, T)."""
@@ -550,12 +445,12 @@ class Drive:
                     np.abs(speed) > rate, lag * np.log((still - gap) / (still - edge)), np.inf
                 )
                 until = np.where(full, until, slower)
-                part = np.minimum(left, until)
+                span = np.minimum(left, until)
                 moved = np.where(
-                    full, gap - way * closing * part, still + (gap - still) * np.exp(-part / lag)
+                    full, gap - way * closing * span, still + (gap - still) * np.exp(-span / lag)
                 )
-                self._slow |= full & (part > 0) & (lag > 0)
-                gap, left = np.where(until < left, edge, moved), left - part
+                self._slow |= full & (span > 0) & (lag > 0)
+                gap, left = np.where(until < left, edge, moved), left - span
         at_once = np.clip(target, self.position - rate * time, self.position + rate * time)
         self._slow |= (lag == 0) & (at_once != target)
         return np.where(lag > 0, target - gap, at_once)

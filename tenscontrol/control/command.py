@@ -1,4 +1,4 @@
-"""A command of a controller, and the fallback in place of its decision."""
+"""A command of a controller: its decision, or a fallback in place of it."""
 
 from __future__ import annotations
 

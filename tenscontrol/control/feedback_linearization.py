@@ -230,7 +230,7 @@ class FeedbackLinearization(Controller):
     def follow(self, reference: object) -> None:
         """Follow another reference from now on; see :meth:`MPC.follow`."""
         given, q = checked_reference(self.plant, reference)
-        values = [self._tracked(np.r_[each, np.zeros_like(each)])[0].copy() for each in q]
+        values = [self._tracked(np.r_[shape, np.zeros_like(shape)])[0].copy() for shape in q]
         self._reference = SmoothReference(given.time, np.array(values))
         self._shapes = SmoothReference(given.time, q)
 
@@ -291,8 +291,8 @@ class FeedbackLinearization(Controller):
             return self._fall_back(answer.status, answer.iterations)
         gamma = np.clip(level * answer.x[: len(preferred)], low, high)
         residual, unbounded = (
-            float(np.abs(J @ each - d).max())
-            for each in (gamma, level * self._squares.unbounded(*system))
+            float(np.abs(J @ solution - d).max())
+            for solution in (gamma, level * self._squares.unbounded(*system))
         )
         at_bound = int(((gamma <= low + _CLOSE * level) | (gamma >= high - _CLOSE * level)).sum())
         self._records.append((residual, unbounded, at_bound, answer.iterations))

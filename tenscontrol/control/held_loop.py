@@ -114,9 +114,9 @@ def held_loop(plant: LinearPlant, gain: object, *, sample_time: float) -> HeldLo
     length_gain = to_commanded_strings(plant, "rest_length", (change / by_length).T).T
     transition, input_matrix, _ = held.discretize(sample_time)
     designed_transition, designed_input, _ = plant.discretize(sample_time)
-    found = reached_states(plant)
+    reached = reached_states(plant)
     # Either loop keeps what strings reach; what they do not reach never settles.
-    inside, unit = found.basis[:, : found.count], found.unit
+    inside, unit = reached.basis[:, : reached.count], reached.unit
     loops = (
         inside.T @ (loop * unit / unit[:, None]) @ inside
         for loop in (
@@ -138,9 +138,9 @@ def _with_held_lengths(plant: LinearPlant) -> tuple[LinearPlant, StringMap]:
     of_model = plant
     if plant.commanded is not plant.model.structure:
         gamma = to_model_strings(plant, "force_density", plant.force_density)
-        at = OperatingPoint(plant.nodes, gamma, plant.external_force)
+        point = OperatingPoint(plant.nodes, gamma, plant.external_force)
         kind = plant.coordinates.kind
-        of_model = linearize(plant.model, at, coordinates=kind, require_equilibrium=False)
+        of_model = linearize(plant.model, point, coordinates=kind, require_equilibrium=False)
     strings = string_map(of_model, "rest_length")
     spread = to_model_strings(plant, "rest_length", np.eye(plant.B.shape[1])).T
     A = plant.A + of_model.B @ strings.gamma_by_state
@@ -152,12 +152,12 @@ def warn_of_held_lengths(plant: LinearPlant, gain: FloatArray, sample_time: floa
     loop = held_loop(plant, gain, sample_time=sample_time)
     if loop.holds:
         return
-    what = (
+    fault = (
         "the loop is unstable"
         if loop.radius >= 1
         else f"the loop settles at {100 * loop.rate_ratio:.0f} % of the rate it was designed for"
     )
-    _warn(sample_time, f"undo a commanded γ: {what}. Linearize with input='rest_length'")
+    _warn(sample_time, f"undo a commanded γ: {fault}. Linearize with input='rest_length'")
 
 
 def held_error_rate(
@@ -178,7 +178,7 @@ def held_error_rate(
     by_shape = gather @ string_map(plant, "rest_length").gamma_by_state[:, :r]
     D = -0.5 * sample_time * moved @ plant.B[r:] @ by_shape @ np.linalg.pinv(moved)
     damping = a + max(0.0, float(np.linalg.eigvals(D).real.max()))
-    held, designed = (-np.roots([1.0, each, b]).real.max() for each in (damping, a))
+    held, designed = (-np.roots([1.0, coefficient, b]).real.max() for coefficient in (damping, a))
     return float(held / designed)
 
 

@@ -18,17 +18,17 @@ def main(output: Path, figures: bool = True) -> None:
     """
     began = perf_counter()
     print(f"tenscontrol {__version__}: a tensegrity prism, 3 bars of 1 kg, 9 strings\n")
-    found = tour.Found()
+    results = tour.Found()
     with interruptible(), suppress(KeyboardInterrupt):
         model = tour.demo_model()
-        found.rest = tour.show_equilibrium(model.structure)
-        found.plants = tour.show_modes(model, found.rest)
-        found.regulator = tour.show_lqr(model, found.plants["force_density"][0])
-        found.morph = tour.show_mpc(model, found.rest)
+        results.rest = tour.show_equilibrium(model.structure)
+        results.plants = tour.show_modes(model, results.rest)
+        results.regulator = tour.show_lqr(model, results.plants["force_density"][0])
+        results.morph = tour.show_mpc(model, results.rest)
     if figures:
         from tenscontrol.demo.figures import save_figures
 
         print("\n5. Figures")
-        for path in save_figures(output, found):
+        for path in save_figures(output, results):
             print(f"   {path}")
     print(f"\n{perf_counter() - began:.1f} s in all")

@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tenscontrol.actuation.winches import Winches, to_rest_length
+from tenscontrol.actuation.rest_lengths import to_rest_length
+from tenscontrol.actuation.winches import Winches
 from tenscontrol.arrays import FloatArray
 from tenscontrol.control.lqr import LQR
 from tenscontrol.control.mpc.linear import MPC
@@ -91,18 +92,18 @@ def show_equilibrium(structure: Structure) -> Prestress:
 def show_modes(model: Model, rest: Prestress) -> dict[str, tuple[LinearPlant, Modes]]:
     """Print the modes for both inputs."""
     print(f"\n2. Modes (internal coordinates: 9 of 18; k = {STIFFNESS:g} N/m)")
-    found = {}
+    by_input = {}
     for name in ("force_density", "rest_length"):
         plant = linearize(model, rest, input=name, coordinates="internal")
-        found[name] = (plant, modes(plant))
+        by_input[name] = (plant, modes(plant))
     print("   force density held        rest length held")
-    (_, free), (_, held) = found.values()
+    (_, free), (_, held) = by_input.values()
     for i in range(len(free.label)):
         print(
             f"   {free.frequency[i]:8.5f} Hz {free.label[i]:<12s}  "
             f"{held.frequency[i]:8.5f} Hz {held.label[i]}"
         )
-    return found
+    return by_input
 
 
 def show_lqr(model: Model, plant: LinearPlant) -> LQR:

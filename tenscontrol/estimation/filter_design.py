@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import casadi as ca
 import numpy as np
@@ -19,6 +19,7 @@ from tenscontrol.estimation.observability import (
     unseen,
 )
 from tenscontrol.estimation.sensors import Sensors
+from tenscontrol.fields import check_fields, checked
 from tenscontrol.plant.linear_plant import LinearPlant, Sampled, acceleration_response, sampled
 from tenscontrol.plant.modes import Modes
 from tenscontrol.plant.reduced_dynamics import refuse_lost_place, sampled_dynamics
@@ -39,42 +40,40 @@ _FALLS = 0.01
 _LOAD_START = 0.3
 
 
+def _probability(name: str, value: object) -> float:
+    number = validation.positive_number(name, value, "no unit, below 1")
+    if number >= 1:
+        raise ValueError(f"{name} is {number:g}, expected a probability above 0 and below 1")
+    return number
+
+
+def _winches(name: str, value: object) -> object:
+    if value is not None:
+        validation.instance(name, value, Winches, "make them by Winches(substeps=...)")
+    return value
+
+
+_NOISE = checked(validation.positive_number, "accelerations of the strings")
+
+
 @dataclass(frozen=True, eq=False)
 class FilterSettings:
     """Settings of a filter, checked; their meanings are those of :class:`KalmanFilter`."""
 
-    sample_time: float
-    process_noise: float
-    load: bool
-    load_noise: float
-    prediction: str
-    gate: float
-    patience: int
-    start_spread: float
-    winches: Winches | None
+    sample_time: float = field(metadata=checked(validation.positive_number, "s"))
+    process_noise: float = field(metadata=_NOISE)
+    load: bool = field(metadata=checked(validation.truth, "whether to estimate an unknown load"))
+    load_noise: float = field(metadata=_NOISE)
+    prediction: str = field(metadata=checked(validation.choice, PREDICTIONS))
+    gate: float = field(metadata=checked(_probability))
+    patience: int = field(metadata=checked(validation.whole_number, 1))
+    start_spread: float = field(
+        metadata=checked(validation.positive_number, "sizes of the structure")
+    )
+    winches: Winches | None = field(metadata=checked(_winches))
 
     def __post_init__(self) -> None:
-        noise = "accelerations of the strings"
-        checked = {
-            "sample_time": validation.positive_number("sample_time", self.sample_time, "s"),
-            "process_noise": validation.positive_number("process_noise", self.process_noise, noise),
-            "load": validation.truth("load", self.load, "whether to estimate an unknown load"),
-            "load_noise": validation.positive_number("load_noise", self.load_noise, noise),
-            "prediction": validation.choice("prediction", self.prediction, PREDICTIONS),
-            "gate": validation.positive_number("gate", self.gate, "no unit, below 1"),
-            "patience": validation.whole_number("patience", self.patience, least=1),
-            "start_spread": validation.positive_number(
-                "start_spread", self.start_spread, "sizes of the structure"
-            ),
-        }
-        for name, value in checked.items():
-            object.__setattr__(self, name, value)
-        if self.gate >= 1:
-            raise ValueError(f"gate is {self.gate:g}, expected a probability above 0 and below 1")
-        if self.winches is not None:
-            validation.instance(
-                "winches", self.winches, Winches, "make them by Winches(substeps=...)"
-            )
+        check_fields(self)
 
     @property
     def substeps(self) -> int:
@@ -277,4 +276,4 @@ def _under_load(motion: ca.Function, by_load: FloatArray) -> ca.Function:
     end = ca.vertcat(end + ca.DM(by_load) @ z[size:], z[size:])
     rows = ca.blockcat([[of_state, ca.DM(by_load)], [ca.DM(r, size), ca.DM.eye(r)]])
     below = ca.vertcat(of_input, ca.DM(r, motion.size1_in(1)))
-    return Function("loaded", [z, u], [ca.densify(each) for each in (end, rows, below)])
+    return Function("loaded", [z, u], [ca.densify(expression) for expression in (end, rows, below)])

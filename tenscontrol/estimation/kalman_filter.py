@@ -487,19 +487,19 @@ class KalmanFilter:
         if self._previous_input is None:
             usable &= ~gate.is_tension
             y = np.where(gate.is_tension[self.sensors.reading_of], np.nan, y)
-        found = self._correction.fit(y, usable, self._z, self._P, self._previous_input)
-        if 2 * int(found.passed.sum()) < int(usable.sum()):
+        correction = self._correction.fit(y, usable, self._z, self._P, self._previous_input)
+        if 2 * int(correction.passed.sum()) < int(usable.sum()):
             self._mostly_refused += 1
             late = self._mostly_refused - self._design.settings.patience
             if late >= 0:
                 self._P = self._design.start_covariance * _WIDER**late
                 self._tally.start_over()
-                found = self._correction.fit(y, usable, self._z, self._P, self._previous_input)
+                correction = self._correction.fit(y, usable, self._z, self._P, self._previous_input)
         elif usable.any():
             self._mostly_refused = 0
-        entries = int(found.passed[self.sensors.reading_of].sum())
-        self._z, self._P = found.z, found.P
-        self._tally.add(gate.lost(y), usable, found.passed, found.nis, entries)
+        entries = int(correction.passed[self.sensors.reading_of].sum())
+        self._z, self._P = correction.z, correction.P
+        self._tally.add(gate.lost(y), usable, correction.passed, correction.nis, entries)
 
     def _advanced(
         self, z: FloatArray, P: FloatArray, previous: FloatArray | None, held: FloatArray,

@@ -1,4 +1,4 @@
-"""Readings as a function of state and input, and the observability of a plant from them."""
+"""Observability of a plant from its readings."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def observed_plant(plant: LinearPlant, sensors: Sensors) -> LinearPlant:
     """
     if plant.coordinates.kind != "internal":
         return plant
-    if all(each is None for each in (sensors.nodes, sensors.bars, sensors.rate_bars)):
+    if all(chosen is None for chosen in (sensors.nodes, sensors.bars, sensors.rate_bars)):
         return plant
     key = "observed_plant", sensors.measured, sensors.noise.tobytes()
     return plant.prepared.get(key, lambda: _observed_plant(plant, sensors))
@@ -124,15 +124,15 @@ def unseen(plant: LinearPlant, sensors: Sensors, C: FloatArray) -> UnseenStates:
         advice = _remedy(
             plant, sensors, lambda more: not _lasting(plant, np.vstack([seen, more]))[1]
         )
-        count = sum(each.unreached.shape[1] for each in refused)
-        listed = ", ".join(f"{rate * each.pole:.4g}" for each in refused)
+        count = sum(space.unreached.shape[1] for space in refused)
+        listed = ", ".join(f"{rate * space.pole:.4g}" for space in refused)
         raise ValueError(
             f"{count} of the {len(A)} states are not observable by {sensors!r}. At the poles "
             f"{listed} "
             f"1/s they do not decay by themselves. {advice}"
         )
-    spaces = [each.unreached for each in lost]
-    whole = np.hstack([np.zeros((len(A), 0)), *(unit[:, None] * each for each in spaces)])
+    spaces = [space.unreached for space in lost]
+    whole = np.hstack([np.zeros((len(A), 0)), *(unit[:, None] * space for space in spaces)])
     count = len(A) - whole.shape[1]
     basis = np.linalg.qr(whole, mode="complete")[0]
     return UnseenStates(
@@ -145,20 +145,22 @@ def unseen(plant: LinearPlant, sensors: Sensors, C: FloatArray) -> UnseenStates:
 def _lasting(plant: LinearPlant, seen: FloatArray) -> tuple[list[LeftSpace], list[LeftSpace]]:
     """Return what neither decays nor is seen, pole by pole, and what of it cannot be left alone."""
     A, scaled, _, _ = _scaled(plant, seen)
-    found = reached_states(plant)
-    reached = found.basis[:, : found.count]
+    reachable = reached_states(plant)
+    reached = reachable.basis[:, : reachable.count]
     lost = [
-        each
-        for each in left_spaces(A.T, scaled.T)
-        if each.unreached.shape[1] and each.pole.real >= -_SLOW
+        space
+        for space in left_spaces(A.T, scaled.T)
+        if space.unreached.shape[1] and space.pole.real >= -_SLOW
     ]
-    return lost, [each for each in lost if each.grows or not _is_apart(A, reached, each.unreached)]
+    return lost, [
+        space for space in lost if space.grows or not _is_apart(A, reached, space.unreached)
+    ]
 
 
 def _is_apart(A: FloatArray, reached: FloatArray, space: FloatArray) -> bool:
     """Whether strings do not reach a space of states that A keeps, and others do not drive it."""
     others = A - (A @ space) @ space.T
-    coupling = (np.linalg.norm(part, 2) for part in (reached.T @ space, space.T @ others))
+    coupling = (np.linalg.norm(block, 2) for block in (reached.T @ space, space.T @ others))
     return all(size < _APART for size in coupling if size)
 
 
@@ -185,8 +187,8 @@ def _remedy(plant: LinearPlant, sensors: Sensors, helps: Callable[[FloatArray], 
     """Return the kinds of reading whose rows C, measured in addition, would help."""
     remedies = []
     for kind, _, chooser, _ in KINDS:
-        there, chosen = sensors.count_of(chooser), getattr(sensors, chooser)
-        if there and (chosen is None or len(chosen) < there):
+        available, chosen = sensors.count_of(chooser), getattr(sensors, chooser)
+        if available and (chosen is None or len(chosen) < available):
             arguments: dict[str, Any] = {"structure": sensors.structure, kind: 1.0}
             if helps(output_matrix(plant, Sensors(**arguments))):
                 remedies.append(f"{kind} of all {chooser.rpartition('_')[2]}")

@@ -211,7 +211,7 @@ class Coupled:
             inertia = trace
             if structure.dimension == 3:
                 inertia = (1 + _NO_INERTIA) * trace * ca.SX.eye(3) - spread
-            turn = ca.repmat(ca.solve(inertia, before - after), 1, len(nodes))
+            turn = ca.repmat(kernel.eliminated(inertia, before - after), 1, len(nodes))
             V1[:, nodes] += cross(turn, arms)
         return Function("turned", given, [ca.vec(V1)[self.rows.tolist()]])
 

@@ -229,16 +229,16 @@ def _ball(
         bars=bars,
         strings=np.vstack(list(pairs.values())),
         bar_mass=bar_mass,  # type: ignore[arg-type]  # checked by Structure
-        string_groups=[name for name, each in pairs.items() for _ in each],
+        string_groups=[name for name, members in pairs.items() for _ in members],
     )
 
 
 def _group(*generators: FloatArray) -> FloatArray:
     """Return all products of rotations, shape (·, 3, 3)."""
     group = [np.eye(3)]
-    for each in group:  # grows as it goes
+    for rotation in group:  # grows as it goes
         for step in generators:
-            product = each @ step
+            product = rotation @ step
             if np.abs(np.array(group) - product).max(axis=(1, 2)).min() > 1e-6:
                 group.append(product)
     return np.array(group)

@@ -1,4 +1,4 @@
-"""Crosses and diamonds of a few bars: the parts that larger tensegrities are made of."""
+"""Crosses of a few bars: the parts that larger tensegrities are made of."""
 
 from __future__ import annotations
 

@@ -341,6 +341,6 @@ def _rings(
 
 def _named(**groups: list[tuple[IntArray, IntArray]]) -> tuple[IntArray, list[str]]:
     """Return strings by group, shape (α, 2), and the group of each."""
-    pairs = {name: np.concatenate([np.stack(each, -1).reshape(-1, 2) for each in ends])
+    pairs = {name: np.concatenate([np.stack(pair, -1).reshape(-1, 2) for pair in ends])
              for name, ends in groups.items()}  # fmt: skip
     return np.vstack(list(pairs.values())), [name for name in pairs for _ in pairs[name]]

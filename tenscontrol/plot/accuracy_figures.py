@@ -369,7 +369,7 @@ def _slope_triangle(ax: Axes, ends: FloatArray, result: ConvergenceOrder) -> Non
     foot = result.constant * middle**result.order / 6
     y = foot * np.array([1.0, 1.0, width**order, 1.0])
     ax.plot(x, y, color="0.35", linewidth=0.9, label="_")
-    at = (float(x[1]), float(foot * width ** (order / 2)))
+    beside = (float(x[1]), float(foot * width ** (order / 2)))
     below = (float(np.sqrt(x[0] * x[1])), foot)
-    _note(ax, str(order), at, (4, 0), va="center", color="0.35")
+    _note(ax, str(order), beside, (4, 0), va="center", color="0.35")
     _note(ax, "1", below, (0, -4), va="top", ha="center", color="0.35")

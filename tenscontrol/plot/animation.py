@@ -97,22 +97,22 @@ def write_mp4(path: Path, canvas: Any, pictures: Iterable[None], rate: float) ->
             finally:
                 code = process.wait()
             told.seek(0)
-            said = told.read().decode(errors="replace").strip()
+            output = told.read().decode(errors="replace").strip()
         if code != 0:
-            last = said.splitlines()[-1] if said else "no reason given"
+            last = output.splitlines()[-1] if output else "no reason given"
             raise OSError(f"ffmpeg could not write {str(path)!r}: {last}; or write a .gif")
         write_file(path, film.read_bytes())
 
 
 def _ffmpeg(path: Path) -> str:
     """Return where ffmpeg is."""
-    found = shutil.which("ffmpeg")
-    if found is None:
+    program = shutil.which("ffmpeg")
+    if program is None:
         raise FileNotFoundError(
             f"path is {str(path)!r}, but the program ffmpeg, which writes .mp4 files, was not "
             "found: install it and have it on PATH, or give a path that ends in .gif"
         )
-    return found
+    return program
 
 
 def _palette(picture: Image.Image) -> Image.Image:
@@ -186,12 +186,12 @@ def animate(
     ('prism.gif', True)
     """
     validation.instance("run", run, Trajectory, "make one by simulate(model, ...)")
-    place = validation.file_path("path", path, [".gif", ".mp4"])
-    if not place.parent.is_dir():
-        raise FileNotFoundError(f"path is {str(place)!r}, but its folder is not there; make it")
-    is_film = place.suffix.lower() == ".mp4"
+    file = validation.file_path("path", path, [".gif", ".mp4"])
+    if not file.parent.is_dir():
+        raise FileNotFoundError(f"path is {str(file)!r}, but its folder is not there; make it")
+    is_film = file.suffix.lower() == ".mp4"
     if is_film:
-        _ffmpeg(place)
+        _ffmpeg(file)
     rate, count, dots = _frames(run, fps, duration, dpi)
     eye = validation.float_array("view", view)
     if eye.shape != (2,):
@@ -202,10 +202,10 @@ def animate(
     times = np.linspace(run.time[0], run.time[-1], count)
     scene = _Scene(run, _sampled(run, motion, times), goal, eye, dots)
     if is_film:
-        write_mp4(place, scene.canvas, scene.pictures(times), rate)
+        write_mp4(file, scene.canvas, scene.pictures(times), rate)
     else:
-        write_gif(place, scene.canvas, scene.pictures(times), count, rate)
-    return place
+        write_gif(file, scene.canvas, scene.pictures(times), count, rate)
+    return file
 
 
 def _frames(

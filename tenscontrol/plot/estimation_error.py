@@ -1,4 +1,4 @@
-"""Estimated lengths beside the true ones, and their error."""
+"""Figure of an estimate: lengths beside the true ones, with their error."""
 
 from __future__ import annotations
 
@@ -84,8 +84,8 @@ def estimate(
         structure = structure.parent
     which = checked_indices("strings", strings, len(structure.strings), "string indices", "(0, 1)")
     seen = run.nodes[:, : record.nodes.shape[1]]
-    true, found = (_lengths(structure, which, nodes) for nodes in (seen, record.nodes))
-    at = np.searchsorted(run.time, record.time - 1e-9 * run.time[-1])
+    true, estimated = (_lengths(structure, which, nodes) for nodes in (seen, record.nodes))
+    samples = np.searchsorted(run.time, record.time - 1e-9 * run.time[-1])
     places = panel_axes(axes, ["length", "error"])
     names = [f"string {i}" for i in which]
     length = draw_curves(
@@ -95,12 +95,12 @@ def estimate(
         "length, m",
         xlabel=None if axes is None else "time, s",
     )
-    for position, row in enumerate(found):
+    for position, row in enumerate(estimated):
         style = curve_style(position) | {"linestyle": "none"}
         label = "estimated" if position == 0 else "_"
         places[0].plot(record.time, row, marker="o", markersize=2.0, label=label, **style)
     legend_above(places[0])
-    off = 1e3 * (found - true[:, at])
+    off = 1e3 * (estimated - true[:, samples])
     error = draw_curves(
         places[1],
         record.time,

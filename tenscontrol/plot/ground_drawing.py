@@ -1,4 +1,4 @@
-"""The ground beneath a structure, and the contacts of a run over time."""
+"""Drawings of the ground: beneath a structure, and its contacts over time."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def near_ground(laws: Sequence[ContactLaw], points: FloatArray) -> FloatArray:
     size = float(np.ptp(points, axis=1).max())
     for law in laws:
         x = ca.DM(points)
-        depth, _, away = (np.array(part) for part in law.sinking(x, 0 * x))
+        depth, _, away = (np.array(output) for output in law.sinking(x, 0 * x))
         beneath = points + depth * away / (away**2).sum(axis=0)
         feet.append(beneath[:, np.abs(depth[0]) <= size])
     return np.hstack(feet)
@@ -88,15 +88,15 @@ def plane_border(law: ContactLaw, box: FloatArray) -> FloatArray:
 
 def _clipped(corners: FloatArray, inside: FloatArray) -> FloatArray:
     """Return the part of a polygon where a linear function of its corners is not negative."""
-    kept = []
+    clipped = []
     for i, value in enumerate(inside):
         before = inside[i - 1]
         if (value >= 0) != (before >= 0):
             share = before / (before - value)
-            kept.append((1 - share) * corners[i - 1] + share * corners[i])
+            clipped.append((1 - share) * corners[i - 1] + share * corners[i])
         if value >= 0:
-            kept.append(corners[i])
-    return np.array(kept).reshape(-1, corners.shape[1])
+            clipped.append(corners[i])
+    return np.array(clipped).reshape(-1, corners.shape[1])
 
 
 def _below(ax: Any, law: ContactLaw, box: FloatArray) -> list[Any]:
@@ -141,7 +141,7 @@ def ground_surface(law: ContactLaw, points: FloatArray) -> FloatArray | None:
 
 def _heights(height: ca.Function, *across: FloatArray) -> FloatArray:
     """Return the height over places, arrays of one shape."""
-    rows = [ca.DM(each.reshape(1, -1)) for each in across]
+    rows = [ca.DM(coordinate.reshape(1, -1)) for coordinate in across]
     return np.array(height(*rows)).reshape(across[0].shape)
 
 

@@ -207,15 +207,15 @@ def mark_statuses(
     """Mark the samples (K,), s, whose status has a marker; the legend is left as it is."""
     marks: dict[str, Line2D] = {}
     for position, (status, marker) in enumerate(markers.items()):
-        at = np.array([found == status for found in statuses])
-        if not at.any():
+        marked = np.array([other == status for other in statuses])
+        if not marked.any():
             continue
         color = PALETTE[(position + 1) % len(PALETTE)]
         (marks[status],) = panel.ax.plot(
-            time[at],
-            np.full(int(at.sum()), height),
+            time[marked],
+            np.full(int(marked.sum()), height),
             transform=panel.ax.get_xaxis_transform(),
-            label=f"{status} (×{int(at.sum())})",
+            label=f"{status} (×{int(marked.sum())})",
             **marker_style(marker, 5.0, color, clip_on=False, zorder=4),
         )
     return replace(panel, marks=panel.marks | marks)

@@ -278,12 +278,12 @@ def _by_group(structure: Structure, values: FloatArray) -> dict[str, FloatArray]
 
 def _with_statuses(panel: Curves, control: ControlRecord) -> Curves:
     """Mark the samples whose status is not ok on the time axis of a panel."""
-    told = [
+    labels = [
         ": ".join(filter(None, pair)) for pair in zip(control.status, control.fallback, strict=True)
     ]
-    statuses = [each for each in dict.fromkeys(told) if each != Status.OK]
+    statuses = [each for each in dict.fromkeys(labels) if each != Status.OK]
     markers = dict(zip(statuses, cycle(_MARKERS), strict=False))
-    panel = mark_statuses(panel, control.time, told, markers)
+    panel = mark_statuses(panel, control.time, labels, markers)
     if statuses:
         legend_above(panel.ax)
     return panel

@@ -77,10 +77,10 @@ def write_numbers(
         NumberPlaces(*(np.full(k, opt[min(c, len(opt) - 1)]) for *_, opt, k in kinds))
         for c in range(choices)
     ]
-    seen = [[_in_points(ax, places) for places in each.at(structure, nodes)] for each in tried]
+    seen = [[_in_points(ax, places) for places in choice.at(structure, nodes)] for choice in tried]
     taken, half, chosen = np.zeros((0, 2)), np.zeros((0, 2)), []
-    for kind, (sign, _, shown, options, each) in enumerate(kinds):
-        shares = np.full(each, float(options[0]))
+    for kind, (sign, _, shown, options, total) in enumerate(kinds):
+        shares = np.full(total, float(options[0]))
         for i in range(shown):
             own = font * np.array([_LETTER * len(f"{sign}{i}") + _EDGE, _HEIGHT]) / 2
             options_at = np.array([seen[c][kind][i] for c in range(len(options))])

@@ -148,16 +148,16 @@ class _NumberPlaces:
 
     def take(self, pole: complex) -> tuple[float, float]:
         """Return where the number of this pole goes, points from the pole."""
-        at = self._points(np.array([pole]))[0]
+        point = self._points(np.array([pole]))[0]
         up = np.where(pole.imag < 0, -1, 1)
         places = _PLACES * [1, up]
         hits = [
-            10 * int((np.abs(self._numbers - at - place) < _FROM_NUMBER).all(axis=1).sum())
-            + int((np.abs(self._markers - at - place) < _FROM_MARKER).all(axis=1).sum())
-            for place in places
+            10 * int((np.abs(self._numbers - point - offset) < _FROM_NUMBER).all(axis=1).sum())
+            + int((np.abs(self._markers - point - offset) < _FROM_MARKER).all(axis=1).sum())
+            for offset in places
         ]
         best = places[int(np.argmin(hits))]
-        self._numbers = np.vstack([self._numbers, at + best])
+        self._numbers = np.vstack([self._numbers, point + best])
         return float(best[0]), float(best[1])
 
 
@@ -166,9 +166,9 @@ def _lay_out(ax: Axes, sets: Mapping[str, np.ndarray], largest: float) -> None:
     every = np.concatenate([*sets.values(), [0.0]])
     size = largest if largest > 0 else 1.0
     limits = []
-    for part in (every.real, every.imag):
-        margin = 0.1 * max(float(np.ptp(part)), 0.5 * size)
-        limits.append((float(part.min()) - margin, float(part.max()) + margin))
+    for values in (every.real, every.imag):
+        margin = 0.1 * max(float(np.ptp(values)), 0.5 * size)
+        limits.append((float(values.min()) - margin, float(values.max()) + margin))
     if ax.has_data():
         before = (ax.get_xlim(), ax.get_ylim())
         limits = [

@@ -243,12 +243,12 @@ class Drawing:
             return
         places = self._places.at(self.structure, positions)
         labels = (self.node_labels, self.bar_labels, self.string_labels)
-        for texts, at in zip(labels, places, strict=True):
-            for text, place in zip(texts, at, strict=False):
+        for texts, anchors in zip(labels, places, strict=True):
+            for text, point in zip(texts, anchors, strict=False):
                 if self.structure.dimension == 3:
-                    text.set_position_3d(place)
+                    text.set_position_3d(point)
                 else:
-                    text.set_position(place)
+                    text.set_position(point)
 
 
 def draw(ax: Any, structure: Structure, nodes: FloatArray, style: MemberStyle) -> Drawing:
@@ -373,13 +373,13 @@ def legend_samples(structure: Structure, slack: bool, colored: bool = False) -> 
         "string": (string, len(structure.strings) > 0),
         "slack string": ({"linestyle": DOTTED, **string}, slack),
     }
-    found = [sample(label, **style) for label, (style, shown) in samples.items() if shown]
+    handles = [sample(label, **style) for label, (style, shown) in samples.items() if shown]
     # Rollers along x, y and z look alike enough for one sample.
     marks = {
         "roller" if name.startswith("roller") else name: name for name in marked_nodes(structure)
     }
-    found += [sample(label, **_mark_style(name, NORMAL)[0]) for label, name in marks.items()]
-    return found
+    handles += [sample(label, **_mark_style(name, NORMAL)[0]) for label, name in marks.items()]
+    return handles
 
 
 def legend_place(structure: Structure) -> dict[str, Any]:
@@ -512,7 +512,7 @@ def structure(
 def _scale(drawing: Drawing, own: bool) -> Any:
     """Draw the colour scale beside the axes; in a figure of our own in room that is added."""
     figure = drawing.ax.figure
-    place: dict[str, Any] = {"ax": drawing.ax, "shrink": 0.6, "pad": 0.22, "aspect": 18}
+    axes: dict[str, Any] = {"ax": drawing.ax, "shrink": 0.6, "pad": 0.22, "aspect": 18}
     if own:
         width, height = figure.get_size_inches()
         wider = width + _SCALE_ROOM
@@ -522,8 +522,8 @@ def _scale(drawing: Drawing, own: bool) -> Any:
             (room[0] * width / wider, room[1], room[2] * width / wider, room[3])
         )
         left, low = (width + 0.05) / wider, (1 - _SCALE_SHARE) / 2
-        place = {"cax": figure.add_axes((left, low, _SCALE_WIDTH / wider, _SCALE_SHARE))}
-    return figure.colorbar(drawing.strings, label="γ, N/m", **place)
+        axes = {"cax": figure.add_axes((left, low, _SCALE_WIDTH / wider, _SCALE_SHARE))}
+    return figure.colorbar(drawing.strings, label="γ, N/m", **axes)
 
 
 def _in_a_shape(
@@ -531,22 +531,23 @@ def _in_a_shape(
 ) -> tuple[Structure, object, object, int]:
     """Return a structure, nodes and force densities, those given or of a result, and its state."""
     if time is not None:
-        made = "time goes with a run, which simulate(model, ...) returns"
-        validation.instance("structure", drawn, Trajectory, made)
+        advice = "time goes with a run, which simulate(model, ...) returns"
+        validation.instance("structure", drawn, Trajectory, advice)
     shape, gamma, k = None, None, -1
-    found = drawn.prestress if isinstance(drawn, ShapeTarget) else drawn
-    if isinstance(found, Prestress):
-        gamma, found = found.force_density, found.structure
-    elif isinstance(found, Trajectory):
-        at = float(found.time[-1]) if time is None else validation.number("time", time, "s")
-        if not found.time[0] <= at <= found.time[-1]:
+    source = drawn.prestress if isinstance(drawn, ShapeTarget) else drawn
+    if isinstance(source, Prestress):
+        gamma, source = source.force_density, source.structure
+    elif isinstance(source, Trajectory):
+        moment = float(source.time[-1]) if time is None else validation.number("time", time, "s")
+        if not source.time[0] <= moment <= source.time[-1]:
             raise ValueError(
-                f"time is {at:g} s, expected {found.time[0]:g} to {found.time[-1]:g} s, as the run"
+                f"time is {moment:g} s, expected {source.time[0]:g} to {source.time[-1]:g} s, "
+                "as the run"
             )
-        k = int(np.abs(found.time - at).argmin())
-        shape, gamma, found = found.nodes[:, :, k], found.force_density[:, k], found.structure
+        k = int(np.abs(source.time - moment).argmin())
+        shape, gamma, source = source.nodes[:, :, k], source.force_density[:, k], source.structure
     how = "or a Prestress, a ShapeTarget, a Trajectory; make one by Structure(...) or prism(...)"
-    validation.instance("structure", found, Structure, how)
-    assert isinstance(found, Structure)  # just checked
+    validation.instance("structure", source, Structure, how)
+    assert isinstance(source, Structure)  # just checked
     chosen = shape if nodes is None else nodes, gamma if force_density is None else force_density
-    return found, *chosen, k
+    return source, *chosen, k

@@ -182,23 +182,23 @@ def given_axes(axes: Sequence[Any], count: int, which: str, kind: str) -> list[A
 
 def checked_axes(name: str, ax: object, kind: str) -> Any:
     """Return axes of a kind, flat or three-dimensional, or raise naming the argument."""
-    found = f"a {type(ax).__name__}"
+    actual = f"a {type(ax).__name__}"
     if isinstance(ax, Axes):
-        found = "three-dimensional" if ax.name == "3d" else "flat"
-    if found != kind:
+        actual = "three-dimensional" if ax.name == "3d" else "flat"
+    if actual != kind:
         how = "subplots()" if kind == "flat" else 'figure().add_subplot(projection="3d")'
         raise TypeError(
-            f"{name} is {found}, expected {kind} matplotlib Axes: make them by plt.{how}"
+            f"{name} is {actual}, expected {kind} matplotlib Axes: make them by plt.{how}"
         )
     return ax
 
 
 def checked_indices(name: str, given: object, count: int, things: str, example: str) -> list[int]:
     """Return the numbers of some of ``count`` things, each checked to be there."""
-    found = validation.index_list(name, given, count, f"there are {count} {things.split()[0]}s")
-    if not len(found):
+    numbers = validation.index_list(name, given, count, f"there are {count} {things.split()[0]}s")
+    if not len(numbers):
         raise TypeError(f"{name} is {given!r}, expected a sequence of {things}, like {example}")
-    return found.tolist()  # type: ignore[no-any-return]
+    return numbers.tolist()  # type: ignore[no-any-return]
 
 
 def dress(ax: Axes, xlabel: str | None, ylabel: str) -> None:
@@ -288,8 +288,8 @@ def save_figure(figure: Figure, path: str | PathLike[str]) -> Path:
     """
     validation.instance("figure", figure, Figure, "take ax.figure of what was drawn")
     formats = sorted(f".{name}" for name in figure.canvas.get_supported_filetypes())
-    place, buffer = validation.file_path("path", path, formats), BytesIO()
-    figure.savefig(buffer, dpi=_DPI, format=place.suffix[1:].lower())
-    write_file(place, buffer.getbuffer())
+    file, buffer = validation.file_path("path", path, formats), BytesIO()
+    figure.savefig(buffer, dpi=_DPI, format=file.suffix[1:].lower())
+    write_file(file, buffer.getbuffer())
     plt.close(figure)
-    return place
+    return file

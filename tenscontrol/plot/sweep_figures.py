@@ -1,4 +1,4 @@
-"""Which runs of a sweep succeed, and how a figure spreads."""
+"""Figures of a sweep: the runs that succeed, the spread of a result."""
 
 from __future__ import annotations
 

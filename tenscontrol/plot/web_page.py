@@ -291,7 +291,7 @@ class View:
         base: dict[str, Any] = {"type": "scatter3d", "mode": "lines", "hoverinfo": "skip"}
         dots: dict[str, Any] = {"type": "scatter3d", "mode": "markers"}
         axes = "xyz"[: self._dimension]
-        place = "<br>".join(f"{axis} %{{{axis}:.4g}} m" for axis in axes)
+        coordinates = "<br>".join(f"{axis} %{{{axis}:.4g}} m" for axis in axes)
         traces = [
             base | {"name": "strings", **taut, "line": {"color": _STRING, "width": width}},
             base
@@ -314,7 +314,7 @@ class View:
                 **_at(nodes, self._index["nodes"]),
                 "text": [str(node) for node in self._index["nodes"]],
                 "textfont": {"size": 14, "color": _PRESSED},
-                "hovertemplate": f"node %{{text}}<br>{place}<extra></extra>",
+                "hovertemplate": f"node %{{text}}<br>{coordinates}<extra></extra>",
                 "marker": {"color": _INK, "size": share * _NODE_SIZE},
             },
             dots
@@ -360,9 +360,9 @@ class View:
             look: dict[str, Any] = {"type": "scatter3d", "mode": "lines", "line": line}
         else:
             points = grid.reshape(3, -1)
-            place = np.arange(points.shape[1]).reshape(grid.shape[1:])
-            corners = [place[:-1, :-1], place[1:, :-1], place[:-1, 1:], place[1:, 1:]]
-            low, right, up, high = (each.ravel() for each in corners)
+            numbers = np.arange(points.shape[1]).reshape(grid.shape[1:])
+            corners = [numbers[:-1, :-1], numbers[1:, :-1], numbers[:-1, 1:], numbers[1:, 1:]]
+            low, right, up, high = (corner.ravel() for corner in corners)
             triangles = np.hstack([[low, right, up], [right, high, up]]).tolist()
             look = {"type": "mesh3d", "color": "#bdbdbd", "opacity": 0.45}
             look |= dict(zip("ijk", triangles, strict=True))
@@ -444,11 +444,11 @@ class View:
         if self.shapes is not None:
             count = min(len(self.labels), max(most, 1), _MOST_NOTEBOOK_FRAMES)
             shown = [self._displaced(mode) for mode in range(count)]
-            names, said = list(self.labels[: len(shown)]), "mode "
+            names, label = list(self.labels[: len(shown)]), "mode "
         elif self.time is not None and self.nodes.shape[2] > 1:
-            kept = self._thinned(min(_MOST_NOTEBOOK_FRAMES, most))
-            shown = [self._moved(state) for state in kept]
-            names, said = [f"{self.time[state]:.4g}" for state in kept], "time, s: "
+            states = self._thinned(min(_MOST_NOTEBOOK_FRAMES, most))
+            shown = [self._moved(state) for state in states]
+            names, label = [f"{self.time[state]:.4g}" for state in states], "time, s: "
         else:
             return dict(_rounded(figure))
         figure["frames"] = [
@@ -464,7 +464,7 @@ class View:
             {"label": name, "method": "animate", "args": [[str(k)], play]}
             for k, name in enumerate(names)
         ]
-        layout["sliders"] = [{"steps": steps, "currentvalue": {"prefix": said}, "pad": {"l": 90}}]
+        layout["sliders"] = [{"steps": steps, "currentvalue": {"prefix": label}, "pad": {"l": 90}}]
         if self.shapes is None:
             buttons = [
                 {
@@ -474,8 +474,8 @@ class View:
                 },
                 {"label": "pause", "method": "animate", "args": [[None], play]},
             ]
-            place = {"x": 0.0, "y": 0.0, "xanchor": "left", "yanchor": "top", "pad": {"t": 30}}
-            layout["updatemenus"] = [{"type": "buttons", "buttons": buttons, **place}]
+            position = {"x": 0.0, "y": 0.0, "xanchor": "left", "yanchor": "top", "pad": {"t": 30}}
+            layout["updatemenus"] = [{"type": "buttons", "buttons": buttons, **position}]
         return dict(_rounded(figure))
 
     def _moved(self, state: int) -> list[dict[str, Any]]:

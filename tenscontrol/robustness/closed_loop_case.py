@@ -183,8 +183,8 @@ class ClosedLoopCase:
         if isinstance(law, Controller):
             put(self, "_coordinates", law.plant.coordinates)
             if self.target is not None:
-                found = checked_reference(law.plant, self.target, "target", anywhere=True)[0]
-                put(self, "target", frozen(found.nodes[:, :, 0]))
+                reference = checked_reference(law.plant, self.target, "target", anywhere=True)[0]
+                put(self, "target", frozen(reference.nodes[:, :, 0]))
             return
         known = self.scene.structure if law is None else law.structure
         if self.target is not None:
@@ -293,20 +293,24 @@ class ClosedLoopCase:
         drawn : sequence of mapping
             Parameters of each run.
         """
-        found: list[Callable[[], Outcome] | None] = [None] * len(drawn)
-        scene, made, nominal = self.scene, {}, self.scene.model
+        outcomes: list[Callable[[], Outcome] | None] = [None] * len(drawn)
+        scene, varied, nominal = self.scene, {}, self.scene.model
         for i, parameters in enumerate(drawn):
             # By itself, a run says what is wrong with its parameters.
             with suppress(TypeError, ValueError, SweepError):
-                made[i] = self._model(parameters), self._start(parameters)
-        if not made:
-            return found
-        models, starts = zip(*made.values(), strict=True)
-        of_law = [] if nominal.strings is None else [each.name for each in fields(nominal.strings)]
+                varied[i] = self._model(parameters), self._start(parameters)
+        if not varied:
+            return outcomes
+        models, starts = zip(*varied.values(), strict=True)
+        of_law = (
+            [] if nominal.strings is None else [field.name for field in fields(nominal.strings)]
+        )
         vary = {}
-        for part, names in (("structure", ("bar_mass", "point_mass")), ("strings", of_law)):
+        for component, names in (("structure", ("bar_mass", "point_mass")), ("strings", of_law)):
             for name in names:
-                usual, *own = (getattr(getattr(each, part), name) for each in (nominal, *models))
+                usual, *own = (
+                    getattr(getattr(model, component), name) for model in (nominal, *models)
+                )
                 if (np.array(own) != usual).any():
                     vary[name] = np.array(own)
         how = scene.integration
@@ -326,10 +330,10 @@ class ClosedLoopCase:
                 return self._judged(motion)
             return self._judged(motion, commands[run], int(not_ok[run]))
 
-        for run, i in enumerate(made):
+        for run, i in enumerate(varied):
             if batch.completed[run]:
-                found[i] = partial(outcome, run)
-        return found
+                outcomes[i] = partial(outcome, run)
+        return outcomes
 
     @property
     def _limits(self) -> HealthLimits:
@@ -403,8 +407,8 @@ def _varied_strings(
     strings: StringLaw | None, name: str, of_law: tuple[str, ...], factor: object, count: int
 ) -> StringLaw:
     """Return the law with a parameter multiplied: the first of these that it has."""
-    found = [] if strings is None else [each.name for each in fields(strings)]
-    scaled = [each for each in of_law if each in found]
+    own = [] if strings is None else [field.name for field in fields(strings)]
+    scaled = [parameter for parameter in of_law if parameter in own]
     if strings is None or not scaled:
         raise SweepError(f"{name} is drawn, but the strings have none: {strings!r}")
     value = validation.per_member(name, factor, count, "string")
@@ -489,5 +493,5 @@ def farthest_node(plant: LinearPlant | Coordinates, nodes: FloatArray, target: F
             return known.laid_over(shape, at_rest)[0]
         return known.to_nodes(known.measure(shape, at_rest)[: known.count])
 
-    wanted, *found = (seen(shape) for shape in (target, *np.moveaxis(nodes, 2, 0)))
-    return max((float(np.linalg.norm(N - wanted, axis=0).max()) for N in found), default=0.0)
+    wanted, *shapes = (seen(shape) for shape in (target, *np.moveaxis(nodes, 2, 0)))
+    return max((float(np.linalg.norm(N - wanted, axis=0).max()) for N in shapes), default=0.0)

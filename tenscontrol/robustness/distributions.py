@@ -64,11 +64,13 @@ class Distribution(ABC):
         -------
         dict of str to str, float, int, list or None
         """
-        found = {field.name: getattr(self, field.name) for field in fields(self)}
+        settings = {field.name: getattr(self, field.name) for field in fields(self)}
         arrays = {
-            name: each.tolist() for name, each in found.items() if isinstance(each, np.ndarray)
+            name: value.tolist()
+            for name, value in settings.items()
+            if isinstance(value, np.ndarray)
         }
-        return {"kind": type(self).__name__} | found | arrays
+        return {"kind": type(self).__name__} | settings | arrays
 
 
 @final

@@ -162,8 +162,8 @@ def sweep(
                 left = [run for run in range(count) if run not in records]
                 spread(pool, start, left, keep, at_a_time)
         except SweepError as error:
-            found = collected(header, records, back_end)
-            raise SweepError(str(error), found) from error.__cause__
+            partial_report = collected(header, records, back_end)
+            raise SweepError(str(error), partial_report) from error.__cause__
         except KeyboardInterrupt:
             warnings.warn(
                 f"the sweep was interrupted with {len(records) - beyond} of {count} runs done",

@@ -208,9 +208,9 @@ def do_runs(
     given = [
         {
             name: frozen(np.array(value)) if isinstance(value, list) else value
-            for name, value in each.items()
+            for name, value in values.items()
         }
-        for each in drawn
+        for values in drawn
     ]
     done: list[Callable[[], Outcome] | None] = [None] * len(runs)
     if len(runs) > 1:

@@ -150,11 +150,11 @@ def refuse_other_figures(record: Record, records: Mapping[int, Record]) -> None:
     """Refuse figures of other names than those of the runs so far."""
     if record.figures is None:
         return
-    earlier = next((each for each in records.values() if each.figures is not None), record)
-    found, expected = sorted(record.figures), sorted(earlier.figures or ())
-    if found != expected:
+    earlier = next((other for other in records.values() if other.figures is not None), record)
+    names, expected = sorted(record.figures), sorted(earlier.figures or ())
+    if names != expected:
         raise ValueError(
-            f"run {record.run} has the figures {found}, but run {earlier.run} has {expected}: "
+            f"run {record.run} has the figures {names}, but run {earlier.run} has {expected}: "
             "a case returns the same ones in every run"
         )
 
@@ -173,10 +173,10 @@ def _refuse_unfit(
     if run in records or not 0 <= run < header.count:
         raise ValueError(f"run is {run}, expected each of 0 to {header.count - 1} once")
     sizes = {
-        name: () if (size := each.get("size")) is None else (size,)
-        for name, each in header.parameters.items()
+        name: () if (size := settings.get("size")) is None else (size,)
+        for name, settings in header.parameters.items()
     }
-    if sizes != {name: np.shape(each) for name, each in parameters.items()}:
+    if sizes != {name: np.shape(values) for name, values in parameters.items()}:
         raise ValueError(f"parameters are {parameters!r:.99}, expected the shapes {sizes}")
     if drawn is not None and parameters != draw_run(drawn, header.seed, run):
         raise ValueError(
@@ -188,13 +188,13 @@ def _refuse_unfit(
 
 def _refuse_another(file: Path, found: Header, wanted: Header) -> None:
     """Refuse the file of another sweep, and say what is different; the count may be."""
-    there, here = (
-        vars(each) | {f"parameter {name!r}": value for name, value in each.parameters.items()}
-        for each in (found, wanted)
+    in_file, asked = (
+        vars(header) | {f"parameter {name!r}": value for name, value in header.parameters.items()}
+        for header in (found, wanted)
     )
-    for name in sorted({*there, *here} - {"count", "parameters"}):
-        if there.get(name) != here.get(name):
+    for name in sorted({*in_file, *asked} - {"count", "parameters"}):
+        if in_file.get(name) != asked.get(name):
             raise ValueError(
-                f"{file} belongs to another sweep: {name} is {there.get(name)!r} there and "
-                f"{here.get(name)!r} here. Give another file, or remove this one"
+                f"{file} belongs to another sweep: {name} is {in_file.get(name)!r} there and "
+                f"{asked.get(name)!r} here. Give another file, or remove this one"
             )

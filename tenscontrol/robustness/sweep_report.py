@@ -1,4 +1,4 @@
-"""Report of a sweep, and the error that carries one if it stops."""
+"""Report of a sweep, also of one that stops."""
 
 from __future__ import annotations
 
@@ -160,13 +160,13 @@ class SweepReport:
     @property
     def columns(self) -> dict[str, FloatArray]:
         """Every number that was drawn, by its name: ``"mass"`` or ``"mass[1]"``, shape (m,)."""
-        found = {}
+        by_name = {}
         for name, values in self.parameters.items():
             if values.ndim == 1:
-                found[name] = values
+                by_name[name] = values
             else:
-                found |= {f"{name}[{i}]": frozen(row) for i, row in enumerate(values.T)}
-        return found
+                by_name |= {f"{name}[{i}]": frozen(row) for i, row in enumerate(values.T)}
+        return by_name
 
     @property
     def success_rate(self) -> float:
@@ -240,12 +240,12 @@ class SweepReport:
             )
         ranks, completed = _ranks(values), self.completed
         drawn = {name: column[completed] for name, column in self.columns.items()}
-        found = {
+        correlations = {
             name: float(np.corrcoef(_ranks(column), ranks)[0, 1])
             for name, column in drawn.items()
             if np.ptp(column) > 0
         }
-        return dict(sorted(found.items(), key=lambda item: -abs(item[1])))
+        return dict(sorted(correlations.items(), key=lambda item: -abs(item[1])))
 
     def figure(self, name: str) -> FloatArray:
         """Return a figure of the completed runs, shape (c,).

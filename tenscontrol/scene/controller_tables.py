@@ -108,15 +108,15 @@ def _own_controller(
     """Return the controller that Python code gives: a function, or what a factory makes."""
     given = [key for key in ("function", "factory") if key in table]
     if len(given) != 1:
-        what = "both" if given else "neither"
-        raise table.error(None, f"{table.title} expects one of function and factory, found {what}")
+        count = "both" if given else "neither"
+        raise table.error(None, f"{table.title} expects one of function and factory, found {count}")
     if given == ["function"] and "settings" in table:
         raise table.error("settings", f"in {table.title}, settings are arguments of a factory")
     input = table.choice("input", ("force_density", "rest_length"), held)
-    found = _imported(table, given[0], allow_code)
+    imported = _imported(table, given[0], allow_code)
     if given == ["factory"]:
         with table.checked("factory"):
-            found = found(linearize(*design(), input=input), **table.get("settings", {}))
+            imported = imported(linearize(*design(), input=input), **table.get("settings", {}))
     limits: dict[str, Any] = {
         key: per_string(table, key, structure)
         for key in ("low", "high", "max_change")
@@ -124,14 +124,14 @@ def _own_controller(
     }
     settings = limits | table.given("input", "sample_time")
     beside = sorted(settings.keys() - {"input"})
-    if isinstance(found, BaseController) and beside:
-        said = f"{given[0]} gives {found!r}, which has limits and a sample time of its own"
-        raise table.error(beside[0], f"in {table.title}, {said}")
+    if isinstance(imported, BaseController) and beside:
+        reason = f"{given[0]} gives {imported!r}, which has limits and a sample time of its own"
+        raise table.error(beside[0], f"in {table.title}, {reason}")
     with table.checked(given[0]):
         # In place of a decision γ is that of the prestress; rest lengths are those at the start.
-        if settings.get("input", getattr(found, "input", held)) == "force_density":
+        if settings.get("input", getattr(imported, "input", held)) == "force_density":
             settings["equilibrium_input"] = force_density
-        return as_controller(found, structure, held, **settings)
+        return as_controller(imported, structure, held, **settings)
 
 
 def _imported(table: Table, key: str, allow_code: bool) -> Any:
@@ -282,19 +282,19 @@ def _span(entry: Table, now: float) -> tuple[float, float]:
 
 
 def _demands(entry: Table, controller: Table, structure: Structure) -> list[Demand]:
-    found: list[Demand] = []
+    demands: list[Demand] = []
     with entry.checked():
         for key, demand in (("height", Height), ("twist", Twist)):
             if key in entry:
-                found.append(demand(entry.get(key), *_ends(entry, controller, structure)))
+                demands.append(demand(entry.get(key), *_ends(entry, controller, structure)))
         if "nodes" in entry or "positions" in entry:
-            at = columns(entry, "positions", structure.dimension)
-            found.append(NodesAt(entry.need("nodes"), at))
-    if not found:
+            positions = columns(entry, "positions", structure.dimension)
+            demands.append(NodesAt(entry.need("nodes"), positions))
+    if not demands:
         raise entry.error(
             None, f"{entry.title} asks for no shape: give height, twist, or nodes and positions"
         )
-    return found
+    return demands
 
 
 def _ends(entry: Table, controller: Table, structure: Structure) -> tuple[list[int], list[int]]:

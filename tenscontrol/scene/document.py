@@ -110,13 +110,13 @@ class Table:
         value = str(self.need(key) if default is None else self.get(key, default))
         if value not in options:
             now = RENAMED.get((*self.path, key, value))
-            said = f"in {self.title}, {key} is {value!r}"
+            finding = f"in {self.title}, {key} is {value!r}"
             if now:
-                raise self.error(key, f"{said}, which is now called {now!r}")
+                raise self.error(key, f"{finding}, which is now called {now!r}")
             words = ", ".join(repr(option) for option in options)
             near = get_close_matches(value, options, n=1)
             meant = f"did you mean {near[0]!r}? It is one of" if near else "expected one of"
-            raise self.error(key, f"{said}; {meant} {words}")
+            raise self.error(key, f"{finding}; {meant} {words}")
         return value
 
     def chosen(
@@ -181,7 +181,7 @@ def read_document(file: str | Path) -> Document:
             raise document.error((table,), f"a scene has no table [{table[:60]}]{hint}")
         form = TABLES[table]
         if form.is_list and not (form.may_be_one and isinstance(value, dict)):
-            if not isinstance(value, list) or not all(isinstance(each, dict) for each in value):
+            if not isinstance(value, list) or not all(isinstance(entry, dict) for entry in value):
                 raise document.error((table,), f"{table} is no list of tables; write [[{table}]]")
         elif not isinstance(value, dict):
             raise document.error((table,), f"{table} is no table; write [{table}] on a line")

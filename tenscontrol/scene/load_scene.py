@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tenscontrol import validation
-from tenscontrol.actuation.winches import to_rest_length
+from tenscontrol.actuation.rest_lengths import to_rest_length
 from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics.model import Model
 from tenscontrol.integrate.methods import METHODS
@@ -206,8 +206,8 @@ class _Reading:
         self._rest_length = None
         if self._input == "rest_length":
             with document.table("prestress").checked("force_density"):
-                found = to_rest_length(model, structure.nodes, self._force_density)
-            self._rest_length = found.rest_length
+                conversion = to_rest_length(model, structure.nodes, self._force_density)
+            self._rest_length = conversion.rest_length
         if shape_gives:
             held = self._force_density if self._rest_length is None else self._rest_length
             with document.table("prestress").checked("shape_gives"):

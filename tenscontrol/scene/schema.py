@@ -116,7 +116,7 @@ def keys_of(
 
 def _by_name(*classes: Any) -> dict[str, Any]:
     """Return classes by their names in a scene: ``CutString`` is ``cut_string``."""
-    return {re.sub(r"(?<=[a-z])(?=[A-Z])", "_", each.__name__).lower(): each for each in classes}
+    return {re.sub(r"(?<=[a-z])(?=[A-Z])", "_", kind.__name__).lower(): kind for kind in classes}
 
 
 def _choice(meaning: str, *names: str) -> Key:
@@ -169,10 +169,10 @@ GROUND_KEYS: Mapping[str, Keys] = MappingProxyType(
 CONTROLLERS: Mapping[str, Callable[..., Controller]] = MappingProxyType(
     _by_name(
         *(
-            each
-            for each in (getattr(control, name) for name in control.__all__)
-            if isinstance(each, type) and issubclass(each, Controller)
-            if each is not Controller
+            exported
+            for exported in (getattr(control, name) for name in control.__all__)
+            if isinstance(exported, type) and issubclass(exported, Controller)
+            if exported is not Controller
         )
     )
 )

@@ -69,9 +69,9 @@ def _uncut(document: Document) -> Structure:
         table.need_required()
         own = {key: table.values[key] for key in signature(make).parameters if key in table}
         with table.checked():
-            made = make(**own)
+            structure = make(**own)
             changes = table.without("generator", *own)
-            return replace(made, **changes) if changes else made
+            return replace(structure, **changes) if changes else structure
     table = document.table("structure", MEMBERS, " without a generator")
     if not table.values:
         raise table.error(
@@ -129,7 +129,12 @@ def build_law(document: Document, structure: Structure) -> tuple[StringLaw, Stri
         if whole_strings(structure) is structure:
             return law, law
         convert = to_segments if by_string else to_strings
-        other = make(**{name: convert(structure, name, each) for name, each in values.items()})
+        other = make(
+            **{
+                name: convert(structure, name, values_of_key)
+                for name, values_of_key in values.items()
+            }
+        )
         return (other, law) if by_string else (law, other)
 
 
@@ -142,19 +147,19 @@ def build_loads(document: Document, structure: Structure) -> tuple[object, Float
     count = structure.nodes.shape[1]
     forces, seen = np.zeros_like(structure.nodes), set()
     for i, values in enumerate(table.need("forces")):
-        said = f"in [loads], forces[{i}]"
+        where = f"in [loads], forces[{i}]"
         entry = Table(document, ("loads", "forces", i), f"[loads] forces[{i}]", values, FORCE)
-        node = entry.index("node", count, "nodes", f"{said} is on node")
+        node = entry.index("node", count, "nodes", f"{where} is on node")
         force = np.array(entry.need("force"), dtype=float)  # of whole numbers of any size too
         if node in seen:
-            raise entry.error("node", f"{said} is on node {node} a second time")
+            raise entry.error("node", f"{where} is on node {node} a second time")
         if len(force) != structure.dimension:
             raise entry.error(
                 "force",
-                f"{said}.force has {len(force)} numbers, expected {structure.dimension} in N",
+                f"{where}.force has {len(force)} numbers, expected {structure.dimension} in N",
             )
         if not np.isfinite(force).all():
-            raise entry.error("force", f"{said}.force is {force.tolist()}, not finite")
+            raise entry.error("force", f"{where}.force is {force.tolist()}, not finite")
         seen.add(node)
         forces[:, node] = force
     return gravity, forces
@@ -162,7 +167,7 @@ def build_loads(document: Document, structure: Structure) -> tuple[object, Float
 
 def build_ground(document: Document, structure: Structure) -> tuple[ContactLaw, ...]:
     """Return the contact laws of the ground, one for each table."""
-    found = []
+    laws = []
     for entry in document.entries("ground"):
         kind, table = entry.chosen("kind", GROUND_KEYS, "linear")
         table.need_required()
@@ -172,8 +177,8 @@ def build_ground(document: Document, structure: Structure) -> tuple[ContactLaw, 
             if "nodes" in table:
                 given = np.array(table.get("nodes"), dtype=float)
                 validation.indices("nodes", given, structure.nodes.shape[1], "nodes")
-            found.append(GROUNDS[kind](**table.without("kind")))
-    return tuple(found)
+            laws.append(GROUNDS[kind](**table.without("kind")))
+    return tuple(laws)
 
 
 def build_force_density(document: Document, structure: Structure, load: FloatArray) -> FloatArray:
@@ -208,7 +213,7 @@ def build_force_density(document: Document, structure: Structure, load: FloatArr
                 "asks for an equilibrium, but loads act on nodes within strings, and straight "
                 "strings cannot balance them; give a table by string group",
             )
-        settings: dict[str, Any] = {each: per_string(table, each, given) for each in bounds}
+        settings: dict[str, Any] = {bound: per_string(table, bound, given) for bound in bounds}
         settings |= table.given("force_density", "reference")
         if "reference" in settings:
             with table.checked("reference"):
@@ -238,8 +243,8 @@ def build_design(
     design = whole_strings(structure)
     count = design.nodes.shape[1]
     load: Any = False if forces is None else forces[:, :count]
-    on_first = (_on_first(each, count) for each in model.ground)
-    laws = [each for each in on_first if each is not None]
+    on_first = (_on_first(contact, count) for contact in model.ground)
+    laws = [contact for contact in on_first if contact is not None]
     model = model.replace(structure=design, strings=law, external_force=load, ground=laws)
     with document.table("prestress").checked("force_density", "for a controller "):
         if design is not structure:

@@ -162,8 +162,8 @@ class NodesAt(Demand):
 
     def miss(self, N: Any) -> Any:
         """Return found less wanted coordinates."""
-        found = N[_axis_rows(self.directions), self.nodes.tolist()]
-        return ca.vec(found) - ca.DM(self.wanted)
+        coordinates = N[_axis_rows(self.directions), self.nodes.tolist()]
+        return ca.vec(coordinates) - ca.DM(self.wanted)
 
 
 @final
@@ -207,10 +207,10 @@ class PointAt(Demand):
     _numbers = "position"
 
     def _checked(self) -> dict[str, object]:
-        place = validation.float_array("position", self.position)
-        directions, dimension = _directions(self.directions, place)
-        place = validation.shaped(
-            "position", place, (len(directions),), "one for each of directions"
+        position = validation.float_array("position", self.position)
+        directions, dimension = _directions(self.directions, position)
+        position = validation.shaped(
+            "position", position, (len(directions),), "one for each of directions"
         )
         given: Any = self.weights
         weights = np.ones(len(self.nodes)) if given is None else given
@@ -218,7 +218,7 @@ class PointAt(Demand):
         if abs(weights.sum()) <= 1e-12 * np.abs(weights).sum():
             raise ValueError(f"weights add up to {weights.sum():g}, expected another sum than 0")
         return {
-            "position": frozen(place), "weights": frozen(weights / weights.sum()),
+            "position": frozen(position), "weights": frozen(weights / weights.sum()),
             "directions": directions, "_dimension": dimension,
         }  # fmt: skip
 

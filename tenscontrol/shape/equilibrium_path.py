@@ -1,4 +1,4 @@
-"""Equilibria between two equilibria, by continuation, and their timing."""
+"""Timed path of equilibria between two equilibria, by continuation."""
 
 from __future__ import annotations
 
@@ -72,16 +72,16 @@ class Continuation:
         conditions = ca.vertcat(slope, problem.equations)
         unknowns = ca.vertcat(v, mu)
         parts = [conditions, ca.jacobian(conditions, unknowns), ca.jacobian(conditions, s)]
-        dense = [ca.densify(part) for part in parts]
+        dense = [ca.densify(expression) for expression in parts]
         self._newton = Evaluator(Function("conditions", [unknowns, s], dense))
 
     def first(self) -> Waypoint:
         """Return the start."""
         still = np.zeros(self.problem.equations.numel())
-        found = self.at(0.0, self._start, still)
-        if found is None:
+        waypoint = self.at(0.0, self._start, still)
+        if waypoint is None:
             raise ArithmeticError("the start does not solve the equations of equilibrium")
-        return found
+        return waypoint
 
     def at(self, place: float, values: FloatArray, multipliers: FloatArray) -> Waypoint | None:
         """Return the waypoint at s from a guess, or None if Newton does not get there."""
@@ -141,11 +141,11 @@ class Continuation:
         while here.place < 1:
             place = 1.0 if here.place + step > 1 - 1e-12 else here.place + step
             guess = here.values + (place - here.place) * here.slope
-            there = self.at(place, guess, here.multipliers)
+            reached = self.at(place, guess, here.multipliers)
             count = self._rows[0]
-            off = np.inf if there is None else np.abs(there.values - guess)[:count].max()
-            if there is not None and off <= _OFF:
-                here = there
+            off = np.inf if reached is None else np.abs(reached.values - guess)[:count].max()
+            if reached is not None and off <= _OFF:
+                here = reached
                 way.append(here)
                 step = min(2 * step, _LONGEST)
             elif step <= _SHORTEST:
@@ -196,8 +196,8 @@ class TimedPath:
         validation.refuse_memory(f"step is {step:g} s", _SPARE * total / step, "shapes", each)
         count = max(3, ceil(_SPARE * total / step) + 1)
         share = np.linspace(0.0, 1.0, count)
-        at, speed = scaling.at(share)
-        points = self._solved(places, at)
+        targets, speed = scaling.at(share)
+        points = self._solved(places, targets)
         rows = [motion_of.motion(*pair) for pair in zip(points, speed, strict=True)]
         self.nodes, moves, self.force_density = (
             np.stack([r[i] for r in rows], -1) for i in (0, 1, 2)
@@ -210,7 +210,7 @@ class TimedPath:
             if rate is not None:
                 limit = np.broadcast_to(rate, (len(winding),))[:, None]
                 jumps = np.diff(self.rest_length, axis=1) * (count - 1)
-                fastest = [float((np.abs(each) / limit).max()) for each in (winding, jumps)]
+                fastest = [float((np.abs(rates) / limit).max()) for rates in (winding, jumps)]
                 # Between waypoints the pace was a guess; this is what the shapes need.
                 self.shortest = max(fastest) * (1 + _ROUND_OFF)
                 if duration is not None and duration < self.shortest:
@@ -234,14 +234,14 @@ class TimedPath:
         points = []
         for s, guess in zip(at.tolist(), guesses, strict=True):
             before = self._waypoints[int(np.searchsorted(places, s, side="right")) - 1]
-            found = self._continuation.at(s, guess, before.multipliers)
-            if found is None:
+            waypoint = self._continuation.at(s, guess, before.multipliers)
+            if waypoint is None:
                 raise PathError(
                     f"no equilibrium found {100 * s:.4g} % of the way to the goal, although "
                     "there are some before and after. Add intermediate shapes",
                     rest_at(self._continuation.problem, before),
                 )
-            points.append(found)
+            points.append(waypoint)
         return points
 
 
@@ -310,21 +310,23 @@ class PathMotion:
 
     def motion(self, point: Waypoint, speed: float) -> list[FloatArray]:
         """Return nodes, velocities, γ, and rest lengths with their rates, at ds/dt."""
-        parts = [np.array(part.full()).ravel() for part in self._read(point.values, point.slope)]
+        parts = [
+            np.array(output.full()).ravel() for output in self._read(point.values, point.slope)
+        ]
         half = len(parts) // 2
         shape = self._problem.model.structure.nodes.shape
-        nodes, moves = (part.reshape(shape, order="F") for part in (parts[0], parts[half]))
-        found = [nodes, speed * moves, parts[1]]
+        nodes, moves = (flat.reshape(shape, order="F") for flat in (parts[0], parts[half]))
+        quantities = [nodes, speed * moves, parts[1]]
         if half == 3:
-            found += [parts[2], speed * parts[5]]
-        return found
+            quantities += [parts[2], speed * parts[5]]
+        return quantities
 
     def pace(self, point: Waypoint, rate: FloatArray | None) -> float:
         """Return the time that a unit of the path takes; without a rate, its length in space."""
-        found = self.motion(point, 1.0)
+        quantities = self.motion(point, 1.0)
         if rate is None:
-            return float(np.linalg.norm(found[1], axis=0).max())
-        return float((np.abs(found[4]) / rate).max())
+            return float(np.linalg.norm(quantities[1], axis=0).max())
+        return float((np.abs(quantities[4]) / rate).max())
 
     def unbalanced(self, point: Waypoint) -> float:
         """Return the largest unbalanced force, N."""

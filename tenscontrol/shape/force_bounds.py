@@ -270,10 +270,10 @@ def _inside(D: FloatArray, p: FloatArray, low: FloatArray, high: FloatArray) -> 
             raise ArithmeticError(f"the linear program of the force densities: {answer.message}")
         return np.asarray(answer.x)
 
-    found = farthest(np.ones(m))
-    if found is None or found[-1] > _STUCK:
-        return None if found is None else found[:-1]
+    farthest_point = farthest(np.ones(m))
+    if farthest_point is None or farthest_point[-1] > _STUCK:
+        return None if farthest_point is None else farthest_point[:-1]
     # No point is inside all bounds: take the mean of those that are inside one each.
-    each = [farthest(row) for row in np.eye(m)]
-    points = [x[:-1] for x in each if x is not None]
+    vertices = [farthest(row) for row in np.eye(m)]
+    points = [x[:-1] for x in vertices if x is not None]
     return np.asarray(np.mean(points, axis=0))

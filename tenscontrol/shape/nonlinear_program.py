@@ -78,16 +78,16 @@ class ShapeProblem:
         lam = ca.SX.sym("l", self._bars.shape[1])
         w = ca.SX.sym("w", self.neutral.shape[1])
         places = ca.mtimes(_sparse(red.basis), self.size * y) + ca.DM(red.offset)
-        at = kernel.all_nodes(structure, kernel.free_columns(structure, places), structure.nodes)
+        nodes = kernel.all_nodes(structure, kernel.free_columns(structure, places), structure.nodes)
         self.unknowns = ca.vertcat(y, g, lam, w)
-        self.positions, self.tensions, self.nodes = y, g, at
+        self.positions, self.tensions, self.nodes = y, g, nodes
         self.gamma = level * ca.mtimes(_sparse(red.strings), g)
         bars = level * ca.mtimes(_sparse(self._bars), lam)
-        still, acting = ca.SX(*at.shape), ca.sparsify(ca.DM(load))
-        F = model.forces("force_density").on_nodes(at, still, self.gamma, acting)
-        F += _bar_push(structure.bars, at, bars)
+        still, acting = ca.SX(*nodes.shape), ca.sparsify(ca.DM(load))
+        F = model.forces("force_density").on_nodes(nodes, still, self.gamma, acting)
+        F += _bar_push(structure.bars, nodes, bars)
         body = ca.mtimes(ca.DM(self.neutral), w)
-        arms = (at - ca.repmat(ca.DM(red.centre), 1, at.shape[1])) / self.size
+        arms = (nodes - ca.repmat(ca.DM(red.centre), 1, nodes.shape[1])) / self.size
         F = F / (level * self.size)
         for j in structure.free.tolist():
             F[:, j] += body[:d] + _turned(body[d:], arms[:, j])
@@ -96,7 +96,7 @@ class ShapeProblem:
         stretch = self._stretch(moving)
         # Equations that the symmetry makes equal are written once.
         self.equations = ca.vertcat(ca.mtimes(_sparse(red.basis.T), unbalanced), stretch)
-        self._parts = Function("parts", [self.unknowns], [ca.densify(at), self.gamma])
+        self._parts = Function("parts", [self.unknowns], [ca.densify(nodes), self.gamma])
 
     @property
     def dependent_stretch(self) -> Any:
@@ -204,7 +204,7 @@ class ShapeProblem:
         best = point = values[: self.unknowns.numel()]
         least, left = np.inf, np.full(1, np.inf)
         for _ in range(_STEPS):
-            residual, jacobian = (np.array(part.full()) for part in newton(point))
+            residual, jacobian = (np.array(output.full()) for output in newton(point))
             residual = residual.ravel()
             worst = np.abs(residual).max(initial=0.0)
             if not worst < least:
@@ -227,11 +227,11 @@ class ShapeProblem:
         wound = law.rest_length(structure.string_length(), gamma)
         # At the brink of slackness the stiffness has two values; the smaller one counts.
         wound = np.where(gamma > _SLACK * gamma.max(initial=0.0), wound, 2 * wound)
-        place = free_coordinates(structure, structure.nodes)
-        found = self._stiffness(place, wound, rest.bar_force_density)
-        K, J = (np.array(part.full()) for part in found)
+        positions = free_coordinates(structure, structure.nodes)
+        outputs = self._stiffness(positions, wound, rest.bar_force_density)
+        K, J = (np.array(output.full()) for output in outputs)
         held = np.vstack([J, self.neutral_fields(structure.nodes).T])
-        Z = linalg.null_space(held, rcond=1e-9) if held.size else np.eye(len(place))
+        Z = linalg.null_space(held, rcond=1e-9) if held.size else np.eye(len(positions))
         return float(np.linalg.eigvalsh(Z.T @ K @ Z)[0]) if Z.shape[1] else float("inf")
 
     @built

@@ -242,7 +242,7 @@ class RollingGait:
         if steps == 1 or len(feet) < len(nodes):
             return float(np.linalg.norm(nodes.mean(axis=1) - goal))
         edges = self._planner.edges(nodes, feet)
-        return min(self._distance(nodes, feet, each, goal, steps - 1) for each in edges)
+        return min(self._distance(nodes, feet, edge, goal, steps - 1) for edge in edges)
 
     def _wind(self, time: float, touching: IntArray, is_late: bool) -> None:
         """Wind on, or end it where it has tipped or cannot."""

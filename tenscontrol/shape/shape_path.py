@@ -106,15 +106,15 @@ class ShapePath(Viewable):
             return Reference(self.time, self.nodes, self.force_density)
         from scipy.interpolate import CubicHermiteSpline
 
-        at = validation.float_array("times", times)
-        if at.ndim != 1 or not len(at):
-            raise ValueError(f"times has shape {at.shape}, expected (K,) with K at least 1")
+        instants = validation.float_array("times", times)
+        if instants.ndim != 1 or not len(instants):
+            raise ValueError(f"times has shape {instants.shape}, expected (K,) with K at least 1")
         spline = CubicHermiteSpline(self.time, self.nodes, self.velocities, axis=2)
-        shapes = spline(np.clip(at, self.time[0], self.time[-1]))
+        shapes = spline(np.clip(instants, self.time[0], self.time[-1]))
         structure = self.model.structure
-        kept = [restore_bar_lengths(structure, shapes[:, :, k]) for k in range(len(at))]
-        gamma = np.array([np.interp(at, self.time, row) for row in self.force_density])
-        return Reference(at, np.stack(kept, axis=-1), gamma)
+        exact = [restore_bar_lengths(structure, shapes[:, :, k]) for k in range(len(instants))]
+        gamma = np.array([np.interp(instants, self.time, row) for row in self.force_density])
+        return Reference(instants, np.stack(exact, axis=-1), gamma)
 
     def plants(self, count: int, input: str) -> tuple[LinearPlant, ...]:
         """Return linear plants along the path, at equal distances of node travel.

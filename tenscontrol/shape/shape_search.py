@@ -122,14 +122,18 @@ class _DemandRows:
 
     def outside(self, values: FloatArray) -> FloatArray:
         """Return by how much each row is outside its bounds."""
-        found = np.array(self._evaluate(values).full()).ravel()
-        return np.asarray(np.maximum(np.maximum(self.low - found, found - self.high), 0.0))
+        rows = np.array(self._evaluate(values).full()).ravel()
+        return np.asarray(np.maximum(np.maximum(self.low - rows, rows - self.high), 0.0))
 
     def at_bound(self, values: FloatArray, reach: float) -> Any:
         """Return the rows at a bound or beyond, by ``reach`` at most, less the bound."""
-        found = np.array(self._evaluate(values).full()).ravel()
-        bound = np.where(np.abs(found - self.low) <= np.abs(found - self.high), self.low, self.high)
-        inside = np.minimum(found - self.low, self.high - found)
+        levels = np.array(self._evaluate(values).full()).ravel()
+        bound = np.where(
+            np.abs(levels - self.low) <= np.abs(levels - self.high),
+            self.low,
+            self.high,
+        )
+        inside = np.minimum(levels - self.low, self.high - levels)
         rows = np.flatnonzero((inside < _CLOSE) & (inside >= -reach))
         if len(rows) == 0:
             return ca.SX(0, 1)
@@ -138,9 +142,9 @@ class _DemandRows:
 
 def _signed_distances(structure: Structure, nodes: FloatArray, N: Any) -> Any:
     """Return distances of bars that pass one another in a shape, m, smooth in N."""
-    found = bar_distances(structure, nodes)
+    distances = bar_distances(structure, nodes)
     rows = []
-    for (i, j), side in zip(found.pairs.tolist(), found.side.tolist(), strict=True):
+    for (i, j), side in zip(distances.pairs.tolist(), distances.side.tolist(), strict=True):
         if side:
             u, v = (N[:, end] - N[:, start] for start, end in structure.bars[[i, j]].tolist())
             across = ca.cross(u, v)

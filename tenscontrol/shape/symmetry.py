@@ -1,4 +1,4 @@
-"""Rotational symmetry of a shape, and coordinates that keep it."""
+"""Rotational symmetry of a shape, in coordinates that keep it."""
 
 from __future__ import annotations
 
@@ -60,13 +60,13 @@ class RotationalSymmetry:
     def __post_init__(self) -> None:
         put = object.__setattr__
         given = validation.items("cycles", self.cycles, "sequences of nodes")
-        cycles = tuple(node_list(f"cycles[{i}]", each) for i, each in enumerate(given))
+        cycles = tuple(node_list(f"cycles[{i}]", cycle) for i, cycle in enumerate(given))
         if len(cycles) == 0:
             raise ValueError("cycles is empty, expected at least one sequence of nodes")
-        for i, each in enumerate(cycles):
-            if len(each) != len(cycles[0]) or len(each) < 2:
+        for i, nodes in enumerate(cycles):
+            if len(nodes) != len(cycles[0]) or len(nodes) < 2:
                 raise ValueError(
-                    f"cycles[{i}] has {len(each)} nodes and cycles[0] {len(cycles[0])}, "
+                    f"cycles[{i}] has {len(nodes)} nodes and cycles[0] {len(cycles[0])}, "
                     "expected as many in each, two at least"
                 )
         node_list("cycles", np.concatenate(cycles))
@@ -209,21 +209,21 @@ def _orbits(
     for i, path in enumerate(paths):
         alike = places[_ends(path)]
         taken = to[list(path)].tolist()
-        there = places.get(_ends(taken), [])
-        if len(there) != len(alike):
+        candidates = places.get(_ends(taken), [])
+        if len(candidates) != len(alike):
             raise ValueError(
                 f"symmetry takes {kind} {i}, nodes {list(path)}, to nodes {taken}, where "
                 f"there is no {kind}"
             )
-        found = there[alike.index(i)]
-        if length is not None and abs(length[found] / length[i] - 1) > _TOLERANCE:
-            raise ValueError(f"symmetry takes bar {i} to bar {found}, which has another length")
-        image.append(found)
+        partner = candidates[alike.index(i)]
+        if length is not None and abs(length[partner] / length[i] - 1) > _TOLERANCE:
+            raise ValueError(f"symmetry takes bar {i} to bar {partner}, which has another length")
+        image.append(partner)
     columns, seen = [], np.zeros(len(paths), bool)
     for i in range(len(paths)):
         if not seen[i]:
-            column, at = np.zeros(len(paths)), i
-            while not seen[at]:
-                seen[at], column[at], at = True, 1.0, image[at]
+            column, member = np.zeros(len(paths)), i
+            while not seen[member]:
+                seen[member], column[member], member = True, 1.0, image[member]
             columns.append(column)
     return np.column_stack(columns) if columns else np.zeros((len(paths), 0))

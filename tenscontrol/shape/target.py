@@ -330,14 +330,14 @@ def _target(
 
 def _checks(demands: tuple[Demand, ...], limits: ForceLimits, solved: Solved) -> list[DemandCheck]:
     rows = []
-    at = 0
+    row = 0
     for demand in demands:
         for name, number in zip(demand.names, demand.wanted.tolist(), strict=True):
-            off, scale = float(solved.misses[at]), float(solved.scales[at])
+            off, scale = float(solved.misses[row]), float(solved.scales[row])
             low, high = number - demand.tolerance, number + demand.tolerance
             over = _outside(off, -demand.tolerance, demand.tolerance, scale)
             rows.append(DemandCheck(name, low, high, number + off, over, demand.unit))
-            at += 1
+            row += 1
     gamma = solved.rest.force_density
     for name, unit, values, low_, high_ in limits.bounded(gamma, solved.rest_length):
         scale = limits.scale if unit == "N/m" else float(solved.scales.max(initial=1.0))

@@ -179,7 +179,7 @@ def tipping_path(
     shape = model.structure.nodes
     if nodes is not None:
         shape = restore_bar_lengths(model.structure, model.structure.checked_nodes("nodes", nodes))
-    found = checked_feet(feet, *shape.shape)
+    standing = checked_feet(feet, *shape.shape)
     heading = unit_vector("direction", direction, len(shape))
     enough = (
         MARGIN * planner.size
@@ -191,13 +191,13 @@ def tipping_path(
         raise ValueError(
             f"step is {most:g} m, expected at least {_SHORTEST_STEP * planner.size:.3g} m"
         )
-    edges = planner.edges(shape, found)
+    edges = planner.edges(shape, standing)
     edge = max(edges, key=lambda each: float(edges[each] @ heading))
     try:
-        planner.start(shape, found, edge)
+        planner.start(shape, standing, edge)
     except StuckError as error:
         raise ValueError(
-            f"feet are {found.tolist()}, on which the structure does not stand with these nodes "
+            f"feet are {standing.tolist()}, on which the structure does not stand with these nodes "
             f"and this rest_length: {error}"
         ) from None
     points, trouble = [planner.point], None
@@ -209,8 +209,8 @@ def tipping_path(
         else:
             points.append(planner.point)
     lengths, shapes, margins = (np.stack(rows, axis=-1) for rows in zip(*points, strict=True))
-    apart = [bar_distances(model.structure, each).least for each in np.moveaxis(shapes, 2, 0)]
-    path = TippingPath(found, np.array(edge), edges[edge], lengths, shapes, margins, min(apart))
+    apart = [bar_distances(model.structure, N).least for N in np.moveaxis(shapes, 2, 0)]
+    path = TippingPath(standing, np.array(edge), edges[edge], lengths, shapes, margins, min(apart))
     if trouble is not None:
         raise TippingError(
             f"margin is {enough:.3g} m, but the centre of mass comes to {path.margin.max():.3g} m "
@@ -276,15 +276,15 @@ class TippingPlanner:
         """Return the edges of the base, each with the horizontal direction over it."""
         d = len(nodes)
         if len(feet) == d:
-            found = list(combinations(feet.tolist(), d - 1))
+            edges = list(combinations(feet.tolist(), d - 1))
         else:
             places = nearest_plane(nodes[:, feet], self._down)[1] @ nodes[:, feet]
             corners = feet[convex_hull(places)]
             pairs = (
                 corners[:, None] if d == 2 else np.stack([corners, np.roll(corners, -1)], axis=1)
             )
-            found = [tuple(sorted(pair)) for pair in pairs.tolist()]
-        return {edge: across_edge(nodes, feet, edge, self._down)[0] for edge in found}
+            edges = [tuple(sorted(pair)) for pair in pairs.tolist()]
+        return {edge: across_edge(nodes, feet, edge, self._down)[0] for edge in edges}
 
     def start(self, nodes: FloatArray, feet: IntArray, edge: tuple[int, ...]) -> None:
         """Go to the equilibrium on these feet near a shape, at the rest lengths of the start.
@@ -299,17 +299,17 @@ class TippingPlanner:
         shape = nodes[:, feet]
         up, tangents = nearest_plane(shape, self._down)
         self._up = up
-        held = [np.outer(up, each) for each in np.eye(len(feet))]
-        held += [np.outer(each, np.ones(len(feet))) for each in tangents]
+        held = [np.outer(up, unit) for unit in np.eye(len(feet))]
+        held += [np.outer(tangent, np.ones(len(feet))) for tangent in tangents]
         if d == 3:
             held.append(np.cross(up, (shape - shape.mean(axis=1, keepdims=True)).T).T)
         rows = np.zeros((len(held), n, d))
         rows[:, feet] = np.transpose(held, (0, 2, 1))
         self._rows = rows.reshape(len(held), n * d)
-        place = nodes.ravel(order="F")
-        self._values = self._rows @ place
+        positions = nodes.ravel(order="F")
+        self._values = self._rows @ positions
         count = len(self._structure.kept_bars) + len(held)
-        self._balance(np.concatenate([place, np.zeros(count)]), self.home, _FIRST, -np.inf)
+        self._balance(np.concatenate([positions, np.zeros(count)]), self.home, _FIRST, -np.inf)
 
     def advance(self, most: FloatArray | float) -> None:
         """Go on to the next equilibrium, with rest lengths changed by this much at most, m.
@@ -352,13 +352,13 @@ class TippingPlanner:
         d, n = self._structure.nodes.shape
         entries, bars = n * d, len(unknowns) - n * d - len(self._rows)
         for _ in range(steps):
-            place = unknowns[:entries]
-            parts = self._conditions(place, rest_length, unknowns[entries : entries + bars])
+            positions = unknowns[:entries]
+            parts = self._conditions(positions, rest_length, unknowns[entries : entries + bars])
             force, stretch, directions, hessian, pushes = parts
             held = np.vstack([directions, self._rows])
             matrix = np.block([[hessian, held.T], [held, np.zeros((len(held), len(held)))]])
             left = force + held.T @ unknowns[entries:]
-            residual = np.concatenate([left, stretch, self._rows @ place - self._values])
+            residual = np.concatenate([left, stretch, self._rows @ positions - self._values])
             if not (np.isfinite(residual).all() and np.isfinite(matrix).all()):
                 break
             *factors, is_singular = dgetrf(matrix)
@@ -436,9 +436,11 @@ def _conditions(model: Model) -> SharedEvaluator:
     lam = ca.SX.sym("lambda", stretch.numel())
     slope, directions = ca.gradient(energy, q), ca.jacobian(stretch, q)
     hessian = ca.jacobian(slope + ca.mtimes(directions.T, lam), q)
-    found = [slope, stretch, directions, hessian, ca.jacobian(slope, rest)]
+    derivatives = [slope, stretch, directions, hessian, ca.jacobian(slope, rest)]
     given = [q, rest, lam]
-    return SharedEvaluator(Function("tipping", given, [ca.densify(each) for each in found]))
+    return SharedEvaluator(
+        Function("tipping", given, [ca.densify(expression) for expression in derivatives])
+    )
 
 
 def nearest_plane(shape: FloatArray, down: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -449,7 +451,7 @@ def nearest_plane(shape: FloatArray, down: FloatArray) -> tuple[FloatArray, Floa
 
 def checked_feet(feet: object, d: int, n: int) -> IntArray:
     """Return the nodes that a structure is to stand on, ascending."""
-    found = np.unique(validation.index_list("feet", feet, n, "nodes"))
-    if len(found) < d:
-        raise ValueError(f"feet are {found.tolist()}, expected at least {d} nodes")
-    return found
+    nodes = np.unique(validation.index_list("feet", feet, n, "nodes"))
+    if len(nodes) < d:
+        raise ValueError(f"feet are {nodes.tolist()}, expected at least {d} nodes")
+    return nodes

@@ -190,14 +190,14 @@ class Actuators:
 
         def pull(rest_length: FloatArray, later: float) -> _Forces:
             if not motion:
-                motion.extend(part.ravel(order="F") for part in self._plant_run.motion(state))
+                motion.extend(columns.ravel(order="F") for columns in self._plant_run.motion(state))
             N, V = motion
             return self._pull(np.concatenate([N + later * V, V]), rest_length)
 
-        found = self._drive.tick(number, now, pull)
+        tick = self._drive.tick(number, now, pull)
         self._current = self.reached = self._drive.rest_length
         self.held = self._to_plant("rest_length", self.reached)
-        lengths = self._to_plant("rest_length", found.rest_length.T).T
+        lengths = self._to_plant("rest_length", tick.rest_length.T).T
         if lengths.shape[1] == 1:
             return lengths[:, 0]
         return Pieces(np.array([-np.inf]), np.array([now]), lengths[None])

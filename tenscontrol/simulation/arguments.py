@@ -23,8 +23,8 @@ class Unsaved:
         """Return what is left of a value: the name of a function or class, or of its class."""
         is_named = hasattr(value, "__qualname__")
         named: Any = value if is_named else type(value)
-        what = f"{named.__qualname__} of {named.__module__}"
-        return cls(place, f"the function or class {what}" if is_named else f"a {what}")
+        full_name = f"{named.__qualname__} of {named.__module__}"
+        return cls(place, f"the function or class {full_name}" if is_named else f"a {full_name}")
 
     def __str__(self) -> str:
         return (

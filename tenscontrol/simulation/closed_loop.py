@@ -120,7 +120,9 @@ class ClosedLoop:
         run, controller = self._run, self._controller
         lost = run.faults.lost(run.now + 1e-9 * self._sample)  # also one that begins at the sample
         if self._observation is None:
-            motion = tuple((np.nan if lost else 1.0) * each[:, : self._seen] for each in (N, V))
+            motion = tuple(
+                (np.nan if lost else 1.0) * columns[:, : self._seen] for columns in (N, V)
+            )
         else:
             estimate = self._observation.estimate(N, V, lost)
             motion = estimate.nodes, estimate.velocities
@@ -214,7 +216,7 @@ def _control_record(
     if rest_length is not None:
         rate = np.diff(applied, axis=1, prepend=rest_length[:, None]) / sample_time
     command = np.column_stack([command.value for command in commands])
-    predicts = any(each is not None for each in unforeseen)
+    predicts = any(action is not None for action in unforeseen)
     return ControlRecord(
         time=time,
         command=frozen(command),
@@ -244,8 +246,8 @@ def _control_record(
 
 def _statistics(controller: BaseController) -> object:
     """Return the statistics of a controller that has them."""
-    found = getattr(controller, "statistics", None)
-    return found if isinstance(found, _STATISTICS) else None
+    statistics = getattr(controller, "statistics", None)
+    return statistics if isinstance(statistics, _STATISTICS) else None
 
 
 def _tracking_error(
@@ -269,11 +271,11 @@ def _at_bound(controller: BaseController, command: FloatArray) -> IntArray:
     """Return how many strings of each command, shape (α, K), are at a bound, shape (K,)."""
     low, high = (bound[:, None] for bound in controller.bounds)
     close = _CLOSE * np.abs(command).max()
-    at = (command <= low + close) | (command >= high - close)
+    bounded = (command <= low + close) | (command >= high - close)
     if controller.largest_change is not None:
         change = np.abs(np.diff(command, axis=1, prepend=command[:, :1]))
-        at |= change >= controller.largest_change[:, None] - close
-    return frozen(at.sum(axis=0))
+        bounded |= change >= controller.largest_change[:, None] - close
+    return frozen(bounded.sum(axis=0))
 
 
 def _sample_time(

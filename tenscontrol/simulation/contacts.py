@@ -225,7 +225,7 @@ class _Recorder:
 
     def _find(self, nodes: FloatArray, velocities: FloatArray) -> None:
         """Find the contacts that may have been, where, and their values at the times kept."""
-        segments, found, near = self._kept, [], []
+        segments, candidates, near = self._kept, [], []
         assert self._model.contacts is not None  # else nothing is recorded
         reach = _FASTER * self._speed * (segments.ends - segments.begins)
         for i, (law, every, _) in enumerate(self._model.contacts):
@@ -235,27 +235,27 @@ class _Recorder:
                 close = (np.maximum(after, before) > 0) | (after + before + reach > 0)
                 close = (close | (not law.switches)) & (segments.ends > segments.begins)
                 if close.any():
-                    found.append((i, int(node), values))
+                    candidates.append((i, int(node), values))
                     near.append(close)
-        shape = len(found), nodes.shape[2]
-        self.law, self.node = (np.array([f[k] for f in found], dtype=np.int64) for k in (0, 1))
+        shape = len(candidates), nodes.shape[2]
+        self.law, self.node = (np.array([f[k] for f in candidates], dtype=np.int64) for k in (0, 1))
         rows = 5 + 2 * self._dimension
-        self.values = np.array([f[2] for f in found]).reshape(shape[0], rows, shape[1])
+        self.values = np.array([f[2] for f in candidates]).reshape(shape[0], rows, shape[1])
         self.near = np.array(near, dtype=bool).reshape(shape)
 
     def run(self) -> None:
         """Integrate over all segments in which something may touch."""
-        kept = np.flatnonzero(self.near.any(axis=0))
-        if not len(kept):
+        near = np.flatnonzero(self.near.any(axis=0))
+        if not len(near):
             return
-        parts = self._kept.take(kept)
-        found, off = self._integrated(parts, kept), np.full(len(kept), np.inf)
-        change = np.zeros(len(kept))
+        parts = self._kept.take(near)
+        integrals, off = self._integrated(parts, near), np.full(len(near), np.inf)
+        change = np.zeros(len(near))
         # Two at a time: where one polynomial through both says the same, so does each.
-        breaks = (np.diff(kept, prepend=-2) != 1) | (np.diff(parts.of, prepend=-1) != 0)
+        breaks = (np.diff(near, prepend=-2) != 1) | (np.diff(parts.of, prepend=-1) != 0)
         run = np.flatnonzero(breaks)[np.cumsum(breaks) - 1]
-        lead = np.flatnonzero((np.arange(len(kept)) - run) % 2 == 0)
-        lead = lead[lead + 1 < len(kept)]
+        lead = np.flatnonzero((np.arange(len(near)) - run) % 2 == 0)
+        lead = lead[lead + 1 < len(near)]
         lead = lead[~breaks[lead + 1]]
         if len(lead):
             pairs = np.column_stack([lead, lead + 1]).ravel()
@@ -264,11 +264,11 @@ class _Recorder:
                 parts.run, parts.of[lead], parts.begins[lead], parts.ends[lead + 1],
                 parts.before[:, lead], parts.after[:, lead + 1],
             )  # fmt: skip
-            coarse = self._integrated(both, kept[lead], kept[lead + 1])
+            coarse = self._integrated(both, near[lead], near[lead + 1])
             owner = np.repeat(np.arange(len(lead)), 2)
-            far, changed = self._off(both, coarse, fine, found.take(pairs), owner, kept[pairs])
+            far, changed = self._off(both, coarse, fine, integrals.take(pairs), owner, near[pairs])
             off[pairs], change[pairs] = far[owner], changed[owner] / 2
-        self._cut_up(parts, kept, found, off, change)
+        self._cut_up(parts, near, integrals, off, change)
 
     def _cut_up(
         self, parts: DenseMotion, kept: IntArray, found: _Integrals, off: FloatArray,
@@ -332,17 +332,17 @@ class _Recorder:
         starts = np.flatnonzero(np.diff(owner, prepend=-1))
         change = np.abs(np.add.reduceat(after.work, starts, axis=2) - before.work)
         length = (coarse.ends - coarse.begins)[owner]
-        _, said = coarse.at((fine.begins - coarse.begins[owner]) / length, owner)
+        _, predicted = coarse.at((fine.begins - coarse.begins[owner]) / length, owner)
         _, true = fine.at(np.zeros(len(owner)), np.arange(len(owner)))
-        apart = (said - true).reshape(2, self._count, self._dimension, -1)[1, self.node]
+        apart = (predicted - true).reshape(2, self._count, self._dimension, -1)[1, self.node]
         apart = np.where(self.near[:, kept], np.linalg.norm(apart, axis=1), 0.0).max(axis=0)
         speed = _EXACT_SPEED * self._speed + _ROUND_OFF * self._size / length
         off = np.maximum.reduceat(apart / speed, starts)
-        for part, exact in (
+        for integral, exact in (
             (change[:, :2], self._exact_work),
             (change[:, 2:], self._exact_impulse),
         ):
-            off = np.maximum(off, part.max(axis=(0, 1)) / max(exact, 1e-300))
+            off = np.maximum(off, integral.max(axis=(0, 1)) / max(exact, 1e-300))
         changed = change[:, :2].sum(axis=(0, 1))
         # Where the motion runs away, a difference of infinite numbers says nothing.
         off[np.isnan(off)] = changed[np.isnan(changed)] = np.inf
@@ -362,17 +362,17 @@ class _Recorder:
             every = parts.at(s, k)[1].reshape(2, self._count, self._dimension, -1)
             duration = parts.ends[some] - parts.begins[some]
             for c in range(contacts):
-                there = np.flatnonzero(near[c, some])
-                if not len(there):
+                touching = np.flatnonzero(near[c, some])
+                if not len(touching):
                     continue
-                places = (there[:, None] * shares + np.arange(shares)).ravel()
+                places = (touching[:, None] * shares + np.arange(shares)).ravel()
                 x, v = every[:, self.node[c]][:, :, places]
                 (values,) = evaluate_columns(self._values[self.law[c]], x, v)
-                values = values.reshape(len(values), len(there), shares)
+                values = values.reshape(len(values), len(touching), shares)
                 rows = np.r_[3, 4, 5 + self._dimension : 5 + 2 * self._dimension]
-                work[c][:, some[there]] = values[rows] @ _WEIGHTS * duration[there]
-                pressing[c, some[there]] = values[1] > 0
-                deepest[c, some[there]] = values[0].max(axis=1)
+                work[c][:, some[touching]] = values[rows] @ _WEIGHTS * duration[touching]
+                pressing[c, some[touching]] = values[1] > 0
+                deepest[c, some[touching]] = values[0].max(axis=1)
         return _Integrals(work, pressing, deepest)
 
     def record(self) -> ContactRecord:
@@ -382,12 +382,12 @@ class _Recorder:
         touched = (self.values[:, 1] > 0).any(axis=1)
         touch, begin, end = np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0)
         if self._done:
-            parts = DenseMotion.joined([each[0] for each in self._done])
+            parts = DenseMotion.joined([done[0] for done in self._done])
             order = np.argsort(parts.begins, kind="stable")
-            for _, k, found in self._done:
-                np.add.at(work.transpose(2, 0, 1), k, found.work.transpose(2, 0, 1))
-                deepest = np.maximum(deepest, found.deepest.max(axis=1, initial=0.0))
-            pressing = np.concatenate([each[2].pressing for each in self._done], axis=1)
+            for _, k, integrals in self._done:
+                np.add.at(work.transpose(2, 0, 1), k, integrals.work.transpose(2, 0, 1))
+                deepest = np.maximum(deepest, integrals.deepest.max(axis=1, initial=0.0))
+            pressing = np.concatenate([done[2].pressing for done in self._done], axis=1)
             touched |= pressing.any(axis=(1, 2))
             touch, begin, end = self._touches(parts.take(order), pressing[:, order])
         values, work = self.values[touched], work[touched].cumsum(axis=2)
@@ -413,9 +413,9 @@ class _Recorder:
     ) -> tuple[IntArray, FloatArray, FloatArray]:
         """Return contact, begin and end of each time in which a node was pressed."""
         flat, first, last = pressing.reshape(len(pressing), -1), parts.begins[0], parts.ends[-1]
-        contact, place = np.nonzero(flat[:, 1:] != flat[:, :-1])
-        before = flat[contact, place]
-        k, j = np.divmod(place, len(_SHARES))
+        contact, change = np.nonzero(flat[:, 1:] != flat[:, :-1])
+        before = flat[contact, change]
+        k, j = np.divmod(change, len(_SHARES))
         parts, k = parts.take(k), np.arange(len(k))
         low = _SHARES[j]
         high = np.append(_SHARES, 1.0)[j + 1]  # between two segments, the end of the first
@@ -435,9 +435,9 @@ class _Recorder:
         for pressed, edge, when in ((False, 0, first), (True, -1, last)):
             pressed_there = np.flatnonzero(flat[:, edge])
             of = np.concatenate([contact[before == pressed], pressed_there])
-            at = np.concatenate([time[before == pressed], np.full(len(pressed_there), when)])
-            order = np.lexsort((at, of))
-            ends.append((of[order], at[order]))
+            times = np.concatenate([time[before == pressed], np.full(len(pressed_there), when)])
+            order = np.lexsort((times, of))
+            ends.append((of[order], times[order]))
         (of, begin), (_, end) = ends
         order = np.argsort(begin, kind="stable")
         return of[order], begin[order], end[order]

@@ -114,7 +114,7 @@ class ControlRecord:
         turns of the slowest vibration of the plant. Or by more than a fifth of the size, and 1.2
         times as far as it began. Programs were not solved: more than one in twenty.
         """
-        found, error = [], self.tracking_error
+        reasons, error = [], self.tracking_error
         if error is not None and self.size is not None and self.slowest_vibration is not None:
             off = error / self.size
             end = float(off[-max(1, len(off) // 10) :].max())
@@ -122,17 +122,17 @@ class ControlRecord:
             long = float(self.time[-1] - self.time[0]) * self.slowest_vibration > _TURNED
             stays = long and off[-third:].max() > _FALLING * off[-2 * third :].max()
             if (end > _AWAY and stays) or end > max(_LOST, _WORSE * float(off[0])):
-                found.append(
+                reasons.append(
                     f"it ends up to {end * self.size:.2g} m from its reference, {100 * end:.2g} % "
                     "of the size, and comes no nearer"
                 )
         if self.unsolved > _UNSOLVED_SHARE:
             worst = Counter(status for status in self.status if status in UNSOLVED).most_common(1)
-            found.append(
+            reasons.append(
                 f"{100 * self.unsolved:.2g} % of the programs were not solved, most of them "
                 f"{worst[0][0]}"
             )
-        return found
+        return reasons
 
     def summary(self) -> str:
         """Return a summary of the closed loop, as text: status, errors, computing time.
@@ -183,7 +183,7 @@ class ControlRecord:
         if self.at_bound is not None:
             share = np.count_nonzero(self.at_bound) / len(self.at_bound)
             lines.append(f"at a bound        {100 * share:.2g} % of the samples")
-        slow, out = (int((each > 0).sum()) for each in (self.rate_limited, self.range_limited))
+        slow, out = (int((counts > 0).sum()) for counts in (self.rate_limited, self.range_limited))
         if slow or out:
             lines.append(f"winches           too slow in {slow} samples, out of range in {out}")
         if self.motors is not None and self.motors.rest_length_error:

@@ -1,4 +1,4 @@
-"""Inputs and loads of a simulation: held, or in time as pieces of polynomials."""
+"""Inputs of a simulation, loads among them: held, or pieces of polynomials in time."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ def checked_inputs(
     least, time = pieces.least(start, end)
     round_off = _ROUND_OFF * float(np.abs(pieces.coefficients[:, :, 0]).max(initial=0.0))
     if least < -round_off or (least <= 0 and name == "rest_length"):
-        what = "a positive length in m" if name == "rest_length" else "at least 0"
+        meaning = "a positive length in m" if name == "rest_length" else "at least 0"
         raise ValueError(
-            f"{name} falls to {least:.3g} at {time:.6g} s, expected {what}. Cubic interpolation "
+            f"{name} falls to {least:.3g} at {time:.6g} s, expected {meaning}. Cubic interpolation "
             "may go below the values given; linear interpolation does not"
         )
     return pieces

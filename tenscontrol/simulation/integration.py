@@ -76,7 +76,7 @@ class Integration:
         if "tolerance" not in method.settings and self.step is None:
             raise ValueError(f"method {method.name!r} needs a step, s; for example step=1e-3")
         if "step" not in method.settings and self.step is not None:
-            fixed = [name for name, each in METHODS.items() if "step" in each.settings]
+            fixed = [name for name, known in METHODS.items() if "step" in known.settings]
             raise ValueError(
                 f"step goes with the methods {fixed}; {method.name!r} chooses its own steps by "
                 "tolerance"

@@ -147,7 +147,7 @@ class Observation:
         delay = self._sensors.delay
         names = "nodes", "velocities", "node_deviation", "length_deviation", "state"
         series = {
-            name: frozen(np.stack([getattr(each, name) for each in estimates], axis=-1))
+            name: frozen(np.stack([getattr(estimate, name) for estimate in estimates], axis=-1))
             for name in names
         }
         return EstimateRecord(
@@ -157,7 +157,7 @@ class Observation:
             under_way=frozen(
                 np.reshape(self._taken[len(time) :][:delay], (delay, len(self._nothing))).T
             ),
-            status=tuple(each.status for each in estimates),
+            status=tuple(estimate.status for estimate in estimates),
             statistics=self._filter.statistics,
         )
 

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from tenscontrol import validation
-from tenscontrol.actuation.winches import Winches, to_rest_length
+from tenscontrol.actuation.rest_lengths import to_rest_length
+from tenscontrol.actuation.winches import Winches
 from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.control.command import ControlWarning
 from tenscontrol.control.controller import BaseController
@@ -179,7 +180,7 @@ class Scene:
                 self, "seed", validation.whole_number("seed", self.seed, 0, validation.LARGEST_SEED)
             )
         alone = self.winches, self.sample_time, self.estimator
-        if self.controller is None and any(part is not None for part in alone):
+        if self.controller is None and any(setting is not None for setting in alone):
             raise ValueError("estimator, winches and sample_time go with a controller")
 
     def _take_over_start(self) -> None:
@@ -224,8 +225,8 @@ class Scene:
         assert self.law is not None  # there is a controller
         commands_parent(self.model, self.law)
         if self.rest_length is not None and kind == "rest_length":
-            count, what = len(self.law.commanded.strings), "string of the controller"
-            lengths = validation.per_member("rest_length", self.rest_length, count, what)
+            count, noun = len(self.law.commanded.strings), "string of the controller"
+            lengths = validation.per_member("rest_length", self.rest_length, count, noun)
             put(self, "rest_length", validation.positive("rest_length", lengths, "length in m"))
 
     def _check_open_loop(self) -> None:
@@ -234,9 +235,9 @@ class Scene:
         put(self, "rest_length", rest_length)
         put(self, "force_density", force_density)
         if (self.rest_length is None) == (self.force_density is None):
-            found = "neither" if self.rest_length is None else "both"
+            given = "neither" if self.rest_length is None else "both"
             raise ValueError(
-                f"expected one of rest_length, force_density and controller; found {found} of the "
+                f"expected one of rest_length, force_density and controller; found {given} of the "
                 "first two and no controller"
             )
         kind = "force_density" if self.rest_length is None else "rest_length"

@@ -109,10 +109,10 @@ def _checked_state(
     if len(moving):
         node, axis = divmod(int(moving[0]), structure.dimension)
         if node in structure.fixed:
-            what = f"the fixed node {node} by {V[:, node]} m/s"
+            movement = f"the fixed node {node} by {V[:, node]} m/s"
         else:
-            what = f"node {node}, on a roller, by {V[axis, node]:g} m/s along {'xyz'[axis]}"
-        raise ValueError(f"velocities move {what}, expected 0")
+            movement = f"node {node}, on a roller, by {V[axis, node]:g} m/s along {'xyz'[axis]}"
+        raise ValueError(f"velocities move {movement}, expected 0")
     if input == "rest_length":
         refuse_strings_without_length("nodes", structure, N)
     state = pack_state(structure, N, V)

@@ -302,11 +302,11 @@ class Trajectory(Viewable):
             energy = _share(moved, max(float(self.kinetic_energy.max()), least))
         changes: dict[str, float | None] = {}
         parts = ("momentum", "angular_momentum")
-        for i, part in enumerate(parts):
-            if self.conserves_momentum and f"{part}_change" in names:
-                values, largest = getattr(self, part), self._largest_momenta()[i]
+        for i, quantity in enumerate(parts):
+            if self.conserves_momentum and f"{quantity}_change" in names:
+                values, largest = getattr(self, quantity), self._largest_momenta()[i]
                 off = float(np.abs(values - values[:, :1]).max())
-                changes[f"{part}_change"] = _share(off, largest)
+                changes[f"{quantity}_change"] = _share(off, largest)
         stretch = np.abs(self.bar_length_error) / self.structure.bar_length[:, None]
         return Health(
             energy_error=energy,
@@ -409,7 +409,7 @@ class Trajectory(Viewable):
                 lines.append(f"winches           too slow in {slow} samples, out of range in {out}")
             motors = self.control.motors
             if motors is not None:
-                torque, power = (np.abs(part).max() for part in (motors.torque, motors.power))
+                torque, power = (np.abs(history).max() for history in (motors.torque, motors.power))
                 given, error = motors.energy[:, -1].sum(), motors.energy_error
                 lines.append(
                     f"motors            at most {torque:.3g} N m and {power:.3g} W, "
@@ -452,8 +452,8 @@ class Trajectory(Viewable):
         if self.work.rejections:
             lines.append(f"rejected steps    {self.work.rejections}")
         if self.work.switches:
-            what = "switches" if self.contacts else "slack or taut"
-            lines.append(f"{what:18}{self.work.switches} times")
+            events = "switches" if self.contacts else "slack or taut"
+            lines.append(f"{events:18}{self.work.switches} times")
         if self.contacts is not None:
             lines += self.contacts.summary().splitlines()
         if self.bar_crossings:
@@ -510,13 +510,13 @@ class Trajectory(Viewable):
         Trajectory(0.1 s, 11 states, rk4)
         """
         values = {
-            each.name: getattr(self, each.name) for each in fields(self) if each.name != "scene"
+            item.name: getattr(self, item.name) for item in fields(self) if item.name != "scene"
         }
-        ground, found = values.pop("_ground"), values.pop("_functions")
-        more: dict[str, Any] = {"model": found, "moved": False, "load": None}
-        if isinstance(found, MotionFunctions):
-            parts = model_parts(found.model)
-            more = {"model": parts, "moved": found.moved, "load": found.load}
+        ground, functions = values.pop("_ground"), values.pop("_functions")
+        more: dict[str, Any] = {"model": functions, "moved": False, "load": None}
+        if isinstance(functions, MotionFunctions):
+            parts = model_parts(functions.model)
+            more = {"model": parts, "moved": functions.moved, "load": functions.load}
         evaluated = {name: getattr(self, name) for name in (*EVALUATED, *OF_BARS)}
         return write_run(path, {**values, "ground": ground, **more, **evaluated})
 
@@ -613,15 +613,17 @@ def load_run(path: str | Path) -> Trajectory:
     >>> more.time[[0, -1]].round(3)
     array([0.1, 0.2])
     """
-    found = read_run(path)
-    evaluated = {name: found.pop(name) for name in (*EVALUATED, *OF_BARS)}
+    saved = read_run(path)
+    evaluated = {name: saved.pop(name) for name in (*EVALUATED, *OF_BARS)}
     evaluated["_momenta"] = [evaluated.pop(name) for name in ("momentum", "angular_momentum")]
-    ground, made, moved, load = (found.pop(name) for name in ("ground", "model", "moved", "load"))
-    if isinstance(made, Model):
-        lengths, contacts = found["rest_length"], found["contacts"]
+    ground, functions, moved, load = (
+        saved.pop(name) for name in ("ground", "model", "moved", "load")
+    )
+    if isinstance(functions, Model):
+        lengths, contacts = saved["rest_length"], saved["contacts"]
         inputs = evaluated["force_density"] if lengths is None else lengths
         stored = None if contacts is None else contacts.stored_energy.sum(axis=0)
-        made = MotionFunctions(made, moved, inputs, load, stored)
-    run = Trajectory(**found, _ground=ground, _functions=made)
+        functions = MotionFunctions(functions, moved, inputs, load, stored)
+    run = Trajectory(**saved, _ground=ground, _functions=functions)
     vars(run).update(evaluated)
     return run

@@ -9,7 +9,6 @@ from tests.plant.joined import SCENES, arm, at_rest, d_bar, oracle, spine, tower
 SAMPLE = 0.01
 LAW = tc.LinearStrings(stiffness=300.0, damping=2.0)
 STRUCTURES = {"d_bar": d_bar(), "arm": arm(), "tower": tower(), "spine": spine(1)}
-every_structure = pytest.mark.parametrize("structure", STRUCTURES.values(), ids=STRUCTURES)
 
 
 def plant_of(structure, held="rest_length", law=LAW, **options):
@@ -27,9 +26,13 @@ def settled(run, plant, goal=None):
     return np.abs(run.nodes[:, :, -1] - goal).max() / np.ptp(plant.nodes)
 
 
-@every_structure
-@pytest.mark.parametrize("held", ["force_density", "rest_length"])
-def test_lqr_brings_the_nonlinear_plant_to_rest(structure, held):
+@pytest.mark.parametrize(
+    ("name", "held"),
+    [*((name, "rest_length") for name in STRUCTURES), ("arm", "force_density"),
+     ("tower", "force_density")],
+)  # fmt: skip
+def test_lqr_brings_the_nonlinear_plant_to_rest(name, held):
+    structure = STRUCTURES[name]
     plant = plant_of(structure, held, LAW if held == "rest_length" else None)
     assert tc.controllability(plant).is_controllable
     law = tc.LQR(plant, sample_time=SAMPLE)

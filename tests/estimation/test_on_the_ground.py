@@ -9,7 +9,6 @@ from tests.control.mpc import contact_scenes
 from tests.estimation.ground_scenes import (
     GROUNDS,
     SAMPLE,
-    SCENES,
     dropped,
     errors,
     normalized_errors,
@@ -91,7 +90,7 @@ def test_a_known_force_that_carries_the_weight_ends_the_fall(prediction):
         estimator.predict(plant.rest_length, [0.0, 1.0])
 
 
-@pytest.mark.parametrize("name", list(SCENES))
+@pytest.mark.parametrize("name", ["x", "tower"])  # in the plane, and bars that share nodes
 def test_errors_are_as_large_as_the_filter_says(name):
     each = [normalized_errors(name, seed, 20) for seed in range(3 if name == "x" else 1)]
     found, innovations = np.mean(each, axis=0)

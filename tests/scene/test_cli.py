@@ -41,6 +41,12 @@ def scene(tmp_path):
     return file
 
 
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Runs are saved without figures, which take nearly all of the time."""
+    monkeypatch.setattr("tenscontrol.cli._draw", lambda run, folder: [])
+
+
 def refused(capsys, *arguments):
     """What the command says on stderr, after checking that it ends with status 2."""
     assert main([str(argument) for argument in arguments]) == 2
@@ -66,6 +72,7 @@ def test_simulate_saves_motion_and_figures(tmp_path, capsys, scene):
     assert saved.choice == run.choice
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_saved_run_goes_on(tmp_path, scene):
     one, two = tmp_path / "one", tmp_path / "two"
     assert main(["simulate", str(scene), "--output", str(one)]) == 0
@@ -81,10 +88,11 @@ def test_a_start_that_is_no_run(tmp_path, capsys, scene):
     assert "no run: expected a file that run.save(path) wrote" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_folder_is_named_after_the_scene(tmp_path, monkeypatch, scene):
     monkeypatch.chdir(tmp_path)
     assert main(["simulate", "rest.toml"]) == 0
-    assert (tmp_path / "tenscontrol-rest" / "health.png").exists()
+    assert (tmp_path / "tenscontrol-rest" / "trajectory.npz").exists()
 
 
 def test_closed_loop_is_saved_with_its_record(tmp_path, capsys):
@@ -241,6 +249,7 @@ DOCUMENTED = re.findall(
 KEYS = {command: set(re.findall(r"``(\w+)``", keys)) for command, keys in DOCUMENTED}
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_run_as_json(tmp_path, capsys):
     text = (SCENES / "prism_mpc.toml").read_text(encoding="utf-8")
     file = tmp_path / "short.toml"
@@ -391,6 +400,7 @@ def test_view_without_plotly_says_how_to_get_it(tmp_path, capsys, scene, monkeyp
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "cp437"])
+@pytest.mark.usefixtures("undrawn")
 def test_a_terminal_that_cannot_print_every_sign(tmp_path, monkeypatch, scene, encoding):
     stream = io.TextIOWrapper(io.BytesIO(), encoding=encoding, newline="")
     monkeypatch.setattr(sys, "stdout", stream)
@@ -403,6 +413,7 @@ def test_a_terminal_that_cannot_print_every_sign(tmp_path, monkeypatch, scene, e
     assert stream.errors == "strict"  # the stream is the user's
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_without_any_streams(tmp_path, monkeypatch, scene):
     monkeypatch.setattr(sys, "stdout", None)
     monkeypatch.setattr(sys, "stderr", None)

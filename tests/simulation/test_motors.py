@@ -110,10 +110,16 @@ KINDS = {
 }
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        (name, kind)
+        for name in SCENES
+        for kind in (KINDS if name == "ball on three nodes" else ("ramps", "inertia"))
+    ],
+)
 def test_what_motors_give_is_what_the_structure_gets(name, kind):
-    run = run_of(name, 0.2, step=2.5e-4, **KINDS[kind])
+    run = run_of(name, 0.1, step=2.5e-4, **KINDS[kind])
     assert unbalanced(run, KINDS[kind].get("inertia", 0.0)) < 1e-6
 
 

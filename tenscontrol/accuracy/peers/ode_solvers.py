@@ -78,15 +78,15 @@ class SciPy(Peer):
             # What goes wrong is told by the result; LSODA warns of it beside.
             quiet = warnings.catch_warnings(action="ignore", category=UserWarning)
             with quiet, np.errstate(over="ignore", invalid="ignore"):
-                found = solve_ivp(
+                solution = solve_ivp(
                     slope, (0.0, times[-1]), state, method=self.method, t_eval=times,
                     rtol=setting, atol=setting, **options,
                 )  # fmt: skip
-            if not found.success:
-                raise ArithmeticError(found.message)
-            nodes, velocities = unpack_states(case.structure, found.y)
+            if not solution.success:
+                raise ArithmeticError(solution.message)
+            nodes, velocities = unpack_states(case.structure, solution.y)
             # SciPy's own count may leave out calls for Jacobians by differences.
-            calls = evaluate.calls - before + weight * found.njev
+            calls = evaluate.calls - before + weight * solution.njev
             return Solution(nodes, velocities, evaluations=calls)
 
         return run

@@ -115,18 +115,18 @@ def spaced(times: FloatArray, step: float) -> tuple[float, int]:
 
 def peer_settings(settings: object) -> tuple[float, ...]:
     """Return the settings of a peer, or refuse what is no sequence of positive numbers."""
-    found = validation.float_array(
+    numbers = validation.float_array(
         "settings", validation.items("settings", settings, "steps, s, or tolerances")
     )
-    if found.ndim != 1:
-        raise ValueError(f"settings has shape {found.shape}, expected (k,)")
-    return tuple(validation.positive("settings", found, "step, s, or tolerance").tolist())
+    if numbers.ndim != 1:
+        raise ValueError(f"settings has shape {numbers.shape}, expected (k,)")
+    return tuple(validation.positive("settings", numbers, "step, s, or tolerance").tolist())
 
 
 def checked_run(case: Scene, setting: float, times: object) -> tuple[float, FloatArray]:
     """Return setting and output times of a run, or refuse what does not fit."""
     validation.instance("case", case, Scene, "make one by Scene(model, duration, ...)")
-    found = validation.positive("times", validation.float_array("times", times), "time in s")
-    if found.ndim != 1 or found.size == 0 or (np.diff(found) <= 0).any():
+    outputs = validation.positive("times", validation.float_array("times", times), "time in s")
+    if outputs.ndim != 1 or outputs.size == 0 or (np.diff(outputs) <= 0).any():
         raise ValueError("times does not rise, expected shape (T,): equally spaced output times")
-    return validation.positive_number("setting", setting, "s or 1"), found
+    return validation.positive_number("setting", setting, "s or 1"), outputs

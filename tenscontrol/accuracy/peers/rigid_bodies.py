@@ -153,7 +153,7 @@ class NodeReader:
         self, read: Sequence[tuple[FloatArray, FloatArray, FloatArray]]
     ) -> tuple[FloatArray, FloatArray]:
         """Return nodes, m, and velocities, m/s, shape (d, n, T) each, from what was read."""
-        nodes, turns, centres = (np.array(part) for part in zip(*read, strict=True))
+        nodes, turns, centres = (np.array(arrays) for arrays in zip(*read, strict=True))
         rates = turns[..., 3:] + np.cross(turns[..., :3], nodes - centres)
         return nodes[..., self._axes].T, rates[..., self._axes].T
 
@@ -167,10 +167,11 @@ def _refuse_damped_slack(case: Scene, nodes: FloatArray, velocities: FloatArray)
     structure, damping = case.structure, law.damping
     start, end = structure.segments.T
     S, Sd = nodes[:, end] - nodes[:, start], velocities[:, end] - velocities[:, start]
-    each = np.sqrt((S * S).sum(axis=0))
+    segment_length = np.sqrt((S * S).sum(axis=0))
     first = np.unique(structure.segment_string, return_index=True)[1]
     length, rate = (
-        np.add.reduceat(part, first, axis=0) for part in (each, (S * Sd).sum(axis=0) / each)
+        np.add.reduceat(values, first, axis=0)
+        for values in (segment_length, (S * Sd).sum(axis=0) / segment_length)
     )
     stretch = length - rest[:, None]
     tension = stiffness[:, None] * stretch + damping[:, None] * rate
