@@ -60,7 +60,7 @@ runs = {
 # An LQR of python-control. Its gain is that of :class:`tenscontrol.LQR`.
 
 Q, R = tc.energy_weights(plant)
-gain, _, _ = control.lqr(plant.to_statespace(), Q, R)
+gain, _, _ = control.lqr(plant.to_statespace(), Q, np.diag(R))
 
 
 def lqr_of_control(time, nodes, velocities):

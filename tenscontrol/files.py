@@ -30,8 +30,9 @@ def write_file(
 ) -> Path:
     """Write a file whole and return its path; on any failure the old file is as it was.
 
-    The content, or what a function writes to a stream, is written beside it and flushed to the disk, then takes its place at once. A link
-    stays a link; what is no regular file, a pipe or ``/dev/stdout``, is written to. Raises an
+    The content, or what a function writes to a stream, is written beside it and flushed to the
+    disk, then takes its place at once. A link stays a link; what is no regular file, a pipe or
+    ``/dev/stdout``, is written to. Raises an
     OSError that has number and path and says what to do.
     """
     data = content.encode() if isinstance(content, str) else content

@@ -315,7 +315,7 @@ def design(plant: LinearPlant, settings: MPCSettings, nonlinear: bool = False) -
         natural_Q if Q is None else validation.weight_matrix("Q", Q, states, definite=False)
     )
     input_weight = (
-        natural_R if R is None else validation.weight_matrix("R", R, count, definite=True)
+        np.diag(natural_R) if R is None else validation.weight_matrix("R", R, count, definite=True)
     )
     if not nonlinear or plant.model.contacts is None:
         refuse_unreachable(plant)
