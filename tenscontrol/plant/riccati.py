@@ -317,6 +317,14 @@ def energy_weights(plant: LinearPlant, by_mode: bool = False) -> tuple[FloatArra
     return Q, np.full(plant.B.shape[1], (largest / highest) ** 2)
 
 
+def least_eigenvalue(weight: FloatArray) -> float:
+    """Return the least eigenvalue of a symmetric matrix, at once if it is diagonal."""
+    diagonal = np.diagonal(weight)
+    if np.count_nonzero(weight) == np.count_nonzero(diagonal):
+        return float(diagonal.min())
+    return float(np.linalg.eigvalsh(weight).min())
+
+
 def natural_weights(plant: LinearPlant) -> tuple[FloatArray, FloatArray]:
     """Return Q and R that controllers take if the user gives none: those of the energy.
 
