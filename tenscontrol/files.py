@@ -26,7 +26,7 @@ _AT_ONCE = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 
 
 def write_file(
-    path: Path, content: bytes | str | Callable[[BinaryIO], object], flush: bool = True
+    path: Path, content: bytes | memoryview | str | Callable[[BinaryIO], object], flush: bool = True
 ) -> Path:
     """Write a file whole and return its path; on any failure the old file is as it was.
 

@@ -400,12 +400,12 @@ def weight(name: str, value: object, size: int, definite: bool) -> FloatArray:
         )
     largest = float(np.abs(array).max(initial=0.0))
     if array.ndim < 2:
-        array = sizes = np.broadcast_to(array, (size,))
+        array = np.broadcast_to(array, (size,))
     elif np.abs(array - array.T).max(initial=0.0) > _SYMMETRIC * largest:
         raise ValueError(f"{name} is not symmetric")
     else:
-        array = (array + array.T) / 2
-        sizes = np.linalg.eigvalsh(array)
+        array = np.asarray((array + array.T) / 2)
+    sizes = array if array.ndim == 1 else np.linalg.eigvalsh(array)
     least = float(sizes.min()) if size else 0.0
     if least < -_SEMIDEFINITE * largest or (definite and least <= 0):
         wanted = "positive" if definite else "at least 0"

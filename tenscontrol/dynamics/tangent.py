@@ -164,7 +164,7 @@ def _null(J: csc_array, mass: csr_array, start: int, end: int) -> FloatArray:
     # y = Lᵀ δ has the identity for a mass, where M = L Lᵀ.
     L = np.linalg.cholesky(mass[start:end, start:end].toarray())
     constraints = np.linalg.solve(L, part[np.unique(part.indices)].toarray().T)
-    constraints /= np.linalg.norm(constraints, axis=0)
+    constraints /= np.maximum(np.linalg.norm(constraints, axis=0), np.finfo(float).tiny)
     directions, sizes, _ = np.linalg.svd(constraints)
     rank = np.count_nonzero(sizes > _RANK_TOLERANCE * sizes.max(initial=0.0))
     return np.asarray(np.linalg.solve(L.T, directions[:, rank:]))
@@ -181,7 +181,7 @@ def _orthonormal(
         moments = mass[row : row + len(other), first:end] @ motions
         motions[rows] -= other @ (other.T @ moments)
     squares = motions.T @ (mass[first:end, first:end] @ motions)
-    motions = np.linalg.solve(np.linalg.cholesky(squares), motions.T).T
+    motions = np.asarray(np.linalg.solve(np.linalg.cholesky(squares), motions.T).T)
     sizes = np.abs(motions).max(axis=1)
     kept = int(np.flatnonzero(sizes > _NEGLIGIBLE * sizes.max())[0])
     return first + kept, motions[kept:]

@@ -91,20 +91,18 @@ class Prestress:
     @property
     def self_stress_states(self) -> int:
         """Number of independent force densities that balance without load."""
-        return int(self._forces.live.sum()) - self._rank
+        return int(self._forces.live.sum()) - self._forces.rank
 
     @property
     def mechanisms(self) -> int:
         """Number of independent small motions that change no member length to first order.
 
-        Rigid-body motion is not counted. Counting takes the cube of this number.
+        Rigid-body motion is not counted. The time to count them grows with the members, and with
+        the square of their number.
         """
         structure = self.structure
-        return len(structure.free_rows) - rigid_basis(structure).shape[1] - self._rank
-
-    @property
-    def _rank(self) -> int:
-        return self._forces.rank
+        rigid = int(rigid_basis(structure).shape[1])
+        return len(structure.free_rows) - rigid - self._forces.rank
 
     @cached_property
     def _forces(self) -> MemberForces:

@@ -308,7 +308,7 @@ def design(plant: LinearPlant, settings: MPCSettings, nonlinear: bool = False) -
     """
     states, count = plant.B.shape
     refuse_empty(plant)
-    hint = ". LQR keeps weights diagonal: take it, or command_parents(plant) of whole strings"
+    hint = ". LQR keeps weights diagonal: take it, or a plant of fewer inputs"
     validation.refuse_memory(
         f"plant has {count:,} inputs", 10.0 * count**2, "numbers in the program", 8, hint
     )
