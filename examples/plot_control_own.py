@@ -60,7 +60,7 @@ runs = {
 # An LQR of python-control. Its gain is that of :class:`tenscontrol.LQR`.
 
 Q, R = tc.energy_weights(plant)
-gain, _, _ = control.lqr(plant.to_statespace(), Q, R)
+gain, _, _ = control.lqr(plant.to_statespace(), Q, np.diag(R))
 
 
 def lqr_of_control(time, nodes, velocities):
@@ -101,7 +101,7 @@ class OptiMPC:
         cost = ca.bilin(regulator.cost, Z[:, -1])
         opti.subject_to(Z[:, 0] == state)
         for k in range(horizon):
-            cost += ca.bilin(Q, Z[:, k]) + ca.bilin(R, V[:, k])
+            cost += ca.bilin(Q, Z[:, k]) + ca.dot(R, V[:, k] ** 2)
             opti.subject_to(Z[:, k + 1] == A @ Z[:, k] + B @ V[:, k])
             before = V[:, k - 1] if k else previous
             opti.subject_to(opti.bounded(-0.01, V[:, k] - before, 0.01))

@@ -5,10 +5,11 @@ from __future__ import annotations
 import errno
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from io import BufferedReader
 from pathlib import Path
+from typing import BinaryIO
 
 # What to do about an error of the file system, by its number; else only writing elsewhere helps.
 _REMEDY = {
@@ -24,19 +25,29 @@ _REMEDY = {
 _AT_ONCE = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 
 
-def write_file(path: Path, content: bytes | memoryview | str, flush: bool = True) -> Path:
+def write_file(
+    path: Path, content: bytes | memoryview | str | Callable[[BinaryIO], object], flush: bool = True
+) -> Path:
     """Write a file whole and return its path; on any failure the old file is as it was.
 
-    The content is written beside it and flushed to the disk, then takes its place at once. A link
-    stays a link; what is no regular file, a pipe or ``/dev/stdout``, is written to. Raises an
+    The content, or what a function writes to a stream, is written beside it and flushed to the
+    disk, then takes its place at once. A link stays a link; what is no regular file, a pipe or
+    ``/dev/stdout``, is written to. Raises an
     OSError that has number and path and says what to do.
     """
     data = content.encode() if isinstance(content, str) else content
+
+    def fill(stream: BinaryIO) -> None:
+        if callable(data):
+            data(stream)
+        else:
+            stream.write(data)
+
     with _explained(path):
         mode = path.stat().st_mode if os.path.exists(path) else None
         if mode is not None and not stat.S_ISREG(mode):
             with path.open("wb") as stream:
-                stream.write(data)
+                fill(stream)
             return path
         target = Path(os.path.realpath(path))
         if mode is not None and not os.access(target, os.W_OK):
@@ -44,7 +55,7 @@ def write_file(path: Path, content: bytes | memoryview | str, flush: bool = True
         beside = target.with_name(f".tenscontrol-{os.urandom(8).hex()}")
         try:
             with beside.open("xb") as stream:
-                stream.write(data)
+                fill(stream)
                 stream.flush()
                 if flush:
                     os.fsync(stream.fileno())

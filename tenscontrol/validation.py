@@ -388,8 +388,8 @@ def file_path(name: str, value: object, endings: Iterable[str] = ()) -> Path:
     return path
 
 
-def weight_matrix(name: str, value: object, size: int, definite: bool) -> FloatArray:
-    """Return a symmetric weight, shape (size, size), of a number, a diagonal or a matrix."""
+def weight(name: str, value: object, size: int, definite: bool) -> FloatArray:
+    """Return a symmetric weight, shape (size, size), or its diagonal, of a number or a diagonal."""
     array = float_array(name, value)
     if array.shape == (size, 1):
         array = array[:, 0]
@@ -398,16 +398,25 @@ def weight_matrix(name: str, value: object, size: int, definite: bool) -> FloatA
             f"{name} has shape {array.shape}, expected (), ({size},) or ({size}, {size}): "
             "a number, a diagonal or a matrix"
         )
-    matrix = array if array.ndim == 2 else np.diag(np.broadcast_to(array, (size,)))
-    largest = float(np.abs(matrix).max(initial=0.0))
-    if np.abs(matrix - matrix.T).max(initial=0.0) > _SYMMETRIC * largest:
+    largest = float(np.abs(array).max(initial=0.0))
+    if array.ndim < 2:
+        array = np.broadcast_to(array, (size,))
+    elif np.abs(array - array.T).max(initial=0.0) > _SYMMETRIC * largest:
         raise ValueError(f"{name} is not symmetric")
-    matrix = (matrix + matrix.T) / 2
-    least = float(np.linalg.eigvalsh(matrix).min()) if size else 0.0
+    else:
+        array = np.asarray((array + array.T) / 2)
+    sizes = array if array.ndim == 1 else np.linalg.eigvalsh(array)
+    least = float(sizes.min()) if size else 0.0
     if least < -_SEMIDEFINITE * largest or (definite and least <= 0):
         wanted = "positive" if definite else "at least 0"
         raise ValueError(f"{name} has the eigenvalue {least:.3g}, expected {wanted}")
-    return np.asarray(matrix)
+    return np.asarray(array)
+
+
+def weight_matrix(name: str, value: object, size: int, definite: bool) -> FloatArray:
+    """Return a symmetric weight, shape (size, size), of a number, a diagonal or a matrix."""
+    found = weight(name, value, size, definite)
+    return np.diag(found) if found.ndim == 1 else found
 
 
 def refuse_memory(asked: str, count: float, things: str, each: float, hint: str = "") -> None:

@@ -124,8 +124,12 @@ def test_frontier(printed):
 
 
 def test_growth(printed):
-    text = printed("growth", "--stages 1 2 --whole 2 --last linearize")
-    assert len(row(text, "prestress search")) == 2  # no exponent of so short times
+    text = printed("growth", "--stages 1 2 --whole 2")
+    for what in import_module("tests.benchmarks.growth").ROUTINES:
+        lines = [line for line in text.splitlines() if line.startswith(f"{what} ")]
+        assert len(lines) >= 4, what  # time and memory of two towers
+    assert "failed" not in text
+    assert "needs" not in text
     for what in ("prestress at a level", "prestress, all taut", "bars of a given γ"):
         assert row(text, f"     2  {what}")[0] < 1e-8
     assert row(text, "     2  counts and verdicts")[0] == 0.0

@@ -121,7 +121,7 @@ class LQR(Controller):
             Q = natural_Q if Q is None else Q
             R = natural_R if R is None else R
         state_weight = validation.weight_matrix("Q", Q, states, definite=False)
-        input_weight = validation.weight_matrix("R", R, inputs, definite=True)
+        input_weight = validation.weight("R", R, inputs, definite=True)
         if sample_time is not None:
             sample_time = validation.positive_number("sample_time", sample_time, "s")
         bounds = input_bounds(plant, max_force_density, winches)

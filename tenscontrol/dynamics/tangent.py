@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import chain
+from itertools import chain, pairwise
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
@@ -13,12 +13,12 @@ from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.dynamics.evaluator import Function, evaluate_columns
 from tenscontrol.dynamics.force import Pass
 from tenscontrol.dynamics.model import Model
-from tenscontrol.structure.blocks import Block, bar_rows, block_mass, node_mass
+from tenscontrol.structure.blocks import Block, bar_rows, block_mass, is_independent, node_mass
 from tenscontrol.structure.structure import Structure
 from tenscontrol.structure.supports import left_by_supports, rigid_motions
 
 if TYPE_CHECKING:
-    from scipy.sparse import csr_array
+    from scipy.sparse import csc_array, csr_array
     from scipy.sparse.linalg import SuperLU
 
 
@@ -28,6 +28,10 @@ _RANK_TOLERANCE = 1e-9
 # Steps at most to lay a shape over another; it lies there when the next one is below this part of
 # its size.
 _MOST, _LAID = 30, 1e-15
+
+# Rows of a segment of a long chain at least, the groups before that its motions meet, and parts of
+# the largest displacement that are round-off.
+_SEGMENT, _BEFORE, _NEGLIGIBLE = 60, 3, 1e-17
 
 # Entries of a dense matrix, 512 MB, beyond which it is refused.
 _MOST_ENTRIES = 64_000_000
@@ -94,12 +98,8 @@ def bar_basis(structure: Structure, nodes: FloatArray) -> csr_array:
     by_row = np.repeat(1 / np.sqrt(structure.string_node_mass), d).reshape(-1, d)
     parts.append((rows[alone][:, None], by_row[alone][:, None, None]))
     for block in structure.blocks:
-        # y = Lᵀ δ has the identity for a mass, where M = L Lᵀ.
-        L = np.linalg.cholesky(block_mass(structure, block).toarray())
-        constraints = _scaled_rows(structure, block, nodes, L)
-        whole = np.linalg.qr(constraints.T, mode="complete")[0]
-        own = np.linalg.solve(L.T, whole[:, len(constraints) :])
-        parts.append((block.rows[None], own[None]))
+        for start, own in _block_basis(structure, block, nodes):
+            parts.append((block.rows[None, start : start + len(own)], own[None]))
     row, column, value, count = [], [], [], 0
     for places, values in parts:
         k, _, b = values.shape
@@ -112,6 +112,85 @@ def bar_basis(structure: Structure, nodes: FloatArray) -> csr_array:
     basis = csr_array((np.concatenate(value), tuple(found)), shape=(nodes.size, count))
     basis.eliminate_zeros()
     return basis
+
+
+def _block_basis(
+    structure: Structure, block: Block, nodes: FloatArray
+) -> list[tuple[int, FloatArray]]:
+    """Return the columns of a block's basis in groups, each with the first of its rows.
+
+    A long chain has motions that keep lengths within each segment of its rows, and others in each
+    two neighbours. They are made orthonormal group by group: what that adds of the groups before
+    decays along the chain.
+    """
+    mass, count = block_mass(structure, block).tocsr(), len(block.rows)
+    J = bar_rows(structure, block.independent, nodes)[:, block.rows].tocsc()
+    length = max(_SEGMENT, _bandwidth(J.tocsr()), _bandwidth(mass))
+    if 2 * length <= count and is_independent(J):
+        groups = _by_segments(J, mass, [*range(0, count - length + 1, length), count])
+        if sum(part.shape[1] for _, part in groups) == count - J.shape[0]:
+            return groups
+    L = np.linalg.cholesky(mass.toarray())
+    _scaled_rows(structure, block, nodes, L)  # no dead centre
+    return [(0, _null(J, mass, 0, count))]
+
+
+def _by_segments(J: csc_array, mass: csr_array, edges: list[int]) -> list[tuple[int, FloatArray]]:
+    """Return mass-orthonormal motions of segments of rows and of each two neighbours that J keeps.
+
+    J and the mass join neighbours alone.
+    """
+    from scipy import linalg
+
+    within = [_null(J, mass, *ends) for ends in pairwise(edges)]
+    groups: list[tuple[int, FloatArray]] = []
+    for i, added in enumerate(within):
+        start, end = edges[i], edges[min(i + 2, len(edges) - 1)]
+        if i + 1 < len(within):
+            apart = linalg.block_diag(added, within[i + 1])
+            both = _null(J, mass, start, end)
+            shares = both.T @ (mass[start:end, start:end] @ apart)
+            across = both @ np.linalg.qr(shares, mode="complete")[0][:, apart.shape[1] :]
+            added = np.hstack([apart[:, : added.shape[1]], across])
+        for _ in range(2):  # the second time for the digits that the first one lost
+            start, added = _orthonormal(mass, groups[-_BEFORE:], start, added)
+        groups.append((start, added))
+    return groups
+
+
+def _null(J: csc_array, mass: csr_array, start: int, end: int) -> FloatArray:
+    """Return mass-orthonormal motions of a segment of rows, all others at rest, that J keeps."""
+    part = J[:, start:end]
+    # y = Lᵀ δ has the identity for a mass, where M = L Lᵀ.
+    L = np.linalg.cholesky(mass[start:end, start:end].toarray())
+    constraints = np.linalg.solve(L, part[np.unique(part.indices)].toarray().T)
+    constraints /= np.maximum(np.linalg.norm(constraints, axis=0), np.finfo(float).tiny)
+    directions, sizes, _ = np.linalg.svd(constraints)
+    rank = np.count_nonzero(sizes > _RANK_TOLERANCE * sizes.max(initial=0.0))
+    return np.asarray(np.linalg.solve(L.T, directions[:, rank:]))
+
+
+def _orthonormal(
+    mass: csr_array, before: list[tuple[int, FloatArray]], start: int, motions: FloatArray
+) -> tuple[int, FloatArray]:
+    """Return motions from a row on, orthonormal and across those before, less what is round-off."""
+    first, end = min([start, *(row for row, _ in before)]), start + len(motions)
+    motions = np.vstack([np.zeros((start - first, motions.shape[1])), motions])
+    for row, other in before:
+        rows = slice(row - first, row - first + len(other))
+        moments = mass[row : row + len(other), first:end] @ motions
+        motions[rows] -= other @ (other.T @ moments)
+    squares = motions.T @ (mass[first:end, first:end] @ motions)
+    motions = np.asarray(np.linalg.solve(np.linalg.cholesky(squares), motions.T).T)
+    sizes = np.abs(motions).max(axis=1)
+    kept = int(np.flatnonzero(sizes > _NEGLIGIBLE * sizes.max())[0])
+    return first + kept, motions[kept:]
+
+
+def _bandwidth(matrix: csr_array) -> int:
+    """Return how many columns, from the first to the last, the rows of a matrix have entries in."""
+    ends = [matrix.indices[slice(*ends)] for ends in pairwise(matrix.indptr.tolist())]
+    return max((int(np.ptp(row)) + 1 for row in ends if len(row)), default=1)
 
 
 def motions_kept(fields: FloatArray, held: IntArray) -> FloatArray:

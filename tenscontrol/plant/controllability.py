@@ -40,6 +40,9 @@ _NOISE = 1e-14
 # Accelerations by inputs below this fraction of what their forces could give are round-off.
 _NO_PUSH = 1e-13
 
+# Of the largest acceleration of a large plant; its square is left with the square of this, at most.
+_CLOSE = 1e-2
+
 # Modes that a warning names.
 _LISTED = 4
 
@@ -151,8 +154,9 @@ def _of_lowest(plant: LinearPlant, count: int) -> Controllability:
     if plant.sparse is None or found.unreachable == len(small.A):
         return found
     by_input = plant.sparse.by_input
-    start = np.ones(min(by_input.shape))
-    largest = svds(by_input, 1, v0=start, return_singular_vectors=False)[0]
+    start = np.cos(np.arange(1.0, min(by_input.shape) + 1) ** 2)  # any, without symmetry
+    # Of many stages alike, the largest are close together.
+    largest = svds(by_input, 1, tol=_CLOSE, v0=start, return_singular_vectors=False)[0]
     share = float(np.linalg.norm(small.B, 2)) / float(largest)
     return replace(found, margin=frozen(share * found.margin))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
@@ -26,6 +26,7 @@ from tenscontrol.plant.stance import (
     refuse_slip,
 )
 from tenscontrol.statics.equilibrium_matrix import member_forces
+from tenscontrol.statics.inertia import factorized
 from tenscontrol.statics.prestress import Prestress, balanced
 from tenscontrol.structure.bar_clearance import BarCrossing, BarMotion
 from tenscontrol.structure.bar_geometry import refuse_strings_without_length, restore_bar_lengths
@@ -35,6 +36,9 @@ from tenscontrol.structure.supports import (
     refuse_load_without_support,
     refuse_moved_supports,
 )
+
+if TYPE_CHECKING:
+    from scipy.sparse import csc_array
 
 # Newton steps that polish the answer of the optimizer, each of which doubles the digits, and how
 # many of them may bring nothing.
@@ -62,6 +66,9 @@ _ITERATIONS = 500
 
 # Curvature of the energy below this fraction of the stiffest string's is none.
 _FLAT = 1e-9
+
+# Stiffness of bars, parts of the largest stiffness, in whose place rigid ones are.
+_RIGID = 1e4
 
 _HINT = "Start from other nodes"
 
@@ -530,16 +537,17 @@ def _polished(
     Forces are judged in units of the stiffness of strings, N/m: where all are slack nothing else is
     there, and beside very stiff ones the lengths of bars would be lost.
     """
+    from scipy.sparse import diags_array
+
     best, least, worse = point, np.inf, 0
     for _ in range(_POLISH):
-        residual, jacobian = (np.array(part.full()) for part in newton(point))
-        unit = max(stiffness, float(np.abs(jacobian[:count, :count]).max(initial=0.0))) or 1.0
+        residual, jacobian = _evaluated(newton, point)
+        unit = max(stiffness, float(abs(jacobian[:count, :count]).max())) or 1.0
         rows = np.concatenate([np.full(count, unit), np.full(len(point) - count, size)])
         columns = np.concatenate([np.ones(count), np.full(len(point) - count, unit / size)])
-        off = residual.ravel() / rows
-        # Least squares: rigid-body motions that nothing holds leave a null space.
-        system = jacobian / rows[:, None] * columns
-        if not (np.isfinite(system).all() and np.isfinite(off).all()):
+        off = residual / rows
+        system = (diags_array(1 / rows) @ jacobian @ diags_array(columns)).tocsc()
+        if not (np.isfinite(system.data).all() and np.isfinite(off).all()):
             raise ValueError("no equilibrium found: the forces overflow")
         largest = float(np.abs(off).max(initial=0.0))
         worse = 0 if largest < least else worse + 1
@@ -547,21 +555,66 @@ def _polished(
             best, least = point, largest
         if worse == _WORSE or least < _ROUND_OFF * size:
             break
-        point = point - columns * np.linalg.lstsq(system, off, rcond=_EXACT)[0]
+        point = point - columns * _least_step(system, off, count)
     return best, least
+
+
+def _evaluated(newton: ca.Function, point: FloatArray) -> tuple[FloatArray, csc_array]:
+    """Return the conditions of optimality at a point, and their derivative, sparse."""
+    from scipy.sparse import csc_array
+
+    residual, jacobian = newton(point)
+    return np.array(residual.full()).ravel(), csc_array(jacobian.sparse())
+
+
+def _least_step(system: csc_array, off: FloatArray, count: int) -> FloatArray:
+    """Return the least step that takes away what is off.
+
+    Motions that nothing resists, as one body or of slack strings, make the system singular. It is
+    shifted, and applied between two solutions: what it leaves without an answer goes to zero.
+    """
+    from scipy.sparse import diags_array
+    from scipy.sparse.linalg import splu
+
+    shift = np.full(len(off), -_EXACT)
+    shift[:count] = _EXACT
+    factors = splu((system + diags_array(shift)).tocsc())
+    return np.asarray(factors.solve(system @ factors.solve(off)))
 
 
 def _softest(
     newton: ca.Function, point: FloatArray, count: int, flat: float
 ) -> tuple[float, FloatArray]:
-    """Return the least curvature of the energy with bar lengths kept, N/m, and its direction."""
-    from scipy.linalg import null_space
+    """Return the least curvature of the energy with bar lengths kept, N/m, and its direction.
 
-    _, jacobian = (np.array(part.full()) for part in newton(point))
-    hessian, constraints = jacobian[:count, :count], jacobian[count:, :count]
-    free = null_space(constraints) if len(constraints) else np.eye(count)
-    if free.shape[1] == 0:
+    It is sought from just below: from where all pivots are positive with stiff bars in place of
+    rigid ones.
+    """
+    from scipy.sparse import block_array, diags_array, eye_array
+    from scipy.sparse.linalg import LinearOperator, eigsh, splu
+
+    _, jacobian = _evaluated(newton, point)
+    hessian, J = jacobian[:count, :count], jacobian[count:, :count].tocsr()
+    bars = J.shape[0]
+    if bars >= count:
         return np.inf, np.zeros(count)
-    values, vectors = np.linalg.eigh(free.T @ hessian @ free)
-    is_flat = abs(values[0]) <= max(flat, _FLAT * np.abs(hessian).max())
-    return 0.0 if is_flat else float(values[0]), np.asarray(free @ vectors[:, 0])
+    length = np.sqrt(J.multiply(J).sum(axis=1))
+    J = diags_array(1 / np.where(length > 0, length, 1.0)) @ J
+    size = float(abs(hessian).max()) or 1.0
+    shift = flat = max(flat, _FLAT * size)
+    stiffened = (hessian + _RIGID * size * (J.T @ J)).tocsc()
+    while factorized((stiffened + shift * eye_array(count)).tocsc()).pivots.min() <= 0:
+        shift *= 4.0
+    held = [[hessian + shift * eye_array(count), J.T], [J, -_EXACT * eye_array(bars) / size]]
+    factors = splu(block_array(held, format="csc"))
+
+    def inverse(force: FloatArray) -> FloatArray:
+        return np.asarray(factors.solve(np.append(force.ravel(), np.zeros(bars)))[:count])
+
+    direction = inverse(np.cos(np.arange(1.0, count + 1) ** 2))  # any
+    if count > 1:
+        operator = LinearOperator((count, count), matvec=inverse, dtype=float)
+        direction = eigsh(operator, 1, which="LA", v0=direction)[1][:, 0]
+    direction /= np.linalg.norm(direction)
+    least = float(direction @ (hessian @ direction))
+    return (0.0 if abs(least) <= flat else least), direction

@@ -351,7 +351,7 @@ class LinearPlant:
     def __repr__(self) -> str:
         return (
             f"LinearPlant({self.degrees_of_freedom} {self.coordinates.kind} coordinates, "
-            f"input {self.input}, {self.B.shape[1]} inputs)"
+            f"input {self.input}, {len(self.force_density)} inputs)"
         )
 
 

@@ -72,21 +72,23 @@ def regulator_riccati(
     plant cannot be solved otherwise. Where there is a ``split``, inputs reach the first columns
     alone of an orthonormal basis of states in these units, so many, and the others move by
     themselves: the equation is solved for the first, and the others are fed forward where they
-    disturb. A ValueError says why there is no good solution.
+    disturb. An ``input_weight`` of shape (α,) is a diagonal. A ValueError says why there is no good
+    solution.
     """
-    scaled = (
-        A * unit / unit[:, None],
-        level * B / unit[:, None],
-        _symmetric(unit[:, None] * state_weight * unit),
-        _symmetric(level**2 * input_weight),
-    )
+    from scipy.sparse import diags_array
+
+    A = A * unit / unit[:, None]
+    B = level * B / unit[:, None]
+    Q, R = _symmetric(unit[:, None] * state_weight * unit), level**2 * input_weight
+    R = R if R.ndim == 1 else _symmetric(R)
     spread = None
     if B.shape[1] > len(A):  # inputs that move the state alike are one, by its least cost
-        A_scaled, B_scaled, Q, R = scaled
-        root = np.linalg.inv(np.linalg.cholesky(R)).T
-        moved, sizes, Vt = np.linalg.svd(B_scaled @ root, full_matrices=False)
-        spread, scaled = root @ Vt.T, (A_scaled, moved * sizes, Q, np.eye(len(sizes)))
-    K, P, poles, residual = _split_solution(*scaled, split, discrete, _REGULATOR)
+        is_diagonal = R.ndim == 1
+        root = diags_array(R**-0.5) if is_diagonal else np.linalg.inv(np.linalg.cholesky(R)).T
+        moved, sizes, Vt = np.linalg.svd(B @ root, full_matrices=False)
+        spread, B, R = root @ Vt.T, moved * sizes, np.ones(len(sizes))
+    R = np.diag(R) if R.ndim == 1 else R
+    K, P, poles, residual = _split_solution(A, B, Q, R, split, discrete, _REGULATOR)
     K = K if spread is None else spread @ K
     return level * K / unit, poles, P / unit[:, None] / unit, residual
 
@@ -286,7 +288,8 @@ def energy_weights(plant: LinearPlant, by_mode: bool = False) -> tuple[FloatArra
     Returns
     -------
     Q : ndarray, shape (2r, 2r)
-    R : ndarray, shape (α, α)
+    R : ndarray, shape (α,)
+        The diagonal.
 
     Raises
     ------
@@ -299,7 +302,7 @@ def energy_weights(plant: LinearPlant, by_mode: bool = False) -> tuple[FloatArra
     >>> prism = tc.prism()
     >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
     >>> Q, R = tc.energy_weights(plant)
-    >>> round(float(Q[0, 0]), 1), float(Q[9, 9]), round(float(R[0, 0]), 3)
+    >>> round(float(Q[0, 0]), 1), float(Q[9, 9]), round(float(R[0]), 3)
     (235.7, 1.0, 0.048)
     """
     validation.instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
@@ -311,7 +314,15 @@ def energy_weights(plant: LinearPlant, by_mode: bool = False) -> tuple[FloatArra
         sizes, modes = np.linalg.eigh(-0.5 * (plant.A[r:, :r] + plant.A[r:, :r].T))
         stiffness = (modes * np.abs(sizes)) @ modes.T
         Q[:r, :r] = 0.5 * (stiffness + stiffness.T)
-    return Q, np.eye(plant.B.shape[1]) * (largest / highest) ** 2
+    return Q, np.full(plant.B.shape[1], (largest / highest) ** 2)
+
+
+def least_eigenvalue(weight: FloatArray) -> float:
+    """Return the least eigenvalue of a symmetric matrix, at once if it is diagonal."""
+    diagonal = np.diagonal(weight)
+    if np.count_nonzero(weight) == np.count_nonzero(diagonal):
+        return float(diagonal.min())
+    return float(np.linalg.eigvalsh(weight).min())
 
 
 def natural_weights(plant: LinearPlant) -> tuple[FloatArray, FloatArray]:
@@ -323,7 +334,8 @@ def natural_weights(plant: LinearPlant) -> tuple[FloatArray, FloatArray]:
 
     Returns
     -------
-    Q, R : ndarray, shape (states, states) and (inputs, inputs)
+    Q, R : ndarray, shape (states, states) and (inputs,)
+        R is a diagonal.
 
     See Also
     --------
@@ -336,7 +348,7 @@ def natural_weights(plant: LinearPlant) -> tuple[FloatArray, FloatArray]:
     >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
     >>> Q, R = tc.plant.natural_weights(plant)
     >>> Q.shape, R.shape
-    ((18, 18), (9, 9))
+    ((18, 18), (9,))
     """
     validation.instance("plant", plant, LinearPlant, "make one by linearize(model, rest)")
     Q, R = energy_weights(plant, by_mode=plant.input == "rest_length")

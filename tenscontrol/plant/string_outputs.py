@@ -50,6 +50,8 @@ class StringMap:
 @kept
 def string_map(plant: LinearPlant, input: str) -> StringMap:
     """Return the map of a plant's strings for an input, which need not be that of the plant."""
+    from scipy.sparse import csc_array
+
     shape, count = plant.nodes.shape, len(plant.model.structure.strings)
     at = plant.rest_length if input == "rest_length" else plant.force_density
     assert at is not None  # there is a law
@@ -59,16 +61,19 @@ def string_map(plant: LinearPlant, input: str) -> StringMap:
     slopes = [ca.jacobian(y, ca.vec(x)) for y in outputs for x in given]
     function = Function("strings", given, outputs + slopes)
     found = function(plant.nodes, np.zeros(shape), to_model_strings(plant, input, at))
-    values = [np.array(value.full()) for value in found]
+    values = [value.sparse() for value in found]
     by_state = [np.hstack([part @ plant.basis for part in values[k : k + 2]]) for k in (2, 5)]
-    spread = to_model_strings(plant, input, np.eye(plant.B.shape[1])).T
+    by_input = [values[k] for k in (4, 7)]
+    if plant.commanded is not plant.model.structure:
+        spread = to_model_strings(plant, input, np.eye(plant.B.shape[1])).T
+        by_input = [part @ csc_array(spread) for part in by_input]
     return StringMap(
-        force_density=values[0].ravel(),
-        tension=values[1].ravel(),
+        force_density=values[0].toarray().ravel(),
+        tension=values[1].toarray().ravel(),
         gamma_by_state=by_state[0],
-        gamma_by_input=values[4] @ spread,
+        gamma_by_input=by_input[0].toarray(),
         tension_by_state=by_state[1],
-        tension_by_input=values[7] @ spread,
+        tension_by_input=by_input[1].toarray(),
     )
 
 

@@ -65,11 +65,6 @@ class Prestress:
         W, the load on the nodes, N.
     residual : float
         Largest unbalanced force on a node, ``max |N K_s − W|``, N.
-    self_stress_states : int
-        Number of independent force densities that balance without load.
-    mechanisms : int
-        Number of independent small motions, rigid-body motion not counted,
-        that change no member length to first order.
     crossings : tuple of BarCrossing
         Of an :func:`equilibrium`: bars that pass through each other on the straight way from the
         shape at its start, by share of the way. Empty where there is none.
@@ -80,8 +75,6 @@ class Prestress:
     bar_force_density: FloatArray
     external_force: FloatArray
     residual: float
-    self_stress_states: int
-    mechanisms: int
     crossings: tuple[BarCrossing, ...] = field(default=(), kw_only=True)
 
     @property
@@ -94,6 +87,27 @@ class Prestress:
         if structure.dimension == 2:
             return np.inf
         return bar_distances(structure, structure.nodes).least
+
+    @property
+    def self_stress_states(self) -> int:
+        """Number of independent force densities that balance without load."""
+        return int(self._forces.live.sum()) - self._forces.rank
+
+    @property
+    def mechanisms(self) -> int:
+        """Number of independent small motions that change no member length to first order.
+
+        Rigid-body motion is not counted. The time to count them grows with the members, and with
+        the square of their number.
+        """
+        structure = self.structure
+        rigid = int(rigid_basis(structure).shape[1])
+        return len(structure.free_rows) - rigid - self._forces.rank
+
+    @cached_property
+    def _forces(self) -> MemberForces:
+        load = free_coordinates(self.structure, self.external_force)
+        return member_forces(self.structure, load)
 
     @property
     def slack_strings(self) -> IntArray:
@@ -175,12 +189,13 @@ class Prestress:
         )  # fmt: skip
 
     def __repr__(self) -> str:
-        slack = len(self.slack_strings)
-        return (
-            f"Prestress({self.structure!r}, residual {self.residual:.1e} N, "
-            f"{self.self_stress_states} self-stress states, {self.mechanisms} mechanisms"
-            + (f", {slack} slack strings)" if slack else ")")
-        )
+        said = [repr(self.structure), f"residual {self.residual:.1e} N"]
+        if is_small(self._forces.matrix):  # else they take long
+            said += [f"{self.self_stress_states} self-stress states"]
+            said += [f"{self.mechanisms} mechanisms"]
+        if slack := len(self.slack_strings):
+            said += [f"{slack} slack strings"]
+        return f"Prestress({', '.join(said)})"
 
 
 def prestress(
@@ -423,8 +438,6 @@ def _at_rest(
         bar_force_density=frozen(every[alpha:]),
         external_force=frozen(load),
         residual=float(np.abs(E @ densities - w).max(initial=0.0)),
-        self_stress_states=E.shape[1] - forces.rank,
-        mechanisms=len(w) - rigid_basis(structure).shape[1] - forces.rank,
     )
 
 

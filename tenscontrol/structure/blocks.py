@@ -219,6 +219,24 @@ def _independent(structure: Jointed, block: Block) -> IntArray:
     return np.asarray(bars[is_kept])
 
 
+def is_independent(J: csc_array) -> bool:
+    """Return whether rows are well independent, as far as a few steps of inverse iteration show."""
+    from scipy.sparse import csr_array, diags_array
+    from scipy.sparse.linalg import splu
+
+    rows = csr_array(diags_array(1 / np.sqrt(J.multiply(J).sum(axis=1))) @ J)
+    (c, r), size = J.shape, 1.0
+    try:
+        factors = splu(_saddle(None, rows))
+    except RuntimeError:  # exactly singular
+        return False
+    vector = np.cos(np.arange(1.0, c + 1) ** 2)  # any
+    for _ in range(3):
+        vector = factors.solve(np.concatenate([np.zeros(r), vector / np.linalg.norm(vector)]))[r:]
+        size = float(np.linalg.norm(vector))
+    return size < _DOUBTFUL**-2
+
+
 def _admitted(J: csr_array, motions: FloatArray) -> FloatArray:
     """Return the parts of motions, shape (r, ·), that bars with the rows J admit."""
     from scipy.sparse.linalg import splu

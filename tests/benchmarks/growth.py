@@ -1,14 +1,16 @@
-"""Processor time and memory of each stage from structure to control, from 12 members to 240,000.
+"""Processor time and memory of each stage from structure to control, of 10 stages to 3,000.
 
-Run: ``python -m tests.benchmarks.growth``. Towers of prisms, 24 members a stage. A routine is left
-out of larger towers where smaller ones predict more time or memory than the budget. Memory is the
-largest of the process while the routine runs, less that before the first one; Linux alone says it.
-The second table compares sparse routines of statics and modes with whole decompositions: the
-largest difference, and the time of both.
+Run: ``python -m tests.benchmarks.growth``. Towers of prisms, 24 members a stage, and towers of
+class 2, 9 members a stage. A routine is left out of larger towers where smaller ones predict more
+time or memory than the budget. Memory is the largest of the process while the routine runs, less
+that before it; Linux alone says it. Threads of linear algebra cost processor time where other
+programs run: ``OPENBLAS_NUM_THREADS=1`` keeps it to one. The last table compares sparse routines of
+statics and modes with whole decompositions: the largest difference, and the time of both.
 
 Strings are linear, a hundred times as stiff as their γ. The plant has rest lengths as its input; it
 is reduced to 20 modes for LQR and for MPC with a horizon of 20 samples of 0.02 s, of which a step
-is timed apart. The simulation lasts 0.02 s.
+is timed apart. The simulation lasts 0.02 s, from rest. The equilibrium starts in the shape at rest,
+the controllability is that of 20 modes, and pages are those of the structure and of the run.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from time import process_time
 from typing import Any
 from unittest.mock import patch
@@ -31,7 +34,8 @@ import tenscontrol as tc
 from tenscontrol.tables import aligned, shown
 from tests.benchmarks.command_line import options
 
-STAGES = (1, 3, 10, 30, 100, 300, 1000, 3000, 10_000)
+STRUCTURES = {"tower": tc.prism_tower, "class-2 tower": tc.library.class2_tower}
+STAGES = (10, 30, 100, 300, 1000, 3000)
 WHOLE = (10, 20, 40)
 LEVEL, SAMPLE_TIME, COUNT, HORIZON = 10.0, 0.02, 20, 20
 
@@ -45,12 +49,14 @@ EXPONENTS, FITTED = (1.0, 3.0), 4
 
 def main(arguments: Sequence[str] | None = None) -> None:
     given = options(
-        __doc__, arguments, stages=STAGES, whole=WHOLE, seconds=60.0, gigabytes=4.0, last="MPC step"
+        __doc__, arguments, stages=STAGES, whole=WHOLE, seconds=60.0, gigabytes=2.0, last="MPC step"
     )
     budget = {"seconds": given.seconds, "memory": 1e9 * given.gigabytes}
     names = list(ROUTINES)[: list(ROUTINES).index(given.last) + 1]
-    print(table(growth(given.stages, names, budget)))
-    print("\nsparse ways against whole decompositions: largest difference, processor s of both")
+    for what, generate in STRUCTURES.items():
+        print(f"{what}, members:")
+        print(table(growth(generate, given.stages, names, budget)) + "\n")
+    print("sparse ways against whole decompositions: largest difference, processor s of both")
     print(f"{'stages':>6s}  {'what':24s} {'difference':>10s} {'sparse':>8s} {'whole':>8s}")
     for stages in given.whole:
         for what, difference, *times in compared(stages):
@@ -83,24 +89,49 @@ def command(controller: str, results: dict[str, Any]) -> None:
     law.command(0.0, plant.nodes, 0 * plant.nodes)
 
 
-def simulated(results: dict[str, Any]) -> None:
+def simulated(results: dict[str, Any]) -> tc.Trajectory:
     plant = results["linearize"]
-    tc.simulate(
+    return tc.simulate(
         plant.model, SAMPLE_TIME, plant.nodes, rest_length=plant.rest_length, error="none"
     )  # fmt: skip
 
 
+def balanced(results: dict[str, Any]) -> tc.statics.Prestress:
+    plant = results["linearize"]
+    return tc.equilibrium(plant.model, rest_length=plant.rest_length)
+
+
+def written(results: dict[str, Any], what: str, form: str) -> None:
+    """Save or show one of the results in a file that is removed."""
+    with TemporaryDirectory() as folder:
+        getattr(results[what], form)(Path(folder) / ("page.html" if form == "to_html" else "x.npz"))
+
+
+def loaded(results: dict[str, Any]) -> tc.Trajectory:
+    with TemporaryDirectory() as folder:
+        return tc.load_run(results["simulate"].save(Path(folder) / "run.npz"))
+
+
 # Each takes the results of those before it.
 ROUTINES: dict[str, Callable[[dict[str, Any]], Any]] = {
-    "structure": lambda results: tc.prism_tower(results["stages"]),
+    "structure": lambda results: results["generate"](results["stages"]),
+    "view": partial(written, what="structure", form="to_html"),
     "prestress search": lambda results: tc.prestress(results["structure"], LEVEL),
     "prestress check": lambda results: tc.prestress(
         results["structure"], results["prestress search"].force_density
     ),
     "stability": lambda results: replace(results["prestress search"]).stability,
     "linearize": linearized,
+    "equilibrium": balanced,
     "20 modes": lambda results: tc.modes(results["linearize"], few(results["linearize"])),
     "simulate": simulated,
+    "summary": lambda results: results["simulate"].summary(),
+    "save": partial(written, what="simulate", form="save"),
+    "save and load": loaded,
+    "view of the run": partial(written, what="simulate", form="to_html"),
+    "controllability": lambda results: tc.controllability(
+        results["linearize"], few(results["linearize"])
+    ),
     "reduce": lambda results: tc.reduce(results["linearize"], few(results["linearize"])),
     "LQR": lambda results: tc.LQR(results["reduce"], sample_time=SAMPLE_TIME),
     "LQR step": partial(command, "LQR"),
@@ -113,19 +144,22 @@ def few(plant: tc.LinearPlant) -> int:
     return min(COUNT, plant.degrees_of_freedom)
 
 
-def growth(stages: Sequence[int], routines: Sequence[str], budget: dict[str, float]) -> list[Cost]:
+def growth(
+    generate: Callable[[int], tc.Structure], stages: Sequence[int], routines: Sequence[str],
+    budget: dict[str, float],
+) -> list[Cost]:  # fmt: skip
     """Return the cost of each routine on each tower, as far as the budget goes."""
-    first: dict[str, Any] = {"stages": 2}
+    first: dict[str, Any] = {"stages": 2, "generate": generate}
     for name in routines:  # some import what they need
         first[name] = ROUTINES[name](first)
     first.clear()
-    forget_peak()
-    base = memory("VmRSS")
     costs: list[Cost] = []
     for count in stages:
-        results: dict[str, Any] = {"stages": count}
+        results: dict[str, Any] = {"stages": count, "generate": generate}
+        tower = generate(count)
+        members = len(tower.strings) + len(tower.bars)
         for name in routines:
-            costs.append(measured(name, results, 24 * count - 12, costs, budget, base))
+            costs.append(measured(name, results, members, costs, budget))
     return costs
 
 
@@ -135,14 +169,13 @@ def measured(
     members: int,
     costs: Sequence[Cost],
     budget: dict[str, float],
-    base: float,
 ) -> Cost:
     """Run a routine, add its result to those before it, and return what it costs."""
     note = beyond([cost for cost in costs if cost.routine == name], members, budget)
     if note:
         return Cost(name, members, note=note)
     forget_peak()
-    spent = np.inf
+    base, spent = memory("VmRSS"), np.inf
     try:
         for _ in range(REPEATS):
             start = process_time()

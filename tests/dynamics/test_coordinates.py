@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
+from scipy.linalg import null_space
 
 import tenscontrol as tc
 from tests.dynamics.scenes import random_structure, random_turn, weighted_prism
@@ -167,3 +168,30 @@ def test_turning_a_bar_by_a_right_angle_is_refused(prism):
     coordinates = frame(prism, "minimal")
     with pytest.raises(ValueError, match="turns bar 0 by a right angle"):
         coordinates.to_nodes(np.r_[0, 0, 0, 10.0, np.zeros(11)])
+
+
+@pytest.mark.parametrize(
+    "structure",
+    [
+        tc.library.class2_tower(60),
+        tc.library.class2_tower(60, floating=True),
+        tc.library.arm(80),
+        tc.Structure(  # an arch of bars in space between two supports
+            [np.linspace(0, 99, 100), np.sin(np.arange(100)), np.cos(np.arange(100))],
+            np.column_stack([np.arange(99), np.arange(1, 100)]), [[0, 50]], 1.0, fixed=[0, 99],
+        ),
+    ],
+    ids=["class2_tower", "floating", "arm", "arch"],
+)  # fmt: skip
+def test_basis_of_a_long_chain_is_banded_and_spans_what_a_whole_decomposition_does(structure):
+    model, d = tc.Model(structure), structure.dimension
+    frame = tc.dynamics.coordinates(model, kind="minimal")
+    T, rows = frame.sparse_basis.toarray(), structure.free_rows
+    M = np.kron(np.asarray(model.mass_matrix().todense()), np.eye(d))[np.ix_(rows, rows)]
+    J = (tc.statics.equilibrium_matrix(structure)[:, len(structure.strings) :].T)[:, rows]
+    L = np.linalg.cholesky(M)
+    whole = null_space(np.linalg.solve(L, J.T).T)
+    assert frame.sparse_basis.nnz < 0.7 * np.count_nonzero(T.any(axis=1)) * T.shape[1]
+    np.testing.assert_allclose(T[rows].T @ M @ T[rows], np.eye(T.shape[1]), atol=1e-13)
+    turned = L.T @ T[rows]
+    np.testing.assert_allclose(turned @ turned.T, whole @ whole.T, atol=1e-12)

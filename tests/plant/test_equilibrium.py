@@ -1,5 +1,7 @@
 """Equilibrium under load: closed forms, the equations of motion, and what cannot be held."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from scipy.optimize import brentq
@@ -176,3 +178,34 @@ def test_random_structures_come_to_rest(seed):
     pull = model.strings.force_density(length, wound)
     np.testing.assert_allclose(rest.force_density, pull, rtol=0, atol=1e-11 * stiffest)
     assert rest.residual <= 1e-9 * max(abs(rest.force_density * length).max(), 1e-3 * stiffest)
+
+
+def test_a_long_tower_finds_back_to_its_shape_without_dense_matrices():
+    tower = tc.prism_tower(60)
+    rest = tc.prestress(tower, 10.0)
+    model = tc.Model(tower, strings=tc.LinearStrings(3000.0))
+    wound = tc.to_rest_length(model, tower.nodes, rest.force_density).rest_length
+    turned = tower.nodes + 1e-3 * np.random.default_rng(0).normal(size=tower.nodes.shape)
+    tracemalloc.start()
+    try:
+        found = tc.equilibrium(model, rest_length=wound, nodes=turned)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 8 * tower.nodes.size**2  # bytes of one matrix of all coordinates
+    np.testing.assert_allclose(found.structure.string_length(), tower.string_length(), atol=1e-9)
+    assert found.residual < 1e-9
+
+
+def test_a_long_column_of_pendulums_upside_down_falls():
+    """Thirty bars on one another balance, but in no stable way."""
+    count = 30
+    nodes = np.zeros((2, count + 2))
+    nodes[1, : count + 1], nodes[0, -1] = np.arange(count + 1), 100.0
+    bars = np.column_stack([np.arange(count), np.arange(1, count + 1)])
+    chain = tc.Structure(nodes, bars, [[count, count + 1]], 1.0, fixed=[0, count + 1])
+    model = tc.Model(chain, strings=tc.LinearStrings(1.0), gravity=GRAVITY)
+    with pytest.warns(UserWarning, match="all strings are slack"):
+        hanging = tc.equilibrium(model, rest_length=500.0)
+    expected = -np.arange(count + 1.0)
+    np.testing.assert_allclose(hanging.structure.nodes[1, :-1], expected, atol=1e-8)

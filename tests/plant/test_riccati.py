@@ -83,6 +83,6 @@ def test_a_tower_is_solved_as_by_the_pencil(discrete):
     Q, R = tc.energy_weights(plant, by_mode=True)
     law = tc.LQR(plant, Q, R, sample_time=0.02 if discrete else None)
     A, B = plant.discretize(0.02)[:2] if discrete else (plant.A, plant.B)
-    expected = (solve_discrete_are if discrete else solve_continuous_are)(A, B, Q, R)
+    expected = (solve_discrete_are if discrete else solve_continuous_are)(A, B, Q, np.diag(R))
     np.testing.assert_allclose(law.cost, expected, atol=1e-9 * np.abs(expected).max())
     assert law.riccati_residual < 1e-12

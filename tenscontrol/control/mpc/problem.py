@@ -21,6 +21,7 @@ import numpy as np
 
 from tenscontrol.arrays import BoolArray, FloatArray, IntArray, freeze_arrays, frozen
 from tenscontrol.plant.reference import Preview
+from tenscontrol.plant.riccati import least_eigenvalue
 from tenscontrol.plant.string_outputs import StringMap
 from tenscontrol.properties import cached_property
 from tenscontrol.status import Status
@@ -191,7 +192,7 @@ class MPCProblem:
     @cached_property
     def cost_scale(self) -> float:
         """What the cost is multiplied by."""
-        return 1.0 / (self.level**2 * float(np.linalg.eigvalsh(self.input_weight).min()))
+        return 1.0 / (self.level**2 * least_eigenvalue(self.input_weight))
 
     @property
     def input_count(self) -> int:

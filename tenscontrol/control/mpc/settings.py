@@ -34,7 +34,7 @@ from tenscontrol.plant.input_bounds import input_bounds, largest_change
 from tenscontrol.plant.linear_plant import LinearPlant, Sampled, acceleration_response, sampled
 from tenscontrol.plant.linearize import OperatingPoint, linearize
 from tenscontrol.plant.reference import Reference, ReferencePreview
-from tenscontrol.plant.riccati import natural_weights, regulator
+from tenscontrol.plant.riccati import least_eigenvalue, natural_weights, regulator
 from tenscontrol.plant.string_outputs import string_map, to_commanded_strings, to_model_strings
 from tenscontrol.string_bounds import string_bounds
 
@@ -299,15 +299,17 @@ def design(plant: LinearPlant, settings: MPCSettings, nonlinear: bool = False) -
     """
     states, count = plant.B.shape
     refuse_empty(plant)
+    hint = ". LQR keeps weights diagonal: take it, or a plant of fewer inputs"
+    validation.refuse_memory(
+        f"plant has {count:,} inputs", 10.0 * count**2, "numbers in the program", 8, hint
+    )
     low, high = _command_range(plant, settings)
     natural_Q, natural_R = natural_weights(plant)
     Q, R = settings.Q, settings.R
     state_weight = (
         natural_Q if Q is None else validation.weight_matrix("Q", Q, states, definite=False)
     )
-    input_weight = (
-        natural_R if R is None else validation.weight_matrix("R", R, count, definite=True)
-    )
+    input_weight = natural_R if R is None else validation.weight("R", R, count, definite=True)
     if not nonlinear or plant.model.contacts is None:
         refuse_unreachable(plant)
     else:
@@ -325,7 +327,8 @@ def design(plant: LinearPlant, settings: MPCSettings, nonlinear: bool = False) -
     )
     # The price is relative to the cost of an input one level off.
     assert settings.string_penalty is not None  # the record filled in the default
-    penalty = settings.string_penalty * level**2 * float(np.linalg.eigvalsh(input_weight).min())
+    input_weight = np.diag(input_weight) if input_weight.ndim == 1 else input_weight
+    penalty = settings.string_penalty * level**2 * least_eigenvalue(input_weight)
     blocks = _row_blocks(plant, settings, penalty)
     added = len(transition) - states
     if model.ramp:
