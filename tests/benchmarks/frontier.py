@@ -1,6 +1,6 @@
 """Which method needs the least work for an error: random scenes, library structures, long runs.
 
-Run: ``python -m tests.benchmarks.frontier [--count 20] [--seed 0] [--compiled] [--cells]``. Each
+Run: ``python -m tests.benchmarks.frontier [--count 20] [--seed 0] [--cells]``. Each
 motion is run by each method at settings from coarse to fine, without an estimate of the error,
 until a run takes more than ``--limit`` s of processor time. Errors are the largest distance of a
 node at 20 times from a reference, as part of the size. References of the random scenes come from
@@ -30,8 +30,8 @@ from tenscontrol.accuracy.converged_motion import converged_motion
 from tenscontrol.accuracy.open_loop import fastest_rate
 from tenscontrol.integrate.methods import METHODS
 from tenscontrol.simulation import AccuracyWarning, SimulationError
+from tests.benchmarks import error_against_time
 from tests.benchmarks.command_line import options
-from tests.benchmarks.error_against_time import example
 from tests.random_scenes import Scene, random_scene
 from tests.references import (
     TIMES,
@@ -92,12 +92,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Print the tables."""
     given = options(
         __doc__, arguments, count=20, seed=0, library=20, cache=str(default_folder()), limit=0.2,
-        compiled=False, cells=False, methods=tuple(METHODS),
+        cells=False, methods=tuple(METHODS),
     )  # fmt: skip
     cells: dict[str, dict[str, list[dict[str, float]]]] = defaultdict(lambda: defaultdict(list))
     for motion in motions(given):
         points = {
-            label: measured(motion, name, setting, given.compiled, given.limit)
+            label: measured(motion, name, setting, given.limit)
             for label, name, setting in ways(given.methods)
         }
         for error in ERRORS:
@@ -110,7 +110,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 if given.cells and work == "seconds":
                     print_cell(motion, error, cell)
     for work, kinds in cells.items():
-        print(f"least {work}, {'compiled' if given.compiled else 'nothing compiled'}")
+        print(f"least {work}")
         for kind, some in kinds.items():
             print_kind(kind, some)
 
@@ -205,8 +205,8 @@ def library_cases() -> Iterator[tuple[tc.Scene, str]]:
 def conservative_cases() -> Iterator[tuple[tc.Scene, str]]:
     """Yield cases without loss, whose energy is a constant."""
     kind = "library in the air"
-    yield example(1, 5.0), kind
-    yield example(4, 2.0), kind
+    yield error_against_time.prism(5.0), kind
+    yield error_against_time.prism(2.0, 4), kind
     for stiffness in (100.0, 1e4):
         yield tumbling_ball(stiffness), kind
     yield tower(), kind
@@ -259,9 +259,7 @@ def drop(stiffness: float, loss: float) -> tc.Scene:
 # ---- measurement ----
 
 
-def measured(
-    motion: Motion, method: str, setting: str, compiled: bool, limit: float
-) -> list[Point]:
+def measured(motion: Motion, method: str, setting: str, limit: float) -> list[Point]:
     """Return points of a method from coarse to fine, until a run takes longer than the limit."""
     fixed = setting == "step"
     values = [angle / motion.rate for angle in ANGLES] if fixed else TOLERANCES
@@ -269,7 +267,6 @@ def measured(
     is_first = True
     for value in values:
         options = {"method": method, setting: value, "error": "none"}
-        options["machine_code"] = compiled and METHODS[method].compiles
         begin = process_time()
         with warnings.catch_warnings(), time_limit(LONGEST):
             warnings.simplefilter("ignore", AccuracyWarning)

@@ -44,7 +44,7 @@ def orders(name: str, scene: Scene, duration: float) -> None:
     exact, _ = scene.run(METHODS["dop853"].integrator(equation, TOLERANCE), times)
     print(f"{name}, {duration:g} s: errors at the end by step")
     for method, steps in STEPS.items():
-        integrators = [METHODS[method].integrator(equation, h, machine_code=True) for h in steps]
+        integrators = [METHODS[method].integrator(equation, h) for h in steps]
         runs = [scene.run(integrator, times)[0] for integrator in integrators]
         errors = [np.abs(nodes - exact).max() for nodes in runs]
         text = " ".join(f"{error:.1e}" for error in errors)
