@@ -33,6 +33,9 @@ from .actuation import (
     to_force_density as to_force_density,
     to_rest_length as to_rest_length,
 )
+from .configuration import (
+    show_config as show_config,
+)
 from .control import (
     LQR as LQR,
     MPC as MPC,
@@ -160,6 +163,7 @@ __all__ = [
     "reduce",
     "shape_path",
     "shape_target",
+    "show_config",
     "simulate",
     "simulate_many",
     "skin",

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from tenscontrol._version import __version__
+from tenscontrol.configuration import core_line
 
 
 def command_parser() -> argparse.ArgumentParser:
@@ -17,7 +18,8 @@ def command_parser() -> argparse.ArgumentParser:
         epilog="example:\n  tenscontrol new six_bar_ball\n  tenscontrol simulate six_bar_ball.toml",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--version", action="version", version=f"tenscontrol {__version__}")
+    about = f"tenscontrol {__version__}, {core_line()}"
+    parser.add_argument("--version", action="version", version=about)
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     _add_demo(commands)
     _add_new(commands)

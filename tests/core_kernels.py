@@ -11,10 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
 from tenscontrol.dynamics import kernel
 from tenscontrol.dynamics.contact_laws import Ground, HertzGround, SmoothGround
 from tenscontrol.dynamics.string_laws import ElasticStrings, LinearStrings
+from tenscontrol.structure.structure import Structure
 
 FILE = Path(__file__).parent.parent / "tenscontrol" / "core" / "kernels.h"
 
@@ -140,8 +142,18 @@ def _of_segments(d: int) -> list[str]:
     ]  # fmt: skip
 
 
+def _bar_energy() -> str:
+    """Return the kinetic energy of a bar along one axis."""
+    bar = Structure(nodes=np.array([[0.0, 1.0], [0.0, 0.0]]), bars=[[0, 1]], strings=[], bar_mass=1)
+    start, end, mass = (ca.SX.sym(name) for name in ("start", "end", "mass"))
+    rates = ca.vertcat(ca.horzcat(start, end), ca.SX(1, 2))
+    energy = ca.sum2(kernel.dots(rates, kernel.mass_product(bar, rates))) / 2
+    given = {"start": start, "end": end, "mass": mass}
+    return printed("bar_energy", given, {"energy": mass * energy})
+
+
 def _of_laws() -> list[str]:
-    texts = []
+    texts = [_bar_energy()]
     length, rest, rate, stiffness = (ca.SX.sym(n) for n in ("length", "rest", "rate", "stiffness"))
     for name, kind, field in (
         ("linear", LinearStrings, "stiffness"), ("elastic", ElasticStrings, "axial_rigidity"),
@@ -154,6 +166,9 @@ def _of_laws() -> list[str]:
             given |= {} if damping is None else {"rate": rate}
             given |= {"stiffness": stiffness}
             given |= {} if damping is None else {"damping": damping}
+            if damping is None:
+                stored = {"energy": law.stored_energy(length, rest)}
+                texts.append(printed(f"{name}_energy", given, stored))
             full = f"{name}_{'undamped' if damping is None else 'damped'}"
             texts.append(
                 printed(

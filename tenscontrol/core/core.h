@@ -37,7 +37,7 @@ typedef struct {
 typedef struct {
   int32_t dimension, entries, free; /* d; d n; entries that supports leave free */
   int32_t law, damped, strings, segments, clustered, slacking, switches;
-  int32_t free_bars, swinging_bars, points, grounds;
+  int32_t free_bars, swinging_bars, points, grounds, bars;
   int32_t block_bars, block_rows, unknowns, factors;
   double size;     /* largest extent of the structure, m */
   double shortest; /* length below which a segment of a cluster has no direction, m */
@@ -46,7 +46,7 @@ typedef struct {
   const double *load;      /* (entries), N, or null */
   const int32_t *segment_start, *segment_end, *segment_string;
   const double *stiffness, *damping; /* (strings): N/m or N, and N s/m */
-  const int32_t *bar_start, *bar_end;
+  const int32_t *bar_start, *bar_end; /* (free_bars) */
   const int32_t *bar_row; /* (free_bars, 2): places of its ends among the free entries */
   const double *bar_constants;
   const int32_t *hinge, *tip;
@@ -55,6 +55,8 @@ typedef struct {
   const int32_t *point;
   const double *point_inverse_mass;
   const Ground *ground;
+  const int32_t *any_start, *any_end; /* (bars): of all bars, for energies */
+  const double *bar_mass, *point_mass; /* (bars), (entries / d): kg */
   /* Bars that share nodes: LDL' of [[M, J'], [J, 0]] in an order without vanishing pivots. The
      array of factors holds the entries below the diagonal, column by column, the diagonal, and one
      entry for what supports hold. */
@@ -91,6 +93,16 @@ typedef struct {
   int32_t bodies;
   const Body *body;
 } Lengths;
+
+/* Kinetic energy at many times, J, of rates of all nodes (d, n, times), m/s. */
+EXPORTED void tc_kinetic_energy(const Scene *scene, int32_t times, const double *rates,
+                                double *energy);
+
+/* What strings store at many times, J, of nodes (d, n, times), m, and inputs (strings, times), or
+   (strings) where they are constant. Work memory is two numbers a time. */
+EXPORTED void tc_string_energy(const Scene *scene, int32_t times, const double *nodes,
+                               const double *inputs, int32_t is_constant, double *energy,
+                               double *work);
 
 /* A motion between two calls: it goes on from here, to the last bit. */
 typedef struct {

@@ -616,6 +616,29 @@ static inline void smooth_ground_3(const double *x, const double *v, const doubl
   force[2] = t81;
 }
 
+static inline void bar_energy(const double start, const double end, const double mass, double *energy) {
+  const double t4 = start + end;
+  const double t5 = t4 + start;
+  const double t6 = 0.16666666666666666 * t5;
+  const double t7 = start * t6;
+  const double t8 = t4 + end;
+  const double t9 = 0.16666666666666666 * t8;
+  const double t10 = end * t9;
+  const double t11 = t7 + t10;
+  const double t13 = t11 / 2.0;
+  const double t14 = mass * t13;
+  *energy = t14;
+}
+
+static inline void linear_energy(const double length, const double rest, const double stiffness, double *energy) {
+  const double t2 = 0.5 * stiffness;
+  const double t6 = length - rest;
+  const double t7 = larger(0.0, t6);
+  const double t8 = t7 * t7;
+  const double t9 = t2 * t8;
+  *energy = t9;
+}
+
 static inline void linear_undamped_force_density(const double length, const double rest, const double stiffness, double *force_density) {
   const double t3 = length - rest;
   const double t4 = stiffness * t3;
@@ -641,6 +664,16 @@ static inline void linear_damped_gap(const double length, const double rest, con
   const double t10 = t9 / stiffness;
   const double t11 = smaller(t2, t10);
   *gap = t11;
+}
+
+static inline void elastic_energy(const double length, const double rest, const double stiffness, double *energy) {
+  const double t2 = 0.5 * stiffness;
+  const double t6 = length - rest;
+  const double t7 = larger(0.0, t6);
+  const double t8 = t7 * t7;
+  const double t9 = t2 * t8;
+  const double t10 = t9 / rest;
+  *energy = t10;
 }
 
 static inline void elastic_undamped_force_density(const double length, const double rest, const double stiffness, double *force_density) {

@@ -29,7 +29,7 @@ class Scene(ctypes.Structure):
         *((name, _COUNT) for name in (
             "dimension", "entries", "free",
             "law", "damped", "strings", "segments", "clustered", "slacking", "switches",
-            "free_bars", "swinging_bars", "points", "grounds",
+            "free_bars", "swinging_bars", "points", "grounds", "bars",
             "block_bars", "block_rows", "unknowns", "factors",
         )),
         ("size", _NUMBER), ("shortest", _NUMBER),
@@ -37,6 +37,7 @@ class Scene(ctypes.Structure):
             "free_row", "place", "load", "segment_start", "segment_end", "segment_string",
             "stiffness", "damping", "bar_start", "bar_end", "bar_row", "bar_constants",
             "hinge", "tip", "tip_row", "tip_constants", "point", "point_inverse_mass", "ground",
+            "any_start", "any_end", "bar_mass", "point_mass",
             "block_start", "block_end", "entry_start", "entry_end", "right_place", "block_mass",
             "factor_row", "factor_first", "factor_pair", "block_row", "block_place",
         )),

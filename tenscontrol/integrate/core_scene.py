@@ -91,7 +91,7 @@ class CoreScene:
             "segments": len(structure.segments), "clustered": structure.has_clusters,
             "slacking": slacking, "switches": equation.switches,
             "free_bars": len(structure.free_bars), "swinging_bars": len(structure.swinging_bars),
-            "points": len(structure.string_nodes),
+            "points": len(structure.string_nodes), "bars": len(structure.bars),
         }  # fmt: skip
         for name, count in counts.items():
             setattr(self.scene, name, int(count))
@@ -106,6 +106,7 @@ class CoreScene:
             self._put("load", equation.load.ravel(order="F"))
         self._put("point", structure.dimension * structure.string_nodes)
         self._put("point_inverse_mass", 1 / structure.string_node_mass)
+        self._put("point_mass", structure.point_mass)
 
     def _put_strings(self, equation: Equation, structure: Structure) -> None:
         law = equation.law
@@ -119,6 +120,9 @@ class CoreScene:
 
     def _put_bars(self, structure: Structure, free_place: IntArray) -> None:
         d = structure.dimension
+        self._put("any_start", d * structure.bars[:, 0])
+        self._put("any_end", d * structure.bars[:, 1])
+        self._put("bar_mass", structure.bar_mass)
         ends, mass = structure.bars[structure.free_bars], structure.bar_mass[structure.free_bars]
         self._put("bar_start", d * ends[:, 0])
         self._put("bar_end", d * ends[:, 1])
@@ -270,6 +274,25 @@ class CoreScene:
                 _data(vector), _data(work),
             )
         )  # fmt: skip
+
+    def kinetic_energy(self, rates: FloatArray) -> FloatArray:
+        """Return the kinetic energy, J, shape (T,), of velocities (d, n, T), m/s."""
+        count, rates = rates.shape[2], np.ascontiguousarray(rates)
+        energy = np.empty(count)
+        self.core.tc_kinetic_energy(_at(self.scene), count, _data(rates), _data(energy))
+        return energy
+
+    def string_energy(self, nodes: FloatArray, inputs: FloatArray) -> FloatArray:
+        """Return what strings store, J, shape (T,), of nodes (d, n, T), m, and inputs (α, T)."""
+        count, nodes = nodes.shape[2], np.ascontiguousarray(nodes)
+        is_constant = count > 0 and inputs.strides[1] == 0  # one column, read at all times
+        inputs = np.ascontiguousarray(inputs[:, :1] if is_constant else inputs)
+        energy, work = np.empty(count), np.empty(2 * count)
+        self.core.tc_string_energy(
+            _at(self.scene), count, _data(nodes), _data(inputs), is_constant, _data(energy),
+            _data(work),
+        )  # fmt: skip
+        return energy
 
     def motion(self, state: FloatArray, u: FloatArray, settings: records.Settings) -> CoreMotion:
         """Return a motion from a state, to be advanced."""

@@ -45,7 +45,7 @@ def assembled(
     )
     nodes, velocities = run.all_motion()
     inputs = run.all_values(run.string_rows)
-    functions = MotionFunctions(model, run.supports is not None, inputs)
+    functions = MotionFunctions(model, run.supports is not None, inputs, core=run.core)
     load = _load(run)
     free, known = not len(structure.fixed_rows), dict[str, Any]()
     contacts = None
@@ -107,8 +107,8 @@ def _contacts(
 ) -> tuple[ContactRecord, dict[str, Any]]:
     """Return the record of the contacts, and what of the trajectory was evaluated for it."""
     known: dict[str, Any] = {}
-    (kinetic,) = functions.of("kinetic_energy", nodes, velocities)
-    known["kinetic_energy"] = kinetic[0]
+    kinetic = functions.kinetic_energy(nodes, velocities)
+    known["kinetic_energy"] = kinetic
     largest = float(kinetic.max())
     contacts = record_contacts(DenseMotion.of_run(run), nodes, velocities, largest)
     if not len(run.model.structure.fixed_rows) and not isinstance(run.load, Pieces):

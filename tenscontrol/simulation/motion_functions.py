@@ -11,6 +11,7 @@ from casadi import Function
 from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics.evaluator import evaluate_columns
 from tenscontrol.dynamics.model import Model
+from tenscontrol.integrate.core_scene import CoreScene
 
 # Times at which functions of the model are evaluated in one go: few enough that what they need of a
 # large structure stays small.
@@ -32,6 +33,8 @@ class MotionFunctions:
         N.
     stored : ndarray, shape (T,), or None
         What the ground stores, J.
+    core : CoreScene, optional
+        What evaluates energies where the compiled core has the model.
     shared : callable, optional
         Of a run of a batch: ``name -> function, parameters``, the function of the model and the
         columns of its further inputs.
@@ -42,7 +45,23 @@ class MotionFunctions:
     inputs: FloatArray
     load: FloatArray | None = None
     stored: FloatArray | None = None
+    core: CoreScene | None = None
     shared: Callable[[str], tuple[Function, list[FloatArray]]] | None = None
+
+    def kinetic_energy(self, nodes: FloatArray, velocities: FloatArray) -> FloatArray:
+        """Return the kinetic energy at all times, J, shape (T,), read-only."""
+        if self.core is None:
+            return self.of("kinetic_energy", nodes, velocities)[0][0]
+        return read_only(self.core.kinetic_energy(velocities))
+
+    def string_energy(self, name: str, nodes: FloatArray, velocities: FloatArray) -> FloatArray:
+        """Return what strings store at all times, J, shape (T,), read-only.
+
+        ``name`` is that of the function of the model.
+        """
+        if self.core is None:
+            return self.of(name, nodes, velocities, self.inputs)[0][0]
+        return read_only(self.core.string_energy(nodes, self.inputs))
 
     def of(
         self, name: str, nodes: FloatArray, velocities: FloatArray, *more: FloatArray

@@ -14,6 +14,7 @@ from tenscontrol.dynamics.equation import Equation, unpack_states
 from tenscontrol.dynamics.evaluator import Evaluator
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.profile import Pieces, polynomial_at
+from tenscontrol.integrate.core_scene import CoreScene, core_scene
 from tenscontrol.integrate.integrator import (
     IntegrationError,
     IntegrationInterrupt,
@@ -150,6 +151,11 @@ class PlantRun:
     def order(self) -> int:
         """Order of the method that was last at work."""
         return (self._method or METHODS[self.methods[-1]]).order
+
+    @property
+    def core(self) -> CoreScene | None:
+        """The equation as the compiled core runs it, if it does."""
+        return core_scene(self._equation)
 
     def _made(self, value: float, name: str) -> Integrator:
         """Return the integrator of a method, with a step or tolerance."""

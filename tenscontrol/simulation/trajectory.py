@@ -203,14 +203,13 @@ class Trajectory(Viewable):
         for first in range(0, len(self.time), BLOCK):
             some = slice(first, first + BLOCK)
             apart = self.nodes[:, end, some] - self.nodes[:, start, some]
-            length[:, some] = np.linalg.norm(apart, axis=0)
+            length[:, some] = np.sqrt(np.einsum("imt,imt->mt", apart, apart))
         return length
 
     @cached_property
     def kinetic_energy(self) -> FloatArray:
         """½ tr(Ṅ M_s Ṅᵀ), J, shape (T,)."""
-        energy: FloatArray = self._evaluated("kinetic_energy")[0][0]
-        return energy
+        return self._of_model.kinetic_energy(self.nodes, self.velocities)
 
     @cached_property
     def potential_energy(self) -> FloatArray:
@@ -222,7 +221,7 @@ class Trajectory(Viewable):
         """
         name = "potential_energy" if self.rest_length is None else "elastic_energy"
         functions = self._of_model
-        energy = self._evaluated(name, functions.inputs)[0][0]
+        energy = functions.string_energy(name, self.nodes, self.velocities)
         if functions.stored is not None:
             energy = energy + functions.stored
         if functions.load is not None:

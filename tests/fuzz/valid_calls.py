@@ -1386,6 +1386,7 @@ call("simulation.Trajectory.save", lambda: {"path": scratch("run.npz")}, run, 0.
 call("simulation.Trajectory.to_csv", lambda: {"path": scratch("run.csv")}, run, 0.3)
 call("simulation.Trajectory.to_xarray", on=run, share=0.1)
 call("load_run", lambda: {"path": str(run().save(scratch("saved.npz")))}, share=0.3)
+call("show_config", share=0.3)
 call("simulation.ControlRecord.summary", on=lambda: closed_run().control)
 call("simulation.ContactRecord.summary", on=lambda: dropped_run().contacts)
 call("Scene.simulate", lambda: {"progress": False, "start": None}, scene, 0.05)

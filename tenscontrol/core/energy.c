@@ -1,0 +1,86 @@
+/* Energies of a motion: nodes, rates and inputs at many times, which are the last axis. */
+#include <math.h>
+#include <string.h>
+
+#include "core.h"
+#include "kernels.h"
+
+/* One coordinate of a node at all times, in an array (d, n, times). */
+static const double *along(const Scene *s, const double *nodes, int place, int axis, int times) {
+  const int d = s->dimension, count = s->entries / d;
+  return nodes + ((size_t)axis * count + place / d) * times;
+}
+
+WIDE static void add_bar(const double *restrict start, const double *restrict end, double mass,
+                         int times, double *restrict energy) {
+  for (int t = 0; t < times; ++t) {
+    double part;
+    bar_energy(start[t], end[t], mass, &part);
+    energy[t] += part;
+  }
+}
+
+WIDE static void add_point(const double *restrict rate, double mass, int times,
+                           double *restrict energy) {
+  for (int t = 0; t < times; ++t) energy[t] += 0.5 * mass * rate[t] * rate[t];
+}
+
+void tc_kinetic_energy(const Scene *s, int32_t times, const double *rates, double *energy) {
+  memset(energy, 0, times * sizeof *energy);
+  for (int k = 0; k < s->dimension; ++k) {
+    for (int i = 0; i < s->bars; ++i)
+      add_bar(along(s, rates, s->any_start[i], k, times), along(s, rates, s->any_end[i], k, times),
+              s->bar_mass[i], times, energy);
+    for (int i = 0; i < s->entries / s->dimension; ++i)
+      if (s->point_mass[i] != 0)
+        add_point(along(s, rates, s->dimension * i, k, times), s->point_mass[i], times, energy);
+  }
+}
+
+WIDE static void add_square(const double *restrict start, const double *restrict end, int times,
+                            double *restrict square) {
+  for (int t = 0; t < times; ++t) square[t] += (end[t] - start[t]) * (end[t] - start[t]);
+}
+
+WIDE static void add_root(const double *restrict square, int times, double *restrict length) {
+  for (int t = 0; t < times; ++t) length[t] += sqrt(square[t]);
+}
+
+/* What a string stores; its input is the same at all times where `step` is 0, else it is 1. */
+WIDE static void add_string(const Scene *s, int string, const double *restrict length,
+                            const double *restrict u, int step, int times,
+                            double *restrict energy) {
+  const double k = s->law == FORCE_DENSITY_HELD ? 0 : s->stiffness[string];
+  double part;
+  if (s->law == FORCE_DENSITY_HELD)
+    for (int t = 0; t < times; ++t) energy[t] += 0.5 * u[t * step] * length[t] * length[t];
+  else if (s->law == LINEAR_STRINGS)
+    for (int t = 0; t < times; ++t) {
+      linear_energy(length[t], u[t * step], k, &part);
+      energy[t] += part;
+    }
+  else
+    for (int t = 0; t < times; ++t) {
+      elastic_energy(length[t], u[t * step], k, &part);
+      energy[t] += part;
+    }
+}
+
+void tc_string_energy(const Scene *s, int32_t times, const double *nodes, const double *inputs,
+                      int32_t is_constant, double *energy, double *work) {
+  const size_t row = is_constant ? 1 : (size_t)times;
+  double *square = work, *length = work + times;
+  memset(energy, 0, times * sizeof *energy);
+  /* Segments of a string follow one another. */
+  for (int i = 0; i < s->segments; ++i) {
+    const int string = s->segment_string[i];
+    memset(square, 0, times * sizeof *square);
+    if (i == 0 || s->segment_string[i - 1] != string) memset(length, 0, times * sizeof *length);
+    for (int k = 0; k < s->dimension; ++k)
+      add_square(along(s, nodes, s->segment_start[i], k, times),
+                 along(s, nodes, s->segment_end[i], k, times), times, square);
+    add_root(square, times, length);
+    if (i + 1 == s->segments || s->segment_string[i + 1] != string)
+      add_string(s, string, length, inputs + string * row, !is_constant, times, energy);
+  }
+}
