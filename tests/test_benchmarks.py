@@ -423,7 +423,7 @@ def test_batch(printed, monkeypatch, scene):
     module = import_module("tests.benchmarks.batch")
     monkeypatch.setattr(module, "BLOCKS", (5,))
     text = printed(
-        "batch", f"--structures prism --scenes {scene} --runs 5 --duration 0.1 --repeats 1"
+        "batch", f"--structures prism --scenes {scene} --runs 5 --duration 0.2 --repeats 1"
         " --errors 1e-3",
     )  # fmt: skip
     for program in beside(
