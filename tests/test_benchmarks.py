@@ -10,7 +10,6 @@ from shutil import which
 import numpy as np
 import pytest
 
-from tenscontrol.dynamics import machine_code
 from tenscontrol.dynamics.machine_code import VARIABLE, compiler
 
 BENCHMARKS = Path(__file__).parent / "benchmarks"
@@ -28,9 +27,13 @@ def needs(package, extra):
 
 def test_every_benchmark_is_tested():
     there = {path.stem for path in BENCHMARKS.glob("*.py") if not path.stem.startswith("test_")}
-    there -= {"__init__", "command_line", "extreme_cases", "jax_peers"}
+    there -= {"__init__", "command_line", "extreme_cases", "rk4_peers"}
     tested = {name.removeprefix("test_") for name in globals() if name.startswith("test_")}
-    assert there == tested - {"every_benchmark_is_tested", "robustness_together"}
+    assert there == tested - {
+        "batch_controlled",
+        "every_benchmark_is_tested",
+        "robustness_together",
+    }
 
 
 @pytest.fixture
@@ -58,26 +61,22 @@ def row(text, label, which=0):
     ]
 
 
-def test_import_time(printed):
-    text = printed("import_time", "--repeats 1")
-    labels = re.findall(r"^(.*?)  +\S+ s beyond numpy \(median of 1\)$", text, re.M)
-    assert labels == [
-        "import tenscontrol", "  and a prism's model", "  and python-control, for scale",
-    ]  # fmt: skip
-
-
 def test_reference_distance(printed):
-    text = printed("reference_distance", "prism --shares 0.05 0.4")
+    text = printed("reference_distance", "prism --shares 0.05 0.4 --ways sideways")
     rows = [line.split() for line in text.splitlines()[1:]]
-    assert [(line[1], line[3], line[-1]) for line in rows if line[2] == "sideways"] == [
+    assert {line[2] for line in rows} == {"sideways"}
+    assert [(line[1], line[3], line[-1]) for line in rows] == [
         ("rest_length", "5", "no"), ("rest_length", "40", "no"),
         ("force_density", "5", "no"), ("force_density", "40", "yes"),
     ]  # fmt: skip
 
 
-def test_motor_substeps(printed):
-    text = printed("motor_substeps", "--substeps 2 4 --finest 8")
-    for name in ("torque alone", "lag 30 ms", "play 0.3 rad"):
+def test_motor_substeps(printed, monkeypatch):
+    module = import_module("tests.benchmarks.motor_substeps")
+    monkeypatch.delitem(module.MOTORS, "inertia 1e-5 kg m²")
+    monkeypatch.delitem(module.MOTORS, "lag 30 ms")
+    text = printed("motor_substeps", "--substeps 2 4 --finest 16")
+    for name in ("torque alone", "play 0.3 rad"):
         few, more = row(text, name), row(text, name, 1)
         assert more[1] < 0.5 * few[1]  # rest length, after the substeps
         assert 0.5 < few[3] / few[1] < 3
@@ -118,7 +117,7 @@ def test_suite(printed):
 
 def test_frontier(printed):
     text = printed("frontier", "--count 0 --library 1 --limit 0.01 --methods rk4 dop853 --cells")
-    assert "library in the air: massless strings, 1e-02: ms " in text
+    assert "library in the air: prism, massless strings, 1e-02: ms " in text
     assert text.count("  library in the air: 7 cells") == 2  # time and evaluations
     assert text.count("  long run, energy: 7 cells") == 2
 
@@ -150,65 +149,11 @@ def test_member_cost(printed, monkeypatch, tmp_path):
     assert list(tmp_path.iterdir()) == []  # the folder of compiled functions is its own
 
 
-def test_simulation(printed):
-    text = printed("simulation", "--duration 0.3 --repeats 1")
-    assert "0.3 s, 4 switches" in text
-    assert row(text, "tenscontrol rk4, step 1e-3")[0] < 1e-8
-    errors = [row(text, f"SciPy DOP853, {t:g}")[0] for t in (1e-4, 1e-6, 1e-8)]
-    assert errors == sorted(errors, reverse=True)
-    assert errors[-1] < 1e-7
-    if find_spec("mujoco") is None:
-        assert "MuJoCo is not installed" in text
-    else:
-        assert row(text, "MuJoCo RK4, step 1e-3")[0] < 1e-5
-
-
 def test_bar_crossings(printed):
     text = printed("bar_crossings", "--stages 4 --repeats 1")
     assert row(text, "ball, 5 s")[2] == 0
     for label in ("prism, 1.5 s", "prism, ends alone"):
         assert row(text, label)[2:] == [12, 0.1386]
-
-
-def test_missed_switches(printed):
-    text = printed("missed_switches", "--stages 10 --methods rk4 --steps 0.004 0.0005")
-    for place in range(2):
-        _, found, missed, of_all = row(text, "rk4 ", place)[:4]
-        assert found > missed >= 0
-        assert 0.95 < of_all < 1.05
-
-
-@needs_compiler
-@needs("jax", "bench")
-def test_batch(printed, monkeypatch):
-    module = import_module("tests.benchmarks.batch")
-    monkeypatch.setattr(module, "_OURS", ("rk4",))
-    monkeypatch.setattr(module, "STEPS", (0.0125,))
-    text = printed("batch", "--runs 5 --duration 0.1 --repeats 1")
-    for label in ("tenscontrol rk4", "NumPy RK4", "JAX vmap, matrices"):
-        assert row(text, label)[1] < 1e-3
-    assert re.search(r"compiled, one by one .*True", text)
-
-
-def test_ground_drop(printed):
-    text = printed("ground_drop", "--duration 0.3 --settings 2 --repeats 1")
-    errors = [row(text, "dop853 ", which)[1] for which in range(2)]
-    assert errors == sorted(errors, reverse=True)
-    assert errors[-1] < 1e-4
-    if find_spec("mujoco") is None:
-        assert "mujoco rk4 does not take part: mujoco is not installed" in text
-    else:
-        assert "mujoco rk4 has a law of its own, contacts with linear damping" in text
-        own = [row(text, "mujoco rk4  ", which)[1] for which in range(2)]
-        assert own[-1] < own[0] < 0.1
-        assert float(re.search(r"the laws are (\S+) m apart", text)[1]) > own[-1]
-
-
-def test_repeated_runs(printed):
-    text = printed("repeated_runs", "--repeats 1")
-    for name in ("rk4 ", "dop853 ", "energy_momentum "):
-        first, second, ratio, _ = row(text, name)
-        assert ratio == pytest.approx(second / first, rel=0.1, abs=0.01)
 
 
 def test_stiff_strings(printed, nothing_compiled):
@@ -232,12 +177,9 @@ def test_coupled_bars(printed):
     assert row(text, "  rk4", 2)[0] < 1e-8
 
 
-@needs_compiler
 def test_ground_motions(printed, monkeypatch):
-    # It runs for a second, and even -O1 takes ten to compile.
-    flags = tuple("-O0" if flag.startswith("-O") else flag for flag in machine_code.FLAGS)
-    monkeypatch.setattr(machine_code, "FLAGS", flags)
-    text = printed("ground_motions", "--duration 0.3 --rest 1")
+    monkeypatch.delitem(import_module("tests.benchmarks.ground_motions").SCENES, "tower")
+    text = printed("ground_motions", "--duration 0.3 --rest 0.2")
     for error in re.findall(r"farthest node, m +(.*)", text):
         assert max(map(float, error.split())) < 1e-11
     assert "0 not located" in text
@@ -386,20 +328,6 @@ def test_shape_control(printed):
     assert decay[-1] < 0.1
 
 
-@needs("mujoco", "bench")
-def test_error_against_time(printed):
-    text = printed("error_against_time", "--all --duration 0.5 --settings 3 --repeats 3")
-    assert "every one of 6 switches located" in text
-    for name, most in (
-        ("rk4", 1e-3), ("dop853", 1e-4),
-        ("mujoco rk4", 1e-4), ("mujoco euler", 1e-2), ("mujoco implicitfast", 1e-2),
-        ("scipy dop853", 1e-4), ("casadi cvodes", 1e-3),
-    ):  # fmt: skip
-        first, _, last = (row(text, f"{name} ", k)[1] for k in range(3))
-        assert last < min(first, most)
-    assert re.findall(r"^1e-0[359]  +(\S+)", text, re.M)[1:] == ["dop853", "-"]
-
-
 @needs_compiler
 def test_trust(printed, tmp_path):
     text = printed("trust", f"--seed 9 --count 2 --methods rk4 energy_momentum --cache {tmp_path}")
@@ -408,15 +336,6 @@ def test_trust(printed, tmp_path):
     assert row(text, "all with fixed steps")[0] >= 10
     text = printed("trust", f"--scene 9 --methods rk4 --cache {tmp_path}")
     assert len(re.findall(r"rk4 .* (?:ok|stopped) ", text)) == 9
-
-
-@needs("jax", "jax")
-def test_thrown_ball(printed):
-    text = printed("thrown_ball", "--all --duration 0.3 --settings 2 --repeats 1")
-    assert "order 8, tolerance 1e-13" in text
-    for name, most in (("dop853", 1e-5), ("jax rk4", 1e-3)):
-        first, last = (row(text, f"{name} ", k)[1] for k in range(2))
-        assert last < min(first, most)
 
 
 @needs("mujoco", "bench")
@@ -446,3 +365,98 @@ def test_reduced_control(printed):
     assert float(re.search(r"^ +5 +\d+ .* (\S+)$", text, re.M)[1]) < 1e-8
     for law in ("LQR", "MPC"):
         assert row(text, law)[2] == pytest.approx(1, abs=0.05)
+
+
+def cheapest(text, program):
+    """Return setting, error, ms and ratio of each cheapest run of a program."""
+    lines = re.findall(rf"^\S+  {program} +(\S+) +(\S+) +(\S+) +(\S+)$", text, re.M)
+    return [[float(x) for x in line] for line in lines]
+
+
+def test_cheapest():
+    """Of three settings the coarsest that reaches the error is taken, and only it is timed."""
+    module = import_module("tests.benchmarks.cheapest")
+    calls = []
+
+    def program(name, settings):
+        def prepare(setting):
+            return lambda: calls.append((name, setting)) or setting
+
+        return module.Program(name, settings, prepare)
+
+    programs = [program("one", module.grid(1.0, 0.5)), program("other", (4.0, 2.0))]
+    first, other = module.cheapest(programs, float, [0.7], repeats=3)
+    assert (first.setting, first.reached, first.ratio) == (0.64, 0.64, 1.0)
+    assert np.isnan(other.setting)
+    assert calls.count(("one", 0.64)) == 4
+    assert calls.count(("one", 0.8)) == 1
+    assert module.grid(1.0, 0.5) == pytest.approx([1, 0.8, 0.64, 0.512, 0.4096])
+
+
+@needs("mujoco", "bench")
+def test_overhead(printed, monkeypatch):
+    module = import_module("tests.benchmarks.overhead")
+    monkeypatch.setattr(module, "IMPORTS", {"import tenscontrol": "import tenscontrol"})
+    text = printed("overhead", "--repeats 1")
+    labels = ("import tenscontrol", "first call: tenscontrol", "first call: MuJoCo",
+              "first call of a model, 5 s", "a later one of 0.1 ms")  # fmt: skip
+    assert all(row(text, label)[-1] > 0 for label in labels)
+
+
+def beside(*names):
+    """Return the programs whose package is installed, by the first word in lower case."""
+    return [name for name in names if find_spec(re.split("[ ,]", name)[0].lower()) is not None]
+
+
+@needs("mujoco", "bench")
+def test_error_against_time(printed):
+    text = printed(
+        "error_against_time", "--scenes switching --duration 0.2 --errors 1e-3 --repeats 1"
+    )
+    assert "order 8, tolerance 1e-13" in text
+    for program in beside(
+        "tenscontrol, default call", "tenscontrol, no estimate", "tenscontrol, without the core",
+        "JAX RK4", "Diffrax Dopri8",
+        "scipy dop853", "mujoco rk4", "mujoco implicitfast",
+    ):  # fmt: skip
+        (found,) = cheapest(text, program)
+        assert 0 < found[1] <= 1e-3
+
+
+@needs("mujoco", "bench")
+@pytest.mark.parametrize("scene", ["slack", "ground"])
+def test_batch(printed, monkeypatch, scene):
+    module = import_module("tests.benchmarks.batch")
+    monkeypatch.setattr(module, "BLOCKS", (5,))
+    text = printed(
+        "batch", f"--structures prism --scenes {scene} --runs 5 --duration 0.2 --repeats 1"
+        " --errors 1e-3",
+    )  # fmt: skip
+    for program in beside(
+        "tenscontrol, default call", "tenscontrol, ends, no estimate", "NumPy RK4, blocks of 5",
+        "JAX RK4, float64, blocks of 5", "JAX RK4, float32, blocks of 5", "MuJoCo rollout RK4",
+    ):  # fmt: skip
+        (found,) = cheapest(text, program)
+        assert 0 < found[1] <= 1e-3
+
+
+@needs_compiler
+def test_batch_controlled(printed):
+    text = printed("batch", "--scenes controlled --runs 2 --duration 0.04 --repeats 1")
+    for label in ("compiled, at once", "compiled, one by one"):
+        assert row(text, label)[2] < 1e-12
+    assert row(text, "Python, one by one")[2] < 1e-8
+
+
+def test_towers(printed):
+    text = printed("towers", "--stages 3 --errors 1e-3 --repeats 1 --steps 4e-3 5e-4")
+    assert "tower of 3 stages, 60 members, 55 switches" in text
+    for program in beside("tenscontrol, default call", "NumPy RK4", "JAX RK4"):
+        assert cheapest(text, program)[0][1] <= 1e-3
+    for step in ("0.004", "0.0005"):
+        found, missed, of_all, error, estimate, naive = row(text, f"rk4, {step} s")
+        assert found > missed >= 0
+        assert 0.95 < of_all < 1.05
+        assert 0 < error < naive or step == "0.004"
+        assert estimate > 0
+    assert row(text, "the tower alone")[0] > 0

@@ -30,8 +30,8 @@ from tenscontrol.accuracy.converged_motion import converged_motion
 from tenscontrol.accuracy.open_loop import fastest_rate
 from tenscontrol.integrate.methods import METHODS
 from tenscontrol.simulation import AccuracyWarning, SimulationError
+from tests.benchmarks import error_against_time
 from tests.benchmarks.command_line import options
-from tests.benchmarks.error_against_time import example
 from tests.random_scenes import Scene, random_scene
 from tests.references import (
     TIMES,
@@ -205,8 +205,8 @@ def library_cases() -> Iterator[tuple[tc.Scene, str]]:
 def conservative_cases() -> Iterator[tuple[tc.Scene, str]]:
     """Yield cases without loss, whose energy is a constant."""
     kind = "library in the air"
-    yield example(1, 5.0), kind
-    yield example(4, 2.0), kind
+    yield error_against_time.prism(5.0), kind
+    yield error_against_time.prism(2.0, 4), kind
     for stiffness in (100.0, 1e4):
         yield tumbling_ball(stiffness), kind
     yield tower(), kind

@@ -9,22 +9,19 @@ yardstick's. Needs a C compiler.
 from __future__ import annotations
 
 import ctypes
-import os
 import subprocess
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from time import perf_counter
-from unittest.mock import patch
 
 import numpy as np
 
 import tenscontrol as tc
 from tenscontrol.dynamics.evaluator import Evaluator
-from tenscontrol.dynamics.forces import Forces
-from tenscontrol.dynamics.forms.loops import loops_source
-from tenscontrol.dynamics.machine_code import compiled_library, compiler
+from tenscontrol.dynamics.machine_code import compiler
 from tenscontrol.dynamics.model import LARGEST_FLAT
+from tenscontrol.integrate.core_scene import core_scene
 from tests.benchmarks.command_line import options
 
 BARS = (3, 30, 300, 3_000, 30_000)
@@ -47,20 +44,17 @@ class Scene(ctypes.Structure):
 
 def main(arguments: Sequence[str] | None = None) -> None:
     given = options(__doc__, arguments, bars=BARS, turns=TURNS, members=MEMBERS)
-    with (
-        tempfile.TemporaryDirectory() as folder,
-        patch.dict(os.environ, XDG_CACHE_HOME=folder),  # so that all is compiled, and timed
-    ):
+    with tempfile.TemporaryDirectory() as folder:
         yardstick = build_yardstick(Path(folder))
         for held in ("force_density", "rest_length"):
             print(f"\n{held.replace('_', ' ')} held: ns per member and evaluation, (ratio), build")
             print(
-                f"{'bars':>7s} {'members':>8s} {'yardstick':>10s} {'with compiler':>24s} "
+                f"{'bars':>7s} {'members':>8s} {'yardstick':>10s} {'core':>24s} "
                 f"{'without':>24s}  form without"
             )
             rows = [cost(yardstick, bars, held, given.turns, given.members) for bars in given.bars]
             for name, column in zip(
-                ("yardstick", "with compiler", "without"), zip(*rows, strict=True), strict=True
+                ("yardstick", "core", "without"), zip(*rows, strict=True), strict=True
             ):
                 print(f"largest over smallest, {name}: {max(column) / min(column):.1f}")
 
@@ -84,9 +78,11 @@ def cost(
     repeats = max(3, evaluated // members)
     by_hand, expected = time_by_hand(yardstick, tower, law, (x, u, taut), repeats)
     began = perf_counter()
-    library = compiled_library(loops_source(Forces(tower, law), np.zeros_like(tower.nodes)))
+    core = core_scene(model.equation(held, form="mapped"))
+    if core is None:
+        raise SystemExit("tenscontrol was installed without its core")
     built = [perf_counter() - began]
-    compiled, found = time_compiled(yardstick, library, tower, (x, u, taut), repeats)
+    compiled, found = time_core(yardstick, core, (x, u, taut), repeats)
     assert np.abs(found - expected).max() < 1e-11 * np.abs(expected).max()
     form = "flat" if members <= LARGEST_FLAT else "mapped"
     began = perf_counter()
@@ -111,7 +107,7 @@ def build_yardstick(folder: Path) -> ctypes.CDLL:
     command = [*found, "-O3", "-fPIC", "-shared", str(source), "-o", str(library), "-lm"]
     subprocess.run(command, check=True)
     loaded = ctypes.CDLL(str(library))
-    for name in ("time_yardstick", "time_function"):
+    for name in ("time_yardstick", "time_core"):
         getattr(loaded, name).restype = ctypes.c_double
     return loaded
 
@@ -136,15 +132,15 @@ def time_by_hand(yardstick, tower, law, at, repeats):
     return run, out
 
 
-def time_compiled(yardstick, library, tower, at, repeats):
-    """Return what times the compiled loops, called from C, and their result."""
-    function = ctypes.CDLL(str(library)).slope
-    out = np.zeros(len(at[0]))
-    work = np.zeros(9 * tower.nodes.shape[1] + 2 * len(at[0]) + 2 * len(at[1]))
+def time_core(yardstick, core, at, repeats):
+    """Return what times the slope of the core, called from C, and its result."""
+    x, u, taut = at
+    out, work, drive = np.zeros(len(x)), np.zeros(core.work_size), core.drive(u)
 
     def run(count=repeats):
-        arrays = (pointer(array) for array in (*at, out, work))
-        return yardstick.time_function(function, *arrays, count)
+        arrays = (pointer(array) for array in (x, taut, out, work))
+        scene = ctypes.byref(core.scene), ctypes.byref(drive)
+        return yardstick.time_core(core.core.tc_slope, *scene, *arrays, count)
 
     run(1)
     return run, out

@@ -56,14 +56,15 @@ def way(name, place, level):
     return tc.shape_path(model, rest, goal, duration=2.0).reference()
 
 
-def cases(name, input, shares):
+def cases(name, input, shares, ways):
     """Yield direction, share, plant and reference of each distance that a path leads to."""
     model, rest = at_start(name)
     structure, level = model.structure, structures()[name][2]
     plant = tc.linearize(model, rest, input=input)
     d = structure.dimension
     node, size = int(structure.nodes[-1].argmax()), float(np.ptp(structure.nodes, axis=1).max())
-    for side, sense in DIRECTIONS.items():
+    for side in ways:
+        sense = DIRECTIONS[side]
         along = np.array(sense)[[0, 2]] if d == 2 else np.array(sense)
         for share in shares:
             place = structure.nodes[:, node] + share * size * along / np.linalg.norm(along)
@@ -95,6 +96,7 @@ def main(arguments=None):
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*", default=list(structures()))
     parser.add_argument("--shares", nargs="+", type=float, default=SHARES, metavar="PART")
+    parser.add_argument("--ways", nargs="+", choices=DIRECTIONS, default=list(DIRECTIONS))
     given = parser.parse_args(arguments)
     print(
         "structure        input          way       distance   growth/s  offset   error     warned"
@@ -102,7 +104,7 @@ def main(arguments=None):
     for name in given.names:
         for input in ("rest_length", "force_density"):
             try:
-                for side, share, plant, reference in cases(name, input, given.shares):
+                for side, share, plant, reference in cases(name, input, given.shares, given.ways):
                     mpc, warned, error = run(plant, reference)
                     path = mpc.law.path
                     growth, offset = law_in_shape(plant, mpc.law.design, path, path.span[1])

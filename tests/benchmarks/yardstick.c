@@ -79,15 +79,12 @@ double time_yardstick(const Scene *s, const double *x, const double *u, const do
   return (now() - began) / repeats;
 }
 
-/* The same for a function with CasADi's interface. */
-double time_function(int (*function)(const double **, double **, long long *, double *, int),
-                     const double *x, const double *u, const double *taut, double *xdot,
-                     double *work, int repeats) {
+/* The same for the slope of the compiled core, by its records of a scene and of its inputs. */
+double time_core(void (*function)(const void *, const void *, const double *, const double *,
+                                  double *, double *),
+                 const void *scene, const void *drive, const double *x, const double *taut,
+                 double *xdot, double *work, int repeats) {
   const double began = now();
-  for (int i = 0; i < repeats; ++i) {
-    const double *arg[] = {x, u, taut};
-    double *res[] = {xdot};
-    function(arg, res, 0, work, 0);
-  }
+  for (int i = 0; i < repeats; ++i) function(scene, drive, x, taut, xdot, work);
   return (now() - began) / repeats;
 }

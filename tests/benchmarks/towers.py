@@ -1,0 +1,139 @@
+"""Towers of prisms whose strings go slack by hundreds in a step, beside plain NumPy and JAX.
+
+``python -m tests.benchmarks.towers [--stages 100 1000]``. Every seventh string of a tower of 24
+members a stage is wound in by 3 %, and it moves for 0.1 s. Three tables a tower:
+
+- The cheapest run of each program that reaches an error, m, at the end: of ours a second
+  ``tc.simulate`` with its defaults and its tolerance, of the others their integration alone,
+  compiled before.
+- Switches that ``rk4`` locates, and that it says it missed, over the converged count; its error and
+  the estimate of it, m, beside that of RK4 in NumPy, which locates none, in the same step.
+- Processor time and the largest memory of a process of its own that makes the tower and runs it
+  once, at the settings of the first table for 1e-6 m, and of one that only makes the tower.
+
+Not told: what JAX takes to compile in the first table; the third tells it. Needs the extra
+``bench``; Linux alone tells the memory.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import warnings
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+import tenscontrol as tc
+from tenscontrol.simulation import AccuracyWarning
+from tenscontrol.tables import aligned
+from tests.benchmarks.cheapest import Program, Row, farthest, grid, ours, reported, tolerances
+from tests.benchmarks.command_line import options
+from tests.benchmarks.rk4_peers import is_missing, jax_rk4, numpy_rk4
+
+DURATION = 0.1  # s
+
+# What a process of its own runs: the index of a program, and its setting.
+_ALONE = r"""
+import json, re, sys, time
+from pathlib import Path
+from tests.benchmarks.towers import programs, tower
+stages, index, setting = json.loads(sys.argv[1])
+if index is None:
+    tower(stages)
+else:
+    programs(stages)[index].prepare(setting)()
+status = Path("/proc/self/status")  # getrusage tells the largest of the parent
+size = re.search(r"VmHWM:\s+(\d+) kB", status.read_text())[1] if status.exists() else "nan"
+print(json.dumps([time.process_time(), 1024 * float(size)]))
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print the tables."""
+    given = options(
+        __doc__, arguments, stages=(100, 1000), errors=(1e-3, 1e-6), repeats=5,
+        steps=(4e-3, 1e-3, 2.5e-4), longest=30.0,
+    )  # fmt: skip
+    for stages in given.stages:
+        case = tower(stages)
+        exact, coarse = (
+            simulated(case, method="dop853", tolerance=tolerance) for tolerance in (1e-10, 1e-7)
+        )
+        members = len(case.structure.bars) + len(case.structure.strings)
+        print(f"\ntower of {stages} stages, {members} members, {exact.work.switches} switches; at "
+              f"a thousand times the tolerance {coarse.work.switches}", flush=True)  # fmt: skip
+        judge = farthest(exact.nodes[:, :, -1:])
+        rows = reported(programs(stages), judge, given.errors, given.repeats, given.longest)
+        print_switches(case, exact, given.steps, judge)
+        print_memory(stages, [row for row in rows if row.error == min(given.errors)])
+
+
+def tower(stages: int) -> tc.Scene:
+    """Return a tower with every seventh string wound in."""
+    structure = tc.prism_tower(stages)
+    rest = tc.prestress(structure, min_force_density=5.0)
+    model = tc.Model(structure, strings=tc.LinearStrings(100 * rest.force_density.max()))
+    lengths = tc.to_rest_length(model, structure.nodes, rest.force_density).rest_length.copy()
+    lengths[::7] *= 0.97
+    return tc.Scene(model, DURATION, rest_length=lengths, name=f"tower of {stages} stages")
+
+
+def programs(stages: int) -> list[Program]:
+    """Return ours and the peers."""
+    case, times = tower(stages), np.array([DURATION])
+    steps = grid(0.01, 1e-6)
+    found = ours(lambda: case, times, tolerances(), output_step=DURATION)
+    found.append(numpy_rk4(case, times, steps))
+    return found if is_missing("jax") else [*found, jax_rk4(case, times, steps)]
+
+
+def simulated(case: tc.Scene, **how: object) -> tc.Trajectory:
+    """Return a run of which the end alone is kept."""
+    with warnings.catch_warnings(action="ignore", category=AccuracyWarning):
+        return tc.simulate(
+            case.model, case.duration, rest_length=case.input_value, output_step=case.duration,
+            **how,
+        )  # fmt: skip
+
+
+def print_switches(
+    case: tc.Scene,
+    exact: tc.Trajectory,
+    steps: Sequence[float],
+    judge: Callable[[np.ndarray], float],
+) -> None:
+    """Print what ``rk4`` finds and misses, and its error beside that of naive steps."""
+    count = max(1, exact.work.switches)
+    naive = numpy_rk4(case, np.array([DURATION]), steps)
+    rows = []
+    for step in steps:
+        run = simulated(case, method="rk4", step=step)
+        found, missed = run.work.switches, run.work.missed
+        cells = [judge(run.nodes[:, :, -1:]), float(run.error[-1]), judge(naive.prepare(step)())]
+        rows.append([f"rk4, {step:g} s", str(found), str(missed), f"{(found + missed) / count:.3f}",
+                     *(f"{x:.1e}" for x in cells)])  # fmt: skip
+    print(aligned(["", "found", "missed", "of all", "error", "estimate", "naive rk4"], rows))
+
+
+def print_memory(stages: int, rows: Sequence[Row]) -> None:
+    """Print the processor time and the largest memory of a process for each row."""
+    table = []
+    asked: list[tuple[str, int | None, float | None]] = [("the tower alone", None, None)]
+    asked += [
+        (row.name, index, row.setting) for index, row in enumerate(rows) if row.setting > 0
+    ]  # fmt: skip
+    for name, index, setting in asked:
+        finished = subprocess.run(
+            [sys.executable, "-c", _ALONE, json.dumps([stages, index, setting])],
+            check=True, capture_output=True, text=True, env=os.environ | {"PYTHONPATH": "."},
+        )  # fmt: skip
+        seconds, size = json.loads(finished.stdout.splitlines()[-1])
+        table.append([name, f"{seconds:.2f}", f"{1e-9 * size:.2f}"])
+    print(aligned(["a process of its own", "s", "GB"], table))
+
+
+if __name__ == "__main__":
+    main()
