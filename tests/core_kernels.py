@@ -186,13 +186,19 @@ def _of_ground(d: int) -> list[str]:
     texts = []
     x, v, normal = (ca.SX.sym(name, d) for name in ("x", "v", "n"))
     pressing = ca.SX.sym("pressing")
-    for name, kind in (("linear", Ground), ("hertz", HertzGround), ("smooth", SmoothGround)):
+    for name, kind in (
+        ("linear", Ground), ("hertz", HertzGround), ("smooth", SmoothGround),
+        ("smooth_undamped", SmoothGround),
+    ):  # fmt: skip
         law = object.__new__(kind)
         fields = ["stiffness", "damping", "friction", "slip_speed", "height"]
         fields += ["width"] if kind is SmoothGround else []
         symbols = {field: _symbol(field) for field in fields}
         for field, symbol in symbols.items():
             object.__setattr__(law, field, symbol)
+        if name == "smooth_undamped":  # the factor of damping is rounded, unless there is none
+            del symbols["damping"]
+            object.__setattr__(law, "damping", 0.0)
         depth, rate = law.height - kernel.dots(normal, x), -kernel.dots(normal, v)
         given = {"x": x, "v": v}
         if kind is not SmoothGround:

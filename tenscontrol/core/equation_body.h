@@ -89,6 +89,11 @@ static void N(touch)(const Ground *g, const double *p, const double *v, const do
                       g->slip_speed, g->height, g->normal, force);
       break;
     default:
+      if (g->damping == 0) {
+        N(smooth_undamped_ground)(p + at, v + at, g->stiffness, g->friction, g->slip_speed,
+                                  g->height, g->width, g->normal, force);
+        break;
+      }
       N(smooth_ground)(p + at, v + at, g->stiffness, g->damping, g->friction, g->slip_speed,
                        g->height, g->width, g->normal, force);
     }

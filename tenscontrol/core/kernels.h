@@ -275,6 +275,47 @@ static inline void smooth_ground_2(const double *x, const double *v, const doubl
   force[1] = t64;
 }
 
+static inline void smooth_undamped_ground_2(const double *x, const double *v, const double stiffness, const double friction, const double slip_speed, const double height, const double width, const double *normal, double *force) {
+  const double t4 = normal[0] * x[0];
+  const double t7 = normal[1] * x[1];
+  const double t8 = t4 + t7;
+  const double t9 = height - t8;
+  const double t11 = t9 + width;
+  const double t13 = larger(t11, 0.0);
+  const double t14 = 2 * width;
+  const double t15 = smaller(t13, t14);
+  const double t16 = t15 * t15;
+  const double t18 = 4.0 * width;
+  const double t19 = t16 / t18;
+  const double t20 = t9 - width;
+  const double t21 = larger(t20, 0.0);
+  const double t22 = t19 + t21;
+  const double t23 = stiffness * t22;
+  const double t24 = normal[0] * t23;
+  const double t26 = normal[0] * v[0];
+  const double t28 = normal[1] * v[1];
+  const double t29 = t26 + t28;
+  const double t30 = normal[0] * t29;
+  const double t31 = v[0] - t30;
+  const double t33 = friction * t23;
+  const double t34 = t31 * t31;
+  const double t35 = normal[1] * t29;
+  const double t36 = v[1] - t35;
+  const double t37 = t36 * t36;
+  const double t38 = t34 + t37;
+  const double t40 = slip_speed * slip_speed;
+  const double t41 = t38 + t40;
+  const double t42 = sqrt(t41);
+  const double t43 = t33 / t42;
+  const double t44 = t31 * t43;
+  const double t45 = t24 - t44;
+  force[0] = t45;
+  const double t47 = normal[1] * t23;
+  const double t48 = t36 * t43;
+  const double t49 = t47 - t48;
+  force[1] = t49;
+}
+
 enum { FREE_BAR_3_CONSTANTS = 4 };
 static inline void free_bar_3_constants(const double mass, double *constants) {
   const double t3 = 2.0 / mass;
@@ -614,6 +655,59 @@ static inline void smooth_ground_3(const double *x, const double *v, const doubl
   const double t80 = t64 * t71;
   const double t81 = t79 - t80;
   force[2] = t81;
+}
+
+static inline void smooth_undamped_ground_3(const double *x, const double *v, const double stiffness, const double friction, const double slip_speed, const double height, const double width, const double *normal, double *force) {
+  const double t4 = normal[0] * x[0];
+  const double t7 = normal[1] * x[1];
+  const double t8 = t4 + t7;
+  const double t11 = normal[2] * x[2];
+  const double t12 = t8 + t11;
+  const double t13 = height - t12;
+  const double t15 = t13 + width;
+  const double t17 = larger(t15, 0.0);
+  const double t18 = 2 * width;
+  const double t19 = smaller(t17, t18);
+  const double t20 = t19 * t19;
+  const double t22 = 4.0 * width;
+  const double t23 = t20 / t22;
+  const double t24 = t13 - width;
+  const double t25 = larger(t24, 0.0);
+  const double t26 = t23 + t25;
+  const double t27 = stiffness * t26;
+  const double t28 = normal[0] * t27;
+  const double t30 = normal[0] * v[0];
+  const double t32 = normal[1] * v[1];
+  const double t33 = t30 + t32;
+  const double t35 = normal[2] * v[2];
+  const double t36 = t33 + t35;
+  const double t37 = normal[0] * t36;
+  const double t38 = v[0] - t37;
+  const double t40 = friction * t27;
+  const double t41 = t38 * t38;
+  const double t42 = normal[1] * t36;
+  const double t43 = v[1] - t42;
+  const double t44 = t43 * t43;
+  const double t45 = t41 + t44;
+  const double t46 = normal[2] * t36;
+  const double t47 = v[2] - t46;
+  const double t48 = t47 * t47;
+  const double t49 = t45 + t48;
+  const double t51 = slip_speed * slip_speed;
+  const double t52 = t49 + t51;
+  const double t53 = sqrt(t52);
+  const double t54 = t40 / t53;
+  const double t55 = t38 * t54;
+  const double t56 = t28 - t55;
+  force[0] = t56;
+  const double t58 = normal[1] * t27;
+  const double t59 = t43 * t54;
+  const double t60 = t58 - t59;
+  force[1] = t60;
+  const double t62 = normal[2] * t27;
+  const double t63 = t47 * t54;
+  const double t64 = t62 - t63;
+  force[2] = t64;
 }
 
 static inline void bar_energy(const double start, const double end, const double mass, double *energy) {

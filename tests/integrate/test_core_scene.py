@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import tenscontrol as tc
 from tenscontrol.core.library import library
 from tenscontrol.integrate.core_scene import core_scene
 from tenscontrol.integrate.projection import project
@@ -46,6 +47,28 @@ def test_slopes_gaps_and_forces_are_those_of_the_equation(first):
         assert apart(rate, wanted[1]) < 1e-12
         forces = equation.force(state[:half], state[half:], u, taut).full()
         assert apart(core.forces(state, u, taut), forces) < 1e-12
+
+
+@pytest.mark.parametrize("law", [tc.Ground, tc.dynamics.HertzGround, tc.dynamics.SmoothGround])
+@pytest.mark.parametrize("damping", [0.0, 0.7])
+@pytest.mark.parametrize("friction", [0.0, 0.4])
+@pytest.mark.parametrize("structure", [tc.library.six_bar_ball(), tc.library.d_bar()])
+def test_grounds_are_those_of_the_laws(law, damping, friction, structure):
+    size = float(np.ptp(structure.nodes))
+    more = {"width": 0.1 * size} if law is tc.dynamics.SmoothGround else {}
+    model = tc.Model(
+        structure,
+        strings=tc.LinearStrings(100.0),
+        gravity=9.81,
+        ground=law(300.0, damping=damping, friction=friction, height=0.1 * size, **more),
+    )
+    equation, rng = model.equation("rest_length"), np.random.default_rng(1)
+    for _ in range(5):
+        state = rng.normal(size=equation.states) * size
+        u = structure.string_length(structure.nodes)
+        taut = (rng.random(equation.switches) < 0.7).astype(float)
+        wanted = equation.slope(state, u, taut).full()
+        assert apart(core_scene(equation).slope(state, u, taut), wanted) < 1e-12
 
 
 def test_bars_are_put_on_their_lengths():
