@@ -436,7 +436,7 @@ class Trajectory(Viewable):
             lines.append(f"method            {self.choice.reason}")
         for change in self.choice.changes:
             lines.append(f"from {change.time:<12g} {change.method}: {change.reason}")
-        if self.choice.back_end != "virtual machine":
+        if self.choice.back_end != "core":
             lines.append(f"steps run in      {self.choice.back_end}")
         if self.error is not None:
             lines.append(f"position error    {self.error.max():.1e} of the size, estimated")

@@ -161,7 +161,7 @@ def test_a_height_is_reached_by_winding_where_jumps_slacken_strings(stiffness):
         mpc = tc.MPC(plant, horizon=10, sample_time=SAMPLE, reference=reference, winches=winches)
         run = tc.simulate(
             model, 1.5, prism.nodes, controller=mpc, winches=winches, rest_length=wound,
-            step=5e-4, machine_code=False,
+            step=5e-4,
         )  # fmt: skip
         slackest[pieces] = run.force_density.min()
     assert slackest[40] > 1.0

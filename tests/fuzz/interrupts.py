@@ -131,8 +131,8 @@ def stiffness():
 
 
 MOTIONS = {
-    "rk4": open_loop("rk4", step=1e-3),
-    "dop853": open_loop("dop853", tolerance=1e-9),
+    "rk4": open_loop("rk4", step=1e-4),
+    "dop853": open_loop("dop853", tolerance=1e-13),
     "cvodes": open_loop("cvodes", tolerance=1e-9),
     "energy_momentum": open_loop("energy_momentum", step=1e-3),
     "LQR": closed_loop("lqr"),
@@ -174,6 +174,8 @@ COMMANDS = {
 class Sender:
     """A process that sends this one a signal after a time."""
 
+    line = None  # what it said when it had sent it
+
     def __enter__(self):
         self.process = subprocess.Popen(
             [sys.executable, "-S", "-c", SENDER], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
@@ -190,8 +192,15 @@ class Sender:
         self.process.stdin.flush()
 
     def sent(self):
-        """Wait until it was sent, and return when."""
-        return float(self.process.stdout.readline())
+        """Wait until it was sent, and return when; asked again after an interrupt, the same."""
+        if self.line is None:
+            before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+            try:
+                self.line = self.process.stdout.readline()
+            finally:
+                signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        line, self.line = self.line, None
+        return float(line)
 
 
 class Begun:

@@ -93,6 +93,7 @@ RESULTS = {
     "control.HeldLoop",
     "control.MPCStatistics",
     "control.NMPCStatistics",
+    "control.QuadraticProgram",
     "control.QPSolution",
     "deploy.CompiledController",
     "deploy.GeneratedController",
@@ -1079,6 +1080,24 @@ call(
     fresh(frozen_nmpc),
     0.5,
     lambda: command_after(frozen_nmpc()),
+)
+
+
+def qp():
+    return frozen_mpc().program(0.02, nodes(), STILL)
+
+
+call(
+    "MPC.program",
+    lambda: {"time": 0.02, "nodes": nodes(), "velocities": STILL},
+    fresh(frozen_mpc),
+    0.5,
+    lambda: command_after(frozen_mpc()),
+)
+call(
+    "control.QuadraticProgram.inputs",
+    lambda: {"x": np.zeros(len(qp().q))},
+    qp,
 )
 call("NMPC.prepare", on=fresh(frozen_nmpc), share=0.1, after=lambda: command_after(frozen_nmpc()))
 

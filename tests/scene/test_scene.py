@@ -857,10 +857,6 @@ BROKEN = {
         PRISM + MPC + "max_force_density = 20\n",
         r":15: in \[controller\] .*max_force_density\[6\] is 20 N/m, but string 6 has 30",
     ),
-    "nmpc form": (
-        PRISM + MPC.replace("mpc", "nmpc") + "max_force_density = 60\nform = 'sparse'\n",
-        r":16: \[controller\] with kind = 'nmpc' has no key 'form'",
-    ),
     "nmpc limit missing": (
         PRISM + MPC.replace("mpc", "nmpc"),
         r":11: \[controller\] with kind = 'nmpc' lacks the key max_force_density",

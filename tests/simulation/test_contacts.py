@@ -425,7 +425,7 @@ def test_contacts_cost_no_more_than_the_run(monkeypatch):
 
     method = tc.integrate.Method(
         "counted", ("tolerance",), "counts", Counted,
-        drifts=False, compiles=False, differentiates=True, follows=True, locates=False,
+        drifts=False, differentiates=True, follows=True, locates=False,
     )  # fmt: skip
     nodes = np.array([[0, 0, 0.0], [0.3, 0, 0.02], [0, 0.3, 0.05], [0.25, 0.2, 0.3]]).T
     pairs = [[0, 1], [1, 2], [2, 0], [0, 3], [1, 3], [2, 3]]

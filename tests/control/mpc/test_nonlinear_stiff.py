@@ -155,7 +155,7 @@ def test_stiff_prism_is_moved_by_winches_that_wind(stiffness, pieces, gain):
         min_force_density=5.0, max_tension=45.0, **estimate,
     )  # fmt: skip
     run = tc.simulate(
-        model, 1.6, prism.nodes, controller=nmpc, winches=winches, machine_code=True,
+        model, 1.6, prism.nodes, controller=nmpc, winches=winches,
         rest_length=nmpc.targets(-SAMPLE)[1][0],  # what holds the start
         step=0.4 / (12 * stiffness) ** 0.5, output_step=SAMPLE,
     )  # fmt: skip
@@ -184,7 +184,6 @@ def test_a_stiff_prism_recovers_where_no_string_resists():
         sample_time=SAMPLE,
         winches=tc.Winches(rate=0.3, substeps=100),
         min_force_density=2.0,
-        machine_code=True,
     )
     # Wound so that the strings are as tense as at rest.
     stands = plant.model.structure.string_length(nodes_of(plant, z)[0]) * (1 - 17e-6)
