@@ -142,9 +142,9 @@ MOTIONS = {
 }
 
 REPORTS = {
-    "work_precision": lambda: tc.work_precision(case(), ["rk4", "dop853"], repeats=50),
+    "work_precision": lambda: tc.work_precision(case(30.0), ["rk4", "dop853"], repeats=50),
     "convergence_order": lambda: tc.convergence_order(
-        case(3.0), "rk4", list(np.geomspace(1e-2, 1e-4, 60))
+        case(100.0), "rk4", list(np.geomspace(1e-2, 1e-4, 60))
     ),
     "long_run": lambda: tc.long_run(case(), "rk4", 1e-3, steps=10_000_000, outputs=20_000),
     "stability_map": lambda: tc.stability_map("rk4", np.geomspace(1e2, 1e4, 50), [0.1], steps=100),
