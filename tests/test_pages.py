@@ -12,6 +12,7 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.control import ControlWarning
+from tenscontrol.core.library import absence
 from tenscontrol.dynamics.machine_code import compiler
 from tests.code_blocks import blocks
 from tests.docs_search import found
@@ -141,7 +142,8 @@ def test_coming_from():
     names = ran("coming_from")
     assert names["A"].shape == (8, 6)  # coordinates, members
     assert names["hung"].string_length(names["run"].nodes[..., 0])[0] == 0.5
-    assert names["command"] == pytest.approx(names["plant"].force_density, abs=1e-6)
+    off = 1e-3 if absence() else 1e-6  # OSQP in place of the core
+    assert names["command"] == pytest.approx(names["plant"].force_density, abs=off)
 
 
 @pytest.fixture(scope="module")
