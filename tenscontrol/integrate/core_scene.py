@@ -294,13 +294,20 @@ class CoreScene:
         )  # fmt: skip
         return energy
 
-    def motion(self, state: FloatArray, u: FloatArray, settings: records.Settings) -> CoreMotion:
-        """Return a motion from a state, to be advanced."""
-        return CoreMotion(self, state, u, settings)
-
 
 class CoreMotion:
     """A motion within a span, advanced by the core in parts.
+
+    Parameters
+    ----------
+    scene : CoreScene
+    state, u : ndarray
+        x and the input at the start.
+    settings : Settings
+    taut : ndarray, shape (switches,)
+        What pulls and presses at the start.
+    slope : ndarray, shape (states,), optional
+        ẋ at the start, for DOP853.
 
     Attributes
     ----------
@@ -314,22 +321,18 @@ class CoreMotion:
     """
 
     def __init__(
-        self, scene: CoreScene, state: FloatArray, u: FloatArray, settings: records.Settings
-    ) -> None:
+        self, scene: CoreScene, state: FloatArray, u: FloatArray, settings: records.Settings,
+        taut: FloatArray, slope: FloatArray | None = None,
+    ) -> None:  # fmt: skip
         self._scene, self._u, self._settings = scene, u, settings
         self._drive = scene.drive(u)
         self.state = state.copy()
-        self._taut = scene.taut(state, u)
-        self._slope = scene.slope(state, u, self._taut)
+        self._taut = taut
+        self._slope = np.zeros(0) if slope is None else slope
         self.states = np.empty((settings.outputs, len(state)))
         self.done = 0
         self.progress = records.Progress(step=settings.step)
         self._work = np.empty(scene.work_size)
-
-    @property
-    def slope(self) -> FloatArray:
-        """ẋ where it has come to."""
-        return self._slope
 
     @property
     def evaluations(self) -> int:

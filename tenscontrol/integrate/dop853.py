@@ -152,11 +152,17 @@ class DOP853(Integrator):
             settings = settings_of(
                 "dop853", duration, outputs, self._project, step, longest, allowed, self.limit
             )
-            motion = CoreMotion(core, state, held, settings)
-            return advance_in_core(motion, _work, _core_failure, report)
+            motion = CoreMotion(core, state, held, settings, taut, slope)
+            span = advance_in_core(motion, _work, _core_failure, report)
+            good = np.isfinite(span.states).all(axis=0)
+            if not good.all():
+                raise _not_rigid(
+                    duration / outputs, span.states[:, : int(good.argmin())], span.work
+                )
+            return span
         states = np.empty((outputs, self._equation.states))
-        span = _Given(held, duration, duration / outputs, longest, allowed, states)
-        return self._advance(span, _Motion(state, slope, taut, step), report)
+        given = _Given(held, duration, duration / outputs, longest, allowed, states)
+        return self._advance(given, _Motion(state, slope, taut, step), report)
 
     def _advance(self, span: _Given, now: _Motion, report: Report | None) -> Span:
         """Return the states at the outputs of a span."""
@@ -165,10 +171,8 @@ class DOP853(Integrator):
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
                 self._go_on(span, now, report)
             exact = self._projected(span.states[:-1].T)
-            if (count := exact.shape[1]) < len(span.states) - 1:
-                time = span.spacing * count
-                stopped = f"dop853 stopped after {time:.6g} s: {NOT_RIGID}"
-                raise IntegrationError(stopped, time, Span(exact, now.work))
+            if exact.shape[1] < len(span.states) - 1:
+                raise _not_rigid(span.spacing, exact, now.work)
             span.states[:-1], span.states[-1] = exact.T, now.x
             return Span(span.states.T, now.work)
         except KeyboardInterrupt:
@@ -319,6 +323,13 @@ class _End(NamedTuple):
     taken: float  # s
     taut: FloatArray
     made: FloatArray | None = None  # the interpolant of the whole step, if it was needed
+
+
+def _not_rigid(spacing: float, states: FloatArray, work: Work) -> IntegrationError:
+    """Return the error of outputs whose bars cannot be put on their lengths after these states."""
+    time = spacing * states.shape[1]
+    stopped = f"dop853 stopped after {time:.6g} s: {NOT_RIGID}"
+    return IntegrationError(stopped, time, Span(states, work))
 
 
 def _work(counts: _Motion | Progress) -> Work:

@@ -224,7 +224,7 @@ class RK4(FixedStep):
         inner = self.steps_between(duration, outputs)
         step = duration / (inner * outputs)
         settings = settings_of("rk4", duration, outputs, self._project, step=self.step)
-        motion = CoreMotion(scene, state, held, settings)
+        motion = CoreMotion(scene, state, held, settings, scene.taut(state, held))
 
         def work(progress: Progress) -> Work:
             steps = round(progress.time / step)

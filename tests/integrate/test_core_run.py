@@ -5,7 +5,9 @@ import warnings
 import numpy as np
 import pytest
 
+import tenscontrol as tc
 from tenscontrol.core.library import library
+from tenscontrol.integrate.core_scene import CoreMotion
 from tests.random_scenes import random_scene
 from tests.without_core import without_core
 
@@ -34,3 +36,18 @@ def test_steps_and_switches_are_those_of_the_virtual_machine(seed):
         assert fast.work == slow.work
         assert np.abs(fast.nodes - slow.nodes).max() < 1e-8 * size
         assert np.allclose(fast.energy, slow.energy, rtol=1e-6, atol=1e-9 * np.ptp(slow.energy))
+
+
+def test_outputs_whose_bars_have_no_place_end_a_run(monkeypatch):
+    scene = random_scene(0)
+    original = CoreMotion.advance
+
+    def advance(self, budget):
+        original(self, budget)
+        self.states[3:] = np.nan  # what the core writes for them
+
+    monkeypatch.setattr(CoreMotion, "advance", advance)
+    with pytest.raises(tc.simulation.SimulationError, match="cannot be put on their lengths") as it:
+        scene.simulate(method="dop853", output_step=scene.duration / 10, error="none")
+    assert it.value.trajectory.nodes.shape[2] == 4
+    assert np.isfinite(it.value.trajectory.nodes).all()
