@@ -32,8 +32,8 @@ _HEAD = """\
 #include <math.h>
 
 /* Calls of the library's fmax and fmin would keep loops from being fast; these give the same. */
-static inline double larger(double x, double y) { return x > y || y != y ? x : y; }
-static inline double smaller(double x, double y) { return x < y || y != y ? x : y; }
+static inline double larger(double x, double y) { return (x > y) | (y != y) ? x : y; }
+static inline double smaller(double x, double y) { return (x < y) | (y != y) ? x : y; }
 """
 
 _OPERATIONS = {

@@ -9,8 +9,8 @@
 #include <math.h>
 
 /* Calls of the library's fmax and fmin would keep loops from being fast; these give the same. */
-static inline double larger(double x, double y) { return x > y || y != y ? x : y; }
-static inline double smaller(double x, double y) { return x < y || y != y ? x : y; }
+static inline double larger(double x, double y) { return (x > y) | (y != y) ? x : y; }
+static inline double smaller(double x, double y) { return (x < y) | (y != y) ? x : y; }
 
 enum { FREE_BAR_2_CONSTANTS = 4 };
 static inline void free_bar_2_constants(const double mass, double *constants) {
