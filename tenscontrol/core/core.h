@@ -108,7 +108,8 @@ EXPORTED void tc_string_energy(const Scene *scene, int32_t times, const double *
 typedef struct {
   double time, step; /* s */
   int32_t stuck, stalls;
-  int64_t tries, rejections, landings, approaches, switches, interpolants, missed;
+  int64_t tries, rejections, landings, approaches, switches, interpolants, missed,
+      carries, carried;
 } Progress;
 
 /* How a motion is integrated. */

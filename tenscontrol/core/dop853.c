@@ -27,6 +27,11 @@ static const double LATE = 0.003;
 /* Steps end at a switch on their interpolant where it errs less than this part of it. */
 static const double SMOOTH = 0.3;
 
+/* What switches that are carried err is of order 4 in the step. So much of the next order, of
+   positions and velocities, is what they err: an impulse that grows from zero leaves less. */
+static const double OF_POSITIONS = 1. / 12, OF_VELOCITIES = 1. / 3;
+enum { CARRY_ORDER = 4 };
+
 typedef struct {
   Span *span;
   const double *x, *taut;
@@ -86,8 +91,19 @@ WIDE static double error_of(const double *restrict K, const double *restrict sca
   return below > 0 && below < INFINITY ? h * fifth / below : below;
 }
 
-static double factor_of(double error) {
-  return smaller(larger(SAFETY * pow(larger(error, 1e-16), -1.0 / ORDER), LEAST), MOST);
+static double factor_of(double error, double order) {
+  return smaller(larger(SAFETY * pow(larger(error, 1e-16), -1 / order), LEAST), MOST);
+}
+
+/* What carried switches err, as error_of a step, by what the next order adds to xdot. */
+static double carry_error(const double *defect, const double *scale, double h, int n) {
+  double sum = 0;
+  for (int i = 0; i < n / 2; ++i) {
+    const double a = defect[n / 2 + i];
+    const double q = OF_POSITIONS * h * h * a / scale[i], v = OF_VELOCITIES * h * a / scale[n / 2 + i];
+    sum += q * q + v * v;
+  }
+  return sqrt(sum / n);
 }
 
 WIDE static void dense(const double *restrict x, const double *restrict x1,
@@ -145,10 +161,10 @@ static double interpolant_error(double part) {
   return fabs(value);
 }
 
-/* A landing takes a new start. */
+/* A landing takes a new start; switches that are carried another slope, whether they are or not. */
 double tc_evaluations(const Progress *now) {
-  return 1.0 + STAGES * (double)(now->tries + now->approaches) + (double)now->landings +
-         MORE_STAGES * (double)now->interpolants;
+  return 1.0 + STAGES * (double)(now->tries + now->approaches) +
+         (double)(now->landings + now->carries) + MORE_STAGES * (double)now->interpolants;
 }
 
 int advance_by_dop853(Span *span, const Settings *settings, Progress *now, double *x, double *slope,
@@ -156,7 +172,9 @@ int advance_by_dop853(Span *span, const Settings *settings, Progress *now, doubl
   const int n = span->states, m = span->switches;
   const double duration = settings->duration, *scale = settings->scale;
   const double spacing = duration / settings->outputs;
+  const int may_carry = !velocity_dependent(span->scene);
   double *x1 = work, *K = x1 + n, *y = K + SLOPES * n, *made = y + n, *started = made + POWERS * n;
+  double *end = started + m, *pulling = end + n, *defect = pulling + m;
   Dop853 method = {span, x, taut, 0, 0, K, y, made, 0};
   /* The first output that is not reached yet. */
   int done = (int)floor(now->time / spacing * (1 + 1e-14));
@@ -165,8 +183,8 @@ int advance_by_dop853(Span *span, const Settings *settings, Progress *now, doubl
     const double time = now->time;
     const double h = smaller(smaller(now->step, settings->longest), duration - time);
     const Tried step = {x, x1, K, K + STAGES * n, taut, time, h};
-    double taken = h, after, error, until;
-    int crossed = 0, is_inside = 0, places = 0;
+    double taken = h, after, error, factor, until;
+    int crossed = 0, is_inside = 0, is_carried = 0, places = 0;
     method.time = time;
     method.h = h;
     memcpy(K, slope, n * sizeof *K);
@@ -174,15 +192,42 @@ int advance_by_dop853(Span *span, const Settings *settings, Progress *now, doubl
     error = error_of(K, scale, h, n);
     now->tries += 1;
     if (!(error < 1)) {
-      now->step = h * (error < INFINITY ? smaller(factor_of(error), 1) : LEAST / 2);
+      now->step = h * (error < INFINITY ? smaller(factor_of(error, ORDER), 1) : LEAST / 2);
       now->rejections += 1;
       now->stuck = now->step < SHORTEST * duration;
       continue;
     }
     slope_at(span, x1, time + h, taut, K + STAGES * n);
-    crossed = m && is_crossed(span, &step);
+    crossed = m ? crossings(span, &step) : 0;
     memcpy(started, taut, m * sizeof *taut);
-    if (crossed) {
+    factor = factor_of(error, ORDER);
+    if (crossed) factor = smaller(factor, 1);
+    if (crossed > MANY_SWITCHES && may_carry) {
+      int count;
+      double off;
+      memcpy(end, x1, n * sizeof *end);
+      count = carry(span, &step, end, pulling, defect);
+      off = carry_error(defect, scale, h, n);
+      now->carries += 1;
+      is_carried = off < 1;
+      if (!is_carried && 2 < crossed * factor_of(off, CARRY_ORDER)) {
+        /* Shorter steps take less than a landing on each. */
+        now->step = h * smaller(factor_of(off, CARRY_ORDER), SAFETY);
+        now->rejections += 1;
+        continue;
+      }
+      if (is_carried) {
+        const Tried carried = {x, end, slope, defect, 0, time, h};
+        memcpy(taut, pulling, m * sizeof *taut);
+        slope_at(span, end, time + h, taut, defect);
+        make_path(span, &carried);
+        memcpy(x1, end, n * sizeof *x1);
+        factor = smaller(factor_of(error, ORDER), factor_of(off, CARRY_ORDER));
+        now->switches += count;
+        now->carried += count;
+      }
+    }
+    if (crossed && !is_carried) {
       const double reach = settings->longest / STABLE;
       const double allowed = 2 * LATE * scale[n - 1] * (reach * reach);
       const Cut cut = first_switch(span, &step, allowed, 0);
@@ -201,7 +246,7 @@ int advance_by_dop853(Span *span, const Settings *settings, Progress *now, doubl
     after = taken >= duration - time ? duration : time + taken;
     until = after * (1 + 2e-14);
     if (done + 1 < settings->outputs && (done + 1) * spacing <= until && after > time) {
-      if (!is_inside) {
+      if (!is_inside && !is_carried) {
         method.taut = started;
         if (crossed) slope_at(span, x1, time + taken, started, K + STAGES * n);
         interpolate(&method, taken, x1);
@@ -210,14 +255,19 @@ int advance_by_dop853(Span *span, const Settings *settings, Progress *now, doubl
       }
       for (; done + 1 < settings->outputs && (done + 1) * spacing <= until; ++done) {
         double *to = states + (size_t)done * n;
-        within(x, made, ((done + 1) * spacing - time) / method.reach, to, n);
+        const double past = (done + 1) * spacing - time;
+        if (is_carried) on_path(span, h, past / h, to);
+        else within(x, made, past / method.reach, to, n);
         restore_bars(span, to);
       }
     }
     now->time = after;
-    now->step = h * (crossed ? smaller(factor_of(error), 1) : factor_of(error));
+    now->step = h * factor;
     memcpy(x, x1, n * sizeof *x);
-    if (crossed) {
+    if (is_carried) {
+      memcpy(slope, defect, n * sizeof *slope);
+      now->landings += 1;
+    } else if (crossed) {
       now->landings += 1;
       now->stalls = taken < SHORTEST * duration ? now->stalls + 1 : 0;
       now->stuck = now->stalls > MOST_STALLS;

@@ -159,6 +159,21 @@ void slope_of(const Scene *s, const double *state, const Input *input, const dou
     for (int i = 0; i < s->free; ++i) slope[s->free + i] = a[s->free_row[i]];
 }
 
+void weighed_accelerations(const Scene *s, const double *state, const Input *input,
+                           const double *weight, double *accelerations, double *work) {
+  const Work w = parts_of(s, work);
+  const double *p, *v, *ends, *end_rates;
+  nodes_of(s, state, &p, &v, &w);
+  ends = moved(p, input->offset, w.ends, s->entries);
+  end_rates = moved(v, input->offset_rate, w.end_rates, s->entries);
+  if (s->dimension == 2)
+    weighed_2(s, p, ends, end_rates, input->strings, weight, w.a, &w);
+  else
+    weighed_3(s, p, ends, end_rates, input->strings, weight, w.a, &w);
+  for (int i = 0; i < s->free; ++i)
+    accelerations[i] = w.a[s->free_row ? s->free_row[i] : i];
+}
+
 void forces_of(const Scene *s, const double *state, const Input *input, const double *taut,
                double *forces, double *work) {
   const Work w = parts_of(s, work);

@@ -165,6 +165,18 @@ WIDE static void N(accelerations)(const Scene *s, const double *restrict p,
   if (s->block_bars) N(coupled)(s, p, v, f, a, w);
 }
 
+/* Accelerations that what switches gives, each counted by a weight. */
+static void N(weighed)(const Scene *s, const double *p, const double *ends, const double *rates,
+                       const double *u, const double *weight, double *a, const Work *w) {
+  memset(w->f, 0, s->entries * sizeof(double));
+  if (s->slacking) N(pull)(s, ends, rates, u, weight, w->f, w);
+  for (int i = 0; i < s->grounds; ++i)
+    if (s->ground[i].first_switch >= 0)
+      N(touch)(s->ground + i, ends, rates, weight + s->slacking + s->ground[i].first_switch, w->f);
+  memset(w->v, 0, s->entries * sizeof(double));
+  N(accelerations)(s, p, w->v, w->f, a, w);
+}
+
 static void N(gaps)(const Scene *s, const double *p, const double *v, const double *u, double *gap,
                     double *rate, const Work *w) {
   if (s->slacking) {

@@ -10,10 +10,6 @@
 #include "kernels.h"
 #include "motion.h"
 
-/* How far a string may pass the border before it is acted on, as part of its rest length, and a
-   contact as part of the size: it covers round-off. */
-static const double BAND = 1e-11;
-
 /* The search: samples, how often it zooms in on those next to the first that is out, chords on the
    interpolant, and the most true steps to the place found. With ground, a node that dips in by
    little stays a small part of a step. */
@@ -25,7 +21,7 @@ static const double FLAT = 0.1;
 /* How late a step may end at most, as part of it. */
 static const double MOST_LATE = 1e-3;
 
-static int velocity_dependent(const Scene *s) {
+int velocity_dependent(const Scene *s) {
   if (s->damped) return 1;
   for (int i = 0; i < s->grounds; ++i)
     if (s->ground[i].count && (s->ground[i].damping > 0 || s->ground[i].friction > 0)) return 1;
@@ -33,7 +29,7 @@ static int velocity_dependent(const Scene *s) {
 }
 
 /* Lengths that round-off in each gap is a part of, m, at a time: rest lengths, and the size. */
-static const double *gap_scales(Span *span, double time) {
+const double *gap_scales(Span *span, double time) {
   const Scene *s = span->scene;
   const Input input = input_at(span, time);
   memcpy(span->scale, input.strings, s->slacking * sizeof(double));
@@ -54,12 +50,13 @@ static int meet_outside(double room0, double room1, double out, double back, dou
 
 static double sign_of(double taut) { return 2 * taut - 1; }
 
-/* Marks strings that may switch within a step with 1, and with 2 those that come back in. */
+/* Marks strings that may switch within a step with 1, and with 2 those that come back in; returns how
+   many they are. */
 static int crossed_by(Span *span, const Tried *step, double *marks) {
   const int m = span->switches, n = span->states, half = n / 2;
   const double h = step->h, *scale;
   double *gap0 = span->rooms, *rate0 = span->inside, *gap1 = span->outside, *rate1 = span->within;
-  int any = 0;
+  int count = 0;
   double square = 0;
   for (int i = 0; i < n; ++i) square += step->x1[i] * step->x1[i];
   memset(marks, 0, m * sizeof *marks);
@@ -103,12 +100,11 @@ static int crossed_by(Span *span, const Tried *step, double *marks) {
         marks[i] = out[i] ? 1 : 2;
     }
   }
-  for (int i = 0; i < m; ++i) any |= marks[i] != 0;
-  return any;
+  for (int i = 0; i < m; ++i) count += marks[i] != 0;
+  return count;
 }
 
-/* Whether a string may switch within a step. */
-int is_crossed(Span *span, const Tried *step) { return crossed_by(span, step, span->leaving); }
+int crossings(Span *span, const Tried *step) { return crossed_by(span, step, span->leaving); }
 
 /* Switches in a step that is not cut: a string that is out at the end has switched once, at least;
    one that comes back in, twice. */
@@ -120,7 +116,7 @@ int missed_switches(Span *span, const Tried *step) {
 }
 
 /* The polynomials of degree 5 with positions, velocities and accelerations at both ends. */
-static void quintic(Span *span, const Tried *step) {
+void make_path(Span *span, const Tried *step) {
   const int half = span->states / 2;
   const double h = step->h, *x = step->x, *x1 = step->x1;
   double *c = span->coefficients;
@@ -137,20 +133,25 @@ static void quintic(Span *span, const Tried *step) {
   }
 }
 
-/* Room of each string up to its border at a part of a step, m. */
-static void rooms_at(Span *span, const Tried *step, double part, double *rooms) {
+void on_path(const Span *span, double h, double part, double *x) {
   const int half = span->states / 2;
-  const double *c = span->coefficients, *scale;
-  double *y = span->middle;
+  const double *c = span->coefficients;
   for (int i = 0; i < half; ++i) {
     double q = 0, v = 0;
     for (int k = 5; k >= 0; --k) {
       q = q * part + c[k * half + i];
       if (k) v = v * part + k * c[k * half + i];
     }
-    y[i] = q;
-    y[half + i] = v / step->h;
+    x[i] = q;
+    x[half + i] = v / h;
   }
+}
+
+/* Room of each string up to its border at a part of a step, m. */
+static void rooms_at(Span *span, const Tried *step, double part, double *rooms) {
+  const double *scale;
+  double *y = span->middle;
+  on_path(span, step->h, part, y);
   gap_at(span, y, step->time + part * step->h, span->gap, span->rate);
   scale = gap_scales(span, step->time);
   for (int i = 0; i < span->switches; ++i)
@@ -199,7 +200,7 @@ Cut first_switch(Span *span, const Tried *step, double allowed, double least) {
   double low = 0, high = 1, near, size, first = INFINITY, edge, before, after, late = 0, lowest;
   double left, right, over, under;
   Cut cut = {0, 0, 0, 0};
-  quintic(span, step);
+  make_path(span, step);
   for (int i = 0; i < (span->scene->grounds ? ZOOMS_ON_GROUND : ZOOMS); ++i)
     cut.found = zoom(span, step, &low, &high);
   rooms_at(span, step, low, inside);

@@ -64,7 +64,7 @@ static size_t restored_size(const Scene *s) {
 size_t tc_motion_work_size(const Scene *s, const Drive *drive) {
   const size_t n = 2 * (size_t)s->free, m = s->switches;
   return equation_work_size(s) + 2 * (size_t)drive->count + 10 * m + 4 * n + restored_size(s) +
-         METHOD_STATES * n;
+         carry_size(s) + METHOD_STATES * n;
 }
 
 /* Lays out a span in memory; returns what is left of it. */
@@ -87,7 +87,8 @@ static double *begin(Span *span, const Scene *s, const Drive *drive, const Lengt
   span->middle = work;
   span->coefficients = work + n;
   span->restored = work + 4 * n;
-  return span->restored + restored_size(s);
+  span->carried = span->restored + restored_size(s);
+  return span->carried + carry_size(s);
 }
 
 void tc_slope(const Scene *s, const Drive *drive, const double *state, const double *taut,

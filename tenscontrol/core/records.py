@@ -78,6 +78,7 @@ class Progress(ctypes.Structure):
         ("time", _NUMBER), ("step", _NUMBER), ("stuck", _COUNT), ("stalls", _COUNT),
         *((name, ctypes.c_int64) for name in (
             "tries", "rejections", "landings", "approaches", "switches", "interpolants", "missed",
+            "carries", "carried",
         )),
     )  # fmt: skip
 

@@ -5,8 +5,8 @@
 #include "kernels.h"
 #include "methods.h"
 
-/* Cuts of a step, at most; the rest is then taken whole, and its switches are counted. What is left
-   below this part of a step is round-off. How late a step ends, as part of the length of a string. */
+/* Cuts of a step, at most; the rest is then taken whole, and its switches are carried or, where that
+   cannot be, counted. What is left below this part of a step is round-off. How late a step ends, as part of the length of a string. */
 enum { MOST_CUTS = 9 };
 static const double REST = 1e-13, LATE = 1e-9;
 
@@ -56,35 +56,40 @@ int advance_by_rk4(Span *span, const Settings *settings, Progress *now, double *
   double *x1 = work, *slope = x1 + n, *slope1 = slope + n;
   Rk4 method = {span, x, taut, 0, 0, slope1 + n, slope1 + 2 * n, slope1 + 3 * n, slope1 + 4 * n,
                 slope1 + 5 * n};
+  const int may_carry = !velocity_dependent(span->scene);
   int64_t done = (int64_t)round(now->time / h);
   for (int tried = 0; tried < settings->budget && done < total; ++tried) {
     double left = h, time = (double)done * h;
     for (int cuts = 0; left > REST * h; ++cuts) {
       const Tried step = {x, x1, slope, slope1, taut, time, left};
-      Cut cut = {0, 0, 0, 0};
-      int places = 0;
       double taken = left;
+      int crossed;
       method.time = time;
       method.h = left;
       step_to(&method, 1, x1);
       now->tries += 1;
-      if (span->switches && cuts >= MOST_CUTS) {
+      crossed = span->switches ? crossings(span, &step) : 0;
+      if (crossed && cuts >= MOST_CUTS && !may_carry) {
         now->missed += missed_switches(span, &step);
-        memcpy(x, x1, n * sizeof *x);
-        gap_at(span, x, time + left, span->gap, span->rate);
+        gap_at(span, x1, time + left, span->gap, span->rate);
         for (int i = 0; i < span->switches; ++i) taut[i] = span->gap[i] > 0;
-        break;
-      }
-      if (span->switches && is_crossed(span, &step)) {
+      } else if (crossed) {
         memcpy(slope, method.k1, n * sizeof *slope);
         slope_at(span, x1, time + left, taut, slope1);
-        cut = first_switch(span, &step, 0, LATE);
-        now->landings += 1;
-        if (cut.found) {
-          const double part = approach(span, &step, cut, step_to, &method, x1, &places);
-          taken = part * left;
-          now->switches += switch_over(span, x1, time + taken, taut);
-          now->tries += places;
+        if (may_carry && (crossed > MANY_SWITCHES || cuts >= MOST_CUTS)) {
+          const int count = carry(span, &step, x1, taut, 0);
+          now->carries += 1;
+          now->carried += count;
+          now->switches += count;
+        } else {
+          const Cut cut = first_switch(span, &step, 0, LATE);
+          now->landings += 1;
+          if (cut.found) {
+            int places;
+            taken = left * approach(span, &step, cut, step_to, &method, x1, &places);
+            now->switches += switch_over(span, x1, time + taken, taut);
+            now->tries += places;
+          }
         }
       }
       memcpy(x, x1, n * sizeof *x);

@@ -334,6 +334,7 @@ def _not_rigid(spacing: float, states: FloatArray, work: Work) -> IntegrationErr
 
 def _work(counts: _Motion | Progress) -> Work:
     """Return the work of a motion by the counts of either loop."""
+    carries, carried = (counts.carries, counts.carried) if isinstance(counts, Progress) else (0, 0)
     return Work(
         steps=counts.tries - counts.rejections,
         rejections=counts.rejections,
@@ -341,8 +342,10 @@ def _work(counts: _Motion | Progress) -> Work:
         # A landing takes a new start.
         + _STAGES * (counts.tries + counts.approaches)
         + counts.landings
+        + carries
         + _MORE_STAGES * counts.interpolants,
         switches=counts.switches,
+        carried=carried,
     )
 
 

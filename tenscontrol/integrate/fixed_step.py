@@ -230,9 +230,10 @@ class RK4(FixedStep):
             steps = round(progress.time / step)
             return Work(
                 steps=steps + progress.landings,
-                evaluations=4 * progress.tries + 2 * progress.landings,
+                evaluations=4 * progress.tries + 2 * progress.landings + progress.carries,
                 switches=progress.switches,
                 missed=progress.missed,
+                carried=progress.carried,
             )
 
         def failure(motion: CoreMotion) -> IntegrationError:

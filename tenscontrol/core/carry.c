@@ -1,0 +1,142 @@
+/* Switches in steps that are not cut: what they change is added to the end of the step.
+
+   A step is taken with the strings that pull as they are at its start. From the time at which one of
+   them passes its border, its force is off by r: it pushes, or does not pull. To first order in r the
+   end is then off by
+
+     dv = integral of M^-1 r dt,   dq = integral of (h - t) M^-1 r dt,
+
+   along the path of the step. Of each string r is a polynomial in time where it is out: it is known
+   at samples of the path, as is the gap, whose zeros say where it is out. So both integrals are sums
+   of accelerations at the samples, with a weight for each string. Where a force is continuous at its
+   border, r grows from zero and the next order, what r does by moving the nodes, is O(h^4) of the
+   velocities. What is said of strings holds for contacts. */
+#include <math.h>
+#include <string.h>
+
+#include "motion.h"
+
+/* Samples of the path, with equal spaces; parts of the step in which a gap may change its sign once;
+   halvings to the zero. */
+enum { SAMPLES = 5, PIECES = 16, HALVINGS = 50 };
+
+/* Coefficients of the polynomials of degree 4 that are 1 at one sample and 0 at the others. */
+static const double LAGRANGE[SAMPLES][SAMPLES] = {
+    {1, -25. / 3, 70. / 3, -80. / 3, 32. / 3},
+    {0, 16, -208. / 3, 96, -128. / 3},
+    {0, -12, 76, -128, 64},
+    {0, 16. / 3, -112. / 3, 224. / 3, -128. / 3},
+    {0, -1, 22. / 3, -16, 32. / 3},
+};
+
+size_t carry_size(const Scene *s) {
+  return 3 * SAMPLES * (size_t)s->switches + 5 * (size_t)s->free;
+}
+
+/* Whether a gap with this room at the samples may pass its border: a polynomial of degree 4 leaves
+   the polygon of its values by less than its largest second difference. */
+static int may_pass(const double *room) {
+  double least = room[0], bend = 0;
+  for (int j = 1; j < SAMPLES; ++j) least = room[j] < least ? room[j] : least;
+  for (int j = 1; j < SAMPLES - 1; ++j) {
+    const double second = fabs(room[j - 1] - 2 * room[j] + room[j + 1]);
+    bend = second > bend ? second : bend;
+  }
+  return least < bend;
+}
+
+static double value_of(const double *coefficients, double t) {
+  double value = 0;
+  for (int k = SAMPLES - 1; k >= 0; --k) value = value * t + coefficients[k];
+  return value;
+}
+
+/* Adds the integrals of the Lagrange polynomials, and of them times 1 - t, from 0 to t. */
+static void add_integrals(double sign, double t, double *plain, double *falling) {
+  for (int j = 0; j < SAMPLES; ++j) {
+    double power = t;
+    for (int k = 0; k < SAMPLES; ++k, power *= t) {
+      const double term = sign * LAGRANGE[j][k] * power;
+      plain[j] += term / (k + 1);
+      falling[j] += term * (1. / (k + 1) - t / (k + 2));
+    }
+  }
+}
+
+/* What a string counts at the samples, by its room there; returns how often it switches. */
+static int weights_of(const double *room, double *plain, double *falling) {
+  double c[SAMPLES] = {0}, before = room[0] < 0 ? -1 : 1;
+  int switches = 0;
+  for (int j = 0; j < SAMPLES; ++j)
+    for (int k = 0; k < SAMPLES; ++k) c[k] += room[j] * LAGRANGE[j][k];
+  for (int i = 1; i <= PIECES; ++i) {
+    double low = (i - 1.) / PIECES, high = (double)i / PIECES;
+    /* The last is the sample itself: the string is then as its gap says. */
+    const double after = i < PIECES ? value_of(c, high) : room[SAMPLES - 1];
+    if ((after < 0) == (before < 0)) continue;
+    for (int n = 0; n < HALVINGS; ++n) {
+      const double middle = (low + high) / 2;
+      if ((value_of(c, middle) < 0) == (before < 0)) low = middle;
+      else high = middle;
+    }
+    add_integrals(after < 0 ? -1 : 1, high, plain, falling);
+    before = after;
+    ++switches;
+  }
+  if (before < 0) add_integrals(1, 1, plain, falling);
+  return switches;
+}
+
+/* Adds to x, the end of a step, what its switches change, and sets the strings that pull then.
+   Returns how many switches there were. `defect` becomes what the next order adds to xdot at the
+   end, if it is wanted. */
+int carry(Span *span, const Tried *step, double *x, double *taut, double *defect) {
+  const int m = span->switches, half = span->states / 2;
+  const double h = step->h;
+  double *rooms = span->carried, *weights = rooms + SAMPLES * m;
+  double *y = weights + 2 * SAMPLES * m, *dx = y + 2 * half, *a = dx + 2 * half;
+  int switches = 0;
+  make_path(span, step);
+  for (int j = 0; j < SAMPLES; ++j) {
+    const double part = j / (SAMPLES - 1.), *scale;
+    on_path(span, h, part, y);
+    gap_at(span, y, step->time + part * h, span->gap, span->rate);
+    scale = gap_scales(span, step->time);
+    for (int i = 0; i < m; ++i)
+      rooms[SAMPLES * i + j] = (2 * step->taut[i] - 1) * span->gap[i] + BAND * scale[i];
+  }
+  memset(weights, 0, 2 * SAMPLES * m * sizeof *weights);
+  for (int i = 0; i < m; ++i) {
+    double plain[SAMPLES] = {0}, falling[SAMPLES] = {0};
+    int count;
+    if (!may_pass(rooms + SAMPLES * i)) continue;
+    count = weights_of(rooms + SAMPLES * i, plain, falling);
+    if (!count) continue;
+    switches += count;
+    for (int j = 0; j < SAMPLES; ++j) {
+      const double sign = 1 - 2 * step->taut[i];
+      weights[2 * j * m + i] = sign * plain[j];
+      weights[(2 * j + 1) * m + i] = sign * falling[j];
+    }
+  }
+  memset(dx, 0, 2 * half * sizeof *dx);
+  for (int j = 0; j < SAMPLES; ++j) {
+    const double part = j / (SAMPLES - 1.);
+    const Input input = input_at(span, step->time + part * h);
+    on_path(span, h, part, y);
+    for (int k = 0; k < 2; ++k) {
+      double *to = dx + (k ? 0 : half);
+      weighed_accelerations(span->scene, y, &input, weights + (2 * j + k) * m, a, span->work);
+      for (int i = 0; i < half; ++i) to[i] += (k ? h * h : h) * a[i];
+    }
+  }
+  for (int i = 0; i < 2 * half; ++i) x[i] += dx[i];
+  restore_bars(span, x);
+  if (defect) {
+    slope_at(span, x, step->time + h, step->taut, defect);
+    for (int i = 0; i < 2 * half; ++i) defect[i] -= step->slope1[i];
+  }
+  gap_at(span, x, step->time + h, span->gap, span->rate);
+  for (int i = 0; i < m; ++i) taut[i] = span->gap[i] > 0;
+  return switches;
+}

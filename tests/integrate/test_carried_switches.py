@@ -1,0 +1,113 @@
+"""Switches within steps that are not cut, against converged motions."""
+
+import numpy as np
+import pytest
+
+import tenscontrol as tc
+from tenscontrol.core.library import library
+from tests.benchmarks.rk4_peers import numpy_rk4
+from tests.benchmarks.towers import simulated, tower
+
+pytestmark = pytest.mark.skipif(library() is None, reason="switches are carried in the core")
+
+
+@pytest.fixture(scope="module")
+def case():
+    return tower(8)
+
+
+@pytest.fixture(scope="module")
+def exact(case):
+    run = simulated(case, method="dop853", tolerance=1e-11, error="none")
+    assert run.work.switches > 60
+    return run
+
+
+def off(run, exact):
+    return np.linalg.norm(run.nodes[:, :, -1] - exact.nodes[:, :, -1], axis=0).max()
+
+
+def test_fixed_steps_keep_their_order_through_carried_switches(case, exact):
+    errors = []
+    for step in (2e-3, 1e-3, 5e-4, 2.5e-4):
+        run = simulated(case, method="rk4", step=step, error="none")
+        assert run.work.switches == exact.work.switches
+        assert run.work.missed == 0
+        errors.append(off(run, exact))
+    assert run.work.carried < exact.work.switches
+    orders = np.log2(np.divide(errors[:-1], errors[1:]))
+    assert orders.mean() > 3.2  # of naive steps 2
+
+
+@pytest.mark.parametrize("step", [4e-3, 2e-3])
+def test_located_steps_are_no_worse_than_naive_ones(case, exact, step):
+    run = simulated(case, method="rk4", step=step, error="none")
+    naive = numpy_rk4(case, np.array([case.duration]), [step]).prepare(step)()
+    distance = np.linalg.norm(naive[:, :, -1] - exact.nodes[:, :, -1], axis=0).max()
+    assert run.work.carried > 0
+    assert off(run, exact) < distance
+
+
+def test_the_error_follows_the_tolerance(case, exact):
+    runs = [simulated(case, tolerance=tolerance) for tolerance in (1e-3, 1e-4, 1e-5)]
+    size = float(np.ptp(case.model.structure.nodes, axis=1).max())
+    for run in runs:
+        assert run.work.carried > 0
+        assert off(run, exact) < 3 * run.error[-1] * size
+    assert off(runs[2], exact) < off(runs[0], exact) / 10
+    assert runs[0].work.evaluations < simulated(case, tolerance=1e-10).work.evaluations / 2
+
+
+def test_outputs_within_carried_steps_are_as_good_as_the_ends(case):
+    settings = {"rest_length": case.input_value, "output_step": case.duration / 200}
+    exact = tc.simulate(case.model, case.duration, tolerance=1e-11, error="none", **settings)
+    run = tc.simulate(case.model, case.duration, tolerance=1e-4, error="none", **settings)
+    distance = np.linalg.norm(run.nodes - exact.nodes, axis=0).max(axis=0)
+    assert run.work.carried > 0
+    assert distance.max() < 3 * np.maximum.accumulate(distance)[-1:].max()
+    assert distance.max() < 10 * max(distance[-1], 1e-7)
+
+
+def _elastic(structure):
+    rest = tc.prestress(structure, min_force_density=5.0)
+    return tc.ElasticStrings(100 * (rest.force_density * structure.string_length()).max())
+
+
+def _clustered(structure):
+    strings = [list(pair) for pair in structure.strings]
+    first, second = next(
+        (a, b) for a in strings for b in strings if a is not b and a[1] == b[0] and a[0] != b[1]
+    )
+    kept = [pair for pair in strings if pair not in (first, second)]
+    return tc.Structure(
+        structure.nodes, structure.bars, [*kept, [*first, second[1]]], structure.bar_mass
+    )
+
+
+@pytest.mark.parametrize("kind", ["fixed", "elastic", "clustered", "payload", "moving load"])
+def test_all_that_the_core_knows_can_be_carried(kind):
+    tower = tc.prism_tower(8)
+    structure = {
+        "fixed": lambda: tc.Structure(
+            tower.nodes, tower.bars, tower.strings, tower.bar_mass, fixed=[0, 1, 2]
+        ),
+        "clustered": lambda: _clustered(tower),
+        "payload": lambda: tc.Structure(
+            tower.nodes, tower.bars, tower.strings, tower.bar_mass,
+            point_mass=np.where(np.arange(tower.nodes.shape[1]) % 5 == 0, 0.5, 0.0),
+        ),
+    }.get(kind, lambda: tower)()  # fmt: skip
+    law = _elastic(tower) if kind == "elastic" else tc.LinearStrings(5e3)
+    model = tc.Model(structure, strings=law, external_force=kind == "moving load")
+    lengths = 0.998 * structure.string_length()
+    lengths[::7] *= 0.97
+    how = {"rest_length": lengths, "output_step": 0.05, "error": "none"}
+    if kind == "moving load":
+        pull = np.random.default_rng(0).normal(size=tower.nodes.shape)
+        loads = np.stack([np.zeros_like(pull), 20 * pull], axis=-1)
+        how["external_force"] = tc.Profile([0, 0.1], loads)
+    exact = tc.simulate(model, 0.1, tolerance=1e-11, **how)
+    for settings, most in (({"tolerance": 1e-4}, 2e-5), ({"method": "rk4", "step": 2e-3}, 3e-4)):
+        run = tc.simulate(model, 0.1, **settings, **how)
+        assert run.work.carried > 0
+        assert np.abs(run.nodes - exact.nodes).max() < most
