@@ -62,6 +62,7 @@ from .estimation import (
 from .plant import (
     OperatingPoint as OperatingPoint,
     Reference as Reference,
+    actuator_choice as actuator_choice,
     controllability as controllability,
     energy_weights as energy_weights,
     equilibrium as equilibrium,
