@@ -117,7 +117,7 @@ class Actuation:
         ndarray, shape (α,) or (α, K)
         """
         values = _checked("inputs", inputs, len(self.lead), "input")
-        return values if self.is_whole else (self.offset + moved_by(self, values.T)).T
+        return strings_of(self, values)
 
     def inputs(self, strings: object) -> FloatArray:
         """Return the inputs that hold strings at values: those of the leads, by their ratios.
@@ -132,7 +132,7 @@ class Actuation:
         ndarray, shape (m,) or (m, K)
         """
         values = _checked("strings", strings, len(self.input), "string")
-        return values if self.is_whole else (values[self.lead].T / self.ratio[self.lead]).T
+        return inputs_of(self, values)
 
     def __repr__(self) -> str:
         count, inputs = len(self.driven), len(self.lead)
@@ -149,6 +149,20 @@ def _checked(name: str, value: object, count: int, of: str) -> FloatArray:
             f"{name} has shape {array.shape}, expected ({count},) or ({count}, K): one row per {of}"
         )
     return array
+
+
+def strings_of(actuation: Actuation, inputs: FloatArray) -> FloatArray:
+    """Return the values of all strings at inputs, one column or several, unchecked."""
+    if actuation.is_whole:
+        return inputs
+    return np.asarray((actuation.offset + moved_by(actuation, inputs.T)).T)
+
+
+def inputs_of(actuation: Actuation, strings: FloatArray) -> FloatArray:
+    """Return the inputs that hold leads at values, one column or several, unchecked."""
+    if actuation.is_whole:
+        return strings
+    return np.asarray((strings[actuation.lead].T / actuation.ratio[actuation.lead]).T)
 
 
 def moved_by(actuation: Actuation, inputs: FloatArray) -> FloatArray:
@@ -191,7 +205,7 @@ def through(actuation: Actuation, values: FloatArray) -> Actuation:
     """Return the same winches where strings have these values, shape (α,)."""
     if actuation.is_whole:
         return actuation
-    return replace(actuation, offset=values - moved_by(actuation, actuation.inputs(values)))
+    return replace(actuation, offset=values - moved_by(actuation, inputs_of(actuation, values)))
 
 
 def follows(actuation: Actuation, other: Actuation) -> bool:
@@ -199,7 +213,9 @@ def follows(actuation: Actuation, other: Actuation) -> bool:
     if actuation.is_whole:
         return True
     moves = other.matrix.toarray()
-    return bool(np.allclose(moved_by(actuation, actuation.inputs(moves).T), moves.T, atol=1e-12))
+    return bool(
+        np.allclose(moved_by(actuation, inputs_of(actuation, moves).T), moves.T, atol=1e-12)
+    )
 
 
 def refuse_passive(actuation: Actuation, name: str, strings: IntArray) -> None:

@@ -168,6 +168,11 @@ class FeedbackLinearization(Controller):
                 f"plant has input={plant.input!r}, in which accelerations are not affine; "
                 "linearize with input='force_density'"
             )
+        if not plant.actuation.is_whole:
+            raise ValueError(
+                f"plant has {plant.actuation!r}, but feedback linearization does not know passive "
+                "or ganged strings yet: leave actuated out, or use LQR or MPC"
+            )
         validation.choice("plant.coordinates.kind", plant.coordinates.kind, ("internal", "minimal"))
         if max_force_density is None:
             raise TypeError(
@@ -175,7 +180,7 @@ class FeedbackLinearization(Controller):
             )
         sample_time = validation.positive_number("sample_time", sample_time, "s")
         low, high = input_bounds(plant, max_force_density)
-        change = largest_change(plant.input, len(low), max_change, None, sample_time)
+        change = largest_change(plant.input, plant.actuation, max_change, None, sample_time)
         super().__init__(plant, sample_time, low, high, change)
         self._rates = error_rates(frequency, damping, sample_time)
         self._settings = {"rates": self._rates}

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Concatenate, ParamSpec, TypeVar, overload
 import numpy as np
 
 from tenscontrol import validation
-from tenscontrol.actuation.driven_strings import Actuation
+from tenscontrol.actuation.driven_strings import Actuation, inputs_of
 from tenscontrol.arrays import FloatArray, IntArray, freeze_arrays, frozen
 from tenscontrol.dynamics.coordinates import Coordinates
 from tenscontrol.dynamics.evaluator import Prepared, on_one_thread
@@ -188,7 +188,7 @@ class LinearPlant:
     @property
     def equilibrium_input(self) -> FloatArray:
         """The input at the operating point, γ or rest length, shape (m,)."""
-        return self.actuation.inputs(self.string_values)
+        return inputs_of(self.actuation, self.string_values)
 
     @property
     def string_values(self) -> FloatArray:

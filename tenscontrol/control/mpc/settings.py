@@ -35,7 +35,12 @@ from tenscontrol.plant.linear_plant import LinearPlant, Sampled, acceleration_re
 from tenscontrol.plant.linearize import OperatingPoint, linearize
 from tenscontrol.plant.reference import Reference, ReferencePreview
 from tenscontrol.plant.riccati import least_eigenvalue, natural_weights, regulator
-from tenscontrol.plant.string_outputs import string_map, to_commanded_strings, to_model_strings
+from tenscontrol.plant.string_outputs import (
+    input_matrix,
+    string_map,
+    to_commanded_strings,
+    to_model_strings,
+)
 from tenscontrol.string_bounds import string_bounds
 
 # Price of a violation by one level, against the cost of an input one level off.
@@ -275,7 +280,7 @@ class Design:
     problem: MPCProblem
     constraints: Constraints
     sampled: Sampled  # what a sample does
-    low: FloatArray  # least command, (α,)
+    low: FloatArray  # least input, (m,)
     high: FloatArray
 
     @property
@@ -318,7 +323,7 @@ def design(plant: LinearPlant, settings: MPCSettings, nonlinear: bool = False) -
     if plant.input == "rest_length":
         lengths = plant.model.structure.string_length(plant.nodes)
         lengths = to_commanded_strings(plant, "length", lengths)
-        level = float((lengths - plant.equilibrium_input).max())
+        level = float((lengths - plant.string_values).max())
     winches, sample_time = settings.winches, settings.sample_time
     model = sampled(plant, sample_time, winches is not None and winches.ramp)
     transition, input_matrix = model.augmented
@@ -343,7 +348,9 @@ def design(plant: LinearPlant, settings: MPCSettings, nonlinear: bool = False) -
         terminal_weight=cost,
         low=low - plant.equilibrium_input,
         high=high - plant.equilibrium_input,
-        change=largest_change(plant.input, len(low), settings.max_change, winches, sample_time),
+        change=largest_change(
+            plant.input, plant.actuation, settings.max_change, winches, sample_time
+        ),
         length=settings.horizon,
         level=level,
         feedback=gain,
@@ -369,7 +376,8 @@ def _row_blocks(plant: LinearPlant, settings: MPCSettings, penalty: float) -> li
     has_strength = np.isfinite(validation.limits("max_tension", settings.max_tension)).any()
     if plant.input == "force_density" and not has_strength:
         return outputs
-    blocks, count, strings = [], plant.B.shape[1], string_map(plant, plant.input)
+    blocks, strings = [], string_map(plant, plant.input)
+    count = len(plant.commanded.strings)
     if plant.input == "rest_length":
         bounds = string_bounds(count, settings.min_force_density, settings.max_force_density)
         high = to_model_strings(plant, "force_density", bounds.high)
@@ -417,11 +425,11 @@ def law_in_shape(
     if plant.input == "force_density":
         # The linear plant rests where v balances the change of the shape, as well as it can.
         v = np.asarray(np.linalg.lstsq(plant.B[r:], -plant.A[r:, :r] @ q, rcond=None)[0])
-        gamma = gamma + to_model_strings(plant, "force_density", v)
+        gamma = gamma + input_matrix(plant, "force_density") @ v
     gamma = np.maximum(gamma, _TAUT * gamma.max())
     at = OperatingPoint(plant.to_nodes(q), gamma, plant.external_force)
     there = linearize(plant.model, at, input=plant.input, require_equilibrium=False)
-    spread = to_model_strings(plant, plant.input, np.eye(plant.B.shape[1])).T
+    spread = input_matrix(plant, plant.input)
     found = sampled(replace(there, B=there.B @ spread), path.sample_time, made.sampled.ramp)
     transition, by_input = found.augmented
     turn, added = plant.coordinates.project(there.basis), len(transition) - 2 * r
