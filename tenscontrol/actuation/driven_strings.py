@@ -180,9 +180,8 @@ def bounds_of_inputs(
     if actuation.is_whole:
         return low, high
     strings, count = actuation.driven, len(actuation.lead)
-    of, ratio, offset = (
-        part[strings] for part in (actuation.input, actuation.ratio, actuation.offset)
-    )
+    of = actuation.input[strings]
+    ratio, offset = actuation.ratio[strings], actuation.offset[strings]
     ends = (low[strings] - offset) / ratio, (high[strings] - offset) / ratio
     least, most = np.full(count, -np.inf), np.full(count, np.inf)
     np.maximum.at(least, of, np.minimum(*ends))
@@ -303,7 +302,8 @@ def _listed(structure: Structure, name: str, given: object) -> list[int]:
             "dict, {'pair': [0, 1]}"
         )
     if not isinstance(given, list | tuple) or not any(isinstance(entry, str) for entry in given):
-        return validation.index_list(name, given, len(structure.strings), "strings").tolist()
+        numbers = validation.index_list(name, given, len(structure.strings), "strings")
+        return [int(number) for number in numbers]
     strings: dict[int, None] = {}
     for i, entry in enumerate(given):
         if isinstance(entry, str):

@@ -125,9 +125,8 @@ class MPCSettings:
         Number of samples predicted, 1 to 10,000.
     sample_time : float
         Time between two commands, s.
-    max_force_density : float or array_like, shape (α,)
-        Largest force density γ, N/m; inf for no limit. May be left out where the input is the rest
-        length.
+    max_force_density : float or array_like, shape (α,), optional
+        Largest force density γ, N/m; no limit if infinite or not given. The least is 0 always.
     Q : float or array_like, shape (2r,) or (2r, 2r), optional
         Weight of the state less its reference. If not given, that of :func:`energy_weights`, by
         mode where the input is the rest length.
@@ -319,7 +318,7 @@ def design(plant: LinearPlant, settings: MPCSettings, nonlinear: bool = False) -
         refuse_unreachable(plant)
     else:
         refuse_unreachable(plant, drifting=False)
-    level = float(plant.force_density.max()) or float(high.max())
+    level = float(plant.force_density.max()) or float(np.where(np.isinf(high), 1.0, high).max())
     if plant.input == "rest_length":
         lengths = plant.model.structure.string_length(plant.nodes)
         lengths = to_commanded_strings(plant, "length", lengths)
@@ -362,10 +361,6 @@ def design(plant: LinearPlant, settings: MPCSettings, nonlinear: bool = False) -
 def _command_range(plant: LinearPlant, settings: MPCSettings) -> tuple[FloatArray, FloatArray]:
     if plant.input == "rest_length":
         return input_bounds(plant, None, settings.winches)
-    if settings.max_force_density is None:
-        raise TypeError(
-            "max_force_density is None, expected a positive number in N/m, or inf for no limit"
-        )
     return input_bounds(
         plant, settings.max_force_density, settings.winches, settings.min_force_density
     )
