@@ -145,6 +145,7 @@ __all__ = [
     "Uniform",
     "Winches",
     "__version__",
+    "actuator_choice",
     "clearance",
     "controllability",
     "convergence_order",

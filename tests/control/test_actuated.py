@@ -251,3 +251,56 @@ def test_random_choices_of_driven_strings_are_stable_or_refused():
         assert off < 0.05 * np.linalg.norm(unit * states[0])
     assert ran > 10
     assert refused > 0
+
+
+def test_a_tower_whose_design_for_all_strings_fails_on_the_driven_ones():
+    """Winches held still behind the design: its poles say one thing, the loop does another."""
+    model = tc.Model(TOWER, strings=tc.LinearStrings(stiffness=500.0))
+    whole = tc.linearize(model, REST, input="rest_length")
+    Q, R = tc.energy_weights(whole)
+    law = tc.LQR(whole, Q, 0.01 * R, sample_time=SAMPLE)
+    phi, gamma, _ = whole.discretize(SAMPLE)
+    random, found = np.random.default_rng(0), []
+    for _ in range(100):
+        driven = np.sort(random.permutation(len(TOWER.strings))[:12])
+        loop = phi - gamma[:, driven] @ law.gain[driven]
+        found.append((np.abs(np.linalg.eigvals(loop)).max(), driven))
+    grows, driven = max(found, key=lambda entry: entry[0])
+    assert np.abs(law.poles).max() < 0.3
+    assert grows > 1.0
+    plant = tc.linearize(model, REST, input="rest_length", actuated=driven)
+    own = tc.LQR(plant, Q, 0.01 * R[driven], sample_time=SAMPLE)
+    assert np.abs(own.poles).max() < 0.92
+    start, still = pushed(plant, 1e-4), np.zeros_like(BALL_NODES)
+    options = {"controller": own, "rest_length": plant.rest_length}
+    states = []
+    for duration in (1.0, 2.0):
+        run = tc.simulate(model, duration, start, **options)
+        states.append(plant.measure(run.nodes[..., -1], run.velocities[..., -1]))
+    closed = plant.discretize(SAMPLE)
+    step = np.linalg.matrix_power(closed[0] - closed[1] @ own.gain, round(1.0 / SAMPLE))
+    unit = np.repeat([plant.spectral_radius, 1.0], plant.degrees_of_freedom)
+    first = np.linalg.norm(unit * plant.measure(start, still))
+    assert np.linalg.norm(unit * (states[1] - step @ states[0])) < 0.01 * first
+
+
+@every_layout
+def test_mpc_reaches_a_shape_that_its_winches_hold(layout):
+    """The inputs that hold the shape are found; passive strings stay."""
+    plant = tower_plant(LAYOUTS[layout])
+    u = plant.equilibrium_input - 0.02
+    shape = tc.equilibrium(MODEL, rest_length=plant.actuation.strings(u), nodes=BALL_NODES)
+    nodes = shape.structure.nodes
+    mpc = tc.MPC(plant, horizon=20, sample_time=SAMPLE, reference=nodes)
+    run = tc.simulate(MODEL, 6.0, controller=mpc, rest_length=plant.rest_length)
+    applied = run.control.applied[:, -1]
+    np.testing.assert_allclose(plant.actuation.inputs(applied), u, atol=2e-3)
+    z, wanted = (plant.measure(N, np.zeros_like(N)) for N in (run.nodes[..., -1], nodes))
+    assert np.abs(z - wanted).max() < 0.1 * np.abs(wanted).max()
+
+
+def test_a_reference_that_moves_passive_strings_is_refused():
+    gamma = 1.2 * REST.force_density
+    reference = tc.Reference([0.0, 1.0], np.stack([BALL_NODES] * 2, -1), np.stack([gamma] * 2, -1))
+    with pytest.raises(ValueError, match="but the string is passive: leave force_density out"):
+        tc.MPC(SOME, horizon=5, sample_time=SAMPLE, reference=reference)
