@@ -62,6 +62,7 @@ from .estimation import (
 from .plant import (
     OperatingPoint as OperatingPoint,
     Reference as Reference,
+    actuator_choice as actuator_choice,
     controllability as controllability,
     energy_weights as energy_weights,
     equilibrium as equilibrium,
@@ -144,6 +145,7 @@ __all__ = [
     "Uniform",
     "Winches",
     "__version__",
+    "actuator_choice",
     "clearance",
     "controllability",
     "convergence_order",

@@ -49,9 +49,12 @@ class StringBounds:
         out = np.flatnonzero((gamma < self.low - slack) | (gamma > self.high + slack))
         if len(out):
             i = out[0]
+            wanted = f"{self.low[i]:g} to {self.high[i]:g} N/m"
+            if np.isinf(self.high[i]):
+                wanted = f"at least {self.low[i]:g} N/m"
             raise ValueError(
-                f"{name} has γ = {gamma[i]:g} N/m in string {i}, expected {self.low[i]:g} to "
-                f"{self.high[i]:g} N/m: min_force_density and max_force_density bound the ends too"
+                f"{name} has γ = {gamma[i]:g} N/m in string {i}, expected {wanted}: "
+                "min_force_density and max_force_density bound the ends too"
             )
 
     def refuse_rest_lengths(self, rest_length: FloatArray, time: FloatArray) -> None:

@@ -88,6 +88,8 @@ def values(tmp_path_factory):
         tc.reduce(plant, modes=2),
         tc.modes(plant),
         tc.controllability(plant),
+        tc.actuator_choice(plant),
+        tc.linearize(model, rest, actuated=[0, 1]).actuation,
         run,
         run.control,
         run.control.estimate,

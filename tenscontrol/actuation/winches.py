@@ -206,7 +206,9 @@ class Winches:
             validation.one_or_per_string(f"winches.{name}", limit, count)
         return np.full(count, low), np.full(count, high)
 
-    def refuse_out_of_range(self, name: str, rest_length: FloatArray) -> None:
+    def refuse_out_of_range(
+        self, name: str, rest_length: FloatArray, strings: IntArray | None = None
+    ) -> None:
         """Raise if a rest length is out of the range of its winch, and name the string.
 
         Parameters
@@ -215,12 +217,18 @@ class Winches:
             What the message calls them.
         rest_length : ndarray, shape (α,)
             m.
+        strings : ndarray of int, optional
+            Those that have a winch; all if not given.
         """
         rest_length = validation.float_array("rest_length", rest_length)
         if rest_length.ndim != 1:
             raise ValueError(f"rest_length has shape {rest_length.shape}, expected one per string")
         low, high = self.range(len(rest_length))
         out = np.flatnonzero((rest_length < low) | (rest_length > high))
+        if strings is not None:
+            out = np.intersect1d(
+                out, validation.index_list("strings", strings, len(low), "strings")
+            )
         if len(out):
             i = out[0]
             raise ValueError(

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from tenscontrol import validation
+from tenscontrol.actuation.driven_strings import Actuation, every_string, inputs_of, strings_of
 from tenscontrol.arrays import FloatArray, IntArray, frozen
 from tenscontrol.control.command import Command, Fallback
 from tenscontrol.control.measurement_check import MeasurementCheck
@@ -42,13 +43,13 @@ class BaseController(ABC):
         What it commands.
     sample_time : float or None
         As for :class:`Controller`, s.
-    low, high : ndarray, shape (α,)
-        Least and largest command.
-    change : ndarray, shape (α,), optional
+    low, high : ndarray, shape (m,)
+        Least and largest input: one for each driven string or winch, see ``actuation``.
+    change : ndarray, shape (m,), optional
         Largest change from the previous input; no limit if not given.
     commanded : Structure, optional
         The structure whose strings it commands, if that is the parent.
-    equilibrium_input : ndarray, shape (α,), optional
+    equilibrium_input : ndarray, shape (m,), optional
         Commanded where there is neither a decision nor a previous input.
     check : MeasurementCheck, optional
         Of measurements, if not that of the shape of the structure.
@@ -82,9 +83,10 @@ class BaseController(ABC):
         self._commanded = structure if commanded is None else commanded
         self._input = validation.choice("input", input, INPUTS)
         self._sample_time = sample_time
-        shape = (len(self._commanded.strings),)
-        self._low = frozen(validation.shaped("low", low, shape, "one per string"))
-        self._high = frozen(validation.measured("high", high, shape, "one per string"))
+        self._actuation = self._driven()
+        shape = self._actuation.lead.shape
+        self._low = frozen(validation.shaped("low", low, shape, "one per driven string"))
+        self._high = frozen(validation.measured("high", high, shape, "one per driven string"))
         wrong = np.flatnonzero(~(self._low <= self._high))
         if len(wrong):
             i = wrong[0]
@@ -120,6 +122,14 @@ class BaseController(ABC):
         return self._commanded
 
     @property
+    def actuation(self) -> Actuation:
+        """Which of the commanded strings it drives: a command has the values of all."""
+        return self._actuation
+
+    def _driven(self) -> Actuation:
+        return every_string(len(self._commanded.strings))
+
+    @property
     def feet(self) -> IntArray | tuple[()]:
         """Fixed nodes that ground holds by friction, of a law for a stance; else none."""
         return ()
@@ -136,12 +146,12 @@ class BaseController(ABC):
 
     @property
     def bounds(self) -> tuple[FloatArray, FloatArray]:
-        """Least and largest command, shape (α,) each."""
+        """Least and largest input, shape (m,) each."""
         return self._low, self._high
 
     @property
     def largest_change(self) -> FloatArray | None:
-        """Largest change from the previous input, shape (α,); None for any."""
+        """Largest change from the previous input, shape (m,); None for any."""
         return self._change
 
     @property
@@ -268,7 +278,10 @@ class BaseController(ABC):
         self._status_count[desired.status] += 1
         if desired.fallback is not None:
             self._fallback_count[desired.fallback] += 1
-        return Command(self._previous_input, desired.status, desired.fallback, desired.detail)
+        value = self._previous_input
+        if not self._actuation.is_whole:
+            value = frozen(strings_of(self._actuation, value))
+        return Command(value, desired.status, desired.fallback, desired.detail)
 
     @exclusive
     def applied(self, value: object) -> None:
@@ -282,16 +295,17 @@ class BaseController(ABC):
         Parameters
         ----------
         value : array_like, shape (α,)
-            γ, N/m, or rest lengths, m, as the controller's ``input`` says.
+            γ, N/m, or rest lengths, m, as the controller's ``input`` says, of all strings; those of
+            passive ones say nothing.
 
         Raises
         ------
         TypeError, ValueError
             If it is not finite or has the wrong shape.
         """
-        self._previous_input = frozen(
-            validation.shaped("value", value, self._low.shape, "one per string")
-        )
+        shape = self._actuation.input.shape
+        strings = validation.shaped("value", value, shape, "one per string")
+        self._previous_input = frozen(inputs_of(self._actuation, strings))
 
     @property
     def _previous_within_bounds(self) -> FloatArray:
@@ -459,6 +473,9 @@ class Controller(BaseController):
     def plant(self) -> LinearPlant:
         """The linear plant that the controller was designed on."""
         return self._plant
+
+    def _driven(self) -> Actuation:
+        return self._plant.actuation
 
     @property
     def feet(self) -> IntArray:

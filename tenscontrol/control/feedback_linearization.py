@@ -96,8 +96,8 @@ class FeedbackLinearization(Controller):
         point if None.
     sample_time : float
         Time between two commands, s. The law is exact at the samples; in between γ is held.
-    max_force_density : float or array_like, shape (α,)
-        Largest force density γ, N/m; inf for no limit.
+    max_force_density : float or array_like, shape (α,), optional
+        Largest force density γ, N/m; no limit if infinite or not given.
     frequency : float
         Natural frequency of the error, Hz: ``b = (2π frequency)²``.
     damping : float
@@ -153,7 +153,7 @@ class FeedbackLinearization(Controller):
         *,
         reference: object = None,
         sample_time: float,
-        max_force_density: object,
+        max_force_density: object = None,
         frequency: float,
         damping: float = 1.0,
         tracked: object = None,
@@ -168,21 +168,23 @@ class FeedbackLinearization(Controller):
                 f"plant has input={plant.input!r}, in which accelerations are not affine; "
                 "linearize with input='force_density'"
             )
-        validation.choice("plant.coordinates.kind", plant.coordinates.kind, ("internal", "minimal"))
-        if max_force_density is None:
-            raise TypeError(
-                "max_force_density is None, expected a positive number in N/m, or inf for no limit"
+        if not plant.actuation.is_whole:
+            raise ValueError(
+                f"plant has {plant.actuation!r}, but feedback linearization does not know passive "
+                "or ganged strings yet: leave actuated out, or use LQR or MPC"
             )
+        validation.choice("plant.coordinates.kind", plant.coordinates.kind, ("internal", "minimal"))
         sample_time = validation.positive_number("sample_time", sample_time, "s")
         low, high = input_bounds(plant, max_force_density)
-        change = largest_change(plant.input, len(low), max_change, None, sample_time)
+        change = largest_change(plant.input, plant.actuation, max_change, None, sample_time)
         super().__init__(plant, sample_time, low, high, change)
         self._rates = error_rates(frequency, damping, sample_time)
         self._settings = {"rates": self._rates}
         matrix = _combinations(plant, tracked)
         self._tracks_part = tracked is not None
         self._motion = Evaluator(tracked_motion(plant, matrix))
-        self._level = float(plant.force_density.max()) or float(self._high.max())
+        most = float(np.where(np.isinf(self._high), 1.0, self._high).max())
+        self._level = float(plant.force_density.max()) or most
         response = self._tracked(plant.measure(plant.nodes, np.zeros_like(plant.nodes)))[3]
         self._unit = self._level * float(np.linalg.norm(response, 2))
         moved = plant.basis @ plant.B[plant.degrees_of_freedom :]

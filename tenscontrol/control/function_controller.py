@@ -9,6 +9,7 @@ from typing import Any, final
 import numpy as np
 
 from tenscontrol import validation
+from tenscontrol.actuation.driven_strings import every_string
 from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.control.command import Command
 from tenscontrol.control.controller import BaseController
@@ -137,7 +138,7 @@ class FunctionController(BaseController):
         else:
             validation.non_negative("low", low, "a string can only pull")
         high = validation.limit_per_member("high", high, count, "string")
-        change = largest_change(input, count, max_change, None, sample_time)
+        change = largest_change(input, every_string(count), max_change, None, sample_time)
         if equilibrium_input is not None:
             usual = validation.per_member("equilibrium_input", equilibrium_input, count, "string")
             equilibrium_input = frozen(usual)

@@ -104,6 +104,11 @@ def held_loop(plant: LinearPlant, gain: object, *, sample_time: float) -> HeldLo
             f"{'no' if plant.model.strings is None else 'a'} string law; expected "
             "input='force_density' and Model(structure, strings=...)"
         )
+    if not plant.actuation.is_whole:
+        raise ValueError(
+            f"plant has {plant.actuation!r}: passive strings that hold rest lengths have no γ that "
+            "stays. Linearize with input='rest_length', or with all strings driven"
+        )
     count, states = plant.B.shape[1], len(plant.A)
     K = validation.shaped("gain", gain, (count, states), "one row per string, one column per state")
     held, strings = plant.prepared.get("held rest lengths", lambda: _with_held_lengths(plant))

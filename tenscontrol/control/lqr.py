@@ -41,7 +41,7 @@ class LQR(Controller):
     Q : float or array_like, shape (2r,) or (2r, 2r), optional
         Weight of the state, positive semidefinite. The state is ``z = [q; q̇]``. If not given, that
         of :func:`energy_weights`, by mode where the input is the rest length, as for :class:`MPC`.
-    R : float or array_like, shape (α,) or (α, α), optional
+    R : float or array_like, shape (m,) or (m, m), optional
         Weight of the input, positive definite. If not given, that of :func:`energy_weights`; a
         tenth of it for γ.
     sample_time : float, optional
@@ -58,13 +58,13 @@ class LQR(Controller):
 
     Attributes
     ----------
-    gain : ndarray, shape (α, 2r)
+    gain : ndarray, shape (m, 2r)
         K.
-    previous_input_gain : ndarray, shape (α, α), or None
+    previous_input_gain : ndarray, shape (m, m), or None
         H, for a ramp input.
     poles : ndarray of complex, shape (2r,)
         Closed-loop poles: of the s-plane, 1/s, or with a sample time of the z-plane. For a ramp
-        input there are 2r + α. Those of uncontrolled modes come last.
+        input there are 2r + m. Those of uncontrolled modes come last.
     cost : ndarray, shape (2r, 2r)
         Solution P of the Riccati equation: ``zᵀ P z`` is the cost to go. For a ramp input, of
         ``[z; u_previous − u₀]``. The cost of uncontrolled modes themselves is left out: no input
@@ -125,7 +125,7 @@ class LQR(Controller):
         if sample_time is not None:
             sample_time = validation.positive_number("sample_time", sample_time, "s")
         bounds = input_bounds(plant, max_force_density, winches)
-        change = largest_change(plant.input, inputs, max_change, winches, sample_time)
+        change = largest_change(plant.input, plant.actuation, max_change, winches, sample_time)
         if sample_time is None and winches is not None and winches.ramp:
             raise ValueError(
                 f"winches.substeps is {winches.substeps}: rest lengths are ramps over samples, so "

@@ -163,6 +163,11 @@ def generate_c(controller: Controller, folder: object, *, name: str = "controlle
     """
     law = _law_code(controller)
     name = _checked_name(name)
+    if not controller.actuation.is_whole:
+        raise ValueError(
+            f"controller has {controller.actuation!r}, but generated C code does not know passive "
+            "or ganged strings yet: design it on a plant with all strings driven"
+        )
     place = validation.file_path("folder", folder).absolute()
     texts = code_files(controller, law, name)
     sums = [f"{_checksum(text.encode())}  {file}" for file, text in texts.items()]

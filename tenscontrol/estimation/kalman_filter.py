@@ -9,6 +9,7 @@ from typing import Any, final
 import numpy as np
 
 from tenscontrol import validation
+from tenscontrol.actuation.driven_strings import inputs_of
 from tenscontrol.actuation.winches import Winches
 from tenscontrol.arrays import FloatArray, IntArray, frozen
 from tenscontrol.dynamics.evaluator import Evaluator, Exclusive, exclusive
@@ -467,7 +468,9 @@ class KalmanFilter:
             self._start_over()
 
     def _checked_input(self, held: object) -> FloatArray:
-        return validation.shaped("held", held, (self.plant.B.shape[1],), "one per string")
+        shape = self.plant.actuation.input.shape
+        strings = validation.shaped("held", held, shape, "one per string")
+        return inputs_of(self.plant.actuation, strings)
 
     def _pushed(self, force: object) -> FloatArray | None:
         """Return what known forces add to the state in a sample, shape (2r,)."""

@@ -1,5 +1,6 @@
 """Linear plants and what controllers and filters need of them."""
 
+from tenscontrol.plant.actuator_choice import ActuatorChoice, actuator_choice
 from tenscontrol.plant.controllability import Controllability, controllability
 from tenscontrol.plant.equilibrium import equilibrium
 from tenscontrol.plant.linear_plant import LinearPlant, SparsePlant
@@ -11,6 +12,7 @@ from tenscontrol.plant.riccati import energy_weights, natural_weights
 from tenscontrol.plant.stance import Stance, StanceContacts, Tipping, set_down
 
 __all__ = [
+    "ActuatorChoice",
     "Controllability",
     "LinearPlant",
     "Modes",
@@ -21,6 +23,7 @@ __all__ = [
     "Stance",
     "StanceContacts",
     "Tipping",
+    "actuator_choice",
     "command_parents",
     "controllability",
     "energy_weights",

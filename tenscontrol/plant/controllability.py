@@ -200,7 +200,7 @@ def _by_stiffness(plant: LinearPlant) -> ReachedStates:
     """Return what is reached of ``q̈ + K q = B₂ v``: K is symmetric, so left modes are modes."""
     r = plant.degrees_of_freedom
     squares, modes = squared_frequencies(-plant.A[r:, :r])
-    rows = modes.T @ _normalized(plant)[r:]
+    rows = modes.T @ normalized_input(plant)[r:]
     sizes_of_one = np.linalg.norm(rows, axis=1)
     noise = _NOISE * np.abs(squares).max(initial=0.0)
     poles, margins = [], []
@@ -238,7 +238,7 @@ def _by_poles(plant: LinearPlant) -> ReachedStates:
     unit, _ = state_units(plant)
     rate = 1 / unit[0] if r else 1.0
     A = plant.A * unit / unit[:, None] / rate
-    found = left_spaces(A, _normalized(plant))
+    found = left_spaces(A, normalized_input(plant))
     lost = [each for each in found if each.unreached.shape[1]]
     spaces = np.hstack([np.zeros((2 * r, 0)), *(each.unreached for each in lost)])
     count = 2 * r - spaces.shape[1]
@@ -364,7 +364,7 @@ def _on_axis(real: Any) -> Any:
     return np.where(np.abs(real) <= _UPRIGHT, 0.0, real)
 
 
-def _normalized(plant: LinearPlant) -> FloatArray:
+def normalized_input(plant: LinearPlant) -> FloatArray:
     """Return B of norm 1, or a column of zeros where nothing pushes.
 
     Strings that pull along bars only give round-off, beside the forces that they have: the change
@@ -374,7 +374,7 @@ def _normalized(plant: LinearPlant) -> FloatArray:
     length = to_commanded_strings(plant, "length", length)
     force = length
     if plant.input == "rest_length":
-        stretch = np.abs(length - plant.equilibrium_input)
+        stretch = np.abs(length - plant.string_values)
         taut = (plant.force_density > 0) & (stretch > 0)
         force = (plant.force_density * length)[taut] / stretch[taut]
     most = np.linalg.norm(plant.basis, 2) * force.max(initial=0.0) if plant.B.size else 0.0

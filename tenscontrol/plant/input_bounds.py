@@ -5,6 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from tenscontrol import validation
+from tenscontrol.actuation.driven_strings import (
+    Actuation,
+    bounds_of_inputs,
+    changes_of_inputs,
+)
 from tenscontrol.actuation.winches import Winches
 from tenscontrol.arrays import FloatArray
 from tenscontrol.plant.linear_plant import LinearPlant
@@ -20,7 +25,10 @@ def input_bounds(
     winches: Winches | None = None,
     min_force_density: object = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return least and largest command, shape (α,) each, or raise naming what does not fit."""
+    """Return least and largest input, shape (m,) each, or raise naming what does not fit.
+
+    Those of a ganged input are the tightest of its strings.
+    """
     if winches is not None:
         validation.instance("winches", winches, Winches, "make them by Winches(rate=...)")
     if plant.input == "rest_length":
@@ -29,7 +37,11 @@ def input_bounds(
                 "max_force_density limits plants with input='force_density'; this one has "
                 "input='rest_length', and winches limit rest lengths"
             )
-        return rest_length_bounds(plant.equilibrium_input, winches, "plant.rest_length")
+        usual, driven = plant.string_values, plant.actuation.driven
+        if winches is not None:
+            winches.refuse_out_of_range("plant.rest_length", usual, driven)
+            refuse_still(plant.actuation, winches)
+        return bounds_of_inputs(plant.actuation, *rest_length_bounds(usual, winches))
     if winches is not None:
         raise ValueError(
             "winches limit rest lengths, but plant has input='force_density'; linearize with "
@@ -41,36 +53,52 @@ def input_bounds(
         ("max_force_density", bounds.high, gamma > bounds.high, "least"),
         ("min_force_density", bounds.low, gamma < bounds.low, "most"),
     ):
+        is_beyond[plant.actuation.passive] = False
         if is_beyond.any():
             i = int(is_beyond.argmax())
             raise ValueError(
                 f"{name}[{i}] is {limit[i]:g} N/m, but string {i} has {gamma[i]:g} N/m at the "
                 f"operating point; expected at {expected} that"
             )
-    return bounds.low, bounds.high
+    return bounds_of_inputs(plant.actuation, bounds.low, bounds.high)
+
+
+def refuse_still(actuation: Actuation, winches: Winches) -> None:
+    """Raise if a winch that is to drive a string cannot move."""
+    shortest, longest = winches.range(len(actuation.input))
+    still = np.intersect1d(np.flatnonzero(shortest == longest), actuation.driven)
+    if len(still):
+        i = still[0]
+        raise ValueError(
+            f"winches.shortest and winches.longest are both {longest[i]:g} m for string {i}, which "
+            "the plant takes as driven, so that a design on it is wrong: say which strings are "
+            "driven by linearize(..., actuated=[...])"
+        )
 
 
 def rest_length_bounds(
-    usual: FloatArray, winches: Winches | None = None, name: str = "rest_length"
+    usual: FloatArray, winches: Winches | None = None
 ) -> tuple[FloatArray, FloatArray]:
     """Return least and largest rest length commanded, m, shape (α,) each.
 
-    At least a hundredth of the usual one, and what winches reach; ``name`` is that of the usual
-    ones in the message that they do not reach them.
+    At least a hundredth of the usual one, and what winches reach.
     """
     low, high = _SHORTEST * usual, np.full(len(usual), np.inf)
     if winches is not None:
-        winches.refuse_out_of_range(name, usual)
         shortest, high = winches.range(len(usual))
         low = np.maximum(low, shortest)
     return low, high
 
 
 def largest_change(
-    input: str, count: int, max_change: object, winches: Winches | None, sample_time: float | None
+    input: str,
+    actuation: Actuation,
+    max_change: object,
+    winches: Winches | None,
+    sample_time: float | None,
 ) -> FloatArray | None:
-    """Return the largest change of so many inputs in a sample, shape (α,), or None for any."""
-    change = None
+    """Return the largest change of the inputs in a sample, shape (m,), or None for any."""
+    change, count = None, len(actuation.input)
     if not validation.is_unlimited(max_change):
         change = validation.limit_per_member("max_change", max_change, count, "string")
         validation.positive("max_change", change, f"change of {input.replace('_', ' ')}")
@@ -83,4 +111,4 @@ def largest_change(
     if rate is not None:
         reach = validation.limit_per_member("winches.rate", rate, count, "string") * sample_time
         change = reach if change is None else np.minimum(change, reach)
-    return change
+    return None if change is None else changes_of_inputs(actuation, change)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Concatenate, ParamSpec, TypeVar, overload
 import numpy as np
 
 from tenscontrol import validation
+from tenscontrol.actuation.driven_strings import Actuation, inputs_of
 from tenscontrol.arrays import FloatArray, IntArray, freeze_arrays, frozen
 from tenscontrol.dynamics.coordinates import Coordinates
 from tenscontrol.dynamics.evaluator import Prepared, on_one_thread
@@ -86,7 +87,7 @@ class SparsePlant:
     ----------
     stiffness, damping : csr_array, shape (m, m)
         K, 1/s², and D, 1/s.
-    by_input : csr_array, shape (m, α)
+    by_input : csr_array, shape (m, inputs)
         E.
     drift : ndarray, shape (m,)
         f: zero at an equilibrium up to round-off.
@@ -111,9 +112,9 @@ def norm(matrix: csr_array) -> float:
 class LinearPlant:
     """A linearized structure ``ż = A z + B v + drift``.
 
-    The state is ``z = [q; q̇]`` in the chosen coordinates, the input v the
-    departure of γ or of the rest lengths from the operating point. Made by
-    :func:`linearize`.
+    The state is ``z = [q; q̇]`` in the chosen coordinates, the input v the departure of γ or of the
+    rest lengths of m driven strings, or winches, from the operating point. There are m = α inputs
+    where every string is driven by itself. Made by :func:`linearize`.
 
     Attributes
     ----------
@@ -123,7 +124,7 @@ class LinearPlant:
     input : str
         ``"force_density"`` or ``"rest_length"``.
     A : ndarray, shape (2r, 2r)
-    B : ndarray, shape (2r, α)
+    B : ndarray, shape (2r, m)
         Both are made when they are first asked for, and refused where A has more than 64 million
         entries, 4,000 coordinates: large structures have :attr:`sparse`.
     drift : ndarray, shape (2r,)
@@ -143,6 +144,8 @@ class LinearPlant:
     invariance_residual : float
         How far the accelerations lead out of the space of the coordinates, or
         answer to motions that it leaves out, relative to their size.
+    actuation : Actuation
+        Which of the commanded strings the inputs drive; the others are passive.
     feet : ndarray of int
         Fixed nodes of the model that stand on ground by friction, of a plant about a stance: z is
         measured relative to them. Empty for any other plant.
@@ -157,6 +160,7 @@ class LinearPlant:
     rest_length: FloatArray | None
     external_force: FloatArray
     invariance_residual: float
+    actuation: Actuation
     feet: IntArray = field(default_factory=lambda: frozen(np.zeros(0, np.int64)))
     A: _Made = _Made(lambda plant: _dense_A(plant))
     B: _Made = _Made(lambda plant: _dense_B(plant))
@@ -183,7 +187,12 @@ class LinearPlant:
 
     @property
     def equilibrium_input(self) -> FloatArray:
-        """The input at the operating point, γ or rest length, shape (α,)."""
+        """The input at the operating point, γ or rest length, shape (m,)."""
+        return inputs_of(self.actuation, self.string_values)
+
+    @property
+    def string_values(self) -> FloatArray:
+        """γ or rest length of the commanded strings at the operating point, shape (α,)."""
         if self.input == "force_density":
             return self.force_density
         assert self.rest_length is not None  # linearize needs a string law for this input
@@ -272,7 +281,7 @@ class LinearPlant:
         Returns
         -------
         Φ : ndarray, shape (2r, 2r)
-        Γ : ndarray, shape (2r, α)
+        Γ : ndarray, shape (2r, m)
         d : ndarray, shape (2r,)
             The drift over one sample.
 
@@ -298,14 +307,18 @@ class LinearPlant:
 
     @property
     def input_names(self) -> list[str]:
-        """Names of v, by string group: ``gamma_top[0]`` or ``rest_length_top[0]``."""
+        """Names of v, by string group: ``gamma_top[0]`` or ``rest_length_top[0]``.
+
+        Of winches that were given a name, that name.
+        """
         symbol = "gamma" if self.input == "force_density" else "rest_length"
         seen: dict[str, int] = {}
         names = []
         for group in self.commanded.string_groups:
             seen[group] = seen.get(group, -1) + 1
-            names.append(f"{symbol}_{group}[{seen[group]}]")
-        return names
+            names.append(f"{group}[{seen[group]}]")
+        inputs = self.actuation.names or [names[string] for string in self.actuation.lead]
+        return [f"{symbol}_{name}" for name in inputs]
 
     @property
     def output_names(self) -> list[str]:
@@ -351,7 +364,7 @@ class LinearPlant:
     def __repr__(self) -> str:
         return (
             f"LinearPlant({self.degrees_of_freedom} {self.coordinates.kind} coordinates, "
-            f"input {self.input}, {len(self.force_density)} inputs)"
+            f"input {self.input}, {len(self.actuation.lead)} inputs)"
         )
 
 
@@ -409,8 +422,8 @@ class Sampled:
 
     sample_time: float  # s
     transition: FloatArray  # Φ, (s, s)
-    by_previous: FloatArray  # Γ_p, (s, α); zero without a ramp
-    by_input: FloatArray  # Γ, (s, α)
+    by_previous: FloatArray  # Γ_p, (s, m); zero without a ramp
+    by_input: FloatArray  # Γ, (s, m)
     drift: FloatArray  # d, (s,)
     ramp: bool  # whether the input moves through the sample, from v_previous to v
 

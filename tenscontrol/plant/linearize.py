@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tenscontrol import validation
+from tenscontrol.actuation.driven_strings import Actuation, actuation_of
 from tenscontrol.arrays import FloatArray, IntArray, frozen
 from tenscontrol.dynamics.coordinates import KINDS, Coordinates, coordinates as frame_of
 from tenscontrol.dynamics.model import Model
@@ -115,6 +116,7 @@ def linearize(
     coordinates: str = "internal",
     require_equilibrium: bool = True,
     rest_length: object = None,
+    actuated: object = None,
 ) -> LinearPlant:
     """Return the linear plant about a shape at rest, with exact derivatives.
 
@@ -135,6 +137,12 @@ def linearize(
     rest_length : float or array_like, shape (α,), optional
         Rest lengths, m, that give the γ of the operating point. They say how slack a string with
         γ = 0 is; without them it is just not taut.
+    actuated : sequence of int or str, dict, array_like or Actuation, optional
+        The strings that are driven, by index or group: each is an input. The others are passive:
+        they keep their rest lengths, or their γ where γ is the input. Strings that share a winch
+        are ganged: ``{name: strings}``, one input a name, with ``{string: ratio}`` in place of
+        the strings where pulleys or signs differ; or a matrix, shape (α, m), of the change of each
+        string by each input, with at most one entry a row. All strings if not given.
 
     Returns
     -------
@@ -177,6 +185,16 @@ def linearize(
     LinearPlant(9 internal coordinates, input force_density, 9 inputs)
     >>> plant.A.shape, plant.B.shape
     ((18, 18), (18, 9))
+
+    With motors on three strings, and on those with a motor for two:
+
+    >>> tc.linearize(plant.model, tc.prestress(prism, force_density=17.3205), actuated=[0, 1, 8])
+    LinearPlant(9 internal coordinates, input force_density, 3 inputs)
+    >>> groups = {"pair": {0: 1.0, 1: -1.0}, "single": [8]}
+    >>> few = tc.linearize(
+    ...     plant.model, tc.prestress(prism, force_density=17.3205), actuated=groups)
+    >>> few.input_names
+    ['gamma_pair', 'gamma_single']
     """
     validation.instance("model", model, Model, "make one by Model(structure)")
     validation.choice("input", input, INPUTS)
@@ -188,7 +206,9 @@ def linearize(
         _refuse_other_structure(model.structure, at.structure)
         standing = standing_model(model, at)
         point = OperatingPoint(at.structure.nodes, at.force_density, at.load)
-        plant = linearize(standing, point, input, coordinates, require_equilibrium, rest_length)
+        plant = linearize(
+            standing, point, input, coordinates, require_equilibrium, rest_length, actuated
+        )
         return _on_feet(plant, np.unique(at.contacts.node))
     nodes, gamma, load = _checked_point(model, at)
     _refuse_other_load(model, load)
@@ -203,12 +223,14 @@ def linearize(
             "Model(structure, strings=LinearStrings(stiffness=...))"
         )
     held = gamma if input == "force_density" else wound
+    assert held is not None  # with a law
+    actuation = actuation_of(model.structure, actuated, held)
     here = tangent(model, nodes, input, held, load)
     if require_equilibrium:
         _refuse_unbalanced(here, gamma)
     if wound is not None and input == "rest_length":
         _refuse_kink(model, gamma, wound / length)
-    plant = _reduced(model, input, coordinates, here, nodes, gamma, wound, load)
+    plant = _reduced(model, input, coordinates, here, nodes, gamma, wound, load, actuation)
     if require_equilibrium and plant.invariance_residual > _INVARIANCE_TOLERANCE:
         raise ValueError(
             f"coordinates={coordinates!r} leave out motions that are coupled with the others: "
@@ -252,17 +274,19 @@ def in_coordinates(plant: LinearPlant, kind: str) -> LinearPlant:
         if rest_length is not None:
             rest_length = to_model_strings(plant, "rest_length", rest_length)
         at = OperatingPoint(plant.nodes, gamma, plant.external_force)
+        own = plant.commanded is plant.model.structure
         other = linearize(
-            plant.model, at, plant.input, kind, require_equilibrium=False, rest_length=rest_length
-        )
+            plant.model, at, plant.input, kind, False, rest_length,
+            plant.actuation if own else None,
+        )  # fmt: skip
         other = _on_feet(other, plant.feet) if len(plant.feet) else other
-        return other if plant.commanded is plant.model.structure else command_parents(other)
+        return other if own else command_parents(other, plant.actuation)
 
     validation.choice("kind", kind, KINDS)
     return plant.prepared.get(("in_coordinates", kind), build)
 
 
-def command_parents(plant: LinearPlant) -> LinearPlant:
+def command_parents(plant: LinearPlant, actuated: object = None) -> LinearPlant:
     """Return the plant of a subdivided structure with one input for each uncut string.
 
     A winch winds a whole string, not its segments: γ of a string gives s times
@@ -272,6 +296,8 @@ def command_parents(plant: LinearPlant) -> LinearPlant:
     ----------
     plant : LinearPlant
         Of a model whose structure was made by :func:`subdivide`; one of whole strings is returned.
+    actuated : sequence of int or str, dict, array_like or Actuation, optional
+        The whole strings that are driven, as for :func:`linearize`.
 
     Returns
     -------
@@ -282,8 +308,9 @@ def command_parents(plant: LinearPlant) -> LinearPlant:
     Raises
     ------
     TypeError, ValueError
-        If ``plant`` is not a linear plant, its structure has a skin, or the segments of a string
-        differ in their force density.
+        If ``plant`` is not a linear plant, its structure has a skin, the segments of a string
+        differ in their force density, or ``actuated`` does not fit or was given to
+        :func:`linearize`.
 
     Examples
     --------
@@ -300,14 +327,22 @@ def command_parents(plant: LinearPlant) -> LinearPlant:
     validation.instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
     structure = plant.model.structure
     parent = structure.parent
-    if parent is None:
+    if parent is None or plant.commanded is parent:
+        if actuated is not None:
+            raise ValueError(
+                "plant is one of whole strings already: give actuated to linearize, or to the "
+                "first call of command_parents"
+            )
         return plant
+    if not plant.actuation.is_whole:
+        raise ValueError(
+            "actuated of linearize names segments of strings, which no winch drives: give it to "
+            "command_parents, by the whole strings"
+        )
     if structure.string_parent is None:
         raise ValueError(
             "the plant is not that of a subdivided structure; subdivide(structure, ...) makes one"
         )
-    if plant.commanded is parent:
-        return plant
     gamma = to_strings(structure, "force_density", plant.force_density)
     rest_length = None
     if plant.rest_length is not None:
@@ -321,10 +356,14 @@ def command_parents(plant: LinearPlant) -> LinearPlant:
             "string gives the operating point. Weight makes force densities differ along a "
             "string: linearize with input='rest_length'"
         )
-    spread = to_segments(structure, plant.input, np.eye(len(parent.strings))).T
+    values = gamma if plant.input == "force_density" else rest_length
+    assert values is not None  # with a law
+    actuation = actuation_of(parent, actuated, values)
+    spread = csr_array(to_segments(structure, plant.input, np.eye(len(parent.strings))).T)
+    spread = csr_array(spread @ actuation.matrix)
     of_parent: dict[str, Any] = {"B": frozen(plant.B @ spread)}
     if plant.sparse is not None:
-        by_input = csr_array(plant.sparse.by_input @ csr_array(spread))
+        by_input = csr_array(plant.sparse.by_input @ spread)
         of_parent = {"sparse": replace(plant.sparse, by_input=by_input), "A": None, "B": None}
     return replace(
         plant,
@@ -332,6 +371,7 @@ def command_parents(plant: LinearPlant) -> LinearPlant:
         commanded=parent,
         force_density=frozen(gamma),
         rest_length=None if rest_length is None else frozen(rest_length),
+        actuation=actuation,
     )
 
 
@@ -360,6 +400,7 @@ def _reduced(
     gamma: FloatArray,
     rest_length: FloatArray | None,
     load: FloatArray,
+    actuation: Actuation,
 ) -> LinearPlant:
     """Return the plant of forces and their derivatives in coordinates."""
     from scipy.sparse import csr_array
@@ -385,6 +426,8 @@ def _reduced(
     held = norm(by_input) * float(np.linalg.norm(gamma)) / float(np.ptp(nodes))
     if norm(stiffness) <= _NO_STIFFNESS * held:
         stiffness = csr_array(stiffness.shape)
+    if not actuation.is_whole:
+        by_input = csr_array(by_input @ actuation.matrix)
     plant = LinearPlant(
         model=model,
         coordinates=frame,
@@ -395,6 +438,7 @@ def _reduced(
         rest_length=None if rest_length is None else frozen(rest_length),
         external_force=frozen(load),
         invariance_residual=_left_out(frame, stiffness, damping, _ROUND_OFF * held),
+        actuation=actuation,
     )
     if frame.count <= _USUAL:  # made now, not at the first use
         for name in ("A", "B", "drift", "basis"):

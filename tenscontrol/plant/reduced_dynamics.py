@@ -45,7 +45,7 @@ class ReducedPlant(LinearPlant):
     whole : LinearPlant
         The plant that was reduced.
     model, coordinates, input, A, B, drift, commanded, force_density, rest_length : as of it
-    external_force, invariance_residual, feet, sparse : as of it
+    external_force, invariance_residual, actuation, feet, sparse : as of it
     """
 
     whole: LinearPlant = field(kw_only=True)

@@ -9,11 +9,12 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol import validation
+from tenscontrol.actuation.driven_strings import inputs_of, moved_by
 from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.dynamics.evaluator import Function, evaluate_columns
 from tenscontrol.fields import Array, OptionalArray, converted
 from tenscontrol.plant.linear_plant import LinearPlant, Sampled, acceleration_response, kept
-from tenscontrol.plant.string_outputs import to_commanded_strings, to_model_strings
+from tenscontrol.plant.string_outputs import input_matrix, to_commanded_strings, to_model_strings
 from tenscontrol.structure.bar_clearance import bar_distances
 from tenscontrol.structure.bar_geometry import refuse_wrong_bar_lengths
 from tenscontrol.structure.supports import refuse_moved_supports
@@ -30,6 +31,13 @@ _OFF, _TOUCHING = 0.01, 1e-6
 # part of the size, or within a reference by more than the second, and change their distances by
 # less than the third part of that.
 _MOVED, _TRAVELLED, _UNCHANGED = 1e-6, 0.01, 1e-3
+
+# Newton steps to the inputs that hold a shape, the part of a rest length for differences, and the
+# least part of an input to which it is wound in.
+_NEWTON, _STEP, _SHORTEST = 6, 1e-6, 0.1
+
+# A reference may ask passive strings for rest lengths that are off by this part of the longest.
+_PASSIVE = 1e-3
 
 # A string can be wound up to this fraction of what its law allows.
 _STRONGEST = 0.99
@@ -209,11 +217,11 @@ class Preview:
 
     reference: FloatArray  # (K, s), [q; q̇]
     rest: FloatArray  # (K, s), [q; 0]
-    input: FloatArray  # (K, α), origin of v: holds the plant there
+    input: FloatArray  # (K, m), origin of v: holds the plant there
     force_density: FloatArray  # (K, α'), N/m, of the strings of the model there
     tension: FloatArray  # (K, α'), N
     drift: FloatArray  # (K, s), by which the state drifts from there in a sample all the same
-    previous_input: FloatArray  # (α,), before the first sample
+    previous_input: FloatArray  # (m,), before the first sample
 
 
 class ReferencePreview:
@@ -242,7 +250,7 @@ class ReferencePreview:
         if plant.input == "force_density":
             gamma = to_model_strings(plant, "force_density", plant.force_density)
             tension = gamma * plant.model.structure.string_length(plant.nodes)
-            parts = np.zeros(2 * r), plant.force_density, gamma, tension, sampled.drift
+            parts = np.zeros(2 * r), plant.equilibrium_input, gamma, tension, sampled.drift
             self._table = np.concatenate(parts)[None]
         else:
             self._held_time = _refined(reference.time, sampled.sample_time)
@@ -255,6 +263,7 @@ class ReferencePreview:
                         for row in reference.force_density
                     ]
                 )
+                _refuse_moved_passive(plant, rests, gamma)
             self._response = acceleration_response(plant, sampled.sample_time)
             self._table = _held(plant, rests, gamma, self._response)
         strings = len(plant.model.structure.strings)
@@ -375,7 +384,7 @@ def checked_reference(
             f"reference.nodes has shape {reference.nodes.shape}, "
             f"expected {(*shape, len(reference.time))}: one column per node"
         )
-    count, gamma = plant.B.shape[1], reference.force_density
+    count, gamma = len(plant.commanded.strings), reference.force_density
     if gamma is not None and len(gamma) != count:
         raise ValueError(
             f"reference.force_density has shape {gamma.shape}, expected "
@@ -475,6 +484,9 @@ def _held(
     offset, slope = _accelerations(plant, shapes)
     chosen = to_model_strings(plant, "force_density", wanted.T)
     chosen[:, plant.slack], slope[:, :, plant.slack] = 0.0, 0.0  # what is slack stays so
+    lengths = np.array([structure.string_length(N) for N in shapes])
+    if not plant.actuation.is_whole:
+        return _held_by_some(plant, q, chosen, lengths, offset, slope, response)
     left = offset + (slope @ chosen[..., None])[..., 0]
     # Ridge regression from the operating point, shape by shape.
     U, sizes, Vt = np.linalg.svd(slope, full_matrices=False)
@@ -484,16 +496,97 @@ def _held(
     gamma = chosen - (Vt.swapaxes(1, 2) @ along[..., None])[..., 0]
     gamma = np.clip(gamma, 0.0, _STRONGEST * law.largest_force_density)
     left = offset + (slope @ gamma[..., None])[..., 0]
-    lengths = np.array([structure.string_length(N) for N in shapes])
     rest_length = np.array(
         [law.rest_length(length, each) for length, each in zip(lengths, gamma, strict=True)]
     )
     if len(plant.slack):
-        given = to_model_strings(plant, "rest_length", plant.equilibrium_input)
+        given = to_model_strings(plant, "rest_length", plant.string_values)
         rest_length[:, plant.slack] = given[plant.slack]
     rests = np.hstack([q, np.zeros_like(q)])
     wound = to_commanded_strings(plant, "rest_length", rest_length)
     return np.hstack([rests, wound, gamma, gamma * lengths, left @ response.T])
+
+
+def _held_by_some(
+    plant: LinearPlant,
+    q: FloatArray,
+    chosen: FloatArray,
+    lengths: FloatArray,
+    offset: FloatArray,
+    slope: FloatArray,
+    response: FloatArray,
+) -> FloatArray:
+    """Return what :func:`_held` does where some strings are passive or ganged.
+
+    By Newton steps for the inputs, as γ is not linear in rest lengths: the γ of passive strings
+    follows from their rest lengths, and what is left out of balance is a drift.
+    """
+    law, actuation = plant.model.strings, plant.actuation
+    assert law is not None  # the rest length is the input
+    # The inputs nearest to the chosen γ.
+    wanted = np.array(
+        [law.rest_length(length, each) for length, each in zip(lengths, chosen, strict=True)]
+    )
+    wanted[:, plant.slack] = to_model_strings(plant, "rest_length", plant.string_values)[
+        plant.slack
+    ]
+    near = inputs_of(actuation, to_commanded_strings(plant, "rest_length", wanted).T).T
+    inputs = near
+    for number in range(_NEWTON):
+        rest_length = to_model_strings(
+            plant, "rest_length", actuation.offset + moved_by(actuation, inputs)
+        )
+        gamma, by_length = _force_densities(plant, lengths, rest_length)
+        left = offset + (slope @ gamma[..., None])[..., 0]
+        if number == _NEWTON - 1:
+            break
+        by_input = np.array(
+            [part * each @ input_matrix(plant, "rest_length")
+             for part, each in zip(slope, by_length, strict=True)]
+        )  # fmt: skip
+        # Of the inputs that balance the shape linearized here, those nearest to the chosen.
+        U, sizes, Vt = np.linalg.svd(by_input, full_matrices=False)
+        gain = sizes / (sizes**2 + (_RIDGE * sizes[:, :1]) ** 2)
+        target = left + (by_input @ (near - inputs)[..., None])[..., 0]
+        along = gain * (U.swapaxes(1, 2) @ target[..., None])[..., 0]
+        inputs = near - (Vt.swapaxes(1, 2) @ along[..., None])[..., 0]
+        inputs = np.maximum(inputs, _SHORTEST * near)
+    rests = np.hstack([q, np.zeros_like(q)])
+    return np.hstack([rests, inputs, gamma, gamma * lengths, left @ response.T])
+
+
+def _force_densities(
+    plant: LinearPlant, lengths: FloatArray, rest_length: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return γ of strings, (K, α'), and its change with their rest lengths."""
+    law = plant.model.strings
+    assert law is not None  # callers have rest lengths
+    step = _STEP * rest_length
+    least, most, gamma = (
+        np.array([law.force_density(*pair) for pair in zip(lengths, values, strict=True)])
+        for values in (rest_length + step, rest_length - step, rest_length)
+    )
+    gamma[:, plant.slack] = 0.0
+    return gamma, (least - most) / (2 * step)
+
+
+def _refuse_moved_passive(plant: LinearPlant, q: FloatArray, gamma: FloatArray) -> None:
+    """Raise if the γ of a reference ask a passive string for another rest length."""
+    passive, law = plant.actuation.passive, plant.model.strings
+    if not len(passive) or plant.commanded is not plant.model.structure:
+        return
+    assert law is not None  # the rest length is the input
+    usual = plant.string_values[passive]
+    for row, asked in zip(q, gamma.T, strict=True):
+        length = plant.model.structure.string_length(plant.to_nodes(row))
+        off = np.abs(law.rest_length(length, asked)[passive] - usual) * (asked[passive] > 0)
+        i = int(off.argmax())
+        if off[i] > _PASSIVE * float(length.max()):
+            raise ValueError(
+                f"reference.force_density asks string {passive[i]} for a rest length "
+                f"{off[i]:.2g} m off {usual[i]:.4g} m, but the string is passive: leave "
+                "force_density out, or give shapes that the driven strings hold"
+            )
 
 
 def _accelerations(plant: LinearPlant, shapes: FloatArray) -> tuple[FloatArray, FloatArray]:

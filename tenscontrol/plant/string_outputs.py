@@ -28,11 +28,17 @@ def to_commanded_strings(plant: LinearPlant, what: str, values: FloatArray) -> F
 
 
 def model_input(plant: LinearPlant, u: Any) -> Any:
-    """Return the expression of the inputs of the model's strings from the commanded ones."""
-    if plant.commanded is plant.model.structure:
+    """Return the expression of the values of the model's strings from the inputs of a plant."""
+    if plant.commanded is plant.model.structure and plant.actuation.is_whole:
         return u
-    spread = to_model_strings(plant, plant.input, np.eye(plant.B.shape[1])).T
-    return ca.mtimes(ca.sparsify(ca.DM(spread)), u)
+    offset = to_model_strings(plant, plant.input, plant.actuation.offset)
+    moved = ca.mtimes(ca.sparsify(ca.DM(input_matrix(plant, plant.input))), u)
+    return moved + ca.sparsify(ca.DM(offset))
+
+
+def input_matrix(plant: LinearPlant, what: str) -> FloatArray:
+    """Return the change of the model's strings by the inputs of a plant, shape (α', m)."""
+    return to_model_strings(plant, what, plant.actuation.matrix.toarray().T).T
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +48,7 @@ class StringMap:
     force_density: FloatArray  # (α',), N/m, at the operating point
     tension: FloatArray  # (α',), N
     gamma_by_state: FloatArray  # (α', s)
-    gamma_by_input: FloatArray  # (α', α)
+    gamma_by_input: FloatArray  # (α', m)
     tension_by_state: FloatArray
     tension_by_input: FloatArray
 
@@ -64,9 +70,9 @@ def string_map(plant: LinearPlant, input: str) -> StringMap:
     values = [value.sparse() for value in found]
     by_state = [np.hstack([part @ plant.basis for part in values[k : k + 2]]) for k in (2, 5)]
     by_input = [values[k] for k in (4, 7)]
-    if plant.commanded is not plant.model.structure:
-        spread = to_model_strings(plant, input, np.eye(plant.B.shape[1])).T
-        by_input = [part @ csc_array(spread) for part in by_input]
+    if not (plant.commanded is plant.model.structure and plant.actuation.is_whole):
+        spread = csc_array(input_matrix(plant, input))
+        by_input = [part @ spread for part in by_input]
     return StringMap(
         force_density=values[0].toarray().ravel(),
         tension=values[1].toarray().ravel(),

@@ -70,8 +70,6 @@ def build_controller(
         with table.checked("sample_time"):
             validation.positive_number("sample_time", table.get("sample_time"), "s")
     table.need_required()
-    if kind in ("mpc", "nmpc") and input == "force_density":
-        table.need("max_force_density")
     arguments: dict[str, Any] = {
         key: per_string(table, key, structure) if isinstance(value, dict) else value
         for key, value in table.without("kind", "input").items()

@@ -263,6 +263,8 @@ class TippingPlanner:
         self.gravity = weight / float(structure.bar_mass.sum() + structure.point_mass.sum())
         if winches is not None:
             validation.instance("winches", winches, Winches, "make them by Winches(rate=...)")
+        if winches is not None:
+            winches.refuse_out_of_range("rest_length", self.home)
         self._low, self._high = rest_length_bounds(self.home, winches)
         self._clearance = validation.number("clearance", clearance, "m")
         self._conditions = model.prepared.get("tipping", lambda: _conditions(model))

@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 
 import numpy as np
 
 from tenscontrol import validation
+from tenscontrol.actuation.driven_strings import (
+    bounds_of_inputs,
+    changes_of_inputs,
+    inputs_of,
+    moved_by,
+    refuse_passive,
+    strings_of,
+    through,
+)
 from tenscontrol.actuation.motors import (
     Instants,
+    Motor,
     MotorRecord,
     cable_work,
     each_motor,
@@ -19,12 +30,14 @@ from tenscontrol.actuation.motors import (
 from tenscontrol.actuation.winches import Drive, Winches, WinchMove
 from tenscontrol.arrays import FloatArray, IntArray, frozen
 from tenscontrol.control.command import Command
-from tenscontrol.control.controller import BaseController
+from tenscontrol.control.controller import BaseController, Controller
 from tenscontrol.dynamics.evaluator import Evaluator
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.profile import Pieces
+from tenscontrol.plant.input_bounds import refuse_still
 from tenscontrol.properties import cached_property
 from tenscontrol.simulation.dense_motion import DenseMotion
+from tenscontrol.simulation.faults import StuckWinch
 from tenscontrol.simulation.plant_run import PlantRun
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.structure.segments import to_segments, to_strings
@@ -62,19 +75,20 @@ class Actuators:
         self._structure = plant_run.model.structure
         self._by_segment = commands_parent(plant_run.model, controller)
         self._count = len(controller.commanded.strings)
-        self._held = plant_run.input
+        self._actuation = controller.actuation
+        self._plant_run, self._held = plant_run, plant_run.input
         self._convert = plant_run.input == "rest_length" and controller.input == "force_density"
         if controller.input == "rest_length" and plant_run.input == "force_density":
             raise ValueError(
                 "the controller commands rest lengths; input='force_density' cannot follow it"
             )
+        self._check_driven(winches)
         self._motor = None
         if winches is not None and winches.motor is not None:
-            self._motor = each_motor(winches.motor, self._count)
+            self._motor = each_motor(self._of_leads(winches.motor), len(self._actuation.lead))
         if plant_run.input == "force_density":
             self._refuse_lengths(winches, rest_length)
         self._input = controller.input
-        self._plant_run = plant_run
         self._law = plant_run.model.strings
         self._winches = winches
         self._sample_time = sample_time
@@ -91,8 +105,11 @@ class Actuators:
         elif rest_length is not None:
             self.start = self._current = rest_length
         if self.start is not None:
+            # Passive strings keep what they have, whatever the plant of the controller says.
+            self._actuation = through(self._actuation, self.start)
             if winches is not None:
-                winches.refuse_out_of_range("rest_length", self.start)
+                driven = self._actuation.driven
+                winches.refuse_out_of_range("rest_length", self.start, driven)
         elif plant_run.input == "rest_length" and (
             winches is not None and (winches.rate is not None or winches.ramp or winches.motor)
         ):
@@ -100,8 +117,60 @@ class Actuators:
                 "winches with a rate, substeps or a motor need rest_length, the rest lengths at "
                 "the start, m; to_rest_length(model, nodes, force_density) finds it"
             )
+        if winches is not None and plant_run.input == "rest_length":
+            self._winches = self._of_inputs(winches, controller)
         if self._convert:
             self._refuse_unreachable(controller.bounds[1])
+
+    def _check_driven(self, winches: Winches | None) -> None:
+        """Refuse what cannot be done with passive or ganged strings."""
+        if self._actuation.is_whole:
+            return
+        if self._convert:
+            raise ValueError(
+                f"the controller commands γ of a plant with {self._actuation!r}, but rest lengths "
+                "are held, so that passive strings would not keep their γ: give "
+                "input='force_density', or design it on linearize(..., input='rest_length')"
+            )
+        motors = winches is not None and winches.motor is not None
+        if motors and self._held == "force_density":
+            raise ValueError(
+                "winches has a motor, but the plant of the controller has passive or ganged "
+                "strings, of which motors know no limits where γ is held: leave the motor out, or "
+                "hold rest lengths"
+            )
+        if motors and self._actuation.is_ganged:
+            raise ValueError(
+                "winches has a motor, but the plant of the controller has ganged strings, which "
+                "motors do not know yet: give the limits by Winches(rate=..., shortest=..., "
+                "longest=...), or one motor a string"
+            )
+        listed = self._plant_run.faults.listed
+        stuck = [fault.string for fault in listed if isinstance(fault, StuckWinch)]
+        refuse_passive(self._actuation, "a stuck winch in faults", np.array(stuck, dtype=np.int64))
+
+    def _of_inputs(self, winches: Winches, controller: BaseController) -> Winches:
+        """Return winches with the limits of the inputs in place of those of the strings."""
+        if isinstance(controller, Controller):
+            refuse_still(self._actuation, winches)
+        if self._actuation.is_whole:
+            return winches
+        rate, (low, high) = winches.rate, winches.range(self._count)
+        if rate is not None:
+            rate = changes_of_inputs(self._actuation, np.broadcast_to(rate, (self._count,)))
+        low, high = bounds_of_inputs(self._actuation, low, high)
+        motor = None if winches.motor is None else self._of_leads(winches.motor)
+        return replace(winches, rate=rate, shortest=low, longest=high, motor=motor)
+
+    def _of_leads(self, motor: Motor) -> Motor:
+        """Return the motors of the inputs, of those of all strings."""
+        each_motor(motor, self._count)  # or they do not fit
+        if self._actuation.is_whole:
+            return motor
+        per_string = {name: value for name, value in vars(motor).items() if np.ndim(value)}
+        return replace(
+            motor, **{name: value[self._actuation.lead] for name, value in per_string.items()}
+        )
 
     def _go_on(self, run: Trajectory) -> None:
         """Begin with what the actuators held at the end of a run."""
@@ -157,18 +226,30 @@ class Actuators:
             desired = self._law.rest_length(self._structure.string_length(nodes), gamma)
             desired = self._to_strings("rest_length", desired)
         if self._motor is not None:
-            self._asked.append(desired)
+            self._asked.append(inputs_of(self._actuation, desired))
         desired = self._unless_stuck(desired, stuck)
         if self._winches is None:
             return self._set(desired, _NONE)
+        stuck = self._stuck_inputs(stuck)
+        inputs = partial(inputs_of, self._actuation)
         if self._drive is None:
             motion = None if self._earlier is None else self._earlier.at_end
-            start = desired if self._current is None else self._current
+            start = inputs(desired if self._current is None else self._current)
             self._new_drive = partial(Drive, self._winches, start, self._sample_time, motion)
             self._drive = self._new_drive()
         self._weak.append(0)
-        self._moves.append((desired, stuck))
-        return self._drive.begin(desired, stuck)
+        self._moves.append((inputs(desired), stuck))
+        return self._move_of_strings(self._drive.begin(inputs(desired), stuck))
+
+    def _stuck_inputs(self, strings: IntArray) -> IntArray:
+        """Return the inputs whose winch is stuck with one of its strings."""
+        return strings if self._actuation.is_whole else np.unique(self._actuation.input[strings])
+
+    def _move_of_strings(self, move: WinchMove) -> WinchMove:
+        """Return the move of winches with the rest lengths of all strings."""
+        if self._actuation.is_whole:
+            return move
+        return replace(move, rest_length=frozen(strings_of(self._actuation, move.rest_length)))
 
     def _set(self, value: FloatArray, weak: IntArray) -> WinchMove:
         """Hold a value at once, and return the move."""
@@ -195,22 +276,31 @@ class Actuators:
             return self._pull(np.concatenate([N + later * V, V]), rest_length)
 
         tick = self._drive.tick(number, now, pull)
-        self._current = self.reached = self._drive.rest_length
+        self._current = self.reached = strings_of(self._actuation, self._drive.rest_length)
         self.held = self._to_plant("rest_length", self.reached)
-        lengths = self._to_plant("rest_length", tick.rest_length.T).T
+        lengths = self._to_plant("rest_length", self._of_strings(tick.rest_length).T).T
         if lengths.shape[1] == 1:
             return lengths[:, 0]
         return Pieces(np.array([-np.inf]), np.array([now]), lengths[None])
 
-    def _pull(self, motion: FloatArray, rest_length: FloatArray) -> _Forces:
-        """Return force, its slope and length of the strings, see ``Pull``, in a motion."""
-        lengths = self._to_plant("rest_length", rest_length)
+    def _of_strings(self, polynomials: FloatArray) -> FloatArray:
+        """Return polynomials of the strings, ascending, of those of the inputs."""
+        if self._actuation.is_whole:
+            return polynomials
+        moved = moved_by(self._actuation, polynomials.T).T
+        moved[:, 0] += self._actuation.offset
+        return moved
+
+    def _pull(self, motion: FloatArray, inputs: FloatArray) -> _Forces:
+        """Return force, its slope and length of each winch, see ``Pull``, in a motion."""
+        lengths = self._to_plant("rest_length", strings_of(self._actuation, inputs))
         _, force, _, slope, length = self._winding(motion, lengths, np.zeros_like(lengths))
         share = self._to_plant("rest_length", np.ones(self._count))
+        lead = slice(None) if self._actuation.is_whole else self._actuation.lead
         return (
-            self._to_strings("tension", force.copy()),  # the next call overwrites them
-            self._to_strings("length", slope * share**2),
-            self._to_strings("length", length.copy()),
+            self._to_strings("tension", force.copy())[lead],  # the next call overwrites them
+            self._to_strings("length", slope * share**2)[lead],
+            self._to_strings("length", length.copy())[lead],
         )
 
     def end(self) -> WinchMove:
@@ -219,7 +309,7 @@ class Actuators:
             return self._at_once
         move = self._drive.end()
         self._weak[-1] = len(move.torque_limited)
-        return move
+        return self._move_of_strings(move)
 
     @cached_property
     def _winding(self) -> Evaluator:
@@ -228,6 +318,8 @@ class Actuators:
     def _checked(self, value: object) -> FloatArray:
         """Return a command, or raise: a user's controller may break its promises."""
         desired = validation.shaped("command.value", value, (self._count,), "one per string")
+        if not self._actuation.is_whole:  # passive strings keep what they have
+            desired = strings_of(self._actuation, inputs_of(self._actuation, desired))
         if self._input == "force_density":
             return validation.non_negative("command.value", desired, "a string can only pull")
         return validation.positive("command.value", desired, "rest length in m")
@@ -249,6 +341,16 @@ class Actuators:
             raise ValueError(
                 f"faults has winch {stuck[0]} stuck from the start, but the value that it "
                 f"holds is not known then: {how} a time after the first sample"
+            )
+        if not self._actuation.is_whole:
+            inputs = partial(inputs_of, self._actuation)
+            return strings_of(
+                self._actuation,
+                np.where(
+                    np.isin(np.arange(len(self._actuation.lead)), self._stuck_inputs(stuck)),
+                    inputs(self._current),
+                    inputs(desired),
+                ),
             )
         moved = desired.copy()
         moved[stuck] = self._current[stuck]
@@ -285,13 +387,16 @@ class Actuators:
                 cut = self._plant_run.faults.without_cut(np.zeros(len(jump)), time + close) != 0
                 jump[cut, j] = 0.0
             work[:, first] += jump
-            work = self._to_strings("length", work.T).T
-            forces = [self._to_strings("tension", force.T).T for force in forces]
+            lead = self._actuation.lead
+            work = self._to_strings("length", work.T).T[lead]
+            forces = [self._to_strings("tension", force.T).T[lead] for force in forces]
             turning = [
                 self._drive.turning(before.time, at.time, force)
                 for at, force in zip(ends, forces, strict=True)
             ]
-            start = turning[0].position[:, 0] if self.start is None else self.start
+            start = turning[0].position[:, 0]
+            if self.start is not None:
+                start = inputs_of(self._actuation, self.start)
             drive = self._drive
             at_end = np.stack([drive.position, drive.speed, drive.reference])
         if self._earlier is not None:

@@ -10,6 +10,7 @@ from time import perf_counter
 import numpy as np
 
 from tenscontrol import validation
+from tenscontrol.actuation.driven_strings import inputs_of
 from tenscontrol.actuation.motors import MotorRecord
 from tenscontrol.actuation.winches import Winches, WinchMove
 from tenscontrol.arrays import FloatArray, IntArray, frozen
@@ -268,8 +269,9 @@ def _tracking_error(
 
 
 def _at_bound(controller: BaseController, command: FloatArray) -> IntArray:
-    """Return how many strings of each command, shape (α, K), are at a bound, shape (K,)."""
+    """Return how many inputs of each command, shape (α, K), are at a bound, shape (K,)."""
     low, high = (bound[:, None] for bound in controller.bounds)
+    command = inputs_of(controller.actuation, command)
     close = _CLOSE * np.abs(command).max()
     bounded = (command <= low + close) | (command >= high - close)
     if controller.largest_change is not None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tenscontrol.actuation.driven_strings import follows
 from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.control.controller import BaseController
 from tenscontrol.dynamics.equation import pack_state
@@ -198,6 +199,12 @@ def _refuse_misfits(
             f"estimator has inputs for {len(estimator.plant.commanded.strings)} strings, but the "
             f"controller commands {len(controller.commanded.strings)}: use command_parents "
             "on both plants or on none"
+        )
+    if not follows(estimator.plant.actuation, controller.actuation):
+        raise ValueError(
+            f"estimator has a plant with {estimator.plant.actuation!r}, but the controller, with "
+            f"{controller.actuation!r}, moves strings in other ways: give linearize the same "
+            "actuated for both, or none for the estimator"
         )
     own = estimator.sensors
     different = different_members(sensors.structure, known, feet)

@@ -109,5 +109,5 @@ def test_the_speed_of_a_motor_bounds_the_rate():
         tc.prestress(tc.prism(), 17.3),
         input="rest_length",
     )
-    change = largest_change(plant.input, 9, None, tc.Winches(motor=motor), STEP)
+    change = largest_change(plant.input, plant.actuation, None, tc.Winches(motor=motor), STEP)
     np.testing.assert_allclose(change, np.full(9, 0.2 * STEP))

@@ -119,8 +119,6 @@ def test_other_limits_are_still_refused():
             mpc(max_force_density=wrong)
         with pytest.raises(ValueError, match="max_change"):
             mpc(max_change=wrong)
-    with pytest.raises(TypeError, match=r"max_force_density is None, .* or inf for no limit"):
-        mpc(max_force_density=None)
 
 
 def test_counts_may_be_whole_floats_and_integers_of_numpy():

@@ -85,6 +85,7 @@ RESULTS = {
     "accuracy.Solution",
     "accuracy.StabilityMap",
     "accuracy.WorkPrecision",
+    "actuation.Actuation",
     "actuation.RestLengths",
     "actuation.MotorRecord",
     "actuation.WinchMove",
@@ -113,6 +114,7 @@ RESULTS = {
     "integrate.Span",
     "integrate.Watched",
     "integrate.Work",
+    "plant.ActuatorChoice",
     "plant.Controllability",
     "plant.LinearPlant",
     "plant.Modes",
@@ -835,6 +837,7 @@ call(
         "input": "rest_length",
         "coordinates": "internal",
         "require_equilibrium": True,
+        "actuated": [0, 8],
     },
     share=0.3,
 )
@@ -869,7 +872,7 @@ call(
     share=0.2,
 )
 call("plant.set_down", lambda: {"model": standing(), "feet": np.array([3, 4, 5]), "nodes": nodes()})
-call("plant.command_parents", lambda: {"plant": parts_plant()}, share=0.3)
+call("plant.command_parents", lambda: {"plant": parts_plant(), "actuated": [0, 8]}, share=0.3)
 call("plant.in_coordinates", lambda: {"plant": plant(), "kind": "minimal"})
 
 
@@ -880,6 +883,18 @@ def parts_plant():
     return tc.linearize(split, at, input="rest_length")
 
 
+call("actuator_choice", lambda: {"plant": plant(), "count": 3})
+call("plant.ActuatorChoice.table", on=lambda: tc.actuator_choice(plant()))
+call(
+    "actuation.Actuation.strings",
+    lambda: {"inputs": gamma()[:3]},
+    lambda: tc.linearize(elastic(), rest(), actuated=[0, 1, 2]).actuation,
+)
+call(
+    "actuation.Actuation.inputs",
+    lambda: {"strings": gamma()},
+    lambda: tc.linearize(elastic(), rest(), actuated=[0, 1, 2]).actuation,
+)
 call("plant.Controllability.table", on=lambda: tc.controllability(plant()))
 call("plant.Modes.table", on=lambda: tc.modes(plant()))
 call("plant.LinearPlant.measure", lambda: {"nodes": nodes(), "velocities": STILL}, plant)

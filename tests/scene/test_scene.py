@@ -849,17 +849,9 @@ BROKEN = {
         changed("1e-2", "1e-2\ninput = 'force_density'") + LQR + "input = 'rest_length'\n",
         r":14: in \[controller\], input is 'rest_length', but \[run\] holds force_density",
     ),
-    "mpc limit missing": (
-        PRISM + MPC,
-        r":11: \[controller\] with kind = 'mpc' lacks the key max_force_density: .* in N/m",
-    ),
     "mpc limit low": (
         PRISM + MPC + "max_force_density = 20\n",
         r":15: in \[controller\] .*max_force_density\[6\] is 20 N/m, but string 6 has 30",
-    ),
-    "nmpc limit missing": (
-        PRISM + MPC.replace("mpc", "nmpc"),
-        r":11: \[controller\] with kind = 'nmpc' lacks the key max_force_density",
     ),
     "feedback linearization frequency missing": (
         PRISM + SHAPE.replace("frequency = 2.0\n", ""),

@@ -205,7 +205,8 @@ class MPC(PredictiveController):
         # The data of a reference that rests, which no sample changes.
         self._resting: tuple[Preview, StageData] | None = None
         self.reset()
-        if plant.input == "force_density" and plant.model.strings is not None:
+        converts = plant.input == "force_density" and plant.model.strings is not None
+        if converts and plant.actuation.is_whole:
             warn_of_held_lengths(plant, made.problem.feedback, settings.sample_time)
 
     def _concerns(self, path: ReferencePreview) -> list[str]:

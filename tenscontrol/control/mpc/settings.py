@@ -35,7 +35,12 @@ from tenscontrol.plant.linear_plant import LinearPlant, Sampled, acceleration_re
 from tenscontrol.plant.linearize import OperatingPoint, linearize
 from tenscontrol.plant.reference import Reference, ReferencePreview
 from tenscontrol.plant.riccati import least_eigenvalue, natural_weights, regulator
-from tenscontrol.plant.string_outputs import string_map, to_commanded_strings, to_model_strings
+from tenscontrol.plant.string_outputs import (
+    input_matrix,
+    string_map,
+    to_commanded_strings,
+    to_model_strings,
+)
 from tenscontrol.string_bounds import string_bounds
 
 # Price of a violation by one level, against the cost of an input one level off.
@@ -120,9 +125,8 @@ class MPCSettings:
         Number of samples predicted, 1 to 10,000.
     sample_time : float
         Time between two commands, s.
-    max_force_density : float or array_like, shape (α,)
-        Largest force density γ, N/m; inf for no limit. May be left out where the input is the rest
-        length.
+    max_force_density : float or array_like, shape (α,), optional
+        Largest force density γ, N/m; no limit if infinite or not given. The least is 0 always.
     Q : float or array_like, shape (2r,) or (2r, 2r), optional
         Weight of the state less its reference. If not given, that of :func:`energy_weights`, by
         mode where the input is the rest length.
@@ -275,7 +279,7 @@ class Design:
     problem: MPCProblem
     constraints: Constraints
     sampled: Sampled  # what a sample does
-    low: FloatArray  # least command, (α,)
+    low: FloatArray  # least input, (m,)
     high: FloatArray
 
     @property
@@ -314,11 +318,11 @@ def design(plant: LinearPlant, settings: MPCSettings, nonlinear: bool = False) -
         refuse_unreachable(plant)
     else:
         refuse_unreachable(plant, drifting=False)
-    level = float(plant.force_density.max()) or float(high.max())
+    level = float(plant.force_density.max()) or float(np.where(np.isinf(high), 1.0, high).max())
     if plant.input == "rest_length":
         lengths = plant.model.structure.string_length(plant.nodes)
         lengths = to_commanded_strings(plant, "length", lengths)
-        level = float((lengths - plant.equilibrium_input).max())
+        level = float((lengths - plant.string_values).max())
     winches, sample_time = settings.winches, settings.sample_time
     model = sampled(plant, sample_time, winches is not None and winches.ramp)
     transition, input_matrix = model.augmented
@@ -343,7 +347,9 @@ def design(plant: LinearPlant, settings: MPCSettings, nonlinear: bool = False) -
         terminal_weight=cost,
         low=low - plant.equilibrium_input,
         high=high - plant.equilibrium_input,
-        change=largest_change(plant.input, len(low), settings.max_change, winches, sample_time),
+        change=largest_change(
+            plant.input, plant.actuation, settings.max_change, winches, sample_time
+        ),
         length=settings.horizon,
         level=level,
         feedback=gain,
@@ -355,10 +361,6 @@ def design(plant: LinearPlant, settings: MPCSettings, nonlinear: bool = False) -
 def _command_range(plant: LinearPlant, settings: MPCSettings) -> tuple[FloatArray, FloatArray]:
     if plant.input == "rest_length":
         return input_bounds(plant, None, settings.winches)
-    if settings.max_force_density is None:
-        raise TypeError(
-            "max_force_density is None, expected a positive number in N/m, or inf for no limit"
-        )
     return input_bounds(
         plant, settings.max_force_density, settings.winches, settings.min_force_density
     )
@@ -369,7 +371,8 @@ def _row_blocks(plant: LinearPlant, settings: MPCSettings, penalty: float) -> li
     has_strength = np.isfinite(validation.limits("max_tension", settings.max_tension)).any()
     if plant.input == "force_density" and not has_strength:
         return outputs
-    blocks, count, strings = [], plant.B.shape[1], string_map(plant, plant.input)
+    blocks, strings = [], string_map(plant, plant.input)
+    count = len(plant.commanded.strings)
     if plant.input == "rest_length":
         bounds = string_bounds(count, settings.min_force_density, settings.max_force_density)
         high = to_model_strings(plant, "force_density", bounds.high)
@@ -417,11 +420,11 @@ def law_in_shape(
     if plant.input == "force_density":
         # The linear plant rests where v balances the change of the shape, as well as it can.
         v = np.asarray(np.linalg.lstsq(plant.B[r:], -plant.A[r:, :r] @ q, rcond=None)[0])
-        gamma = gamma + to_model_strings(plant, "force_density", v)
+        gamma = gamma + input_matrix(plant, "force_density") @ v
     gamma = np.maximum(gamma, _TAUT * gamma.max())
     at = OperatingPoint(plant.to_nodes(q), gamma, plant.external_force)
     there = linearize(plant.model, at, input=plant.input, require_equilibrium=False)
-    spread = to_model_strings(plant, plant.input, np.eye(plant.B.shape[1])).T
+    spread = input_matrix(plant, plant.input)
     found = sampled(replace(there, B=there.B @ spread), path.sample_time, made.sampled.ramp)
     transition, by_input = found.augmented
     turn, added = plant.coordinates.project(there.basis), len(transition) - 2 * r

@@ -349,7 +349,7 @@ def _inputs(
     if controller is not None:
         law = checked_controller(controller, model)
         # What runs begin from, and what is chosen for, until there is a command.
-        rest = law.plant.equilibrium_input
+        rest = law.plant.string_values
         rest_length, force_density = (rest, None) if law.input == "rest_length" else (None, rest)
     return {"rest_length": rest_length, "force_density": force_density}, law
 

@@ -242,9 +242,19 @@ def test_arguments_that_do_not_fit_are_refused(arguments, error, message):
         NMPC(at_rest(), horizon=4, sample_time=SAMPLE, max_force_density=60.0, **arguments)
 
 
-def test_force_densities_need_a_limit():
-    with pytest.raises(TypeError, match="max_force_density"):
-        NMPC(at_rest(), horizon=4, sample_time=SAMPLE)
+def test_force_densities_need_no_limit_but_zero():
+    plant = tc.linearize(tc.Model(tc.prism()), tc.prestress(tc.prism(), force_density=17.3205))
+    nodes, still = plant.to_nodes(np.full(9, 0.01)), np.zeros((3, 6))
+    for kind in (tc.MPC, tc.NMPC):
+        values = [
+            kind(plant, horizon=5, sample_time=0.02, max_force_density=most)
+            .command(0.0, nodes, still)
+            .value
+            for most in (None, np.inf, 1e6)
+        ]
+        assert (values[0] >= 0).all()
+        np.testing.assert_array_equal(values[0], values[1])
+        np.testing.assert_allclose(values[0], values[2], atol=1e-6)
 
 
 def test_horizon_of_one_sample():

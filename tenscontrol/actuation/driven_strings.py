@@ -1,0 +1,348 @@
+"""Driven strings, as a map from inputs to the values of strings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, IntArray, freeze_arrays, frozen
+from tenscontrol.properties import cached_property
+from tenscontrol.structure.structure import Structure
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+_FORMS = (
+    "indices and groups of strings, {name: strings} with strings that share a winch, or a matrix "
+    "of shape (α, m)"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Actuation:
+    """The map from the inputs of a plant to all of its strings, ``offset + matrix @ inputs``.
+
+    The values are rest lengths, m, or force densities, N/m, as the plant has them for its input. A
+    string that no input drives is passive: it keeps its offset. Strings that share an input are
+    ganged: one winch moves them all, each by its ratio. The value of an input is that of its lead,
+    the first of its strings with a positive ratio, over this ratio. Made by :func:`linearize`.
+
+    Attributes
+    ----------
+    input : ndarray of int, shape (α,)
+        The input that drives each string, -1 for none.
+    ratio : ndarray, shape (α,)
+        By how much each string moves where its input moves by 1; 0 for passive strings.
+    offset : ndarray, shape (α,)
+        Values of the strings at inputs of 0, m or N/m.
+    lead : ndarray of int, shape (m,)
+        The string that gives each input its value.
+    names : tuple of str
+        Names of the inputs; empty if they are those of their leads.
+
+    Examples
+    --------
+    A prism with a winch for each vertical string, and one for its three top strings:
+
+    >>> import tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> model, rest = tc.Model(prism), tc.prestress(prism, force_density=17.3205)
+    >>> groups = {"lid": ["top"], "a": [6], "b": [7], "c": [8]}
+    >>> actuation = tc.linearize(model, rest, actuated=groups).actuation
+    >>> actuation
+    Actuation(4 inputs drive 6 of 9 strings)
+    >>> actuation.passive
+    array([3, 4, 5])
+    >>> actuation.strings([20.0, 30.0, 31.0, 32.0]).round(1)
+    array([20. , 20. , 20. , 17.3, 17.3, 17.3, 30. , 31. , 32. ])
+    """
+
+    input: IntArray
+    ratio: FloatArray
+    offset: FloatArray
+    lead: IntArray
+    names: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+    @cached_property
+    def is_whole(self) -> bool:
+        """Whether each string is an input, in order."""
+        count = len(self.input)
+        return (
+            len(self.lead) == count
+            and bool((self.lead == np.arange(count)).all())
+            and bool((self.ratio == 1).all())
+        )
+
+    @cached_property
+    def is_ganged(self) -> bool:
+        """Whether a winch drives more than one string, or by a ratio other than 1."""
+        return len(self.driven) > len(self.lead) or bool((self.ratio[self.driven] != 1).any())
+
+    @cached_property
+    def driven(self) -> IntArray:
+        """Indices of the strings that inputs drive."""
+        return frozen(np.flatnonzero(self.input >= 0))
+
+    @cached_property
+    def passive(self) -> IntArray:
+        """Indices of the strings that no input drives."""
+        return frozen(np.flatnonzero(self.input < 0))
+
+    @property
+    def matrix(self) -> csr_array:
+        """G, shape (α, m), sparse: change of the strings by the inputs."""
+        from scipy.sparse import csr_array
+
+        strings = self.driven
+        where = self.ratio[strings], (strings, self.input[strings])
+        return csr_array(where, shape=(len(self.input), len(self.lead)))
+
+    def strings(self, inputs: object) -> FloatArray:
+        """Return the values of all strings at inputs.
+
+        Parameters
+        ----------
+        inputs : array_like, shape (m,) or (m, K)
+            m or N/m.
+
+        Returns
+        -------
+        ndarray, shape (α,) or (α, K)
+        """
+        values = _checked("inputs", inputs, len(self.lead), "input")
+        return strings_of(self, values)
+
+    def inputs(self, strings: object) -> FloatArray:
+        """Return the inputs that hold strings at values: those of the leads, by their ratios.
+
+        Parameters
+        ----------
+        strings : array_like, shape (α,) or (α, K)
+            m or N/m.
+
+        Returns
+        -------
+        ndarray, shape (m,) or (m, K)
+        """
+        values = _checked("strings", strings, len(self.input), "string")
+        return inputs_of(self, values)
+
+    def __repr__(self) -> str:
+        count, inputs = len(self.driven), len(self.lead)
+        return (
+            f"Actuation({inputs} input{'s' * (inputs != 1)} "
+            f"drive{'s' * (inputs == 1)} {count} of {len(self.input)} strings)"
+        )
+
+
+def _checked(name: str, value: object, count: int, of: str) -> FloatArray:
+    array = validation.float_array(name, value)
+    if array.ndim not in (1, 2) or len(array) != count:
+        raise ValueError(
+            f"{name} has shape {array.shape}, expected ({count},) or ({count}, K): one row per {of}"
+        )
+    return array
+
+
+def strings_of(actuation: Actuation, inputs: FloatArray) -> FloatArray:
+    """Return the values of all strings at inputs, one column or several, unchecked."""
+    if actuation.is_whole:
+        return inputs
+    return np.asarray((actuation.offset + moved_by(actuation, inputs.T)).T)
+
+
+def inputs_of(actuation: Actuation, strings: FloatArray) -> FloatArray:
+    """Return the inputs that hold leads at values, one column or several, unchecked."""
+    if actuation.is_whole:
+        return strings
+    return np.asarray((strings[actuation.lead].T / actuation.ratio[actuation.lead]).T)
+
+
+def moved_by(actuation: Actuation, inputs: FloatArray) -> FloatArray:
+    """Return what inputs move the strings by; both on the last axis."""
+    driven = actuation.driven
+    values = np.zeros((*inputs.shape[:-1], len(actuation.input)))
+    values[..., driven] = actuation.ratio[driven] * inputs[..., actuation.input[driven]]
+    return values
+
+
+def bounds_of_inputs(
+    actuation: Actuation, low: FloatArray, high: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return least and largest inputs, shape (m,), that keep driven strings within bounds, (α,)."""
+    if actuation.is_whole:
+        return low, high
+    strings, count = actuation.driven, len(actuation.lead)
+    of = actuation.input[strings]
+    ratio, offset = actuation.ratio[strings], actuation.offset[strings]
+    ends = (low[strings] - offset) / ratio, (high[strings] - offset) / ratio
+    least, most = np.full(count, -np.inf), np.full(count, np.inf)
+    np.maximum.at(least, of, np.minimum(*ends))
+    np.minimum.at(most, of, np.maximum(*ends))
+    return least, most
+
+
+def changes_of_inputs(actuation: Actuation, change: FloatArray) -> FloatArray:
+    """Return the largest changes of the inputs, shape (m,), by those of the strings, (α,)."""
+    if actuation.is_whole:
+        return change
+    strings, most = actuation.driven, np.full(len(actuation.lead), np.inf)
+    np.minimum.at(
+        most, actuation.input[strings], change[strings] / np.abs(actuation.ratio[strings])
+    )
+    return most
+
+
+def through(actuation: Actuation, values: FloatArray) -> Actuation:
+    """Return the same winches where strings have these values, shape (α,)."""
+    if actuation.is_whole:
+        return actuation
+    return replace(actuation, offset=values - moved_by(actuation, inputs_of(actuation, values)))
+
+
+def follows(actuation: Actuation, other: Actuation) -> bool:
+    """Whether some inputs move the strings as any inputs of another actuation move them."""
+    if actuation.is_whole:
+        return True
+    moves = other.matrix.toarray()
+    return bool(
+        np.allclose(moved_by(actuation, inputs_of(actuation, moves).T), moves.T, atol=1e-12)
+    )
+
+
+def refuse_passive(actuation: Actuation, name: str, strings: IntArray) -> None:
+    """Raise if a string is passive: what acts on its winch acts on nothing."""
+    passive = np.intersect1d(strings, actuation.passive)
+    if len(passive):
+        raise ValueError(
+            f"{name} is of string {passive[0]}, which no winch drives: it is not among actuated of "
+            "the plant that the controller was designed on"
+        )
+
+
+def every_string(count: int) -> Actuation:
+    """Return the actuation of strings that are each an input."""
+    strings = np.arange(count)
+    return Actuation(strings, np.ones(count), np.zeros(count), strings)
+
+
+def actuation_of(structure: Structure, actuated: object, values: FloatArray) -> Actuation:
+    """Return which strings are driven, from what the user gave, where strings have these values.
+
+    Parameters
+    ----------
+    structure : Structure
+    actuated : sequence of int or str, dict, array_like, Actuation or None
+        See :func:`linearize`.
+    values : ndarray, shape (α,)
+        Rest lengths, m, or force densities, N/m, through which the map goes.
+
+    Returns
+    -------
+    Actuation
+    """
+    count = len(structure.strings)
+    if actuated is None:
+        return every_string(count)
+    if isinstance(actuated, Actuation):
+        if len(actuated.input) != count:
+            raise ValueError(
+                f"actuated is {actuated!r}, but the structure has {count} strings: take that of a "
+                "plant of the same structure"
+            )
+        return through(actuated, values)
+    names: tuple[str, ...] = ()
+    if isinstance(actuated, Mapping):
+        names = tuple(validation.identifier("a name in actuated", name) for name in actuated)
+        winches = [
+            _ganged(structure, f"actuated[{name!r}]", group) for name, group in actuated.items()
+        ]
+    elif isinstance(actuated, np.ndarray) and actuated.ndim == 2:
+        winches = _columns(actuated, count)
+    else:
+        winches = [{string: 1.0} for string in _listed(structure, "actuated", actuated)]
+    if not winches:
+        raise ValueError(f"actuated is empty, expected {_FORMS}")
+    of, ratio = np.full(count, -1), np.zeros(count)
+    leads = []
+    for number, winch in enumerate(winches):
+        name = f"actuated[{names[number]!r}]" if names else "actuated"
+        for string, by in winch.items():
+            if of[string] >= 0:
+                raise ValueError(
+                    f"{name} has string {string}, which another winch drives already; expected one "
+                    "winch a string"
+                )
+            of[string], ratio[string] = number, by
+        positive = [string for string, by in winch.items() if by > 0]
+        if not positive:
+            raise ValueError(
+                f"{name} has no string with a positive ratio; expected at least one in each "
+                "winch: turn its signs"
+            )
+        leads.append(min(positive))
+    lead = np.array(leads)
+    return through(Actuation(of, ratio, np.zeros(count), lead, names), values)
+
+
+def _listed(structure: Structure, name: str, given: object) -> list[int]:
+    """Return strings that are listed by index, group or mask."""
+    if isinstance(given, str):
+        given = [given]
+    if isinstance(given, list | tuple) and any(isinstance(entry, list | tuple) for entry in given):
+        raise ValueError(
+            f"{name} has a list in a list, expected {_FORMS}: strings that share a winch go in a "
+            "dict, {'pair': [0, 1]}"
+        )
+    if not isinstance(given, list | tuple) or not any(isinstance(entry, str) for entry in given):
+        numbers = validation.index_list(name, given, len(structure.strings), "strings")
+        return [int(number) for number in numbers]
+    strings: dict[int, None] = {}
+    for i, entry in enumerate(given):
+        if isinstance(entry, str):
+            validation.choice(f"{name}[{i}]", entry, dict.fromkeys(structure.string_groups))
+            strings |= dict.fromkeys(structure.strings_in(entry).tolist())
+        else:
+            number = np.array([validation.number(f"{name}[{i}]", entry, "index of a string")])
+            checked = validation.indices(name, number, len(structure.strings), "strings")
+            strings[int(checked[0])] = None
+    return list(strings)
+
+
+def _ganged(structure: Structure, name: str, group: object) -> dict[int, float]:
+    """Return the ratio of each string of one winch."""
+    if not isinstance(group, Mapping):
+        if isinstance(group, int | np.integer) and not isinstance(group, bool):
+            group = [group]
+        return dict.fromkeys(_listed(structure, name, group), 1.0)
+    winch: dict[int, float] = {}
+    for key, ratio in group.items():
+        by = validation.number(f"{name}[{key!r}]", ratio, "ratio of the string")
+        if by == 0:
+            raise ValueError(f"{name}[{key!r}] is 0, by which nothing moves: leave it out")
+        for string in _listed(structure, name, [key]):
+            if string in winch:
+                raise ValueError(f"{name} has string {string} twice; expected one ratio a string")
+            winch[string] = by
+    return winch
+
+
+def _columns(matrix: np.ndarray, count: int) -> list[dict[int, float]]:
+    """Return the winches of a matrix, shape (α, m), column by column."""
+    array = validation.float_array("actuated", matrix)
+    if len(array) != count:
+        raise ValueError(
+            f"actuated has shape {array.shape}, expected ({count}, m): one row per string, one "
+            "column per winch"
+        )
+    empty = np.flatnonzero(~array.any(axis=0))
+    if len(empty):
+        raise ValueError(f"actuated has a column of zeros, {empty[0]}: a winch without strings")
+    return [{int(i): float(column[i]) for i in np.flatnonzero(column)} for column in array.T]

@@ -1,0 +1,306 @@
+"""Controllers and filters of structures some of whose strings are driven."""
+
+import warnings
+
+import control
+import numpy as np
+import pytest
+from scipy.linalg import expm, solve_discrete_are
+from scipy.optimize import lsq_linear
+
+import tenscontrol as tc
+from tests.plant.test_actuated import PAIRS
+
+SAMPLE = 0.02
+TOWER = tc.prism_tower(stages=2)
+MODEL = tc.Model(TOWER, strings=tc.LinearStrings(stiffness=500.0, damping=2.0))
+REST = tc.prestress(TOWER, min_force_density=20.0)
+
+
+def tower_plant(actuated=None, input="rest_length"):
+    return tc.linearize(MODEL, REST, input=input, actuated=actuated)
+
+
+LAYOUTS = {"twelve": list(range(12)), "pairs": PAIRS, "seesaws": {"a": {0: 1.0, 5: -1.0}, "b": [9]}}
+every_layout = pytest.mark.parametrize("layout", LAYOUTS)
+SOME = tower_plant(LAYOUTS["twelve"])
+
+
+def sampled_by_hand(plant, sample):
+    """Return Φ and Γ of the driven columns, from the whole plant."""
+    whole = tower_plant()
+    B = whole.B @ plant.actuation.matrix.toarray()
+    n, m = B.shape
+    block = expm(sample * np.block([[whole.A, B], [np.zeros((m, n + m))]]))
+    return block[:n, :n], block[:n, n:]
+
+
+def pushed(plant, size=0.01, seed=0):
+    q = np.random.default_rng(seed).normal(size=plant.degrees_of_freedom)
+    return plant.to_nodes(size * q / np.linalg.norm(q))
+
+
+@every_layout
+def test_regulators_are_those_of_the_driven_columns(layout):
+    plant = tower_plant(LAYOUTS[layout])
+    Q, R = tc.energy_weights(plant)
+    K = control.lqr(plant.A, tower_plant().B @ plant.actuation.matrix.toarray(), Q, np.diag(R))[0]
+    regulator = tc.LQR(plant, Q, R)
+    np.testing.assert_allclose(regulator.gain, K, rtol=0, atol=1e-9 * np.abs(K).max())
+    assert (regulator.poles.real < 0).all()
+    nodes, still = pushed(plant), np.zeros_like(BALL_NODES)
+    u = plant.equilibrium_input - K @ plant.measure(nodes, still)
+    command = regulator.command(0.0, nodes, still)
+    expected = plant.rest_length + plant.actuation.matrix @ (u - plant.equilibrium_input)
+    np.testing.assert_allclose(command.value, expected, atol=1e-9)
+
+
+BALL_NODES = REST.structure.nodes
+
+
+@every_layout
+@pytest.mark.parametrize("winches", [None, tc.Winches(rate=0.3, substeps=4)])
+def test_the_loop_on_the_nonlinear_plant_decays_and_leaves_passive_strings_alone(layout, winches):
+    plant = tower_plant(LAYOUTS[layout])
+    regulator = tc.LQR(plant, sample_time=SAMPLE, winches=winches)
+    run = tc.simulate(
+        MODEL, 3.0, pushed(plant), controller=regulator, winches=winches,
+        rest_length=plant.rest_length,
+    )  # fmt: skip
+    applied, actuation = run.control.applied, plant.actuation
+    fixed = plant.rest_length[actuation.passive, None]
+    np.testing.assert_array_equal(applied[actuation.passive], fixed + 0 * applied[:1])
+    through = actuation.strings(actuation.inputs(applied))
+    np.testing.assert_allclose(applied, through, rtol=0, atol=1e-12)
+    assert np.ptp(applied[actuation.driven], axis=1).min() > 1e-6
+    z = plant.measure(run.nodes[..., -1], run.velocities[..., -1])
+    radius = np.abs(regulator.poles).max()
+    assert np.abs(z).max() < 50 * radius ** (3.0 / SAMPLE) * plant.spectral_radius * 0.01 + 1e-4
+    if winches is not None:
+        assert np.abs(run.control.winch_rate).max() <= 0.3 * (1 + 1e-9)
+
+
+@every_layout
+def test_the_first_input_of_mpc_is_that_of_a_program_of_the_driven_columns(layout):
+    """Condensed by hand, within bounds on the inputs alone, by an exact active set."""
+    plant, horizon = tower_plant(LAYOUTS[layout]), 8
+    Q, R = tc.energy_weights(plant)
+    R = 0.01 * R
+    span = 0.0005
+    winches = tc.Winches(shortest=plant.rest_length - span, longest=plant.rest_length + span)
+    mpc = tc.MPC(
+        plant, horizon=horizon, sample_time=SAMPLE, Q=Q, R=R, winches=winches, string_penalty=1e-9
+    )
+    phi, gamma = sampled_by_hand(plant, SAMPLE)
+    n, m = gamma.shape
+    P = solve_discrete_are(phi, gamma, Q, np.diag(R))
+    rows, right = [], []
+    z = plant.measure(pushed(plant), np.zeros_like(BALL_NODES))
+    by_u = np.zeros((n, m * horizon))
+    for k in range(horizon):
+        by_u, z = phi @ by_u, phi @ z
+        by_u[:, m * k : m * k + m] += gamma
+        root = np.linalg.cholesky(P if k == horizon - 1 else Q).T
+        rows.append(root @ by_u)
+        right.append(-root @ z)
+    rows.append(np.diag(np.tile(np.sqrt(R), horizon)))
+    right.append(np.zeros(m * horizon))
+    low, high = (bound - plant.equilibrium_input for bound in mpc.bounds)
+    bounds = np.tile(low, horizon), np.tile(high, horizon)
+    found = lsq_linear(np.vstack(rows), np.concatenate(right), bounds, method="bvls", tol=1e-14)
+    assert (found.active_mask[:m] != 0).any()
+    command = mpc.command(0.0, pushed(plant), np.zeros_like(BALL_NODES))
+    assert str(command) == "ok"
+    v = plant.actuation.inputs(command.value) - plant.equilibrium_input
+    close = 1e-9 if mpc.solver == "stages" else 2e-4 * span
+    np.testing.assert_allclose(v, found.x[:m], rtol=0, atol=close)
+
+
+def test_a_program_of_mpc_has_limits_of_all_strings_and_inputs_of_the_driven():
+    mpc = tc.MPC(SOME, horizon=5, sample_time=SAMPLE, max_force_density=500.0)
+    program = mpc.program(0.0, BALL_NODES, np.zeros_like(BALL_NODES))
+    assert program.inputs(np.zeros(program.P.shape[0])).shape[-1] in (12, 5)
+    assert mpc.plan.shape == (12, 0)
+    mpc.command(0.0, BALL_NODES, np.zeros_like(BALL_NODES))
+    assert mpc.plan.shape == (12, 5)
+
+
+@pytest.mark.parametrize("kind", [tc.LQR, tc.MPC])
+def test_force_densities_of_ganged_strings_stay_within_their_bounds(kind):
+    single = {f"s{i}": [i] for i in range(13, len(TOWER.strings))}
+    plant = tower_plant({"a": {0: 1.0, 5: -0.5}, "b": [9, 12]} | single, input="force_density")
+    options = {"sample_time": SAMPLE, "max_force_density": 130.0}
+    law = kind(plant, **options | ({"horizon": 10} if kind is tc.MPC else {}))
+    random = np.random.default_rng(1)
+    for _ in range(20):
+        nodes = pushed(plant, 0.2, int(random.integers(99)))
+        value = law.command(0.0, nodes, np.zeros_like(nodes)).value
+        driven = plant.actuation.driven
+        assert (value[driven] >= -1e-12).all()
+        assert (value[driven] <= 130.0 + 1e-9).all()
+        np.testing.assert_array_equal(
+            value[plant.actuation.passive], plant.force_density[plant.actuation.passive]
+        )
+
+
+def test_a_filter_on_driven_strings_predicts_what_the_plant_does():
+    sensors = tc.Sensors(structure=REST.structure, node_position=1e-3, string_length=1e-3)
+    estimator = tc.KalmanFilter(SOME, sensors, sample_time=SAMPLE)
+    regulator = tc.LQR(SOME, sample_time=SAMPLE)
+    run = tc.simulate(
+        MODEL, 1.0, pushed(SOME), controller=regulator, estimator=estimator, seed=1,
+        rest_length=SOME.rest_length,
+    )  # fmt: skip
+    whole = tc.KalmanFilter(tower_plant(), sensors, sample_time=SAMPLE)
+    other = tc.simulate(
+        MODEL, 1.0, pushed(SOME), controller=regulator, estimator=whole, seed=1,
+        rest_length=SOME.rest_length,
+    )  # fmt: skip
+    np.testing.assert_allclose(run.nodes, other.nodes, atol=1e-9)
+    fewer = tc.KalmanFilter(tower_plant([0, 1]), sensors, sample_time=SAMPLE)
+    with pytest.raises(ValueError, match="moves strings in other ways: give linearize the same"):
+        tc.simulate(MODEL, 0.1, controller=regulator, estimator=fewer)
+
+
+def test_winches_that_cannot_move_are_no_inputs():
+    shortest, longest = 0.5 * SOME.rest_length, 2.0 * SOME.rest_length
+    shortest[3] = longest[3] = SOME.rest_length[3]
+    winches, match = tc.Winches(shortest=shortest, longest=longest), "driven, so that a design"
+    with pytest.raises(ValueError, match=match):
+        tc.LQR(SOME, sample_time=SAMPLE, winches=winches)
+    with pytest.raises(ValueError, match=match):
+        tc.MPC(SOME, horizon=5, sample_time=SAMPLE, winches=winches)
+    regulator = tc.LQR(SOME, sample_time=SAMPLE)
+    with pytest.raises(ValueError, match=match):
+        tc.simulate(MODEL, 0.1, controller=regulator, winches=winches)
+    tc.LQR(tower_plant(range(4, 12)), sample_time=SAMPLE, winches=winches)
+
+
+def test_what_passive_or_ganged_strings_do_not_have_is_refused():
+    by_force = tc.LQR(tower_plant(range(12), "force_density"), sample_time=SAMPLE)
+    with pytest.raises(ValueError, match="passive strings would not keep their γ"):
+        tc.simulate(MODEL, 0.1, controller=by_force)
+    with pytest.raises(ValueError, match="passive strings that hold rest lengths"):
+        tc.control.held_loop(by_force.plant, by_force.gain, sample_time=SAMPLE)
+    motors = tc.Winches(motor=tc.Motor(drum_radius=0.01, torque=5.0))
+    start = {"rest_length": SOME.rest_length, "winches": motors}
+    ganged = tc.LQR(tower_plant(PAIRS), sample_time=SAMPLE)
+    with pytest.raises(ValueError, match="ganged strings, which motors do not know yet"):
+        tc.simulate(MODEL, 0.1, controller=ganged, **start)
+    regulator = tc.LQR(SOME, sample_time=SAMPLE)
+    run = tc.simulate(MODEL, 0.1, controller=regulator, **start)
+    assert len(run.control.motors.angle) == 12
+    with pytest.raises(ValueError, match="of string 20, which no winch drives"):
+        tc.simulate(MODEL, 0.1, controller=regulator, faults=[tc.StuckWinch(20, 0.05)])
+    with pytest.raises(ValueError, match="generated C code does not know passive"):
+        tc.generate_c(regulator, "unused")
+
+
+@every_layout
+def test_nonlinear_mpc_near_the_operating_point_is_linear_mpc(layout):
+    plant = tower_plant(LAYOUTS[layout])
+    options = {"horizon": 6, "sample_time": SAMPLE}
+    laws = [kind(plant, **options) for kind in (tc.MPC, tc.NMPC)]
+    nodes = pushed(plant, 1e-5)
+    values = [law.command(0.0, nodes, np.zeros_like(nodes)).value for law in laws]
+    moves = [value - plant.rest_length for value in values]
+    np.testing.assert_allclose(moves[1], moves[0], rtol=0, atol=2e-2 * np.abs(moves[0]).max())
+    np.testing.assert_array_equal(moves[1][plant.actuation.passive], 0.0)
+
+
+def regulator_or_none(plant):
+    """Return a regulator that leaves nothing alone, or None where it says that it cannot."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", RuntimeWarning)
+            return tc.LQR(plant, sample_time=SAMPLE)
+    except (ValueError, RuntimeWarning) as error:
+        if "no string reaches" not in str(error) and "out of reach" not in str(error):
+            raise
+        return None
+
+
+def test_random_choices_of_driven_strings_are_stable_or_refused():
+    """The nonlinear plant moves as the design says, or there is no design, with a reason."""
+    random, ran, refused = np.random.default_rng(0), 0, 0
+    for _ in range(24):
+        structure = tc.prism_tower(
+            stages=int(random.integers(1, 4)), sides=int(random.integers(3, 5))
+        )
+        model = tc.Model(structure, strings=tc.LinearStrings(500.0, damping=random.uniform(0, 1)))
+        rest = tc.prestress(structure, min_force_density=20.0)
+        count = len(structure.strings)
+        strings = random.permutation(count)[: int(random.integers(1, count // 2))]
+        plant = tc.linearize(model, rest, input="rest_length", actuated=strings)
+        law = regulator_or_none(plant)
+        by_force = tc.linearize(model, rest, actuated=strings)
+        refused += regulator_or_none(by_force) is None
+        if law is None:
+            refused += 1
+            continue
+        ran += 1
+        radius = np.abs(law.poles).max()
+        start = plant.to_nodes(1e-4 * random.normal(size=plant.degrees_of_freedom))
+        run = tc.simulate(model, 4.0, start, controller=law, rest_length=plant.rest_length)
+        states = [plant.measure(run.nodes[..., k], run.velocities[..., k]) for k in (0, -1)]
+        phi, gamma, _ = plant.discretize(SAMPLE)
+        closed = np.linalg.matrix_power(phi - gamma @ law.gain, round(4.0 / SAMPLE))
+        unit = np.repeat([plant.spectral_radius, 1.0], plant.degrees_of_freedom)
+        assert radius < 1
+        off = np.linalg.norm(unit * (states[1] - closed @ states[0]))
+        assert off < 0.05 * np.linalg.norm(unit * states[0])
+    assert ran > 10
+    assert refused > 0
+
+
+def test_a_tower_whose_design_for_all_strings_fails_on_the_driven_ones():
+    """Winches held still behind the design: its poles say one thing, the loop does another."""
+    model = tc.Model(TOWER, strings=tc.LinearStrings(stiffness=500.0))
+    whole = tc.linearize(model, REST, input="rest_length")
+    Q, R = tc.energy_weights(whole)
+    law = tc.LQR(whole, Q, 0.01 * R, sample_time=SAMPLE)
+    phi, gamma, _ = whole.discretize(SAMPLE)
+    random, found = np.random.default_rng(0), []
+    for _ in range(100):
+        driven = np.sort(random.permutation(len(TOWER.strings))[:12])
+        loop = phi - gamma[:, driven] @ law.gain[driven]
+        found.append((np.abs(np.linalg.eigvals(loop)).max(), driven))
+    grows, driven = max(found, key=lambda entry: entry[0])
+    assert np.abs(law.poles).max() < 0.3
+    assert grows > 1.0
+    plant = tc.linearize(model, REST, input="rest_length", actuated=driven)
+    own = tc.LQR(plant, Q, 0.01 * R[driven], sample_time=SAMPLE)
+    assert np.abs(own.poles).max() < 0.92
+    start, still = pushed(plant, 1e-4), np.zeros_like(BALL_NODES)
+    options = {"controller": own, "rest_length": plant.rest_length}
+    states = []
+    for duration in (1.0, 2.0):
+        run = tc.simulate(model, duration, start, **options)
+        states.append(plant.measure(run.nodes[..., -1], run.velocities[..., -1]))
+    closed = plant.discretize(SAMPLE)
+    step = np.linalg.matrix_power(closed[0] - closed[1] @ own.gain, round(1.0 / SAMPLE))
+    unit = np.repeat([plant.spectral_radius, 1.0], plant.degrees_of_freedom)
+    first = np.linalg.norm(unit * plant.measure(start, still))
+    assert np.linalg.norm(unit * (states[1] - step @ states[0])) < 0.01 * first
+
+
+@every_layout
+def test_mpc_reaches_a_shape_that_its_winches_hold(layout):
+    """The inputs that hold the shape are found; passive strings stay."""
+    plant = tower_plant(LAYOUTS[layout])
+    u = plant.equilibrium_input - 0.02
+    shape = tc.equilibrium(MODEL, rest_length=plant.actuation.strings(u), nodes=BALL_NODES)
+    nodes = shape.structure.nodes
+    mpc = tc.MPC(plant, horizon=20, sample_time=SAMPLE, reference=nodes)
+    run = tc.simulate(MODEL, 6.0, controller=mpc, rest_length=plant.rest_length)
+    applied = run.control.applied[:, -1]
+    np.testing.assert_allclose(plant.actuation.inputs(applied), u, atol=2e-3)
+    z, wanted = (plant.measure(N, np.zeros_like(N)) for N in (run.nodes[..., -1], nodes))
+    assert np.abs(z - wanted).max() < 0.1 * np.abs(wanted).max()
+
+
+def test_a_reference_that_moves_passive_strings_is_refused():
+    gamma = 1.2 * REST.force_density
+    reference = tc.Reference([0.0, 1.0], np.stack([BALL_NODES] * 2, -1), np.stack([gamma] * 2, -1))
+    with pytest.raises(ValueError, match="but the string is passive: leave force_density out"):
+        tc.MPC(SOME, horizon=5, sample_time=SAMPLE, reference=reference)
