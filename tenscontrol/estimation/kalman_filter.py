@@ -35,12 +35,19 @@ class Estimate:
     ----------
     nodes, velocities : ndarray, shape (d, n)
         m and m/s. Bars have their lengths. Motions as one body that no reading shows are left out.
+    bias, bias_deviation : ndarray, shape (m,)
+        Estimated bias of each number of a reading, in its unit, and its standard deviation; 0 where
+        the sensors have none.
+    rest_length_error, rest_length_deviation : ndarray, shape (α,)
+        By how much the rest lengths are longer than :meth:`KalmanFilter.predict` was told, m, and
+        the standard deviation of that; 0 where the filter estimates none.
     load : ndarray, shape (d, n), or None
         Unknown force on each node, N, that acts on the bars in proportion to their mass: of all
         loads that move the structure so, one. None if the filter estimates none.
     state : ndarray, shape (s,)
-        z in the coordinates of the filter; where a load is estimated, with the accelerations that
-        it gives at the end.
+        z in the coordinates of the filter. After it, of what is estimated: the accelerations that a
+        load gives; with accelerometers, those over the last sample that are unknown; errors of rest
+        lengths; biases.
     covariance : ndarray, shape (s, s)
         Of the state, as the filter has it.
     node_deviation : ndarray, shape (d, n)
@@ -55,6 +62,10 @@ class Estimate:
 
     nodes: FloatArray
     velocities: FloatArray
+    bias: FloatArray
+    bias_deviation: FloatArray
+    rest_length_error: FloatArray
+    rest_length_deviation: FloatArray
     load: FloatArray | None
     state: FloatArray
     covariance: FloatArray
@@ -203,6 +214,11 @@ class KalmanFilter:
     winches : Winches, optional
         Winches with ramps, ``Winches(substeps=...)``, which the prediction follows. Their limits
         do not matter.
+    rest_length_error : (float, float), optional
+        Rest lengths that differ from those that the filter is told, by an unknown error each:
+        its standard deviation at the start, m, and that of its random walk in a second, m/√s. It
+        is estimated for the strings that ``sensors`` have encoders of, or for all if they have
+        none.
 
     Attributes
     ----------
@@ -274,6 +290,7 @@ class KalmanFilter:
         start: object = None,
         start_spread: float = 0.03,
         winches: Winches | None = None,
+        rest_length_error: tuple[float, float] | None = None,
     ) -> None:
         settings = FilterSettings(
             sample_time=sample_time,
@@ -285,6 +302,7 @@ class KalmanFilter:
             patience=patience,
             start_spread=start_spread,
             winches=winches,
+            rest_length_error=rest_length_error,
         )
         self._begin(*filter_design(plant, sensors, settings, start))
         warn_of_left_alone(
@@ -431,7 +449,7 @@ class KalmanFilter:
         z, P = self._z, self._P
         previous = self._previous_input
         for held, push in self._inputs:
-            z, P = self._advanced(z, P, previous, held, push)
+            z, P, _ = self._advanced(z, P, previous, held, push)
             previous = held
         if not self._correction.reaches(z):
             self._start_over(after=True)
@@ -461,7 +479,9 @@ class KalmanFilter:
             return
         previous = self._previous_input
         self._previous_input, push = self._inputs.popleft()
-        self._z, self._P = self._advanced(self._z, self._P, previous, self._previous_input, push)
+        self._z, self._P, self._transition = self._advanced(
+            self._z, self._P, previous, self._previous_input, push
+        )
         spread = np.diag(self._P) / np.diag(self._design.start_covariance)
         if not self._correction.reaches(self._z) or spread.max() > _NOTHING_KNOWN:
             self._start_over()
@@ -483,10 +503,10 @@ class KalmanFilter:
         """Correct the state of the moment that was measured."""
         gate = self._correction.gate
         usable = gate.finite(y)
-        # Without the previous input, tensions say nothing.
+        # Without the previous input, tensions and accelerations say nothing.
         if self._previous_input is None:
-            usable &= ~gate.is_tension
-            y = np.where(gate.is_tension[self.sensors.reading_of], np.nan, y)
+            usable &= ~gate.needs_input
+            y = np.where(gate.needs_input[self.sensors.reading_of], np.nan, y)
         correction = self._correction.fit(y, usable, self._z, self._P, self._previous_input)
         if 2 * int(correction.passed.sum()) < int(usable.sum()):
             self._mostly_refused += 1
@@ -504,8 +524,11 @@ class KalmanFilter:
     def _advanced(
         self, z: FloatArray, P: FloatArray, previous: FloatArray | None, held: FloatArray,
         push: FloatArray | None,
-    ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-        """Return state and covariance a sample later; a ramp goes from the previous input."""
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
+        """Return state, covariance and transition to a sample later.
+
+        A ramp goes from the previous input.
+        """
         design, start = self._design, held if previous is None else previous
         if self._motion is None:
             moved, rest = design.sampled, self.plant.equilibrium_input
@@ -524,7 +547,7 @@ class KalmanFilter:
         if push is not None:
             z = z + np.pad(push, (0, len(z) - len(push)))
         P = transition @ P @ transition.T + design.process_covariance
-        return z, 0.5 * (P + P.T)
+        return z, 0.5 * (P + P.T), transition
 
     def _start_over(self, after: bool = False) -> None:
         """Start from the operating point: the estimate is of no shape of the structure."""
@@ -544,10 +567,20 @@ class KalmanFilter:
             each, stretch = stretch, np.zeros((len(structure.strings), r))
             np.add.at(stretch, structure.segment_string, each)
         by_node, by_length = (((D @ P[:r, :r]) * D).sum(axis=1) for D in (T, stretch))
+        extra, variance = self._design.extra, np.diag(P)
+        bias, wound = np.zeros((2, len(self.sensors.noise))), np.zeros((2, self.plant.B.shape[1]))
+        bias[:, list(extra.biased)] = z[extra.of_bias], np.sqrt(variance[extra.of_bias])
+        wound[:, list(extra.rest_lengths)] = (
+            z[extra.of_rest_length], np.sqrt(variance[extra.of_rest_length])
+        )  # fmt: skip
         return Estimate(
             nodes=frozen(nodes),
             velocities=frozen(self.plant.to_velocities(z[:r], z[r : 2 * r])),
-            load=frozen((self._force @ z[2 * r :]).reshape(shape, order="F"))
+            bias=frozen(bias[0]),
+            bias_deviation=frozen(bias[1]),
+            rest_length_error=frozen(wound[0]),
+            rest_length_deviation=frozen(wound[1]),
+            load=frozen((self._force @ z[extra.of_load]).reshape(shape, order="F"))
             if self._design.settings.load
             else None,
             state=frozen(z),
