@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, final
 
 import numpy as np
@@ -15,6 +15,7 @@ from tenscontrol.dynamics.evaluator import Evaluator, Exclusive, exclusive
 from tenscontrol.estimation.correction import Correction
 from tenscontrol.estimation.filter_design import FilterDesign, FilterSettings, filter_design
 from tenscontrol.estimation.sensors import Sensors
+from tenscontrol.estimation.smoother import Pass, SmoothedMotion, smoothed
 from tenscontrol.plant.controllability import warn_of_left_alone
 from tenscontrol.plant.linear_plant import LinearPlant, acceleration_response
 from tenscontrol.plant.modes import Modes
@@ -111,6 +112,11 @@ class Tally:
         self._rows: list[tuple[Status, float, int]] = []
         self._restarts = 0
         self._fresh = False
+
+    @property
+    def restarts(self) -> int:
+        """How often the filter was taken to be wrong."""
+        return self._restarts
 
     @property
     def last(self) -> Status:
@@ -413,6 +419,7 @@ class KalmanFilter:
         self._inputs: deque[tuple[FloatArray, FloatArray | None]] = deque()
         self._previous_input = None if held is None else self._checked_input(held)
         self._mostly_refused = 0
+        self._anew: list[bool] = []  # of the samples of a log: whether it began again there
         self._tally = Tally(len(self.sensors.readings))
 
     @exclusive
@@ -485,6 +492,92 @@ class KalmanFilter:
         spread = np.diag(self._P) / np.diag(self._design.start_covariance)
         if not self._correction.reaches(self._z) or spread.max() > _NOTHING_KNOWN:
             self._start_over()
+
+    def smooth(self, readings: object, held: object, *, previous: object = None) -> SmoothedMotion:
+        """Return the motion over a log, each sample by all readings, before and after it.
+
+        The smoother of Rauch, Tung and Striebel, about the estimates of the filter, which starts
+        as newly made and stays as it is.
+
+        Parameters
+        ----------
+        readings : array_like, shape (m, K)
+            y as it arrived at each sample, as for :meth:`update`; NaN is lost. Of a simulation:
+            ``run.control.estimate.measurement``.
+        held : array_like, shape (α, K)
+            What actuators held over each sample, as for :meth:`predict`. Of a simulation:
+            ``run.control.applied``.
+        previous : array_like, shape (α,), optional
+            Input before the first sample, as ``held`` of :meth:`reset`.
+
+        Returns
+        -------
+        SmoothedMotion
+
+        Raises
+        ------
+        TypeError, ValueError
+            If an argument does not fit, or a smoothed state is no shape of the structure.
+        """
+        count, inputs = len(self.sensors.noise), self.plant.B.shape[1]
+        log = np.asarray(readings)
+        if log.ndim != 2 or log.shape[0] != count or not log.shape[1]:
+            raise ValueError(
+                f"readings has shape {log.shape}, expected ({count}, K): one column per sample"
+            )
+        samples = log.shape[1]
+        y = validation.measured("readings", readings, (count, samples), "one column per sample")
+        inputs_held = validation.shaped(
+            "held", held, (inputs, samples), "one column per sample of readings"
+        )
+        # What arrives late was read before.
+        delay = min(self.sensors.delay, samples)
+        y = np.hstack([y[:, delay:], np.full((count, delay), np.nan)])
+        forward = object.__new__(KalmanFilter)
+        prompt = replace(self._design, sensors=replace(self.sensors, delay=0))
+        forward._begin(prompt, self.C, self.__getstate__()[2])
+        forward.reset(held=previous)
+        passes = [forward._pass(*columns) for columns in zip(y.T, inputs_held.T, strict=True)]
+        for i, started_anew in enumerate(forward._anew[1:]):
+            if started_anew:
+                passes[i] = replace(passes[i], transition=None)
+        states = smoothed(passes)
+        for k, (z, _) in enumerate(states):
+            if not self._correction.reaches(z):
+                raise ValueError(
+                    f"readings lead to a smoothed state at sample {k} that is no shape of the "
+                    "structure: give prediction='nonlinear', or the shape at the start"
+                )
+        found = [forward._estimate(z, P) for z, P in states]
+        filtered = [forward._estimate(each.z, each.P) for each in passes]
+
+        def series(name: str, estimates: list[Estimate]) -> FloatArray:
+            return frozen(np.stack([getattr(each, name) for each in estimates], axis=-1))
+
+        names = (
+            "nodes", "velocities", "node_deviation", "bias", "bias_deviation", "rest_length_error",
+            "rest_length_deviation", "state",
+        )  # fmt: skip
+        return SmoothedMotion(
+            time=frozen(self.sample_time * np.arange(samples)),
+            filtered_node_deviation=series("node_deviation", filtered),
+            load=series("load", found) if self._design.settings.load else None,
+            filtered_state=series("state", filtered),
+            covariance=frozen(np.stack([P for _, P in states])),
+            filtered_covariance=frozen(np.stack([each.P for each in passes])),
+            **{name: series(name, found) for name in names},
+        )
+
+    def _pass(self, y: FloatArray, held: FloatArray) -> Pass:
+        """Take the readings of a sample, predict the next, and return what a smoother needs."""
+        before = self._tally.restarts
+        self.update(y)
+        corrected = self._tally.restarts
+        z, P = self._z, self._P
+        self.predict(held)
+        self._anew.append(corrected > before)
+        lost = self._tally.restarts > corrected
+        return Pass(z, P, self._z, self._P, None if lost else self._transition)
 
     def _checked_input(self, held: object) -> FloatArray:
         return validation.shaped("held", held, (self.plant.B.shape[1],), "one per string")
