@@ -149,7 +149,7 @@ def _axes(sensors: Sensors, at: Moment, which: IntArray) -> list[Any]:
     d = _bar_direction(sensors, at, which)
     if sensors.structure.dimension == 2:
         return [d, ca.vertcat(-d[1, :], d[0, :])]
-    along, *across = (ca.DM(axis) for axis in sensors.bar_axes[:, :, which].swapaxes(0, 1))
+    along, *across = (ca.DM(axis) for axis in sensors.bar_axes[:, :, which])
     both = along + d
     scale = 1 / (1 + kernel.dots(along, d))
     return [d, *(e - kernel.scale_columns(both, scale * kernel.dots(e, d)) for e in across)]
@@ -328,7 +328,7 @@ class Sensors:
         )
         for kind in KINDS:
             self._take(kind)
-        if not self._taken:
+        if all(getattr(self, kind.name) is None for kind in KINDS):
             names = ", ".join(kind.name for kind in KINDS)
             raise ValueError(f"nothing is measured: give the noise of one of {names}")
         free_fall = gravity_vector(self.gravity, self.structure.dimension)
