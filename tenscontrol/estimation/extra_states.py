@@ -28,7 +28,7 @@ class ExtraStates:
     @property
     def size(self) -> int:
         """Number of all states."""
-        return self.of_bias.stop
+        return int(self.of_bias.stop)
 
     @property
     def of_load(self) -> slice:

@@ -240,7 +240,7 @@ def _extra_states(plant: LinearPlant, sensors: Sensors, settings: FilterSettings
                 "sensors read encoders of strings that the plant does not command: it is one of "
                 "command_parents; leave encoder out"
             )
-        wound = tuple(sensors.encoder_strings.tolist())
+        wound = tuple(np.asarray(sensors.encoder_strings).tolist())
     if settings.rest_length_error is None:
         wound = ()
     elif plant.input != "rest_length":

@@ -375,10 +375,11 @@ class Sensors:
                 "gravity is 0, but bar_inclination is measured against it: give gravity=9.81, or "
                 "its vector"
             )
-        if self.accelerometer is not None and (self.bar_at[self.accelerometer_nodes] < 0).any():
-            node = int(self.accelerometer_nodes[self.bar_at[self.accelerometer_nodes] < 0][0])
+        chosen = () if self.accelerometer_nodes is None else self.accelerometer_nodes
+        loose = [] if self.accelerometer is None else [i for i in chosen if self.bar_at[i] < 0]
+        if loose:
             raise ValueError(
-                f"accelerometer_nodes has node {node}, which is at no bar, so that an "
+                f"accelerometer_nodes has node {loose[0]}, which is at no bar, so that an "
                 "accelerometer there has no axes: choose nodes at ends of bars"
             )
         if (self.anchors is None) != (self.node_range is None):
@@ -468,7 +469,7 @@ class Sensors:
                 kind,
                 getattr(self, kind.name),
                 getattr(self, kind.chooser),
-                np.shape(self.anchors)[-1] if kind.name == "node_range" else 1,
+                self.anchors.shape[1] if kind.also == "anchors" and self.anchors is not None else 1,
                 kind.sizes[self.structure.dimension - 2],
             )
             for kind in KINDS
@@ -481,7 +482,17 @@ class Sensors:
         return tuple(taken.kind for taken in self._taken)
 
     def needs(self, part: str) -> bool:
-        """Return whether a reading depends on a part of a :class:`Moment`."""
+        """Return whether a reading depends on a part of a moment.
+
+        Parameters
+        ----------
+        part : {"nodes", "velocities", "acceleration", "tension", "rest_length"}
+
+        Returns
+        -------
+        bool
+        """
+        validation.choice("part", part, Moment._fields)
         return any(part in kind.needs for kind in self.kinds)
 
     @cached_property
@@ -510,7 +521,7 @@ class Sensors:
     def needs_input(self) -> np.ndarray:
         """Which readings depend on what actuators hold, shape (readings,)."""
         parts = [np.full(len(t.which) * t.each, t.kind.needs_input) for t in self._taken]
-        return np.concatenate(parts)
+        return frozen(np.concatenate(parts))
 
     @cached_property
     def bias_deviation(self) -> FloatArray:
@@ -585,8 +596,8 @@ class Sensors:
                 bar = int(which[length[which].argmin()])
                 raise ValueError(f"nodes: bar {bar} of those measured has no length")
         strings, motion = np.full(len(structure.strings), np.nan), np.full(N.shape, np.nan)
-        given = dict.fromkeys(("velocities", "acceleration"), motion)
-        given |= dict.fromkeys(("tension", "rest_length"), strings)
+        given: dict[str, FloatArray] = {"velocities": motion, "acceleration": motion}
+        given |= {"tension": strings, "rest_length": strings}
         if self.needs("tension") and tension is not None:
             given["tension"] = validation.shaped(
                 "tension", tension, strings.shape, "one per string, N"
@@ -630,11 +641,22 @@ class Sensors:
         Returns
         -------
         ndarray, shape (m,)
+
+        Raises
+        ------
+        TypeError, ValueError
+            If an argument is of the wrong kind or does not fit.
         """
+        validation.instance(
+            "generator", generator, np.random.Generator, "np.random.default_rng(seed)"
+        )
+        validation.positive_number("sample_time", sample_time, "s")
+        if before is not None:
+            validation.shaped("before", before, self.noise.shape, "one entry per number read")
         normal = generator.normal(size=len(self.noise))
         if before is None:
             return self.bias_deviation * normal
-        return before + self.bias_walk * np.sqrt(sample_time) * normal
+        return np.asarray(before + self.bias_walk * np.sqrt(sample_time) * normal)
 
     def disturb(self, exact: object, generator: np.random.Generator) -> FloatArray:
         """Return y with noise, corrupt readings and losses; what is lost is NaN.
