@@ -2,10 +2,12 @@
 
 from tenscontrol.estimation.kalman_filter import Estimate, FilterStatistics, KalmanFilter
 from tenscontrol.estimation.sensors import Sensors
+from tenscontrol.estimation.smoother import SmoothedMotion
 
 __all__ = [
     "Estimate",
     "FilterStatistics",
     "KalmanFilter",
     "Sensors",
+    "SmoothedMotion",
 ]

@@ -43,12 +43,13 @@ class Gate:
         sizes = np.bincount(self._of)
         starts = np.r_[0, np.cumsum(sizes)[:-1]]
         self._single = np.flatnonzero(sizes == 1)
-        self._vector = np.flatnonzero(sizes > 1)
         self._single_rows = starts[self._single]
-        d = sensors.structure.dimension
-        self._vector_rows = starts[self._vector][:, None] + np.arange(d)
+        vectors = (np.flatnonzero(sizes == size) for size in np.unique(sizes[sizes > 1]))
+        self._vectors = [
+            (which, starts[which][:, None] + np.arange(sizes[which[0]])) for which in vectors
+        ]
         self._limit = chdtri(sizes.astype(float), probability)
-        self.is_tension = np.array([name.startswith("string_tension") for name in sensors.readings])
+        self.needs_input = sensors.needs_input
 
     def lost(self, y: FloatArray) -> np.ndarray:
         """Return which readings are lost: NaN in an entry, shape (readings,)."""
@@ -86,12 +87,14 @@ class Gate:
     def _distance(self, vector: FloatArray, S: FloatArray, used: np.ndarray) -> FloatArray:
         """Return ``vᵀ S⁻¹ v`` with the parts of each reading, zero where it is not used."""
         distance = np.zeros(self._count)
-        single, vectors = used[self._single], used[self._vector]
-        one, axes = self._single_rows[single], self._vector_rows[vectors]
+        single = used[self._single]
+        one = self._single_rows[single]
         distance[self._single[single]] = vector[one] ** 2 / S[one, one]
-        parts, blocks = vector[axes], S[axes[:, :, None], axes[:, None, :]]
-        weighed = np.linalg.solve(blocks, parts[..., None])[..., 0]
-        distance[self._vector[vectors]] = (parts * weighed).sum(axis=1)
+        for which, rows in self._vectors:
+            axes = rows[used[which]]
+            parts, blocks = vector[axes], S[axes[:, :, None], axes[:, None, :]]
+            weighed = np.linalg.solve(blocks, parts[..., None])[..., 0]
+            distance[which[used[which]]] = (parts * weighed).sum(axis=1)
         return distance
 
 

@@ -10,11 +10,12 @@ import numpy as np
 from tenscontrol import validation
 from tenscontrol.actuation.winches import Winches
 from tenscontrol.arrays import FloatArray, frozen
-from tenscontrol.dynamics.evaluator import Function
+from tenscontrol.estimation.extra_states import ExtraStates
 from tenscontrol.estimation.observability import (
     observed_plant,
+    output_derivative,
     output_function,
-    output_matrix,
+    refuse_unseen_constants,
     refuse_unseen_loads,
     unseen,
 )
@@ -53,6 +54,14 @@ def _winches(name: str, value: object) -> object:
     return value
 
 
+def _random_walk(name: str, value: object, meaning: str) -> tuple[float, float] | None:
+    if value is None:
+        return None
+    pair = validation.shaped(name, value, (2,), "at the start, and of the walk in a second")
+    validation.positive(name, pair, meaning)
+    return float(pair[0]), float(pair[1])
+
+
 _NOISE = checked(validation.positive_number, "accelerations of the strings")
 
 
@@ -71,6 +80,9 @@ class FilterSettings:
         metadata=checked(validation.positive_number, "sizes of the structure")
     )
     winches: Winches | None = field(metadata=checked(_winches))
+    rest_length_error: tuple[float, float] | None = field(
+        metadata=checked(_random_walk, "standard deviations, m and m/√s")
+    )
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -85,14 +97,15 @@ class FilterSettings:
 class FilterDesign:
     """What a filter computes with, in the coordinates of ``plant``.
 
-    Where a load is estimated, z has r more entries: the acceleration q̈ that it gives. Covariances
-    have the shape (s, s), ``outputs`` is ``(z, u) -> (y, ∂y/∂z)``, and ``motion`` is ``(z, u) ->
-    (z⁺, ∂z⁺/∂z, ∂z⁺/∂u)`` over a substep, None for a linear prediction.
+    States are those of the plant and ``extra``, s in all. Covariances have the shape (s, s),
+    ``outputs`` is ``(z, u) -> (y, ∂y/∂z)``, and ``motion`` is ``(z, u) -> (z⁺, ∂z⁺/∂z, ∂z⁺/∂u)``
+    over a substep, None for a linear prediction.
     """
 
     plant: LinearPlant
     sensors: Sensors
     settings: FilterSettings
+    extra: ExtraStates
     sampled: Sampled
     process_covariance: FloatArray
     start_covariance: FloatArray
@@ -130,48 +143,142 @@ def filter_design(
         )
     if settings.prediction == "nonlinear":
         refuse_lost_place(plant)
+    _refuse_other_gravity(plant, sensors)
     plant = observed_plant(plant, sensors)
     if not len(plant.A):
         raise ValueError("plant has no states, so there is nothing to estimate")
-    C = output_matrix(plant, sensors)
+    C = output_derivative(plant, sensors)
     apart = unseen(plant, sensors, C)
     if settings.load:
         refuse_unseen_loads(plant, sensors, C)
     pull = _pull(plant)
     if settings.prediction == "linear":
         _refuse_fall(plant, pull)
+    extra = _extra_states(plant, sensors, settings)
+    C = output_derivative(plant, sensors, extra)
+    refuse_unseen_constants(plant, sensors, extra, C)
     # No noise drives what is left alone: nothing would ever correct that.
     seen = apart.basis[:, : apart.count]
     by_load = acceleration_response(plant, sample_time)
+    pushed = by_load
     if apart.count < len(plant.A):
-        by_load = seen @ (seen.T @ by_load)
+        pushed = seen @ (seen.T @ by_load)
+    moved = sampled(plant, sample_time, substeps > 1)
     motion: ca.Function | None = None
     if settings.prediction == "nonlinear":
         motion = sampled_dynamics(plant, sample_time / substeps)[1]
+        if extra.size > extra.states:
+            step = sample_time / substeps
+            key, of_plant = ("with extra states", extra, step), motion
+            motion = plant.prepared.get(
+                key, lambda: extra.motion(of_plant, acceleration_response(plant, step))
+            )
+    drive = _drive(extra, sensors, settings, pushed, pull)
+    more = extra.size - extra.states
+    none = np.zeros((more, plant.B.shape[1]))
     design = FilterDesign(
         plant=plant,
         sensors=sensors,
         settings=settings,
-        sampled=sampled(plant, sample_time, substeps > 1),
-        process_covariance=(settings.process_noise * pull) ** 2 * by_load @ by_load.T,
-        start_covariance=_start(plant, settings.start_spread, pull),
-        start=_start_state(plant, start),
-        outputs=output_function(plant, sensors),
+        extra=extra,
+        sampled=replace(
+            moved,
+            transition=extra.joined(moved.transition, pushed, moved.by_previous + moved.by_input),
+            by_previous=np.vstack([moved.by_previous, none]),
+            by_input=np.vstack([moved.by_input, none]),
+            drift=np.r_[moved.drift, np.zeros(more)],
+        ),
+        process_covariance=drive @ drive.T,
+        start_covariance=_start(plant, sensors, settings, extra, pull),
+        start=np.r_[_start_state(plant, start), np.zeros(more)],
+        outputs=output_function(plant, sensors, extra),
         motion=motion,
         left_alone=apart.left_alone,
     )
-    push = settings.process_noise * pull * by_load
-    if settings.load:
-        walk = settings.load_noise * pull
-        design = _with_load(design, pull, walk)
-        r = plant.degrees_of_freedom
-        none = np.zeros((2 * r, r))
-        push = np.block([[push, none], [none[:r], walk * np.eye(r)]])
-        C = np.hstack([C, np.zeros((len(C), r))])
     # Where a load is estimated, nothing is unseen.
-    split = None if settings.load else (apart.basis, apart.count)
-    solution = filter_riccati(design.sampled.transition, push, C, sensors.noise, split)
+    split = None
+    if not settings.load:
+        inner = np.eye(extra.size)[:, extra.states :]
+        basis = np.pad(apart.basis, ((0, more), (0, 0)))
+        basis = np.hstack([basis[:, : apart.count], inner, basis[:, apart.count :]])
+        split = basis, apart.count + more
+    solution = filter_riccati(design.sampled.transition, drive, C, sensors.noise, split)
     return design, frozen(C), solution
+
+
+def _refuse_other_gravity(plant: LinearPlant, sensors: Sensors) -> None:
+    """Refuse sensors that feel another gravity than the structure; a model may have none."""
+    of_model, felt = plant.model.gravity, sensors.free_fall
+    if not of_model.any():
+        return
+    if sensors.bar_inclination is not None:
+        of_model, felt = (g / np.linalg.norm(g) for g in (of_model, felt))
+    elif sensors.accelerometer is None:
+        return
+    if sensors.accelerometer is not None:
+        of_model, felt = plant.model.gravity, sensors.free_fall
+    if not np.allclose(of_model, felt, rtol=0, atol=1e-9 * float(np.linalg.norm(of_model))):
+        raise ValueError(
+            f"sensors feel the gravity {sensors.free_fall}, but the model of plant has "
+            f"{plant.model.gravity}, m/s²: give Sensors(gravity=model.gravity)"
+        )
+
+
+def _extra_states(plant: LinearPlant, sensors: Sensors, settings: FilterSettings) -> ExtraStates:
+    """Return what a filter estimates beside the state of the plant."""
+    r = plant.degrees_of_freedom
+    wound = tuple(range(plant.B.shape[1]))
+    if sensors.encoder is not None:
+        if settings.rest_length_error is None:
+            raise ValueError(
+                "sensors read encoders, which say how far rest lengths are from those that "
+                "KalmanFilter.predict is told: give rest_length_error, their standard deviation "
+                "at the start, m, and that of their walk, m/√s"
+            )
+        if plant.commanded is not plant.model.structure:
+            raise ValueError(
+                "sensors read encoders of strings that the plant does not command: it is one of "
+                "command_parents; leave encoder out"
+            )
+        wound = tuple(np.asarray(sensors.encoder_strings).tolist())
+    if settings.rest_length_error is None:
+        wound = ()
+    elif plant.input != "rest_length":
+        raise ValueError(
+            f"rest_length_error is given, but plant has input={plant.input!r}; linearize with "
+            "input='rest_length'"
+        )
+    return ExtraStates(
+        states=len(plant.A),
+        load=r if settings.load else 0,
+        disturbance=r if sensors.needs("acceleration") else 0,
+        rest_lengths=wound,
+        biased=tuple(np.flatnonzero(sensors.bias_deviation).tolist()),
+    )
+
+
+def _drive(
+    extra: ExtraStates,
+    sensors: Sensors,
+    settings: FilterSettings,
+    pushed: FloatArray,
+    pull: float,
+) -> FloatArray:
+    """Return what independent noises of variance 1 add to all states over a sample.
+
+    ``pushed``, shape (2r, r), is the response of the plant to unit accelerations.
+    """
+    r, root = pushed.shape[1], float(np.sqrt(settings.sample_time))
+    steps = np.zeros(extra.size)
+    steps[extra.of_load] = settings.load_noise * pull
+    if settings.rest_length_error is not None:
+        steps[extra.of_rest_length] = settings.rest_length_error[1] * root
+    steps[extra.of_bias] = sensors.bias_walk[list(extra.biased)] * root
+    drive = np.hstack([np.zeros((extra.size, r)), np.diag(steps)[:, extra.states :]])
+    drive[: extra.states, :r] = settings.process_noise * pull * pushed
+    if extra.disturbance:
+        drive[extra.of_disturbance, :r] = settings.process_noise * pull * np.eye(r)
+    return np.asarray(drive[:, :r] if extra.size == extra.states else drive)
 
 
 def _refuse_fall(plant: LinearPlant, pull: float) -> None:
@@ -222,58 +329,23 @@ def _start_state(plant: LinearPlant, nodes: object) -> FloatArray:
     return np.concatenate([q, np.zeros_like(q)])
 
 
-def _start(plant: LinearPlant, spread: float, pull: float) -> FloatArray:
-    """Return the covariance at the start, shape (2r, 2r)."""
+def _start(
+    plant: LinearPlant,
+    sensors: Sensors,
+    settings: FilterSettings,
+    extra: ExtraStates,
+    pull: float,
+) -> FloatArray:
+    """Return the covariance at the start, shape (s, s)."""
     r, n = plant.degrees_of_freedom, plant.nodes.shape[1]
     size = float(np.ptp(plant.nodes, axis=1).max())
-    shift = spread * size * np.sqrt(n) / float(np.linalg.norm(plant.basis))
-    return np.diag(np.r_[np.full(r, shift**2), np.full(r, 2 * pull * shift)])
-
-
-def _with_load(design: FilterDesign, pull: float, walk: float) -> FilterDesign:
-    """Return the design with the acceleration a that a load gives as states after z.
-
-    ``z⁺ = Φ z + … + Ψ a``, with Ψ what unit accelerations do in a sample, and ``a⁺ = a + w'``: a
-    random walk, whose steps have the standard deviation ``walk``.
-    """
-    settings = design.settings
-    by_load = acceleration_response(design.plant, settings.sample_time)
-    size, r = by_load.shape
-    eye, zero = np.eye(r), np.zeros((size, r))
-    moved, none = design.sampled, np.zeros((r, design.plant.B.shape[1]))
-
-    def joined(of_state: FloatArray, deviation: float) -> FloatArray:
-        return np.block([[of_state, zero], [zero.T, deviation**2 * eye]])
-
-    motion = design.motion
-    if motion is not None:
-        step = settings.sample_time / settings.substeps
-        in_step = acceleration_response(design.plant, step)
-        key, linear = ("under_load", step), motion
-        motion = design.plant.prepared.get(key, lambda: _under_load(linear, in_step))
-    return replace(
-        design,
-        sampled=replace(
-            moved,
-            transition=np.block([[moved.transition, by_load], [zero.T, eye]]),
-            by_previous=np.vstack([moved.by_previous, none]),
-            by_input=np.vstack([moved.by_input, none]),
-            drift=np.r_[moved.drift, np.zeros(r)],
-        ),
-        process_covariance=joined(design.process_covariance, walk),
-        start_covariance=joined(design.start_covariance, _LOAD_START * pull),
-        start=np.r_[design.start, np.zeros(r)],
-        outputs=output_function(design.plant, design.sensors, more=r),
-        motion=motion,
+    shift = settings.start_spread * size * np.sqrt(n) / float(np.linalg.norm(plant.basis))
+    deviation = np.zeros(extra.size)
+    deviation[extra.of_load] = _LOAD_START * pull
+    deviation[extra.of_disturbance] = settings.process_noise * pull
+    if settings.rest_length_error is not None:
+        deviation[extra.of_rest_length] = settings.rest_length_error[0]
+    deviation[extra.of_bias] = sensors.bias_deviation[list(extra.biased)]
+    return np.diag(
+        np.r_[np.full(r, shift**2), np.full(r, 2 * pull * shift), deviation[extra.states :] ** 2]
     )
-
-
-def _under_load(motion: ca.Function, by_load: FloatArray) -> ca.Function:
-    """Return ``(z, u) -> (z⁺, ∂z⁺/∂z, ∂z⁺/∂u)`` under a load, to first order in the load."""
-    size, r = by_load.shape
-    z, u = ca.MX.sym("z", size + r), ca.MX.sym("u", motion.size1_in(1))
-    end, of_state, of_input = motion(z[:size], u)
-    end = ca.vertcat(end + ca.DM(by_load) @ z[size:], z[size:])
-    rows = ca.blockcat([[of_state, ca.DM(by_load)], [ca.DM(r, size), ca.DM.eye(r)]])
-    below = ca.vertcat(of_input, ca.DM(r, motion.size1_in(1)))
-    return Function("loaded", [z, u], [ca.densify(expression) for expression in (end, rows, below)])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, final
 
 import numpy as np
@@ -16,6 +16,7 @@ from tenscontrol.dynamics.evaluator import Evaluator, Exclusive, exclusive
 from tenscontrol.estimation.correction import Correction
 from tenscontrol.estimation.filter_design import FilterDesign, FilterSettings, filter_design
 from tenscontrol.estimation.sensors import Sensors
+from tenscontrol.estimation.smoother import Pass, SmoothedMotion, smoothed
 from tenscontrol.plant.controllability import warn_of_left_alone
 from tenscontrol.plant.linear_plant import LinearPlant, acceleration_response
 from tenscontrol.plant.modes import Modes
@@ -36,12 +37,19 @@ class Estimate:
     ----------
     nodes, velocities : ndarray, shape (d, n)
         m and m/s. Bars have their lengths. Motions as one body that no reading shows are left out.
+    bias, bias_deviation : ndarray, shape (m,)
+        Estimated bias of each number of a reading, in its unit, and its standard deviation; 0 where
+        the sensors have none.
+    rest_length_error, rest_length_deviation : ndarray, shape (α,)
+        By how much the rest lengths are longer than :meth:`KalmanFilter.predict` was told, m, and
+        the standard deviation of that; 0 where the filter estimates none.
     load : ndarray, shape (d, n), or None
         Unknown force on each node, N, that acts on the bars in proportion to their mass: of all
         loads that move the structure so, one. None if the filter estimates none.
     state : ndarray, shape (s,)
-        z in the coordinates of the filter; where a load is estimated, with the accelerations that
-        it gives at the end.
+        z in the coordinates of the filter. After it, of what is estimated: the accelerations that a
+        load gives; with accelerometers, those over the last sample that are unknown; errors of rest
+        lengths; biases.
     covariance : ndarray, shape (s, s)
         Of the state, as the filter has it.
     node_deviation : ndarray, shape (d, n)
@@ -56,6 +64,10 @@ class Estimate:
 
     nodes: FloatArray
     velocities: FloatArray
+    bias: FloatArray
+    bias_deviation: FloatArray
+    rest_length_error: FloatArray
+    rest_length_deviation: FloatArray
     load: FloatArray | None
     state: FloatArray
     covariance: FloatArray
@@ -101,6 +113,11 @@ class Tally:
         self._rows: list[tuple[Status, float, int]] = []
         self._restarts = 0
         self._fresh = False
+
+    @property
+    def restarts(self) -> int:
+        """How often the filter was taken to be wrong."""
+        return self._restarts
 
     @property
     def last(self) -> Status:
@@ -204,6 +221,11 @@ class KalmanFilter:
     winches : Winches, optional
         Winches with ramps, ``Winches(substeps=...)``, which the prediction follows. Their limits
         do not matter.
+    rest_length_error : (float, float), optional
+        Rest lengths that differ from those that the filter is told, by an unknown error each:
+        its standard deviation at the start, m, and that of its random walk in a second, m/√s. It
+        is estimated for the strings that ``sensors`` have encoders of, or for all if they have
+        none.
 
     Attributes
     ----------
@@ -275,6 +297,7 @@ class KalmanFilter:
         start: object = None,
         start_spread: float = 0.03,
         winches: Winches | None = None,
+        rest_length_error: tuple[float, float] | None = None,
     ) -> None:
         settings = FilterSettings(
             sample_time=sample_time,
@@ -286,6 +309,7 @@ class KalmanFilter:
             patience=patience,
             start_spread=start_spread,
             winches=winches,
+            rest_length_error=rest_length_error,
         )
         self._begin(*filter_design(plant, sensors, settings, start))
         warn_of_left_alone(
@@ -396,6 +420,7 @@ class KalmanFilter:
         self._inputs: deque[tuple[FloatArray, FloatArray | None]] = deque()
         self._previous_input = None if held is None else self._checked_input(held)
         self._mostly_refused = 0
+        self._anew: list[bool] = []  # of the samples of a log: whether it began again there
         self._tally = Tally(len(self.sensors.readings))
 
     @exclusive
@@ -432,7 +457,7 @@ class KalmanFilter:
         z, P = self._z, self._P
         previous = self._previous_input
         for held, push in self._inputs:
-            z, P = self._advanced(z, P, previous, held, push)
+            z, P, _ = self._advanced(z, P, previous, held, push)
             previous = held
         if not self._correction.reaches(z):
             self._start_over(after=True)
@@ -462,10 +487,98 @@ class KalmanFilter:
             return
         previous = self._previous_input
         self._previous_input, push = self._inputs.popleft()
-        self._z, self._P = self._advanced(self._z, self._P, previous, self._previous_input, push)
+        self._z, self._P, self._transition = self._advanced(
+            self._z, self._P, previous, self._previous_input, push
+        )
         spread = np.diag(self._P) / np.diag(self._design.start_covariance)
         if not self._correction.reaches(self._z) or spread.max() > _NOTHING_KNOWN:
             self._start_over()
+
+    def smooth(self, readings: object, held: object, *, previous: object = None) -> SmoothedMotion:
+        """Return the motion over a log, each sample by all readings, before and after it.
+
+        The smoother of Rauch, Tung and Striebel, about the estimates of the filter, which starts
+        as newly made and stays as it is.
+
+        Parameters
+        ----------
+        readings : array_like, shape (m, K)
+            y as it arrived at each sample, as for :meth:`update`; NaN is lost. Of a simulation:
+            ``run.control.estimate.measurement``.
+        held : array_like, shape (α, K)
+            What actuators held over each sample, as for :meth:`predict`. Of a simulation:
+            ``run.control.applied``.
+        previous : array_like, shape (α,), optional
+            Input before the first sample, as ``held`` of :meth:`reset`.
+
+        Returns
+        -------
+        SmoothedMotion
+
+        Raises
+        ------
+        TypeError, ValueError
+            If an argument does not fit, or a smoothed state is no shape of the structure.
+        """
+        count, inputs = len(self.sensors.noise), self.plant.B.shape[1]
+        log = np.asarray(readings)
+        if log.ndim != 2 or log.shape[0] != count or not log.shape[1]:
+            raise ValueError(
+                f"readings has shape {log.shape}, expected ({count}, K): one column per sample"
+            )
+        samples = log.shape[1]
+        y = validation.measured("readings", readings, (count, samples), "one column per sample")
+        inputs_held = validation.shaped(
+            "held", held, (inputs, samples), "one column per sample of readings"
+        )
+        # What arrives late was read before.
+        delay = min(self.sensors.delay, samples)
+        y = np.hstack([y[:, delay:], np.full((count, delay), np.nan)])
+        forward = object.__new__(KalmanFilter)
+        prompt = replace(self._design, sensors=replace(self.sensors, delay=0))
+        forward._begin(prompt, self.C, self.__getstate__()[2])
+        forward.reset(held=previous)
+        passes = [forward._pass(*columns) for columns in zip(y.T, inputs_held.T, strict=True)]
+        for i, started_anew in enumerate(forward._anew[1:]):
+            if started_anew:
+                passes[i] = replace(passes[i], transition=None)
+        states = smoothed(passes)
+        for k, (z, _) in enumerate(states):
+            if not self._correction.reaches(z):
+                raise ValueError(
+                    f"readings lead to a smoothed state at sample {k} that is no shape of the "
+                    "structure: give prediction='nonlinear', or the shape at the start"
+                )
+        found = [forward._estimate(z, P) for z, P in states]
+        filtered = [forward._estimate(each.z, each.P) for each in passes]
+
+        def series(name: str, estimates: list[Estimate]) -> FloatArray:
+            return frozen(np.stack([getattr(each, name) for each in estimates], axis=-1))
+
+        names = (
+            "nodes", "velocities", "node_deviation", "bias", "bias_deviation", "rest_length_error",
+            "rest_length_deviation", "state",
+        )  # fmt: skip
+        return SmoothedMotion(
+            time=frozen(self.sample_time * np.arange(samples)),
+            filtered_node_deviation=series("node_deviation", filtered),
+            load=series("load", found) if self._design.settings.load else None,
+            filtered_state=series("state", filtered),
+            covariance=frozen(np.stack([P for _, P in states])),
+            filtered_covariance=frozen(np.stack([each.P for each in passes])),
+            **{name: series(name, found) for name in names},
+        )
+
+    def _pass(self, y: FloatArray, held: FloatArray) -> Pass:
+        """Take the readings of a sample, predict the next, and return what a smoother needs."""
+        before = self._tally.restarts
+        self.update(y)
+        corrected = self._tally.restarts
+        z, P = self._z, self._P
+        self.predict(held)
+        self._anew.append(corrected > before)
+        lost = self._tally.restarts > corrected
+        return Pass(z, P, self._z, self._P, None if lost else self._transition)
 
     def _checked_input(self, held: object) -> FloatArray:
         shape = self.plant.actuation.input.shape
@@ -486,10 +599,10 @@ class KalmanFilter:
         """Correct the state of the moment that was measured."""
         gate = self._correction.gate
         usable = gate.finite(y)
-        # Without the previous input, tensions say nothing.
+        # Without the previous input, tensions and accelerations say nothing.
         if self._previous_input is None:
-            usable &= ~gate.is_tension
-            y = np.where(gate.is_tension[self.sensors.reading_of], np.nan, y)
+            usable &= ~gate.needs_input
+            y = np.where(gate.needs_input[self.sensors.reading_of], np.nan, y)
         correction = self._correction.fit(y, usable, self._z, self._P, self._previous_input)
         if 2 * int(correction.passed.sum()) < int(usable.sum()):
             self._mostly_refused += 1
@@ -507,8 +620,11 @@ class KalmanFilter:
     def _advanced(
         self, z: FloatArray, P: FloatArray, previous: FloatArray | None, held: FloatArray,
         push: FloatArray | None,
-    ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-        """Return state and covariance a sample later; a ramp goes from the previous input."""
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
+        """Return state, covariance and transition to a sample later.
+
+        A ramp goes from the previous input.
+        """
         design, start = self._design, held if previous is None else previous
         if self._motion is None:
             moved, rest = design.sampled, self.plant.equilibrium_input
@@ -527,7 +643,7 @@ class KalmanFilter:
         if push is not None:
             z = z + np.pad(push, (0, len(z) - len(push)))
         P = transition @ P @ transition.T + design.process_covariance
-        return z, 0.5 * (P + P.T)
+        return z, 0.5 * (P + P.T), transition
 
     def _start_over(self, after: bool = False) -> None:
         """Start from the operating point: the estimate is of no shape of the structure."""
@@ -547,10 +663,20 @@ class KalmanFilter:
             each, stretch = stretch, np.zeros((len(structure.strings), r))
             np.add.at(stretch, structure.segment_string, each)
         by_node, by_length = (((D @ P[:r, :r]) * D).sum(axis=1) for D in (T, stretch))
+        extra, variance = self._design.extra, np.diag(P)
+        bias, wound = np.zeros((2, len(self.sensors.noise))), np.zeros((2, self.plant.B.shape[1]))
+        bias[:, list(extra.biased)] = z[extra.of_bias], np.sqrt(variance[extra.of_bias])
+        wound[:, list(extra.rest_lengths)] = (
+            z[extra.of_rest_length], np.sqrt(variance[extra.of_rest_length])
+        )  # fmt: skip
         return Estimate(
             nodes=frozen(nodes),
             velocities=frozen(self.plant.to_velocities(z[:r], z[r : 2 * r])),
-            load=frozen((self._force @ z[2 * r :]).reshape(shape, order="F"))
+            bias=frozen(bias[0]),
+            bias_deviation=frozen(bias[1]),
+            rest_length_error=frozen(wound[0]),
+            rest_length_deviation=frozen(wound[1]),
+            load=frozen((self._force @ z[extra.of_load]).reshape(shape, order="F"))
             if self._design.settings.load
             else None,
             state=frozen(z),

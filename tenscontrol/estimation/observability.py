@@ -12,12 +12,18 @@ import numpy as np
 from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.dynamics import kernel
 from tenscontrol.dynamics.evaluator import Function
-from tenscontrol.estimation.sensors import KINDS, Sensors, symbolic_readings
+from tenscontrol.estimation.extra_states import ExtraStates
+from tenscontrol.estimation.sensors import KINDS, Moment, Sensors, symbolic_readings
 from tenscontrol.plant.controllability import LeftSpace, left_spaces, own_modes, reached_states
 from tenscontrol.plant.linear_plant import LinearPlant, state_units
 from tenscontrol.plant.linearize import in_coordinates
 from tenscontrol.plant.modes import Modes, modes_of
-from tenscontrol.plant.reduced_dynamics import near_symbol, reduced_motion, settled
+from tenscontrol.plant.reduced_dynamics import (
+    near_symbol,
+    node_acceleration,
+    reduced_motion,
+    settled,
+)
 from tenscontrol.plant.string_outputs import model_input
 from tenscontrol.structure.supports import left_by_supports, rigid_motions
 
@@ -43,35 +49,54 @@ class UnseenStates:
     left_alone: Modes
 
 
-def output_function(plant: LinearPlant, sensors: Sensors, more: int = 0) -> ca.Function:
-    """Return ``(z, u) -> (y, ∂y/∂z)``, dense, exact; ``more`` entries of z change nothing."""
-    key = "output_function", more, sensors.measured
-    return plant.prepared.get(key, lambda: _output_function(plant, sensors, more))
+def output_function(
+    plant: LinearPlant, sensors: Sensors, extra: ExtraStates | None = None
+) -> ca.Function:
+    """Return ``(z, u) -> (y, ∂y/∂z)``, dense, exact, of all states of a filter."""
+    extra = extra or ExtraStates(len(plant.A))
+    key = "output_function", extra, sensors.measured
+    return plant.prepared.get(key, lambda: _output_function(plant, sensors, extra))
 
 
-def _output_function(plant: LinearPlant, sensors: Sensors, more: int) -> ca.Function:
+def _output_function(plant: LinearPlant, sensors: Sensors, extra: ExtraStates) -> ca.Function:
     structure = plant.model.structure
-    z, u = ca.SX.sym("z", len(plant.A) + more), ca.SX.sym("u", plant.B.shape[1])
+    z, u = ca.SX.sym("z", extra.size), ca.SX.sym("u", plant.B.shape[1])
     near = near_symbol(plant)
-    N, V = reduced_motion(plant, z[: len(plant.A)], near)
-    tension = ca.SX(len(structure.strings), 1)
-    if sensors.string_tension is not None:
+    N, V = reduced_motion(plant, z[: extra.states], near)
+    held = model_input(plant, extra.input(z, u))
+    tension, rest_length = (ca.SX(len(structure.strings), 1) for _ in range(2))
+    if sensors.needs("tension"):
         length, rate = (row.T for row in kernel.string_motion(structure, N, V))
-        gamma = model_input(plant, u)
+        gamma = held
         if plant.input == "rest_length":
             law = plant.model.strings
             assert law is not None  # linearize needs one for this input
             gamma = law.symbolic_force_density(length, gamma, rate)
         tension = gamma * length
-    y = symbolic_readings(sensors, N, V, tension)
+    if sensors.needs("rest_length"):
+        if plant.input != "rest_length":
+            raise ValueError(
+                "sensors read encoders, but plant has the input 'force_density', and holds no rest "
+                "lengths: linearize with input='rest_length'"
+            )
+        rest_length = held
+    acceleration = ca.SX(*structure.nodes.shape)
+    if sensors.needs("acceleration"):
+        unknown = ca.mtimes(ca.DM(plant.basis), extra.acceleration(z))
+        acceleration = node_acceleration(plant, N, V, held) + ca.reshape(unknown, *N.shape)
+    y = symbolic_readings(sensors, Moment(N, V, acceleration, tension, rest_length))
+    if extra.biased:
+        y = y + extra.bias(z, y.numel())
     results = settled(plant, z, near, [ca.densify(y), ca.densify(ca.jacobian(y, z))])
     return Function("readings", [z, u], ca.cse(results))
 
 
-def output_matrix(plant: LinearPlant, sensors: Sensors) -> FloatArray:
-    """Return C = ∂y/∂z at the operating point, shape (m, 2r)."""
-    function = output_function(plant, sensors)
-    return np.array(function(np.zeros(len(plant.A)), plant.equilibrium_input)[1].full())
+def output_derivative(
+    plant: LinearPlant, sensors: Sensors, extra: ExtraStates | None = None
+) -> FloatArray:
+    """Return C = ∂y/∂z of all states at the operating point, shape (m, s)."""
+    function = output_function(plant, sensors, extra)
+    return np.array(function(np.zeros(function.size1_in(0)), plant.equilibrium_input)[1].full())
 
 
 def observed_plant(plant: LinearPlant, sensors: Sensors) -> LinearPlant:
@@ -83,7 +108,7 @@ def observed_plant(plant: LinearPlant, sensors: Sensors) -> LinearPlant:
     """
     if plant.coordinates.kind != "internal":
         return plant
-    if all(chosen is None for chosen in (sensors.nodes, sensors.bars, sensors.rate_bars)):
+    if not any(kind.sees_place for kind in sensors.kinds):
         return plant
     key = "observed_plant", sensors.measured, sensors.noise.tobytes()
     return plant.prepared.get(key, lambda: _observed_plant(plant, sensors))
@@ -94,9 +119,9 @@ def _observed_plant(plant: LinearPlant, sensors: Sensors) -> LinearPlant:
     r = whole.degrees_of_freedom
     fields = left_by_supports(whole.model.structure, rigid_motions(whole.nodes))
     rigid = np.linalg.qr(whole.coordinates.project(fields))[0]
-    C = output_matrix(whole, sensors) / sensors.noise[:, None]
+    C = output_derivative(whole, sensors) / sensors.noise[:, None]
     moved = C[:, :r] @ rigid
-    if sensors.rate_bars is not None:
+    if sensors.needs("velocities") or sensors.needs("acceleration"):
         moved = np.vstack([moved, whole.spectral_radius * C[:, r:] @ rigid])
     _, sizes, Vt = np.linalg.svd(moved)
     seen = Vt[: int(np.count_nonzero(sizes > _UNSEEN * sizes.max(initial=0.0)))]
@@ -168,10 +193,19 @@ def refuse_unseen_loads(plant: LinearPlant, sensors: Sensors, C: FloatArray) -> 
     """Refuse readings that do not tell a constant load from a shape that they do not see.
 
     A constant load shifts the structure. At the pole 0 the test of Hautus for the plant with
-    ``q̈`` of the load as states comes down to this: ``∂y/∂q`` has full column rank.
+    ``q̈`` of the load as states comes down to this: ``∂y/∂q`` has full column rank where the load
+    keeps q at rest. Accelerometers then read what they read in any shape at rest.
     """
     r = plant.degrees_of_freedom
-    seen = (C / sensors.noise[:, None])[:, :r]
+    at_rest = ExtraStates(len(plant.A), load=r)
+
+    def resting(readings: Sensors, rows: FloatArray) -> FloatArray:
+        if not readings.needs("acceleration"):
+            return rows[:, :r]
+        whole = output_derivative(plant, readings, at_rest) / readings.noise[:, None]
+        return np.asarray(whole[:, :r] - whole[:, at_rest.of_load] @ plant.A[r:, :r])
+
+    seen = resting(sensors, C / sensors.noise[:, None])
     count = r - _rank(seen)
     if not count:
         return
@@ -183,15 +217,58 @@ def refuse_unseen_loads(plant: LinearPlant, sensors: Sensors, C: FloatArray) -> 
     )
 
 
+def refuse_unseen_constants(
+    plant: LinearPlant, sensors: Sensors, extra: ExtraStates, C: FloatArray
+) -> None:
+    """Refuse biases and errors of rest lengths that readings do not tell from others, or motions.
+
+    The test of Hautus at the pole 0 of the plant with them as states; ``C`` has all states.
+    """
+    own = np.r_[extra.of_rest_length, extra.of_bias]
+    if not len(own):
+        return
+    unit, _ = state_units(plant)
+    rate = plant.spectral_radius or 1.0
+    r, constant = plant.degrees_of_freedom, [*range(*extra.of_load.indices(extra.size)), *own]
+    moved = np.zeros((len(plant.A), extra.size))
+    moved[r:, extra.of_load] = np.eye(r)[:, : extra.load]
+    moved[:, extra.of_rest_length] = plant.B @ extra.by_rest_length(plant.B.shape[1])
+    states = np.r_[np.arange(extra.states), constant].astype(int)
+    moved[:, : extra.states] = plant.A
+    rows = np.vstack(
+        [moved[:, states] / unit[:, None] / rate, C[:, states] / sensors.noise[:, None]]
+    )
+    size = np.linalg.norm(rows, axis=0)
+    rows /= np.where(size > 0, size, 1.0)
+    before = _rank(rows[:, : len(states) - len(own)])
+    lost = len(own) - (_rank(rows) - before)
+    if not lost:
+        return
+    names = [f"the rest length of string {string}" for string in extra.rest_lengths]
+    names += [f"the bias of {sensors.readings[sensors.reading_of[i]]}" for i in extra.biased]
+    hidden = [
+        name
+        for name, place in zip(names, range(len(states) - len(own), len(states)), strict=True)
+        if _rank(np.delete(rows, place, axis=1)) == _rank(rows)
+    ]
+    raise ValueError(
+        f"{lost} of {len(own)} biases and errors of rest lengths cannot be told from each other or "
+        f"from a shape or motion by {sensors!r}: among them {', '.join(hidden[:3])}. Measure more, "
+        "or leave them out"
+    )
+
+
 def _remedy(plant: LinearPlant, sensors: Sensors, helps: Callable[[FloatArray], bool]) -> str:
     """Return the kinds of reading whose rows C, measured in addition, would help."""
     remedies = []
-    for kind, _, chooser, _ in KINDS:
-        available, chosen = sensors.count_of(chooser), getattr(sensors, chooser)
-        if available and (chosen is None or len(chosen) < available):
-            arguments: dict[str, Any] = {"structure": sensors.structure, kind: 1.0}
-            if helps(output_matrix(plant, Sensors(**arguments))):
-                remedies.append(f"{kind} of all {chooser.rpartition('_')[2]}")
+    for kind in KINDS:
+        available, chosen = sensors.count_of(kind.chooser), getattr(sensors, kind.chooser)
+        is_whole = chosen is not None and len(chosen) == available
+        if is_whole or not available or kind.also or "acceleration" in kind.needs:
+            continue
+        arguments: dict[str, Any] = {"structure": sensors.structure, kind.name: 1.0}
+        if helps(output_derivative(plant, Sensors(**arguments))):
+            remedies.append(f"{kind.name} of all {kind.members}")
     if not remedies:
         return "No single additional kind of reading is enough"
     return f"Measure in addition {', or '.join(remedies)}"

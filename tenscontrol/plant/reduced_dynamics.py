@@ -221,16 +221,32 @@ def _motion(
     plant: LinearPlant, z: Any, u: Any, taut: bool = False, near: Any = None
 ) -> tuple[Any, Any, Any]:
     """Return all nodes and velocities, and the accelerations of what is free, node by node."""
-    model, structure = plant.model, plant.model.structure
-    refuse_lost_place(plant)
     N, V = reduced_motion(plant, z, near)
+    held, kind = model_input(plant, u), plant.input
+    if taut and kind == "rest_length":
+        held, kind = string_forces(plant, kind, N, V, held)[0], "force_density"
+    return N, V, _free_acceleration(plant, N, V, held, kind)
+
+
+def _free_acceleration(plant: LinearPlant, N: Any, V: Any, held: Any, kind: str) -> Any:
+    """Return the accelerations of what is free, node by node, under an input of a kind."""
+    refuse_lost_place(plant)
+    structure, equation = plant.model.structure, plant.model.state_equation(kind)
     free = structure.free.tolist()
     x = ca.vertcat(*(kernel.free_entries(structure, part[:, free]) for part in (N, V)))
-    held, equation = model_input(plant, u), model.state_equation(plant.input)
-    if taut and plant.input == "rest_length":
-        held, equation = string_forces(plant, plant.input, N, V, held)[0], model.dynamics
     slope = equation(x, held, *map(ca.DM, plant.load_input))
-    return N, V, slope[slope.shape[0] // 2 :]
+    return slope[slope.shape[0] // 2 :]
+
+
+def node_acceleration(plant: LinearPlant, N: Any, V: Any, held: Any) -> Any:
+    """Return the expression of the accelerations of all nodes, (d, n), of a motion (SX).
+
+    ``held`` is the input of the model's strings. Supports stand.
+    """
+    moved = ca.SX(plant.nodes.size, 1)
+    rows = plant.model.structure.free_rows.tolist()
+    moved[rows] = _free_acceleration(plant, N, V, held, plant.input)
+    return ca.reshape(moved, *plant.nodes.shape)
 
 
 def refuse_lost_place(plant: LinearPlant) -> None:

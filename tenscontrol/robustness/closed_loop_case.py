@@ -19,7 +19,7 @@ from tenscontrol.dynamics.contact_laws import ContactLaw
 from tenscontrol.dynamics.coordinates import Coordinates, coordinates
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.string_laws import StringLaw
-from tenscontrol.estimation.sensors import KINDS, Sensors
+from tenscontrol.estimation.sensors import Sensors
 from tenscontrol.plant.linear_plant import LinearPlant
 from tenscontrol.plant.reference import checked_reference
 from tenscontrol.robustness.distributions import one_number
@@ -439,7 +439,7 @@ def _varied_sensors(sensors: Sensors | None, parameters: Mapping[str, object]) -
         factor = validation.positive_number(
             "noise", parameters["noise"], "of the nominal deviations"
         )
-        kinds = [kind for kind, *_ in KINDS if getattr(sensors, kind) is not None]
+        kinds = [kind.name for kind in sensors.kinds]
         deviations = {kind: factor * getattr(sensors, kind) for kind in kinds}
         sensors = replace(sensors, **deviations)
     if "delay" in parameters:

@@ -338,7 +338,12 @@ def build_estimator(
     estimator.choice("kind", ("kalman",))
     with sensors.checked():
         validation.whole_number("seed", sensors.get("seed", 0), 0, validation.LARGEST_SEED)
-        readings = Sensors(structure=model.structure, **sensors.without("seed"))
+        given = sensors.without("seed")
+        if "anchors" in given:
+            given["anchors"] = np.transpose(given["anchors"])
+        if "encoder" in given and winches is not None:
+            given["motor"] = winches.motor
+        readings = Sensors(structure=model.structure, **given)
     with estimator.checked():
         plant = linearize(model, rest, input=input)
         settings = estimator.without("kind")

@@ -132,6 +132,8 @@ _BY_TYPE = (
     (r"float( or None| or casadi\.Function)?", NUMBER),
     (r"int|\{\d[\d, ]*\}", WHOLE),
     (r"bool", TRUTH),
+    (r"\(float, float\)", Kind("a pair of numbers", _row(2, 2, _is_number))),
+    (r"mapping of str to .*", TABLE),
     (r'\{"corners".*sequence of int.*', KNOTS),
     (r'str( or \w+)?|\{".*', TEXT),
     (r"float or array_like, shape \(α,\)", BY_STRING),

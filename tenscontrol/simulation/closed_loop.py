@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from math import ceil
 from time import perf_counter
 
@@ -125,7 +126,8 @@ class ClosedLoop:
                 (np.nan if lost else 1.0) * columns[:, : self._seen] for columns in (N, V)
             )
         else:
-            estimate = self._observation.estimate(N, V, lost)
+            felt = partial(run.acceleration, self._state)
+            estimate = self._observation.estimate(N, V, felt, lost)
             motion = estimate.nodes, estimate.velocities
         began = perf_counter()
         try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,6 +37,10 @@ class EstimateRecord:
         That of the length of each string of the filter's structure, m.
     state : ndarray, shape (s, K)
         In the coordinates of the filter.
+    bias, bias_deviation : ndarray, shape (m, K)
+        Estimated bias of each number of a reading, in its unit, and its standard deviation.
+    actual_bias : ndarray, shape (m, K)
+        The bias that the sensors had.
     measurement : ndarray, shape (m, K)
         What arrived at each sample, NaN where nothing did.
     under_way : ndarray, shape (m, delay)
@@ -51,6 +56,9 @@ class EstimateRecord:
     node_deviation: FloatArray
     length_deviation: FloatArray
     state: FloatArray
+    bias: FloatArray
+    bias_deviation: FloatArray
+    actual_bias: FloatArray
     measurement: FloatArray
     under_way: FloatArray
     status: tuple[Status, ...]
@@ -87,6 +95,9 @@ class Observation:
         _refuse_misfits(estimator, sensors, input, controller, sample, substeps)
         self._filter, self._sensors = estimator, sensors
         self._generator = np.random.default_rng(0 if seed is None else seed)
+        # Of its own, so that sensors without a bias read the same.
+        self._bias_generator = np.random.default_rng([0 if seed is None else seed, 1])
+        self._biases = [sensors.draw_bias(self._bias_generator, sample)]
         self._model = model
         self._law = None
         if input == "rest_length" and sensors.string_tension is not None:
@@ -106,17 +117,39 @@ class Observation:
         self._held = held
         for _ in range(samples):
             self._sensors.disturb(np.zeros(len(self._nothing)), self._generator)
+            self._drift()
+        del self._biases[:-1]
 
-    def estimate(self, nodes: FloatArray, velocities: FloatArray, lost: bool) -> Estimate:
+    def _drift(self) -> None:
+        """Let the biases walk for a sample."""
+        generator, before = self._bias_generator, self._biases[-1]
+        self._biases.append(self._sensors.draw_bias(generator, self._filter.sample_time, before))
+
+    def estimate(
+        self,
+        nodes: FloatArray,
+        velocities: FloatArray,
+        acceleration: Callable[[FloatArray], FloatArray],
+        lost: bool,
+    ) -> Estimate:
         """Measure the motion, and return the estimate from what arrives at this sample.
 
-        A measurement that is lost now is missing when it would have arrived.
+        ``acceleration`` returns that of the nodes under an input of the strings. A measurement that
+        is lost now is missing when it would have arrived.
         """
         seen = self._sensors.structure.nodes.shape[1]
+        felt = None
+        if self._sensors.needs("acceleration") and self._held is not None:
+            felt = acceleration(self._held)[:, :seen]
         exact = self._sensors.measure(
-            nodes[:, :seen], self._tension(nodes, velocities), velocities[:, :seen]
+            nodes[:, :seen],
+            self._tension(nodes, velocities),
+            velocities[:, :seen],
+            felt,
+            self._rest_length(),
         )
-        noisy = self._sensors.disturb(exact, self._generator)
+        noisy = self._sensors.disturb(exact + self._biases[-1], self._generator)
+        self._drift()
         self._taken.append(self._nothing if lost else noisy)
         reading = self._taken[len(self._rows)]
         estimate = self._filter.update(reading)
@@ -137,16 +170,28 @@ class Observation:
         if self._law is not None:
             (gamma,) = self._law(pack_state(structure, nodes, velocities), self._held)
         tension = np.atleast_1d(gamma) * structure.string_length(nodes)
-        if len(tension) == len(self._sensors.structure.strings):
-            return tension
-        return to_strings(structure, "tension", tension)
+        return self._of_strings("tension", tension)
+
+    def _rest_length(self) -> FloatArray | None:
+        """Return the rest lengths of the strings of the sensors' structure, if they are held."""
+        if self._held is None or not self._sensors.needs("rest_length"):
+            return None
+        return self._of_strings("rest_length", self._held)
+
+    def _of_strings(self, what: str, values: FloatArray) -> FloatArray:
+        if len(values) == len(self._sensors.structure.strings):
+            return values
+        return to_strings(self._model.structure, what, values)
 
     def record(self, time: FloatArray) -> EstimateRecord:
         """Return measurements and estimates at these times."""
         # The last estimate may be of a sample that was interrupted.
         readings, estimates = zip(*self._rows[: len(time)], strict=True)
         delay = self._sensors.delay
-        names = "nodes", "velocities", "node_deviation", "length_deviation", "state"
+        names = (
+            "nodes", "velocities", "node_deviation", "length_deviation", "state", "bias",
+            "bias_deviation",
+        )  # fmt: skip
         series = {
             name: frozen(np.stack([getattr(estimate, name) for estimate in estimates], axis=-1))
             for name in names
@@ -154,6 +199,7 @@ class Observation:
         return EstimateRecord(
             time=frozen(time),
             **series,
+            actual_bias=frozen(np.column_stack(self._biases[: len(time)])),
             measurement=frozen(np.column_stack(readings)),
             under_way=frozen(
                 np.reshape(self._taken[len(time) :][:delay], (delay, len(self._nothing))).T

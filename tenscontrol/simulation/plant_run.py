@@ -288,6 +288,27 @@ class PlantRun:
         N, V = self._motion(state)
         return N[:, :, 0], V[:, :, 0]
 
+    def acceleration(self, state: FloatArray, held: FloatArray) -> FloatArray:
+        """Return the accelerations of all nodes now, shape (d, n), m/s², with an input held."""
+        inputs = Pieces.constant(held)
+        if self._given is not None:
+            inputs = Pieces.stacked([inputs, self._given])
+        origin, coefficients = inputs.piece(self.now)
+        more = self.degree + 1 - coefficients.shape[1]
+        coefficients = np.pad(coefficients, ((0, 0), (0, more)))
+        coefficients = self.faults.without_cut(coefficients, self.now)
+        u = self.packed(coefficients, self.now - origin)
+        equation = self._equation
+        gap = Evaluator(equation.gap)(state, u)[0]
+        slope = Evaluator(equation.slope)(state, u, np.atleast_1d(gap > 0).astype(float))[0]
+        structure = self.model.structure
+        moved = np.zeros(structure.nodes.size)
+        moved[structure.free_rows] = slope[len(state) // 2 :]
+        if self.supports is not None:
+            rows = coefficients[self.offset_rows]
+            moved += polynomial_at(rows, np.array([self.now - origin]), 2)[:, 0]
+        return moved.reshape(structure.nodes.shape, order="F")
+
     def _motion(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
         offset = rate = None
         if self.supports is not None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.estimation.observability import observed_plant, output_function, output_matrix
+from tenscontrol.estimation.observability import observed_plant, output_derivative, output_function
 from tests.estimation.conftest import EVERY, STEP
 
 
@@ -51,7 +51,7 @@ def test_derivatives_are_those_of_the_readings(request, kinds, which, coordinate
             for e in np.eye(len(z))
         ]
         np.testing.assert_allclose(C, np.column_stack(columns), rtol=0, atol=2e-8)
-    at_rest = output_matrix(plant, sensors)
+    at_rest = output_derivative(plant, sensors)
     np.testing.assert_array_equal(
         at_rest, function(np.zeros(len(plant.A)), plant.equilibrium_input)[1].full()
     )
@@ -125,7 +125,7 @@ def test_a_mechanism_that_no_length_shows_is_seen_by_its_vibration(held, sensors
     # To first order no string changes its length along the mechanism. It is no vibration of its
     # own: in time it moves the lengths.
     sensors = sensors_of("string_length")
-    C = output_matrix(held, sensors)
+    C = output_derivative(held, sensors)
     sizes = np.linalg.svd(C[:, :9], compute_uv=False)
     assert sizes[-1] < 1e-12 * sizes[0]
     assert np.abs(tc.KalmanFilter(held, sensors, sample_time=STEP).poles).max() < 1

@@ -103,6 +103,7 @@ RESULTS = {
     "dynamics.Equation",
     "estimation.Estimate",
     "estimation.FilterStatistics",
+    "estimation.SmoothedMotion",
     "exchange.Imported",
     "integrate.Choice",
     "integrate.IntegrationError",
@@ -1137,6 +1138,32 @@ call(
         "outlier_rate": 0.1,
     },
 )
+call(
+    "Sensors, of a robot",
+    lambda: {
+        "structure": prism(),
+        "bar_inclination": 0.01,
+        "gyroscope": 0.02,
+        "accelerometer": 0.1,
+        "node_range": 0.02,
+        "encoder": 0.1,
+        "inclination_bars": [0, 1],
+        "gyroscope_bars": [2],
+        "accelerometer_nodes": [0, 3],
+        "range_nodes": [1],
+        "encoder_strings": [0, 4],
+        "anchors": np.array([[0.0, 2.0], [0.0, 1.0], [3.0, 3.0]]),
+        "motor": tc.Motor(drum_radius=0.01, zero=0.9),
+        "gravity": 9.81,
+        "bias": {"gyroscope": (0.05, 1e-3)},
+    },
+)
+call(
+    "Sensors.draw_bias",
+    lambda: {"generator": np.random.default_rng(0), "sample_time": 0.01, "before": np.zeros(9)},
+    lengths,
+)
+call("Sensors.needs", lambda: {"part": "tension"}, lengths)
 call("Sensors.count_of", lambda: {"chooser": "nodes"}, lengths)
 call("Sensors.measure", lambda: {"nodes": nodes(), "tension": None}, lengths)
 call(
@@ -1166,8 +1193,19 @@ call(
         "patience": 5,
         "start": 0.0 * nodes() + nodes(),
         "start_spread": 0.03,
+        "rest_length_error": (1e-3, 1e-4),
     },
     share=0.3,
+)
+call(
+    "KalmanFilter.smooth",
+    lambda: {
+        "readings": np.tile(lengths().measure(nodes())[:, None], 3),
+        "held": np.tile(rest_length()[:, None], 3),
+        "previous": rest_length(),
+    },
+    estimator,
+    0.3,
 )
 call(
     "KalmanFilter, winches",

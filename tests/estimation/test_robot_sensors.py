@@ -1,0 +1,230 @@
+"""Inclinations, gyroscopes, accelerometers, ranges and encoders: values, biases, consistency."""
+
+import numpy as np
+import pytest
+from scipy.special import chdtri
+
+import tenscontrol as tc
+from tenscontrol.estimation.observability import observed_plant, output_function
+from tests import coupled
+from tests.estimation.conftest import STEP
+
+ANCHORS = np.array([[0.0, 4.0, 0.0, -2.0], [0.0, 4.0, -3.0, 2.0], [5.0, 5.0, 0.0, 2.0]])
+STRUCTURES = {"ball": tc.library.six_bar_ball, "d_bar": coupled.d_bar, "tower": coupled.tower}
+
+
+def robot(structure, scale=1.0, **more):
+    d = structure.dimension
+    motor = tc.Motor(drum_radius=0.01, gear_ratio=20.0, zero=1.0)
+    return tc.Sensors(
+        structure=structure, bar_inclination=0.01 * scale, gyroscope=0.02 * scale,
+        accelerometer=0.1 * scale, node_range=0.02 * scale, range_nodes=[0, 2],
+        anchors=ANCHORS[3 - d :], encoder=0.2 * scale, encoder_strings=[1, 0], motor=motor, **more,
+    )  # fmt: skip
+
+
+def turned(d0, d, e):
+    """e turned about ``d₀ × d`` by the angle between them (Rodrigues)."""
+    axis = np.cross(d0, d)
+    sine, cosine = np.linalg.norm(axis), d0 @ d
+    if sine < 1e-14:
+        return e
+    axis = axis / sine
+    return e * cosine + np.cross(axis, e) * sine + axis * (axis @ e) * (1 - cosine)
+
+
+def by_hand(structure, N, V, A, rest_length):
+    d, y, axes = structure.dimension, [], []
+    up = np.eye(d)[-1]
+    for start, end in structure.bars:
+        b, moved = N[:, end] - N[:, start], V[:, end] - V[:, start]
+        along = b / np.linalg.norm(b)
+        y.append([np.arcsin(along @ up)])
+        if d == 2:
+            axes.append([along, np.array([-along[1], along[0]])])
+            continue
+        first = structure.nodes[:, end] - structure.nodes[:, start]
+        first = first / np.linalg.norm(first)
+        level = np.cross(first, up)
+        if np.linalg.norm(level) < 1e-6:
+            level = np.cross(first, [1.0, 0, 0])
+        level = level / np.linalg.norm(level)
+        other = np.cross(first, level)
+        axes.append([along, turned(first, along, level), turned(first, along, other)])
+    for (start, end), axis in zip(structure.bars, axes, strict=True):
+        b, moved = N[:, end] - N[:, start], V[:, end] - V[:, start]
+        if d == 2:
+            y.append([(b[0] * moved[1] - b[1] * moved[0]) / (b @ b)])
+        else:
+            rate = np.cross(b, moved) / (b @ b)
+            y.append([rate @ axis[1], rate @ axis[2]])
+    for node in range(N.shape[1]):
+        bars = np.flatnonzero((structure.bars == node).any(axis=1))
+        if len(bars):
+            y.append([(A[:, node] + 9.81 * up) @ axis for axis in axes[bars[0]]])
+    y += [[np.linalg.norm(N[:, i] - anchor)] for i in (0, 2) for anchor in ANCHORS[3 - d :].T]
+    y += [[(1.0 - rest_length[i]) * 20.0 / 0.01] for i in (1, 0)]
+    return np.concatenate(y)
+
+
+@pytest.mark.parametrize("name", STRUCTURES)
+def test_readings_are_those_of_formulas_written_anew(name):
+    structure, rng = STRUCTURES[name](), np.random.default_rng(7)
+    shape, count = structure.nodes.shape, len(structure.strings)
+    sensors = robot(structure)
+    for size in (0.0, 0.1):
+        N = structure.nodes + size * rng.normal(size=shape)
+        V, A = rng.normal(size=(2, *shape))
+        rest_length = rng.uniform(0.5, 1.5, size=count)
+        found = sensors.measure(N, velocities=V, acceleration=A, rest_length=rest_length)
+        np.testing.assert_allclose(found, by_hand(structure, N, V, A, rest_length), atol=2e-8)
+
+
+@pytest.mark.parametrize("name", STRUCTURES)
+def test_derivatives_are_those_of_the_readings(name):
+    structure = STRUCTURES[name]()
+    force = coupled.tower_force_density() if name == "tower" else 10.0
+    model = tc.Model(structure, strings=tc.LinearStrings(500.0, damping=1.0))
+    rest = tc.prestress(structure, force_density=force)
+    sensors = robot(structure)
+    plant = observed_plant(tc.linearize(model, rest, input="rest_length"), sensors)
+    function, rng = output_function(plant, sensors), np.random.default_rng(0)
+    z, h = 0.01 * rng.normal(size=len(plant.A)), 1e-5
+    u, r = plant.rest_length, plant.degrees_of_freedom
+
+    def read(z):
+        N, V = plant.to_nodes(z[:r]), plant.to_velocities(z[:r], z[r:])
+        free = structure.free
+        x = np.concatenate([
+            part[:, free].ravel(order="F") if not len(structure.rollers) else None
+            for part in (N, V)
+        ])  # fmt: skip
+        moved = np.zeros(N.size)
+        slope = np.array(model.rest_length_dynamics(x, u)).ravel()
+        moved[structure.free_rows] = slope[len(x) // 2 :]
+        A = moved.reshape(N.shape, order="F")
+        return sensors.measure(N, velocities=V, acceleration=A, rest_length=u)
+
+    y, C = (np.array(part.full()) for part in function(z, u))
+    np.testing.assert_allclose(y.ravel(), read(z), rtol=0, atol=1e-9)
+    columns = [(read(z + h * e) - read(z - h * e)) / (2 * h) for e in np.eye(len(z))]
+    scale = max(1.0, np.abs(C).max())
+    np.testing.assert_allclose(C / scale, np.column_stack(columns) / scale, rtol=0, atol=1e-7)
+
+
+KINDS = {
+    "bar_inclination": {"bar_inclination": 0.01},
+    "gyroscope": {"gyroscope": 0.02, "bias": {"gyroscope": (0.05, 0.01)}},
+    "accelerometer": {"accelerometer": 0.1, "bias": {"accelerometer": (0.2, 0.05)}},
+    "node_range": {"node_range": 0.02, "range_nodes": [0, 3, 5], "anchors": ANCHORS},
+    "encoder": {
+        "encoder": 0.2, "motor": tc.Motor(drum_radius=0.01, gear_ratio=20.0, zero=1.0)
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_errors_are_as_large_as_the_filter_says(held, kind):
+    """NEES of runs on the plant of the filter itself, with biases, within its bounds."""
+    small, runs, samples = 1e-3, 20, 25
+    arguments = {
+        name: value * small if isinstance(value, float) else value
+        for name, value in ({"bar_direction": 0.01, "string_length": 1e-3} | KINDS[kind]).items()
+    }
+    if "bias" in arguments:
+        arguments["bias"] = {
+            name: tuple(small * size for size in pair) for name, pair in arguments["bias"].items()
+        }
+    sensors = tc.Sensors(structure=held.model.structure, **arguments)
+    error = (1e-3 * small, 1e-3 * small) if kind == "encoder" else None
+    estimator = tc.KalmanFilter(
+        held, sensors, sample_time=STEP, process_noise=0.02 * small, gate=1e-12,
+        rest_length_error=error,
+    )  # fmt: skip
+    design, P = estimator._design, estimator.covariance
+    F, C, R = design.sampled.transition, estimator.C, sensors.noise
+    still = np.array(design.outputs(np.zeros(len(F)), held.rest_length)[0]).ravel()
+
+    def root(matrix):
+        values, vectors = np.linalg.eigh(matrix)
+        return vectors * np.sqrt(np.maximum(values, 0.0))
+
+    drive, start, rng, nees = root(design.process_covariance), root(P), np.random.default_rng(2), []
+    for _ in range(runs):
+        estimator.reset(covariance=P, held=held.rest_length)
+        z = start @ rng.normal(size=len(F))
+        for _ in range(samples):
+            estimate = estimator.update(still + C @ z + R * rng.normal(size=len(R)))
+            off = estimate.state - z
+            estimator.predict(held.rest_length)
+            z = F @ z + drive @ rng.normal(size=len(F))
+        size = np.sqrt(np.diag(estimate.covariance))
+        scaled = estimate.covariance / np.outer(size, size)
+        values, vectors = np.linalg.eigh(scaled)
+        known = values > 1e-9  # a constraint between states leaves no error along it
+        along = vectors.T @ (off / size)
+        nees.append((along[known] ** 2 / values[known]).sum())
+    freedom = float(runs * known.sum())
+    assert chdtri(freedom, 0.9995) < sum(nees) < chdtri(freedom, 0.0005)
+
+
+def test_a_bias_is_found_in_a_loop_and_told_with_its_deviation(held, model):
+    """A gyroscope that is off by 0.1 rad/s, and strings that are wound wrongly."""
+    sensors = tc.Sensors(
+        structure=model.structure, string_length=1e-3, bar_direction=0.01, gyroscope=0.01,
+        gyroscope_bars=[1], accelerometer=0.05, accelerometer_nodes=[0],
+        bias={"gyroscope": (0.1, 1e-3), "accelerometer": (0.3, 1e-3)},
+    )  # fmt: skip
+    estimator = tc.KalmanFilter(held, sensors, sample_time=STEP, prediction="nonlinear")
+    controller = tc.LQR(held, *tc.energy_weights(held), sample_time=STEP)
+    run = tc.simulate(
+        model, 3.0, controller=controller, estimator=estimator, seed=4, step=1e-3,
+        rest_length=held.rest_length,
+    )  # fmt: skip
+    found = run.control.estimate
+    biased = sensors.bias_deviation > 0
+    off = found.bias[biased, -1] - found.actual_bias[biased, -1]
+    assert np.abs(off / found.bias_deviation[biased, -1]).max() < 4
+    assert (found.bias_deviation[biased, -1] < 0.5 * sensors.bias_deviation[biased]).all()
+    assert not found.bias[~biased].any()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"node_range": 0.01}, "node_range is given, but anchors is not"),
+        ({"anchors": ANCHORS, "string_length": 1.0}, "anchors is given, but node_range is not"),
+        ({"node_range": 0.01, "anchors": ANCHORS[:2]}, r"anchors has shape \(2, 4\)"),
+        ({"encoder": 0.1}, "encoder is given, but motor is not"),
+        ({"encoder": 0.1, "motor": tc.Motor(0.01)}, "motor.zero is not"),
+        ({"bar_inclination": 0.1, "gravity": 0.0}, "gravity is 0"),
+        ({"gyroscope": 0.1, "bias": {"bar_rate": (1, 1)}}, "key of bias"),
+        ({"gyroscope": 0.1, "bias": {"gyroscope": (1, 0)}}, "bias of gyroscope"),
+        ({"gyroscope": 0.1, "bias": {"gyroscope": 1}}, "bias of gyroscope has shape"),
+    ],
+)
+def test_what_does_not_go_together_is_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        tc.Sensors(structure=tc.prism(), **arguments)
+
+
+def test_filters_refuse_what_readings_cannot_tell(held, by_force, model):
+    encoders = {"encoder": 0.1, "motor": tc.Motor(drum_radius=0.01, zero=1.0)}
+    sensors = tc.Sensors(structure=model.structure, string_length=1e-3, **encoders)
+    with pytest.raises(ValueError, match="give rest_length_error"):
+        tc.KalmanFilter(held, sensors, sample_time=STEP)
+    with pytest.raises(ValueError, match="linearize with input='rest_length'"):
+        tc.KalmanFilter(by_force, sensors, sample_time=STEP, rest_length_error=(1e-3, 1e-3))
+    blind = tc.Sensors(
+        structure=model.structure, node_position=1e-3, bias={"node_position": (1e-3, 1e-4)}
+    )
+    with pytest.raises(ValueError, match="cannot be told from each other"):
+        tc.KalmanFilter(held, blind, sample_time=STEP)
+    weighed = tc.linearize(
+        model.replace(gravity=1.62), tc.OperatingPoint(held.nodes, held.force_density,
+        model.replace(gravity=1.62).constant_force), input="rest_length",
+        require_equilibrium=False,
+    )  # fmt: skip
+    felt = tc.Sensors(structure=model.structure, bar_direction=0.01, accelerometer=0.1)
+    with pytest.raises(ValueError, match="sensors feel the gravity"):
+        tc.KalmanFilter(weighed, felt, sample_time=STEP)
