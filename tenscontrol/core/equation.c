@@ -68,6 +68,20 @@ WIDE static void force_densities(const Scene *s, const double *restrict length,
   for (int i = 0; i < count; ++i) gamma[i] *= taut[i];
 }
 
+/* The force density of one string, N/m. */
+static double force_density(const Scene *s, int i, double length, double rate, double rest) {
+  const double k = s->stiffness[i], c = s->damping[i];
+  double gamma;
+  if (s->law == LINEAR_STRINGS && !s->damped) linear_undamped_force_density(length, rest, k, &gamma);
+  else if (s->law == LINEAR_STRINGS)
+    linear_damped_force_density(length, rest, rate, k, c, &gamma);
+  else if (!s->damped)
+    elastic_undamped_force_density(length, rest, k, &gamma);
+  else
+    elastic_damped_force_density(length, rest, rate, k, c, &gamma);
+  return gamma;
+}
+
 WIDE static void string_gaps(const Scene *s, const double *restrict length,
                              const double *restrict rate, const double *restrict u,
                              double *restrict gap) {

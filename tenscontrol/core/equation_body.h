@@ -165,11 +165,33 @@ WIDE static void N(accelerations)(const Scene *s, const double *restrict p,
   if (s->block_bars) N(coupled)(s, p, v, f, a, w);
 }
 
+/* Adds the pull of a few strings, those whose weight is not zero. */
+static void N(pull_by)(const Scene *s, const double *p, const double *v, const double *u,
+                       const double *weight, double *f) {
+  for (int i = 0; i < s->segments; ++i) {
+    const int start = s->segment_start[i], end = s->segment_end[i];
+    double segment[D], change[D], length, rate, gamma;
+    if (weight[i] == 0) continue;
+    for (int k = 0; k < D; ++k) {
+      segment[k] = p[end + k] - p[start + k];
+      change[k] = v[end + k] - v[start + k];
+    }
+    N(pulling_length)(segment, u[i], &length);
+    N(length_rate)(segment, change, length, &rate);
+    gamma = weight[i] * force_density(s, i, length, rate, u[i]);
+    for (int k = 0; k < D; ++k) {
+      f[start + k] += gamma * segment[k];
+      f[end + k] -= gamma * segment[k];
+    }
+  }
+}
+
 /* Accelerations that what switches gives, each counted by a weight. */
 static void N(weighed)(const Scene *s, const double *p, const double *ends, const double *rates,
                        const double *u, const double *weight, double *a, const Work *w) {
   memset(w->f, 0, s->entries * sizeof(double));
-  if (s->slacking) N(pull)(s, ends, rates, u, weight, w->f, w);
+  if (s->slacking && s->clustered) N(pull)(s, ends, rates, u, weight, w->f, w);
+  else if (s->slacking) N(pull_by)(s, ends, rates, u, weight, w->f);
   for (int i = 0; i < s->grounds; ++i)
     if (s->ground[i].first_switch >= 0)
       N(touch)(s->ground + i, ends, rates, weight + s->slacking + s->ground[i].first_switch, w->f);
