@@ -94,6 +94,25 @@ typedef struct {
   const Body *body;
 } Lengths;
 
+/* Nodes or their rates at many times, of any layout: how far apart in memory, in numbers, the axes,
+   the nodes and the times of (d, n, times) are. */
+typedef struct {
+  const double *values;
+  int64_t axis, node, time;
+} Motion;
+
+/* Raises `largest` (count, 3) to the largest rates of nodes along the axes beside the mean of them
+   all. Work memory is three numbers a node. */
+EXPORTED void tc_largest_rates(const Motion *rates, int32_t times, int32_t count,
+                               const int32_t *nodes, double *largest, double *work);
+
+/* Finds pairs of bars and intervals, at whose beginning they are at most `reach` (count) apart, m:
+   so much nearer they may come within one. `pairs` (count, 4) are the numbers of their nodes in
+   space. Writes (pair, interval) of as many as there is room for, and returns how many there are. */
+EXPORTED int64_t tc_near_bars(const Motion *nodes, int32_t intervals, int32_t count,
+                              const int32_t *pairs, const double *reach, int64_t room,
+                              int32_t *found);
+
 /* Kinetic energy at many times, J, of rates of all nodes (d, n, times), m/s. */
 EXPORTED void tc_kinetic_energy(const Scene *scene, int32_t times, const double *rates,
                                 double *energy);

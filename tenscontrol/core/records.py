@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from typing import Any
 
 _POINTER = ctypes.c_void_p
 _COUNT = ctypes.c_int32
@@ -69,6 +70,20 @@ class Lengths(ctypes.Structure):
         *((name, _POINTER) for name in ("bar_length", "tip_length", "block_length", "block_free")),
         ("bodies", _COUNT), ("body", _POINTER),
     )  # fmt: skip
+
+
+class Motion(ctypes.Structure):
+    """Nodes or their rates at many times, of any layout."""
+
+    _fields_ = (
+        ("values", _POINTER),
+        *((name, ctypes.c_int64) for name in ("axis", "node", "time")),
+    )  # fmt: skip
+
+    @classmethod
+    def of(cls, array: Any) -> Motion:
+        """Return the record of an array (d, n, T) of floats, which has to outlive it."""
+        return cls(array.ctypes.data, *(stride // array.itemsize for stride in array.strides))
 
 
 class Progress(ctypes.Structure):

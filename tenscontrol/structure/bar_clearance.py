@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import ctypes
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from math import ceil
 from weakref import WeakKeyDictionary
@@ -10,6 +11,8 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from tenscontrol.arrays import FloatArray, IntArray
+from tenscontrol.core import records
+from tenscontrol.core.library import library
 from tenscontrol.properties import cached_property
 from tenscontrol.structure.structure import Structure
 
@@ -220,13 +223,51 @@ class _Intervals:
         if self.rates is None:
             return found
         some, first, end = slice(None) if nodes is None else nodes, *self.rates
-        end = end[:, :, -1]
-        if nodes is not None:
-            first, end = _beside_mean(first[:, nodes]), _beside_mean(end[:, nodes])
-        low, high = _bounds(first, end)
-        speed = np.linalg.norm(np.maximum(-low, high), axis=0)
+        if nodes is not None and library() is not None:
+            speed = np.linalg.norm(self._largest_rates(nodes), axis=1)
+        else:
+            end = end[:, :, -1]
+            if nodes is not None:
+                first, end = _beside_mean(first[:, nodes]), _beside_mean(end[:, nodes])
+            low, high = _bounds(first, end)
+            speed = np.linalg.norm(np.maximum(-low, high), axis=0)
         found[some] = _FASTER / 2 * float(self.length.max()) * speed
         return found
+
+    def _largest_rates(self, nodes: IntArray) -> FloatArray:
+        """Return the largest rates of nodes beside what all of them do alike, (count, 3), m/s."""
+        core, rates = library(), self.rates
+        assert core is not None  # it was asked for
+        assert rates is not None  # and the nodes have some
+        nodes = nodes.astype(np.int32)
+        largest, work = np.zeros((len(nodes), 3)), np.empty(3 * len(nodes))
+        for each in (rates[0], rates[1][:, :, -1:]):
+            core.tc_largest_rates(
+                ctypes.byref(records.Motion.of(each)), each.shape[2], len(nodes),
+                *(ctypes.c_void_p(array.ctypes.data) for array in (nodes, largest, work)),
+            )  # fmt: skip
+        return largest
+
+    def near(self, bars: IntArray, pairs: IntArray, strays: FloatArray) -> tuple[IntArray, IntArray]:
+        """Return places of pairs, and intervals, that begin where bars are near: by the core.
+
+        Near is what they may come by in an interval, by how far nodes may be from its ends.
+        """
+        core, ends = library(), np.ascontiguousarray(bars[pairs].reshape(-1, 4), dtype=np.int32)
+        assert core is not None  # it was asked for
+        reach = 2 * strays[bars[pairs]].max(axis=2).sum(axis=1)
+        motion, room = records.Motion.of(self.nodes[0]), 2 * len(pairs) + 1000
+        while True:
+            found = np.empty((room, 2), dtype=np.int32)
+            count = core.tc_near_bars(
+                ctypes.byref(motion), self.count, len(pairs), ctypes.c_void_p(ends.ctypes.data),
+                ctypes.c_void_p(reach.ctypes.data), ctypes.c_int64(room),
+                ctypes.c_void_p(found.ctypes.data),
+            )  # fmt: skip
+            if count <= room:
+                p, k = found[:count].T.astype(int)
+                return p, k
+            room = count
 
     def error(self, bars: IntArray, pairs: IntArray, k: IntArray) -> FloatArray:
         """Return estimates of how far corners may be off the cubics in intervals, (m,), m.
@@ -428,6 +469,27 @@ class BarMotion:
 
         Or in which they may come nearer than the least distance known, which is updated.
         """
+        # The core looks at all pairs sooner than it could be told which may meet at all.
+        in_core = least is None and motion.rates is not None and library() is not None
+        is_few = len(self._bars) <= _FEW_BARS
+        pairs = self._every() if in_core and is_few else self._reachable(motion, least)
+        if not len(pairs):
+            return pairs, np.zeros(0, dtype=int), np.zeros(0)
+        strays = motion.strays(np.unique(self._bars[pairs]))
+        blocks: Iterable[tuple[IntArray, IntArray]]
+        if in_core:
+            blocks = [motion.near(self._bars, pairs, strays)]
+        else:
+            blocks = self._close_blocks(motion, pairs, strays, least)
+        found = [self._close_within(motion, pairs[p], k, strays, least) for p, k in blocks]
+        some, k, error = (np.concatenate(each) for each in zip(*found, strict=True))
+        return some, k, error
+
+    def _reachable(self, motion: _Intervals, least: _Least | None) -> IntArray:
+        """Return pairs that may meet, by how far their nodes are ever from where they are halfway.
+
+        Or that may come nearer than the least distance known, which is updated.
+        """
         half, first, end = motion.count // 2, motion.nodes[0], motion.nodes[1][:, :, -1]
         nodes = None
         if np.abs((end - first[:, :, 0]).mean(axis=1)).max() > _DRIFT * self._size:  # as in a fall
@@ -438,16 +500,7 @@ class BarMotion:
         reach = (moved + motion.strays(nodes))[self._bars].max(axis=1)
         pairs = self._pairs_within(middle, reach, least, float(motion.begin[half]))
         apart = self._apart_at(motion, pairs, np.full(len(pairs), half), least)
-        pairs = pairs[apart - reach[pairs].sum(axis=1) <= _limit(least)]
-        if not len(pairs):
-            return pairs, np.zeros(0, dtype=int), np.zeros(0)
-        strays = motion.strays(np.unique(self._bars[pairs]))
-        found = [
-            self._close_within(motion, pairs[p], k, strays, least)
-            for p, k in self._close_blocks(motion, pairs, strays, least)
-        ]
-        some, k, error = (np.concatenate(each) for each in zip(*found, strict=True))
-        return some, k, error
+        return np.asarray(pairs[apart - reach[pairs].sum(axis=1) <= _limit(least)])
 
     def _apart_at(
         self, motion: _Intervals, pairs: IntArray, k: IntArray, least: _Least | None
@@ -549,8 +602,10 @@ class BarMotion:
         least: _Least | None,
     ) -> tuple[IntArray, IntArray, FloatArray]:  # fmt: skip
         """Return pairs, intervals and errors in which bars may be close, of some intervals."""
+        if not len(k):
+            return pairs, k, np.zeros(0)
         found = []
-        for first in range(0, max(1, len(k)), _TOGETHER):
+        for first in range(0, len(k), _TOGETHER):
             some, at = pairs[first : first + _TOGETHER], k[first : first + _TOGETHER]
             apart = self._apart_at(motion, some, at, least)
             if motion.rates is not None:

@@ -1,0 +1,90 @@
+/* Bars that may meet within a motion: most pairs stay so far apart that a few states tell. */
+#include <math.h>
+
+#include "core.h"
+
+static double dot(const double *a, const double *b) {
+  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
+
+static double within(double share) { return share < 0 ? 0 : share > 1 ? 1 : share; }
+
+/* The square of the distance of two points w apart, so far along u and v. */
+static double square(const double *w, const double *u, const double *v, double s, double t) {
+  double sum = 0;
+  for (int k = 0; k < 3; ++k) {
+    const double x = w[k] + s * u[k] - t * v[k];
+    sum += x * x;
+  }
+  return sum;
+}
+
+/* The distance of the bars a to b and c to d, m. */
+static double distance(const double *a, const double *b, const double *c, const double *d) {
+  double u[3], v[3], w[3], least = INFINITY;
+  for (int k = 0; k < 3; ++k) {
+    u[k] = b[k] - a[k];
+    v[k] = d[k] - c[k];
+    w[k] = a[k] - c[k];
+  }
+  const double uu = dot(u, u), vv = dot(v, v), uv = dot(u, v), uw = dot(u, w), vw = dot(v, w);
+  const double across = uu * vv - uv * uv;
+  if (across > 1e-12 * uu * vv) {
+    const double s = (uv * vw - vv * uw) / across, t = (uu * vw - uv * uw) / across;
+    /* Two lines are nearest within both bars, or else at an end of one of them. */
+    if (s > 0 && s < 1 && t > 0 && t < 1) return sqrt(square(w, u, v, s, t));
+  }
+  for (int end = 0; end < 2; ++end) {
+    least = fmin(least, square(w, u, v, end, within((vw + end * uv) / vv)));
+    least = fmin(least, square(w, u, v, within((end * uv - uw) / uu), end));
+  }
+  return sqrt(least);
+}
+
+static void put(const Motion *motion, int node, int time, double *to) {
+  const double *from = motion->values + node * motion->node + time * motion->time;
+  for (int k = 0; k < 3; ++k) to[k] = from[k * motion->axis];
+}
+
+void tc_largest_rates(const Motion *rates, int32_t times, int32_t count, const int32_t *nodes,
+                      double *largest, double *work) {
+  for (int t = 0; t < times; ++t) {
+    double mean[3] = {0, 0, 0};
+    for (int i = 0; i < count; ++i) {
+      put(rates, nodes[i], t, work + 3 * i);
+      for (int k = 0; k < 3; ++k) mean[k] += work[3 * i + k];
+    }
+    for (int k = 0; k < 3; ++k) mean[k] /= count;
+    for (int i = 0; i < count; ++i)
+      for (int k = 0; k < 3; ++k) {
+        const double beside = fabs(work[3 * i + k] - mean[k]);
+        if (!(beside <= largest[3 * i + k])) largest[3 * i + k] = beside;
+      }
+  }
+}
+
+int64_t tc_near_bars(const Motion *nodes, int32_t intervals, int32_t count, const int32_t *pairs,
+                     const double *reach, int64_t room, int32_t *found) {
+  int64_t near = 0;
+  for (int p = 0; p < count; ++p) {
+    const int32_t *ends = pairs + 4 * p;
+    for (int k = 0; k < intervals;) {
+      double x[12];
+      for (int i = 0; i < 4; ++i) put(nodes, ends[i], k, x + 3 * i);
+      const double apart = distance(x, x + 3, x + 6, x + 9);
+      if (apart > reach[p]) {
+        /* They cannot meet before they have come this far. */
+        const double steps = ceil(apart / reach[p]) - 1;
+        k += steps < 1 ? 1 : steps < intervals - k ? (int)steps : intervals - k;
+        continue;
+      }
+      if (near < room) {
+        found[2 * near] = p;
+        found[2 * near + 1] = k;
+      }
+      ++near;
+      ++k;
+    }
+  }
+  return near;
+}
