@@ -107,12 +107,17 @@ def print_switches(
 ) -> None:
     """Print what ``rk4`` finds and misses, and its error beside that of naive steps."""
     count = max(1, exact.work.switches)
+    size = float(np.ptp(case.model.structure.nodes, axis=1).max())  # an estimate is a part of it
     naive = numpy_rk4(case, np.array([DURATION]), steps)
     rows = []
     for step in steps:
         run = simulated(case, method="rk4", step=step)
         found, missed = run.work.switches, run.work.missed
-        cells = [judge(run.nodes[:, :, -1:]), float(run.error[-1]), judge(naive.prepare(step)())]
+        cells = [
+            judge(run.nodes[:, :, -1:]),
+            size * float(run.error[-1]),
+            judge(naive.prepare(step)()),
+        ]
         rows.append([f"rk4, {step:g} s", str(found), str(missed), f"{(found + missed) / count:.3f}",
                      *(f"{x:.1e}" for x in cells)])  # fmt: skip
     print(aligned(["", "found", "missed", "of all", "error", "estimate", "naive rk4"], rows))
