@@ -248,7 +248,9 @@ class _Intervals:
             )  # fmt: skip
         return largest
 
-    def near(self, bars: IntArray, pairs: IntArray, strays: FloatArray) -> tuple[IntArray, IntArray]:
+    def near(
+        self, bars: IntArray, pairs: IntArray, strays: FloatArray
+    ) -> tuple[IntArray, IntArray]:
         """Return places of pairs, and intervals, that begin where bars are near: by the core.
 
         Near is what they may come by in an interval, by how far nodes may be from its ends.

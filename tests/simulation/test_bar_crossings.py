@@ -202,3 +202,18 @@ def test_a_run_without_crossings_is_silent(scene):
     model, _ = scene
     with warnings.catch_warnings(action="error"):
         tc.simulate(model, 0.5, rest_length=0.9 * model.structure.string_length())
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_core_finds_the_crossings_that_numpy_finds(seed, monkeypatch):
+    random = np.random.default_rng(seed)
+    ball = tc.library.six_bar_ball() if seed % 2 else tc.prism_tower(4)
+    model = tc.Model(ball, strings=tc.LinearStrings(stiffness=50.0))
+    lengths = ball.string_length() * random.uniform(0.4, 1.6, len(ball.strings))
+    how = {"rest_length": lengths, "output_step": random.choice([0.01, 0.05]), "error": "none"}
+    with warnings.catch_warnings(action="ignore"):
+        here = tc.simulate(model, 1.0, **how)
+        monkeypatch.setattr("tenscontrol.structure.bar_clearance.library", lambda: None)
+        there = tc.simulate(model, 1.0, **how)
+    assert here.health.crossings == there.health.crossings
+    assert here.health.clearance == there.health.clearance
