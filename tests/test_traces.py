@@ -3,7 +3,7 @@
 ====================  =======  =====  ==============================================
 call                  at most  0.1.0  what it is
 ====================  =======  =====  ==============================================
-``MPC(...)``          20       31     on a new plant of the prism, in force densities
+``MPC(...)``          21       31     on a new plant of the prism, in force densities
 ``MPC.command``       10       18     the second of a controller
 ``NMPC.command``      12       22     the second of a controller
 ``LQR.command``       10       7      the second of a controller
@@ -82,7 +82,7 @@ def test_building_an_mpc(scene):
     fresh = tc.linearize(scene.model, scene.rest)  # nothing is prepared for it
     with files_passed() as found:
         tc.MPC(fresh, **scene.usual)
-    count(found, "MPC(...)", 20)
+    count(found, "MPC(...)", 21)
 
 
 @pytest.mark.parametrize(

@@ -85,7 +85,11 @@ def test_every_key_has_a_comment_of_unit_and_meaning(table, keys):
     ("table", "key", "expected"),
     [
         ("winches", "inertia", "kg m²: inertia J of the rotor, with that of the drum by 1/G²"),
-        ("sensors", "bar_rate", "rad/s: standard deviation of each entry of an angular velocity"),
+        (
+            "sensors",
+            "bar_rate",
+            "rad/s: standard deviation of each entry of an angular velocity d × ḋ",
+        ),
         ("run", "sample_time", "s: time between two commands"),
         ("subdivide", "node_mass", "kg: mass of each new node"),
         (

@@ -304,7 +304,7 @@ PATHS = [
         "start bound",
         lambda: path(min_force_density=12.0),
         ValueError,
-        "start has γ = 10 N/m in string 0, expected 12",
+        "start has γ = 10 N/m in string 0, expected at least 12",
     ),
     refused(
         "goal bound",
