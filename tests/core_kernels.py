@@ -29,20 +29,16 @@ _HEAD = """\
 #ifndef TENSCONTROL_KERNELS_H
 #define TENSCONTROL_KERNELS_H
 
-#include <math.h>
-
-/* Calls of the library's fmax and fmin would keep loops from being fast; these give the same. */
-static inline double larger(double x, double y) { return (x > y) | (y != y) ? x : y; }
-static inline double smaller(double x, double y) { return (x < y) | (y != y) ? x : y; }
+#include "numbers.h"
 """
 
 _OPERATIONS = {
     ca.OP_ASSIGN: "{0}", ca.OP_ADD: "{0} + {1}", ca.OP_SUB: "{0} - {1}", ca.OP_MUL: "{0} * {1}",
     ca.OP_DIV: "{0} / {1}", ca.OP_INV: "1 / {0}", ca.OP_NEG: "-{0}", ca.OP_SQ: "{0} * {0}",
-    ca.OP_TWICE: "2 * {0}", ca.OP_SQRT: "sqrt({0})", ca.OP_FMAX: "larger({0}, {1})",
-    ca.OP_FMIN: "smaller({0}, {1})", ca.OP_FABS: "fabs({0})", ca.OP_LT: "{0} < {1}",
-    ca.OP_LE: "{0} <= {1}", ca.OP_IF_ELSE_ZERO: "{0} ? {1} : 0", ca.OP_NOT: "!{0}",
-    ca.OP_CONSTPOW: "pow({0}, {1})", ca.OP_POW: "pow({0}, {1})",
+    ca.OP_TWICE: "2 * {0}", ca.OP_SQRT: "root({0})", ca.OP_FMAX: "larger({0}, {1})",
+    ca.OP_FMIN: "smaller({0}, {1})", ca.OP_LT: "truth({0} < {1})",
+    ca.OP_IF_ELSE_ZERO: "only({0} != 0, {1})", ca.OP_NOT: "truth({0} == 0)",
+    ca.OP_CONSTPOW: "power({0}, {1})", ca.OP_POW: "power({0}, {1})",
 }  # fmt: skip
 
 
@@ -62,10 +58,10 @@ def printed(name: str, inputs: dict[str, Any], outputs: dict[str, Any]) -> str:
     function = ca.Function(name, list(inputs.values()), [ca.densify(o) for o in outputs.values()])
     names = list(inputs), list(outputs)
     given = [
-        f"const double {'*' if size > 1 else ''}{key}"
+        f"const Number {'*' if size > 1 else ''}{key}"
         for key, size in ((key, each.numel()) for key, each in inputs.items())
     ]
-    given += [f"double *{key}" for key in outputs]
+    given += [f"Number *{key}" for key in outputs]
     lines, known = [], {}
     for k in range(function.n_instructions()):
         op, ins = function.instruction_id(k), function.instruction_input(k)
@@ -80,8 +76,11 @@ def printed(name: str, inputs: dict[str, Any], outputs: dict[str, Any]) -> str:
             entry = f"*{key}" if outputs[key].numel() == 1 else f"{key}[{out[1]}]"
             lines.append(f"{entry} = {known[ins[0]]};")
         else:
-            text = _OPERATIONS[op].format(*(known[i] for i in ins))
-            lines.append(f"const double t{k} = {text};")
+            operands = [known[i] for i in ins]
+            if op in (ca.OP_FMAX, ca.OP_FMIN):  # calls convert no constants
+                operands = [f"all({o})" if o[0].isdigit() else o for o in operands]
+            text = _OPERATIONS[op].format(*operands)
+            lines.append(f"const Number t{k} = {text};")
             known[out[0]] = f"t{k}"
     body = "\n  ".join(lines)
     return f"static inline void {name}({', '.join(given)}) {{\n  {body}\n}}\n"

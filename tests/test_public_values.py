@@ -110,7 +110,6 @@ def values(tmp_path_factory):
             rest_length=start.rest_length,
             vary={"gravity": [0.0, 1.0]},
             step=0.01,
-            machine_code=False,
         ),
         batch.crossings,
         tc.HealthLimits(),

@@ -14,7 +14,10 @@ import tempfile
 from pathlib import Path
 
 PROJECT = Path(__file__).parent.parent
-TESTS = ("tests/integrate/test_core_scene.py", "tests/integrate/test_core_run.py")
+TESTS = (
+    "tests/integrate/test_core_scene.py", "tests/integrate/test_core_run.py",
+    "tests/simulation/test_batch.py",
+)  # fmt: skip
 FLAGS = ("-O1", "-g", "-std=c99", "-fPIC", "-shared", "-fno-sanitize-recover=all")
 
 # The sanitizer refuses libraries that bind to their own symbols first, as CasADi asks of its own.

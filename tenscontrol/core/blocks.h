@@ -3,8 +3,9 @@
 #define TENSCONTROL_BLOCKS_H
 
 #include "core.h"
+#include "numbers.h"
 
-void factorize(const Scene *scene, double *factors);
-void solve(const Scene *scene, const double *factors, double *right);
+SHARED void factorize(const Scene *scene, Number *factors);
+SHARED void solve(const Scene *scene, const Number *factors, Number *right);
 
 #endif

@@ -11,17 +11,16 @@
    of accelerations at the samples, with a weight for each string. Where a force is continuous at its
    border, r grows from zero and the next order, what r does by moving the nodes, is O(h^4) of the
    velocities. What is said of strings holds for contacts. */
-#include <math.h>
 #include <string.h>
 
 #include "motion.h"
 
 /* Samples of the path, with equal spaces; parts of the step in which a gap may change its sign once;
    halvings to the zero. */
-enum { SAMPLES = 5, PIECES = 16, HALVINGS = 50 };
+enum { PATH = 5, PIECES = 16, HALVINGS = 50 };
 
 /* Coefficients of the polynomials of degree 4 that are 1 at one sample and 0 at the others. */
-static const double LAGRANGE[SAMPLES][SAMPLES] = {
+static const double LAGRANGE[PATH][PATH] = {
     {1, -25. / 3, 70. / 3, -80. / 3, 32. / 3},
     {0, 16, -208. / 3, 96, -128. / 3},
     {0, -12, 76, -128, 64},
@@ -29,16 +28,16 @@ static const double LAGRANGE[SAMPLES][SAMPLES] = {
     {0, -1, 22. / 3, -16, 32. / 3},
 };
 
-size_t carry_size(const Scene *s) {
-  return 3 * SAMPLES * (size_t)s->switches + 5 * (size_t)s->free;
+SHARED size_t carry_size(const Scene *s) {
+  return 3 * PATH * (size_t)s->switches + 5 * (size_t)s->free;
 }
 
 /* Whether a gap with this room at the samples may pass its border: a polynomial of degree 4 leaves
    the polygon of its values by less than its largest second difference. */
 static int may_pass(const double *room) {
   double least = room[0], bend = 0;
-  for (int j = 1; j < SAMPLES; ++j) least = room[j] < least ? room[j] : least;
-  for (int j = 1; j < SAMPLES - 1; ++j) {
+  for (int j = 1; j < PATH; ++j) least = room[j] < least ? room[j] : least;
+  for (int j = 1; j < PATH - 1; ++j) {
     const double second = fabs(room[j - 1] - 2 * room[j] + room[j + 1]);
     bend = second > bend ? second : bend;
   }
@@ -47,15 +46,15 @@ static int may_pass(const double *room) {
 
 static double value_of(const double *coefficients, double t) {
   double value = 0;
-  for (int k = SAMPLES - 1; k >= 0; --k) value = value * t + coefficients[k];
+  for (int k = PATH - 1; k >= 0; --k) value = value * t + coefficients[k];
   return value;
 }
 
 /* Adds the integrals of the Lagrange polynomials, and of them times 1 - t, from 0 to t. */
 static void add_integrals(double sign, double t, double *plain, double *falling) {
-  for (int j = 0; j < SAMPLES; ++j) {
+  for (int j = 0; j < PATH; ++j) {
     double power = t;
-    for (int k = 0; k < SAMPLES; ++k, power *= t) {
+    for (int k = 0; k < PATH; ++k, power *= t) {
       const double term = sign * LAGRANGE[j][k] * power;
       plain[j] += term / (k + 1);
       falling[j] += term * (1. / (k + 1) - t / (k + 2));
@@ -65,14 +64,14 @@ static void add_integrals(double sign, double t, double *plain, double *falling)
 
 /* What a string counts at the samples, by its room there; returns how often it switches. */
 static int weights_of(const double *room, double *plain, double *falling) {
-  double c[SAMPLES] = {0}, before = room[0] < 0 ? -1 : 1;
+  double c[PATH] = {0}, before = room[0] < 0 ? -1 : 1;
   int switches = 0;
-  for (int j = 0; j < SAMPLES; ++j)
-    for (int k = 0; k < SAMPLES; ++k) c[k] += room[j] * LAGRANGE[j][k];
+  for (int j = 0; j < PATH; ++j)
+    for (int k = 0; k < PATH; ++k) c[k] += room[j] * LAGRANGE[j][k];
   for (int i = 1; i <= PIECES; ++i) {
     double low = (i - 1.) / PIECES, high = (double)i / PIECES;
     /* The last is the sample itself: the string is then as its gap says. */
-    const double after = i < PIECES ? value_of(c, high) : room[SAMPLES - 1];
+    const double after = i < PIECES ? value_of(c, high) : room[PATH - 1];
     if ((after < 0) == (before < 0)) continue;
     for (int n = 0; n < HALVINGS; ++n) {
       const double middle = (low + high) / 2;
@@ -87,56 +86,66 @@ static int weights_of(const double *room, double *plain, double *falling) {
   return switches;
 }
 
-/* Adds to x, the end of a step, what its switches change, and sets the strings that pull then.
-   Returns how many switches there were. `defect` becomes what the next order adds to xdot at the
-   end, if it is wanted. */
-int carry(Span *span, const Tried *step, double *x, double *taut, double *defect) {
+/* Weights of a string at the samples, in one lane; how often it switches. */
+static int weigh(const Number *rooms, int m, int i, double taut, int k, Number *weights) {
+  double room[PATH], plain[PATH] = {0}, falling[PATH] = {0};
+  int count;
+  for (int j = 0; j < PATH; ++j) room[j] = lane(rooms + PATH * i + j, k);
+  if (!may_pass(room)) return 0;
+  count = weights_of(room, plain, falling);
+  for (int j = 0; j < PATH && count; ++j) {
+    put((1 - 2 * taut) * plain[j], weights + 2 * j * m + i, k);
+    put((1 - 2 * taut) * falling[j], weights + (2 * j + 1) * m + i, k);
+  }
+  return count;
+}
+
+/* Adds to x, the end of a step, what its switches change, and sets the strings that pull then, in the
+   runs that are meant. Returns how many switches there were. `defect` becomes what the next order
+   adds to xdot at the end, if it is wanted. */
+SHARED Number carry(Span *span, Truth meant, const Tried *step, Number *x, Number *taut,
+                    Number *defect) {
   const int m = span->switches, half = span->states / 2;
-  const double h = step->h;
-  double *rooms = span->carried, *weights = rooms + SAMPLES * m;
-  double *y = weights + 2 * SAMPLES * m, *dx = y + 2 * half, *a = dx + 2 * half;
-  int switches = 0;
+  const Number h = step->h;
+  Number *rooms = span->carried, *weights = rooms + PATH * m;
+  Number *y = weights + 2 * PATH * m, *dx = y + 2 * half, *a = dx + 2 * half;
+  Number switches = all(0);
   make_path(span, step);
-  for (int j = 0; j < SAMPLES; ++j) {
-    const double part = j / (SAMPLES - 1.), *scale;
-    on_path(span, h, part, y);
+  for (int j = 0; j < PATH; ++j) {
+    const double part = j / (PATH - 1.);
+    const Number *scale;
+    on_path(span, h, all(part), y);
     gap_at(span, y, step->time + part * h, span->gap, span->rate);
     scale = gap_scales(span, step->time);
     for (int i = 0; i < m; ++i)
-      rooms[SAMPLES * i + j] = (2 * step->taut[i] - 1) * span->gap[i] + BAND * scale[i];
+      rooms[PATH * i + j] = (2 * step->taut[i] - 1) * span->gap[i] + BAND * scale[i];
   }
-  memset(weights, 0, 2 * SAMPLES * m * sizeof *weights);
-  for (int i = 0; i < m; ++i) {
-    double plain[SAMPLES] = {0}, falling[SAMPLES] = {0};
-    int count;
-    if (!may_pass(rooms + SAMPLES * i)) continue;
-    count = weights_of(rooms + SAMPLES * i, plain, falling);
-    if (!count) continue;
-    switches += count;
-    for (int j = 0; j < SAMPLES; ++j) {
-      const double sign = 1 - 2 * step->taut[i];
-      weights[2 * j * m + i] = sign * plain[j];
-      weights[(2 * j + 1) * m + i] = sign * falling[j];
-    }
+  memset(weights, 0, 2 * PATH * m * sizeof *weights);
+  for (int k = 0; k < WIDTH; ++k) {
+    int count = 0;
+    for (int i = 0; i < m && is_in(meant, k); ++i)
+      count += weigh(rooms, m, i, lane(step->taut + i, k), k, weights);
+    put(count, &switches, k);
   }
   memset(dx, 0, 2 * half * sizeof *dx);
-  for (int j = 0; j < SAMPLES; ++j) {
-    const double part = j / (SAMPLES - 1.);
+  for (int j = 0; j < PATH; ++j) {
+    const double part = j / (PATH - 1.);
     const Input input = input_at(span, step->time + part * h);
-    on_path(span, h, part, y);
+    on_path(span, h, all(part), y);
     for (int k = 0; k < 2; ++k) {
-      double *to = dx + (k ? 0 : half);
+      Number *to = dx + (k ? 0 : half);
       weighed_accelerations(span->scene, y, &input, weights + (2 * j + k) * m, a, span->work);
       for (int i = 0; i < half; ++i) to[i] += (k ? h * h : h) * a[i];
     }
   }
-  for (int i = 0; i < 2 * half; ++i) x[i] += dx[i];
-  restore_bars(span, x);
+  for (int i = 0; i < 2 * half; ++i) dx[i] += x[i];
+  restore_bars(span, dx);
+  for (int i = 0; i < 2 * half; ++i) x[i] = choice(meant, dx[i], x[i]);
   if (defect) {
     slope_at(span, x, step->time + h, step->taut, defect);
     for (int i = 0; i < 2 * half; ++i) defect[i] -= step->slope1[i];
   }
   gap_at(span, x, step->time + h, span->gap, span->rate);
-  for (int i = 0; i < m; ++i) taut[i] = span->gap[i] > 0;
+  for (int i = 0; i < m; ++i) taut[i] = choice(meant, truth(span->gap[i] > 0), taut[i]);
   return switches;
 }

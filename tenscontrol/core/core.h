@@ -144,6 +144,13 @@ typedef struct {
 
 enum { RK4_METHOD, DOP853_METHOD };
 
+/* Runs of one scene. What they differ in has one row a run; it is null where all have the scene's. */
+typedef struct {
+  int32_t count;
+  const double *inputs; /* (runs, coefficients of a Drive) */
+  const double *stiffness, *damping, *bar_constants, *tip_constants, *point_inverse_mass;
+} Runs;
+
 /* The hash of the sources, as library.py makes it. */
 EXPORTED const char *tc_sources(void);
 
@@ -186,5 +193,14 @@ EXPORTED double tc_evaluations(const Progress *progress);
 EXPORTED int32_t tc_advance(const Scene *scene, const Drive *drive, const Lengths *lengths,
                             const Settings *settings, Progress *progress, double *state,
                             double *slope, double *taut, double *states, double *work);
+
+/* Integrates many runs by rk4, to the bits of `tc_advance`, from the states of `start`, one a row;
+   writes the states at outputs, (runs, outputs, states), and the progress of each run. All end
+   after the step they are in once `stop` is not 0. */
+EXPORTED void tc_advance_runs(const Scene *scene, const Drive *drive, const Lengths *lengths,
+                              const Settings *settings, const Runs *runs, const double *start,
+                              double *states, Progress *progress, const volatile int32_t *stop,
+                              double *work);
+EXPORTED size_t tc_runs_work_size(const Scene *scene, const Drive *drive, const Runs *runs);
 
 #endif

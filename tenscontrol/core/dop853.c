@@ -7,8 +7,8 @@
 #include <string.h>
 
 #include "dop853_coefficients.h"
-#include "kernels.h"
 #include "methods.h"
+#include "motion.h"
 
 enum { STAGES = 12, MORE_STAGES = 3, SLOPES = 16, POWERS = 7, ORDER = 8, MOST_STALLS = 50 };
 
@@ -184,7 +184,8 @@ int advance_by_dop853(Span *span, const Settings *settings, Progress *now, doubl
     const double h = smaller(smaller(now->step, settings->longest), duration - time);
     const Tried step = {x, x1, K, K + STAGES * n, taut, time, h};
     double taken = h, after, error, factor, until;
-    int crossed = 0, is_inside = 0, is_carried = 0, places = 0;
+    int crossed = 0, is_inside = 0, is_carried = 0;
+    double places = 0;
     method.time = time;
     method.h = h;
     memcpy(K, slope, n * sizeof *K);
@@ -198,7 +199,7 @@ int advance_by_dop853(Span *span, const Settings *settings, Progress *now, doubl
       continue;
     }
     slope_at(span, x1, time + h, taut, K + STAGES * n);
-    crossed = m ? crossings(span, &step) : 0;
+    crossed = (int)crossings(span, &step);
     memcpy(started, taut, m * sizeof *taut);
     factor = factor_of(error, ORDER);
     if (crossed) factor = smaller(factor, 1);
@@ -206,7 +207,7 @@ int advance_by_dop853(Span *span, const Settings *settings, Progress *now, doubl
       int count;
       double off;
       memcpy(end, x1, n * sizeof *end);
-      count = carry(span, &step, end, pulling, defect);
+      count = (int)carry(span, 1, &step, end, pulling, defect);
       off = carry_error(defect, scale, h, n);
       now->carries += 1;
       is_carried = off < 1;
@@ -239,8 +240,8 @@ int advance_by_dop853(Span *span, const Settings *settings, Progress *now, doubl
         }
         taken = h * approach(span, &step, cut, is_inside ? place_inside : place_by_step, &method,
                              x1, &places);
-        if (!is_inside) now->approaches += places;
-        now->switches += switch_over(span, x1, time + taken, taut);
+        if (!is_inside) now->approaches += (int64_t)places;
+        now->switches += (int64_t)switch_over(span, 1, x1, time + taken, taut);
       }
     }
     after = taken >= duration - time ? duration : time + taken;

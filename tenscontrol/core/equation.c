@@ -1,7 +1,6 @@
 /* The equation of motion by tables: forces on nodes, accelerations, and gaps of switches. */
 #include "motion.h"
 
-#include <math.h>
 #include <string.h>
 
 #include "blocks.h"
@@ -9,21 +8,21 @@
 
 /* Parts of the work memory. */
 typedef struct {
-  double *p, *v, *f, *a;                             /* (entries) */
-  double *ends, *end_rates;                          /* (entries): of strings that supports move */
-  double *S, *length, *rate, *gamma;                 /* (d, segments), (segments) */
-  double *string_length, *string_rate, *string_gamma; /* (strings) */
-  double *factors, *unknowns;
+  Number *p, *v, *f, *a;                             /* (entries) */
+  Number *ends, *end_rates;                          /* (entries): of strings that supports move */
+  Number *S, *length, *rate, *gamma;                 /* (d, segments), (segments) */
+  Number *string_length, *string_rate, *string_gamma; /* (strings) */
+  Number *factors, *unknowns;
 } Work;
 
-size_t equation_work_size(const Scene *s) {
+SHARED size_t equation_work_size(const Scene *s) {
   return 6 * (size_t)s->entries + (size_t)(s->dimension + 3) * s->segments +
          3 * (size_t)s->strings + (size_t)s->factors + 2 * (size_t)s->unknowns + 1;
 }
 
-static Work parts_of(const Scene *s, double *work) {
+static inline Work parts_of(const Scene *s, Number *work) {
   Work w;
-  double **each[] = {&w.p, &w.v, &w.f, &w.a, &w.ends, &w.end_rates};
+  Number **each[] = {&w.p, &w.v, &w.f, &w.a, &w.ends, &w.end_rates};
   for (size_t i = 0; i < sizeof each / sizeof *each; ++i, work += s->entries) *each[i] = work;
   w.S = work;
   w.length = w.S + s->dimension * s->segments;
@@ -38,16 +37,16 @@ static Work parts_of(const Scene *s, double *work) {
 }
 
 /* Sums over the segments of each string. */
-static void sum_by_string(const Scene *s, const double *of_segments, double *of_strings) {
+static void sum_by_string(const Scene *s, const Number *of_segments, Number *of_strings) {
   memset(of_strings, 0, s->strings * sizeof *of_strings);
   for (int i = 0; i < s->segments; ++i) of_strings[s->segment_string[i]] += of_segments[i];
 }
 
 /* Force densities of strings, N/m; of those that are slack 0. */
-WIDE static void force_densities(const Scene *s, const double *restrict length,
-                                 const double *restrict rate, const double *restrict u,
-                                 const double *restrict taut, double *restrict gamma) {
-  const double *restrict k = s->stiffness, *restrict c = s->damping;
+WIDE static void force_densities(const Scene *s, const Number *restrict length,
+                                 const Number *restrict rate, const Number *restrict u,
+                                 const Number *restrict taut, Number *restrict gamma) {
+  const Number *restrict k = numbers(s->stiffness), *restrict c = numbers(s->damping);
   const int count = s->strings, linear = s->law == LINEAR_STRINGS;
   if (s->law == FORCE_DENSITY_HELD) {
     memcpy(gamma, u, count * sizeof *gamma);
@@ -69,9 +68,9 @@ WIDE static void force_densities(const Scene *s, const double *restrict length,
 }
 
 /* The force density of one string, N/m. */
-static double force_density(const Scene *s, int i, double length, double rate, double rest) {
-  const double k = s->stiffness[i], c = s->damping[i];
-  double gamma;
+static Number force_density(const Scene *s, int i, Number length, Number rate, Number rest) {
+  const Number k = numbers(s->stiffness)[i], c = numbers(s->damping)[i];
+  Number gamma;
   if (s->law == LINEAR_STRINGS && !s->damped) linear_undamped_force_density(length, rest, k, &gamma);
   else if (s->law == LINEAR_STRINGS)
     linear_damped_force_density(length, rest, rate, k, c, &gamma);
@@ -82,10 +81,10 @@ static double force_density(const Scene *s, int i, double length, double rate, d
   return gamma;
 }
 
-WIDE static void string_gaps(const Scene *s, const double *restrict length,
-                             const double *restrict rate, const double *restrict u,
-                             double *restrict gap) {
-  const double *restrict k = s->stiffness, *restrict c = s->damping;
+WIDE static void string_gaps(const Scene *s, const Number *restrict length,
+                             const Number *restrict rate, const Number *restrict u,
+                             Number *restrict gap) {
+  const Number *restrict k = numbers(s->stiffness), *restrict c = numbers(s->damping);
   const int count = s->strings;
   if (!s->damped)
     for (int i = 0; i < count; ++i) gap[i] = length[i] - u[i];
@@ -96,27 +95,27 @@ WIDE static void string_gaps(const Scene *s, const double *restrict length,
 }
 
 /* Factorizes the matrix of the blocks by LDL', without pivoting, in place. */
-void factorize(const Scene *s, double *K) {
-  double *diagonal = K + s->factors;
+SHARED void factorize(const Scene *s, Number *K) {
+  Number *diagonal = K + s->factors;
   const int32_t *pair = s->factor_pair, *first = s->factor_first;
   for (int c = 0; c < s->unknowns; ++c) {
-    const double inverse = 1 / diagonal[c];
+    const Number inverse = 1 / diagonal[c];
     diagonal[c] = inverse;
     for (int k = first[c]; k < first[c + 1]; ++k) {
-      const double factor = K[k] * inverse;
+      const Number factor = K[k] * inverse;
       for (int m = first[c]; m <= k; ++m) K[*pair++] -= factor * K[m];
     }
   }
 }
 
 /* Solves by the factors; the right-hand side becomes the solution. */
-void solve(const Scene *s, const double *K, double *y) {
-  const double *inverse = K + s->factors;
+SHARED void solve(const Scene *s, const Number *K, Number *y) {
+  const Number *inverse = K + s->factors;
   const int32_t *row = s->factor_row, *first = s->factor_first;
   for (int c = 0; c < s->unknowns; ++c)
     for (int k = first[c]; k < first[c + 1]; ++k) y[row[k]] -= K[k] * inverse[c] * y[c];
   for (int c = s->unknowns - 1; c >= 0; --c) {
-    double sum = y[c];
+    Number sum = y[c];
     for (int k = first[c]; k < first[c + 1]; ++k) sum -= K[k] * y[row[k]];
     y[c] = sum * inverse[c];
   }
@@ -129,35 +128,35 @@ void solve(const Scene *s, const double *K, double *y) {
 #include "equation_body.h"
 #undef D
 
-static void spread(const Scene *s, const double *from, double *to) {
+static void spread(const Scene *s, const Number *from, Number *to) {
   for (int i = 0; i < s->free; ++i) to[s->free_row[i]] = from[i];
 }
 
-static const double *moved(const double *of, const double *by, double *to, int count) {
+static const Number *moved(const Number *of, const Number *by, Number *to, int count) {
   if (!by) return of;
   for (int i = 0; i < count; ++i) to[i] = of[i] + by[i];
   return to;
 }
 
 /* Positions and velocities of all entries. */
-static void nodes_of(const Scene *s, const double *state, const double **p, const double **v,
+static void nodes_of(const Scene *s, const Number *state, const Number **p, const Number **v,
                      const Work *w) {
   *p = state;
   *v = state + s->free;
   if (!s->free_row) return;
-  memcpy(w->p, s->place, s->entries * sizeof(double));
-  memset(w->v, 0, s->entries * sizeof(double));
+  memcpy(w->p, s->place, s->entries * sizeof(Number));
+  memset(w->v, 0, s->entries * sizeof(Number));
   spread(s, state, w->p);
   spread(s, state + s->free, w->v);
   *p = w->p;
   *v = w->v;
 }
 
-void slope_of(const Scene *s, const double *state, const Input *input, const double *taut,
-              double *slope, double *work) {
+SHARED void slope_of(const Scene *s, const Number *state, const Input *input, const Number *taut,
+              Number *slope, Number *work) {
   const Work w = parts_of(s, work);
-  const double *p, *v, *ends, *end_rates;
-  double *a = s->free_row ? w.a : slope + s->free;
+  const Number *p, *v, *ends, *end_rates;
+  Number *a = s->free_row ? w.a : slope + s->free;
   nodes_of(s, state, &p, &v, &w);
   ends = moved(p, input->offset, w.ends, s->entries);
   end_rates = moved(v, input->offset_rate, w.end_rates, s->entries);
@@ -168,15 +167,15 @@ void slope_of(const Scene *s, const double *state, const Input *input, const dou
     forces_3(s, ends, end_rates, input, taut, w.f, &w);
     accelerations_3(s, p, v, w.f, a, &w);
   }
-  memcpy(slope, state + s->free, s->free * sizeof(double));
+  memcpy(slope, state + s->free, s->free * sizeof(Number));
   if (s->free_row)
     for (int i = 0; i < s->free; ++i) slope[s->free + i] = a[s->free_row[i]];
 }
 
-void weighed_accelerations(const Scene *s, const double *state, const Input *input,
-                           const double *weight, double *accelerations, double *work) {
+SHARED void weighed_accelerations(const Scene *s, const Number *state, const Input *input,
+                                  const Number *weight, Number *accelerations, Number *work) {
   const Work w = parts_of(s, work);
-  const double *p, *v, *ends, *end_rates;
+  const Number *p, *v, *ends, *end_rates;
   nodes_of(s, state, &p, &v, &w);
   ends = moved(p, input->offset, w.ends, s->entries);
   end_rates = moved(v, input->offset_rate, w.end_rates, s->entries);
@@ -188,10 +187,10 @@ void weighed_accelerations(const Scene *s, const double *state, const Input *inp
     accelerations[i] = w.a[s->free_row ? s->free_row[i] : i];
 }
 
-void forces_of(const Scene *s, const double *state, const Input *input, const double *taut,
-               double *forces, double *work) {
+SHARED void forces_of(const Scene *s, const Number *state, const Input *input, const Number *taut,
+               Number *forces, Number *work) {
   const Work w = parts_of(s, work);
-  const double *p, *v;
+  const Number *p, *v;
   nodes_of(s, state, &p, &v, &w);
   p = moved(p, input->offset, w.ends, s->entries);
   v = moved(v, input->offset_rate, w.end_rates, s->entries);
@@ -201,10 +200,10 @@ void forces_of(const Scene *s, const double *state, const Input *input, const do
     forces_3(s, p, v, input, taut, forces, &w);
 }
 
-void gap_of(const Scene *s, const double *state, const Input *input, double *gap, double *rate,
-            double *work) {
+SHARED void gap_of(const Scene *s, const Number *state, const Input *input, Number *gap, Number *rate,
+            Number *work) {
   const Work w = parts_of(s, work);
-  const double *p, *v;
+  const Number *p, *v;
   nodes_of(s, state, &p, &v, &w);
   p = moved(p, input->offset, w.ends, s->entries);
   v = moved(v, input->offset_rate, w.end_rates, s->entries);

@@ -5,36 +5,36 @@
 #define N(name) NAME2(name, D)
 
 /* The vectors of segments, one row a direction, and their lengths. */
-WIDE static void N(segments)(const Scene *s, const double *restrict p, const double *restrict rest,
-                             double *restrict S, double *restrict length) {
+WIDE static void N(segments)(const Scene *s, const Number *restrict p, const Number *restrict rest,
+                             Number *restrict S, Number *restrict length) {
   const int count = s->segments;
   const int32_t *restrict start = s->segment_start, *restrict end = s->segment_end;
   for (int i = 0; i < count; ++i)
     for (int k = 0; k < D; ++k) S[k * count + i] = p[end[i] + k] - p[start[i] + k];
   if (!length) return;
   if (s->clustered) {
-    const double least = s->shortest;
+    const Number least = all(s->shortest * s->shortest);
     for (int i = 0; i < count; ++i) {
-      double square = 0;
+      Number square = all(0);
       for (int k = 0; k < D; ++k) square += S[k * count + i] * S[k * count + i];
-      length[i] = sqrt(larger(square, least * least));
+      length[i] = root(larger(square, least));
     }
     return;
   }
   for (int i = 0; i < count; ++i) {
-    double one[D];
+    Number one[D];
     for (int k = 0; k < D; ++k) one[k] = S[k * count + i];
     N(pulling_length)(one, rest[i], length + i);
   }
 }
 
-WIDE static void N(length_rates)(const Scene *s, const double *restrict v,
-                                 const double *restrict S, const double *restrict length,
-                                 double *restrict rate) {
+WIDE static void N(length_rates)(const Scene *s, const Number *restrict v,
+                                 const Number *restrict S, const Number *restrict length,
+                                 Number *restrict rate) {
   const int count = s->segments;
   const int32_t *restrict start = s->segment_start, *restrict end = s->segment_end;
   for (int i = 0; i < count; ++i) {
-    double one[D], change[D];
+    Number one[D], change[D];
     for (int k = 0; k < D; ++k) {
       one[k] = S[k * count + i];
       change[k] = v[end[i] + k] - v[start[i] + k];
@@ -44,11 +44,11 @@ WIDE static void N(length_rates)(const Scene *s, const double *restrict v,
 }
 
 /* Adds the pull of the strings to the forces on nodes. */
-WIDE static void N(pull)(const Scene *s, const double *p, const double *v, const double *u,
-                         const double *taut, double *restrict f, const Work *w) {
+WIDE static void N(pull)(const Scene *s, const Number *p, const Number *v, const Number *u,
+                         const Number *taut, Number *restrict f, const Work *w) {
   const int count = s->segments;
-  double *restrict S = w->S, *restrict length = w->length, *restrict rate = w->rate;
-  double *restrict gamma = w->gamma;
+  Number *restrict S = w->S, *restrict length = w->length, *restrict rate = w->rate;
+  Number *restrict gamma = w->gamma;
   const int is_held = s->law == FORCE_DENSITY_HELD;
   N(segments)(s, p, u, S, is_held && !s->clustered ? 0 : length);
   if (!is_held && s->damped) N(length_rates)(s, v, S, length, rate);
@@ -66,7 +66,7 @@ WIDE static void N(pull)(const Scene *s, const double *p, const double *v, const
   for (int k = 0; k < D; ++k)
     for (int i = 0; i < count; ++i) S[k * count + i] *= gamma[i];
   for (int i = 0; i < count; ++i) {
-    double *on_start = f + s->segment_start[i], *on_end = f + s->segment_end[i];
+    Number *on_start = f + s->segment_start[i], *on_end = f + s->segment_end[i];
     for (int k = 0; k < D; ++k) {
       on_start[k] += S[k * count + i];
       on_end[k] -= S[k * count + i];
@@ -74,35 +74,36 @@ WIDE static void N(pull)(const Scene *s, const double *p, const double *v, const
   }
 }
 
-static void N(touch)(const Ground *g, const double *p, const double *v, const double *taut,
-                     double *f) {
+static void N(touch)(const Ground *g, const Number *p, const Number *v, const Number *taut,
+                     Number *f) {
+  const Number k = all(g->stiffness), c = all(g->damping), friction = all(g->friction);
+  const Number slip = all(g->slip_speed), height = all(g->height);
+  Number normal[D];
+  for (int j = 0; j < D; ++j) normal[j] = all(g->normal[j]);
   for (int i = 0; i < g->count; ++i) {
     const int at = g->node[i];
-    double force[D];
+    Number force[D];
     switch (g->kind) {
     case LINEAR_GROUND:
-      N(linear_ground)(p + at, v + at, taut[i], g->stiffness, g->damping, g->friction,
-                       g->slip_speed, g->height, g->normal, force);
+      N(linear_ground)(p + at, v + at, taut[i], k, c, friction, slip, height, normal, force);
       break;
     case HERTZ_GROUND:
-      N(hertz_ground)(p + at, v + at, taut[i], g->stiffness, g->damping, g->friction,
-                      g->slip_speed, g->height, g->normal, force);
+      N(hertz_ground)(p + at, v + at, taut[i], k, c, friction, slip, height, normal, force);
       break;
     default:
       if (g->damping == 0) {
-        N(smooth_undamped_ground)(p + at, v + at, g->stiffness, g->friction, g->slip_speed,
-                                  g->height, g->width, g->normal, force);
+        N(smooth_undamped_ground)(p + at, v + at, k, friction, slip, height, all(g->width), normal,
+                                  force);
         break;
       }
-      N(smooth_ground)(p + at, v + at, g->stiffness, g->damping, g->friction, g->slip_speed,
-                       g->height, g->width, g->normal, force);
+      N(smooth_ground)(p + at, v + at, k, c, friction, slip, height, all(g->width), normal, force);
     }
-    for (int k = 0; k < D; ++k) f[at + k] += force[k];
+    for (int j = 0; j < D; ++j) f[at + j] += force[j];
   }
 }
 
-static void N(forces)(const Scene *s, const double *p, const double *v, const Input *input,
-                      const double *taut, double *f, const Work *w) {
+static void N(forces)(const Scene *s, const Number *p, const Number *v, const Input *input,
+                      const Number *taut, Number *f, const Work *w) {
   if (input->load)
     memcpy(f, input->load, s->entries * sizeof *f);
   else if (s->load)
@@ -116,17 +117,17 @@ static void N(forces)(const Scene *s, const double *p, const double *v, const In
   }
 }
 
-static inline void N(difference)(const double *from, int start, int end, double *to) {
+static inline void N(difference)(const Number *from, int start, int end, Number *to) {
   for (int k = 0; k < D; ++k) to[k] = from[end + k] - from[start + k];
 }
 
-static void N(coupled)(const Scene *s, const double *p, const double *v, const double *f, double *a,
+static void N(coupled)(const Scene *s, const Number *p, const Number *v, const Number *f, Number *a,
                        const Work *w) {
-  double *K = w->factors, *y = w->unknowns;
+  Number *K = w->factors, *y = w->unknowns;
   memcpy(K, s->block_mass, (s->factors + s->unknowns + 1) * sizeof *K);
   for (int i = 0; i < s->block_rows; ++i) y[s->block_place[i]] = f[s->block_row[i]];
   for (int i = 0; i < s->block_bars; ++i) {
-    double bar[D], rate[D];
+    Number bar[D], rate[D];
     N(difference)(p, s->block_start[i], s->block_end[i], bar);
     N(difference)(v, s->block_start[i], s->block_end[i], rate);
     for (int k = 0; k < D; ++k) {
@@ -141,37 +142,37 @@ static void N(coupled)(const Scene *s, const double *p, const double *v, const d
 }
 
 /* Accelerations of all entries; those that supports hold are left as they are. */
-WIDE static void N(accelerations)(const Scene *s, const double *restrict p,
-                                  const double *restrict v, const double *restrict f,
-                                  double *restrict a, const Work *w) {
+WIDE static void N(accelerations)(const Scene *s, const Number *restrict p,
+                                  const Number *restrict v, const Number *restrict f,
+                                  Number *restrict a, const Work *w) {
   for (int i = 0; i < s->free_bars; ++i) {
     const int start = s->bar_start[i], end = s->bar_end[i];
-    double bar[D], rate[D];
+    Number bar[D], rate[D];
     N(difference)(p, start, end, bar);
     N(difference)(v, start, end, rate);
-    N(free_bar)(bar, rate, f + start, f + end, s->bar_constants + FREE_BAR_2_CONSTANTS * i,
+    N(free_bar)(bar, rate, f + start, f + end, numbers(s->bar_constants) + FREE_BAR_2_CONSTANTS * i,
                 a + start, a + end);
   }
   for (int i = 0; i < s->swinging_bars; ++i) {
-    double bar[D], rate[D];
+    Number bar[D], rate[D];
     N(difference)(p, s->hinge[i], s->tip[i], bar);
     N(difference)(v, s->hinge[i], s->tip[i], rate);
-    N(swinging_bar)(bar, rate, f + s->tip[i], s->tip_constants + SWINGING_BAR_2_CONSTANTS * i,
+    N(swinging_bar)(bar, rate, f + s->tip[i], numbers(s->tip_constants) + SWINGING_BAR_2_CONSTANTS * i,
                     a + s->tip[i]);
   }
   for (int i = 0; i < s->points; ++i)
     for (int k = 0; k < D; ++k)
-      a[s->point[i] + k] = f[s->point[i] + k] * s->point_inverse_mass[i];
+      a[s->point[i] + k] = f[s->point[i] + k] * numbers(s->point_inverse_mass)[i];
   if (s->block_bars) N(coupled)(s, p, v, f, a, w);
 }
 
 /* Adds the pull of a few strings, those whose weight is not zero. */
-static void N(pull_by)(const Scene *s, const double *p, const double *v, const double *u,
-                       const double *weight, double *f) {
+static void N(pull_by)(const Scene *s, const Number *p, const Number *v, const Number *u,
+                       const Number *weight, Number *f) {
   for (int i = 0; i < s->segments; ++i) {
     const int start = s->segment_start[i], end = s->segment_end[i];
-    double segment[D], change[D], length, rate, gamma;
-    if (weight[i] == 0) continue;
+    Number segment[D], change[D], length, rate, gamma;
+    if (!any(weight[i] != 0)) continue;
     for (int k = 0; k < D; ++k) {
       segment[k] = p[end + k] - p[start + k];
       change[k] = v[end + k] - v[start + k];
@@ -187,37 +188,40 @@ static void N(pull_by)(const Scene *s, const double *p, const double *v, const d
 }
 
 /* Accelerations that what switches gives, each counted by a weight. */
-static void N(weighed)(const Scene *s, const double *p, const double *ends, const double *rates,
-                       const double *u, const double *weight, double *a, const Work *w) {
-  memset(w->f, 0, s->entries * sizeof(double));
+static void N(weighed)(const Scene *s, const Number *p, const Number *ends, const Number *rates,
+                       const Number *u, const Number *weight, Number *a, const Work *w) {
+  memset(w->f, 0, s->entries * sizeof(Number));
   if (s->slacking && s->clustered) N(pull)(s, ends, rates, u, weight, w->f, w);
   else if (s->slacking) N(pull_by)(s, ends, rates, u, weight, w->f);
   for (int i = 0; i < s->grounds; ++i)
     if (s->ground[i].first_switch >= 0)
       N(touch)(s->ground + i, ends, rates, weight + s->slacking + s->ground[i].first_switch, w->f);
-  memset(w->v, 0, s->entries * sizeof(double));
+  memset(w->v, 0, s->entries * sizeof(Number));
   N(accelerations)(s, p, w->v, w->f, a, w);
 }
 
-static void N(gaps)(const Scene *s, const double *p, const double *v, const double *u, double *gap,
-                    double *rate, const Work *w) {
+static void N(gaps)(const Scene *s, const Number *p, const Number *v, const Number *u, Number *gap,
+                    Number *rate, const Work *w) {
   if (s->slacking) {
-    double *length = w->length, *change = s->clustered ? w->rate : rate;
+    Number *length = w->length, *change = s->clustered ? w->rate : rate;
     N(segments)(s, p, u, w->S, length);
-    N(length_rates)(s, v, w->S, length, change);
+    if (rate) N(length_rates)(s, v, w->S, length, change);
     if (s->clustered) {
       sum_by_string(s, length, w->string_length);
-      sum_by_string(s, change, rate);
+      if (rate) sum_by_string(s, change, rate);
       length = w->string_length;
     }
     string_gaps(s, length, rate, u, gap);
   }
   for (int i = 0; i < s->grounds; ++i) {
     const Ground *g = s->ground + i;
+    Number normal[D], unused;
     if (g->first_switch < 0) continue;
+    for (int j = 0; j < D; ++j) normal[j] = all(g->normal[j]);
     for (int j = 0; j < g->count; ++j) {
       const int at = s->slacking + g->first_switch + j, node = g->node[j];
-      N(ground_gap)(p + node, v + node, g->damping, g->height, g->normal, gap + at, rate + at);
+      N(ground_gap)(p + node, v + node, all(g->damping), all(g->height), normal, gap + at,
+                    rate ? rate + at : &unused);
     }
   }
 }

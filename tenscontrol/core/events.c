@@ -2,12 +2,9 @@
 
    A step across such a border loses the order of every method. So a step is taken with the strings
    that pull as they are at its start. If one of them changes within, the step is cut there. What is
-   said of strings holds for contacts. */
-#include <float.h>
-#include <math.h>
+   said of strings holds for contacts. Runs in lanes are searched together, each at its own times. */
 #include <string.h>
 
-#include "kernels.h"
 #include "motion.h"
 
 /* The search: samples, how often it zooms in on those next to the first that is out, chords on the
@@ -21,109 +18,135 @@ static const double FLAT = 0.1;
 /* How late a step may end at most, as part of it. */
 static const double MOST_LATE = 1e-3;
 
-int velocity_dependent(const Scene *s) {
+SHARED int velocity_dependent(const Scene *s) {
   if (s->damped) return 1;
   for (int i = 0; i < s->grounds; ++i)
     if (s->ground[i].count && (s->ground[i].damping > 0 || s->ground[i].friction > 0)) return 1;
   return 0;
 }
 
+/* Gaps alone. */
+static void gaps_at(Span *span, const Number *x, Number time, Number *gap) {
+  gap_at(span, x, time, gap, velocity_dependent(span->scene) ? span->rate : 0);
+}
+
 /* Lengths that round-off in each gap is a part of, m, at a time: rest lengths, and the size. */
-const double *gap_scales(Span *span, double time) {
+SHARED const Number *gap_scales(Span *span, Number time) {
   const Scene *s = span->scene;
   const Input input = input_at(span, time);
-  memcpy(span->scale, input.strings, s->slacking * sizeof(double));
-  for (int i = s->slacking; i < span->switches; ++i) span->scale[i] = s->size;
+  memcpy(span->scale, input.strings, s->slacking * sizeof(Number));
+  for (int i = s->slacking; i < span->switches; ++i) span->scale[i] = all(s->size);
   return span->scale;
 }
 
-static double least_of(const double *of, int count) {
-  double least = INFINITY;
-  for (int i = 0; i < count; ++i) least = smaller(of[i], least);
-  return least;
-}
+static inline Number sign_of(Number taut) { return 2 * taut - 1; }
 
 /* Whether the tangents room0 - out t and room1 - back (h - t) meet below zero. */
-static int meet_outside(double room0, double room1, double out, double back, double h) {
-  return out > 0 && back > 0 && back * room0 + out * room1 < out * back * h;
+static inline Truth meet_outside(Number room0, Number room1, Number out, Number back, Number h) {
+  return (out > 0) & (back > 0) & (back * room0 + out * room1 < out * back * h);
 }
 
-static double sign_of(double taut) { return 2 * taut - 1; }
+/* Marks what is out with 1 at the end of a step, with 2 otherwise; what is marked stays. */
+static inline Number marked(Number mark, Truth is_met, Truth is_out) {
+  return choice(is_met & (mark == 0), choice(is_out, all(1), all(2)), mark);
+}
+
+/* Positions in the middle of a step, and velocities, by the cubic with those at its ends. */
+static void middle_of(Span *span, const Tried *step) {
+  const int half = span->states / 2;
+  const Number h = step->h;
+  const Number *q = step->x, *v = q + half, *q1 = step->x1, *v1 = q1 + half;
+  Number *y = span->middle;
+  for (int i = 0; i < half; ++i) {
+    y[i] = (q[i] + q1[i]) / 2 + h / 8 * (v[i] - v1[i]);
+    y[half + i] = 1.5 / h * (q1[i] - q[i]) - (v[i] + v1[i]) / 4;
+  }
+}
+
+/* Gaps of a state at rest. */
+static void gap_at_rest(Span *span, const Number *x, Number time, Number *gap) {
+  const int half = span->states / 2;
+  memcpy(span->middle, x, half * sizeof *x);
+  memset(span->middle + half, 0, half * sizeof *x);
+  gap_at(span, span->middle, time, gap, span->rate);
+}
 
 /* Marks strings that may switch within a step with 1, and with 2 those that come back in; returns how
    many they are. */
-static int crossed_by(Span *span, const Tried *step, double *marks) {
-  const int m = span->switches, n = span->states, half = n / 2;
-  const double h = step->h, *scale;
-  double *gap0 = span->rooms, *rate0 = span->inside, *gap1 = span->outside, *rate1 = span->within;
-  int count = 0;
-  double square = 0;
+SHARED Number crossings(Span *span, const Tried *step) {
+  const int m = span->switches, n = span->states;
+  const Number h = step->h;
+  const Number *scale, *taut = step->taut;
+  Number *marks = span->leaving;
+  Number *gap0 = span->rooms, *rate0 = span->inside, *gap1 = span->outside, *rate1 = span->within;
+  Number square = all(0), count = all(0);
+  Truth finite;
+  if (!m) return count;
   for (int i = 0; i < n; ++i) square += step->x1[i] * step->x1[i];
-  memset(marks, 0, m * sizeof *marks);
-  if (!(square < INFINITY)) return 0; /* a state that is not finite is not searched */
+  finite = square < INFINITY; /* a state that is not finite is not searched */
   gap_at(span, step->x, step->time, gap0, rate0);
   gap_at(span, step->x1, step->time + h, gap1, rate1);
   scale = gap_scales(span, step->time);
   for (int i = 0; i < m; ++i) {
-    const double sign = sign_of(step->taut[i]), band = BAND * scale[i];
-    const double room0 = sign * gap0[i] + band, room1 = sign * gap1[i] + band;
-    if (room1 < 0 || meet_outside(room0, room1, -sign * rate0[i], sign * rate1[i], h))
-      marks[i] = room1 < 0 ? 1 : 2;
+    const Number sign = sign_of(taut[i]), band = BAND * scale[i];
+    const Number room0 = sign * gap0[i] + band, room1 = sign * gap1[i] + band;
+    const Truth is_out = room1 < 0;
+    const Truth meet = meet_outside(room0, room1, -sign * rate0[i], sign * rate1[i], h);
+    marks[i] = marked(all(0), is_out | meet, is_out);
   }
   if (velocity_dependent(span->scene)) {
-    double *y = span->middle, *gap = span->gap, *rate = span->rate;
-    const double *q = step->x, *v = q + half, *q1 = step->x1, *v1 = q1 + half;
+    Number *gap = span->gap, *there = span->rooms;
     /* The border of a damped string has other tangents than its stretch: look at the middle. */
-    double *out = span->chosen; /* whether the end is out */
-    for (int i = 0; i < m; ++i) out[i] = sign_of(step->taut[i]) * gap1[i] + BAND * scale[i] < 0;
-    for (int i = 0; i < half; ++i) {
-      y[i] = (q[i] + q1[i]) / 2 + h / 8 * (v[i] - v1[i]);
-      y[half + i] = 1.5 / h * (q1[i] - q[i]) - (v[i] + v1[i]) / 4;
-    }
-    gap_at(span, y, step->time + h / 2, gap, rate);
-    scale = gap_scales(span, step->time);
-    for (int i = 0; i < m; ++i)
-      if (sign_of(step->taut[i]) * gap[i] + BAND * scale[i] < 0 && !marks[i])
-        marks[i] = out[i] ? 1 : 2;
-    /* A slack string pulls as soon as its stretch grows through zero, however soon the damping lets
-       it go again. At rest nothing is damped, and the gap is the stretch. */
-    memcpy(y, q, half * sizeof *y);
-    memset(y + half, 0, half * sizeof *y);
-    gap_at(span, y, step->time, gap, rate);
-    memcpy(y, q1, half * sizeof *y);
-    gap_at(span, y, step->time + h, span->rooms, rate);
+    middle_of(span, step);
+    gap_at(span, span->middle, step->time + h / 2, gap, span->rate);
     scale = gap_scales(span, step->time);
     for (int i = 0; i < m; ++i) {
-      const double room0 = BAND * scale[i] - gap[i], room1 = BAND * scale[i] - span->rooms[i];
-      const int dips = meet_outside(room0, room1, rate0[i], -rate1[i], h);
-      if (step->taut[i] == 0 && room0 > 0 && (room1 < 0 || dips) && !marks[i])
-        marks[i] = out[i] ? 1 : 2;
+      const Number sign = sign_of(taut[i]), band = BAND * scale[i];
+      marks[i] = marked(marks[i], sign * gap[i] + band < 0, sign * gap1[i] + band < 0);
+    }
+    /* A slack string pulls as soon as its stretch grows through zero, however soon the damping lets
+       it go again. At rest nothing is damped, and the gap is the stretch. */
+    gap_at_rest(span, step->x, step->time, gap);
+    gap_at_rest(span, step->x1, step->time + h, there);
+    scale = gap_scales(span, step->time);
+    for (int i = 0; i < m; ++i) {
+      const Number band = BAND * scale[i], room0 = band - gap[i], room1 = band - there[i];
+      const Truth dips = meet_outside(room0, room1, rate0[i], -rate1[i], h);
+      const Truth pulls = (taut[i] == 0) & (room0 > 0) & ((room1 < 0) | dips);
+      marks[i] = marked(marks[i], pulls, sign_of(taut[i]) * gap1[i] + band < 0);
     }
   }
-  for (int i = 0; i < m; ++i) count += marks[i] != 0;
+  for (int i = 0; i < m; ++i) {
+    marks[i] = only(finite, marks[i]);
+    count += truth(marks[i] != 0);
+  }
   return count;
 }
 
-int crossings(Span *span, const Tried *step) { return crossed_by(span, step, span->leaving); }
+static Number least_of(const Number *of, int count) {
+  Number least = all(INFINITY);
+  for (int i = 0; i < count; ++i) least = smaller(of[i], least);
+  return least;
+}
 
 /* Switches in a step that is not cut: a string that is out at the end has switched once, at least;
    one that comes back in, twice. */
-int missed_switches(Span *span, const Tried *step) {
-  int count = 0;
-  crossed_by(span, step, span->leaving);
-  for (int i = 0; i < span->switches; ++i) count += (int)span->leaving[i];
+SHARED Number missed_switches(Span *span, const Tried *step) {
+  Number count = all(0);
+  crossings(span, step);
+  for (int i = 0; i < span->switches; ++i) count += span->leaving[i];
   return count;
 }
 
 /* The polynomials of degree 5 with positions, velocities and accelerations at both ends. */
-void make_path(Span *span, const Tried *step) {
+SHARED void make_path(Span *span, const Tried *step) {
   const int half = span->states / 2;
-  const double h = step->h, *x = step->x, *x1 = step->x1;
-  double *c = span->coefficients;
+  const Number h = step->h, *x = step->x, *x1 = step->x1;
+  Number *c = span->coefficients;
   for (int i = 0; i < half; ++i) {
-    const double q0 = x[i], v0 = h * x[half + i], q1 = x1[i], v1 = h * x1[half + i];
-    const double a0 = h * h * step->slope[half + i], a1 = h * h * step->slope1[half + i];
-    const double d = q1 - q0 - v0 - a0 / 2, e = v1 - v0 - a0, f = a1 - a0;
+    const Number q0 = x[i], v0 = h * x[half + i], q1 = x1[i], v1 = h * x1[half + i];
+    const Number a0 = h * h * step->slope[half + i], a1 = h * h * step->slope1[half + i];
+    const Number d = q1 - q0 - v0 - a0 / 2, e = v1 - v0 - a0, f = a1 - a0;
     c[i] = q0;
     c[half + i] = v0;
     c[2 * half + i] = a0 / 2;
@@ -133,53 +156,61 @@ void make_path(Span *span, const Tried *step) {
   }
 }
 
-void on_path(const Span *span, double h, double part, double *x) {
+/* Positions at a part of a step. */
+static void places_on_path(const Span *span, Number part, Number *x) {
   const int half = span->states / 2;
-  const double *c = span->coefficients;
+  const Number *c = span->coefficients;
   for (int i = 0; i < half; ++i) {
-    double q = 0, v = 0;
-    for (int k = 5; k >= 0; --k) {
-      q = q * part + c[k * half + i];
-      if (k) v = v * part + k * c[k * half + i];
-    }
-    x[i] = q;
+    x[i] = c[5 * half + i];
+    for (int k = 4; k >= 0; --k) x[i] = x[i] * part + c[k * half + i];
+  }
+}
+
+SHARED void on_path(const Span *span, Number h, Number part, Number *x) {
+  const int half = span->states / 2;
+  const Number *c = span->coefficients;
+  places_on_path(span, part, x);
+  for (int i = 0; i < half; ++i) {
+    Number v = 5 * c[5 * half + i];
+    for (int k = 4; k > 0; --k) v = v * part + (double)k * c[k * half + i];
     x[half + i] = v / h;
   }
 }
 
 /* Room of each string up to its border at a part of a step, m. */
-static void rooms_at(Span *span, const Tried *step, double part, double *rooms) {
-  const double *scale;
-  double *y = span->middle;
-  on_path(span, step->h, part, y);
-  gap_at(span, y, step->time + part * step->h, span->gap, span->rate);
+static void rooms_at(Span *span, const Tried *step, Number part, Number *rooms) {
+  const Number *scale;
+  Number *y = span->middle;
+  if (velocity_dependent(span->scene)) on_path(span, step->h, part, y);
+  else places_on_path(span, part, y);
+  gaps_at(span, y, step->time + part * step->h, span->gap);
   scale = gap_scales(span, step->time);
   for (int i = 0; i < span->switches; ++i)
     rooms[i] = sign_of(step->taut[i]) * span->gap[i] + BAND * scale[i];
 }
 
 /* Closes in on the first sample that is out, else on the lowest; whether one is out. */
-static int zoom(Span *span, const Tried *step, double *low, double *high) {
-  const double width = (*high - *low) / SAMPLES;
-  double least = INFINITY;
-  int first = 0, last = 1;
-  for (int j = 0; j < SAMPLES && !(least < 0); ++j) {
-    double lowest;
-    rooms_at(span, step, *low + (j + 1) * width, span->rooms);
+static Truth zoom(Span *span, const Tried *step, Number *low, Number *high) {
+  const Number width = (*high - *low) / SAMPLES;
+  Number least = all(INFINITY), first = all(0), last = all(1);
+  for (int j = 0; j < SAMPLES && any((least < 0) == 0); ++j) {
+    const Truth is_in = (least < 0) == 0;
+    Number lowest;
+    Truth better;
+    rooms_at(span, step, *low + (j + 1.0) * width, span->rooms);
     lowest = least_of(span->rooms, span->switches);
-    if (lowest < least) {
-      first = j;
-      last = lowest < 0 || j + 2 > SAMPLES ? j + 1 : j + 2;
-      least = lowest;
-    }
+    better = is_in & (lowest < least);
+    first = choice(better, all(j), first);
+    last = choice(better, choice(lowest < 0, all(j + 1), all(j + 2 > SAMPLES ? j + 1 : j + 2)), last);
+    least = choice(better, lowest, least);
   }
   *high = *low + last * width;
   *low += first * width;
   return least < 0;
 }
 
-static double mean_of_chosen(const Span *span, const double *of) {
-  double sum = 0, count = 0;
+static Number mean_of_chosen(const Span *span, const Number *of) {
+  Number sum = all(0), count = all(0);
   for (int i = 0; i < span->switches; ++i) {
     sum += span->chosen[i] * of[i];
     count += span->chosen[i];
@@ -193,13 +224,13 @@ static double mean_of_chosen(const Span *span, const double *of) {
    times the stiffness, as a force that does not depend on velocities is continuous there. So it may
    end past the border by at most sqrt(allowed r), or the part `least` of the length of the string
    if that is more, and never before it: the next step would be wrong. Other forces jump. */
-Cut first_switch(Span *span, const Tried *step, double allowed, double least) {
+SHARED Cut first_switch(Span *span, const Tried *step, double allowed, double least) {
   const int m = span->switches;
-  const double *scale, h = step->h;
-  double *inside = span->inside, *outside = span->outside, *chosen = span->chosen;
-  double low = 0, high = 1, near, size, first = INFINITY, edge, before, after, late = 0, lowest;
-  double left, right, over, under;
-  Cut cut = {0, 0, 0, 0};
+  const Number *scale, h = step->h;
+  Number *inside = span->inside, *outside = span->outside, *chosen = span->chosen;
+  Number low = all(0), high = all(1), near, size, first = all(INFINITY), edge, before, after;
+  Number late = all(0), lowest, left, right, over, under;
+  Cut cut;
   make_path(span, step);
   for (int i = 0; i < (span->scene->grounds ? ZOOMS_ON_GROUND : ZOOMS); ++i)
     cut.found = zoom(span, step, &low, &high);
@@ -210,78 +241,86 @@ Cut first_switch(Span *span, const Tried *step, double allowed, double least) {
   near = 0.5 * BAND * size;
   /* The string that is out first, by the secants; several, where they go out together. */
   for (int i = 0; i < m; ++i) {
-    const double start = larger(inside[i], 0);
-    first = smaller(outside[i] < 0 ? start / (start - outside[i]) : 1, first);
+    const Number start = larger(inside[i], all(0)), secant = start / (start - outside[i]);
+    first = smaller(choice(outside[i] < 0, secant, all(1)), first);
   }
   lowest = least_of(outside, m);
   for (int i = 0; i < m; ++i) {
-    const int is_out = outside[i] < 0 && inside[i] + first * (outside[i] - inside[i]) <= near;
-    chosen[i] = cut.found ? is_out : outside[i] <= lowest + near;
-    span->leaving[i] = outside[i] < inside[i];
+    const Truth is_out = (outside[i] < 0) & (inside[i] + first * (outside[i] - inside[i]) <= near);
+    chosen[i] = choice(cut.found, truth(is_out), truth(outside[i] <= lowest + near));
+    span->leaving[i] = truth(outside[i] < inside[i]);
   }
   edge = BAND * size;
   before = mean_of_chosen(span, inside) - edge;
   after = mean_of_chosen(span, outside) - edge;
   cut.speed = (after - before) / (high - low);
   if (!velocity_dependent(span->scene)) {
-    const double speed = fabs(cut.speed);
-    late = larger(smaller(sqrt(allowed * speed / h), MOST_LATE * speed), least * size);
+    const Number speed = positive(cut.speed);
+    late = larger(smaller(root(allowed * speed / h), MOST_LATE * speed), least * size);
   }
   cut.aim = larger(-larger(late, 0.2 * BAND * size), after) / 2;
   /* The Illinois method: the chord of a string that starts at rest on the border is far from its
      slope there, and others that start next to it are not to be passed. */
   left = low, right = high, over = before - cut.aim, under = after - cut.aim;
   for (int i = 0; i < CHORDS; ++i) {
-    double there;
+    Number there;
+    Truth is_in;
     cut.part = smaller(larger(left + over * (right - left) / (over - under), left), right);
     rooms_at(span, step, cut.part, span->rooms);
     there = mean_of_chosen(span, span->rooms) - edge - cut.aim;
-    if (there > 0)
-      left = cut.part, over = there, under /= 2;
-    else
-      right = cut.part, under = there, over /= 2;
+    is_in = there > 0;
+    left = choice(is_in, cut.part, left);
+    right = choice(is_in, right, cut.part);
+    over = choice(is_in, there, over / 2);
+    under = choice(is_in, under / 2, there);
   }
   return cut;
 }
 
-/* Goes to a switch by true steps, as a rule by one; returns the part of the step, and x there. */
-double approach(Span *span, const Tried *step, Cut cut, Place *place, void *by, double *x,
-                int *places) {
-  double part = 0, wanted = cut.part, speed = cut.speed, gap_before = cut.aim;
-  *places = 0;
-  while (*places < POLISHES && (!*places || fabs(gap_before - cut.aim) > fabs(cut.aim))) {
-    const double before = part;
-    double gap, secant;
-    int apart, flat;
-    part = smaller(larger(speed < 0 ? wanted : 0, 0), 1);
+/* Goes to the switch that is found by true steps, as a rule by one; where none is, to the end of the
+   step. Returns the part of the step, and x there. */
+SHARED Number approach(Span *span, const Tried *step, Cut cut, Place *place, void *by, Number *x,
+                       Number *places) {
+  Number part = choice(cut.found, all(0), all(1)), wanted = cut.part, speed = cut.speed;
+  Number gap_before = cut.aim;
+  Truth going = cut.found;
+  *places = all(0);
+  for (int count = 0; count < POLISHES && any(going); ++count) {
+    const Number before = part;
+    Number gap, moved_by, secant;
+    Truth apart, flat;
+    *places += truth(going);
+    part = choice(going, smaller(larger(only(speed < 0, wanted), all(0)), all(1)), part);
     place(by, part, x);
-    gap_at(span, x, step->time + part * step->h, span->gap, span->rate);
+    gaps_at(span, x, step->time + part * step->h, span->gap);
     for (int i = 0; i < span->switches; ++i) span->gap[i] *= sign_of(step->taut[i]);
     gap = mean_of_chosen(span, span->gap);
     /* The gap of a damped string has a kink next to the border: the tension falls fast up to it,
        and beyond it is the stretch that counts. Where it is flat between two places beyond, the
        next is twice as far back. */
-    apart = *places && fabs(part - before) > 1e-6;
-    secant = (gap - gap_before) / (apart ? part - before : 1);
-    flat = apart && larger(gap, gap_before) < 0 && secant > FLAT * speed;
-    if (apart && secant < 0 && !flat) speed = secant;
-    wanted = part + (flat ? -2 * fabs(part - before) : (cut.aim - gap) / speed);
+    moved_by = part - before;
+    apart = positive(moved_by) > (count ? 1e-6 : INFINITY);
+    secant = (gap - gap_before) / choice(apart, moved_by, all(1));
+    flat = apart & (larger(gap, gap_before) < 0) & (secant > FLAT * speed);
+    speed = choice(apart & (secant < 0) & (flat == 0), secant, speed);
+    wanted = part + choice(flat, -2 * positive(moved_by), (cut.aim - gap) / speed);
     gap_before = gap;
-    ++*places;
+    going &= positive(gap - cut.aim) > positive(cut.aim);
   }
   return part;
 }
 
-/* Switches what has reached its border on the way out; returns how many. */
-int switch_over(Span *span, const double *x, double time, double *taut) {
-  int count = 0;
-  const double *scale;
-  gap_at(span, x, time, span->gap, span->rate);
+/* Switches what has reached its border on the way out, in the runs that are meant; returns how many. */
+SHARED Number switch_over(Span *span, Truth meant, const Number *x, Number time, Number *taut) {
+  Number count = all(0);
+  const Number *scale;
+  gaps_at(span, x, time, span->gap);
   scale = gap_scales(span, time);
-  for (int i = 0; i < span->switches; ++i)
-    if (sign_of(taut[i]) * span->gap[i] <= 0.5 * BAND * scale[i] && span->leaving[i]) {
-      taut[i] = 1 - taut[i];
-      ++count;
-    }
+  for (int i = 0; i < span->switches; ++i) {
+    const Number room = sign_of(taut[i]) * span->gap[i];
+    const Truth over = meant & (room <= 0.5 * BAND * scale[i]) & (span->leaving[i] != 0);
+    taut[i] = choice(over, 1 - taut[i], taut[i]);
+    count += truth(over);
+  }
   return count;
 }

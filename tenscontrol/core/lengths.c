@@ -1,19 +1,18 @@
 /* Bars put on their lengths, and what stretches them removed from velocities. */
-#include <math.h>
 #include <string.h>
 
 #include "blocks.h"
 #include "motion.h"
 
 /* Scales the vector from one end of a bar to its length, and removes what its rate has along it. */
-static void restore(const double *bar, const double *rate, double length, int d, double *new_bar,
-                    double *new_rate) {
-  double square = 0, along = 0, scale;
+static inline void restore(const Number *bar, const Number *rate, double length, int d,
+                           Number *new_bar, Number *new_rate) {
+  Number square = all(0), along = all(0), scale;
   for (int k = 0; k < d; ++k) {
     square += bar[k] * bar[k];
     along += bar[k] * rate[k];
   }
-  scale = length / sqrt(square);
+  scale = length / root(square);
   for (int k = 0; k < d; ++k) {
     new_bar[k] = bar[k] * scale;
     new_rate[k] = (rate[k] - bar[k] * (along / square)) * (1 / scale);
@@ -24,19 +23,19 @@ static void restore(const double *bar, const double *rate, double length, int d,
 
    Rates are scaled by the inverse, so that the cross product of bar and rate stays. Centres, string
    nodes and hinges stay, and momenta with them, to round-off. */
-static void restore_alone(Span *span, double *x) {
+static void restore_alone(Span *span, Number *x) {
   const Scene *s = span->scene;
   const int d = s->dimension, free = s->free;
   for (int i = 0; i < s->free_bars; ++i) {
-    double *a = x + s->bar_row[2 * i], *b = x + s->bar_row[2 * i + 1];
-    double bar[3], rate[3], new_bar[3], new_rate[3];
+    Number *a = x + s->bar_row[2 * i], *b = x + s->bar_row[2 * i + 1];
+    Number bar[3], rate[3], new_bar[3], new_rate[3];
     for (int k = 0; k < d; ++k) {
       bar[k] = b[k] - a[k];
       rate[k] = b[free + k] - a[free + k];
     }
     restore(bar, rate, span->lengths->bar_length[i], d, new_bar, new_rate);
     for (int k = 0; k < d; ++k) {
-      const double centre = (a[k] + b[k]) / 2, speed = (a[free + k] + b[free + k]) / 2;
+      const Number centre = (a[k] + b[k]) / 2, speed = (a[free + k] + b[free + k]) / 2;
       a[k] = centre - new_bar[k] / 2;
       b[k] = centre + new_bar[k] / 2;
       a[free + k] = speed - new_rate[k] / 2;
@@ -44,9 +43,9 @@ static void restore_alone(Span *span, double *x) {
     }
   }
   for (int i = 0; i < s->swinging_bars; ++i) {
-    double *b = x + s->tip_row[i];
-    const double *hinge = s->place + s->hinge[i];
-    double bar[3], new_bar[3], new_rate[3];
+    Number *b = x + s->tip_row[i];
+    const Number *hinge = numbers(s->place) + s->hinge[i];
+    Number bar[3], new_bar[3], new_rate[3];
     for (int k = 0; k < d; ++k) bar[k] = b[k] - hinge[k];
     restore(bar, b + free, span->lengths->tip_length[i], d, new_bar, new_rate);
     for (int k = 0; k < d; ++k) {
@@ -63,32 +62,32 @@ enum { MOST_ITERATIONS = 40 };
 static const double TINY = 2e-16, SMALL = 1e-12, LEAST_COSINE = 0.54030230586813977;
 
 /* Positions or velocities of all entries of the structure. */
-static void spread_all(const Scene *s, const double *free, int are_places, double *all) {
+static void spread_all(const Scene *s, const Number *free, int are_places, Number *to) {
   if (!s->free_row) {
-    memcpy(all, free, s->entries * sizeof *all);
+    memcpy(to, free, s->entries * sizeof *to);
     return;
   }
   if (are_places)
-    memcpy(all, s->place, s->entries * sizeof *all);
+    memcpy(to, s->place, s->entries * sizeof *to);
   else
-    memset(all, 0, s->entries * sizeof *all);
-  for (int i = 0; i < s->free; ++i) all[s->free_row[i]] = free[i];
+    memset(to, 0, s->entries * sizeof *to);
+  for (int i = 0; i < s->free; ++i) to[s->free_row[i]] = free[i];
 }
 
-static void factorize_at(const Scene *s, const double *p, double *K) {
+static void factorize_at(const Scene *s, const Number *p, Number *K) {
   const int d = s->dimension;
   memcpy(K, s->block_mass, (s->factors + s->unknowns + 1) * sizeof *K);
   for (int i = 0; i < s->block_bars; ++i)
     for (int k = 0; k < d; ++k) {
-      const double b = p[s->block_end[i] + k] - p[s->block_start[i] + k];
+      const Number b = p[s->block_end[i] + k] - p[s->block_start[i] + k];
       K[s->entry_end[d * i + k]] = b;
       K[s->entry_start[d * i + k]] = -b;
     }
   factorize(s, K);
 }
 
-static double dot_of_bars(const Scene *s, int i, const double *a, const double *b) {
-  double sum = 0;
+static Number dot_of_bars(const Scene *s, int i, const Number *a, const Number *b) {
+  Number sum = all(0);
   for (int k = 0; k < s->dimension; ++k)
     sum += (a[s->block_end[i] + k] - a[s->block_start[i] + k]) *
            (b[s->block_end[i] + k] - b[s->block_start[i] + k]);
@@ -96,23 +95,27 @@ static double dot_of_bars(const Scene *s, int i, const double *a, const double *
 }
 
 /* The change of the rows of blocks that solves J change = right, along the inverse of M times J'. */
-static void change_of(const Scene *s, const double *K, double *y, double *to) {
+static void change_of(const Scene *s, const Number *K, Number *y, Number *to) {
   solve(s, K, y);
   for (int i = 0; i < s->block_rows; ++i) to[i] = y[s->block_place[i]];
 }
 
-static double cross_part(const double *a, const double *b, int axis) {
+static Number cross_part(const Number *a, const Number *b, int axis) {
   const int i = (axis + 1) % 3, j = (axis + 2) % 3;
   return a[i] * b[j] - a[j] * b[i];
 }
 
 /* Adds the mass, its first moment, its spread and its angular momentum about the origin. */
 typedef struct {
-  double mass, first[3], spread[3][3], momentum[3];
+  double mass;
+  Number first[3], spread[3][3], momentum[3];
 } Moments;
 
-static void add(Moments *m, double mass, const double *r, const double *q, const double *v, int d) {
-  double a[3] = {0}, b[3] = {0}, c[3] = {0};
+static void add(Moments *m, double mass, const Number *r, const Number *q, const Number *v, int d) {
+  Number a[3], b[3], c[3];
+  memset(a, 0, sizeof a);
+  memset(b, 0, sizeof b);
+  memset(c, 0, sizeof c);
   memcpy(a, r, d * sizeof *a);
   memcpy(b, q, d * sizeof *b);
   memcpy(c, v, d * sizeof *c);
@@ -124,27 +127,29 @@ static void add(Moments *m, double mass, const double *r, const double *q, const
   m->mass += mass;
 }
 
-static Moments moments_of(const Body *body, const double *x, int free, int d) {
-  Moments m = {0};
+static Moments moments_of(const Body *body, const Number *x, int free, int d) {
+  Moments m;
+  memset(&m, 0, sizeof m);
   for (int i = 0; i < body->bars; ++i) {
-    const double *a = x + body->start[i], *b = x + body->end[i], mass = body->bar_mass[i];
+    const double mass = body->bar_mass[i];
+    const Number *a = x + body->start[i], *b = x + body->end[i];
     add(&m, mass / 3, a, a, a + free, d);
     add(&m, mass / 6, a, b, b + free, d);
     add(&m, mass / 6, b, a, a + free, d);
     add(&m, mass / 3, b, b, b + free, d);
   }
   for (int i = 0; i < body->nodes; ++i) {
-    const double *a = x + body->node[i];
+    const Number *a = x + body->node[i];
     add(&m, body->point_mass[i], a, a, a + free, d);
   }
   return m;
 }
 
 /* Solves a positive definite 3 x 3 system by LDL'; all of it is used up. */
-static void solve3(double A[3][3], double *b, double *x) {
+static void solve3(Number A[3][3], Number *b, Number *x) {
   for (int j = 0; j < 3; ++j)
     for (int i = j + 1; i < 3; ++i) {
-      const double factor = A[i][j] / A[j][j];
+      const Number factor = A[i][j] / A[j][j];
       for (int k = j; k < 3; ++k) A[i][k] -= factor * A[j][k];
       b[i] -= factor * b[j];
     }
@@ -156,9 +161,10 @@ static void solve3(double A[3][3], double *b, double *x) {
 }
 
 /* Turns a body so that it has the angular momentum that it had before. */
-static void turn(const Body *body, const double *before, double *x, int free, int d) {
+static void turn(const Body *body, const Number *before, Number *x, int free, int d) {
   Moments old = moments_of(body, before, free, d), new = moments_of(body, x, free, d);
-  double inertia[3][3], centre[3], lost[3], turn[3] = {0}, trace = 0;
+  Number inertia[3][3], centre[3], lost[3], turn[3], trace = all(0);
+  memset(turn, 0, sizeof turn);
   for (int i = 0; i < 3; ++i) {
     centre[i] = new.first[i] / new.mass;
     lost[i] = old.momentum[i] - new.momentum[i];
@@ -169,12 +175,13 @@ static void turn(const Body *body, const double *before, double *x, int free, in
   else {
     for (int i = 0; i < 3; ++i)
       for (int j = 0; j < 3; ++j)
-        inertia[i][j] = (i == j ? (1 + 1e-12) * trace : 0) -
+        inertia[i][j] = (i == j ? (1 + 1e-12) * trace : all(0)) -
                         (new.spread[i][j] - new.mass * centre[i] * centre[j]);
     solve3(inertia, lost, turn);
   }
   for (int i = 0; i < body->nodes; ++i) {
-    double *a = x + body->node[i], arm[3] = {0};
+    Number *a = x + body->node[i], arm[3];
+    memset(arm, 0, sizeof arm);
     for (int k = 0; k < d; ++k) arm[k] = a[k] - centre[k];
     for (int k = 0; k < d; ++k) a[free + k] += cross_part(turn, arm, k);
   }
@@ -182,55 +189,59 @@ static void turn(const Body *body, const double *before, double *x, int free, in
 
 /* Puts bars that share nodes on their lengths: the least change in the metric of the mass. Momenta
    stay. Not a number where they are not found near by. */
-static void restore_blocks(Span *span, double *x) {
+static void restore_blocks(Span *span, Number *x) {
   const Scene *s = span->scene;
   const Lengths *lengths = span->lengths;
   const int rows = s->block_rows, free = s->free;
-  double *before = span->restored, *p = before + 2 * free, *p0 = p + s->entries;
-  double *K = p0 + s->entries, *y = K + s->factors + s->unknowns + 1, *part = y + s->unknowns;
-  double last = INFINITY, previous = INFINITY, scale = 0;
-  int good = 1;
+  Number *before = span->restored, *p = before + 2 * free, *p0 = p + s->entries;
+  Number *K = p0 + s->entries, *y = K + s->factors + s->unknowns + 1, *part = y + s->unknowns;
+  Number last = all(INFINITY), previous = last, scale = all(0);
+  Truth good = last > 0, going = good;
   memcpy(before, x, 2 * free * sizeof *x);
-  for (int i = 0; i < rows; ++i) scale = fmax(scale, fabs(x[lengths->block_free[i]]));
+  for (int i = 0; i < rows; ++i) scale = larger(positive(x[lengths->block_free[i]]), scale);
   scale += s->size;
   spread_all(s, x, 1, p0);
   factorize_at(s, p0, K);
   memcpy(p, p0, s->entries * sizeof *p);
   for (int count = 0; count < MOST_ITERATIONS; ++count) {
-    if (!(last > TINY * scale && !(last < SMALL * scale && last >= previous / 2))) break;
+    Number square = all(0);
+    going &= ((last < SMALL * scale) & (last >= previous / 2)) == 0;
+    going &= last > TINY * scale;
+    if (!any(going)) break;
     memset(y, 0, s->unknowns * sizeof *y);
     for (int i = 0; i < s->block_bars; ++i) {
       const double length = lengths->block_length[i];
       y[s->right_place[i]] = -(dot_of_bars(s, i, p, p) - length * length) / 2;
     }
     change_of(s, K, y, part);
-    previous = last;
-    last = 0;
     for (int i = 0; i < rows; ++i) {
-      x[lengths->block_free[i]] += part[i];
-      last += part[i] * part[i];
+      Number *to = x + lengths->block_free[i];
+      *to = choice(going, *to + part[i], *to);
+      square += part[i] * part[i];
     }
-    last = sqrt(last);
+    previous = choice(going, last, previous);
+    last = choice(going, root(square), last);
     spread_all(s, x, 1, p);
   }
   for (int i = 0; i < s->block_bars; ++i) {
     const double square = lengths->block_length[i] * lengths->block_length[i];
-    good = good && dot_of_bars(s, i, p0, p) >= LEAST_COSINE * square;
+    good &= dot_of_bars(s, i, p0, p) >= LEAST_COSINE * square;
   }
-  if (!(good && last < SMALL * scale)) {
-    for (int i = 0; i < rows; ++i) x[lengths->block_free[i]] = NAN;
-    return;
-  }
+  good &= last < SMALL * scale;
   factorize_at(s, p, K);
   spread_all(s, x + free, 0, p0);
   memset(y, 0, s->unknowns * sizeof *y);
   for (int i = 0; i < s->block_bars; ++i) y[s->right_place[i]] = -dot_of_bars(s, i, p, p0);
   change_of(s, K, y, part);
   for (int i = 0; i < rows; ++i) x[free + lengths->block_free[i]] += part[i];
+  for (int i = 0; i < rows; ++i) {
+    Number *to = x + lengths->block_free[i];
+    *to = choice(good, *to, all(NAN));
+  }
   for (int i = 0; i < lengths->bodies; ++i) turn(lengths->body + i, before, x, free, s->dimension);
 }
 
-void restore_bars(Span *span, double *x) {
+SHARED void restore_bars(Span *span, Number *x) {
   if (!span->lengths) return;
   restore_alone(span, x);
   if (span->scene->block_bars) restore_blocks(span, x);

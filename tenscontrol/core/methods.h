@@ -2,14 +2,18 @@
 #ifndef TENSCONTROL_METHODS_H
 #define TENSCONTROL_METHODS_H
 
-#include "motion.h"
+#include "core.h"
+#include "numbers.h"
 
 /* States that a method keeps in memory, at most. */
 enum { METHOD_STATES = 64 };
 
-int advance_by_rk4(Span *span, const Settings *settings, Progress *progress, double *x,
-                   double *taut, double *states, double *work);
-int advance_by_dop853(Span *span, const Settings *settings, Progress *progress, double *x,
-                      double *slope, double *taut, double *states, double *work);
+/* Steps between outputs, in all, and the size of one, s. */
+typedef struct {
+  int64_t inner, total;
+  double h;
+} FixedSteps;
+
+SHARED FixedSteps fixed_steps(const Settings *settings);
 
 #endif

@@ -1,4 +1,4 @@
-/* A span of a motion: its inputs in time, its memory, bars on their lengths, and the loop. */
+/* The calls of the core. */
 #include "motion.h"
 
 #include <math.h>
@@ -6,89 +6,8 @@
 
 #include "methods.h"
 
-Input input_at(Span *span, double time) {
-  const Scene *s = span->scene;
-  const Drive *drive = span->drive;
-  const int n = drive->count;
-  const double *c = drive->coefficients, *values = c, *offset;
-  Input input;
-  if (drive->degree) {
-    const double t = drive->begin + time;
-    double *to = span->values;
-    for (int i = 0; i < n; ++i) to[i] = c[drive->degree * n + i];
-    for (int k = drive->degree - 1; k >= 0; --k)
-      for (int i = 0; i < n; ++i) to[i] = to[i] * t + c[k * n + i];
-    values = to;
-    if (drive->is_moved) {
-      const int first = n - s->entries;
-      double *rate = span->rates;
-      for (int i = first; i < n; ++i) rate[i] = drive->degree * c[drive->degree * n + i];
-      for (int k = drive->degree - 1; k > 0; --k)
-        for (int i = first; i < n; ++i) rate[i] = rate[i] * t + k * c[k * n + i];
-    }
-  }
-  offset = values + n - s->entries;
-  input.strings = values;
-  input.load = drive->is_loaded ? values + s->strings : 0;
-  input.offset = drive->is_moved ? offset : 0;
-  input.offset_rate = drive->is_moved && drive->degree ? span->rates + n - s->entries : 0;
-  return input;
-}
-
-void slope_at(Span *span, const double *x, double time, const double *taut, double *slope) {
-  const Input input = input_at(span, time);
-  slope_of(span->scene, x, &input, taut, slope, span->work);
-}
-
-/* The rate of a stretch is less by that of the rest length. */
-void gap_at(Span *span, const double *x, double time, double *gap, double *rate) {
-  const Input input = input_at(span, time);
-  const Drive *drive = span->drive;
-  gap_of(span->scene, x, &input, gap, rate, span->work);
-  if (drive->degree) {
-    const int n = drive->count;
-    const double t = drive->begin + time, *c = drive->coefficients;
-    for (int i = 0; i < span->scene->slacking; ++i) {
-      double change = drive->degree * c[drive->degree * n + i];
-      for (int k = drive->degree - 1; k > 0; --k) change = change * t + k * c[k * n + i];
-      rate[i] -= change;
-    }
-  }
-}
-
-static size_t restored_size(const Scene *s) {
-  return 2 * (size_t)s->free + 2 * (size_t)s->entries + s->factors + 2 * (size_t)s->unknowns + 1 +
-         s->block_rows;
-}
-
 size_t tc_motion_work_size(const Scene *s, const Drive *drive) {
-  const size_t n = 2 * (size_t)s->free, m = s->switches;
-  return equation_work_size(s) + 2 * (size_t)drive->count + 10 * m + 4 * n + restored_size(s) +
-         carry_size(s) + METHOD_STATES * n;
-}
-
-/* Lays out a span in memory; returns what is left of it. */
-static double *begin(Span *span, const Scene *s, const Drive *drive, const Lengths *lengths,
-                     double *work) {
-  const int n = 2 * s->free, m = s->switches;
-  double **arrays[] = {&span->gap,    &span->rate,   &span->scale,   &span->rooms, &span->inside,
-                       &span->outside, &span->chosen, &span->leaving, &span->within};
-  span->scene = s;
-  span->drive = drive;
-  span->lengths = lengths;
-  span->states = n;
-  span->switches = m;
-  span->work = work;
-  work += equation_work_size(s);
-  span->values = work;
-  span->rates = work + drive->count;
-  work += 2 * drive->count;
-  for (size_t i = 0; i < sizeof arrays / sizeof *arrays; ++i, work += m) *arrays[i] = work;
-  span->middle = work;
-  span->coefficients = work + n;
-  span->restored = work + 4 * n;
-  span->carried = span->restored + restored_size(s);
-  return span->carried + carry_size(s);
+  return span_size(s, drive) + METHOD_STATES * 2 * (size_t)s->free;
 }
 
 void tc_slope(const Scene *s, const Drive *drive, const double *state, const double *taut,

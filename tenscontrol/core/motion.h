@@ -3,12 +3,13 @@
 #define TENSCONTROL_MOTION_H
 
 #include "core.h"
+#include "numbers.h"
 
 /* Inputs at one time. */
 typedef struct {
-  const double *strings;              /* rest lengths, m, or force densities, N/m */
-  const double *load;                 /* (entries), N, or null */
-  const double *offset, *offset_rate; /* (entries): displacement with supports, m, m/s, or null */
+  const Number *strings;              /* rest lengths, m, or force densities, N/m */
+  const Number *load;                 /* (entries), N, or null */
+  const Number *offset, *offset_rate; /* (entries): displacement with supports, m, m/s, or null */
 } Input;
 
 /* A span of a motion: a scene, its inputs as polynomials in time, and memory. */
@@ -17,66 +18,81 @@ typedef struct {
   const Drive *drive;
   const Lengths *lengths; /* null where bars are left as they are */
   int states, switches;
-  double *values, *rates; /* inputs at one time, and their rates in time */
-  double *work;           /* of the equation */
-  double *gap, *rate, *middle, *scale; /* of the search for switches */
-  double *restored; /* of bars that are put on their lengths */
-  double *coefficients, *rooms, *inside, *outside, *chosen, *leaving, *within;
-  double *carried; /* of switches in steps that are not cut */
+  Number *values, *rates; /* inputs at one time, and their rates in time */
+  Number *work;           /* of the equation */
+  Number *gap, *rate, *middle, *scale; /* of the search for switches */
+  Number *restored; /* of bars that are put on their lengths */
+  Number *coefficients, *rooms, *inside, *outside, *chosen, *leaving, *within;
+  Number *carried; /* of switches in steps that are not cut */
 } Span;
 
 /* Of equation.c: memory of one evaluation; by inputs at one time xdot, accelerations by the forces of
-   what can switch, each counted by a weight, forces on all entries, and gaps. */
-size_t equation_work_size(const Scene *scene);
-void slope_of(const Scene *scene, const double *state, const Input *input, const double *taut,
-              double *slope, double *work);
-void weighed_accelerations(const Scene *scene, const double *state, const Input *input,
-                           const double *weight, double *accelerations, double *work);
-void forces_of(const Scene *scene, const double *state, const Input *input, const double *taut,
-               double *forces, double *work);
-void gap_of(const Scene *scene, const double *state, const Input *input, double *gap, double *rate,
-            double *work);
+   what can switch, each counted by a weight, forces on all entries, and gaps. Where no force depends
+   on velocities, rates of gaps need not be asked for. */
+SHARED size_t equation_work_size(const Scene *scene);
+SHARED void slope_of(const Scene *scene, const Number *state, const Input *input,
+                     const Number *taut, Number *slope, Number *work);
+SHARED void weighed_accelerations(const Scene *scene, const Number *state, const Input *input,
+                                  const Number *weight, Number *accelerations, Number *work);
+SHARED void forces_of(const Scene *scene, const Number *state, const Input *input,
+                      const Number *taut, Number *forces, Number *work);
+SHARED void gap_of(const Scene *scene, const Number *state, const Input *input, Number *gap,
+                   Number *rate, Number *work);
 
-Input input_at(Span *span, double time);
-void slope_at(Span *span, const double *x, double time, const double *taut, double *slope);
-void gap_at(Span *span, const double *x, double time, double *gap, double *rate);
-void restore_bars(Span *span, double *x);
+/* Of span.c: lays out a span in memory, and returns what is left of it. */
+SHARED size_t span_size(const Scene *scene, const Drive *drive);
+SHARED Number *begin(Span *span, const Scene *scene, const Drive *drive, const Lengths *lengths,
+                     Number *work);
+SHARED Input input_at(Span *span, Number time);
+SHARED void slope_at(Span *span, const Number *x, Number time, const Number *taut, Number *slope);
+SHARED void gap_at(Span *span, const Number *x, Number time, Number *gap, Number *rate);
+
+/* Of lengths.c: bars on their lengths, if the span has any. */
+SHARED void restore_bars(Span *span, Number *x);
+
+/* A step whose switches are looked for: from x to x1 within h from a time, with slopes at both. */
+typedef struct {
+  const Number *x, *x1, *slope, *slope1, *taut;
+  Number time, h;
+} Tried;
+
+/* Where a step is cut: the part of it, found on an interpolant, and what is to switch there. */
+typedef struct {
+  Truth found;
+  Number part, speed, aim;
+} Cut;
+
+/* A state a part of the way into a step. */
+typedef void Place(void *by, Number part, Number *x);
 
 /* How far a string may pass the border before it is acted on, as part of its rest length, and a
    contact as part of the size: it covers round-off. */
 static const double BAND = 1e-11;
 
-/* A state a part of the way into a step. */
-typedef void Place(void *step, double part, double *x);
-
-/* A step whose switches are looked for: from x to x1 within h from a time, with slopes at both. */
-typedef struct {
-  const double *x, *x1, *slope, *slope1, *taut;
-  double time, h;
-} Tried;
-
-/* Where a step is cut: the part of it, found on an interpolant, and what is to switch there. */
-typedef struct {
-  int found;
-  double part, speed, aim;
-} Cut;
-
 /* Of events.c: how many strings may switch within a step, whether their force depends on velocities,
    lengths that round-off in each gap is a part of, and the path of a step, of degree 5 in time. */
-int crossings(Span *span, const Tried *step);
-int missed_switches(Span *span, const Tried *step);
-int velocity_dependent(const Scene *scene);
-const double *gap_scales(Span *span, double time);
-void make_path(Span *span, const Tried *step);
-void on_path(const Span *span, double h, double part, double *x);
-Cut first_switch(Span *span, const Tried *step, double allowed, double least);
-double approach(Span *span, const Tried *step, Cut cut, Place *place, void *by, double *x,
-                int *places);
-int switch_over(Span *span, const double *x, double time, double *taut);
+SHARED Number crossings(Span *span, const Tried *step);
+SHARED Number missed_switches(Span *span, const Tried *step);
+SHARED int velocity_dependent(const Scene *scene);
+SHARED const Number *gap_scales(Span *span, Number time);
+SHARED void make_path(Span *span, const Tried *step);
+SHARED void on_path(const Span *span, Number h, Number part, Number *x);
+SHARED Cut first_switch(Span *span, const Tried *step, double allowed, double least);
+SHARED Number approach(Span *span, const Tried *step, Cut cut, Place *place, void *by, Number *x,
+                       Number *places);
+SHARED Number switch_over(Span *span, Truth meant, const Number *x, Number time, Number *taut);
 
 /* Of carry.c: so many strings in a step are not landed on, if what they change can be added to it. */
 enum { MANY_SWITCHES = 12 };
-size_t carry_size(const Scene *scene);
-int carry(Span *span, const Tried *step, double *x, double *taut, double *defect);
+SHARED size_t carry_size(const Scene *scene);
+SHARED Number carry(Span *span, Truth meant, const Tried *step, Number *x, Number *taut,
+                    Number *defect);
+
+#ifndef LANES
+int advance_by_rk4(Span *span, const Settings *settings, Progress *progress, double *x,
+                   double *taut, double *states, double *work);
+int advance_by_dop853(Span *span, const Settings *settings, Progress *progress, double *x,
+                      double *slope, double *taut, double *states, double *work);
+#endif
 
 #endif

@@ -106,3 +106,15 @@ class Settings(ctypes.Structure):
         *((name, _NUMBER) for name in ("duration", "step", "longest", "limit")),
         ("scale", _POINTER),
     )  # fmt: skip
+
+
+class Runs(ctypes.Structure):
+    """Runs of one scene, and what they differ in."""
+
+    _fields_ = (
+        ("count", _COUNT),
+        *((name, _POINTER) for name in (
+            "inputs", "stiffness", "damping", "bar_constants", "tip_constants",
+            "point_inverse_mass",
+        )),
+    )  # fmt: skip

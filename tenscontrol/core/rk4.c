@@ -1,40 +1,51 @@
-/* The classical Runge-Kutta method of order 4, in fixed steps that are cut at switches. */
-#include <math.h>
+/* The classical Runge-Kutta method of order 4, in fixed steps that are cut at switches: of one run,
+   and of those in lanes. */
 #include <string.h>
 
-#include "kernels.h"
 #include "methods.h"
+#include "motion.h"
 
 /* Cuts of a step, at most; the rest is then taken whole, and its switches are carried or, where that
-   cannot be, counted. What is left below this part of a step is round-off. How late a step ends, as part of the length of a string. */
+   cannot be, counted. What is left below this part of a step is round-off. How late a step ends, as
+   part of the length of a string. */
 enum { MOST_CUTS = 9 };
 static const double REST = 1e-13, LATE = 1e-9;
 
+/* A step, or what is left of one, from x to x1. */
 typedef struct {
   Span *span;
-  const double *x, *taut;
-  double time, h;
-  double *k1, *k2, *k3, *k4, *y;
+  const Number *x;
+  Number *x1, *taut, time, left;
+  Number *k1, *k2, *k3, *k4, *y, *slope1;
 } Rk4;
 
-WIDE static void combine(const double *restrict x, double h, const double *restrict k,
-                         double *restrict y, int n) {
+/* Of the memory of a step. */
+enum { RK4_STATES = 6 };
+
+static Rk4 rk4_of(Span *span, const Number *x, Number *x1, Number *taut, Number *work) {
+  const int n = span->states;
+  const Rk4 m = {span, x, x1, taut, all(0), all(0), work, work + n, work + 2 * n, work + 3 * n,
+                 work + 4 * n, work + 5 * n};
+  return m;
+}
+
+WIDE static void combine(const Number *restrict x, Number h, const Number *restrict k,
+                         Number *restrict y, int n) {
   for (int i = 0; i < n; ++i) y[i] = x[i] + h * k[i];
 }
 
-WIDE static void finish(const double *restrict x, double h, const double *restrict k1,
-                        const double *restrict k2, const double *restrict k3,
-                        const double *restrict k4, double *restrict y, int n) {
+WIDE static void finish(const Number *restrict x, Number h, const Number *restrict k1,
+                        const Number *restrict k2, const Number *restrict k3,
+                        const Number *restrict k4, Number *restrict y, int n) {
   for (int i = 0; i < n; ++i) y[i] = x[i] + h / 6 * (k1[i] + 2 * k2[i] + 2 * k3[i] + k4[i]);
 }
 
-/* A step of a part of h. */
-static void step_to(void *by, double part, double *x1) {
-  Rk4 *m = by;
+/* A part of what is left, whose first slope is known. */
+static void step_to(void *by, Number part, Number *x1) {
+  const Rk4 *m = by;
   Span *span = m->span;
   const int n = span->states;
-  const double h = part * m->h;
-  slope_at(span, m->x, m->time, m->taut, m->k1);
+  const Number h = part * m->left;
   combine(m->x, h / 2, m->k1, m->y, n);
   slope_at(span, m->y, m->time + h / 2, m->taut, m->k2);
   combine(m->x, h / 2, m->k2, m->y, n);
@@ -45,65 +56,112 @@ static void step_to(void *by, double part, double *x1) {
   restore_bars(span, x1);
 }
 
-int advance_by_rk4(Span *span, const Settings *settings, Progress *now, double *x, double *taut,
-                   double *states, double *work) {
-  const int n = span->states;
+static Tried tried_by(const Rk4 *m) {
+  const Tried step = {m->x, m->x1, m->k1, m->slope1, m->taut, m->time, m->left};
+  return step;
+}
+
+/* Takes what is left whole; returns how many strings may switch in it. */
+static Number take_whole(Rk4 *m) {
+  const Tried step = tried_by(m);
+  slope_at(m->span, m->x, m->time, m->taut, m->k1);
+  step_to(m, all(1), m->x1);
+  return crossings(m->span, &step);
+}
+
+/* What became of a step that is crossed: what of it was taken, and counts. */
+typedef struct {
+  Number taken, landings, places, switches, carries, carried, missed;
+} Landing;
+
+/* Ends what was taken whole, and has its first slope, at its first switch, if one is found. Switches
+   of many strings are carried to its end, and those after many cuts; or missed, where that cannot
+   be. */
+static Landing land(Rk4 *m, Number crossed, int cuts) {
+  Span *span = m->span;
+  const Tried step = tried_by(m);
+  const int is_last = cuts >= MOST_CUTS, may_carry = !velocity_dependent(span->scene);
+  const Truth carries = crossed > (may_carry ? (is_last ? 0 : MANY_SWITCHES) : INFINITY);
+  Landing now = {m->left, all(0), all(0), all(0), truth(carries), all(0), all(0)};
+  if (is_last && !may_carry) {
+    now.missed = missed_switches(span, &step);
+    gap_at(span, m->x1, m->time + m->left, span->gap, span->rate);
+    for (int i = 0; i < span->switches; ++i) m->taut[i] = truth(span->gap[i] > 0);
+    return now;
+  }
+  slope_at(span, m->x1, m->time + m->left, m->taut, m->slope1);
+  if (any(carries == 0)) {
+    Cut cut = first_switch(span, &step, 0, LATE);
+    cut.found &= carries == 0;
+    now.landings = truth(carries == 0);
+    now.taken = m->left * approach(span, &step, cut, step_to, m, m->x1, &now.places);
+    now.switches = switch_over(span, cut.found, m->x1, m->time + now.taken, m->taut);
+  }
+  if (any(carries)) {
+    now.carried = carry(span, carries, &step, m->x1, m->taut, 0);
+    now.switches += now.carried;
+  }
+  return now;
+}
+
+static void count(const Landing *landing, int i, Progress *now) {
+  now->landings += (int64_t)lane(&landing->landings, i);
+  now->tries += (int64_t)lane(&landing->places, i);
+  now->switches += (int64_t)lane(&landing->switches, i);
+  now->carries += (int64_t)lane(&landing->carries, i);
+  now->carried += (int64_t)lane(&landing->carried, i);
+  now->missed += (int64_t)lane(&landing->missed, i);
+}
+
+SHARED FixedSteps fixed_steps(const Settings *settings) {
   const double spacing = settings->duration / settings->outputs;
   /* The small allowance lets 0.02/0.001 be 20 steps, whatever round-off says. */
   const double between = ceil(spacing / settings->step - 1e-9);
-  const int64_t inner = between > 1 ? (int64_t)between : 1, total = inner * settings->outputs;
-  const double h = settings->duration / (double)total;
-  double *x1 = work, *slope = x1 + n, *slope1 = slope + n;
-  Rk4 method = {span, x, taut, 0, 0, slope1 + n, slope1 + 2 * n, slope1 + 3 * n, slope1 + 4 * n,
-                slope1 + 5 * n};
-  const int may_carry = !velocity_dependent(span->scene);
-  int64_t done = (int64_t)round(now->time / h);
-  for (int tried = 0; tried < settings->budget && done < total; ++tried) {
-    double left = h, time = (double)done * h;
-    for (int cuts = 0; left > REST * h; ++cuts) {
-      const Tried step = {x, x1, slope, slope1, taut, time, left};
-      double taken = left;
-      int crossed;
-      method.time = time;
-      method.h = left;
-      step_to(&method, 1, x1);
-      now->tries += 1;
-      crossed = span->switches ? crossings(span, &step) : 0;
-      if (crossed && cuts >= MOST_CUTS && !may_carry) {
-        now->missed += missed_switches(span, &step);
-        gap_at(span, x1, time + left, span->gap, span->rate);
-        for (int i = 0; i < span->switches; ++i) taut[i] = span->gap[i] > 0;
-      } else if (crossed) {
-        memcpy(slope, method.k1, n * sizeof *slope);
-        slope_at(span, x1, time + left, taut, slope1);
-        if (may_carry && (crossed > MANY_SWITCHES || cuts >= MOST_CUTS)) {
-          const int count = carry(span, &step, x1, taut, 0);
-          now->carries += 1;
-          now->carried += count;
-          now->switches += count;
-        } else {
-          const Cut cut = first_switch(span, &step, 0, LATE);
-          now->landings += 1;
-          if (cut.found) {
-            int places;
-            taken = left * approach(span, &step, cut, step_to, &method, x1, &places);
-            now->switches += switch_over(span, x1, time + taken, taut);
-            now->tries += places;
-          }
-        }
-      }
-      memcpy(x, x1, n * sizeof *x);
-      time += taken;
-      left -= taken;
+  FixedSteps steps;
+  steps.inner = between > 1 ? (int64_t)between : 1;
+  steps.total = steps.inner * settings->outputs;
+  steps.h = settings->duration / (double)steps.total;
+  return steps;
+}
+
+#ifndef LANES
+/* A step that is cut at switches, in place. */
+static void step_through(Rk4 *m, double *x, Progress *now) {
+  const double rest = REST * m->left;
+  for (int cuts = 0; m->left > rest; ++cuts) {
+    const double crossed = take_whole(m);
+    double taken = m->left;
+    now->tries += 1;
+    if (crossed > 0) {
+      const Landing landing = land(m, crossed, cuts);
+      count(&landing, 0, now);
+      taken = landing.taken;
     }
+    memcpy(x, m->x1, m->span->states * sizeof *x);
+    m->time += taken;
+    m->left -= taken;
+  }
+}
+
+int advance_by_rk4(Span *span, const Settings *settings, Progress *now, double *x, double *taut,
+                   double *states, double *work) {
+  const int n = span->states;
+  const FixedSteps steps = fixed_steps(settings);
+  Rk4 method = rk4_of(span, x, work, taut, work + n);
+  int64_t done = (int64_t)round(now->time / steps.h);
+  for (int tried = 0; tried < settings->budget && done < steps.total; ++tried) {
+    method.time = (double)done * steps.h;
+    method.left = steps.h;
+    step_through(&method, x, now);
     ++done;
-    now->time = (double)done * h;
+    now->time = (double)done * steps.h;
     for (int i = 0; i < n; ++i)
       if (!isfinite(x[i])) {
         now->stuck = 1;
-        return (int)((done - 1) / inner);
+        return (int)((done - 1) / steps.inner);
       }
-    if (done % inner == 0) memcpy(states + (done / inner - 1) * n, x, n * sizeof *x);
+    if (done % steps.inner == 0) memcpy(states + (done / steps.inner - 1) * n, x, n * sizeof *x);
   }
-  return (int)(done / inner);
+  return (int)(done / steps.inner);
 }
+#endif

@@ -1,55 +1,20 @@
-"""The instructions of a CasADi function of numbers, and the C text of each operation."""
+"""The instructions of a CasADi function of numbers."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from math import inf
-from types import MappingProxyType
 from typing import NamedTuple
 
 import casadi as ca
 
-#: Operations by CasADi's names without ``OP_``, and their C text: of numbers, or of short vectors
-#: with one entry a run, once ``TRUTH``, ``ONLY``, ``LARGER``, ``SMALLER``, ``POSITIVE`` and
-#: ``CALL``, ``CALL_2`` (a function of the C library, entry by entry) are defined. None for none.
-OPERATIONS: Mapping[str, str | None] = MappingProxyType({
-    "ASSIGN": "{0}",
-    "ADD": "{0} + {1}",
-    "SUB": "{0} - {1}",
-    "MUL": "{0} * {1}",
-    "DIV": "{0} / {1}",
-    "NEG": "-{0}",
-    "SQ": "{0} * {0}",
-    "TWICE": "{0} + {0}",
-    "INV": "1.0 / {0}",
-    "LT": "TRUTH({0} < {1})",
-    "LE": "TRUTH({0} <= {1})",
-    "EQ": "TRUTH({0} == {1})",
-    "NE": "TRUTH({0} != {1})",
-    "NOT": "TRUTH({0} == 0.0)",
-    "AND": "TRUTH(({0} != 0.0) & ({1} != 0.0))",
-    "OR": "TRUTH(({0} != 0.0) | ({1} != 0.0))",
-    "IF_ELSE_ZERO": "ONLY({0} != 0.0, {1})",
-    "FABS": "POSITIVE({0})",
-    "FMAX": "LARGER({0}, {1})",
-    "FMIN": "SMALLER({0}, {1})",
-    "POW": "CALL_2(pow, {0}, {1})",
-    "CONSTPOW": "CALL_2(pow, {0}, {1})",
-    "ATAN2": "CALL_2(atan2, {0}, {1})",
-    **{
-        name.upper(): f"CALL({name}, {{0}})"
-        for name in (
-            "sqrt", "exp", "log", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh",
-            "tanh", "floor", "ceil",
-        )
-    },
-    **dict.fromkeys(
-        (
-            "FMOD", "SIGN", "COPYSIGN", "ERF", "ASINH", "ACOSH", "ATANH", "ERFINV", "LOG1P",
-            "EXPM1", "HYPOT", "REMAINDER", "CONST", "INPUT", "OUTPUT",
-        )
-    ),
-})  # fmt: skip
+#: Operations by CasADi's names without ``OP_``.
+OPERATIONS = frozenset((
+    "ASSIGN", "ADD", "SUB", "MUL", "DIV", "NEG", "SQ", "TWICE", "INV",
+    "LT", "LE", "EQ", "NE", "NOT", "AND", "OR", "IF_ELSE_ZERO",
+    "FABS", "FMAX", "FMIN", "POW", "CONSTPOW", "ATAN2",
+    "SQRT", "EXP", "LOG", "SIN", "COS", "TAN", "ASIN", "ACOS", "ATAN", "SINH", "COSH", "TANH",
+    "FLOOR", "CEIL", "FMOD", "SIGN", "COPYSIGN", "ERF", "ASINH", "ACOSH", "ATANH", "ERFINV",
+    "LOG1P", "EXPM1", "HYPOT", "REMAINDER", "CONST", "INPUT", "OUTPUT",
+))  # fmt: skip
 
 _NAMES = {getattr(ca, f"OP_{name}"): name for name in OPERATIONS}
 
@@ -83,12 +48,3 @@ def instructions(function: ca.Function) -> list[Instruction] | None:
         results, operands = function.instruction_output(k), function.instruction_input(k)
         found.append(Instruction(_NAMES[code], results, operands, constant))
     return found
-
-
-def number_text(value: float) -> str:
-    """Return the C text of a number."""
-    if value != value:
-        return "NAN"
-    if value in (inf, -inf):
-        return "INFINITY" if value > 0 else "-INFINITY"
-    return repr(value)

@@ -8,9 +8,10 @@ of its own, on the ground of its own motion in steps 8 times finer than its fine
 
 Of ours the processor time of a second ``tc.simulate_many`` is told, whole, as it is typed first:
 with its defaults, its tolerance, its checks, 1,001 states a run and the estimate of the error of a
-sample of the runs; in a second row with the end alone and no estimate. JAX (in double and single
-precision, by blocks), NumPy and MuJoCo's rollout return the end alone. Not told: what compiling
-takes (JAX 1 to 3 s), and that the others locate no switch. Needs the extra ``bench``.
+sample of the runs; in a second row with the end alone and no estimate; in a third by ``rk4`` in
+steps of one size, as the peers go, several runs side by side. JAX (in double and single precision,
+by blocks), NumPy and MuJoCo's rollout return the end alone. Not told: what compiling takes (JAX 1
+to 3 s), and that the others locate no switch. Needs the extra ``bench``.
 
 ``--scenes controlled``: the prisms with an MPC in each loop, as compiled code at once and one by
 one, and in Python.
@@ -111,19 +112,21 @@ def many(case: tc.Scene, velocities: np.ndarray, **more: Any) -> tc.Batch:
 
 
 def ours(case: tc.Scene, velocities: np.ndarray) -> list[Program]:
-    """Return the default call, and one that returns what the others do."""
+    """Return the default call, one that returns what the others do, and one in steps."""
     lean = {"error": "none", "output_step": case.duration}
 
-    def program(name: str, more: dict[str, Any]) -> Program:
+    def program(name: str, settings: Sequence[float], kind: str, more: dict[str, Any]) -> Program:
         return Program(
-            name, tolerances(finest=1e-10),
-            lambda tolerance: lambda: many(case, velocities, tolerance=tolerance, **more),
+            name, settings,
+            lambda setting: lambda: many(case, velocities, **{kind: setting}, **more),
             lambda batch: batch.nodes[..., -1],
         )  # fmt: skip
 
+    finest = tolerances(finest=1e-10)
     return [
-        program("tenscontrol, default call", {}),
-        program("tenscontrol, ends, no estimate", lean),
+        program("tenscontrol, default call", finest, "tolerance", {}),
+        program("tenscontrol, ends, no estimate", finest, "tolerance", lean),
+        program("tenscontrol, steps, ends", grid(0.1, 1e-4), "step", {"method": "rk4", **lean}),
     ]
 
 

@@ -6,7 +6,6 @@ import stat
 import subprocess
 import sys
 import time
-import warnings
 from pathlib import Path
 
 import casadi as ca
@@ -18,7 +17,6 @@ from tenscontrol.dynamics import machine_code
 from tenscontrol.dynamics.evaluator import Evaluator
 from tenscontrol.dynamics.machine_code import CompilerError, CompilerWarning, compiled, compiler
 from tests.dynamics.scenes import paper_force_density, rest_lengths
-from tests.without_core import without_core
 
 PROJECT = Path(__file__).parents[2]
 
@@ -325,18 +323,6 @@ def failing(request, tmp_path, monkeypatch):
 class TestAFailingCompilerStopsNothing:
     def model(self):
         return tc.Model(tc.prism(), strings=tc.LinearStrings(100.0))
-
-    @without_core()
-    def test_many_runs(self, failing):
-        given = {"rest_length": np.array([[1.0], [1.1]]) + np.zeros(9), "step": 1e-3}
-        plain = tc.simulate_many(self.model(), 0.01, machine_code=False, **given)
-        with pytest.warns(CompilerWarning, match=failing):
-            batch = tc.simulate_many(self.model(), 0.01, **given)
-        with warnings.catch_warnings(action="ignore", category=CompilerWarning):
-            energy = batch.trajectory(1).energy
-        assert batch.choice.back_end == "virtual machine"
-        np.testing.assert_array_equal(batch.nodes, plain.nodes)
-        assert np.isfinite(energy).all()
 
     def test_a_large_structure(self, failing):
         model = tc.Model(tc.prism_tower(30), strings=tc.LinearStrings(100.0))

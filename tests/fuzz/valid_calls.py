@@ -1431,7 +1431,6 @@ call(
         "output_step": 0.005,
         "keep_nodes": [0, 2],
         "project": True,
-        "machine_code": False,
         "threads": 1,
         "progress": False,
     },
@@ -1446,7 +1445,6 @@ call(
         np.array([nodes(), nodes()]),
         rest_length=rest_length(),
         step=1e-3,
-        machine_code=False,
     ),
     share=0.3,
 )

@@ -227,7 +227,7 @@ def test_a_run_says_which_methods_it_took(tmp_path):
     assert run.choice.changes[0].reason in run.summary()
     assert tc.load_run(run.save(tmp_path / "run.npz")).choice == run.choice
     given["velocities"] = np.array([spin, spin])
-    batch = tc.simulate_many(model, 1.0, machine_code=False, **given)
+    batch = tc.simulate_many(model, 1.0, **given)
     np.testing.assert_array_equal(batch.nodes[1], run.nodes)
     assert batch.trajectory(1).choice.changes == run.choice.changes
 

@@ -9,7 +9,6 @@ import pytest
 import tenscontrol as tc
 from tenscontrol.dynamics.machine_code import compiler
 from tests.robustness.cases import Inline, loop_case
-from tests.without_core import without_core
 
 RUNS, TOGETHER = 5, 3  # the last group is a part of one
 POOL = sys.modules["tenscontrol.robustness.pool"]
@@ -26,8 +25,6 @@ def few(monkeypatch):
 @pytest.fixture
 def no_compiler(monkeypatch):
     monkeypatch.setenv("TENSCONTROL_COMPILER", "none")
-    with without_core():  # groups run in CasADi's virtual machine
-        yield
 
 
 def one_by_one(case, monkeypatch):

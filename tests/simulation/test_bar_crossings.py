@@ -169,7 +169,7 @@ def test_each_run_of_a_batch_has_its_own(scene, sampled, kwargs):
     model, lengths = scene
     starts = np.stack([lengths, model.structure.string_length(), lengths])
     starts[2] *= 1.001
-    batch = tc.simulate_many(model, DURATION, rest_length=starts, machine_code=False, **kwargs)
+    batch = tc.simulate_many(model, DURATION, rest_length=starts, **kwargs)
     found = batch.crossings
     assert found.count.tolist() == [OFTEN, 0, OFTEN]
     assert found.first_time[0] == pytest.approx(sampled[0][0], abs=5e-4)
@@ -183,7 +183,7 @@ def test_batches_say_what_they_cannot_tell(scene):
     starts = np.stack([model.structure.nodes] * 2)
     values = np.stack([lengths, lengths, 1.01 * lengths], axis=1)
     growing = tc.Profile([0.0, 0.1, DURATION], values)
-    given = {"rest_length": growing, "machine_code": False}
+    given = {"rest_length": growing}
     batch = tc.simulate_many(model, DURATION, starts, **given)
     assert batch.crossings.unresolved_intervals.tolist() == [1, 1]
     batch = tc.simulate_many(model, DURATION, starts, output_step=0.3, **given)
@@ -194,7 +194,7 @@ def test_batches_say_what_they_cannot_tell(scene):
         _ = some.crossings
     flat = tc.library.snelson_x(dimension=2)
     starts = np.stack([flat.nodes] * 2)
-    batch = tc.simulate_many(tc.Model(flat), 0.1, starts, force_density=1.0, machine_code=False)
+    batch = tc.simulate_many(tc.Model(flat), 0.1, starts, force_density=1.0)
     assert batch.crossings is None
 
 

@@ -10,42 +10,35 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
+from tenscontrol.core.library import library
 from tenscontrol.dynamics.equation import pack_state, unpack_states
-from tenscontrol.dynamics.machine_code import compiler
 from tenscontrol.integrate import Projector
 from tenscontrol.interrupt import InterruptionWarning
-from tests.without_core import without_core
 
-needs_compiler = pytest.mark.skipif(compiler() is None, reason="no C compiler")
+needs_core = pytest.mark.skipif(library() is None, reason="no core")
 
-RUNS = 6  # more than lanes, and not a multiple of them
+RUNS = 6
+MORE = 11  # than lanes, and not a multiple of them
 LOOKED_AT = (0, 3, 5)
 
 
-@pytest.fixture(autouse=True)
-def _no_core():
-    """Single runs have the bits of those of a batch where both are CasADi's."""
-    with without_core():
-        yield
-
-
-def thrown(structure, speed, seed=0):
+def thrown(structure, speed, seed=0, runs=RUNS):
     """Nodes and velocities of runs that start in the reference shape."""
     rng = np.random.default_rng(seed)
     equation = tc.Model(structure).equation("force_density")
     at_rest = pack_state(structure, structure.nodes, 0 * structure.nodes)
-    states = np.tile(at_rest[:, None], RUNS)
+    states = np.tile(at_rest[:, None], runs)
     half = len(at_rest) // 2
-    states[half:] = speed * rng.standard_normal((half, RUNS))
+    states[half:] = speed * rng.standard_normal((half, runs))
     N, V = unpack_states(structure, Projector(equation, True)(states))
     return np.moveaxis(N, 2, 0), np.moveaxis(V, 2, 0)
 
 
-def scene(structure, seed=1):
+def scene(structure, seed=1, runs=RUNS):
     """Starts and rest lengths of which some strings go slack."""
-    N, V = thrown(structure, 0.8)
+    N, V = thrown(structure, 0.8, runs=runs)
     rng = np.random.default_rng(seed)
-    factors = rng.uniform(0.92, 1.0, (RUNS, len(structure.strings)))
+    factors = rng.uniform(0.92, 1.0, (runs, len(structure.strings)))
     return N, V, factors * structure.string_length(structure.nodes)
 
 
@@ -75,9 +68,7 @@ def test_a_batch_has_the_bits_of_single_runs(name, method):
     N, V, lengths = scene(structure)
     model = tc.Model(structure, strings=tc.LinearStrings(100.0))
     how = {"step": 0.01, "output_step": 0.1} | method
-    batch = tc.simulate_many(
-        model, 0.3, N, V, rest_length=lengths, machine_code=False, threads=1, **how
-    )
+    batch = tc.simulate_many(model, 0.3, N, V, rest_length=lengths, threads=1, **how)
     runs = {
         i: tc.simulate(model, 0.3, N[i], V[i], rest_length=lengths[i], **how) for i in LOOKED_AT
     }
@@ -85,18 +76,31 @@ def test_a_batch_has_the_bits_of_single_runs(name, method):
     assert_same(batch, runs)
 
 
-@needs_compiler
+@needs_core
 def test_lanes_have_the_bits_of_single_runs():
     prism = tc.prism()
-    N, V, lengths = scene(prism)
+    N, V, lengths = scene(prism, runs=MORE)
     model = tc.Model(prism, strings=tc.LinearStrings(100.0))
     how = {"step": 0.01, "output_step": 0.1}
     batch = tc.simulate_many(model, 0.3, N, V, rest_length=lengths, threads=2, **how)
-    assert "runs an instruction" in batch.choice.back_end
+    assert batch.choice.back_end == "core, runs side by side"
     assert batch.switches.sum() > 10
     runs = {
-        i: tc.simulate(model, 0.3, N[i], V[i], rest_length=lengths[i], **how) for i in LOOKED_AT
+        i: tc.simulate(model, 0.3, N[i], V[i], rest_length=lengths[i], **how) for i in (0, 3, 9, 10)
     }
+    assert_same(batch, runs)
+
+
+@needs_core
+def test_lanes_carry_switches_as_single_runs_do():
+    tower = tc.prism_tower(6)
+    N, V = thrown(tower, 0.5, runs=MORE)
+    model = tc.Model(tower, strings=tc.LinearStrings(100.0))
+    how = {"rest_length": 0.999 * tower.string_length(), "step": 0.02, "output_step": 0.1}
+    how["method"] = "rk4"
+    batch = tc.simulate_many(model, 0.2, N, V, **how)
+    runs = {i: tc.simulate(model, 0.2, N[i], V[i], **how) for i in (0, 3, 9, 10)}
+    assert all(run.work.carried for run in runs.values())
     assert_same(batch, runs)
 
 
@@ -121,9 +125,7 @@ def test_parameters_that_vary_give_the_bits_of_models_with_them(name, method):
     }
     model = tc.Model(structure, strings=tc.LinearStrings(100.0, damping=0.1), gravity=9.81)
     how = {"step": 0.01} | method
-    batch = tc.simulate_many(
-        model, 0.1, N, V, rest_length=lengths, vary=vary, machine_code=False, **how
-    )
+    batch = tc.simulate_many(model, 0.1, N, V, rest_length=lengths, vary=vary, **how)
 
     def alone(i):
         law = tc.LinearStrings(vary["stiffness"][i], np.full(count, vary["damping"][i]))
@@ -141,9 +143,7 @@ def test_loads_and_profiles_are_those_of_single_runs():
     profile = tc.Profile([0.0, 0.05, 0.12], np.outer(lengths[0], [1.0, 0.95, 1.0]))
     model = tc.Model(prism, strings=tc.LinearStrings(100.0), external_force=True)
     how = {"step": 0.01, "output_step": 0.05}
-    batch = tc.simulate_many(
-        model, 0.15, N, V, rest_length=profile, external_force=loads, machine_code=False, **how
-    )
+    batch = tc.simulate_many(model, 0.15, N, V, rest_length=profile, external_force=loads, **how)
     runs = {
         i: tc.simulate(model, 0.15, N[i], V[i], rest_length=profile, external_force=loads[i], **how)
         for i in LOOKED_AT
@@ -151,8 +151,7 @@ def test_loads_and_profiles_are_those_of_single_runs():
     assert_same(batch, runs)
 
 
-@pytest.mark.parametrize("machine_code", [False, pytest.param(True, marks=needs_compiler)])
-def test_a_run_that_fails_ends_alone(machine_code):
+def test_a_run_that_fails_ends_alone():
     prism = tc.prism()
     N, V, lengths = scene(prism)
     N[1, 2, 3] = np.nan
@@ -160,7 +159,7 @@ def test_a_run_that_fails_ends_alone(machine_code):
     V[3] *= 1e6
     lengths[4, 5] = -1.0
     model = tc.Model(prism, strings=tc.LinearStrings(100.0))
-    how = {"step": 0.01, "output_step": 0.1, "machine_code": machine_code}
+    how = {"step": 0.01, "output_step": 0.1}
     batch = tc.simulate_many(model, 0.3, N, V, rest_length=lengths, **how)
     assert batch.completed.tolist() == [True, False, False, False, False, True]
     assert sorted(batch.messages) == [1, 2, 3, 4]
@@ -177,7 +176,7 @@ def test_some_nodes_are_kept():
     prism = replace(tc.prism(), fixed=[3])
     N, V, lengths = scene(prism)
     model = tc.Model(prism, strings=tc.LinearStrings(100.0))
-    given = {"rest_length": lengths, "step": 0.01, "machine_code": False}
+    given = {"rest_length": lengths, "step": 0.01}
     every = tc.simulate_many(model, 0.1, N, V, **given)
     some = tc.simulate_many(model, 0.1, N, V, keep_nodes=[4, 3], **given)
     assert np.array_equal(some.nodes, every.nodes[:, :, [4, 3]])
@@ -213,15 +212,14 @@ def test_bad_input_is_named(given, said):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
-@pytest.mark.parametrize("machine_code", [False, pytest.param(True, marks=needs_compiler)])
-def test_an_interrupt_keeps_the_runs_that_are_done(machine_code, monkeypatch):
+def test_an_interrupt_keeps_the_runs_that_are_done(monkeypatch):
     prism = tc.prism()
     N, V, lengths = scene(prism)
     model = tc.Model(prism, strings=tc.LinearStrings(100.0))
     count = 60
     given = {
         "nodes": np.resize(N, (count, 3, 6)), "velocities": np.resize(V, (count, 3, 6)),
-        "rest_length": lengths[0], "step": 0.01, "threads": 1, "machine_code": machine_code,
+        "rest_length": lengths[0], "step": 0.01, "threads": 1,
     }  # fmt: skip
     whole = tc.simulate_many(model, 0.05, **given)
 
@@ -261,9 +259,7 @@ def test_a_run_of_a_batch_is_that_of_simulate(name, damping, method):
     model = tc.Model(structure, strings=tc.LinearStrings(100.0, damping), gravity=1.0)
     how = method | {"output_step": 0.01}
     vary = {"stiffness": stiffness}
-    batch = tc.simulate_many(
-        model, 0.3, N, V, rest_length=lengths, vary=vary, machine_code=False, **how
-    )
+    batch = tc.simulate_many(model, 0.3, N, V, rest_length=lengths, vary=vary, **how)
     count, i = len(structure.strings), RUNS - 1
     own = tc.LinearStrings(np.full(count, stiffness[i]), np.full(count, damping))
     run = batch.trajectory(i)
@@ -285,7 +281,7 @@ def test_a_run_under_a_load_is_that_of_simulate():
     loads = np.random.default_rng(3).standard_normal((RUNS, 3, 6))
     model = tc.Model(prism, strings=tc.LinearStrings(100.0), external_force=True)
     how = {"step": 0.01, "rest_length": lengths[0], "output_step": 0.01}
-    batch = tc.simulate_many(model, 0.1, N, V, external_force=loads, machine_code=False, **how)
+    batch = tc.simulate_many(model, 0.1, N, V, external_force=loads, **how)
     run = batch.trajectory(2)
     alone = tc.simulate(model, 0.1, N[2], V[2], external_force=loads[2], **how)
     assert run.health == alone.health
@@ -298,7 +294,7 @@ def test_a_run_that_is_not_whole_is_no_trajectory():
     N, V, lengths = scene(prism)
     V[3] *= 1e6
     model = tc.Model(prism, strings=tc.LinearStrings(100.0))
-    how = {"rest_length": lengths, "step": 0.01, "machine_code": False}
+    how = {"rest_length": lengths, "step": 0.01}
     batch = tc.simulate_many(model, 0.1, N, V, **how)
     with pytest.raises(ValueError, match=r"run 3 ended early: .*finite"):
         batch.trajectory(3)

@@ -141,9 +141,7 @@ def test_copies_of_a_controller_serve_the_next_batch(tower, tmp_path, monkeypatc
     made, another = [], type(code).another
     monkeypatch.setattr(type(code), "another", lambda self: made.append(1) or another(self))
     starts, how = shaken(plant, 0.01), {"controller": code, "step": 0.01, "threads": 1}
-    first, second = (
-        tc.simulate_many(plant.model, 0.06, starts, machine_code=False, **how) for _ in range(2)
-    )
+    first, second = (tc.simulate_many(plant.model, 0.06, starts, **how) for _ in range(2))
     assert 0 < len(made) <= RUNS
     assert np.array_equal(first.nodes, second.nodes)
     # The start and the end alone are kept.

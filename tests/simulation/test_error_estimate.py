@@ -182,7 +182,7 @@ def test_the_other_motion_takes_about_as_many_steps(example, monkeypatch):
 def test_a_batch_looks_at_some_runs_and_names_those_that_are_wrong(example):
     model, lengths = example
     given = lengths * np.linspace(0.9, 1.0, 40)[:, None]
-    how = {"rest_length": given, "step": 5e-3, "machine_code": False, "output_step": 0.1}
+    how = {"rest_length": given, "step": 5e-3, "output_step": 0.1}
     batch = tc.simulate_many(model, 0.2, **how)
     looked_at = np.isfinite(batch.error[:, 0])
     assert looked_at.sum() == 32

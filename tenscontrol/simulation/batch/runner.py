@@ -1,4 +1,4 @@
-"""The runs of a batch: blocks of runs in threads, in compiled C where there is some."""
+"""The runs of a batch: blocks of runs in threads, side by side in the core where it knows them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import replace
 from functools import partial
-from math import ceil
 from threading import local
 
 import casadi as ca
@@ -17,13 +16,13 @@ from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.control.controller import Controller
 from tenscontrol.dynamics.equation import Equation, unpack_states
-from tenscontrol.dynamics.machine_code import compiled, compiler, if_compiled
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.profile import Pieces
-from tenscontrol.integrate.fixed_step import FixedStep, not_finite
+from tenscontrol.integrate.core_lanes import COUNTS, CoreLanes, tables_of_runs, work_of
+from tenscontrol.integrate.core_scene import core_scene
+from tenscontrol.integrate.fixed_step import FixedStep
 from tenscontrol.integrate.integrator import IntegrationError, Integrator, MethodChange, Span, Work
 from tenscontrol.integrate.methods import METHODS, Choice, Method, choose
-from tenscontrol.integrate.simd import Lanes
 from tenscontrol.integrate.watched import Watched
 from tenscontrol.interrupt import check
 from tenscontrol.simulation.arguments import Arguments
@@ -50,11 +49,9 @@ class Runner:
 
     def __init__(
         self, scene: BatchInputs, kept: IntArray, controller: Controller | None,
-        machine_code: bool,
     ) -> None:  # fmt: skip
         structure = scene.model.structure
         self.scene, self.kept, self._controller = scene, kept, controller
-        self._machine_code = machine_code
         self.how, output_step = scene.base.integration, scene.base.integration.output_step
         sample_time = None if controller is None else controller.sample_time
         self.spans = scene.spans(output_step, sample_time)
@@ -87,7 +84,7 @@ class Runner:
             )
             self.command, self.commands_not_ok = np.full(size, np.nan), np.zeros(size[0], int)
         # Of each run: what lanes counted, and the work of integrators.
-        self._counts, self._work = np.zeros((scene.count, Lanes.counts)), dict[int, Work]()
+        self._counts, self._work = np.zeros((scene.count, len(COUNTS))), dict[int, Work]()
         self._threads, self._has_no_memory = local(), False
         self._loops_made: list[CompiledLoops] = []
         self._watches = False
@@ -99,8 +96,8 @@ class Runner:
         """Choose the method, by the first run that can begin, and make the lanes if there are."""
         scene, how = self.scene, self.how
         method = how.chosen
+        first, state = self._first()
         if method is None:
-            first, state = self._first()
             if state is None or first is None:
                 self.choice = Choice("auto", "tolerance", how.tolerance, "no run can begin", "none")
                 return
@@ -120,25 +117,46 @@ class Runner:
         self._watches = how.chosen is None and chosen.setting == "tolerance"
         self._method = method
         self.choice = chosen
+        self._lanes = self._made_lanes(first) if method.name == "rk4" else None
         steps = isinstance(method.make, type) and issubclass(method.make, FixedStep)
-        self._shares = not scene.parameters or (steps and self._can_share())
+        self._shares = self._lanes is None and (
+            not scene.parameters or (steps and self._can_share())
+        )
         self._has_no_memory = steps and self._shares
-        self._lanes = self._plain = None
-        if self._shares:
+        if self._lanes is not None:
+            back_end = self._lanes.back_end
+        elif self._shares:
             shared = self._equation(scene.model, "auto", tuple(scene.parameters))
             if method.differentiates and shared.form == "loops":
                 shared = self._equation(scene.model, "mapped", ())
             self._shared = shared
-            if self._machine_code and steps:
-                self._plain = self._integrator(shared)
-                self._lanes = Lanes.of(self._plain, shared, self._projects)
-        if self._lanes is not None:
-            back_end = self._lanes.back_end
-        elif self._shares:
-            back_end = self._integrator(self._shared).back_end
+            back_end = self._integrator(shared).back_end
         else:
             back_end = "a model built for each run"
         self.choice = replace(chosen, back_end=back_end)
+
+    def _made_lanes(self, first: int | None) -> CoreLanes | None:
+        """Return what integrates several runs at once; None where the core does not know them."""
+        scene, structure = self.scene, self.scene.model.structure
+        is_bound = structure.blocks or structure.point_mass[structure.bar_nodes].any()
+        if first is None or len(np.unique(self._are_damped())) > 1:
+            return None
+        if set(MASSES) & set(scene.given) and (is_bound or self._loads_bars()):
+            return None  # bars that share nodes, or carry masses, have other tables
+        core = core_scene(self._equation(scene.model_of(first), "auto", ()))
+        if core is None:
+            return None
+        tables = tables_of_runs(structure, scene.given)
+        return CoreLanes(core, self.choice.value, self._projects, tables)
+
+    def _loads_bars(self) -> bool:
+        masses = self.scene.given.get("point_mass")
+        return masses is not None and bool(masses[:, self.scene.model.structure.bar_nodes].any())
+
+    def _are_damped(self) -> np.ndarray:
+        """Which runs have damping, if they differ in it: strings without have simpler equations."""
+        damping = self.scene.given.get("damping", np.ones((1, 1)))
+        return np.asarray((damping > 0).any(axis=1))
 
     @property
     def _projects(self) -> bool:
@@ -174,16 +192,14 @@ class Runner:
         form = self._equation(self.scene.model, "auto", ()).form
         if form != "flat" or (structure.blocks and set(MASSES) & set(given)):
             return False
-        damping = given.get("damping")
-        # Strings without any damping have simpler equations.
-        return damping is None or bool((damping > 0).any(axis=1).all())
+        return bool(self._are_damped().all())
 
     def _integrator(self, equation: Equation, value: float | None = None) -> Integrator:
-        return self._made(self._method, equation, self.choice.value if value is None else value)
+        value = self.choice.value if value is None else value
+        return self._made(self._method, equation, value)
 
     def _made(self, method: Method, equation: Equation, value: float) -> Integrator:
-        project = self._project_of(method)
-        return method.integrator(equation, value, self.choice.setting, project)
+        return method.integrator(equation, value, self.choice.setting, self._project_of(method))
 
     def _project_of(self, method: Method) -> bool | None:
         """Return what the user says, unless the method was chosen and needs no projection."""
@@ -331,20 +347,16 @@ class Runner:
     ) -> tuple[FloatArray, np.ndarray]:
         """Return the states at the outputs of a span, and which runs ended in it."""
         assert self._lanes is not None  # asked by _block
-        kept, good, counts = self._lanes.advance(
-            states, held, span.length, span.outputs, self._stop
+        kept, time, counts = self._lanes.advance(
+            at, states, held, span.length, span.outputs, self._stop
         )
-        inner = self._lanes.steps_between(span.length, span.outputs)
-        total = span.outputs * inner
-        ended = good < total
-        step = span.length / total
-        for i in np.flatnonzero(ended):
-            kept[i, good[i] // inner :] = np.nan
-            if not self._stop.value:
-                self._end(at[i], span.start + step * good[i], not_finite(int(good[i]), step))
+        ended = np.asarray(~np.isfinite(kept[:, -1]).all(axis=1))
+        for i in np.flatnonzero(ended) if not self._stop.value else ():
+            why = self._lanes.failure(time[i], span.length, span.outputs)
+            self._end(at[i], span.start + time[i], why)
         self._counts[at] += counts
-        self.switches[at] += counts[:, 2].astype(int)
-        self.missed[at] += counts[:, 3].astype(int)
+        self.switches[at] += counts[:, 3].astype(int)
+        self.missed[at] += counts[:, 4].astype(int)
         return kept, ended
 
     def _one_by_one(
@@ -472,6 +484,7 @@ class Runner:
             _functions=MotionFunctions(
                 model, False, inputs, load if loaded else None,
                 shared=partial(self._function, run, model) if self._shares else None,
+                core=core_scene(self._equation(model, "auto", ())),
             ),
         )  # fmt: skip
         vars(found).update(_bars=self.bars(run))
@@ -481,11 +494,7 @@ class Runner:
         """Return the bars over a run, up to where it is good; all nodes were kept."""
         there = np.isfinite(self.nodes[run]).all(axis=(0, 1))
         nodes, velocities = self.nodes[run][:, :, there], self.velocities[run][:, :, there]
-        structure, steps = self.scene.model.structure, 0
-        if run in self._work:
-            steps = self._work[run].steps
-        elif self.how.step is not None:
-            steps = ceil(self.end_time[run] / self.how.step)
+        structure, steps = self.scene.model.structure, self._work_of(run).steps
         # From one output to the next the input is one polynomial in time.
         has_input = not self._ends_alone or len(self.spans) == 1
         again = partial(self._again, run) if has_input else None
@@ -536,10 +545,7 @@ class Runner:
         work = self._work.get(run)
         if work is not None:
             return work
-        plain = self._plain
-        assert isinstance(plain, FixedStep)  # of which the lanes were made
-        steps = (s.outputs * plain.steps_between(s.length, s.outputs) for s in self.spans)
-        return plain.work_of(sum(steps), self._counts[run])
+        return work_of(self._counts[run])
 
     def error(self, run: int) -> FloatArray:
         """Return an estimate of the error of the nodes that were kept, as part of the size.
@@ -584,13 +590,10 @@ class Runner:
         """Return what integrates a run with another step or tolerance."""
         if self._lanes is None:
             return self._made_for(run, value)
-        plain = self._integrator(self._shared, value)
-        lanes = Lanes.of(plain, self._shared, self._projects)
-        assert lanes is not None  # those of the runs have the same code
-        return lanes.single
+        return self._lanes.of_run(run, value)
 
     def _function(self, run: int, model: Model, name: str) -> tuple[ca.Function, list[FloatArray]]:
-        """Return a function of the model of a run, compiled where all runs share it, and inputs."""
+        """Return a function of the model of a run, one that all runs share, and more inputs."""
         scene, shared = self.scene, self.scene.model
         names = [each for each in scene.parameters if each not in MASSES]
         if name not in ("string_force_density", "elastic_energy"):
@@ -599,10 +602,7 @@ class Runner:
             names = []
 
         def build() -> ca.Function:
-            function = shared.of_parameters(name, names) if names else getattr(shared, name)
-            code = if_compiled(lambda: compiled(function)) if self._machine_code else None
-            return function if code is None else code
+            return shared.of_parameters(name, names) if names else getattr(shared, name)
 
-        key = "shared", name, tuple(names), self._machine_code and compiler()
-        found = shared.prepared.get(key, build)
+        found = shared.prepared.get(("shared", name, tuple(names)), build)
         return found, [scene.some(each, run, run + 1)[0] for each in names]

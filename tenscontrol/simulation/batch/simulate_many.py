@@ -1,8 +1,8 @@
 """Many runs of one model at once: starts, inputs, loads and parameters that differ from run to run.
 
-Runs go in blocks to threads. Where a method has fixed steps and every member is written out, a
-block is one call of compiled C that takes a step of several runs by one instruction. Else each run
-is a call of the integrator. The numbers are those of single runs, to the last bit.
+Runs go in blocks to threads. By rk4 a block is one call of the compiled core, which takes a step of
+several runs by one instruction. Else each run is a call of the integrator. The numbers are those of
+single runs, to the last bit.
 """
 
 from __future__ import annotations
@@ -200,7 +200,6 @@ def simulate_many(
     output_step: float | None = None,
     keep_nodes: object = None,
     project: bool | None = None,
-    machine_code: bool = True,
     threads: int | None = None,
     error: str = "sample",
     progress: bool = False,
@@ -240,9 +239,6 @@ def simulate_many(
         Largest time between states kept, s; start and end alone if not given.
     keep_nodes : array_like of int, or of bool, shape (n,), optional
         Nodes that are kept, or a mask of them; all if not given.
-    machine_code : bool
-        Whether to compile. Without it, or a compiler that works, the numbers are the same, some ten
-        times as late; ``batch.choice.back_end`` says what ran, and a warning why a compiler failed.
     threads : int, optional
         All processors if not given.
     error : {"sample", "all", "none"}
@@ -286,7 +282,6 @@ def simulate_many(
     """
     validation.instance("model", model, Model, "make one by Model(structure)")
     integration = Integration(method, tolerance, step, output_step, project, error="none")
-    validation.truth("machine_code", machine_code, "whether to compile the steps")
     validation.truth("progress", progress, "whether to show a progress bar")
     validation.choice("error", error, ("sample", "all", "none"))
     threads = _processors() if threads is None else validation.whole_number("threads", threads, 1)
@@ -304,7 +299,7 @@ def simulate_many(
         kept = validation.index_list("keep_nodes", keep_nodes, len(kept), "nodes")
     runner = errors = None
     with keeping("runs are done, the others are NaN", lambda: 0 if runner is None else runner.done):
-        runner = Runner(scene, kept, law, machine_code)
+        runner = Runner(scene, kept, law)
         with progress_bar(scene.count, progress, label="simulating", unit="runs") as report:
             runner.run(threads, report)
         if error != "none":

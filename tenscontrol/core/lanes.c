@@ -1,0 +1,32 @@
+/* Runs side by side by the instructions that every machine has, and the choice of wider ones. */
+#include "lanes.h"
+
+#undef WIDE
+#define WIDE
+#define LANES 2
+#define LANES_NAME(name) LANES_NAME_##name
+#define LANES_NAME_advance advance_by_all
+#define LANES_NAME_size all_size
+#include "lanes_body.h"
+
+#ifdef HAS_WIDE_LANES
+static int has_avx512(void) {
+  return __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq");
+}
+#define WIDEST(by_avx512, by_avx2, by_all) \
+  (has_avx512() ? by_avx512 : __builtin_cpu_supports("avx2") ? by_avx2 : by_all)
+#else
+#define WIDEST(by_avx512, by_avx2, by_all) by_all
+#endif
+
+size_t tc_runs_work_size(const Scene *scene, const Drive *drive, const Runs *runs) {
+  return WIDEST(avx512_size, avx2_size, all_size)(scene, drive, runs);
+}
+
+void tc_advance_runs(const Scene *scene, const Drive *drive, const Lengths *lengths,
+                     const Settings *settings, const Runs *runs, const double *start,
+                     double *states, Progress *progress, const volatile int32_t *stop,
+                     double *work) {
+  AdvanceRuns *advance = WIDEST(advance_by_avx512, advance_by_avx2, advance_by_all);
+  advance(scene, drive, lengths, settings, runs, start, states, progress, stop, work);
+}

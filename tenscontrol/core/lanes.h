@@ -1,0 +1,20 @@
+/* Many runs of one structure: several at once, by the instructions that there are. */
+#ifndef TENSCONTROL_LANES_H
+#define TENSCONTROL_LANES_H
+
+#include "core.h"
+
+#if defined(__x86_64__) && defined(__GNUC__)
+#define HAS_WIDE_LANES
+#endif
+
+typedef void AdvanceRuns(const Scene *scene, const Drive *drive, const Lengths *lengths,
+                         const Settings *settings, const Runs *runs, const double *start,
+                         double *states, Progress *progress, const volatile int32_t *stop,
+                         double *work);
+typedef size_t RunsSize(const Scene *scene, const Drive *drive, const Runs *runs);
+
+AdvanceRuns advance_by_all, advance_by_avx2, advance_by_avx512;
+RunsSize all_size, avx2_size, avx512_size;
+
+#endif
