@@ -10,7 +10,7 @@ import numpy as np
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray
 from tenscontrol.properties import cached_property
-from tenscontrol.statics.inertia import held_factors, nearly_null
+from tenscontrol.statics.inertia import Factors, held_factors, nearly_null
 from tenscontrol.structure.structure import Structure
 from tenscontrol.structure.supports import is_movable, left_by_supports, rigid_motions
 
@@ -222,9 +222,7 @@ def kept_lengths(structure: Structure, picture: csr_array, E: csc_array) -> Kept
         least = float(part[:rank].min(initial=1.0))
         return KeptLengths(U[:, rank:], least, float(part[rank:].max(initial=0.0)))
     body = rigid_picture(structure, picture)
-    squares = (pictured @ pictured.T).tocsc()
-    largest = squares.diagonal().max()
-    found = nearly_null(held_factors(squares, body, _RANK_TOLERANCE**2 * largest))
+    found = nearly_null(possible_mechanisms(structure, picture, E))
     found, part = _by_lengths(pictured, body, found)
     near = part < _NEAR
     if near.any():
@@ -237,6 +235,14 @@ def kept_lengths(structure: Structure, picture: csr_array, E: csc_array) -> Kept
         float(part[count:].min(initial=1.0)),
         float(part[:count].max(initial=0.0)),
     )
+
+
+def possible_mechanisms(structure: Structure, picture: csr_array, E: csc_array) -> Factors:
+    """Return the factors of ``E Eᵀ`` in the picture: mechanisms are behind doubtful pivots."""
+    pictured, _ = pictured_members(picture, E)
+    squares = (pictured @ pictured.T).tocsc()
+    body = rigid_picture(structure, picture)
+    return held_factors(squares, body, _RANK_TOLERANCE**2 * squares.diagonal().max())
 
 
 def _by_lengths(

@@ -44,16 +44,25 @@ class Factors:
         """The diagonal of the factors in the order of the rows of A, parts of its diagonal."""
         return np.asarray(self.lu.U.diagonal()[self.lu.perm_c])
 
+    @cached_property
+    def doubtful(self) -> IntArray:
+        """Rows whose pivots may be zero."""
+        return np.flatnonzero(np.abs(self.pivots) < _DOUBTFUL)
+
     @property
     def order(self) -> IntArray:
         """Rows in the order of elimination."""
         return np.argsort(self.lu.perm_c)
 
     @property
+    def is_symmetric(self) -> bool:
+        """Whether all pivots are on the diagonal."""
+        return np.array_equal(self.lu.perm_r, self.lu.perm_c)
+
+    @property
     def is_semidefinite(self) -> bool:
         """Whether no pivot is negative but those that may be zero, nor off the diagonal."""
-        is_symmetric = np.array_equal(self.lu.perm_r, self.lu.perm_c)
-        return bool(is_symmetric and self.pivots.min() > -_DOUBTFUL)
+        return bool(self.is_symmetric and self.pivots.min() > -_DOUBTFUL)
 
 
 def factorized(matrix: csc_array, held: IntArray | None = None, least: float = 0.0) -> Factors:
@@ -111,8 +120,7 @@ def nearly_null(factors: Factors, more: int = _MORE) -> FloatArray:
 
     One for each doubtful pivot, and some ``more``, by inverse iteration.
     """
-    doubtful = np.flatnonzero(np.abs(factors.pivots) < _DOUBTFUL)
-    n = len(factors.pivots)
+    doubtful, n = factors.doubtful, len(factors.pivots)
     count = min(len(doubtful) + more, n)
     if count == 0:
         return np.zeros((n, 0))

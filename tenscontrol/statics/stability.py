@@ -15,6 +15,8 @@ from tenscontrol.statics.equilibrium_matrix import (
     kept_lengths,
     null_space,
     picture_axes,
+    pictured_members,
+    possible_mechanisms,
     principal_axes,
     rigid_picture,
     segment_share,
@@ -45,6 +47,15 @@ _NO_PIVOT = 1e-11
 # Stiffness of bars, parts of the largest stiffness, in whose place rigid ones are.
 _RIGID = 1e4
 
+# Mechanisms from which on their lowest stiffnesses alone are found, and how many of these.
+_MANY, _LOWEST = 100, 20
+
+# Give of what keeps lengths, the least shift from zero, parts of the stiffness, and its growth.
+_GIVE, _NEAR_ZERO, _FARTHER = 1e-13, 1e-11, 8.0
+
+# Change of length of a motion that keeps lengths, per length of the motion.
+_KEEPS = 1e-6
+
 # What is left of a sum that cancels.
 _ROUND_OFF = 1e-12
 
@@ -73,7 +84,8 @@ class Stability:
         λ b² has no direction in which it falls, and grows along every mechanism; it says nothing
         of other dimensions.
     mechanism_stiffness : ndarray, shape (k,)
-        Eigenvalues of the prestress energy on the mechanisms, N/m, ascending.
+        Eigenvalues of the prestress energy on the mechanisms, N/m, ascending. Of a structure with
+        more than 300 free coordinates and 100 mechanisms, the 20 lowest.
     stress_matrix_rank_defect : int
         Dimension of the null space of the stress matrix of the free nodes; with rollers, of the
         nodes free along x, y or z, whichever is largest.
@@ -124,10 +136,9 @@ def stability(
     taut = _taut(structure, force_density)
     stiffness, gross = _geometric_stiffness(structure, force_density, bar_force_density)
     carrying = np.concatenate([taut, np.ones(len(structure.bars), bool)])
-    flexes, floor = _left_free(structure, carrying, stiffness, gross, loaded)
-    energy = flexes.T @ (stiffness @ flexes)
     has_force = bool(gross.max() > 0)
-    is_stable = has_force and _is_positive(energy, floor * flexes.T @ (gross @ flexes))
+    values, is_stable = _mechanisms(structure, carrying, stiffness, gross, loaded)
+    is_stable = has_force and is_stable
     defects, is_definite = _stress_defects(structure, force_density, bar_force_density)
     if structure.has_clusters:
         pulls = _pulls(structure, np.sqrt(force_density))
@@ -139,8 +150,94 @@ def stability(
         affine_free = _affine_motions_keeping_length(structure, taut, axes / sizes) == 0
         is_super = has_force and is_definite and defects == least
         is_super = is_super and (affine_free or max(least) == 0)
-    values = np.linalg.eigvalsh(energy)
     return Stability(is_stable, is_super, frozen(values), max(defects))
+
+
+def _mechanisms(
+    structure: Structure, members: np.ndarray, stiffness: csc_array, gross: csc_array, loaded: bool
+) -> tuple[FloatArray, bool]:
+    """Return eigenvalues of the energy on the motions that keep lengths, and if all are positive.
+
+    The lowest, where there may be many such motions.
+    """
+    if not is_small(stiffness):
+        picture = affine_picture(structure)
+        E = sparse_equilibrium_matrix(structure, structure.nodes).tocsr()[structure.free_rows]
+        factors = possible_mechanisms(structure, picture, E.tocsc()[:, members])
+        if len(factors.doubtful) > _MANY:
+            out = _unresisted(structure, picture, stiffness, gross, loaded)
+            out = np.linalg.qr(picture.T @ out)[0]
+            return _softest(pictured_members(picture, E.tocsc()[:, members])[0], picture,
+                            stiffness, gross, out)  # fmt: skip
+    flexes, floor = _left_free(structure, members, stiffness, gross, loaded)
+    energy = flexes.T @ (stiffness @ flexes)
+    return np.linalg.eigvalsh(energy), _is_positive(energy, floor * flexes.T @ (gross @ flexes))
+
+
+def _softest(
+    pictured: csc_array, picture: csr_array, stiffness: csc_array, gross: csc_array,
+    out: FloatArray,
+) -> tuple[FloatArray, bool]:  # fmt: skip
+    """Return the lowest stiffnesses of motions that keep lengths, across those left out.
+
+    By Lanczos' method on the inverse, shifted to below them: to where the matrix with stiff members
+    in place of rigid ones is positive definite. ``pictured`` are unit columns of the picture.
+    """
+    from scipy.sparse import block_array, eye_array
+    from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh, splu
+
+    f, size = len(out), float(gross.diagonal().max())
+    size, shift = size or 1.0, _NEAR_ZERO * (size or 1.0)
+    # Congruent to the stiffness in the picture, in which constraints are well apart.
+    inertia = (picture @ picture.T).tocsc()
+    energy = (picture @ stiffness @ picture.T).tocsc()
+    unit = size * float(inertia.diagonal().max())
+    squares = _RIGID * unit * (pictured @ pictured.T)
+    body = np.linalg.qr(_in_picture(picture, out))[0]
+    while True:
+        stiff = held_factors((energy + shift * inertia + squares).tocsc(), body)
+        if stiff.is_semidefinite and stiff.pivots.min() > -_NO_PIVOT:
+            break
+        shift *= _FARTHER
+    give = _GIVE / unit * eye_array(pictured.shape[1])
+    saddle = [[energy + shift * inertia, pictured], [pictured.T, -give]]
+    factors = splu(block_array(saddle, format="csc"))
+    none = np.zeros(pictured.shape[1])
+
+    def across(vector: FloatArray) -> FloatArray:
+        return np.asarray(vector - out @ (out.T @ vector))
+
+    def inverse(force: FloatArray) -> FloatArray:
+        right = np.concatenate([picture @ across(force.ravel()), none])
+        return across(picture.T @ factors.solve(right)[:f])
+
+    start = inverse(np.cos(np.arange(1.0, f + 1) ** 2))  # any
+    operator = LinearOperator((f, f), matvec=inverse, dtype=float)
+    more = _LOWEST + _MORE
+    try:
+        _, vectors = eigsh(operator, more, which="LM", v0=start, ncv=3 * more)
+    except ArpackNoConvergence as error:  # there are fewer
+        vectors = error.eigenvectors
+        if not vectors.shape[1]:
+            raise ArithmeticError(
+                "the lowest stiffnesses of the mechanisms were not found; give the structure more "
+                "strings, or fewer members"
+            ) from error
+    vectors = np.linalg.qr(vectors)[0]
+    changes = np.linalg.norm(pictured.T @ _in_picture(picture, vectors), axis=0)
+    moved = np.linalg.norm(_in_picture(picture, vectors), axis=0)
+    vectors = vectors[:, changes <= _KEEPS * moved]
+    values, turn = np.linalg.eigh(vectors.T @ (stiffness @ vectors))
+    if not len(values):
+        return values, True
+    lowest = vectors @ turn[:, 0]
+    floor = max(_STIFF * float(lowest @ (gross @ lowest)), f * np.finfo(float).eps * size)
+    return values[:_LOWEST], bool(values[0] > floor)
+
+
+def _in_picture(picture: csr_array, motions: FloatArray) -> FloatArray:
+    """Return y of motions ``x = Pᵀ y``."""
+    return np.asarray((picture @ motions) / picture.multiply(picture).sum(axis=1)[:, None])
 
 
 def tangent_stiffness(
@@ -355,9 +452,18 @@ def _sparse_defect(matrix: csc_array, fields: FloatArray) -> tuple[int, bool]:
 
     Motions that it does not resist are among the fields, as a rule all.
     """
+    from scipy.sparse import eye_array
+
     _, forces, Vt = np.linalg.svd(matrix @ fields, full_matrices=False)
     fields = fields @ Vt[np.count_nonzero(forces > _TOLERANCE) :].T
     factors = held_factors(matrix, fields)
+    if len(factors.doubtful) > _MANY:
+        # By Sylvester's law, on both sides of zero.
+        eye = eye_array(matrix.shape[0])
+        sides = [factorized((matrix + t * eye).tocsc()) for t in (_TOLERANCE, -_TOLERANCE)]
+        if all(side.is_symmetric for side in sides):
+            negative, upto_zero = (int(np.count_nonzero(side.pivots < 0)) for side in sides)
+            return upto_zero - negative, negative == 0
     found = nearly_null(factors, 0)
     found = np.linalg.qr(found - fields @ (fields.T @ found))[0]
     values = np.linalg.eigvalsh(found.T @ (matrix @ found))

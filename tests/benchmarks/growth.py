@@ -1,7 +1,8 @@
 """Processor time and memory of each stage from structure to control, of 10 stages to 3,000.
 
-Run: ``python -m tests.benchmarks.growth``. Towers of prisms, 24 members a stage, and towers of
-class 2, 9 members a stage. A routine is left out of larger towers where smaller ones predict more
+Run: ``python -m tests.benchmarks.growth``. Towers of prisms, 24 members a stage, towers of
+class 2, 9 members a stage, and square nets with held edges, 7 strings a stage, which no string
+controls where they are flat. A routine is left out of larger towers where smaller ones predict more
 time or memory than the budget. Memory is the largest of the process while the routine runs, less
 that before it; Linux alone says it. Threads of linear algebra cost processor time where other
 programs run: ``OPENBLAS_NUM_THREADS=1`` keeps it to one. The last table compares sparse routines of
@@ -34,7 +35,19 @@ import tenscontrol as tc
 from tenscontrol.tables import aligned, shown
 from tests.benchmarks.command_line import options
 
-STRUCTURES = {"tower": tc.prism_tower, "class-2 tower": tc.library.class2_tower}
+
+def square_net(stages: int) -> tc.Structure:
+    """Return a net with some 3.5 nodes a stage: 102 by 102 of 3,000."""
+    side = max(4, round((3.5 * stages) ** 0.5))
+    return tc.net(side, side, spacing=0.1, node_mass=0.01, fixed="edges")
+
+
+# With the last routine that they have.
+STRUCTURES = {
+    "tower": (tc.prism_tower, "MPC step"),
+    "class-2 tower": (tc.library.class2_tower, "MPC step"),
+    "net": (square_net, "reduce"),
+}
 STAGES = (10, 30, 100, 300, 1000, 3000)
 WHOLE = (10, 20, 40)
 LEVEL, SAMPLE_TIME, COUNT, HORIZON = 10.0, 0.02, 20, 20
@@ -52,8 +65,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         __doc__, arguments, stages=STAGES, whole=WHOLE, seconds=60.0, gigabytes=2.0, last="MPC step"
     )
     budget = {"seconds": given.seconds, "memory": 1e9 * given.gigabytes}
-    names = list(ROUTINES)[: list(ROUTINES).index(given.last) + 1]
-    for what, generate in STRUCTURES.items():
+    every = list(ROUTINES)
+    for what, (generate, last) in STRUCTURES.items():
+        names = every[: min(every.index(given.last), every.index(last)) + 1]
         print(f"{what}, members:")
         print(table(growth(generate, given.stages, names, budget)) + "\n")
     print("sparse ways against whole decompositions: largest difference, processor s of both")

@@ -109,6 +109,30 @@ def test_prestress_and_stability_are_the_same(name, monkeypatch):
         assert one[1].is_stable == other[1].is_stable
 
 
+MANY = {
+    "class-2 tower": lambda: tc.library.class2_tower(50),
+    "net": lambda: tc.net(14, 14, 0.1, 0.01, fixed="edges"),
+    "net held at corners": lambda: tc.net(14, 14, 0.1, 0.01),
+}
+
+
+@pytest.mark.parametrize("name", MANY)
+def test_the_lowest_of_many_mechanism_stiffnesses_are_those_of_all(name, monkeypatch):
+    module = sys.modules["tenscontrol.statics.stability"]
+    rest = tc.prestress(MANY[name](), 10.0)
+    answers = []
+    for many in (10, 10**9):
+        monkeypatch.setattr(module, "_MANY", many)
+        answers.append(replace(rest).stability)
+    lowest, every = answers
+    assert len(lowest.mechanism_stiffness) == module._LOWEST < len(every.mechanism_stiffness)
+    assert lowest.is_stable == every.is_stable
+    assert lowest.is_super_stable == every.is_super_stable
+    assert lowest.stress_matrix_rank_defect == every.stress_matrix_rank_defect
+    expected = every.mechanism_stiffness[: module._LOWEST]
+    np.testing.assert_allclose(lowest.mechanism_stiffness, expected, rtol=0, atol=EXACT)
+
+
 @pytest.mark.parametrize("seed", range(8))
 def test_sparse_prestress_is_refused_where_a_linear_program_is_infeasible(seed, monkeypatch):
     structure = prism_with_extra_strings(seed)
