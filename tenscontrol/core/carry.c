@@ -115,7 +115,7 @@ SHARED Number carry(Span *span, Truth meant, const Tried *step, Number *x, Numbe
     const double part = j / (PATH - 1.);
     const Number *scale;
     on_path(span, h, all(part), y);
-    gap_at(span, y, step->time + part * h, span->gap, span->rate);
+    gap_at(span, y, step->time + part * h, 0, span->gap, span->rate);
     scale = gap_scales(span, step->time);
     for (int i = 0; i < m; ++i)
       rooms[PATH * i + j] = (2 * step->taut[i] - 1) * span->gap[i] + BAND * scale[i];
@@ -145,7 +145,7 @@ SHARED Number carry(Span *span, Truth meant, const Tried *step, Number *x, Numbe
     slope_at(span, x, step->time + h, step->taut, defect);
     for (int i = 0; i < 2 * half; ++i) defect[i] -= step->slope1[i];
   }
-  gap_at(span, x, step->time + h, span->gap, span->rate);
+  gap_at(span, x, step->time + h, 0, span->gap, span->rate);
   for (int i = 0; i < m; ++i) taut[i] = choice(meant, truth(span->gap[i] > 0), taut[i]);
   return switches;
 }

@@ -94,6 +94,14 @@ WIDE static void string_gaps(const Scene *s, const Number *restrict length,
     for (int i = 0; i < count; ++i) elastic_damped_gap(length[i], u[i], rate[i], k[i], c[i], gap + i);
 }
 
+static Number string_gap(const Scene *s, int i, Number length, Number rate, Number rest) {
+  const Number k = numbers(s->stiffness)[i], c = numbers(s->damping)[i];
+  Number gap = length - rest;
+  if (s->damped && s->law == LINEAR_STRINGS) linear_damped_gap(length, rest, rate, k, c, &gap);
+  else if (s->damped) elastic_damped_gap(length, rest, rate, k, c, &gap);
+  return gap;
+}
+
 /* Factorizes the matrix of the blocks by LDL', without pivoting, in place. */
 SHARED void factorize(const Scene *s, Number *K) {
   Number *diagonal = K + s->factors;
@@ -200,15 +208,15 @@ SHARED void forces_of(const Scene *s, const Number *state, const Input *input, c
     forces_3(s, p, v, input, taut, forces, &w);
 }
 
-SHARED void gap_of(const Scene *s, const Number *state, const Input *input, Number *gap, Number *rate,
-            Number *work) {
+SHARED void gap_of(const Scene *s, const Number *state, const Input *input, const Number *marked,
+                   Number *gap, Number *rate, Number *work) {
   const Work w = parts_of(s, work);
   const Number *p, *v;
   nodes_of(s, state, &p, &v, &w);
   p = moved(p, input->offset, w.ends, s->entries);
   v = moved(v, input->offset_rate, w.end_rates, s->entries);
   if (s->dimension == 2)
-    gaps_2(s, p, v, input->strings, gap, rate, &w);
+    gaps_2(s, p, v, input->strings, marked, gap, rate, &w);
   else
-    gaps_3(s, p, v, input->strings, gap, rate, &w);
+    gaps_3(s, p, v, input->strings, marked, gap, rate, &w);
 }

@@ -200,9 +200,26 @@ static void N(weighed)(const Scene *s, const Number *p, const Number *ends, cons
   N(accelerations)(s, p, w->v, w->f, a, w);
 }
 
-static void N(gaps)(const Scene *s, const Number *p, const Number *v, const Number *u, Number *gap,
-                    Number *rate, const Work *w) {
-  if (s->slacking) {
+/* Gaps of a few strings, those that are marked. */
+static void N(gaps_of)(const Scene *s, const Number *p, const Number *v, const Number *u,
+                       const Number *marked, Number *gap, Number *rate) {
+  for (int i = 0; i < s->slacking; ++i) {
+    const int start = s->segment_start[i], end = s->segment_end[i];
+    Number segment[D], change[D], length;
+    if (!any(marked[i] != 0)) continue;
+    for (int k = 0; k < D; ++k) segment[k] = p[end + k] - p[start + k];
+    N(pulling_length)(segment, u[i], &length);
+    for (int k = 0; k < D && rate; ++k) change[k] = v[end + k] - v[start + k];
+    if (rate) N(length_rate)(segment, change, length, rate + i);
+    gap[i] = string_gap(s, i, length, rate ? rate[i] : all(0), u[i]);
+  }
+}
+
+static void N(gaps)(const Scene *s, const Number *p, const Number *v, const Number *u,
+                    const Number *marked, Number *gap, Number *rate, const Work *w) {
+  if (s->slacking && marked && !s->clustered) {
+    N(gaps_of)(s, p, v, u, marked, gap, rate);
+  } else if (s->slacking) {
     Number *length = w->length, *change = s->clustered ? w->rate : rate;
     N(segments)(s, p, u, w->S, length);
     if (rate) N(length_rates)(s, v, w->S, length, change);

@@ -25,9 +25,9 @@ SHARED int velocity_dependent(const Scene *s) {
   return 0;
 }
 
-/* Gaps alone. */
-static void gaps_at(Span *span, const Number *x, Number time, Number *gap) {
-  gap_at(span, x, time, gap, velocity_dependent(span->scene) ? span->rate : 0);
+/* Gaps alone, of all or of what is marked. */
+static void gaps_at(Span *span, const Number *x, Number time, const Number *marked, Number *gap) {
+  gap_at(span, x, time, marked, gap, velocity_dependent(span->scene) ? span->rate : 0);
 }
 
 /* Lengths that round-off in each gap is a part of, m, at a time: rest lengths, and the size. */
@@ -68,7 +68,7 @@ static void gap_at_rest(Span *span, const Number *x, Number time, Number *gap) {
   const int half = span->states / 2;
   memcpy(span->middle, x, half * sizeof *x);
   memset(span->middle + half, 0, half * sizeof *x);
-  gap_at(span, span->middle, time, gap, span->rate);
+  gap_at(span, span->middle, time, 0, gap, span->rate);
 }
 
 /* Marks strings that may switch within a step with 1, and with 2 those that come back in; returns how
@@ -77,15 +77,15 @@ SHARED Number crossings(Span *span, const Tried *step) {
   const int m = span->switches, n = span->states;
   const Number h = step->h;
   const Number *scale, *taut = step->taut;
-  Number *marks = span->leaving;
+  Number *marks = span->marked;
   Number *gap0 = span->rooms, *rate0 = span->inside, *gap1 = span->outside, *rate1 = span->within;
   Number square = all(0), count = all(0);
   Truth finite;
   if (!m) return count;
   for (int i = 0; i < n; ++i) square += step->x1[i] * step->x1[i];
   finite = square < INFINITY; /* a state that is not finite is not searched */
-  gap_at(span, step->x, step->time, gap0, rate0);
-  gap_at(span, step->x1, step->time + h, gap1, rate1);
+  gap_at(span, step->x, step->time, 0, gap0, rate0);
+  gap_at(span, step->x1, step->time + h, 0, gap1, rate1);
   scale = gap_scales(span, step->time);
   for (int i = 0; i < m; ++i) {
     const Number sign = sign_of(taut[i]), band = BAND * scale[i];
@@ -98,7 +98,7 @@ SHARED Number crossings(Span *span, const Tried *step) {
     Number *gap = span->gap, *there = span->rooms;
     /* The border of a damped string has other tangents than its stretch: look at the middle. */
     middle_of(span, step);
-    gap_at(span, span->middle, step->time + h / 2, gap, span->rate);
+    gap_at(span, span->middle, step->time + h / 2, 0, gap, span->rate);
     scale = gap_scales(span, step->time);
     for (int i = 0; i < m; ++i) {
       const Number sign = sign_of(taut[i]), band = BAND * scale[i];
@@ -134,7 +134,7 @@ static Number least_of(const Number *of, int count) {
 SHARED Number missed_switches(Span *span, const Tried *step) {
   Number count = all(0);
   crossings(span, step);
-  for (int i = 0; i < span->switches; ++i) count += span->leaving[i];
+  for (int i = 0; i < span->switches; ++i) count += span->marked[i];
   return count;
 }
 
@@ -177,16 +177,20 @@ SHARED void on_path(const Span *span, Number h, Number part, Number *x) {
   }
 }
 
-/* Room of each string up to its border at a part of a step, m. */
-static void rooms_at(Span *span, const Tried *step, Number part, Number *rooms) {
+/* Room of each string up to its border at a part of a step, m; of marked ones, if there are any marks,
+   and no end of it of the others. */
+static void rooms_at(Span *span, const Tried *step, Number part, const Number *marked,
+                     Number *rooms) {
   const Number *scale;
   Number *y = span->middle;
   if (velocity_dependent(span->scene)) on_path(span, step->h, part, y);
   else places_on_path(span, part, y);
-  gaps_at(span, y, step->time + part * step->h, span->gap);
+  gaps_at(span, y, step->time + part * step->h, marked, span->gap);
   scale = gap_scales(span, step->time);
-  for (int i = 0; i < span->switches; ++i)
-    rooms[i] = sign_of(step->taut[i]) * span->gap[i] + BAND * scale[i];
+  for (int i = 0; i < span->switches; ++i) {
+    const Number room = sign_of(step->taut[i]) * span->gap[i] + BAND * scale[i];
+    rooms[i] = marked ? choice(marked[i] != 0, room, all(INFINITY)) : room;
+  }
 }
 
 /* Closes in on the first sample that is out, else on the lowest; whether one is out. */
@@ -197,7 +201,7 @@ static Truth zoom(Span *span, const Tried *step, Number *low, Number *high) {
     const Truth is_in = (least < 0) == 0;
     Number lowest;
     Truth better;
-    rooms_at(span, step, *low + (j + 1.0) * width, span->rooms);
+    rooms_at(span, step, *low + (j + 1.0) * width, span->marked, span->rooms);
     lowest = least_of(span->rooms, span->switches);
     better = is_in & (lowest < least);
     first = choice(better, all(j), first);
@@ -212,7 +216,7 @@ static Truth zoom(Span *span, const Tried *step, Number *low, Number *high) {
 static Number mean_of_chosen(const Span *span, const Number *of) {
   Number sum = all(0), count = all(0);
   for (int i = 0; i < span->switches; ++i) {
-    sum += span->chosen[i] * of[i];
+    sum += only(span->chosen[i] != 0, of[i]);
     count += span->chosen[i];
   }
   return sum / count;
@@ -234,8 +238,8 @@ SHARED Cut first_switch(Span *span, const Tried *step, double allowed, double le
   make_path(span, step);
   for (int i = 0; i < (span->scene->grounds ? ZOOMS_ON_GROUND : ZOOMS); ++i)
     cut.found = zoom(span, step, &low, &high);
-  rooms_at(span, step, low, inside);
-  rooms_at(span, step, high, outside);
+  rooms_at(span, step, low, 0, inside);
+  rooms_at(span, step, high, 0, outside);
   scale = gap_scales(span, step->time);
   size = least_of(scale, m);
   near = 0.5 * BAND * size;
@@ -266,7 +270,7 @@ SHARED Cut first_switch(Span *span, const Tried *step, double allowed, double le
     Number there;
     Truth is_in;
     cut.part = smaller(larger(left + over * (right - left) / (over - under), left), right);
-    rooms_at(span, step, cut.part, span->rooms);
+    rooms_at(span, step, cut.part, chosen, span->rooms);
     there = mean_of_chosen(span, span->rooms) - edge - cut.aim;
     is_in = there > 0;
     left = choice(is_in, cut.part, left);
@@ -292,7 +296,7 @@ SHARED Number approach(Span *span, const Tried *step, Cut cut, Place *place, voi
     *places += truth(going);
     part = choice(going, smaller(larger(only(speed < 0, wanted), all(0)), all(1)), part);
     place(by, part, x);
-    gaps_at(span, x, step->time + part * step->h, span->gap);
+    gaps_at(span, x, step->time + part * step->h, span->chosen, span->gap);
     for (int i = 0; i < span->switches; ++i) span->gap[i] *= sign_of(step->taut[i]);
     gap = mean_of_chosen(span, span->gap);
     /* The gap of a damped string has a kink next to the border: the tension falls fast up to it,
@@ -314,7 +318,7 @@ SHARED Number approach(Span *span, const Tried *step, Cut cut, Place *place, voi
 SHARED Number switch_over(Span *span, Truth meant, const Number *x, Number time, Number *taut) {
   Number count = all(0);
   const Number *scale;
-  gaps_at(span, x, time, span->gap);
+  gaps_at(span, x, time, 0, span->gap);
   scale = gap_scales(span, time);
   for (int i = 0; i < span->switches; ++i) {
     const Number room = sign_of(taut[i]) * span->gap[i];

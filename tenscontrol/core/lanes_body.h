@@ -136,7 +136,7 @@ static Number *lay_out(Many *many, const Scene *scene, const Drive *drive, const
   work += RK4_STATES * n;
   for (int run = 0; run < runs->count; run += WIDTH) {
     turn_to(many, numbers_of(many, run));
-    gap_at(&many->span, many->method.x, all(0), many->span.gap, many->span.rate);
+    gap_at(&many->span, many->method.x, all(0), 0, many->span.gap, many->span.rate);
     for (int i = 0; i < m; ++i) many->method.taut[i] = truth(many->span.gap[i] > 0);
   }
   return work;

@@ -30,13 +30,13 @@ void tc_gap(const Scene *s, const Drive *drive, const double *state, double *gap
             double *work) {
   Span span;
   begin(&span, s, drive, 0, work);
-  gap_at(&span, state, 0, gap, rate);
+  gap_at(&span, state, 0, 0, gap, rate);
 }
 
 void tc_taut(const Scene *s, const Drive *drive, const double *state, double *taut, double *work) {
   Span span;
   begin(&span, s, drive, 0, work);
-  gap_at(&span, state, 0, span.gap, span.rate);
+  gap_at(&span, state, 0, 0, span.gap, span.rate);
   for (int i = 0; i < span.switches; ++i) taut[i] = span.gap[i] > 0;
 }
 

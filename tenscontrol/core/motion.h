@@ -22,13 +22,13 @@ typedef struct {
   Number *work;           /* of the equation */
   Number *gap, *rate, *middle, *scale; /* of the search for switches */
   Number *restored; /* of bars that are put on their lengths */
-  Number *coefficients, *rooms, *inside, *outside, *chosen, *leaving, *within;
+  Number *coefficients, *rooms, *inside, *outside, *chosen, *leaving, *within, *marked;
   Number *carried; /* of switches in steps that are not cut */
 } Span;
 
 /* Of equation.c: memory of one evaluation; by inputs at one time xdot, accelerations by the forces of
-   what can switch, each counted by a weight, forces on all entries, and gaps. Where no force depends
-   on velocities, rates of gaps need not be asked for. */
+   what can switch, each counted by a weight, forces on all entries, and gaps: of all that can switch, or at least of
+   what is marked. Where no force depends on velocities, rates of gaps need not be asked for. */
 SHARED size_t equation_work_size(const Scene *scene);
 SHARED void slope_of(const Scene *scene, const Number *state, const Input *input,
                      const Number *taut, Number *slope, Number *work);
@@ -36,8 +36,8 @@ SHARED void weighed_accelerations(const Scene *scene, const Number *state, const
                                   const Number *weight, Number *accelerations, Number *work);
 SHARED void forces_of(const Scene *scene, const Number *state, const Input *input,
                       const Number *taut, Number *forces, Number *work);
-SHARED void gap_of(const Scene *scene, const Number *state, const Input *input, Number *gap,
-                   Number *rate, Number *work);
+SHARED void gap_of(const Scene *scene, const Number *state, const Input *input,
+                   const Number *marked, Number *gap, Number *rate, Number *work);
 
 /* Of span.c: lays out a span in memory, and returns what is left of it. */
 SHARED size_t span_size(const Scene *scene, const Drive *drive);
@@ -45,7 +45,8 @@ SHARED Number *begin(Span *span, const Scene *scene, const Drive *drive, const L
                      Number *work);
 SHARED Input input_at(Span *span, Number time);
 SHARED void slope_at(Span *span, const Number *x, Number time, const Number *taut, Number *slope);
-SHARED void gap_at(Span *span, const Number *x, Number time, Number *gap, Number *rate);
+SHARED void gap_at(Span *span, const Number *x, Number time, const Number *marked, Number *gap,
+                   Number *rate);
 
 /* Of lengths.c: bars on their lengths, if the span has any. */
 SHARED void restore_bars(Span *span, Number *x);

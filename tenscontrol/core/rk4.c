@@ -85,7 +85,7 @@ static Landing land(Rk4 *m, Number crossed, int cuts) {
   Landing now = {m->left, all(0), all(0), all(0), truth(carries), all(0), all(0)};
   if (is_last && !may_carry) {
     now.missed = missed_switches(span, &step);
-    gap_at(span, m->x1, m->time + m->left, span->gap, span->rate);
+    gap_at(span, m->x1, m->time + m->left, 0, span->gap, span->rate);
     for (int i = 0; i < span->switches; ++i) m->taut[i] = truth(span->gap[i] > 0);
     return now;
   }

@@ -18,8 +18,8 @@ SHARED size_t span_size(const Scene *s, const Drive *drive) {
 SHARED Number *begin(Span *span, const Scene *s, const Drive *drive, const Lengths *lengths,
                      Number *work) {
   const int n = 2 * s->free, m = s->switches;
-  Number **arrays[] = {&span->gap,    &span->rate,   &span->scale,   &span->rooms, &span->inside,
-                       &span->outside, &span->chosen, &span->leaving, &span->within};
+  Number **arrays[] = {&span->gap,     &span->rate,   &span->scale,   &span->rooms,  &span->inside,
+                       &span->outside, &span->chosen, &span->leaving, &span->within, &span->marked};
   span->scene = s;
   span->drive = drive;
   span->lengths = lengths;
@@ -73,10 +73,11 @@ SHARED void slope_at(Span *span, const Number *x, Number time, const Number *tau
 }
 
 /* The rate of a stretch is less by that of the rest length. */
-SHARED void gap_at(Span *span, const Number *x, Number time, Number *gap, Number *rate) {
+SHARED void gap_at(Span *span, const Number *x, Number time, const Number *marked, Number *gap,
+                   Number *rate) {
   const Input input = input_at(span, time);
   const Drive *drive = span->drive;
-  gap_of(span->scene, x, &input, gap, rate, span->work);
+  gap_of(span->scene, x, &input, marked, gap, rate, span->work);
   if (rate && drive->degree) {
     const int n = drive->count;
     const Number t = drive->begin + time;

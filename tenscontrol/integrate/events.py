@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from tenscontrol import validation
 from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics.equation import Equation
 from tenscontrol.dynamics.evaluator import Evaluator, Function
@@ -120,13 +121,14 @@ class Switches:
             m s; see above.
         least : float
         """
-        interpolant, room, lowest, scale = self._search
+        interpolant, crossed, room, lowest, scale = self._search
         coefficients = interpolant(step.x, step.slope, step.x1, step.slope1, step.h)[0]
         within = coefficients, step.u, step.taut, step.h
+        is_crossed = crossed(step.x, step.x1, step.u, step.taut, step.h)[0].copy()
         low, high, is_out = 0.0, 1.0, False
         for _ in range(zooms(self._equation)):
             width = (high - low) / SAMPLES
-            samples = lowest(*within, low + width * _PLACES)[0].ravel().tolist()
+            samples = lowest(*within, low + width * _PLACES, is_crossed)[0].ravel().tolist()
             first, last, is_out = _bracket(samples)
             low, high = low + first * width, low + last * width
         if not is_out:
@@ -231,13 +233,23 @@ def _bracket(rooms: list[float]) -> tuple[int, int, bool]:
 
 
 def _searching(equation: Equation) -> tuple[ca.Function, ...]:
-    """Return interpolant, room at a place, the least room at several, and sizes of gaps."""
+    """Return what finds the first switch of a step that is crossed.
+
+    An interpolant, what may switch, its room at a place, the least room of that at several places,
+    and sizes of gaps.
+    """
     room, u = room_inside(equation), equation.symbols()[1]
     given = room.sx_in() if room.is_a("SXFunction") else room.mx_in()
-    lowest = Function("lowest", given, [ca.mmin(room(*given))])
-    lowest = lowest.map("samples", "serial", SAMPLES, [0, 1, 2, 3], [])
+    is_crossed = type(given[0]).sym("crossed", equation.switches)
+    least = ca.mmin(room(*given) + validation.LARGEST * (1 - is_crossed))
+    lowest = Function("lowest", [*given, is_crossed], [least])
+    lowest = lowest.map("samples", "serial", SAMPLES, [0, 1, 2, 3, 5], [])
+    x, u, taut, h = equation.symbols()
+    x1 = equation.symbol("x1", equation.states)
+    crossed = crossed_within(equation, x, x1, u, taut, h)[0]
+    crossed = Function("crossed", [x, x1, u, taut, h], [ca.densify(crossed)])
     scale = Function("scale", [u], [ca.densify(equation.gap_scale(u))])
-    return interpolant(equation), room, lowest, scale
+    return interpolant(equation), crossed, room, lowest, scale
 
 
 def crossings(equation: Equation) -> ca.Function:
