@@ -63,8 +63,20 @@ void tc_largest_rates(const Motion *rates, int32_t times, int32_t count, const i
   }
 }
 
-int64_t tc_near_bars(const Motion *nodes, int32_t intervals, int32_t count, const int32_t *pairs,
-                     const double *reach, int64_t room, int32_t *found) {
+/* The first interval after k that ends at a time or later. */
+static int first_to_reach(const double *begin, const double *length, int k, int count, double time) {
+  int low = k + 1, high = count;
+  while (low < high) {
+    const int middle = low + (high - low) / 2;
+    if (begin[middle] + length[middle] < time) low = middle + 1;
+    else high = middle;
+  }
+  return low;
+}
+
+int64_t tc_near_bars(const Motion *nodes, int32_t intervals, const double *begin,
+                     const double *length, int32_t count, const int32_t *pairs,
+                     const double *speed, int64_t room, int32_t *found) {
   int64_t near = 0;
   for (int p = 0; p < count; ++p) {
     const int32_t *ends = pairs + 4 * p;
@@ -72,10 +84,9 @@ int64_t tc_near_bars(const Motion *nodes, int32_t intervals, int32_t count, cons
       double x[12];
       for (int i = 0; i < 4; ++i) put(nodes, ends[i], k, x + 3 * i);
       const double apart = distance(x, x + 3, x + 6, x + 9);
-      if (apart > reach[p]) {
+      if (apart > speed[p] * length[k]) {
         /* They cannot meet before they have come this far. */
-        const double steps = ceil(apart / reach[p]) - 1;
-        k += steps < 1 ? 1 : steps < intervals - k ? (int)steps : intervals - k;
+        k = first_to_reach(begin, length, k, intervals, begin[k] + apart / speed[p]);
         continue;
       }
       if (near < room) {

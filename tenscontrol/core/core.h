@@ -106,20 +106,25 @@ typedef struct {
 EXPORTED void tc_largest_rates(const Motion *rates, int32_t times, int32_t count,
                                const int32_t *nodes, double *largest, double *work);
 
-/* Finds pairs of bars and intervals, at whose beginning they are at most `reach` (count) apart, m:
-   so much nearer they may come within one. `pairs` (count, 4) are the numbers of their nodes in
+/* Finds pairs of bars and intervals, at whose beginning they are at most as far apart as they may
+   come nearer in it at `speed` (count), m/s. Intervals follow one another. `pairs` (count, 4) are the numbers of their nodes in
    space. Writes (pair, interval) of as many as there is room for, and returns how many there are. */
-EXPORTED int64_t tc_near_bars(const Motion *nodes, int32_t intervals, int32_t count,
-                              const int32_t *pairs, const double *reach, int64_t room,
-                              int32_t *found);
+EXPORTED int64_t tc_near_bars(const Motion *nodes, int32_t intervals, const double *begin,
+                              const double *length, int32_t count, const int32_t *pairs,
+                              const double *speed, int64_t room, int32_t *found);
 
-/* Kinetic energy at many times, J, of rates of all nodes (d, n, times), m/s. */
-EXPORTED void tc_kinetic_energy(const Scene *scene, int32_t times, const double *rates,
+/* Distances of pairs of nodes at many times, m, (count, times). Of this and what follows, times are
+   next to one another in memory. */
+EXPORTED void tc_distances(const Motion *nodes, int32_t dimension, int32_t times, int32_t count,
+                           const int32_t *pairs, double *distance);
+
+/* Kinetic energy at many times, J, of rates of all nodes, m/s. */
+EXPORTED void tc_kinetic_energy(const Scene *scene, int32_t times, const Motion *rates,
                                 double *energy);
 
-/* What strings store at many times, J, of nodes (d, n, times), m, and inputs (strings, times), or
-   (strings) where they are constant. Work memory is two numbers a time. */
-EXPORTED void tc_string_energy(const Scene *scene, int32_t times, const double *nodes,
+/* What strings store at many times, J, of nodes, m, and inputs (strings, times), or (strings) where
+   they are constant. Work memory is two numbers a time. */
+EXPORTED void tc_string_energy(const Scene *scene, int32_t times, const Motion *nodes,
                                const double *inputs, int32_t is_constant, double *energy,
                                double *work);
 
@@ -129,6 +134,7 @@ typedef struct {
   int32_t stuck, stalls;
   int64_t tries, rejections, landings, approaches, switches, interpolants, missed,
       carries, carried;
+  int32_t kept, every, since; /* ends of steps: how many, every which of them, since the last */
 } Progress;
 
 /* How a motion is integrated. */
@@ -137,6 +143,7 @@ typedef struct {
   int32_t projects;
   int32_t outputs; /* equally spaced over the span, the last at its end */
   int32_t budget;  /* steps tried in a call, at most */
+  int32_t room;    /* ends of steps that are kept at most, an even number */
   double duration, step, longest;
   double limit;        /* evaluations from which on no step is tried, of dop853 */
   const double *scale; /* (states): what a step may err, of dop853 */
@@ -188,11 +195,14 @@ EXPORTED double tc_frequency(const Scene *scene, const Drive *drive, const doubl
 EXPORTED double tc_evaluations(const Progress *progress);
 
 /* Integrates until the end of the span, or until the budget or the limit is used up; writes the
-   states at outputs that are reached, one a row of `states`, and returns how many are. `slope` is
-   that of the state, of dop853. */
+   states at outputs that are reached, and returns how many are: one a column of `states`, whose
+   first is left for the start. `slope` is that of the state, of dop853. `step_times` (room) and
+   `step_states` (room, states) become the ends of steps: of every second where they have no room,
+   and so on. */
 EXPORTED int32_t tc_advance(const Scene *scene, const Drive *drive, const Lengths *lengths,
                             const Settings *settings, Progress *progress, double *state,
-                            double *slope, double *taut, double *states, double *work);
+                            double *slope, double *taut, double *states, double *step_times,
+                            double *step_states, double *work);
 
 /* Integrates many runs by rk4, to the bits of `tc_advance`, from the states of `start`, one a row;
    writes the states at outputs, (runs, outputs, states), and the progress of each run. All end

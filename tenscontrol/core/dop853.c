@@ -167,8 +167,8 @@ double tc_evaluations(const Progress *now) {
          (double)(now->landings + now->carries) + MORE_STAGES * (double)now->interpolants;
 }
 
-int advance_by_dop853(Span *span, const Settings *settings, Progress *now, double *x, double *slope,
-                      double *taut, double *states, double *work) {
+int advance_by_dop853(Span *span, const Settings *settings, Progress *now, Kept *kept, double *x,
+                      double *slope, double *taut, double *work) {
   const int n = span->states, m = span->switches;
   const double duration = settings->duration, *scale = settings->scale;
   const double spacing = duration / settings->outputs;
@@ -178,6 +178,7 @@ int advance_by_dop853(Span *span, const Settings *settings, Progress *now, doubl
   Dop853 method = {span, x, taut, 0, 0, K, y, made, 0};
   /* The first output that is not reached yet. */
   int done = (int)floor(now->time / spacing * (1 + 1e-14));
+  kept->column = done + 1;
   for (int tried = 0; tried < settings->budget && now->time < duration && !now->stuck; ++tried) {
     if (tc_evaluations(now) >= settings->limit) break;
     const double time = now->time;
@@ -255,7 +256,7 @@ int advance_by_dop853(Span *span, const Settings *settings, Progress *now, doubl
         now->interpolants += 1;
       }
       for (; done + 1 < settings->outputs && (done + 1) * spacing <= until; ++done) {
-        double *to = states + (size_t)done * n;
+        double *to = next_output(kept);
         const double past = (done + 1) * spacing - time;
         if (is_carried) on_path(span, h, past / h, to);
         else within(x, made, past / method.reach, to, n);
@@ -265,6 +266,7 @@ int advance_by_dop853(Span *span, const Settings *settings, Progress *now, doubl
     now->time = after;
     now->step = h * factor;
     memcpy(x, x1, n * sizeof *x);
+    keep_step(kept, now, x);
     if (is_carried) {
       memcpy(slope, defect, n * sizeof *slope);
       now->landings += 1;
@@ -278,7 +280,7 @@ int advance_by_dop853(Span *span, const Settings *settings, Progress *now, doubl
     }
   }
   if (now->time >= duration) {
-    memcpy(states + (size_t)(settings->outputs - 1) * n, x, n * sizeof *x);
+    memcpy(next_output(kept), x, n * sizeof *x);
     done = settings->outputs;
   }
   return done;

@@ -1,14 +1,13 @@
-/* Energies of a motion: nodes, rates and inputs at many times, which are the last axis. */
+/* Energies of a motion, and distances of its nodes, at many times. */
 #include <math.h>
 #include <string.h>
 
 #include "core.h"
 #include "kernels.h"
 
-/* One coordinate of a node at all times, in an array (d, n, times). */
-static const double *along(const Scene *s, const double *nodes, int place, int axis, int times) {
-  const int d = s->dimension, count = s->entries / d;
-  return nodes + ((size_t)axis * count + place / d) * times;
+/* One coordinate of a node at all times. */
+static const double *along(const Motion *motion, int node, int axis) {
+  return motion->values + axis * motion->axis + node * motion->node;
 }
 
 WIDE static void add_bar(const double *restrict start, const double *restrict end, double mass,
@@ -25,15 +24,15 @@ WIDE static void add_point(const double *restrict rate, double mass, int times,
   for (int t = 0; t < times; ++t) energy[t] += 0.5 * mass * rate[t] * rate[t];
 }
 
-void tc_kinetic_energy(const Scene *s, int32_t times, const double *rates, double *energy) {
+void tc_kinetic_energy(const Scene *s, int32_t times, const Motion *rates, double *energy) {
+  const int d = s->dimension;
   memset(energy, 0, times * sizeof *energy);
-  for (int k = 0; k < s->dimension; ++k) {
+  for (int k = 0; k < d; ++k) {
     for (int i = 0; i < s->bars; ++i)
-      add_bar(along(s, rates, s->any_start[i], k, times), along(s, rates, s->any_end[i], k, times),
+      add_bar(along(rates, s->any_start[i] / d, k), along(rates, s->any_end[i] / d, k),
               s->bar_mass[i], times, energy);
-    for (int i = 0; i < s->entries / s->dimension; ++i)
-      if (s->point_mass[i] != 0)
-        add_point(along(s, rates, s->dimension * i, k, times), s->point_mass[i], times, energy);
+    for (int i = 0; i < s->entries / d; ++i)
+      if (s->point_mass[i] != 0) add_point(along(rates, i, k), s->point_mass[i], times, energy);
   }
 }
 
@@ -42,8 +41,23 @@ WIDE static void add_square(const double *restrict start, const double *restrict
   for (int t = 0; t < times; ++t) square[t] += (end[t] - start[t]) * (end[t] - start[t]);
 }
 
+WIDE static void take_root(int times, double *restrict square) {
+  for (int t = 0; t < times; ++t) square[t] = sqrt(square[t]);
+}
+
 WIDE static void add_root(const double *restrict square, int times, double *restrict length) {
   for (int t = 0; t < times; ++t) length[t] += sqrt(square[t]);
+}
+
+void tc_distances(const Motion *nodes, int32_t dimension, int32_t times, int32_t count,
+                  const int32_t *pairs, double *distance) {
+  memset(distance, 0, (size_t)count * times * sizeof *distance);
+  for (int i = 0; i < count; ++i) {
+    double *to = distance + (size_t)i * times;
+    for (int k = 0; k < dimension; ++k)
+      add_square(along(nodes, pairs[2 * i], k), along(nodes, pairs[2 * i + 1], k), times, to);
+    take_root(times, to);
+  }
 }
 
 /* What a string stores; its input is the same at all times where `step` is 0, else it is 1. */
@@ -66,8 +80,9 @@ WIDE static void add_string(const Scene *s, int string, const double *restrict l
     }
 }
 
-void tc_string_energy(const Scene *s, int32_t times, const double *nodes, const double *inputs,
+void tc_string_energy(const Scene *s, int32_t times, const Motion *nodes, const double *inputs,
                       int32_t is_constant, double *energy, double *work) {
+  const int d = s->dimension;
   const size_t row = is_constant ? 1 : (size_t)times;
   double *square = work, *length = work + times;
   memset(energy, 0, times * sizeof *energy);
@@ -76,9 +91,9 @@ void tc_string_energy(const Scene *s, int32_t times, const double *nodes, const 
     const int string = s->segment_string[i];
     memset(square, 0, times * sizeof *square);
     if (i == 0 || s->segment_string[i - 1] != string) memset(length, 0, times * sizeof *length);
-    for (int k = 0; k < s->dimension; ++k)
-      add_square(along(s, nodes, s->segment_start[i], k, times),
-                 along(s, nodes, s->segment_end[i], k, times), times, square);
+    for (int k = 0; k < d; ++k)
+      add_square(along(nodes, s->segment_start[i] / d, k), along(nodes, s->segment_end[i] / d, k),
+                 times, square);
     add_root(square, times, length);
     if (i + 1 == s->segments || s->segment_string[i + 1] != string)
       add_string(s, string, length, inputs + string * row, !is_constant, times, energy);

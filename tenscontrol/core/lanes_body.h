@@ -173,6 +173,7 @@ static int cut_some(Many *many, int cuts, double rest, int some, const int *runs
   const Group g = group_of(many, numbers);
   Rk4 *method = &many->method;
   Landing landing;
+  Tried step;
   Truth going;
   int waiting = 0;
   for (int i = 0; i < WIDTH; ++i) {
@@ -181,6 +182,8 @@ static int cut_some(Many *many, int cuts, double rest, int some, const int *runs
   }
   turn_to(many, numbers);
   slope_at(&many->span, method->x, method->time, method->taut, method->k1);
+  step = tried_by(method);
+  crossings(&many->span, &step); /* marks what may switch in these runs */
   landing = land(method, *g.crossed, cuts);
   memcpy(g.x, g.x1, many->states * sizeof(Number));
   *g.time = method->time += landing.taken;

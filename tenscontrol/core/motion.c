@@ -72,12 +72,52 @@ double tc_frequency(const Scene *s, const Drive *drive, const double *state, dou
   return sqrt(size);
 }
 
+double *next_output(Kept *kept) {
+  if (kept->waiting == GATHERED) write_outputs(kept);
+  return kept->rows + (size_t)kept->n * kept->waiting++;
+}
+
+void write_outputs(Kept *kept) {
+  for (int i = 0; i < kept->n; ++i) {
+    double *to = kept->states + (size_t)i * kept->columns + kept->column;
+    for (int j = 0; j < kept->waiting; ++j) to[j] = kept->rows[(size_t)j * kept->n + i];
+  }
+  kept->column += kept->waiting;
+  kept->waiting = 0;
+}
+
+void keep_step(Kept *kept, Progress *now, const double *x) {
+  const size_t n = kept->n;
+  if (!kept->room || ++now->since < now->every) return;
+  now->since = 0;
+  if (now->kept == kept->room) {
+    now->kept /= 2;
+    now->since = now->every;
+    now->every *= 2;
+    for (int i = 0; i < now->kept; ++i) {
+      kept->step_times[i] = kept->step_times[2 * i + 1];
+      memcpy(kept->step_states + i * n, kept->step_states + (2 * i + 1) * n, n * sizeof *x);
+    }
+    return;
+  }
+  kept->step_times[now->kept] = now->time;
+  memcpy(kept->step_states + now->kept++ * n, x, n * sizeof *x);
+}
+
 int32_t tc_advance(const Scene *scene, const Drive *drive, const Lengths *lengths,
                    const Settings *settings, Progress *progress, double *state, double *slope,
-                   double *taut, double *states, double *work) {
+                   double *taut, double *states, double *step_times, double *step_states,
+                   double *work) {
   Span span;
   double *rest = begin(&span, scene, drive, settings->projects ? lengths : 0, work);
+  const int n = span.states;
+  Kept kept = {states, step_times, step_states, rest + (size_t)(METHOD_STATES - GATHERED) * n,
+               n,      settings->outputs + 1, 0, 0, settings->room};
+  int done;
   if (settings->method == RK4_METHOD)
-    return advance_by_rk4(&span, settings, progress, state, taut, states, rest);
-  return advance_by_dop853(&span, settings, progress, state, slope, taut, states, rest);
+    done = advance_by_rk4(&span, settings, progress, &kept, state, taut, rest);
+  else
+    done = advance_by_dop853(&span, settings, progress, &kept, state, slope, taut, rest);
+  write_outputs(&kept);
+  return done;
 }

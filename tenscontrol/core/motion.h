@@ -78,6 +78,7 @@ SHARED int velocity_dependent(const Scene *scene);
 SHARED const Number *gap_scales(Span *span, Number time);
 SHARED void make_path(Span *span, const Tried *step);
 SHARED void on_path(const Span *span, Number h, Number part, Number *x);
+/* Of a step that `crossings` was asked of last. */
 SHARED Cut first_switch(Span *span, const Tried *step, double allowed, double least);
 SHARED Number approach(Span *span, const Tried *step, Cut cut, Place *place, void *by, Number *x,
                        Number *places);
@@ -88,12 +89,5 @@ enum { MANY_SWITCHES = 12 };
 SHARED size_t carry_size(const Scene *scene);
 SHARED Number carry(Span *span, Truth meant, const Tried *step, Number *x, Number *taut,
                     Number *defect);
-
-#ifndef LANES
-int advance_by_rk4(Span *span, const Settings *settings, Progress *progress, double *x,
-                   double *taut, double *states, double *work);
-int advance_by_dop853(Span *span, const Settings *settings, Progress *progress, double *x,
-                      double *slope, double *taut, double *states, double *work);
-#endif
 
 #endif

@@ -95,6 +95,7 @@ class Progress(ctypes.Structure):
             "tries", "rejections", "landings", "approaches", "switches", "interpolants", "missed",
             "carries", "carried",
         )),
+        *((name, _COUNT) for name in ("kept", "every", "since")),
     )  # fmt: skip
 
 
@@ -102,7 +103,7 @@ class Settings(ctypes.Structure):
     """How a motion is integrated."""
 
     _fields_ = (
-        *((name, _COUNT) for name in ("method", "projects", "outputs", "budget")),
+        *((name, _COUNT) for name in ("method", "projects", "outputs", "budget", "room")),
         *((name, _NUMBER) for name in ("duration", "step", "longest", "limit")),
         ("scale", _POINTER),
     )  # fmt: skip

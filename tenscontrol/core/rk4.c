@@ -143,12 +143,13 @@ static void step_through(Rk4 *m, double *x, Progress *now) {
   }
 }
 
-int advance_by_rk4(Span *span, const Settings *settings, Progress *now, double *x, double *taut,
-                   double *states, double *work) {
+int advance_by_rk4(Span *span, const Settings *settings, Progress *now, Kept *kept, double *x,
+                   double *taut, double *work) {
   const int n = span->states;
   const FixedSteps steps = fixed_steps(settings);
   Rk4 method = rk4_of(span, x, work, taut, work + n);
   int64_t done = (int64_t)round(now->time / steps.h);
+  kept->column = (int)(done / steps.inner) + 1;
   for (int tried = 0; tried < settings->budget && done < steps.total; ++tried) {
     method.time = (double)done * steps.h;
     method.left = steps.h;
@@ -160,7 +161,8 @@ int advance_by_rk4(Span *span, const Settings *settings, Progress *now, double *
         now->stuck = 1;
         return (int)((done - 1) / steps.inner);
       }
-    if (done % steps.inner == 0) memcpy(states + (done / steps.inner - 1) * n, x, n * sizeof *x);
+    keep_step(kept, now, x);
+    if (done % steps.inner == 0) memcpy(next_output(kept), x, n * sizeof *x);
   }
   return (int)(done / steps.inner);
 }

@@ -241,12 +241,18 @@ def pack_state(structure: Structure, nodes: FloatArray, velocities: FloatArray) 
 
 
 def unpack_states(structure: Structure, states: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return all nodes and velocities, shape (d, n, T) each, from states, one a column."""
+    """Return all nodes and velocities, shape (d, n, T) each, from states, one a column.
+
+    They share the memory of the states where nothing is fixed.
+    """
     d, n = structure.nodes.shape
-    nodes, velocities = np.zeros((2, n * d, states.shape[1]))
-    nodes[:] = structure.nodes.ravel(order="F")[:, None]
-    nodes[structure.free_rows], velocities[structure.free_rows] = np.split(states, 2)
-    shape = (n, d, -1)
+    half, count = len(structure.free_rows), states.shape[1]
+    nodes, velocities = states[:half], states[half:]
+    if half < n * d:
+        nodes, velocities = np.zeros((2, n * d, count))
+        nodes[:] = structure.nodes.ravel(order="F")[:, None]
+        nodes[structure.free_rows], velocities[structure.free_rows] = states[:half], states[half:]
+    shape = (n, d, count)
     return nodes.reshape(shape).swapaxes(0, 1), velocities.reshape(shape).swapaxes(0, 1)
 
 

@@ -14,12 +14,16 @@ from tenscontrol.integrate.integrator import (
     IntegrationPause,
     Report,
     Span,
+    StepEnds,
     Work,
 )
 from tenscontrol.interrupt import check
 
 # Steps in the first call, and seconds that a call should take at most.
 _FIRST, _LONGEST = 64, 0.05
+
+# Ends of steps that are kept at most, and the numbers that they may have, if that is less.
+_MOST_ENDS, _MOST_NUMBERS = 4096, 8_000_000
 
 # The methods in the order of the core's own numbers for them.
 _METHODS = ("rk4", "dop853")
@@ -34,12 +38,24 @@ def settings_of(
     longest: float = 0.0,
     scale: FloatArray | None = None,
     limit: float = float("inf"),
+    room: int = 0,
 ) -> records.Settings:
     """Return the settings of a span for the core."""
     return records.Settings(
-        _METHODS.index(method), project, outputs, 0, duration, step, longest, limit,
+        _METHODS.index(method), project, outputs, 0, room, duration, step, longest, limit,
         None if scale is None else scale.ctypes.data,
     )  # fmt: skip
+
+
+def room_for(states: int) -> int:
+    """Return how many ends of steps are kept at most, an even number."""
+    return 2 * min(max(_MOST_NUMBERS // (2 * states), 32), _MOST_ENDS // 2)
+
+
+def reached(motion: CoreMotion, work: Work) -> Span:
+    """Return the outputs so far of a motion, with what they have cost."""
+    whole = motion.whole
+    return Span(whole[:, 1:], work, whole, StepEnds(*motion.ends))
 
 
 def advance_in_core(
@@ -61,13 +77,12 @@ def advance_in_core(
         Told the time reached.
     """
     progress, budget = motion.progress, _FIRST
-    outputs = len(motion.states)
 
-    def reached() -> Span:
-        return Span(motion.states[: motion.done].T, work_of(progress))
+    def span() -> Span:
+        return reached(motion, work_of(progress))
 
     try:
-        while motion.done < outputs:
+        while not motion.is_over:
             check()
             began = perf_counter()
             motion.advance(budget)
@@ -76,9 +91,9 @@ def advance_in_core(
                 raise failure(motion)
             if report is not None:
                 report(progress.time)
-            if motion.done < outputs and motion.is_paused:
-                raise IntegrationPause(progress.time, motion.state, reached())
+            if not motion.is_over and motion.is_paused:
+                raise IntegrationPause(progress.time, motion.state, span())
             budget = int(min(max(budget * _LONGEST / (taken + 1e-9), 1), 8 * budget))
-        return reached()
+        return span()
     except KeyboardInterrupt:
-        raise IntegrationInterrupt(progress.time, reached()) from None
+        raise IntegrationInterrupt(progress.time, span()) from None

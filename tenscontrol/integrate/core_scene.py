@@ -277,19 +277,21 @@ class CoreScene:
 
     def kinetic_energy(self, rates: FloatArray) -> FloatArray:
         """Return the kinetic energy, J, shape (T,), of velocities (d, n, T), m/s."""
-        count, rates = rates.shape[2], np.ascontiguousarray(rates)
+        count, rates = rates.shape[2], times_in_rows(rates)
         energy = np.empty(count)
-        self.core.tc_kinetic_energy(_at(self.scene), count, _data(rates), _data(energy))
+        motion = records.Motion.of(rates)
+        self.core.tc_kinetic_energy(_at(self.scene), count, _at(motion), _data(energy))
         return energy
 
     def string_energy(self, nodes: FloatArray, inputs: FloatArray) -> FloatArray:
         """Return what strings store, J, shape (T,), of nodes (d, n, T), m, and inputs (α, T)."""
-        count, nodes = nodes.shape[2], np.ascontiguousarray(nodes)
+        count, nodes = nodes.shape[2], times_in_rows(nodes)
         is_constant = count > 0 and inputs.strides[1] == 0  # one column, read at all times
         inputs = np.ascontiguousarray(inputs[:, :1] if is_constant else inputs)
         energy, work = np.empty(count), np.empty(2 * count)
+        motion = records.Motion.of(nodes)
         self.core.tc_string_energy(
-            _at(self.scene), count, _data(nodes), _data(inputs), is_constant, _data(energy),
+            _at(self.scene), count, _at(motion), _data(inputs), is_constant, _data(energy),
             _data(work),
         )  # fmt: skip
         return energy
@@ -313,8 +315,6 @@ class CoreMotion:
     ----------
     state : ndarray, shape (states,)
         Where it has come to.
-    states : ndarray, shape (outputs, states)
-        At the outputs; those that are reached are filled in.
     done : int
         Outputs that are reached.
     progress : Progress
@@ -329,10 +329,29 @@ class CoreMotion:
         self.state = state.copy()
         self._taut = taut
         self._slope = np.zeros(0) if slope is None else slope
-        self.states = np.empty((settings.outputs, len(state)))
+        self._states = np.empty((len(state), settings.outputs + 1))
+        self._states[:, 0] = state
+        self._step_times = np.empty(settings.room)
+        self._step_states = np.empty((settings.room, len(state)))
         self.done = 0
-        self.progress = records.Progress(step=settings.step)
+        self.progress = records.Progress(step=settings.step, every=1)
         self._work = np.empty(scene.work_size)
+
+    @property
+    def whole(self) -> FloatArray:
+        """The start and the outputs that are reached, shape (states, done + 1)."""
+        return self._states[:, : self.done + 1]
+
+    @property
+    def ends(self) -> tuple[FloatArray, FloatArray]:
+        """Times and states, (K,) and (states, K), of the ends of steps that are kept."""
+        count = self.progress.kept
+        return self._step_times[:count], self._step_states[:count].T
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the last output is reached."""
+        return self.done == self._settings.outputs
 
     @property
     def evaluations(self) -> int:
@@ -351,8 +370,14 @@ class CoreMotion:
         self.done = scene.core.tc_advance(
             _at(scene.scene), _at(self._drive), _at(scene.lengths), _at(self._settings),
             _at(self.progress), _data(self.state), _data(self._slope), _data(self._taut),
-            _data(self.states), _data(self._work),
+            _data(self._states), _data(self._step_times), _data(self._step_states),
+            _data(self._work),
         )  # fmt: skip
+
+
+def times_in_rows(motion: FloatArray) -> FloatArray:
+    """Return a motion (d, n, T) whose times are next to one another in memory."""
+    return motion if motion.strides[2] == motion.itemsize else np.ascontiguousarray(motion)
 
 
 def _at(record: ctypes.Structure) -> Any:

@@ -14,7 +14,7 @@ from tenscontrol.arrays import FloatArray
 from tenscontrol.core.records import Progress
 from tenscontrol.dynamics.equation import Equation
 from tenscontrol.dynamics.evaluator import Evaluator, Function
-from tenscontrol.integrate.core_run import advance_in_core, settings_of
+from tenscontrol.integrate.core_run import advance_in_core, reached, room_for, settings_of
 from tenscontrol.integrate.core_scene import CoreMotion, core_scene
 from tenscontrol.integrate.events import Step, Switches, crossings
 from tenscontrol.integrate.integrator import (
@@ -150,12 +150,13 @@ class DOP853(Integrator):
         allowed = self.tolerance * scale
         if core is not None:
             settings = settings_of(
-                "dop853", duration, outputs, self._project, step, longest, allowed, self.limit
-            )
+                "dop853", duration, outputs, self._project, step, longest, allowed, self.limit,
+                room_for(len(state)) if self.keeps_steps else 0,
+            )  # fmt: skip
             motion = CoreMotion(core, state, held, settings, taut, slope)
             span = advance_in_core(motion, _work, _core_failure, report)
-            good = np.isfinite(span.states).all(axis=0)
-            if not good.all():
+            if not np.isfinite(span.states.sum()):
+                good = np.isfinite(span.states).all(axis=0)
                 raise _not_rigid(
                     duration / outputs, span.states[:, : int(good.argmin())], span.work
                 )
@@ -360,8 +361,7 @@ def _stuck(time: float, step: float, reached: Span) -> IntegrationError:
 
 def _core_failure(motion: CoreMotion) -> IntegrationError:
     progress = motion.progress
-    reached = Span(motion.states[: motion.done].T, _work(progress))
-    return _stuck(progress.time, progress.step, reached)
+    return _stuck(progress.time, progress.step, reached(motion, _work(progress)))
 
 
 def _factor(error: float) -> float:

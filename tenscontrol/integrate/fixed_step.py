@@ -14,7 +14,7 @@ from tenscontrol.arrays import FloatArray
 from tenscontrol.core.records import Progress
 from tenscontrol.dynamics.equation import Equation
 from tenscontrol.dynamics.evaluator import Evaluator, Function
-from tenscontrol.integrate.core_run import advance_in_core, settings_of
+from tenscontrol.integrate.core_run import advance_in_core, reached, room_for, settings_of
 from tenscontrol.integrate.core_scene import CoreMotion, core_scene
 from tenscontrol.integrate.events import LATE, Step, Switches, crossings
 from tenscontrol.integrate.integrator import (
@@ -224,6 +224,7 @@ class RK4(FixedStep):
         inner = self.steps_between(duration, outputs)
         step = duration / (inner * outputs)
         settings = settings_of("rk4", duration, outputs, self._project, step=self.step)
+        settings.room = room_for(len(state)) if self.keeps_steps and inner > 1 else 0
         motion = CoreMotion(scene, state, held, settings, scene.taut(state, held))
 
         def work(progress: Progress) -> Work:
@@ -238,8 +239,8 @@ class RK4(FixedStep):
 
         def failure(motion: CoreMotion) -> IntegrationError:
             good = round(motion.progress.time / step) - 1
-            reached = Span(motion.states[: motion.done].T, work(motion.progress))
-            return IntegrationError(not_finite(good, step), step * good, reached)
+            outputs_so_far = reached(motion, work(motion.progress))
+            return IntegrationError(not_finite(good, step), step * good, outputs_so_far)
 
         return advance_in_core(motion, work, failure, report)
 

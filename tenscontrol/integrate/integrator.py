@@ -72,6 +72,21 @@ class Work:
 
 
 @dataclass(frozen=True, eq=False)
+class StepEnds:
+    """Where steps of a span ended: all of them, or every second, fourth, ... of many.
+
+    Attributes
+    ----------
+    time : ndarray, shape (K,)
+        After the start of the span, s, ascending.
+    states : ndarray, shape (states, K)
+    """
+
+    time: FloatArray
+    states: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
 class Span:
     """States at equally spaced times of one span, its start left out.
 
@@ -79,10 +94,16 @@ class Span:
     ----------
     states : ndarray, shape (states, outputs)
     work : Work
+    whole : ndarray, shape (states, outputs + 1), optional
+        The start, then the states, where they lie together in memory.
+    ends : StepEnds, optional
+        Of the steps, if the integrator was told to keep some.
     """
 
     states: FloatArray
     work: Work
+    whole: FloatArray | None = None
+    ends: StepEnds | None = None
 
 
 @dataclass(frozen=True)
@@ -198,6 +219,9 @@ class Integrator(ABC):
 
     #: Methods that took over from the first one.
     changes: tuple[MethodChange, ...] = ()
+
+    #: Whether ends of steps are kept, of what runs in the core; see :attr:`Span.ends`.
+    keeps_steps = False
 
     def __init__(self, equation: Equation, project: bool = False) -> None:
         validation.instance("equation", equation, Equation, "make one by model.equation(input)")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import final
 
 import numpy as np
@@ -257,21 +257,22 @@ class _Motion:
     time: float  # within the span, s
     state: FloatArray
     done: int = 0  # outputs up to then
-    columns: list[FloatArray] = field(default_factory=list)  # states at the outputs
+    spans: list[Span] = field(default_factory=list)  # with the states at the outputs
     work: Work = field(default_factory=Work)
 
     def take(self, found: Span, span: _Given) -> None:
         """Append outputs that follow one another."""
         self.work += found.work
         if found.states.shape[1]:
-            self.columns.append(found.states)
+            from_start = self.time == 0
+            self.spans.append(found if from_start else Span(found.states, found.work))
             self.done += found.states.shape[1]
             self.time, self.state = span.time_of(self.done), found.states[:, -1]
 
     def append(self, ahead: _Motion) -> None:
         """Append a motion that goes on from this one."""
         self.time, self.state, self.done = ahead.time, ahead.state, ahead.done
-        self.columns += ahead.columns
+        self.spans += ahead.spans
         self.work += ahead.work
 
     def give_up(self, trials: Mapping[str, _Motion]) -> None:
@@ -282,8 +283,10 @@ class _Motion:
 
     def span(self) -> Span:
         """Return the outputs so far."""
+        if len(self.spans) == 1:
+            return replace(self.spans[0], work=self.work)
         nothing = np.empty((len(self.state), 0))
-        return Span(np.hstack([nothing, *self.columns]), self.work)
+        return Span(np.hstack([nothing, *(span.states for span in self.spans)]), self.work)
 
 
 @dataclass(frozen=True, eq=False)

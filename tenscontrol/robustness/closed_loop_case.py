@@ -390,8 +390,8 @@ class ClosedLoopCase:
     ) -> Outcome:
         known = self._coordinates
         late = run.time >= (1 - _SETTLED) * run.time[-1]
-        # Of a subdivision, the nodes of its parent come first.
-        nodes = run.nodes[:, : known.nodes.shape[1], late]
+        # Of a subdivision, the nodes of its parent come first. Sums depend on the layout in memory.
+        nodes = np.ascontiguousarray(run.nodes[:, : known.nodes.shape[1], late])
         error = farthest_node(known, nodes, known.nodes if self.target is None else self.target)
         figures = {"final_error": error}
         if run.force_density.size:

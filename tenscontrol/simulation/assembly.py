@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from tenscontrol.integrate.integrator import IntegrationError
 from tenscontrol.simulation.arguments import Arguments
 from tenscontrol.simulation.contacts import ContactRecord, record_contacts
 from tenscontrol.simulation.control_record import ControlRecord
-from tenscontrol.simulation.dense_motion import DenseMotion
+from tenscontrol.simulation.dense_motion import DenseMotion, States
 from tenscontrol.simulation.health import ERROR_LIMIT, HealthLimits
 from tenscontrol.simulation.motion_functions import MotionFunctions
 from tenscontrol.simulation.plant_run import PlantRun
@@ -82,9 +81,7 @@ def assembled(
     )
     vars(trajectory).update(known)
     if limits.crossings is not None:
-        again = partial(_again, DenseMotion.of_run(run))
-        bars = BarMotion(structure, time, nodes, velocities, again, run.work.steps)
-        vars(trajectory).update(_bars=bars.searched())
+        vars(trajectory).update(_bars=_bars(run, time, nodes, velocities).searched())
     return trajectory
 
 
@@ -120,24 +117,24 @@ def _contacts(
     return contacts, known
 
 
-def _again(
-    dense: DenseMotion, first: int, last: int, parts: int
-) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """Return times, nodes and velocities from one interval between states kept to another.
+def _bars(run: PlantRun, time: FloatArray, nodes: FloatArray, velocities: FloatArray) -> BarMotion:
+    """Return the motion of the bars: between outputs, or between ends of steps if those are more.
 
-    In equal parts; None if the motion cannot be integrated again.
+    Parts of it are integrated again where these are too far apart.
     """
-    run, span = dense.run, dense.run.spans[dense.of[first + 1]]
-    if dense.of[first + 1] != dense.of[last + 1]:
-        return None
-    try:
-        piece, _ = dense.again(first + 1, last + 1, parts)
-    except (IntegrationError, KeyboardInterrupt):
-        return None
-    time = np.append(piece.begins, piece.ends[-1:])
-    states = np.column_stack([piece.before, piece.after[:, -1]])
-    inputs = np.repeat(span.coefficients[:, :, None], len(time), axis=2)
-    d, n = run.model.structure.nodes.shape
-    motion = run.all_nodes(states, inputs, time - span.origin)
-    nodes, velocities = motion.reshape(2, n, d, -1).swapaxes(1, 2)
-    return time, nodes, velocities
+    dense = DenseMotion.of_steps(run)
+    if dense is not None:
+        time, nodes, velocities = dense.take(np.arange(1, len(dense.ends))).followed()
+
+    def again(first: int, last: int, parts: int) -> States | None:
+        nonlocal dense
+        if dense is None:  # as a rule it is not asked for
+            dense = DenseMotion.of_run(run)
+        if dense.of[first + 1] != dense.of[last + 1]:  # the first part is the start alone
+            return None
+        try:
+            return dense.again(first + 1, last + 1, parts)[0].followed()
+        except (IntegrationError, KeyboardInterrupt):
+            return None
+
+    return BarMotion(run.model.structure, time, nodes, velocities, again, run.work.steps)

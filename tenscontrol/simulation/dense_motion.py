@@ -13,6 +13,9 @@ from tenscontrol.dynamics.profile import polynomial_at
 from tenscontrol.properties import cached_property
 from tenscontrol.simulation.plant_run import PlantRun
 
+#: Times, s, nodes and velocities, (d, n, T) each.
+States = tuple[FloatArray, FloatArray, FloatArray]
+
 
 @dataclass(eq=False)
 class DenseMotion:
@@ -39,6 +42,26 @@ class DenseMotion:
         return cls(run, of, begins, ends, before, states)
 
     @classmethod
+    def of_steps(cls, run: PlantRun) -> DenseMotion | None:
+        """Return the motion between ends of steps, if they were kept and are more than the outputs.
+
+        Its first part is the start alone.
+        """
+        if len(run.spans) != 2:
+            return None
+        (start, span), ends = run.spans, run.spans[1].ends
+        if ends is None or len(ends.time) <= len(span.time):
+            return None
+        last, begin = span.time[-1], start.time[0]
+        time, states = begin + ends.time, ends.states
+        if last - time[-1] > 1e-9 * (last - begin):  # steps are thinned out
+            time, states = np.append(time, last), np.column_stack([states, span.states[:, -1]])
+        ends_of, after = np.append(begin, time), np.column_stack([span.begin, states])
+        begins, before = np.append(begin, ends_of[:-1]), after[:, [0, *range(len(time))]]
+        of = np.repeat([0, 1], [1, len(time)])
+        return cls(run, of, begins, ends_of, before, after)
+
+    @classmethod
     def joined(cls, parts: Sequence[DenseMotion]) -> DenseMotion:
         """Return parts of a motion one after the other."""
         return cls(
@@ -57,6 +80,20 @@ class DenseMotion:
         if "_accelerations" in self.__dict__:  # they are known
             some._accelerations = [each[:, k] for each in self._accelerations]
         return some
+
+    def followed(self) -> States:
+        """Return times, nodes and velocities of parts that follow one another in one span.
+
+        From the beginning of the first to the end of the last.
+        """
+        run, span = self.run, self.run.spans[self.of[-1]]
+        time = np.append(self.begins, self.ends[-1:])
+        states = np.column_stack([self.before, self.after[:, -1]])
+        inputs = np.repeat(span.coefficients[:, :, None], len(time), axis=2)
+        d, n = run.model.structure.nodes.shape
+        motion = run.all_nodes(states, inputs, time - span.origin)
+        nodes, velocities = motion.reshape(2, n, d, -1).swapaxes(1, 2)
+        return time, nodes, velocities
 
     def again(self, first: int, last: int, parts: int) -> tuple[DenseMotion, int]:
         """Return the time from one to another in equal parts, integrated again from its begin.

@@ -24,6 +24,9 @@ _TIGHTER, _SAFETY, _LOOSER = 0.1, 2.0, 8.0
 # A tenth of so tight a tolerance is lost in round-off: ten times it is taken.
 _TIGHT = 1e-12
 
+# Of a span with more outputs, the motion found again is looked at as often as this.
+_LOOKED_AT = 128
+
 # Parts of the time in which an estimate is at least that in the part before.
 _WINDOWS = 20
 
@@ -97,6 +100,11 @@ class Stage:
 def _steps(time: float, step: float) -> int:
     """Return how many steps a method with a fixed step takes over a time."""
     return max(1, ceil(time / step - 1e-9))
+
+
+def _joined(parts: Sequence[FloatArray]) -> FloatArray:
+    """Return arrays beside one another; one alone is not copied."""
+    return parts[0] if len(parts) == 1 else np.hstack(parts)
 
 
 def _common(one: IntArray, other: IntArray) -> IntArray:
@@ -282,7 +290,7 @@ class Motion:
     def _again(self, factor: float, part: float = 1.0) -> Path:
         """Return the motion for a value by a factor larger, over a first part of the time."""
         integrator, state = self._integrator_of(factor), self.start
-        columns, positions = [np.zeros(0, int)], [self.start[self.rows, None][:, :0]]
+        columns, positions = [np.zeros(0, int)], list[FloatArray]()
         first, switches, now, left = 0, 0, 0.0, part * sum(stage.length for stage in self.stages)
         for stage in self.stages:
             if left <= 0:
@@ -312,7 +320,7 @@ class Motion:
                 left = left - some * time if reached == some else 0.0
                 state = span.states[:, -1] if reached else state
             first += stage.outputs
-        return Path(np.concatenate(columns), np.hstack(positions), switches)
+        return Path(np.concatenate(columns), _joined(positions), switches)
 
     def _integrator_of(self, factor: float) -> Resolved:
         """Return the integrator for a value by a factor larger than what was taken."""
@@ -327,8 +335,9 @@ class Motion:
     def _strides(self, stage: Stage, factor: float) -> list[tuple[int, int]]:
         if self.setting == "step":
             return stage.strides(self.value, factor)
-        # Outputs may limit the steps of a tolerance.
-        return stage.strides(stage.spacing, 2) if factor > 1 else [(stage.outputs, 1)]
+        # Outputs may limit the steps of a tolerance; of many, some tell as much.
+        every = 2 if factor > 1 else max(1, stage.outputs // _LOOKED_AT)
+        return stage.strides(stage.spacing, every)
 
     def _difference(self, other: Path) -> FloatArray:
         """Return how far the motion is from another at the outputs that were kept.
@@ -371,7 +380,7 @@ def estimated_error(
         # The motion is kept from after a jump at its start on.
         begin = partial(run.pushed, held=u, jump=span.jump if i else None)
         stages.append(Stage(float(span.time[-1]) - start, len(span.time), u, begin))
-    positions = np.hstack([span.states[:half] for span in run.spans[1:]])
+    positions = _joined([span.states[:half] for span in run.spans[1:]])
     starts = None
     if is_controlled:  # a controller corrects the motion
         starts = np.column_stack([span.begin for span in run.spans[1:]])

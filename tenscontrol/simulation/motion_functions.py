@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from casadi import Function
 
-from tenscontrol.arrays import FloatArray
+from tenscontrol.arrays import FloatArray, IntArray
+from tenscontrol.core import records
+from tenscontrol.core.library import library
 from tenscontrol.dynamics.evaluator import evaluate_columns
 from tenscontrol.dynamics.model import Model
-from tenscontrol.integrate.core_scene import CoreScene
+from tenscontrol.integrate.core_scene import CoreScene, times_in_rows
 
 # Times at which functions of the model are evaluated in one go: few enough that what they need of a
 # large structure stays small.
@@ -85,6 +88,25 @@ class MotionFunctions:
 
         parts = zip(*(within(first) for first in range(0, count, BLOCK)), strict=True)
         return [read_only(np.hstack(part)) for part in parts]
+
+
+def distances(nodes: FloatArray, pairs: IntArray) -> FloatArray:
+    """Return the distances of pairs of nodes (d, n, T), m, shape (pairs, T)."""
+    core, count = library(), nodes.shape[2]
+    length = np.empty((len(pairs), count))
+    if core is None:
+        start, end = pairs.T
+        for first in range(0, count, BLOCK):
+            some = slice(first, first + BLOCK)
+            apart = nodes[:, end, some] - nodes[:, start, some]
+            length[:, some] = np.sqrt(np.einsum("imt,imt->mt", apart, apart))
+        return length
+    nodes, pairs = times_in_rows(nodes), np.ascontiguousarray(pairs, dtype=np.int32)
+    core.tc_distances(
+        ctypes.byref(records.Motion.of(nodes)), len(nodes), count, len(pairs),
+        *(ctypes.c_void_p(array.ctypes.data) for array in (pairs, length)),
+    )  # fmt: skip
+    return length
 
 
 def by_node(part: FloatArray) -> FloatArray:

@@ -20,6 +20,7 @@ from tenscontrol.integrate.integrator import (
     IntegrationInterrupt,
     Integrator,
     Span,
+    StepEnds,
     Work,
 )
 from tenscontrol.integrate.methods import METHODS, Choice, choose
@@ -45,6 +46,8 @@ class RunSpan:
     coefficients: FloatArray  # of all inputs
     released: float  # what strings cut by then had stored, J
     jump: FloatArray | None = None  # of the velocities of supports at its beginning, m/s
+    whole: FloatArray | None = None  # the beginning, then the states, in one piece of memory
+    ends: StepEnds | None = None  # of the steps, counted from the beginning
 
     def values(self, rows: slice, order: int = 0) -> FloatArray:
         """Return some of the inputs at the times kept, or their rates."""
@@ -72,6 +75,7 @@ class PlantRun:
     now: float = 0.0
     output_step: float = 0.0
     report: Callable[[float], None] | None = None  # of the time reached, s
+    keeps_steps: bool = False  # whether ends of steps are kept beside states at outputs
     spans: list[RunSpan] = field(init=False, default_factory=list)
     moves: bool = field(init=False, default=False)  # an input changes without a controller
     lost_energy: float = field(init=False, default=0.0)
@@ -164,7 +168,9 @@ class PlantRun:
             equation = self._equation_of("mapped")
         # Not what the user says of a method that he has not chosen, and that needs no projection.
         project = how.project if method.drifts or self._method is not None else None
-        return method.integrator(equation, value, self.choice.setting, project)
+        integrator = method.integrator(equation, value, self.choice.setting, project)
+        integrator.keeps_steps = self.keeps_steps
+        return integrator
 
     def go_to(self, time: float) -> None:
         """Set the clock to a time that differs by round-off: samples are counted, not added up."""
@@ -242,9 +248,8 @@ class PlantRun:
 
         def add(span: Span) -> None:
             times = start + duration * np.arange(1, span.states.shape[1] + 1) / outputs
-            self._keep(
-                RunSpan(times, span.states, state, origin, coefficients, self.lost_energy, jump)
-            )
+            held = coefficients, self.lost_energy, jump
+            self._keep(RunSpan(times, span.states, state, origin, *held, span.whole, span.ends))
             self.work += span.work
 
         start, report = self.now, self.report
@@ -378,6 +383,8 @@ class PlantRun:
 
     def all_motion(self) -> tuple[FloatArray, FloatArray]:
         """Return nodes and velocities at all times kept, read-only; built block by block."""
+        if self.supports is None and not len(self.model.structure.fixed_rows):
+            return self._all_free()
         d, n = self.model.structure.nodes.shape
         shape = d, n, sum(len(s.time) for s in self.spans)
         nodes, velocities = np.empty(shape), np.empty(shape)
@@ -396,6 +403,15 @@ class PlantRun:
                 there = slice(place, place + N.shape[2])
                 nodes[:, :, there], velocities[:, :, there] = N, V
                 place = there.stop
+        for part in (nodes, velocities):
+            part.setflags(write=False)
+        return nodes, velocities
+
+    def _all_free(self) -> tuple[FloatArray, FloatArray]:
+        """Return nodes and velocities at all times kept, read-only, in the memory of the states."""
+        whole = self.spans[1].whole if len(self.spans) == 2 else None
+        states = np.hstack([s.states for s in self.spans]) if whole is None else whole
+        nodes, velocities = unpack_states(self.model.structure, states)
         for part in (nodes, velocities):
             part.setflags(write=False)
         return nodes, velocities

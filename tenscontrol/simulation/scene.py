@@ -49,6 +49,9 @@ from tenscontrol.structure.structure import Structure, same_members
 # States kept of an adaptive run, unless the user says otherwise.
 _OUTPUTS = 1000
 
+# Of a run with fewer states than this the ends of steps are kept, to look for bars that cross.
+_FEW_OUTPUTS = 256
+
 
 @dataclass(frozen=True, eq=False)
 class Scene:
@@ -545,7 +548,14 @@ class Scene:
             now=self.begin,
             output_step=self._output_step,
             report=report,
+            keeps_steps=self._keeps_steps,
         )
+
+    @property
+    def _keeps_steps(self) -> bool:
+        """Whether bars that may cross are looked for where outputs are few."""
+        is_few = self.duration < _FEW_OUTPUTS * self._output_step
+        return is_few and self.law is None and self.integration.limits.crossings is not None
 
     @property
     def _output_step(self) -> float:

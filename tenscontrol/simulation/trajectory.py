@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tenscontrol.arrays import FloatArray, IntArray
+from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics.contact_laws import ContactLaw
 from tenscontrol.dynamics.model import Model
 from tenscontrol.integrate.integrator import Work
@@ -20,7 +20,12 @@ from tenscontrol.simulation.contacts import ContactRecord
 from tenscontrol.simulation.control_record import ControlRecord
 from tenscontrol.simulation.faults import Fault
 from tenscontrol.simulation.health import ERROR_LIMIT, Health
-from tenscontrol.simulation.motion_functions import BLOCK, MotionFunctions, by_node, read_only
+from tenscontrol.simulation.motion_functions import (
+    MotionFunctions,
+    by_node,
+    distances,
+    read_only,
+)
 from tenscontrol.simulation.run_file import (
     EVALUATED,
     OF_BARS,
@@ -193,18 +198,8 @@ class Trajectory(Viewable):
         """Tension of each string, γ times its length, N, shape (α, T)."""
         of = self.structure.segment_string
         length = np.zeros(self.force_density.shape)
-        np.add.at(length, of, self._lengths(self.structure.segments))
+        np.add.at(length, of, distances(self.nodes, self.structure.segments))
         return read_only(self.force_density * length)
-
-    def _lengths(self, members: IntArray) -> FloatArray:
-        """Return the distance between the nodes of each pair, m, shape (members, T)."""
-        start, end = members.T
-        length = np.empty((len(start), len(self.time)))
-        for first in range(0, len(self.time), BLOCK):
-            some = slice(first, first + BLOCK)
-            apart = self.nodes[:, end, some] - self.nodes[:, start, some]
-            length[:, some] = np.sqrt(np.einsum("imt,imt->mt", apart, apart))
-        return length
 
     @cached_property
     def kinetic_energy(self) -> FloatArray:
@@ -250,7 +245,7 @@ class Trajectory(Viewable):
     @cached_property
     def bar_length_error(self) -> FloatArray:
         """Current length less true length of each bar, m, shape (β, T)."""
-        error = self._lengths(self.structure.bars)
+        error = distances(self.nodes, self.structure.bars)
         error -= self.structure.bar_length[:, None]
         return read_only(error)
 

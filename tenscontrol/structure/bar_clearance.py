@@ -257,14 +257,16 @@ class _Intervals:
         """
         core, ends = library(), np.ascontiguousarray(bars[pairs].reshape(-1, 4), dtype=np.int32)
         assert core is not None  # it was asked for
-        reach = 2 * strays[bars[pairs]].max(axis=2).sum(axis=1)
+        speed = 2 / self.length.max() * strays[bars[pairs]].max(axis=2).sum(axis=1)
+        begin, length = (np.ascontiguousarray(each) for each in (self.begin, self.length))
         motion, room = records.Motion.of(self.nodes[0]), 2 * len(pairs) + 1000
         while True:
             found = np.empty((room, 2), dtype=np.int32)
             count = core.tc_near_bars(
-                ctypes.byref(motion), self.count, len(pairs), ctypes.c_void_p(ends.ctypes.data),
-                ctypes.c_void_p(reach.ctypes.data), ctypes.c_int64(room),
-                ctypes.c_void_p(found.ctypes.data),
+                ctypes.byref(motion), self.count,
+                *(ctypes.c_void_p(each.ctypes.data) for each in (begin, length)), len(pairs),
+                *(ctypes.c_void_p(each.ctypes.data) for each in (ends, speed)),
+                ctypes.c_int64(room), ctypes.c_void_p(found.ctypes.data),
             )  # fmt: skip
             if count <= room:
                 p, k = found[:count].T.astype(int)

@@ -44,7 +44,7 @@ def test_outputs_whose_bars_have_no_place_end_a_run(monkeypatch):
 
     def advance(self, budget):
         original(self, budget)
-        self.states[3:] = np.nan  # what the core writes for them
+        self._states[:, 4:] = np.nan  # what the core writes for them
 
     monkeypatch.setattr(CoreMotion, "advance", advance)
     with pytest.raises(tc.simulation.SimulationError, match="cannot be put on their lengths") as it:

@@ -103,7 +103,7 @@ def test_a_motion_that_stretches_bars_is_returned_with_a_warning():
 
 @pytest.mark.parametrize(("stiffness", "step"), [(1e4, 5e-3), (1e5, 5e-3), (1e7, 0.02)])
 def test_a_motion_that_runs_away_on_the_ground_is_in_the_error(stiffness, step):
-    """Works of the ground over its last steps overflow."""
+    """Works of the ground over its last steps mean nothing, or overflow."""
     ball = tc.library.six_bar_ball()
     ground = tc.Ground(stiffness=stiffness, damping=100.0, friction=0.5)
     model = tc.Model(ball, strings=tc.LinearStrings(1e3), gravity=9.81, ground=ground)
@@ -113,5 +113,5 @@ def test_a_motion_that_runs_away_on_the_ground_is_in_the_error(stiffness, step):
     run = info.value.trajectory
     assert len(run.time) > 10
     assert np.isfinite(run.nodes).all()
-    assert np.isinf(run.contacts.work_error)
+    assert run.contacts.work_error > 1
     assert "stopped" in run.summary()
