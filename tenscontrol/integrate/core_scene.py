@@ -351,7 +351,7 @@ class CoreMotion:
     @property
     def is_over(self) -> bool:
         """Whether the last output is reached."""
-        return self.done == self._settings.outputs
+        return bool(self.done == self._settings.outputs)
 
     @property
     def evaluations(self) -> int:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
+from operator import add
 from typing import TypeVar
 
 import casadi as ca
@@ -66,9 +67,7 @@ class Work:
     carried: int = 0
 
     def __add__(self, other: Work) -> Work:
-        return Work(
-            **{f.name: getattr(self, f.name) + getattr(other, f.name) for f in fields(self)}
-        )
+        return Work(*map(add, vars(self).values(), vars(other).values()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -354,6 +353,16 @@ def largest_frequency(equation: Equation, state: FloatArray, held: FloatArray) -
     """
     if equation.structure is None:
         return 0.0
+    # A run asks for it several times at its start, and so does the next from there.
+    last = equation.prepared.get("last frequency", dict[str, tuple[tuple[bytes, bytes], float]])
+    given = state.tobytes(), held.tobytes()
+    known = last.get("known")
+    if known is None or known[0] != given:
+        known = last["known"] = given, _largest_frequency(equation, state, held)
+    return known[1]
+
+
+def _largest_frequency(equation: Equation, state: FloatArray, held: FloatArray) -> float:
     n = equation.states // 2
     size = float(np.abs(state[:n] - state[:n].mean()).max()) or 1.0
     random = equation.prepared.get("random", lambda: np.random.default_rng(0).standard_normal(n))

@@ -166,8 +166,8 @@ class HealthLimits:
         values = vars(self)
         return [name for name in values if name != "action" and values[name] is not None]
 
-    def passed(self, health: Health) -> list[str]:
-        """Return a sentence for each limit that is passed.
+    def passed(self, health: Health) -> dict[str, str]:
+        """Return a sentence for each limit that is passed, by its name.
 
         Parameters
         ----------
@@ -175,26 +175,24 @@ class HealthLimits:
 
         Returns
         -------
-        list of str
+        dict of str to str
         """
         validation.instance("health", health, Health, "health of a trajectory")
-        found: list[str] = []
-        for each in fields(self):
-            limit = getattr(self, each.name)
-            if each.name == "action" or limit is None:
-                continue
-            if each.name == "crossings":
+        found: dict[str, str] = {}
+        for name in self.names:
+            limit = getattr(self, name)
+            if name == "crossings":
                 if len(health.crossings or ()) > limit:
-                    found.append(_passing(health.crossings or ()))
+                    found[name] = _passing(health.crossings or ())
                 continue
-            source = health if hasattr(health, each.name) else health.work
-            value = getattr(source, each.name)
+            source = health if hasattr(health, name) else health.work
+            value = getattr(source, name)
             if value is not None and value > limit:
-                what = each.name.replace("_", " ")
-                why = _PHYSICAL.get(each.name, "")
-                if each.name == "position_error":
+                what = name.replace("_", " ")
+                why = _PHYSICAL.get(name, "")
+                if name == "position_error":
                     why = f" of the size from {health.trusted_until:.4g} s on"
-                found.append(f"{what} {value:.2g} is above its limit {limit:g}{why}")
+                found[name] = f"{what} {value:.2g} is above its limit {limit:g}{why}"
         return found
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import replace
 
 from tenscontrol.integrate.methods import Choice
 from tenscontrol.simulation.health import AccuracyWarning, BarCrossingWarning, HealthLimits
@@ -27,19 +26,17 @@ class SimulationError(ArithmeticError):
 def check_health(run: Trajectory, limits: HealthLimits, stacklevel: int = 3) -> None:
     """Warn or raise where the motion passes a limit."""
     health = run.health_of(limits.names)
-    every = limits.passed(health)
-    limits = replace(limits, crossings=None)
     passed = limits.passed(health)
-    crossed = "; ".join(text for text in every if text not in passed)
+    crossed = passed.pop("crossings", None)
     if crossed and limits.action == "raise":
         raise SimulationError(crossed, run)
     if crossed:
         warnings.warn(crossed, BarCrossingWarning, stacklevel=stacklevel)
     if not passed:
         return
-    text = "; ".join(passed)
+    text = "; ".join(passed.values())
     # How deep nodes sink, a fall, and steps of motors are no errors of the integration.
-    if replace(limits, penetration=None, fall=None, rest_length_error=None).passed(health):
+    if passed.keys() - {"penetration", "fall", "rest_length_error"}:
         text += f": the motion may not be accurate. Try {finer(run.choice)}"
     if health.trusted_until is not None and health.trusted_until < run.time[-1]:
         text += "; a motion that magnifies errors can only be foretold for a time, see run.error"

@@ -17,6 +17,9 @@ from tenscontrol.simulation.integration import Integration
 from tenscontrol.simulation.scene import Scene, run_scene
 from tenscontrol.simulation.trajectory import Trajectory
 
+# The usual limits; checked once.
+_LIMITS = HealthLimits()
+
 
 def simulate(
     model: Model,
@@ -229,7 +232,7 @@ def simulate(
     with interruptible():  # CasADi may lose a key while it builds
         integration = Integration(
             method, tolerance, step, output_step, project, error,
-            HealthLimits() if limits is None else limits,
+            _LIMITS if limits is None else limits,
         )  # fmt: skip
         scene = Scene(
             model,
