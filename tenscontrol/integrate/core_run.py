@@ -55,6 +55,8 @@ def room_for(states: int) -> int:
 def reached(motion: CoreMotion, work: Work) -> Span:
     """Return the outputs so far of a motion, with what they have cost."""
     whole = motion.whole
+    if not motion.is_over:  # what follows has memory of its own: give back what is left of this
+        whole = whole.copy()
     return Span(whole[:, 1:], work, whole, StepEnds(*motion.ends))
 
 

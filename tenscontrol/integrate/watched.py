@@ -119,7 +119,7 @@ class Watched(Integrator):
             method.limit = np.inf
             return method.advance(state, held, duration, outputs, report)
         span = _Given(held, duration, outputs, self._equation.layout, report)
-        motion = _Motion(0.0, state)
+        motion = _Motion(0.0, state, state)
         self._is_over = True  # if nothing else is said below
         try:
             while motion.time < duration:
@@ -160,7 +160,7 @@ class Watched(Integrator):
     ) -> tuple[_Motion, IntegrationError | IntegrationInterrupt | None]:
         """Return the motion from a place on, by a method within a budget, and what ended it."""
         method, cost = self._method(name)
-        ahead = _Motion(start.time, start.state, start.done)
+        ahead = _Motion(start.time, start.state, start.begin, start.done)
         before = self._spent
         while ahead.time < span.duration:
             method.limit = max((budget - (self._spent - before)) / cost, 1.0)
@@ -256,6 +256,7 @@ class _Motion:
 
     time: float  # within the span, s
     state: FloatArray
+    begin: FloatArray  # the state at the start of the span
     done: int = 0  # outputs up to then
     spans: list[Span] = field(default_factory=list)  # with the states at the outputs
     work: Work = field(default_factory=Work)
@@ -282,11 +283,16 @@ class _Motion:
             self.work += Work(rejections=tried, evaluations=each.work.evaluations)
 
     def span(self) -> Span:
-        """Return the outputs so far."""
-        if len(self.spans) == 1:
-            return replace(self.spans[0], work=self.work)
-        nothing = np.empty((len(self.state), 0))
-        return Span(np.hstack([nothing, *(span.states for span in self.spans)]), self.work)
+        """Return the outputs so far, of a motion from the start of the span."""
+        if len(self.spans) != 1:
+            whole, done = np.empty((len(self.begin), self.done + 1)), 1
+            whole[:, 0] = self.begin
+            while self.spans:  # one by one, so that they give back their memory
+                some = self.spans.pop(0).states
+                whole[:, done : done + some.shape[1]] = some
+                done += some.shape[1]
+            self.spans = [Span(whole[:, 1:], self.work, whole)]
+        return replace(self.spans[0], work=self.work)
 
 
 @dataclass(frozen=True, eq=False)
