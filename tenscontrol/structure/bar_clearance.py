@@ -39,6 +39,9 @@ _OFF_BY = 4.0
 # together beside half as many as the run has steps.
 _PARTS, _STEPS, _MOST_PARTS = 4, 64, 4_096
 
+# Pairs in intervals that are looked at closely, at most.
+_MOST_PLACES = 100_000
+
 # As parts of the size: what needs no closer look; bars that touch; those that stay in one plane;
 # motions that have run away; and those that are taken beside the mean of the nodes. Of the least
 # distance, the part by which it may be missed.
@@ -668,6 +671,9 @@ class BarMotion:
         pairs, k, error = self._close(motion, None)
         parts = self._parts if motion is self._kept else _PARTS * motion.count // self._kept.count
         while len(k):
+            if len(k) > _MOST_PLACES:  # bars fly about: nothing can be told of them
+                unresolved |= set(np.unique(motion.origin[k]).tolist())
+                break
             more, sure = self._crossed(motion, pairs, k, error)
             # All of a pair in an interval is looked at again, or nothing.
             key = self._key(motion, pairs, k)

@@ -246,3 +246,14 @@ def test_bars_that_touch_in_the_structure_have_no_sides():
     nodes, velocities = uniform(cross, (0, 0, 1.0), time)
     assert BarMotion(cross, time, nodes - 0.5 * time, velocities).clearance is None
     assert BarMotion(cross, time, np.sin(9 * time) * nodes, velocities).crossings == ()
+
+
+def test_bars_that_fly_about_are_not_told_apart():
+    """Every pair may meet in every interval: the intervals count as unresolved, at once."""
+    tower = tc.library.prism_tower(20)
+    rng, count = np.random.default_rng(0), 400
+    nodes = tower.nodes[:, :, None] + rng.uniform(-50, 50, (*tower.nodes.shape, count))
+    velocities = rng.uniform(-1e4, 1e4, nodes.shape)
+    motion = BarMotion(tower, np.arange(count) / count, nodes, velocities)
+    assert motion.unresolved == count - 1
+    assert motion.crossings == ()
