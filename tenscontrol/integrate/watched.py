@@ -283,7 +283,9 @@ class _Motion:
     def span(self) -> Span:
         """Return the outputs so far."""
         nothing = np.empty((len(self.state), 0))
-        return Span(np.hstack([nothing, *self.columns]), self.work)
+        columns = self.columns or [nothing]
+        states = columns[0] if len(columns) == 1 else np.hstack(columns)  # large: no copy of one
+        return Span(states, self.work)
 
 
 @dataclass(frozen=True, eq=False)
