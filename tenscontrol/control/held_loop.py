@@ -114,7 +114,7 @@ def held_loop(plant: LinearPlant, gain: object, *, sample_time: float) -> HeldLo
     held, strings = plant.prepared.get("held rest lengths", lambda: _with_held_lengths(plant))
     by_shape = strings.gamma_by_state.copy()
     by_shape[:, states // 2 :] = 0.0  # the conversion ignores rates
-    by_length = np.diag(strings.gamma_by_input)[:, None]
+    by_length = strings.gamma_by_input.diagonal()[:, None]
     change = to_model_strings(plant, "force_density", -K.T).T - by_shape
     length_gain = to_commanded_strings(plant, "rest_length", (change / by_length).T).T
     transition, input_matrix, _ = held.discretize(sample_time)

@@ -45,6 +45,33 @@ static void active_set_add(double factor, const double *x, double *y, int count)
         y[i] += factor * x[i];
 }
 
+/* The product of two rows of the lists. */
+static double active_set_inner(const ActiveSet *set, int j, int k)
+{
+    int shorter = set->length[j] < set->length[k] ? set->length[j] : set->length[k];
+    double product = active_set_dot(set->entries[j], set->entries[k], shorter);
+    if (set->rest != NULL)
+        product += set->rest->inner(set->data, set->active[j], set->active[k]);
+    return product;
+}
+
+/* The product of a row of the lists with x. */
+static double active_set_value(const ActiveSet *set, int k, const double *x)
+{
+    double value = active_set_dot(set->entries[k], x, set->length[k]);
+    if (set->rest != NULL)
+        value += set->rest->value(set->data, set->active[k], x);
+    return value;
+}
+
+/* x += factor times a row of the lists */
+static void active_set_add_row(const ActiveSet *set, double factor, int k, double *x)
+{
+    active_set_add(factor, set->entries[k], x, set->length[k]);
+    if (set->rest != NULL)
+        set->rest->add(set->data, factor, set->active[k], x);
+}
+
 /* Row k of L, left of its diagonal. */
 static double *active_set_factor_row(const ActiveSet *set, int k)
 {
@@ -73,8 +100,7 @@ static double active_set_softness(const ActiveSet *set, int k)
 
 static double active_set_diagonal(const ActiveSet *set, int k)
 {
-    const double *row = set->entries[k];
-    return active_set_dot(row, row, set->length[k]) + active_set_softness(set, k);
+    return active_set_inner(set, k, k) + active_set_softness(set, k);
 }
 
 /* Solve L' p = p for the first rows. */
@@ -90,7 +116,7 @@ SOLVER_WIDE static void active_set_combine(const ActiveSet *set, const double *y
 {
     int k;
     for (k = 0; k < set->count; k++)
-        active_set_add(factor * y[k], set->entries[k], x, set->length[k]);
+        active_set_add_row(set, factor * y[k], k, x);
 }
 
 /* The pivot of a row as the square of its distance from the span of those before it. */
@@ -101,11 +127,13 @@ SOLVER_WIDE static double active_set_distance(const ActiveSet *set, int k, const
     memcpy(p, l, (size_t)k * sizeof *p);
     active_set_backward(set, p, k);
     memset(z, 0, (size_t)set->columns * sizeof *z);
-    memcpy(z, set->entries[k], (size_t)set->length[k] * sizeof *z);
+    active_set_add_row(set, 1.0, k, z);
     for (m = 0; m < k; m++) {
-        active_set_add(-p[m], set->entries[m], z, set->length[m]);
+        active_set_add_row(set, -p[m], m, z);
         square += active_set_softness(set, m) * p[m] * p[m];
     }
+    if (set->rest != NULL)
+        return square + set->rest->square(set->data, z);
     return square + active_set_dot(z, z, set->columns);
 }
 
@@ -149,11 +177,8 @@ SOLVER_WIDE static void active_set_append(ActiveSet *set, int candidate, int sid
     set->side[k] = side;
     set->violated[k] = violated;
     diagonal = pivot = active_set_diagonal(set, k);
-    for (m = 0; m < k; m++) {
-        int shorter = set->length[m] < set->length[k] ? set->length[m] : set->length[k];
-        l[m] = active_set_dot(set->entries[m], set->entries[k], shorter) -
-               active_set_dot(active_set_factor_row(set, m), l, m);
-    }
+    for (m = 0; m < k; m++)
+        l[m] = active_set_inner(set, m, k) - active_set_dot(active_set_factor_row(set, m), l, m);
     for (m = 0; m < k; m++) {
         double scaled = l[m] / set->pivot[m];
         pivot -= scaled * l[m];
@@ -315,7 +340,7 @@ SOLVER_WIDE static double active_set_residuals(ActiveSet *set, const double *x, 
     int k;
     for (k = 0; k < set->count; k++) {
         int i = set->active[k];
-        double left = active_set_dot(set->entries[k], x, set->length[k]);
+        double left = active_set_value(set, k, x);
         left -= set->side[k] > 0 ? high[i] : low[i];
         if (set->violated[k])
             left -= (set->y[i] - set->side[k] * set->price[i]) / set->curvature[i];
@@ -500,7 +525,7 @@ static int active_set_next(ActiveSet *set, const double *x, const double *low, c
     int which[ACTIVE_SET_BATCH], room = set->most - set->count, count, k, worst;
     double largest;
     for (k = set->count; k < set->count + set->candidates; k++)
-        set->product[set->active[k]] = active_set_dot(set->entries[k], x, set->length[k]);
+        set->product[set->active[k]] = active_set_value(set, k, x);
     worst = active_set_worst(set, low, high, &largest);
     if (worst >= 0 && largest >= *enough)
         return worst;

@@ -25,6 +25,9 @@
  *                                   there; entries[j] is set to where it is, and length[j] to where
  *                                   zeros begin that last to its end.
  *
+ * Rows may have a part beside their entries, by the functions in `rest`, for rows that have few
+ * numbers other than zero, and for x in coordinates that are not orthonormal.
+ *
  * All products cost much where M is no matrix. So the rows that are violated most by one are
  * reached in a batch, and are candidates: the set changes among itself and them while one of them
  * is violated, by no less than a part of what the worst row was, and only then are all products
@@ -93,6 +96,14 @@
 #define ACTIVE_SET_INTEGERS(rows, most) ((size_t)(rows) + 5 * (size_t)(most))
 #define ACTIVE_SET_POINTERS(most) ((size_t)(most))
 
+/* What rows have beside their entries; x is all `columns` of it. */
+typedef struct {
+    double (*inner)(void *data, int i, int j); /* what it adds to the product of rows i and j */
+    double (*value)(void *data, int i, const double *x); /* ... of row i and x */
+    void (*add)(void *data, double factor, int i, double *x); /* ... to x + factor times row i */
+    double (*square)(void *data, const double *x); /* |x|^2, whole */
+} ActiveSetRest;
+
 typedef struct {
     /* given by the caller */
     int rows, columns, most, stored, limit;
@@ -101,6 +112,7 @@ typedef struct {
     void (*products)(void *data, const double *x, double *out);
     void (*batch)(void *data, int count, const int *which, double *const *space,
                   const double **entries, int *length);
+    const ActiveSetRest *rest; /* NULL: nothing */
     int (*stop)(void *data); /* asked at each change; NULL: never stops */
     void *data;
     /* answer, besides x */

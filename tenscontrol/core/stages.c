@@ -128,13 +128,13 @@ static void stages_transpose(int rows, int columns, const double *A, int lda, do
 
 /*
  * Put what a stage does into a slot: derivatives A by z_k, B by u_k and C by u_{k-1}. The matrices
- * are stored by columns; C is NULL where inputs are no ramps. Steps found from the slot before are
+ * are stored by columns; C is NULL where inputs are no ramps, and B is known where stages are thin. Steps found from the slot before are
  * none any more.
  */
 static void stages_set_motion(Stages *s, size_t slot, const double *A, const double *B,
                               const double *C)
 {
-    int n = s->states, a = s->inputs, m = s->ramp ? n - a : n, j;
+    int n = s->states, a = s->thin ? 0 : s->inputs, m = s->ramp ? n - a : n, j;
     double *motion = s->motion + slot * (a + n) * n;
     if (!s->ramp) {
         memcpy(motion, B, (size_t)a * n * sizeof *motion);
@@ -158,20 +158,9 @@ static void stages_set_motion(Stages *s, size_t slot, const double *A, const dou
 /* out = S h, or S'h, which must not be h. */
 static void stages_unfactor(const Stages *s, int k, int transposed, const double *h, double *out)
 {
-    int n = s->states, a = s->inputs, j;
-    double *t = s->work + 4 * (size_t)(n + a); /* behind what callers use */
-    if (!s->thin) {
-        memset(out, 0, (size_t)a * sizeof *out);
-        stages_add(a, a, 1.0, (transposed ? s->S : s->S_t) + stages_step(s, k) * a * a, h, out);
-        return;
-    }
-    for (j = 0; j < a; j++)
-        out[j] = transposed ? s->unit[j] * h[j] : h[j];
-    memset(t, 0, (size_t)n * sizeof *t);
-    stages_add(a, n, 1.0, s->Y, out, t);
-    stages_add(n, a, -1.0, s->S_t, t, out);
-    for (j = 0; !transposed && j < a; j++)
-        out[j] *= s->unit[j];
+    int a = s->inputs;
+    memset(out, 0, (size_t)a * sizeof *out);
+    stages_add(a, a, 1.0, (transposed ? s->S : s->S_t) + stages_step(s, k) * a * a, h, out);
 }
 
 static int stages_finite(const double *values, size_t count)
@@ -181,21 +170,6 @@ static int stages_finite(const double *values, size_t count)
     for (i = 0; i < count; i++)
         wrong |= !(fabs(values[i]) < INFINITY);
     return !wrong;
-}
-
-/* Find where columns of G are not zero, where all stages are alike. */
-static void stages_find_spans(Stages *s)
-{
-    int a = s->inputs, p = s->limited, i, j;
-    for (j = 0; j < a; j++) {
-        int *span = s->span + 2 * j;
-        span[0] = span[1] = 0;
-        for (i = p - 1; i >= 0; i--)
-            if (s->G[(size_t)j * p + i] != 0.0) {
-                span[0] = i;
-                span[1] = span[1] ? span[1] : i + 1;
-            }
-    }
 }
 
 /* Factorize rows of X = U'U in place, from what is right of the diagonal; whether X is definite. */
@@ -239,23 +213,85 @@ static int stages_factorize(const Stages *s, int a, int width, double *X, double
     return 1;
 }
 
-/* W = S'B'P A of alike stages with few states: all that their recursion has to find. */
-static void stages_prepare_thin(Stages *s)
+/*
+ * Many inputs that move few states, with alike stages and a diagonal R: D R D = I, and D B' = V T
+ * with orthonormal V such that T P T' is diagonal. Then S = D (I - V diag(1 - shrink) V'), and what
+ * passes from stage to stage is in the span of V. There vectors of inputs are [w v s], which is for
+ * V (w - v) + s, with w and v = V's of n numbers: one after another for all stages, w first. The s
+ * of a row is what its own inputs are, and few of them are other than zero.
+ */
+
+/* Where v and s of a stage are in [w v s]. */
+static size_t stages_thin_v(const Stages *s, int k)
+{
+    return (size_t)(s->stages + k) * s->states;
+}
+
+static size_t stages_thin_s(const Stages *s, int k)
+{
+    return 2 * (size_t)s->stages * s->states + (size_t)k * s->inputs;
+}
+
+/* W in the span of V, and the v of limited values. */
+static void stages_thin_prepare(Stages *s)
+{
+    int n = s->states, p = s->limited, i, j, e;
+    double *A = s->motion_t, *PA = s->work;
+    stages_transpose(s->inputs, n, s->V, n, s->V_t, s->inputs);
+    stages_product(s, n, n, n, s->P, n, A, n, PA, n, 0);
+    stages_product(s, n, n, n, s->T, n, PA, n, s->W, n, 0);
+    for (i = 0; i < n; i++)
+        for (j = 0; j < n; j++)
+            s->W[i * n + j] *= s->shrink[i];
+    stages_transpose(n, n, s->W, n, s->W_t, n);
+    memset(s->limited_v, 0, (size_t)p * n * sizeof *s->limited_v);
+    for (i = 0; i < p; i++)
+        for (e = s->G_start[i]; e < s->G_start[i + 1]; e++)
+            stages_add(1, n, s->G[e] / s->scale[i], s->V + (size_t)s->G_which[e] * n,
+                       s->unit + s->G_which[e], s->limited_v + (size_t)i * n);
+}
+
+/* f = S'(B't + R h) as [w v s], and p -= W'f. */
+static void stages_thin_aim(Stages *s, int k, const double *t, const double *h, double *p)
 {
     int n = s->states, a = s->inputs, i, j;
-    double *PA = s->work, *T = PA + (size_t)n * n, *off = T + (size_t)n * n;
-    stages_transpose(a, n, s->Y, n, s->S_t, a);
-    stages_transpose(n, n, s->motion + (size_t)a * n, n, T, n); /* A */
-    stages_product(s, n, n, n, s->costs, n, T, n, PA, n, 0);
-    stages_product(s, a, n, n, s->motion, n, PA, n, s->W, n, 0);
-    for (i = 0; i < a; i++)
+    double *w = s->first + (size_t)k * n, *v = s->first + stages_thin_v(s, k);
+    double *rest = s->first + stages_thin_s(s, k);
+    for (j = 0; j < a; j++)
+        rest[j] = h[j] / s->unit[j];
+    memset(v, 0, (size_t)n * sizeof *v);
+    stages_add(a, n, 1.0, s->V, rest, v);
+    for (i = 0; i < n; i++) {
+        w[i] = v[i];
         for (j = 0; j < n; j++)
-            s->W[(size_t)i * n + j] *= s->unit[i];
-    stages_product(s, n, a, n, s->S_t, a, s->W, n, T, n, 0);
-    stages_product(s, a, n, n, s->Y, n, T, n, off, n, 0);
-    for (i = 0; i < a * n; i++)
-        s->W[i] -= off[i];
-    stages_transpose(a, n, s->W, n, s->W_t, a);
+            w[i] += s->T[i * n + j] * t[j];
+        w[i] *= s->shrink[i];
+    }
+    stages_add(n, n, -1.0, s->W, w, p);
+}
+
+/* u_k = S (x - f - W z) with x and f as [w v s], and drive, of which T' is what u does. */
+static void stages_thin_input(const Stages *s, int k, const double *x, const double *f,
+                              const double *z, double *u, double *drive)
+{
+    int n = s->states, a = s->inputs, j;
+    size_t w = (size_t)k * n, v = stages_thin_v(s, k), rest = stages_thin_s(s, k);
+    double *c = drive + n;
+    memset(drive, 0, (size_t)n * sizeof *drive);
+    stages_add(n, n, -1.0, s->W_t, z, drive);
+    memset(u, 0, (size_t)a * sizeof *u);
+    for (j = 0; x != NULL && j < a; j++)
+        u[j] = x[rest + j];
+    for (j = 0; f != NULL && j < a; j++)
+        u[j] -= f[rest + j];
+    for (j = 0; j < n; j++) {
+        drive[j] += (x == NULL ? 0.0 : x[w + j]) - (f == NULL ? 0.0 : f[w + j]);
+        drive[j] *= s->shrink[j];
+        c[j] = drive[j] - (x == NULL ? 0.0 : x[v + j]) + (f == NULL ? 0.0 : f[v + j]);
+    }
+    stages_add(n, a, 1.0, s->V_t, c, u);
+    for (j = 0; j < a; j++)
+        u[j] *= s->unit[j];
 }
 
 /* Whether costs differ from P right of the diagonal by no more than a part of their diagonal. */
@@ -348,7 +384,7 @@ static int stages_prepare(Stages *s, double tolerance)
         memcpy(s->costs, s->P, square * sizeof *P);
         if (!s->thin)
             return stages_find_step(s, 0, 0, 1);
-        stages_prepare_thin(s);
+        stages_thin_prepare(s);
         return 1;
     }
     for (k = s->stages - 1; k >= 0; k--) {
@@ -398,16 +434,36 @@ static void stages_aim(Stages *s, const double *r, const double *aim, const doub
                 gap[j] += drift[(size_t)k * m + j];
         stages_add(n, n, 1.0, s->costs + stages_step(s, k) * n * n, gap, t);
         /* f = S'(B't + R (u - s)),   p_k = A't - W'f */
+        if (s->thin) {
+            memset(p, 0, (size_t)n * sizeof *p);
+            stages_add(n, n, 1.0, s->motion_t, t, p);
+            stages_thin_aim(s, k, t, h, p);
+            continue;
+        }
         memset(by_all, 0, (size_t)w * sizeof *by_all);
-        for (j = 0; s->thin && j < a; j++)
-            by_all[j] = h[j] / (s->unit[j] * s->unit[j]);
-        if (!s->thin)
-            stages_add(a, a, 1.0, s->R, h, by_all);
+        stages_add(a, a, 1.0, s->R, h, by_all);
         stages_add(n, w, 1.0, s->motion_t + stages_slot(s, k) * w * n, t, by_all);
         stages_unfactor(s, k, 1, by_all, f);
         memcpy(p, by_all + a, (size_t)n * sizeof *p);
         stages_add(a, n, -1.0, W, f, p);
     }
+}
+
+/* u_k = S_k (x_k - f_k - W_k z_k); x and f may be NULL: zeros. */
+static void stages_input(const Stages *s, int k, const double *x, const double *f, const double *z,
+                         double *u)
+{
+    int n = s->states, a = s->inputs, j;
+    size_t at = (size_t)k * a;
+    double *h = s->work;
+    if (s->thin) {
+        stages_thin_input(s, k, x, f, z, u, h);
+        return;
+    }
+    for (j = 0; j < a; j++)
+        h[j] = (x == NULL ? 0.0 : x[at + j]) - (f == NULL ? 0.0 : f[at + j]);
+    stages_add(n, a, -1.0, s->W_t + stages_step(s, k) * a * n, z, h);
+    stages_unfactor(s, k, 0, h, u);
 }
 
 /*
@@ -417,21 +473,18 @@ static void stages_aim(Stages *s, const double *r, const double *aim, const doub
 static void stages_simulate(const Stages *s, const double *x, const double *f, const double *gap,
                             double *z, double *u)
 {
-    int n = s->states, a = s->inputs, w = a + n, j, k;
-    double *h = s->work;
+    int n = s->states, a = s->inputs, moved = s->thin ? 0 : a, k;
     for (k = 0; k < s->stages; k++, z += n, u += a) {
-        const double *motion = s->motion + stages_slot(s, k) * w * n;
-        size_t at = (size_t)k * a;
-        for (j = 0; j < a; j++)
-            h[j] = (x == NULL ? 0.0 : x[at + j]) - (f == NULL ? 0.0 : f[at + j]);
-        stages_add(n, a, -1.0, s->W_t + stages_step(s, k) * a * n, z, h);
-        stages_unfactor(s, k, 0, h, u);
+        const double *motion = s->motion + stages_slot(s, k) * (moved + n) * n;
+        stages_input(s, k, x, f, z, u);
         if (gap != NULL)
             memcpy(z + n, gap + (size_t)k * n, (size_t)n * sizeof *z);
         else
             memset(z + n, 0, (size_t)n * sizeof *z);
-        stages_add(a, n, 1.0, motion, u, z + n);
-        stages_add(n, n, 1.0, motion + (size_t)a * n, z, z + n);
+        if (s->thin)
+            stages_add(n, n, 1.0, s->T, s->work, z + n);
+        stages_add(moved, n, 1.0, motion, u, z + n);
+        stages_add(n, n, 1.0, motion + (size_t)moved * n, z, z + n);
     }
 }
 
@@ -451,9 +504,9 @@ static void stages_limits(const Stages *s, const double *z, const double *u, dou
         memset(out, 0, (size_t)p * sizeof *out);
         stages_add(m, p, 1.0, s->E + at * m * p, z, out);
         if (s->alike)
-            for (j = 0; j < a; j++)
-                for (i = s->span[2 * j]; i < s->span[2 * j + 1]; i++)
-                    out[i] += s->G[(size_t)j * p + i] * u[j];
+            for (i = 0; i < p; i++)
+                for (j = s->G_start[i]; j < s->G_start[i + 1]; j++)
+                    out[i] += s->G[j] * u[s->G_which[j]];
         else
             stages_add(a, p, 1.0, s->G + at * a * p, u, out);
         if (s->ahead)
@@ -478,8 +531,12 @@ static void stages_enter(const Stages *s, int stage, int kind, int k, double *by
     if (kind < values)
         return;
     kind -= values;
-    for (j = 0; j < a; j++)
-        by_all[j] += s->G[(at * a + j) * p + kind] / s->scale[kind];
+    if (s->alike)
+        for (j = s->G_start[kind]; j < s->G_start[kind + 1]; j++)
+            by_all[s->G_which[j]] += s->G[j] / s->scale[kind];
+    else
+        for (j = 0; j < a; j++)
+            by_all[j] += s->G[(at * a + j) * p + kind] / s->scale[kind];
     for (j = 0; j < m; j++)
         by_all[a + j] += s->E[(at * m + j) * p + kind] / s->scale[kind];
 }
@@ -493,25 +550,6 @@ static void stages_enter_ahead(const Stages *s, int k, int kind, double *ahead)
     kind -= stages_rows(s) - p;
     for (j = 0; s->ahead && kind >= 0 && j < m; j++)
         ahead[j] = s->F[(at * m + j) * p + kind] / s->scale[kind];
-}
-
-/* x = S'h for the first numbers of some rows of a + n, one after another; t is work. */
-static void stages_unfactor_batch(const Stages *s, int k, int count, const double *rows, double *x,
-                                  double *t)
-{
-    int n = s->states, a = s->inputs, w = a + n, r, j;
-    double *off = t + (size_t)count * n;
-    if (!s->thin) {
-        stages_times(s, count, a, a, rows, w, s->S + stages_step(s, k) * a * a, x);
-        return;
-    }
-    for (r = 0; r < count; r++)
-        for (j = 0; j < a; j++)
-            x[(size_t)r * a + j] = s->unit[j] * rows[(size_t)r * w + j];
-    stages_times(s, count, a, n, x, a, s->Y, t);
-    stages_times(s, count, n, a, t, n, s->S_t, off);
-    for (j = 0; j < count * a; j++)
-        x[j] -= off[j];
 }
 
 /*
@@ -538,7 +576,7 @@ static void stages_batch(const Stages *s, int count, const int *which, double *c
             int i = which[order[r]];
             stages_enter(s, i / rows, i % rows, k, by_all + (size_t)r * w);
         }
-        stages_unfactor_batch(s, k, live, by_all, x, t);
+        stages_times(s, live, a, a, by_all, w, s->S + stages_step(s, k) * a * a, x); /* S'h */
         for (r = 0; r < live; r++)
             memcpy(out[order[r]] + (size_t)k * a, x + (size_t)r * a, (size_t)a * sizeof *x);
         stages_times(s, live, a, n, x, a, s->W + stages_step(s, k) * a * n, t);
@@ -548,28 +586,191 @@ static void stages_batch(const Stages *s, int count, const int *which, double *c
     }
 }
 
+/* What a row has in s of [w v s] at one stage: numbers, times a factor, and its v. */
+typedef struct {
+    int stage, count, own; /* own: the one input, where there are no entries of G */
+    const int *which;
+    const double *by, *v;
+    double factor, v_factor;
+} StagesPart;
+
+/* Find the parts of row i, one or two; returns how many. */
+static int stages_thin_parts(const Stages *s, int i, StagesPart *part)
+{
+    int a = s->inputs, rows = stages_rows(s), kind = i % rows, values = rows - s->limited;
+    part->stage = i / rows;
+    if (kind >= values) {
+        kind -= values;
+        part->count = s->G_start[kind + 1] - s->G_start[kind];
+        part->which = s->G_which + s->G_start[kind];
+        part->by = s->G + s->G_start[kind];
+        part->v = s->limited_v + (size_t)kind * s->states;
+        part->factor = 1.0 / s->scale[kind];
+        part->v_factor = 1.0;
+        return 1;
+    }
+    part->own = kind % a;
+    part->count = 1;
+    part->which = &part->own;
+    part->by = NULL;
+    part->v = s->V + (size_t)part->own * s->states;
+    part->factor = 1.0 / s->level;
+    part->v_factor = s->unit[part->own] * part->factor;
+    if (kind < a || part->stage == 0)
+        return 1;
+    part[1] = part[0];
+    part[1].which = &part[1].own;
+    part[1].stage--;
+    part[1].factor = -part->factor;
+    part[1].v_factor = -part->v_factor;
+    return 2;
+}
+
+/* Number e of a part. */
+static double stages_thin_number(const Stages *s, const StagesPart *part, int e)
+{
+    return part->factor * s->unit[part->which[e]] * (part->by == NULL ? 1.0 : part->by[e]);
+}
+
+static double stages_thin_dot(const Stages *s, const double *a, const double *b)
+{
+    double sum[4] = {0.0};
+    int i, c;
+    for (i = 0; i + 4 <= s->states; i += 4)
+        for (c = 0; c < 4; c++)
+            sum[c] += a[i + c] * b[i + c];
+    for (; i < s->states; i++)
+        sum[0] += a[i] * b[i];
+    return (sum[0] + sum[1]) + (sum[2] + sum[3]);
+}
+
+/* s's - v'v of the parts of two rows, by which the product of their w is less than theirs. */
+static double stages_thin_inner(void *data, int i, int j)
+{
+    const Stages *s = &((StagesProgram *)data)->stages;
+    StagesPart one[2], two[2];
+    int ones = stages_thin_parts(s, i, one), twos = stages_thin_parts(s, j, two), c, d, e, f;
+    double sum = 0.0;
+    for (c = 0; c < ones; c++)
+        for (d = 0; d < twos; d++) {
+            if (one[c].stage != two[d].stage)
+                continue;
+            for (e = f = 0; e < one[c].count && f < two[d].count;) {
+                int by = one[c].which[e] - two[d].which[f];
+                if (by == 0)
+                    sum += stages_thin_number(s, one + c, e) * stages_thin_number(s, two + d, f);
+                e += by <= 0;
+                f += by >= 0;
+            }
+            sum -= one[c].v_factor * two[d].v_factor * stages_thin_dot(s, one[c].v, two[d].v);
+        }
+    return sum;
+}
+
+static double stages_thin_value(void *data, int i, const double *x)
+{
+    const Stages *s = &((StagesProgram *)data)->stages;
+    StagesPart parts[2], *part = parts;
+    int count = stages_thin_parts(s, i, parts), e;
+    double sum = 0.0;
+    for (; count > 0; count--, part++) {
+        const double *rest = x + stages_thin_s(s, part->stage);
+        for (e = 0; e < part->count; e++)
+            sum += stages_thin_number(s, part, e) * rest[part->which[e]];
+        sum -= part->v_factor * stages_thin_dot(s, part->v, x + stages_thin_v(s, part->stage));
+    }
+    return sum;
+}
+
+static void stages_thin_add(void *data, double factor, int i, double *x)
+{
+    const Stages *s = &((StagesProgram *)data)->stages;
+    StagesPart parts[2], *part = parts;
+    int count = stages_thin_parts(s, i, parts), e;
+    for (; count > 0; count--, part++) {
+        double *rest = x + stages_thin_s(s, part->stage), by = factor * part->v_factor;
+        for (e = 0; e < part->count; e++)
+            rest[part->which[e]] += factor * stages_thin_number(s, part, e);
+        stages_add(1, s->states, 1.0, part->v, &by, x + stages_thin_v(s, part->stage));
+    }
+}
+
+/* The square of V (w - v) + s, summed as it is: of a row that nearly depends on others, exact. */
+static double stages_thin_square(void *data, const double *x)
+{
+    const Stages *s = &((StagesProgram *)data)->stages;
+    int n = s->states, a = s->inputs, j, k;
+    double *c = s->work, *all = c + n, sum = 0.0;
+    for (k = 0; k < s->stages; k++) {
+        for (j = 0; j < n; j++)
+            c[j] = x[(size_t)k * n + j] - x[stages_thin_v(s, k) + j];
+        memcpy(all, x + stages_thin_s(s, k), (size_t)a * sizeof *all);
+        stages_add(n, a, 1.0, s->V_t, c, all);
+        for (j = 0; j < a; j++)
+            sum += all[j] * all[j];
+    }
+    return sum;
+}
+
+static const ActiveSetRest stages_thin_rest = {stages_thin_inner, stages_thin_value,
+                                               stages_thin_add, stages_thin_square};
+
+/* The w of rows of the last stage: n numbers for each stage. */
+static void stages_thin_batch(const Stages *s, int count, const int *which, double *const *out)
+{
+    int n = s->states, r, c, i, j, k;
+    double *ahead = s->work, *later = ahead + n;
+    for (r = 0; r < count; r++) {
+        StagesPart part[2];
+        int parts = stages_thin_parts(s, which[r], part), stage = part->stage;
+        int kind = which[r] % stages_rows(s) - stages_rows(s) + s->limited;
+        stages_enter_ahead(s, stage, which[r] % stages_rows(s), ahead);
+        for (k = stage; k >= 0; k--) {
+            double *w = out[r] + (size_t)k * n;
+            for (i = 0; i < n; i++) { /* w = shrink (v + T ahead) */
+                w[i] = stages_thin_dot(s, s->T + (size_t)i * n, ahead);
+                for (c = 0; c < parts; c++)
+                    if (part[c].stage == k)
+                        w[i] += part[c].v_factor * part[c].v[i];
+                w[i] *= s->shrink[i];
+            }
+            /* ahead = e + A'ahead - W'w */
+            for (j = 0; j < n; j++)
+                later[j] = k == stage && kind >= 0
+                               ? s->E[(size_t)j * s->limited + kind] / s->scale[kind]
+                               : 0.0;
+            stages_add(n, n, 1.0, s->motion_t, ahead, later);
+            stages_add(n, n, -1.0, s->W, w, later);
+            memcpy(ahead, later, (size_t)n * sizeof *ahead);
+        }
+    }
+}
+
 static void stages_program_batch(void *data, int count, const int *which, double *const *space,
                                  const double **entries, int *length)
 {
     StagesProgram *program = data;
     const Stages *s = &program->stages;
-    int rows = stages_rows(s), end = s->stages - 1, a = s->inputs, unknown = 0, j;
+    int rows = stages_rows(s), end = s->stages - 1, unknown = 0, j;
+    int width = s->thin ? s->states : s->inputs; /* numbers of a row at a stage */
     int kinds[ACTIVE_SET_BATCH];
     double *last[ACTIVE_SET_BATCH];
     for (j = 0; j < count; j++) {
         int kind = which[j] % rows, before = end - which[j] / rows;
-        length[j] = (which[j] / rows + 1) * a;
+        length[j] = (which[j] / rows + 1) * width;
         entries[j] = space[j];
         if (!s->alike)
             continue;
         /* Rows of earlier stages are the end of that of the last. */
-        last[unknown] = program->last + (size_t)kind * s->stages * a;
-        entries[j] = last[unknown] + (size_t)before * a;
+        last[unknown] = program->last + (size_t)kind * s->stages * width;
+        entries[j] = last[unknown] + (size_t)before * width;
         if (!program->known[kind])
             kinds[unknown++] = end * rows + kind;
         program->known[kind] = 1;
     }
-    if (s->alike)
+    if (s->thin)
+        stages_thin_batch(s, unknown, kinds, last);
+    else if (s->alike)
         stages_batch(s, unknown, kinds, last);
     else
         stages_batch(s, count, which, space);
@@ -613,18 +814,21 @@ static void stages_place(Stages *s, double **memory)
 {
     size_t N = (size_t)s->stages, n = (size_t)s->states, a = (size_t)s->inputs;
     size_t m = s->ramp ? n - a : n, many = s->alike ? 1 : N; /* of each matrix */
-    s->motion = stages_take(memory, many * (a + n) * n);
-    s->motion_t = stages_take(memory, many * (a + n) * n);
+    size_t moved = s->thin ? 0 : a, factors = s->thin ? n : a;
+    s->motion = stages_take(memory, many * (moved + n) * n);
+    s->motion_t = stages_take(memory, many * (moved + n) * n);
     s->values = stages_take(memory, N * (size_t)s->limited);
     s->gap = stages_take(memory, N * n);
     s->costs = stages_take(memory, many * n * n);
     s->before = stages_take(memory, many * n * n);
-    s->S = stages_take(memory, s->thin ? 0 : many * a * a);
-    s->S_t = stages_take(memory, many * a * (s->thin ? n : a));
-    s->W = stages_take(memory, many * a * n);
-    s->W_t = stages_take(memory, many * a * n);
-    s->first = stages_take(memory, N * a);
-    s->work = stages_take(memory, STAGES_WORK(n, a));
+    s->S = stages_take(memory, many * moved * a);
+    s->S_t = stages_take(memory, many * moved * a);
+    s->W = stages_take(memory, many * factors * n);
+    s->W_t = stages_take(memory, many * factors * n);
+    s->V_t = stages_take(memory, s->thin ? a * n : 0);
+    s->limited_v = stages_take(memory, s->thin ? (size_t)s->limited * n : 0);
+    s->first = stages_take(memory, STAGES_COLUMNS(s->thin, N, n, a));
+    s->work = stages_take(memory, STAGES_WORK(s->thin, n, a));
     s->z = stages_take(memory, (N + 1) * m);
     s->u = stages_take(memory, (N + 1) * a);
 }
@@ -635,15 +839,14 @@ static void stages_program_place_alike(StagesProgram *program, double **memory, 
     Stages *s = &program->stages;
     size_t rows = (size_t)program->set.rows, n = (size_t)s->states, N = (size_t)s->stages;
     size_t a = (size_t)s->inputs, mapped = STAGES_MAPPED(rows, n);
-    program->last = stages_take(memory, rows * a);
+    program->last = stages_take(memory, rows * (s->thin ? n : a));
     program->low_offset = stages_take(memory, rows);
     program->high_offset = stages_take(memory, rows);
-    program->chosen = stages_take(memory, N * a);
+    program->chosen = stages_take(memory, STAGES_COLUMNS(s->thin, N, n, a));
     program->drift = stages_take(memory, N * n);
     program->start = stages_take(memory, n);
     program->map = mapped ? stages_take(memory, mapped) : NULL;
     program->known = integers;
-    s->span = integers + rows / N;
 }
 
 size_t stages_program_size(void)
@@ -659,11 +862,12 @@ void stages_program_place(StagesProgram *program, const StagesSizes *sizes, doub
     Stages *s = &program->stages;
     ActiveSet *set = &program->set;
     size_t N = (size_t)sizes->stages, n = (size_t)sizes->states, a = (size_t)sizes->inputs;
-    size_t p = (size_t)sizes->limited, rows = STAGES_ROWS(N, a, p, sizes->changes), columns = N * a;
-    size_t soft = (size_t)sizes->soft, most = STAGES_ACTIVE(sizes->alike, rows, columns, soft);
+    size_t p = (size_t)sizes->limited, rows = STAGES_ROWS(N, a, p, sizes->changes);
+    size_t soft = (size_t)sizes->soft, most = STAGES_ACTIVE(sizes->alike, rows, N * a, soft);
     int thin = sizes->alike && sizes->thin;
+    size_t columns = STAGES_COLUMNS(thin, N, n, a);
     counts[0] = STAGES_NUMBERS(sizes->alike, thin, N, n, a, p, rows, most);
-    counts[1] = STAGES_INTEGERS(sizes->alike, N, a, rows, most);
+    counts[1] = STAGES_INTEGERS(sizes->alike, N, rows, most);
     counts[2] = ACTIVE_SET_POINTERS(most);
     if (numbers == NULL)
         return;
@@ -684,8 +888,12 @@ void stages_program_place(StagesProgram *program, const StagesSizes *sizes, doub
     s->P = data->P;
     s->scale = data->scale;
     s->change = data->change;
+    s->G_start = data->G_start;
+    s->G_which = data->G_which;
     s->unit = data->unit;
-    s->Y = data->Y;
+    s->V = data->V;
+    s->T = data->T;
+    s->shrink = data->shrink;
     program->data = *data;
     set->rows = (int)rows;
     set->columns = (int)columns;
@@ -697,6 +905,7 @@ void stages_program_place(StagesProgram *program, const StagesSizes *sizes, doub
     set->curvature = data->curvature;
     set->batch = stages_program_batch;
     set->products = stages_program_products;
+    set->rest = thin ? &stages_thin_rest : NULL;
     set->data = program;
     active_set_place(
         set, stages_take(&numbers, ACTIVE_SET_NUMBERS(rows, columns, most, set->stored)), integers,
@@ -710,7 +919,7 @@ void stages_program_place(StagesProgram *program, const StagesSizes *sizes, doub
     program->values = stages_take(&numbers, rows);
     program->y = stages_take(&numbers, rows);
     program->dz = stages_take(&numbers, (N + 1) * n);
-    program->du = stages_take(&numbers, columns);
+    program->du = stages_take(&numbers, N * a);
     views[0] = s->z;
     views[1] = s->u;
     views[2] = program->y;
@@ -764,9 +973,11 @@ int stages_program_prepare(StagesProgram *program, const int *slots, const int *
 {
     Stages *s = &program->stages;
     size_t a = (size_t)s->inputs, p = (size_t)s->limited, n = (size_t)s->states, m = n, k, i;
-    size_t stages = s->alike ? 1 : (size_t)s->stages;
+    size_t stages = s->alike ? 1 : (size_t)s->stages, by_input = a * p;
     if (s->ramp)
         m -= a;
+    if (s->alike && p)
+        by_input = (size_t)s->G_start[p];
     s->E = E;
     s->G = G;
     s->F = F;
@@ -774,7 +985,7 @@ int stages_program_prepare(StagesProgram *program, const int *slots, const int *
         double *gap = s->gap + k * n;
         if (!stages_finite(ends + k * m, m) ||
             (p && !(stages_finite(limited + k * p, p) && stages_finite(E + k * m * p, m * p) &&
-                    stages_finite(G + k * a * p, a * p) &&
+                    stages_finite(G + k * a * p, by_input) &&
                     (!s->ahead || stages_finite(F + k * m * p, m * p)))))
             return 0;
         memset(gap, 0, n * sizeof *gap);
@@ -789,7 +1000,8 @@ int stages_program_prepare(StagesProgram *program, const int *slots, const int *
         size_t at = stages_slot(s, (int)k);
         if (fresh != NULL && !fresh[k])
             continue;
-        if (!(stages_finite(A + at * m * m, m * m) && stages_finite(B + at * a * m, a * m) &&
+        if (!(stages_finite(A + at * m * m, m * m) &&
+              (s->thin || stages_finite(B + at * a * m, a * m)) &&
               (!s->ramp || stages_finite(C + at * a * m, a * m))))
             return 0;
         stages_set_motion(s, at, A + at * m * m, B + at * a * m,
@@ -801,8 +1013,6 @@ int stages_program_prepare(StagesProgram *program, const int *slots, const int *
         active_set_start(&program->set, program->y);
         return 1;
     }
-    if (p)
-        stages_find_spans(s);
     memset(program->known, 0, (size_t)stages_rows(s) * sizeof *program->known);
     stages_program_find_map(program);
     return 1;
@@ -890,14 +1100,11 @@ static void stages_program_begin(StagesProgram *program, const double *state,
 static void stages_program_choose(StagesProgram *program)
 {
     const Stages *s = &program->stages;
-    size_t N = (size_t)s->stages, n = (size_t)s->states, a = (size_t)s->inputs, i;
-    double *h = s->work;
-    for (i = 0; i < N * a; i++)
+    int i;
+    for (i = 0; i < program->set.columns; i++)
         program->chosen[i] = program->x[i] - s->first[i];
-    memcpy(program->drift, s->gap, N * n * sizeof *s->gap);
-    memcpy(h, program->chosen, a * sizeof *h);
-    stages_add(s->states, s->inputs, -1.0, s->W_t, program->start, h);
-    stages_unfactor(s, 0, 0, h, program->du);
+    memcpy(program->drift, s->gap, (size_t)s->stages * s->states * sizeof *s->gap);
+    stages_input(s, 0, program->chosen, NULL, program->start, program->du);
 }
 
 int stages_program_solve(StagesProgram *program, const double *state, const double *acting,

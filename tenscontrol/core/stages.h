@@ -41,22 +41,28 @@ typedef struct {
     /* the problem linearized along it */
     double *motion, *motion_t;             /* by slots: (N, a + n, n), [B A]'; (N, n, a + n), [B A] */
     const double *E, *G, *F;               /* (N, n, p) (N, a, p) (N, n, p), by columns; of ramps
-                                              E and F end before the inputs */
+                                              E and F end before the inputs; of alike stages G is
+                                              by rows without its zeros: row i has the numbers */
+    const int *G_start, *G_which;          /* from G_start[i] on, of inputs G_which; (p + 1) */
     double *values;                        /* (N, p), in their units */
     double *gap;                           /* (N, n): d */
     double *costs, *before;                /* by steps: (N, n, n), P behind a stage and before it */
     double *S, *S_t, *W, *W_t;             /* by steps: (N, a, a) twice; (N, a, n); (N, n, a) */
     double *first;                         /* (N, a): f */
-    double *work;                          /* STAGES_WORK(n, a) */
-    /* for many inputs that move few states, with alike stages: S = unit (I - Y Y') */
+    double *work;                          /* STAGES_WORK(thin, n, a) */
+    int ahead;                             /* whether F may be other than zero */
+    /* for many inputs that move few states, with alike stages: in place of S, and W is (n, n) */
     int thin;
-    const double *unit, *Y; /* (a); (a, n), in place of S, and Y' in place of S_t */
-    int *span;              /* (a, 2), where columns of G begin and end, of alike stages */
-    int ahead;              /* whether F may be other than zero */
+    const double *unit, *V, *T, *shrink; /* (a), (a, n), (n, n), (n): see stages.c */
+    double *V_t, *limited_v;             /* (n, a); (p, n) */
 } Stages;
 
-#define STAGES_WORK(n, a) \
-    ((size_t)((n) + (a)) * (2 * (size_t)((n) + (a)) + 3 * (size_t)ACTIVE_SET_BATCH + 6))
+#define STAGES_WORK(thin, n, a)                                    \
+    ((thin) ? (size_t)(n) * ((n) + 6) + 4 * ((size_t)(n) + (a))    \
+            : (size_t)((n) + (a)) * (2 * (size_t)((n) + (a)) + 3 * (size_t)ACTIVE_SET_BATCH + 6))
+
+/* Numbers of x: of thin stages [w v s], see stages.c. */
+#define STAGES_COLUMNS(thin, N, n, a) ((size_t)(N) * ((a) + ((thin) ? 2 * (size_t)(n) : 0)))
 
 /* Rows that may be active at once where all stages are alike, and so may be very many. */
 #define STAGES_MOST 5000
@@ -72,17 +78,21 @@ typedef struct {
          ? STAGES_MOST                                                       \
          : ACTIVE_SET_MOST(rows, columns, soft))
 #define STAGES_MAPPED(rows, n) ((size_t)(rows) * (n) <= STAGES_MAP ? (size_t)(rows) * (n) : 0)
-#define STAGES_ALIKE(N, n, a, rows) \
-    ((size_t)(rows) * ((a) + 2) + STAGES_MAPPED(rows, n) + (size_t)(N) * ((a) + (n)) + (n))
-#define STAGES_NUMBERS(alike, thin, N, n, a, p, rows, most)                                       \
-    (ACTIVE_SET_NUMBERS(rows, (N) * (a), most, !(alike)) +                                        \
-     ((alike) ? 1 : (size_t)(N)) *                                                                \
-         (2 * ((size_t)(a) + (n)) * (n) + 2 * (size_t)(n) * (n) + 2 * (size_t)(a) * (n) +         \
-          ((thin) ? (size_t)(a) * (n) : 2 * (size_t)(a) * (a))) +                                 \
-     (size_t)(N) * ((p) + (n) + 4 * (a)) + (size_t)((N) + 1) * (2 * (n) + (a)) +                  \
-     4 * (size_t)(rows) + STAGES_WORK(n, a) + ((alike) ? STAGES_ALIKE(N, n, a, rows) : 0))
-#define STAGES_INTEGERS(alike, N, a, rows, most) \
-    (ACTIVE_SET_INTEGERS(rows, most) + ((alike) ? (size_t)(rows) / (N) + 2 * (a) : 3 * (size_t)(N)))
+#define STAGES_ALIKE(thin, N, n, a, rows)                              \
+    ((size_t)(rows) * (((thin) ? (n) : (a)) + 2) + STAGES_MAPPED(rows, n) + \
+     STAGES_COLUMNS(thin, N, n, a) + (size_t)(N) * (n) + (n))
+#define STAGES_MATRICES(thin, n, a, p)                                                        \
+    ((thin) ? 6 * (size_t)(n) * (n) + ((size_t)(a) + (p)) * (n)                               \
+            : 2 * ((size_t)(a) + (n)) * (n) + 2 * (size_t)(n) * (n) + 2 * (size_t)(a) * (n) + \
+                  2 * (size_t)(a) * (a))
+#define STAGES_NUMBERS(alike, thin, N, n, a, p, rows, most)                               \
+    (ACTIVE_SET_NUMBERS(rows, STAGES_COLUMNS(thin, N, n, a), most, !(alike)) +            \
+     ((alike) ? 1 : (size_t)(N)) * STAGES_MATRICES(thin, n, a, p) +                       \
+     3 * STAGES_COLUMNS(thin, N, n, a) + (size_t)(N) * ((p) + (n) + (a)) +                \
+     (size_t)((N) + 1) * (2 * (n) + (a)) + 4 * (size_t)(rows) + STAGES_WORK(thin, n, a) + \
+     ((alike) ? STAGES_ALIKE(thin, N, n, a, rows) : 0))
+#define STAGES_INTEGERS(alike, N, rows, most) \
+    (ACTIVE_SET_INTEGERS(rows, most) + ((alike) ? (size_t)(rows) / (N) : 3 * (size_t)(N)))
 
 typedef struct {
     int stages, states, inputs, limited; /* as in Stages */
@@ -99,7 +109,8 @@ typedef struct {
     const double *Q, *R, *P, *scale, *change;
     const double *low, *high, *least, *most; /* bounds of inputs (a), of limited values (p) */
     const double *price, *curvature;         /* (rows) */
-    const double *unit, *Y;                  /* of thin stages */
+    const double *unit, *V, *T, *shrink;     /* of thin stages, which need no R */
+    const int *G_start, *G_which;            /* of alike stages */
 } StagesData;
 
 /* The program of a horizon, and its plan: what a sample of MPC takes. */
@@ -108,15 +119,17 @@ typedef struct {
     ActiveSet set;
     StagesData data;
     double *lower, *upper, *values, *y; /* (rows) each; y: multipliers to start from */
-    double *x, *none;                   /* (N a), none: zeros */
+    double *x, *none;                   /* (STAGES_COLUMNS), none: zeros */
     double *dz, *du;                    /* (N + 1, n) and (N, a): departures from the plan */
     int moved;                          /* whether the departures are no more those of x = 0 */
     /* where all stages are alike */
-    double *last;                  /* (rows of a stage, N a): rows of the last stage */
+    double *last;                  /* (rows of a stage, N a): rows of the last stage; of thin ones
+                                      their w, (rows of a stage, N n) */
     int *known;                    /* (rows of a stage), whether they are found */
     double *map;                   /* (n, rows): what z_0 does to the limits; NULL: too large */
     double *low_offset, *high_offset; /* (rows): bounds less the limits at z_0 = 0 and x = 0 */
-    double *chosen, *drift, *start; /* (N a), (N n), (n): x - f, d and z_0 of the last solution */
+    double *chosen, *drift, *start; /* (STAGES_COLUMNS), (N n), (n): x - f, d and z_0 of the
+                                         last solution */
 } StagesProgram;
 
 SOLVER_API size_t stages_program_size(void);

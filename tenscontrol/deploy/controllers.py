@@ -62,7 +62,8 @@ def lqr_code(controller: LQR) -> LawCode:
 _NAMES = {
     "Q": "state_weight", "R": "input_weight", "P": "terminal_weight", "scale": "limit_scale",
     "change": "largest_change", "least": "limit_low", "most": "limit_high", "price": "price",
-    "unit": "thin_unit", "Y": "thin_factor",
+    "unit": "thin_unit", "V": "thin_inputs", "T": "thin_states", "shrink": "thin_shrink",
+    "G_start": "limited_start", "G_which": "limited_which",
 }  # fmt: skip
 
 
@@ -98,7 +99,9 @@ def mpc_code(controller: MPC) -> LawCode:
     )
     constants, arrays = _program(sizes, data, problem)
     rows, none = problem.rows, np.zeros(0)
-    by_all = (none,) * 3 if rows is None else (rows.by_state, rows.by_input, rows.by_next_state)
+    by_all = (none,) * 3
+    if rows is not None:
+        by_all = rows.by_state, rows.by_input.data, rows.by_next_state
     slopes = problem.transition, problem.input_matrix, *by_all
     names = (
         "motion_by_state", "motion_by_input", "limited_by_state", "limited_by_input",

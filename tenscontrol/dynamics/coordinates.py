@@ -21,7 +21,6 @@ from tenscontrol.dynamics.tangent import (
     Complement,
     bar_basis,
     laid_along_supports,
-    normal_basis,
     refuse_large,
 )
 from tenscontrol.properties import cached_property
@@ -32,6 +31,7 @@ from tenscontrol.structure.supports import left_by_supports, rigid_basis, rigid_
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
+    from scipy.sparse.linalg import SuperLU
 
 # Newton's steps at most; those in an expression, which reach about 70° from the reference; and how
 # far, relative to its square, a length may be off in the end.
@@ -60,6 +60,8 @@ class Coordinates:
         T: a displacement is ``vec(δN) = T q``. In reduced coordinates
         ``Tᵀ M T = I``, so that q has the unit m √kg. Rows that supports hold are zero. Made when
         it is first asked for, and refused where it has more than 64 million entries.
+    projection : ndarray, shape (r, d n)
+        ``q = projection @ vec(δN)``; made and refused as the basis is.
     sparse_basis : csr_array, shape (d n, m)
         That of the nodes, or of the minimal coordinates y: ``T = sparse_basis @ H``, ``q = Hᵀ y``.
     """
@@ -87,7 +89,7 @@ class Coordinates:
         return frozen(self.from_sparse(self.sparse_basis.T).T)
 
     @cached_property
-    def _projection(self) -> FloatArray:
+    def projection(self) -> FloatArray:
         """Shape (r, d n): ``q = projection @ vec(δN)``."""
         refuse_large("the projection", (self.count, self.nodes.size))
         found = self.from_sparse(self._momenta)
@@ -175,7 +177,7 @@ class Coordinates:
 
     def _from_nodes(self, fields: FloatArray) -> FloatArray:
         if self._is_small:
-            return np.asarray(self._projection @ fields)
+            return np.asarray(self.projection @ fields)
         if self._feet is not None:
             motions, from_feet, held = self._feet
             fields = fields - motions @ (from_feet @ fields[held])
@@ -280,8 +282,8 @@ class Coordinates:
                 "reference shape, which is too far for these coordinates"
             )
         self._stretch(nodes, (np.sqrt(room) - along) * axes)
-        for block, normal in self._normals:
-            nodes = self._with_lengths(nodes, block, normal)
+        for normal in self._normals:
+            nodes = self._with_lengths(nodes, normal)
         return nodes
 
     def to_velocities(self, q: object, rates: object) -> FloatArray:
@@ -301,20 +303,21 @@ class Coordinates:
         ValueError
             As :meth:`to_nodes`.
         """
-        shape = self.to_nodes(q)
+        shape, structure = self.to_nodes(q), self.structure
         rates = validation.shaped("rates", rates, (self.count,), f"one per {self.kind} coordinate")
         velocities = self._columns(self.displacements(rates))
         if self.kind == "nodes":
             return velocities
         alone, axes = self._alone
-        vectors = self.structure.bar_vectors(shape)[:, alone]
-        change = self.structure.bar_vectors(velocities)[:, alone]
+        vectors = structure.bar_vectors(shape)[:, alone]
+        change = structure.bar_vectors(velocities)[:, alone]
         along = (vectors * axes).sum(axis=0)
         self._stretch(velocities, -(vectors * change).sum(axis=0) / along * axes)
-        for block, normal in self._normals:
-            flat = velocities.ravel(order="F")
-            J = bar_rows(self.structure, block.independent, shape).toarray()[:, block.rows]
-            flat[block.rows] -= normal @ np.linalg.solve(J @ normal, J @ flat[block.rows])
+        for normal in self._normals:
+            bars, rows, flat = normal.block.independent, normal.block.rows, velocities.ravel("F")
+            vectors = structure.bar_vectors(shape)[:, bars]
+            change = (vectors * structure.bar_vectors(velocities)[:, bars]).sum(axis=0)
+            flat[rows] -= normal.displacement(normal.factors(vectors), change)
             velocities = self._columns(flat)
         return velocities
 
@@ -358,10 +361,10 @@ class Coordinates:
             for node, part in ((start, -share[bar, 0]), (end, share[bar, 1])):
                 N[:, node] += part * stretch * axis
                 V[:, node] += part * rate * axis
-        if not self._normals:
+        if not self._joined:
             return N, V
         hidden = self.hidden(places, rates) if near is None else near
-        for block, _ in self._normals:
+        for block in self._joined:
             rows, count = block.rows.tolist(), len(block.rows)
             whole, speeds = ca.vec(N), ca.vec(V)
             there, displaced, faster = (hidden[k * count : (k + 1) * count] for k in range(3))
@@ -389,7 +392,7 @@ class Coordinates:
         places, rates : casadi.SX, shape (d n, 1)
         """
         shape, moved, found = self.structure.nodes.shape, places, [ca.SX(0, 1)]
-        for block, _ in self._normals:
+        for block in self._joined:
             places, rows, step = ca.SX(moved), block.rows.tolist(), self._normal_step(block)
             for _ in range(_STEPS):
                 _, excess, _ = self._lengths(ca.reshape(places, *shape), block)
@@ -403,7 +406,7 @@ class Coordinates:
     @property
     def hidden_size(self) -> int:
         """Number of entries of :meth:`hidden`."""
-        return 3 * sum(len(block.rows) for block, _ in self._normals)
+        return 3 * sum(len(block.rows) for block in self._joined)
 
     def _lengths(self, N: Any, block: Block) -> tuple[Any, Any, Any]:
         """Return J and half the excess of squared lengths of a block, and the worst part, SX."""
@@ -436,26 +439,28 @@ class Coordinates:
         found = kernel.eliminated(matrix[order, order], right[order])[back]
         return Function("normal_step", [places, change], [found[: len(rows)]])
 
-    def _with_lengths(self, nodes: FloatArray, block: Block, normal: FloatArray) -> FloatArray:
+    def _with_lengths(self, nodes: FloatArray, normal: NormalEquations) -> FloatArray:
         """Return nodes displaced along the normal space until the bars of a block are exact."""
-        structure, bars, rows = self.structure, block.independent, block.rows
+        structure, block, bars = self.structure, normal.block, normal.block.independent
         square = structure.bar_length[bars] ** 2
-        start, flat = nodes.ravel(order="F")[rows], nodes.ravel(order="F")
-        total, best = np.zeros(len(bars)), np.inf
+        flat, best = nodes.ravel(order="F"), np.inf
         for _ in range(_MOST):
-            flat[rows] = start + normal @ total
-            nodes = self._columns(flat)
-            excess = ((structure.bar_vectors(nodes)[:, bars] ** 2).sum(axis=0) - square) / 2
+            vectors = structure.bar_vectors(nodes)[:, bars]
+            excess = ((vectors**2).sum(axis=0) - square) / 2
             off = float(np.abs(excess / square).max())
-            slope = bar_rows(structure, bars, nodes).toarray()[:, rows] @ normal
-            if off < _EXACT and off >= best:
-                if np.linalg.det(slope) > 0:
+            try:
+                factors = normal.factors(vectors)
+            except RuntimeError:  # exactly singular
+                break
+            if off < _EXACT and off >= best / 2:  # round-off alone
+                if normal.keeps_sides(factors):
                     return nodes
                 break
             best = min(best, off)
-            if not off < 1 / _EXACT or np.linalg.cond(slope) > 1 / _EXACT:
+            if not off < 1 / _EXACT:
                 break
-            total -= np.linalg.solve(slope, excess)
+            flat[block.rows] -= normal.displacement(factors, excess)
+            nodes = self._columns(flat)
         raise ValueError(
             f"q is a shape in which bars {sorted(block.bars.tolist())}, which are joined to one "
             "another, cannot keep their lengths, or would have to turn over; it is too far from "
@@ -480,11 +485,14 @@ class Coordinates:
         vectors = self.structure.bar_vectors(self.nodes)[:, bars]
         return bars, vectors / np.linalg.norm(vectors, axis=0)
 
+    @property
+    def _joined(self) -> tuple[Block, ...]:
+        """Blocks whose lengths are kept."""
+        return () if self.kind == "nodes" else self.structure.blocks
+
     @cached_property
-    def _normals(self) -> list[tuple[Block, FloatArray]]:
-        """Each block, with displacements along the forces of its bars in the reference shape."""
-        blocks = () if self.kind == "nodes" else self.structure.blocks
-        return [(block, normal_basis(self.structure, block, self.nodes)) for block in blocks]
+    def _normals(self) -> list[NormalEquations]:
+        return [NormalEquations(self.structure, block, self.nodes) for block in self._joined]
 
     @cached_property
     def is_loose(self) -> bool:
@@ -524,6 +532,70 @@ def _is_reflection(turn: FloatArray) -> bool:
         return bool(a * e < b * d)
     (c,), (f,), ((g, h, i),) = c, f, last
     return bool(a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) < 0)
+
+
+class NormalEquations:
+    """Equations of displacements of a block along its bars' forces in a reference shape.
+
+    ``M δ = J₀ᵀ μ``, ``J δ = change``: J has half the derivatives of the squared lengths by the rows
+    of the block, J₀ those of the reference. The matrix is ``[M, −J₀ᵀ; J, 0]``, sparse.
+    """
+
+    def __init__(self, structure: Structure, block: Block, reference: FloatArray) -> None:
+        from scipy.sparse import block_array
+
+        self.block = block
+        J = bar_rows(structure, block.independent, reference)[:, block.rows].tocoo()
+        pattern = J.copy()
+        pattern.data = 1.0 + np.arange(J.nnz)
+        mass = block_mass(structure, block)
+        order = block.order  # in which nothing has to be sought while it is factorized
+        # Which entries of the matrix are those of J, in their order there.
+        numbered, self._matrix = (
+            block_array(parts, format="csc")[order][:, order]
+            for parts in ([[0 * mass, 0 * J.T], [pattern, None]], [[mass, -J.T], [J, None]])
+        )
+        for matrix in (numbered, self._matrix):
+            matrix.sort_indices()
+        self._places = np.flatnonzero(numbered.data)
+        entry = numbered.data[self._places].astype(int) - 1
+        row, d = block.rows[J.col[entry]], structure.dimension
+        self._bar, self._axis = J.row[entry], row % d
+        end = structure.bars[block.independent[self._bar], 1]
+        self._side = np.where(end == row // d, 1.0, -1.0)
+        self._upright = _sign(self.factors(structure.bar_vectors(reference)[:, block.independent]))
+
+    def factors(self, vectors: FloatArray) -> SuperLU:
+        """Return the factors of the matrix with these vectors of the independent bars, (d, c)."""
+        from scipy.sparse.linalg import splu
+
+        self._matrix.data[self._places] = self._side * vectors[self._axis, self._bar]
+        options = {"SymmetricMode": True}
+        return splu(self._matrix, "NATURAL", diag_pivot_thresh=0.0, options=options)
+
+    def displacement(self, factors: SuperLU, change: FloatArray) -> FloatArray:
+        """Return the displacement of the rows of the block."""
+        count, order = len(self.block.rows), self.block.order
+        answer = np.append(np.zeros(count), change)
+        answer[order] = factors.solve(answer[order])
+        return answer[:count]
+
+    def keeps_sides(self, factors: SuperLU) -> bool:
+        """Whether no bar has turned over: the determinant has the sign of the reference."""
+        return _sign(factors) == self._upright
+
+
+def _sign(factors: SuperLU) -> float:
+    """Return the sign of the determinant of a factorized matrix."""
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import connected_components
+
+    sign = np.sign(factors.U.diagonal()).prod()
+    for order in (factors.perm_r, factors.perm_c):
+        count = len(order)
+        cycles = csr_array((np.ones(count), order, np.arange(count + 1)), shape=(count, count))
+        sign *= (-1.0) ** (count - connected_components(cycles)[0])
+    return float(sign)
 
 
 def coordinates(model: Model, nodes: object = None, kind: str = "internal") -> Coordinates:

@@ -591,27 +591,31 @@ def _refuse_moved_passive(plant: LinearPlant, q: FloatArray, gamma: FloatArray) 
 
 def _accelerations(plant: LinearPlant, shapes: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return q̈ at zero γ, shape (K, r), and its derivative by γ, (K, r, α'), at rest in shapes."""
-    function, pattern, project = _acceleration_at_rest(plant)
+    at_zero, derivative, project = _acceleration_at_rest(plant)
     rows = plant.model.structure.free_rows
     columns = shapes.transpose(0, 2, 1).reshape(len(shapes), -1)[:, rows].T
-    offset, entries = evaluate_columns(function, np.asfortranarray(columns))
-    slope = np.zeros((len(shapes), *pattern.T.shape))
-    slope[:, pattern.get_col(), pattern.row()] = entries.T
-    return offset.T @ project.T, (slope @ project.T).swapaxes(1, 2).copy()
+    offset = evaluate_columns(at_zero, np.asfortranarray(columns))[0].T @ project.T
+    # One pass backward for each coordinate: few coordinates of a large structure take few.
+    slope = [
+        evaluate_columns(derivative, np.tile(column[:, None], len(project)), project.T)[0].T
+        for column in columns.T
+    ]
+    return offset, np.array(slope)
 
 
 @kept
-def _acceleration_at_rest(plant: LinearPlant) -> tuple[ca.Function, ca.Sparsity, FloatArray]:
-    """Return ``N -> (N̈ at zero γ, entries of ∂N̈/∂γ)`` of what is free at rest, node by node.
+def _acceleration_at_rest(plant: LinearPlant) -> tuple[ca.Function, ca.Function, FloatArray]:
+    """Return ``N -> N̈`` at zero γ, ``(N, w) -> (∂N̈/∂γ)ᵀ w``, and the matrix of q̈ by N̈.
 
-    With it, the pattern of the derivative, and the matrix of q̈ by N̈.
+    Both are of what is free, node by node, at rest.
     """
     model, rows = plant.model, plant.model.structure.free_rows
     N, gamma = ca.SX.sym("N", len(rows)), ca.SX.sym("gamma", len(model.structure.strings))
-    x = ca.vertcat(N, ca.DM.zeros(len(rows)))
-    slope = model.dynamics(x, gamma, *map(ca.DM, plant.load_input))
-    moved = slope[len(rows) :]
-    offset, jacobian = ca.substitute(moved, gamma, 0), ca.jacobian(moved, gamma)
-    function = Function("held", [N], [ca.densify(offset), ca.densify(jacobian.nz[:])])
-    project = plant.coordinates.project(np.eye(plant.nodes.size))[:, rows]
-    return function, jacobian.sparsity(), project
+    x, w = ca.vertcat(N, ca.DM.zeros(len(rows))), ca.SX.sym("w", len(rows))
+    moved = model.dynamics(x, gamma, *map(ca.DM, plant.load_input))[len(rows) :]
+    at_zero, derivative = ca.substitute(moved, gamma, 0), ca.jtimes(moved, gamma, w, True)
+    return (
+        Function("at_zero", [N], [ca.densify(at_zero)]),
+        Function("derivative", [N, w], [ca.densify(derivative)]),
+        plant.coordinates.projection[:, rows],
+    )

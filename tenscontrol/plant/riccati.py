@@ -318,8 +318,8 @@ def energy_weights(plant: LinearPlant, by_mode: bool = False) -> tuple[FloatArra
 
 
 def least_eigenvalue(weight: FloatArray) -> float:
-    """Return the least eigenvalue of a symmetric matrix, at once if it is diagonal."""
-    diagonal = np.diagonal(weight)
+    """Return the least eigenvalue of a symmetric matrix, or of a diagonal, at once if it is one."""
+    diagonal = weight if weight.ndim == 1 else np.diagonal(weight)
     if np.count_nonzero(weight) == np.count_nonzero(diagonal):
         return float(diagonal.min())
     return float(np.linalg.eigvalsh(weight).min())

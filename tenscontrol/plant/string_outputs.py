@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
@@ -13,6 +13,9 @@ from tenscontrol.dynamics import kernel
 from tenscontrol.dynamics.evaluator import Function
 from tenscontrol.plant.linear_plant import LinearPlant, kept
 from tenscontrol.structure.segments import to_segments, to_strings
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 
 def to_model_strings(plant: LinearPlant, what: str, values: FloatArray) -> FloatArray:
@@ -48,15 +51,15 @@ class StringMap:
     force_density: FloatArray  # (α',), N/m, at the operating point
     tension: FloatArray  # (α',), N
     gamma_by_state: FloatArray  # (α', s)
-    gamma_by_input: FloatArray  # (α', m)
+    gamma_by_input: csr_array  # (α', m)
     tension_by_state: FloatArray
-    tension_by_input: FloatArray
+    tension_by_input: csr_array
 
 
 @kept
 def string_map(plant: LinearPlant, input: str) -> StringMap:
     """Return the map of a plant's strings for an input, which need not be that of the plant."""
-    from scipy.sparse import csc_array
+    from scipy.sparse import csc_array, csr_array
 
     shape, count = plant.nodes.shape, len(plant.model.structure.strings)
     at = plant.rest_length if input == "rest_length" else plant.force_density
@@ -77,9 +80,9 @@ def string_map(plant: LinearPlant, input: str) -> StringMap:
         force_density=values[0].toarray().ravel(),
         tension=values[1].toarray().ravel(),
         gamma_by_state=by_state[0],
-        gamma_by_input=by_input[0].toarray(),
+        gamma_by_input=csr_array(by_input[0]),
         tension_by_state=by_state[1],
-        tension_by_input=by_input[1].toarray(),
+        tension_by_input=csr_array(by_input[1]),
     )
 
 

@@ -182,13 +182,14 @@ class Balance:
 
     rows: csr_array  # A, (e, k)
     values: FloatArray  # b, (e,)
+    dense: int = 0  # how many of the last rows have entries of all members
 
     def joined(self, row: FloatArray, value: float) -> Balance:
-        """Return the equations with one more."""
+        """Return the equations with one more, of all members."""
         from scipy.sparse import csr_array, vstack
 
         more = vstack([self.rows, csr_array(row[None, :])], format="csr")
-        return Balance(more, np.append(self.values, value))
+        return Balance(more, np.append(self.values, value), self.dense + 1)
 
     def nearest(
         self, target: FloatArray, lower: FloatArray, upper: FloatArray
@@ -271,16 +272,32 @@ class BalancedForces:
         return largest_share(D, offset, low, high, most, self.balance)
 
 
+class _Bordered:
+    """Factors of [K, B; Bᵀ, −give] from those of K: B is dense and narrow, and would fill them."""
+
+    def __init__(self, factors: SuperLU, border: FloatArray) -> None:
+        self._factors, self._border, self._across = factors, border, factors.solve(border)
+        self._left = -_GIVE * np.eye(border.shape[1]) - border.T @ self._across
+
+    def solve(self, right: FloatArray) -> FloatArray:
+        """Return the solution for a right side."""
+        count = len(self._border)
+        inside = self._factors.solve(right[:count])
+        last = np.linalg.solve(self._left, right[count:] - self._border.T @ inside)
+        return np.append(inside - self._across @ last, last)
+
+
 class _Program:
     """A quadratic program, scaled: its interior point and its active set."""
 
     def __init__(
         self, A: csc_array, b: FloatArray, target: FloatArray,
-        bounds: tuple[FloatArray, FloatArray], scale: float,
+        bounds: tuple[FloatArray, FloatArray], scale: float, dense: int,
     ) -> None:  # fmt: skip
         self.A, self.b, self.target, self.bounds, self.scale = A, b, target, bounds, scale
+        self._sparse = len(b) - dense  # rows that are, first
         self.side = np.zeros(len(target), np.int8)  # −1 at the lower bound, 1 at the upper one
-        self._factors: tuple[bytes, SuperLU] | None = None
+        self._factors: tuple[bytes, _Bordered] | None = None
 
     @classmethod
     def of(
@@ -295,20 +312,25 @@ class _Program:
         parts = (b, target, np.where(np.isfinite(lower), lower, 0.0))
         scale = max(float(np.abs(part).max(initial=0.0)) for part in parts) or 1.0
         A = (diags_array(1 / size) @ balance.rows).tocsc()
-        return cls(A, b / scale, target / scale, (lower / scale, upper / scale), scale)
+        bounds = lower / scale, upper / scale
+        return cls(A, b / scale, target / scale, bounds, scale, balance.dense)
 
     def missed(self, x: FloatArray) -> float:
         """Return by how much x misses the equations, against its largest entry with a target."""
         most = max(1.0, float(np.abs(x[: len(self.target)]).max()))
         return float(np.abs(self.A @ x - self.b).max(initial=0.0) / most)
 
-    def _factored(self, weight: FloatArray, A: csc_array) -> SuperLU:
+    def _factored(self, weight: FloatArray, A: csc_array) -> _Bordered:
         """Return the factors of [W, Aᵀ; A, −give], W a diagonal."""
         from scipy.sparse import block_array, diags_array
         from scipy.sparse.linalg import splu
 
-        give = diags_array(np.full(A.shape[0], -_GIVE))
-        return splu(block_array([[diags_array(weight), A.T], [A, give]], format="csc"))
+        count, rows = self._sparse, A.tocsr()
+        first = rows[:count]
+        give = diags_array(np.full(count, -_GIVE))
+        matrix = block_array([[diags_array(weight), first.T], [first, give]], format="csc")
+        last = rows[count:].toarray().T
+        return _Bordered(splu(matrix), np.vstack([last, np.zeros((count, last.shape[1]))]))
 
     def interior(self) -> tuple[FloatArray, FloatArray] | None:
         """Return x and the multipliers of the equations, and set the active set; None if none."""
@@ -339,7 +361,7 @@ class _Program:
             def step(
                 wanted: FloatArray, slope: FloatArray = slope, short: FloatArray = short,
                 gap: FloatArray = gap, s: FloatArray = s, z: FloatArray = z,
-                factors: SuperLU = factors,
+                factors: _Bordered = factors,
             ) -> tuple[FloatArray, ...]:  # fmt: skip
                 """Return the changes that make s z what is wanted."""
                 push = (wanted - z * gap) / s - z

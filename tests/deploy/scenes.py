@@ -125,6 +125,19 @@ def of_rest_length():
     )
 
 
+def of_few_modes():
+    """Two modes of the prism, which more inputs move than twice their states."""
+    return tc.MPC(
+        tc.reduce(plant("rest_length", demo.TARGET), 2),
+        horizon=4,
+        sample_time=SAMPLE,
+        max_force_density=60.0,
+        winches=WINCHES,
+        max_tension=50.0,
+        outputs=[tc.OutputLimit(height_row(), low=0.8, penalty=100.0)],
+    )
+
+
 def winding():
     """Winches that wind through samples, under an unknown load and along a moving reference."""
     return tc.MPC(

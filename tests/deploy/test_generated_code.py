@@ -42,6 +42,18 @@ def test_rest_length_with_winches_and_soft_limits(tmp_path):
     assert run.control.command.shape == (9, scenes.SAMPLES)
 
 
+def test_many_inputs_of_few_modes(tmp_path):
+    pair = scenes.pair_of(scenes.of_few_modes(), tmp_path)
+    rng, plant = np.random.default_rng(3), pair.plant
+    for k in range(50):
+        q, rates = np.array([[0.03], [0.3]]) * rng.normal(size=(2, plant.degrees_of_freedom))
+        pair.command(k * scenes.SAMPLE, plant.to_nodes(q), plant.to_velocities(q, rates))
+    assert pair.statuses[0] == pair.statuses[1]
+    assert pair.error < 1e-12
+    assert max(pair.iterations) > 3  # changes of the active set
+    assert "#define THIN 1" in (tmp_path / "controller_data.h").read_text("utf-8")
+
+
 def test_ball_with_winches_and_soft_limits(tmp_path):
     one = scenes.tumbling(horizon=4)
     pair = scenes.Pair(one, tc.generate_c(one, tmp_path).compile(), spoilt=(20,), absurd=(25,))

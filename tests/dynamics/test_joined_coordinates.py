@@ -181,3 +181,23 @@ def shift_only(velocities, held):
     """Velocities, zero at fixed nodes: there a motion may take its axis from."""
     assert not velocities[:, held].any()
     return velocities
+
+
+def test_a_long_chain_keeps_its_lengths_by_sparse_factors():
+    """Twice as long, it has twice as many entries, and random shapes of it have their lengths."""
+    entries = []
+    for stages in (40, 80):
+        tower = tc.library.class2_tower(stages)
+        c = tc.dynamics.coordinates(tc.Model(tower))
+        q, rates = 1e-3 * np.random.default_rng(0).normal(size=(2, c.count))
+        nodes, velocities = c.to_nodes(q), c.to_velocities(q, rates)
+        vectors = tower.bar_vectors(nodes)
+        length = np.linalg.norm(vectors, axis=0)
+        np.testing.assert_allclose(length, tower.bar_length, rtol=1e-13)
+        turning = (vectors * tower.bar_vectors(velocities)).sum(axis=0)
+        np.testing.assert_allclose(turning, 0.0, atol=1e-13)
+        moved = (nodes - tower.nodes).ravel(order="F")
+        np.testing.assert_allclose(c.project(moved), q, rtol=0, atol=1e-12)
+        factors = [each.factors(vectors[:, each.block.independent]) for each in c._normals]
+        entries.append(sum(each.L.nnz + each.U.nnz for each in factors))
+    assert entries[1] < 2.2 * entries[0]

@@ -141,6 +141,7 @@ CONTROLLERS = {
         regulator,
         scenes.of_force_density,
         scenes.of_rest_length,
+        scenes.of_few_modes,
         scenes.winding,
         scenes.with_load,
         scenes.nonlinear,

@@ -6,7 +6,7 @@ import pytest
 import tenscontrol as tc
 from tenscontrol.demo import tour as demo
 from tenscontrol.plant.linear_plant import sampled
-from tenscontrol.plant.reference import ReferencePreview
+from tenscontrol.plant.reference import ReferencePreview, _acceleration_at_rest
 from tenscontrol.plant.string_outputs import to_commanded_strings, to_model_strings
 from tenscontrol.structure.segments import to_segments, to_strings
 
@@ -33,6 +33,18 @@ def test_the_operating_point_is_at_rest_over_the_whole_horizon(kind):
         preview.tension,
         plant.force_density * plant.model.structure.string_length() + 0 * preview.tension,
     )
+
+
+def test_the_balance_of_few_coordinates_grows_as_the_chain():
+    """Where bars share nodes, each string moves all of them: a dense derivative by all strings."""
+    counts = []
+    for stages in (10, 20):
+        tower = tc.library.class2_tower(stages)
+        rest = tc.prestress(tower, 10.0)
+        model = tc.Model(tower, strings=tc.LinearStrings(1e4))
+        plant = tc.reduce(tc.linearize(model, rest, input="rest_length"), 4)
+        counts.append(sum(each.n_instructions() for each in _acceleration_at_rest(plant)[:2]))
+    assert counts[1] < 2.2 * counts[0]
 
 
 def aims(path, times, ramp):

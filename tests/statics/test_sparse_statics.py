@@ -163,6 +163,22 @@ def test_a_prestress_takes_as_many_factorizations_whatever_the_height(asked, mon
     assert counts[1] <= 1.5 * counts[0] <= 25
 
 
+def test_a_mean_level_fills_no_factors(monkeypatch):
+    """Its equation has entries of all strings; no column that is factorized has as many."""
+    from scipy.sparse import linalg
+
+    factorize, longest = linalg.splu, []
+
+    def counted(matrix, *args, **kwargs):
+        longest.append(int(np.diff(matrix.indptr).max()))
+        return factorize(matrix, *args, **kwargs)
+
+    monkeypatch.setattr(linalg, "splu", counted)
+    for stages in (40, 80):
+        tc.prestress(tc.library.class2_tower(stages), 10.0)
+    assert 0 < max(longest) < 40
+
+
 def test_a_tall_tower_is_super_stable_and_its_lowest_stiffness_is_of_a_beam():
     """Twice as high: a beam that is free at its ends is softer by 2⁴ a unit length."""
     lowest = []

@@ -218,6 +218,8 @@ def broken_limits(
 
 def output_block(plant: LinearPlant, limit: OutputLimit) -> RowBlock:
     """Return limits on node positions at the end of each sample."""
+    from scipy.sparse import csr_array
+
     assert limit.low is not None  # filled in by the limit itself
     assert limit.high is not None  # filled in by the limit itself
     count, size = limit.matrix.shape
@@ -231,7 +233,7 @@ def output_block(plant: LinearPlant, limit: OutputLimit) -> RowBlock:
     return RowBlock(
         by_state=np.zeros((count, len(plant.A))),
         by_next_state=np.hstack([by_q, np.zeros_like(by_q)]),
-        by_input=np.zeros((count, plant.B.shape[1])),
+        by_input=csr_array((count, plant.B.shape[1])),
         low=limit.low,
         high=limit.high,
         scale=_SHARE * sizes * float(np.ptp(plant.nodes, axis=1).max()),

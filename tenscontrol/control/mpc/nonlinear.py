@@ -307,7 +307,9 @@ class NMPC(PredictiveController):
     def weights(self) -> Triple:
         """Q, R and the terminal P, which is of ``[z; u_before]`` where inputs are ramps."""
         problem = self._law.problem
-        return problem.state_weight, problem.input_weight, problem.terminal_weight
+        R = problem.input_weight
+        full = np.diag(R) if R.ndim == 1 else R
+        return problem.state_weight, full, problem.terminal_weight
 
     @property
     def plan(self) -> FloatArray:

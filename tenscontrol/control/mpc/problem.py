@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,6 +26,9 @@ from tenscontrol.plant.riccati import least_eigenvalue
 from tenscontrol.plant.string_outputs import StringMap
 from tenscontrol.properties import cached_property
 from tenscontrol.status import Status
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 Pair = tuple[FloatArray, FloatArray]
 Triple = tuple[FloatArray, FloatArray, FloatArray]
@@ -36,7 +40,7 @@ class Rows:
 
     by_state: FloatArray  # E, (p, s)
     by_next_state: FloatArray  # F, (p, s)
-    by_input: FloatArray  # G, (p, α)
+    by_input: csr_array  # G, (p, α)
     scale: FloatArray  # (p,), unit of each row inside the program
     penalty: FloatArray  # (p,), π per unit of the row; infinite for a hard limit
     bounded: tuple[bool, bool]  # whether any row is bounded from above, from below
@@ -56,7 +60,7 @@ class RowBlock:
 
     by_state: FloatArray  # (p, s)
     by_next_state: FloatArray  # (p, s)
-    by_input: FloatArray  # (p, α)
+    by_input: csr_array  # (p, α)
     low: FloatArray  # (p,)
     high: FloatArray
     scale: FloatArray
@@ -115,14 +119,18 @@ class Constraints:
 
     def rows(self) -> Rows | None:
         """Return the rows of the program, or None if there are none."""
+        from scipy.sparse import csr_array, vstack
+
         if not self.blocks:
             return None
         low, high = self.limits
+        by_input = csr_array(vstack([block.by_input for block in self.blocks]))
+        by_input.sort_indices()
         bounded = bool(np.isfinite(high).any()), bool(np.isfinite(low).any())
         return Rows(
             self._joined("by_state"),
             self._joined("by_next_state"),
-            self._joined("by_input"),
+            by_input,
             self._joined("scale"),
             self._joined("penalty"),
             bounded,
@@ -176,7 +184,7 @@ class MPCProblem:
     input_matrix: FloatArray  # Γ, (s, α)
     drift: FloatArray  # d, (s,)
     state_weight: FloatArray  # Q, (s, s)
-    input_weight: FloatArray  # R, (α, α)
+    input_weight: FloatArray  # R, (α, α), or (α,) of a diagonal
     terminal_weight: FloatArray  # P, (s, s)
     low: FloatArray  # bounds of v, (α,)
     high: FloatArray

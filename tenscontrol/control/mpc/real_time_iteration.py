@@ -131,10 +131,14 @@ class TrajectoryModel:
 
     def with_pattern(self, rows: Rows | None) -> Rows | None:
         """Return limited rows with ones where a derivative can be other than zero."""
+        from scipy.sparse import csr_array
+
         if rows is None or self._rows is None:
             return None
         by_state, by_input, by_next_state = self._rows.patterns
-        return replace(rows, by_state=by_state, by_input=by_input, by_next_state=by_next_state)
+        return replace(
+            rows, by_state=by_state, by_input=csr_array(by_input), by_next_state=by_next_state
+        )
 
     def at_rest(self, reference: FloatArray, inputs: FloatArray, observer: LoadObserver) -> Pair:
         """Return references (N, s) and inputs (N, α) moved to rest under the estimated load.

@@ -303,10 +303,6 @@ def design(plant: LinearPlant, settings: MPCSettings, nonlinear: bool = False) -
     """
     states, count = plant.B.shape
     refuse_empty(plant)
-    hint = ". LQR keeps weights diagonal: take it, or a plant of fewer inputs"
-    validation.refuse_memory(
-        f"plant has {count:,} inputs", 10.0 * count**2, "numbers in the program", 8, hint
-    )
     low, high = _command_range(plant, settings)
     natural_Q, natural_R = natural_weights(plant)
     Q, R = settings.Q, settings.R
@@ -314,6 +310,13 @@ def design(plant: LinearPlant, settings: MPCSettings, nonlinear: bool = False) -
         natural_Q if Q is None else validation.weight_matrix("Q", Q, states, definite=False)
     )
     input_weight = natural_R if R is None else validation.weight("R", R, count, definite=True)
+    winches, sample_time = settings.winches, settings.sample_time
+    ramp = winches is not None and winches.ramp
+    numbers = 10.0 * count**2 if ramp or input_weight.ndim == 2 else 30.0 * count * settings.horizon
+    hint = ". Take a plant of fewer inputs, or with many inputs a diagonal R and no ramps"
+    validation.refuse_memory(
+        f"plant has {count:,} inputs", numbers, "numbers in the program", 8, hint
+    )
     if not nonlinear or plant.model.contacts is None:
         refuse_unreachable(plant)
     else:
@@ -323,15 +326,13 @@ def design(plant: LinearPlant, settings: MPCSettings, nonlinear: bool = False) -
         lengths = plant.model.structure.string_length(plant.nodes)
         lengths = to_commanded_strings(plant, "length", lengths)
         level = float((lengths - plant.string_values).max())
-    winches, sample_time = settings.winches, settings.sample_time
-    model = sampled(plant, sample_time, winches is not None and winches.ramp)
+    model = sampled(plant, sample_time, ramp)
     transition, input_matrix = model.augmented
     weight, (gain, _, cost, _) = regulator(
         plant, transition, input_matrix, state_weight, input_weight, discrete=True
     )
     # The price is relative to the cost of an input one level off.
     assert settings.string_penalty is not None  # the record filled in the default
-    input_weight = np.diag(input_weight) if input_weight.ndim == 1 else input_weight
     penalty = settings.string_penalty * level**2 * least_eigenvalue(input_weight)
     blocks = _row_blocks(plant, settings, penalty)
     added = len(transition) - states

@@ -198,7 +198,8 @@ class Sparse:
         scale, level = problem.cost_scale, problem.level
         weights = [problem.state_weight] * (N - 1) + [problem.terminal_weight[:s, :s]]
         tracking = [scale * units[:, None] * weight * units for weight in weights]
-        effort = [scale * level**2 * problem.input_weight] * N
+        R = problem.input_weight
+        effort = [scale * level**2 * (diags_array(R) if R.ndim == 1 else R)] * N
         # Zeros inside the blocks are left out: the pattern is fixed all the same.
         self._weights = csc_array(block_diag([csc_array(block) for block in tracking + effort]))
         if self._ramp:
@@ -223,7 +224,7 @@ class Sparse:
             factor, first = 1 / rows.scale[taken], self._states + start
             self.row_indices.append((
                 self._indices(rows.by_state, taken, factor, first, late=1),
-                self._indices(rows.by_input, taken, factor, first, inputs=True),
+                self._indices(rows.by_input.toarray(), taken, factor, first, inputs=True),
                 self._indices(rows.by_next_state, taken, factor, first),
             ))  # fmt: skip
         p = 0 if rows is None else len(rows.scale)

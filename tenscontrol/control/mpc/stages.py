@@ -41,7 +41,7 @@ _SIZES = (
 )  # fmt: skip
 _DATA = (
     "Q", "R", "P", "scale", "change", "low", "high", "least", "most", "price", "curvature", "unit",
-    "Y",
+    "V", "T", "shrink", "G_start", "G_which",
 )  # fmt: skip
 
 _STATUS = tuple(Status)
@@ -88,7 +88,10 @@ def _address(array: np.ndarray) -> int:
 
 
 def _weights(problem: MPCProblem) -> Triple:
-    """Return Q, R and the terminal P of the state with which ramps begin, scaled."""
+    """Return Q, R and the terminal P of the state with which ramps begin, scaled.
+
+    A diagonal R may have the shape (α,).
+    """
     scale, size = problem.cost_scale, len(problem.terminal_weight)
     state_weight, m = np.zeros((size, size)), len(problem.state_weight)
     state_weight[:m, :m] = scale * problem.state_weight
@@ -106,32 +109,42 @@ def _prices(problem: MPCProblem) -> FloatArray:
     return np.tile(np.concatenate([hard, soft]), (problem.length, 1))
 
 
-def _thin_factors(problem: MPCProblem) -> Pair | None:
-    """Return D and Y of ``(I − Y Yᵀ) D (R + Bᵀ P B) D (I − Y Yᵀ) = I``; None if not worth it."""
+def _thin_factors(problem: MPCProblem) -> tuple[FloatArray, ...] | None:
+    """Return D, V, T and c of ``S = D (I − V (I − diag c) Vᵀ)`` with ``D Bᵀ = V T``.
+
+    V is orthonormal, and ``Sᵀ (R + Bᵀ P B) S = I``. None if R is no diagonal, or inputs are few.
+    """
     _, R, P = _weights(problem)
-    (n, a), weight = problem.input_matrix.shape, np.diag(R).copy()
-    if a <= 2 * n or np.count_nonzero(R - np.diag(weight)):
+    n, a = problem.input_matrix.shape
+    if a <= 2 * n or R.ndim == 2:
         return None
-    unit, (squares, axes) = 1 / np.sqrt(weight), np.linalg.eigh(P)
+    unit, (squares, axes) = 1 / np.sqrt(R), np.linalg.eigh(P)
     half = axes * np.sqrt(np.maximum(squares, 0.0))
-    Y, size, _ = np.linalg.svd(unit[:, None] * (problem.input_matrix.T @ half), full_matrices=False)
-    return unit, np.ascontiguousarray(Y * np.sqrt(1 - 1 / np.sqrt(1 + size**2)))
+    V, T = np.linalg.qr(unit[:, None] * problem.input_matrix.T)
+    turn, size, _ = np.linalg.svd(T @ half)
+    return unit, V @ turn, turn.T @ T, 1 / np.sqrt(1 + size**2)
 
 
 def stages_data(
     problem: MPCProblem, row_bounds: Pair, max_iterations: int, bounds: Pair, alike: bool = False
-) -> tuple[dict[str, int], dict[str, FloatArray]]:
+) -> tuple[dict[str, int], dict[str, np.ndarray]]:
     """Return the records ``StagesSizes`` and ``StagesData`` of ``stages.h``, by field."""
     N, (m, a) = problem.length, problem.input_matrix.shape
     ramp = len(problem.terminal_weight) > m
     rows, change, price = problem.rows, problem.change, _prices(problem)
-    none = np.zeros(0)
+    none, no_pattern = np.zeros(0), (np.zeros(1), np.zeros(0))
     thin = _thin_factors(problem) if alike else None
     scale = none if rows is None else rows.scale
+    Q, R, P = _weights(problem)
+    if thin is not None:
+        R = none
+    elif R.ndim == 1:
+        R = np.diag(R)
     parts = (
-        *_weights(problem), scale, none if change is None else change, *bounds, *row_bounds,
-        price, price, *(thin or (none, none)),
+        Q, R, P, scale, none if change is None else change, *bounds, *row_bounds, price, price,
+        *(thin or (none,) * 4),
     )  # fmt: skip
+    pattern = no_pattern if rows is None else (rows.by_input.indptr, rows.by_input.indices)
     sizes = {
         "stages": N,
         "states": m + a if ramp else m,
@@ -145,7 +158,8 @@ def stages_data(
         "alike": int(alike),
         "thin": int(thin is not None),
     }
-    data = (np.ascontiguousarray(part, dtype=float) for part in parts)
+    data = [np.ascontiguousarray(part, dtype=float) for part in parts]
+    data += [np.ascontiguousarray(part, dtype=np.intc) for part in pattern]
     return sizes, dict(zip(_DATA, data, strict=True))
 
 
@@ -297,9 +311,9 @@ class StagesProgram(LinearProgram):
         N, (s, a) = problem.length, problem.input_matrix.shape
         limited, rows = None, problem.rows
         if rows is not None:
-            by_all = rows.by_state, rows.by_input, rows.by_next_state
+            by_all = rows.by_state.T, rows.by_input.data[:, None], rows.by_next_state.T
             values = np.zeros((N, len(rows.scale)))
-            limited = StageJacobians(values, tuple(part.T[None] for part in by_all))
+            limited = StageJacobians(values, tuple(part[None] for part in by_all))
         slopes = tuple(part.T[None] for part in (problem.transition, problem.input_matrix))
         core.prepare(StageJacobians(np.zeros((N, s)), slopes), limited)
         # What is measured, where the core reads it.

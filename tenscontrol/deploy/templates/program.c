@@ -16,7 +16,7 @@ static struct {
     const double *state_moves, *input_moves; /* what a solution adds to the plan */
     double numbers[STAGES_NUMBERS(ALIKE, THIN, HORIZON, PROGRAM_STATES, CONTROLLER_COMMANDS,
                                   LIMITED, ROWS, MOST)];
-    int integers[STAGES_INTEGERS(ALIKE, HORIZON, CONTROLLER_COMMANDS, ROWS, MOST)];
+    int integers[STAGES_INTEGERS(ALIKE, HORIZON, ROWS, MOST)];
     const double *pointers[ACTIVE_SET_POINTERS(MOST)];
 } program;
 
@@ -26,7 +26,8 @@ static void place_program(void)
                                       CHANGES, SOFT, ITERATIONS, AHEAD, ALIKE, THIN};
     static const StagesData data = {state_weight, input_weight, terminal_weight, limit_scale,
                                     largest_change, low, high, limit_low, limit_high, price,
-                                    price, thin_unit, thin_factor};
+                                    price, thin_unit, thin_inputs, thin_states, thin_shrink,
+                                    limited_start, limited_which};
     size_t counts[3];
     double *views[7];
     stages_program_place(&program.stages, &sizes, LEVEL, TOLERANCE, NULL, &data, program.numbers,

@@ -37,6 +37,17 @@ def scene(name):
         Q, R = tc.energy_weights(plant, by_mode=True)
         given = {"winches": tc.Winches(rate=0.02), "Q": Q, "R": R}
         return plant, given | {"reference": moved(plant, 0.003), "load_gain": 0.5}, 0.02
+    if name == "few modes, limited outputs":
+        plant = tc.reduce(plant_of(tc.prism_tower(2), "rest_length"), 4)
+        rows = np.zeros((2, plant.nodes.size))
+        rows[0, [2, -1]], rows[1, [1, 7]] = (1.0, -1.0), (1.0, -1.0)
+        here = rows @ plant.nodes.ravel(order="F")
+        limits = [OutputLimit(rows, low=here - 1e-3, high=here + 1e-3, penalty=1e4)]
+        given = {"winches": tc.Winches(rate=0.02), "max_tension": 1e3, "outputs": limits}
+        return plant, given, 0.02
+    if name == "few modes, hard limits":
+        plant = tc.reduce(plant_of(tc.prism_tower(2), "rest_length"), 4)
+        return plant, {"min_force_density": 1.0, "string_penalty": np.inf}, 0.02
     if name == "ball":
         plant = plant_of(tc.library.six_bar_ball(bar_length=1.0), "force_density")
         largest = float(plant.force_density.max())
@@ -55,8 +66,12 @@ def scene(name):
 
 
 @pytest.mark.parametrize(
-    "name", ["tower", "ball", "along a reference", "plane, ramps and load", "few modes"]
-)
+    "name",
+    [
+        "tower", "ball", "along a reference", "plane, ramps and load", "few modes",
+        "few modes, limited outputs", "few modes, hard limits",
+    ],
+)  # fmt: skip
 def test_inputs_are_those_of_the_optimum(name):
     plant, given, size = scene(name)
     with warnings.catch_warnings():
@@ -88,9 +103,23 @@ def inputs_are_those_of_the_optimum(plant, mpc, size, samples=10):
         near = point_of_inputs(program, mpc.plan)
         exact = exact_optimum(program.P, program.q, program.A, program.l, program.u, near)
         np.testing.assert_allclose(mpc.plan, program.inputs(exact), rtol=0, atol=1e-9 * level)
-        np.testing.assert_allclose(mpc.plan[:, 0], command.value, rtol=1e-14)
+        np.testing.assert_allclose(mpc.plan[:, 0], command.value, rtol=1e-13)
         active += mpc.statistics.iterations[-1]
     assert active > 5
+
+
+def test_memory_of_few_modes_grows_as_their_inputs():
+    inputs, sizes = [], []
+    for stages in (8, 16):
+        plant = tc.reduce(plant_of(tc.prism_tower(stages), "rest_length"), 4)
+        mpc = tc.MPC(plant, horizon=20, sample_time=0.02, winches=tc.Winches(rate=0.02))
+        problem, numbers = mpc.law.design.problem, mpc._program._core._memory[0]
+        assert problem.input_weight.shape == plant.B.shape[1:]
+        assert problem.rows.by_input.nnz == plant.B.shape[1]
+        inputs.append(plant.B.shape[1])
+        sizes.append(len(numbers))
+    # The rows that may be active at once are as many: factors of 5,000.
+    assert (sizes[1] - sizes[0]) / (inputs[1] - inputs[0]) < 20 * 100
 
 
 def test_a_program_without_solution_is_told_and_forgotten():

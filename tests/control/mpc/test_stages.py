@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.sparse import csr_array
 
 import tenscontrol as tc
 from tenscontrol.control import NMPC, Status
@@ -56,6 +57,8 @@ def exact_plan(problem, bounds, row_bounds, plan, motion, rows, given, found):
         ]
         states.append((moved[0], moved[1] + motion.values[k] + data.drift[k]))
     hessian, gradient = np.zeros((unknowns, unknowns)), np.zeros(unknowns)
+    R = problem.input_weight
+    R = np.diag(R) if R.ndim == 1 else R
 
     def add(weight, value, aim):
         nonlocal hessian, gradient
@@ -64,7 +67,7 @@ def exact_plan(problem, bounds, row_bounds, plan, motion, rows, given, found):
         gradient += matrix.T @ weight @ (constant - aim)
 
     for k in range(N):
-        add(problem.input_weight, inputs(k), data.input_reference[k])
+        add(R, inputs(k), data.input_reference[k])
         if k < N - 1:
             add(problem.state_weight, states[k + 1], data.reference[k])
     end, aim = states[N], data.reference[N - 1]
@@ -156,7 +159,7 @@ def random_program(seed, N, ramp, limited, changes, hard, size=(5, 3)):
         penalty = np.array([3.0, np.inf if hard else 0.4])
         scale = rng.uniform(0.5, 2.0, p)
         E, G = np.ones((p, s)), np.ones((p, a))
-        rows = Rows(E, E, G, scale, penalty, (True, True))
+        rows = Rows(E, E, csr_array(G), scale, penalty, (True, True))
     problem = MPCProblem(
         np.eye(s), np.ones((s, a)), np.zeros(s), weight(s, 0.0), weight(a, 0.1), weight(n, 0.0),
         -np.ones(a), np.ones(a), np.full(a, 0.4) if changes else None, N, 0.7, np.zeros((a, s)),
