@@ -10,6 +10,7 @@ from tenscontrol import validation
 from tenscontrol.actuation.winches import Winches
 from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.dynamics.model import Model
+from tenscontrol.shape.held_strings import HeldStrings
 from tenscontrol.statics.equilibrium_matrix import member_forces
 from tenscontrol.statics.least_distance import least_distance
 from tenscontrol.string_bounds import StringBounds, string_bounds
@@ -65,9 +66,11 @@ def checked_limits(
     winches: Winches | None,
     prestress: str,
     min_clearance: object,
+    held: HeldStrings | None,
 ) -> ForceLimits:
     """Return level and bounds, or raise naming the argument."""
-    bounds = checked_bounds(model, min_force_density, max_force_density, winches)
+    bounds = checked_bounds(model, min_force_density, max_force_density, winches, held)
+    springs = np.zeros(0) if held is None else held.spring_force_density(model)
     structure, low, high = model.structure, bounds.low, bounds.high
     clearance = 0.0
     if min_clearance is not None:
@@ -105,12 +108,13 @@ def checked_limits(
             "the level of the prestress is unbounded: give force_density or "
             "max_force_density, or ask for prestress='least'"
         )
-    if level is None and not low.any() and not loaded and not np.isfinite(high).all():
+    pulls = loaded or springs.any()
+    if level is None and not low.any() and not pulls and not np.isfinite(high).all():
         raise ValueError(
             "without load γ = 0 balances in every shape: give force_density or "
             "min_force_density, N/m"
         )
-    candidates = [level, float(low.max())]
+    candidates = [level, float(low.max()), float(springs.max(initial=0.0))]
     if np.isfinite(high).all():
         candidates.append(float((low + high).mean() / 2))
     if loaded:
@@ -121,7 +125,11 @@ def checked_limits(
 
 
 def checked_bounds(
-    model: Model, min_force_density: object, max_force_density: object, winches: Winches | None
+    model: Model,
+    min_force_density: object,
+    max_force_density: object,
+    winches: Winches | None,
+    held: HeldStrings | None,
 ) -> StringBounds:
     """Return the bounds of the strings of a model, or raise naming the argument."""
     count = len(model.structure.strings)
@@ -136,7 +144,12 @@ def checked_bounds(
                 "build it as Model(structure, strings=LinearStrings(stiffness=...))"
             )
         if winches.shortest is not None or winches.longest is not None:
-            rest_length = winches.range(count)
+            shortest, longest = winches.range(count)
+            if held is not None:  # passive strings have no winch
+                passive = held.actuation.input < 0
+                shortest = np.where(passive, 0.0, shortest)
+                longest = np.where(passive, np.inf, longest)
+            rest_length = shortest, longest
     return string_bounds(
         count,
         min_force_density,

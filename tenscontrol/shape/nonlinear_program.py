@@ -11,6 +11,7 @@ from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.dynamics import kernel
 from tenscontrol.dynamics.evaluator import BUILDING, Function, builds, built
 from tenscontrol.dynamics.model import Model
+from tenscontrol.shape.held_strings import HeldStrings
 from tenscontrol.shape.symmetry import Reduction, RotationalSymmetry, reduction
 from tenscontrol.statics.equilibrium_matrix import equilibrium_matrix, null_space
 from tenscontrol.statics.prestress import Prestress
@@ -54,7 +55,8 @@ class ShapeProblem:
     determines the lengths and forces of the others.
 
     The nodes of ``start``, shape (d, n), give the size; ``level`` is the scale of the
-    force densities, N/m. With a ``symmetry``, only shapes that have it are solutions.
+    force densities, N/m. With a ``symmetry``, only shapes that have it are solutions; with strings
+    that are ``held``, only those in which these have the values that they must have.
     """
 
     @builds
@@ -64,6 +66,7 @@ class ShapeProblem:
         start: FloatArray,
         level: float,
         symmetry: RotationalSymmetry | None = None,
+        held: HeldStrings | None = None,
     ) -> None:
         structure, load = model.structure, model.constant_force
         d = structure.dimension
@@ -96,6 +99,11 @@ class ShapeProblem:
         stretch = self._stretch(moving)
         # Equations that the symmetry makes equal are written once.
         self.equations = ca.vertcat(ca.mtimes(_sparse(red.basis.T), unbalanced), stretch)
+        self.held = held
+        if held is not None:
+            unit = self.size if held.input == "rest_length" else level
+            rows = held.rows(model, nodes, self.gamma, red.strings, unit)
+            self.equations = ca.vertcat(self.equations, rows)
         self._parts = Function("parts", [self.unknowns], [ca.densify(nodes), self.gamma])
 
     @property

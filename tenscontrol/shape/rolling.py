@@ -100,6 +100,9 @@ class RollingGait:
         Steps to make; without end if not given.
     clearance : float
         Least distance between the axes of bars that share no node while it winds, m.
+    actuated : sequence of int or str, dict, array_like or Actuation, optional
+        The strings that winches drive, as in :func:`linearize`; all if not given. The others keep
+        the rest lengths of the start.
 
     Attributes
     ----------
@@ -140,8 +143,9 @@ class RollingGait:
         winches: Winches | None = None,
         steps: int | None = None,
         clearance: float = 0.0,
+        actuated: object = None,
     ) -> None:
-        self._planner = TippingPlanner(model, rest_length, winches, clearance)
+        self._planner = TippingPlanner(model, rest_length, winches, clearance, actuated)
         self._structure = model.structure
         self._normal, self._height = _one_plane(model)
         self._direction = unit_vector("direction", direction, model.structure.dimension)

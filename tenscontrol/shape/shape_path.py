@@ -22,6 +22,7 @@ from tenscontrol.shape.equilibrium_path import (
     rest_at,
 )
 from tenscontrol.shape.force_bounds import checked_bounds, refuse_ground
+from tenscontrol.shape.held_strings import held_strings
 from tenscontrol.shape.nonlinear_program import ShapeProblem
 from tenscontrol.shape.shape_search import STIFF
 from tenscontrol.shape.target import PLACES, ShapeTarget, moved_as_one_body
@@ -184,6 +185,7 @@ def shape_path(
     max_force_density: object = None,
     place: str = "anywhere",
     require_stable: bool = True,
+    plant: LinearPlant | None = None,
 ) -> ShapePath:
     """Return a path between two shapes through equilibrium shapes.
 
@@ -216,6 +218,10 @@ def shape_path(
         that the end may be turned a little against ``goal``.
     require_stable : bool
         Whether a path that leads through shapes that buckle is refused.
+    plant : LinearPlant, optional
+        Of this model, made with ``actuated``: its passive strings keep their rest lengths, or force
+        densities, all the way; strings that share a winch move by their ratios. Both ends are made
+        by ``shape_target(..., plant=plant)``.
 
     Returns
     -------
@@ -263,7 +269,8 @@ def shape_path(
     ramp = validation.positive_number("ramp", ramp, "shares of the duration")
     if ramp > 0.5:
         raise ValueError(f"ramp is {ramp:g}, expected at most 0.5: there are two of them")
-    bounds = checked_bounds(model, min_force_density, max_force_density, winches)
+    held = held_strings(model, plant)
+    bounds = checked_bounds(model, min_force_density, max_force_density, winches, held)
     bounds.refuse_outside("start", begin.force_density)
     bounds.refuse_outside("goal", end.force_density)
     rate = None if winches is None else winches.largest_rate
@@ -277,7 +284,14 @@ def shape_path(
 
     # Equal where all strings are slack.
     level = max(float(rest.force_density.max()) for rest in (begin, end)) or 1.0
-    problem = ShapeProblem(model, begin.structure.nodes, level)
+    if held is not None:
+        for name, rest in (("start", begin), ("goal", end)):
+            values = rest.force_density
+            if held.input == "rest_length":
+                assert model.strings is not None  # of the plant
+                values = model.strings.rest_length(rest.structure.string_length(), values)
+            held.refuse_other(name, values)
+    problem = ShapeProblem(model, begin.structure.nodes, level, held=held)
     sides = [problem.start(rest.structure.nodes, rest.force_density) for rest in (begin, end)]
     low, high = bounds.low / level, bounds.highest / level
     continuation = Continuation(problem, sides[0], sides[1], low, high)

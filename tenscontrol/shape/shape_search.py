@@ -15,6 +15,7 @@ from tenscontrol.dynamics.evaluator import Function, builds
 from tenscontrol.dynamics.model import Model
 from tenscontrol.shape.demands import CentreKept, Demand
 from tenscontrol.shape.force_bounds import ForceLimits, choose_force_density
+from tenscontrol.shape.held_strings import HeldStrings
 from tenscontrol.shape.nonlinear_program import EXACT, MIRRORED, ShapeProblem
 from tenscontrol.shape.symmetry import RotationalSymmetry
 from tenscontrol.statics.prestress import Prestress, prestress
@@ -236,9 +237,10 @@ def solve_shape(
     kind: str,
     symmetry: RotationalSymmetry | None,
     start: FloatArray,
+    held: HeldStrings | None = None,
 ) -> Solved | None:
     """Return the equilibrium nearest to the start that meets the demands, or misses them least."""
-    problem = ShapeProblem(model, start, limits.scale, symmetry)
+    problem = ShapeProblem(model, start, limits.scale, symmetry, held)
     demanded = _DemandRows(problem, demands, limits, start)
     search = _EquilibriumSearch(problem, demanded, limits, kind, start)
     random = np.random.default_rng(0)
@@ -318,7 +320,12 @@ def _finished(
     structure = replace(model.structure, nodes=nodes)
     length = structure.string_length()
     low, high = limits.bounds.at_lengths(length, model.strings)
-    if (low <= high).all():
+    is_ganged = problem.held is not None and problem.held.actuation.is_ganged
+    if problem.held is not None:
+        passive = problem.held.actuation.passive
+        low, high = low.copy(), high.copy()
+        low[passive] = high[passive] = gamma[passive]
+    if (low <= high).all() and not is_ganged:
         chosen = choose_force_density(structure, model.constant_force, limits, low, high, kind)
         gamma = gamma if chosen is None else chosen
     rest = prestress(

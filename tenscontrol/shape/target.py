@@ -13,9 +13,11 @@ from tenscontrol.actuation.winches import Winches
 from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.dynamics.coordinates import coordinates
 from tenscontrol.dynamics.model import Model
+from tenscontrol.plant.linear_plant import LinearPlant
 from tenscontrol.plant.reference import STRINGS_MOVE_NO_CENTRE
 from tenscontrol.shape.demands import Demand, centre_kept
 from tenscontrol.shape.force_bounds import ForceLimits, checked_limits, refuse_ground
+from tenscontrol.shape.held_strings import held_strings
 from tenscontrol.shape.shape_search import MET, STIFF, Solved, solve_shape
 from tenscontrol.shape.symmetry import RotationalSymmetry
 from tenscontrol.statics.prestress import Prestress
@@ -25,6 +27,8 @@ from tenscontrol.structure.structure import Structure
 from tenscontrol.structure.supports import refuse_load_without_support, refuse_moved_supports
 
 CHOICES = ("centred", "least")
+
+_KEEPING = ", in which the passive strings of plant are taut at what they keep"
 PLACES = ("anywhere", "centre")
 
 # A shape that differs from the start by less than this part of its way is the same elsewhere; ways
@@ -154,6 +158,7 @@ def shape_target(
     start: object = None,
     place: str = "anywhere",
     require_stable: bool = True,
+    plant: LinearPlant | None = None,
 ) -> ShapeTarget:
     """Return an equilibrium shape that meets given demands, and its force densities.
 
@@ -194,6 +199,10 @@ def shape_target(
         space. A structure that supports hold is in space already.
     require_stable : bool
         Whether a shape that buckles is refused.
+    plant : LinearPlant, optional
+        Of this model, made with ``actuated``: its passive strings keep their rest lengths, or force
+        densities, and stay taut; strings that share a winch move by their ratios. All strings are
+        driven if not given.
 
     Returns
     -------
@@ -246,6 +255,7 @@ def shape_target(
     if symmetry is not None:
         how = "make one by RotationalSymmetry(cycles)"
         validation.instance("symmetry", symmetry, RotationalSymmetry, how)
+    held = held_strings(model, plant)
     limits = checked_limits(
         model,
         force_density,
@@ -255,19 +265,20 @@ def shape_target(
         winches,
         prestress,
         min_clearance,
+        held,
     )
     begin = structure.nodes if start is None else structure.checked_nodes("start", start)
     refuse_moved_supports("start", structure, begin)
     begin = restore_bar_lengths(structure, begin)
     refuse_load_without_support(structure, model.constant_force)
     asked = tuple(wanted) + (centre_kept(structure, begin) if place == "centre" else ())
-    solved = solve_shape(model, asked, limits, prestress, symmetry, begin)
+    solved = solve_shape(model, asked, limits, prestress, symmetry, begin, held)
     if solved is None:
         level = f", {limits.level:g} N/m in the reference strings" if limits.level else ""
         raise ShapeError(
             "no equilibrium found with the bar lengths of the structure and γ of at least "
-            f"min_force_density{level}. Start from another shape, or lower "
-            "min_force_density",
+            f"min_force_density{level}{_KEEPING if held else ''}. Start from another shape, or "
+            "lower min_force_density",
             None,
         )
     target = _target(model, asked, limits, solved)

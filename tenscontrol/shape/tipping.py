@@ -10,6 +10,13 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol import validation
+from tenscontrol.actuation.driven_strings import (
+    actuation_of,
+    bounds_of_inputs,
+    changes_of_inputs,
+    inputs_of,
+    strings_of,
+)
 from tenscontrol.actuation.winches import Winches
 from tenscontrol.arrays import FloatArray, IntArray, freeze_arrays
 from tenscontrol.dynamics import kernel
@@ -110,6 +117,7 @@ def tipping_path(
     margin: float | None = None,
     step: float | None = None,
     clearance: float = 0.0,
+    actuated: object = None,
 ) -> TippingPath:
     """Return a path of rest lengths that tips a structure over an edge of its base.
 
@@ -139,6 +147,9 @@ def tipping_path(
         given.
     clearance : float
         Least distance between the axes of bars that share no node, m.
+    actuated : sequence of int or str, dict, array_like or Actuation, optional
+        The strings that winches drive, as in :func:`linearize`; all if not given. The others keep
+        the rest lengths of the start.
 
     Returns
     -------
@@ -175,7 +186,7 @@ def tipping_path(
     >>> bool(path.margin[0] < 0 < path.margin[-1])
     True
     """
-    planner = TippingPlanner(model, rest_length, winches, clearance)
+    planner = TippingPlanner(model, rest_length, winches, clearance, actuated)
     shape = model.structure.nodes
     if nodes is not None:
         shape = restore_bar_lengths(model.structure, model.structure.checked_nodes("nodes", nodes))
@@ -234,8 +245,9 @@ class TippingPlanner:
     """
 
     def __init__(
-        self, model: Model, rest_length: object, winches: Winches | None, clearance: float
-    ) -> None:
+        self, model: Model, rest_length: object, winches: Winches | None, clearance: float,
+        actuated: object = None,
+    ) -> None:  # fmt: skip
         import scipy.linalg.lapack  # now, not within the first sample  # noqa: F401
 
         validation.instance(
@@ -261,11 +273,13 @@ class TippingPlanner:
         self.home = held_value(model, rest_length, None)
         self.size = float(np.ptp(structure.nodes, axis=1).max())
         self.gravity = weight / float(structure.bar_mass.sum() + structure.point_mass.sum())
+        self.actuation = actuation_of(structure, actuated, self.home)
         if winches is not None:
             validation.instance("winches", winches, Winches, "make them by Winches(rate=...)")
-        if winches is not None:
-            winches.refuse_out_of_range("rest_length", self.home)
-        self._low, self._high = rest_length_bounds(self.home, winches)
+            winches.refuse_out_of_range("rest_length", self.home, self.actuation.driven)
+        # Of the inputs, as is all that winds.
+        bounds = rest_length_bounds(self.home, winches)
+        self._low, self._high = bounds_of_inputs(self.actuation, *bounds)
         self._clearance = validation.number("clearance", clearance, "m")
         self._conditions = model.prepared.get("tipping", lambda: _conditions(model))
 
@@ -321,16 +335,21 @@ class TippingPlanner:
         StuckError
             If that brings nothing, or there is none.
         """
-        uphill = self._uphill()
-        low, high = self.rest_length <= self._low, self.rest_length >= self._high
+        uphill, actuation = self._uphill(), self.actuation
+        if not actuation.is_whole:
+            uphill = actuation.matrix.T @ uphill
+            most = changes_of_inputs(actuation, most * np.ones(len(self.home)))
+        wound = inputs_of(actuation, self.rest_length)
+        low, high = wound <= self._low, wound >= self._high
         uphill[(low & (uphill < 0)) | (high & (uphill > 0))] = 0.0
         if np.linalg.norm(uphill) < _VAIN:
             raise StuckError("the winches that would move it are at the end of their range")
         change = uphill * np.min(most / np.maximum(np.abs(uphill), _VAIN**2))
         for _ in range(_HALVINGS):
-            wanted = np.clip(self.rest_length + change, self._low, self._high)
+            inputs = np.clip(wound + change, self._low, self._high)
+            wanted = strings_of(actuation, inputs)
             slope = self._solve(self._pushes @ (self.rest_length - wanted))
-            least = self.margin + _GAIN * float(uphill @ (wanted - self.rest_length))
+            least = self.margin + _GAIN * float(uphill @ (inputs - wound))
             try:
                 return self._balance(self._unknowns + slope, wanted, _NEXT, least)
             except StuckError as error:

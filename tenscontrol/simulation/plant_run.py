@@ -411,7 +411,7 @@ class PlantRun:
         """Return nodes and velocities at all times kept, read-only, in the memory of the states."""
         whole = self.spans[1].whole if len(self.spans) == 2 else None
         states = np.hstack([s.states for s in self.spans]) if whole is None else whole
-        nodes, velocities = unpack_states(self.model.structure, states)
-        for part in (nodes, velocities):
-            part.setflags(write=False)
-        return nodes, velocities
+        owner = states if states.base is None else states.base
+        owner.setflags(write=False)
+        states.setflags(write=False)
+        return unpack_states(self.model.structure, states)

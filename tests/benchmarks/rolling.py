@@ -3,7 +3,9 @@
 Run: ``python -m tests.benchmarks.rolling``, about half an hour. On flat ground and 5° up a slope,
 by winches of 0.2 m/s between 0.35 m and 0.8 m, from any yaw. The gait plans with the nominal ball
 on the nominal ground; friction, the stiffness of the ground, of each string, and the mass of each
-bar are drawn. A success is five steps within 40 s that end within 45° of the direction. Prints the
+bar are drawn. ``--driven 12`` leaves winches to every second string of the shell, the others are
+springs, and ``--payload 1`` hangs a mass of 1 kg in the middle by twelve springs more. A success
+is five steps within 40 s that end within 45° of the direction. Prints the
 rates of success with their intervals, and the time of a command over the sample time: by the
 clock, as the gait is used in a run, and the processor's for the plan of a whole step at once.
 """
@@ -11,7 +13,7 @@ clock, as the gait is used in a run, and the processor's for the plan of a whole
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from time import process_time
 
 import numpy as np
@@ -34,11 +36,12 @@ PARAMETERS = {
 
 def main(arguments: Sequence[str] | None = None) -> None:
     given = options(
-        __doc__, arguments, count=COUNT, steps=STEPS, slopes=SLOPES, processes=1, file=""
-    )
+        __doc__, arguments, count=COUNT, steps=STEPS, slopes=SLOPES, driven=24, payload=0.0,
+        processes=1, file="",
+    )  # fmt: skip
     for slope in given.slopes:
         file = f"{given.file}.{slope:g}" if given.file else None
-        case = Rolling(slope, given.steps)
+        case = Rolling(slope, given.steps, given.driven, given.payload)
         report = tc.sweep(
             case, PARAMETERS, given.count, seed=SEED, processes=given.processes, file=file
         )
@@ -56,9 +59,12 @@ class Rolling:
 
     slope: float
     steps: int
+    driven: int
+    payload: float
 
     def __call__(self, parameters: dict, rng: np.random.Generator) -> tc.robustness.Outcome:
-        gait, runs = rolled(self.slope, self.steps, **parameters)
+        robot = {"driven": self.driven, "payload": self.payload}
+        gait, runs = rolled(self.slope, self.steps, **robot, **parameters)
         moved = (runs[-1].nodes[:, :, -1] - runs[0].nodes[:, :, 0]).mean(axis=1)
         direction, side = np.cross([0.0, 1.0, 0.0], normal(self.slope)), moved[1]
         along = float(direction @ moved)
@@ -77,24 +83,43 @@ def normal(slope: float) -> np.ndarray:
     return np.array([-np.sin(angle), 0.0, np.cos(angle)])
 
 
-def modelled(slope, friction=0.5, ground=5e3, bar_mass=1.0, stiffness=1.0):
+def modelled(slope, payload=0.0, friction=0.5, ground=5e3, bar_mass=1.0, stiffness=1.0):
     """Return the ball on its ground, with masses and stiffnesses as parts of the nominal ones."""
     ball = tc.library.six_bar_ball(bar_length=1.0, bar_mass=0.5 * np.broadcast_to(bar_mass, 6))
-    law = tc.LinearStrings(stiffness=1000.0 * stiffness, damping=10.0)
+    shell = 1000.0 * np.broadcast_to(stiffness, 24)
+    if payload:
+        ball = with_payload(ball, payload)
+        shell = np.append(shell, np.full(12, 1000.0))
+    law = tc.LinearStrings(stiffness=shell, damping=10.0)
     plane = tc.Ground(ground, 0.5, friction, slip_speed=0.02, normal=normal(slope))
     return tc.Model(ball, strings=law, gravity=9.81, ground=plane)
 
 
-def rolled(slope, steps, yaw=0.0, **parameters):
-    """Return the gait and its runs, one after the other, until the steps are made."""
-    nominal, up = modelled(slope), normal(slope)
-    gait = tc.shape.RollingGait(
-        nominal, REST_LENGTH, np.cross([0.0, 1.0, 0.0], up), SAMPLE, winches=WINCHES, steps=steps
+def with_payload(ball, mass):
+    """Return the ball with a node of this mass, kg, in the middle, on a string to each other."""
+    strings = np.vstack([ball.strings, [[k, 12] for k in range(12)]])
+    return replace(
+        ball,
+        nodes=np.column_stack([ball.nodes, ball.nodes.mean(axis=1)]),
+        strings=strings,
+        point_mass=np.append(np.zeros(12), mass),
+        string_groups=["shell"] * 24 + ["payload"] * 12,
     )
+
+
+def rolled(slope, steps, driven=24, payload=0.0, yaw=0.0, **parameters):
+    """Return the gait and its runs, one after the other, until the steps are made."""
+    nominal, up = modelled(slope, payload), normal(slope)
+    lengths = nominal.structure.string_length()
+    lengths = np.where(np.arange(len(lengths)) < 24, REST_LENGTH, 0.9 * lengths)
+    gait = tc.shape.RollingGait(
+        nominal, lengths, np.cross([0.0, 1.0, 0.0], up), SAMPLE, winches=WINCHES, steps=steps,
+        actuated=list(range(0, 24, 24 // driven)),
+    )  # fmt: skip
     begin = turn(up, np.radians(yaw)) @ tc.plant.set_down(nominal, FACE)
-    model, runs = modelled(slope, **parameters), []
+    model, runs = modelled(slope, payload, **parameters), []
     while not runs or (len(gait.made) < steps and runs[-1].time[-1] < LONGEST):
-        start = {"start": runs[-1]} if runs else {"nodes": begin, "rest_length": REST_LENGTH}
+        start = {"start": runs[-1]} if runs else {"nodes": begin, "rest_length": lengths}
         runs.append(
             tc.simulate(
                 model, PART, controller=gait, winches=WINCHES, method="cvodes", tolerance=1e-5,

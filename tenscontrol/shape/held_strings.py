@@ -1,0 +1,110 @@
+"""Passive strings, and strings that share a winch, as equations of a search for shapes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from tenscontrol import validation
+from tenscontrol.actuation.driven_strings import Actuation
+from tenscontrol.arrays import FloatArray
+from tenscontrol.dynamics import kernel
+from tenscontrol.dynamics.model import Model
+from tenscontrol.plant.linear_plant import LinearPlant
+from tenscontrol.structure.structure import same_members
+
+# Ends of a path may miss the values of passive strings by this part of the largest.
+_AT_ENDS = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class HeldStrings:
+    """What the winches of a plant cannot set: values of passive strings, and of shared winches.
+
+    Attributes
+    ----------
+    actuation : Actuation
+    input : {"rest_length", "force_density"}
+        What the values are.
+    """
+
+    actuation: Actuation
+    input: str
+
+    def rows(self, model: Model, nodes: Any, gamma: Any, orbits: FloatArray, unit: float) -> Any:
+        """Return expressions that vanish where winches can hold γ in a shape, of order one.
+
+        ``unit`` is that of the values, m or N/m. Strings of one orbit, shape (α, orbits), have the
+        same length and γ: each equation is written once.
+        """
+        values = gamma
+        if self.input == "rest_length":
+            assert model.strings is not None  # the plant has rest lengths
+            length = kernel.string_lengths(model.structure, nodes).T
+            values = model.strings.taut_rest_length(length, gamma)
+        act, of = self.actuation, orbits.argmax(axis=1)
+        offset = act.offset / unit
+        rows, written = [ca.SX(0, 1)], set[tuple[float, ...]]()
+        for i in act.passive.tolist():
+            key: tuple[float, ...] = (float(of[i]), round(float(offset[i]), 9))
+            if key not in written:
+                rows.append(values[i] / unit - float(offset[i]))
+            written.add(key)
+        for i in np.setdiff1d(act.driven, act.lead).tolist():
+            lead = int(act.lead[act.input[i]])
+            ends = [(of[j], float(act.ratio[j]), round(float(offset[j]), 9)) for j in (i, lead)]
+            key = (*ends[0], *ends[1])
+            if ends[0] != ends[1] and key not in written:
+                own, first = (
+                    (values[j] / unit - float(offset[j])) / float(act.ratio[j]) for j in (i, lead)
+                )
+                rows.append(own - first)
+            written.add(key)
+        return ca.vertcat(*rows)
+
+    def spring_force_density(self, model: Model) -> FloatArray:
+        """Return γ of the passive strings in the shape of the model, N/m."""
+        passive, offset = self.actuation.passive, self.actuation.offset
+        if self.input == "force_density":
+            return np.asarray(offset[passive])
+        assert model.strings is not None  # the plant has rest lengths
+        wound = np.where(self.actuation.input < 0, offset, model.structure.string_length())
+        return np.asarray(model.strings.force_density(model.structure.string_length(), wound))[
+            passive
+        ]
+
+    def refuse_other(self, name: str, values: FloatArray) -> None:
+        """Raise if an end of a path has values, shape (α,), that the winches cannot hold."""
+        act, unit = self.actuation, "m" if self.input == "rest_length" else "N/m"
+        held = act.offset.copy()
+        inputs = values[act.lead] - act.offset[act.lead]
+        inputs = inputs / act.ratio[act.lead]
+        held[act.driven] += act.ratio[act.driven] * inputs[act.input[act.driven]]
+        off = np.abs(values - held)
+        i = int(off.argmax())
+        if off[i] > _AT_ENDS * float(np.abs(values).max()):
+            kind = "passive" if act.input[i] < 0 else "on a winch that it shares"
+            raise ValueError(
+                f"{name} has a {self.input.replace('_', ' ')} of {values[i]:.6g} {unit} in string "
+                f"{i}, which is {kind} in plant and has {held[i]:.6g} {unit} there: make {name} by "
+                "shape_target(..., plant=plant)"
+            )
+
+
+def held_strings(model: Model, plant: object) -> HeldStrings | None:
+    """Return what the winches of a plant cannot set; None where they set each string."""
+    if plant is None:
+        return None
+    validation.instance("plant", plant, LinearPlant, "make one by linearize(..., actuated=...)")
+    assert isinstance(plant, LinearPlant)  # just checked
+    if not same_members(plant.model.structure, model.structure):
+        raise ValueError(
+            f"plant is of {plant.model.structure!r}, expected one of the structure of the model, "
+            f"{model.structure!r}"
+        )
+    if plant.input == "rest_length" and model.strings is None:
+        raise ValueError("plant has rest lengths as inputs, but the model has no string law")
+    return None if plant.actuation.is_whole else HeldStrings(plant.actuation, plant.input)
