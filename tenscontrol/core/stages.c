@@ -128,8 +128,8 @@ static void stages_transpose(int rows, int columns, const double *A, int lda, do
 
 /*
  * Put what a stage does into a slot: derivatives A by z_k, B by u_k and C by u_{k-1}. The matrices
- * are stored by columns; C is NULL where inputs are no ramps. Thin stages need no B. Steps found from
- * the slot before are none any more.
+ * are stored by columns; C is NULL where inputs are no ramps. Thin stages need no B. Steps found
+ * from the slot before are none any more.
  */
 static void stages_set_motion(Stages *s, size_t slot, const double *A, const double *B,
                               const double *C)

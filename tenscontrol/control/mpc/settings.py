@@ -310,6 +310,8 @@ def design(plant: LinearPlant, settings: MPCSettings, nonlinear: bool = False) -
         natural_Q if Q is None else validation.weight_matrix("Q", Q, states, definite=False)
     )
     input_weight = natural_R if R is None else validation.weight("R", R, count, definite=True)
+    if input_weight.ndim == 2 and np.count_nonzero(input_weight) == count:
+        input_weight = np.diagonal(input_weight)
     winches, sample_time = settings.winches, settings.sample_time
     ramp = winches is not None and winches.ramp
     numbers = (30.0 + 2.0 * states) * count * settings.horizon
