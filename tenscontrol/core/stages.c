@@ -128,8 +128,8 @@ static void stages_transpose(int rows, int columns, const double *A, int lda, do
 
 /*
  * Put what a stage does into a slot: derivatives A by z_k, B by u_k and C by u_{k-1}. The matrices
- * are stored by columns; C is NULL where inputs are no ramps, and B is known where stages are thin. Steps found from the slot before are
- * none any more.
+ * are stored by columns; C is NULL where inputs are no ramps. Thin stages need no B. Steps found
+ * from the slot before are none any more.
  */
 static void stages_set_motion(Stages *s, size_t slot, const double *A, const double *B,
                               const double *C)
@@ -586,7 +586,7 @@ static void stages_batch(const Stages *s, int count, const int *which, double *c
     }
 }
 
-/* What a row has in s of [w v s] at one stage: numbers, times a factor, and its v. */
+/* What a row has in s of [w v s] at one stage: numbers times a factor and D, and its v. */
 typedef struct {
     int stage, count, own; /* own: the one input, where there are no entries of G */
     const int *which;
@@ -644,7 +644,7 @@ static double stages_thin_dot(const Stages *s, const double *a, const double *b)
     return (sum[0] + sum[1]) + (sum[2] + sum[3]);
 }
 
-/* s's - v'v of the parts of two rows, by which the product of their w is less than theirs. */
+/* s's - v'v of two rows: their product is that of their w, and this. */
 static double stages_thin_inner(void *data, int i, int j)
 {
     const Stages *s = &((StagesProgram *)data)->stages;

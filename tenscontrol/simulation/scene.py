@@ -46,8 +46,8 @@ from tenscontrol.statics.prestress import prestress
 from tenscontrol.structure.segments import to_segments
 from tenscontrol.structure.structure import Structure, same_members
 
-# States kept of an adaptive run, unless the user says otherwise.
-_OUTPUTS = 1000
+# States kept of an adaptive run, unless the user says otherwise, and numbers in them at most.
+_OUTPUTS, _NUMBERS = 1000, 50_000_000
 
 # Of a run with fewer states than this the ends of steps are kept, to look for bars that cross.
 _FEW_OUTPUTS = 256
@@ -562,7 +562,7 @@ class Scene:
         """Time between states kept, after checking that they can be kept."""
         how, duration = self.integration, self.duration
         if how.output_step is None and how.step is None:
-            return duration / _OUTPUTS
+            return duration / min(_OUTPUTS, max(1, _NUMBERS // (2 * self.structure.nodes.size)))
         name = "step" if how.output_step is None else "output_step"
         value: float = getattr(how, name)
         if how.step is not None:

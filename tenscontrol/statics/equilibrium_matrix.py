@@ -21,6 +21,10 @@ if TYPE_CHECKING:
 # what a real member contributes.
 _RANK_TOLERANCE = 1e-9
 
+# Pivots up to this part of their diagonal entry are zero where no other is doubtful, and random
+# motions that are looked at to be sure.
+_CLEAR, _PROBES = 1e-12, 8
+
 # A matrix of no more entries is decomposed whole, by singular values, faster than by its zeros.
 _FEW = 100_000
 
@@ -237,6 +241,26 @@ def kept_lengths(structure: Structure, picture: csr_array, E: csc_array) -> Kept
     )
 
 
+def clear_motions(structure: Structure, picture: csr_array, E: csc_array) -> int | None:
+    """Return how many motions keep lengths where pivots of ``E Eᵀ`` are clear, or None.
+
+    They are clear where each is zero, or far from it; and random motions out of those behind the
+    zeros keep lengths, which they would not if one of them did not. No basis is made.
+    """
+    factors = possible_mechanisms(structure, picture, E)
+    doubtful, pivots = factors.doubtful, np.abs(factors.pivots)
+    if pivots[doubtful].max(initial=0.0) > _CLEAR:
+        return None
+    start = np.zeros((len(pivots), _PROBES))
+    start[doubtful] = np.random.default_rng(0).normal(size=(len(doubtful), _PROBES))
+    motions = factors.scale[:, None] * factors.lu.solve(start)
+    rates = pictured_members(picture, E)[0].T @ motions
+    part = np.linalg.norm(rates, axis=0) * np.sqrt(len(doubtful))
+    if (part > _RANK_TOLERANCE * np.linalg.norm(motions, axis=0)).any():
+        return None
+    return len(doubtful) + int(rigid_picture(structure, picture).shape[1])
+
+
 def possible_mechanisms(structure: Structure, picture: csr_array, E: csc_array) -> Factors:
     """Return the factors of ``E Eᵀ`` in the picture: mechanisms are behind doubtful pivots."""
     pictured, _ = pictured_members(picture, E)
@@ -329,12 +353,13 @@ class MemberForces:
         """The motions that keep all lengths."""
         return kept_lengths(self.structure, affine_picture(self.structure), self.matrix)
 
-    @property
+    @cached_property
     def rank(self) -> int:
         """Rank of the matrix."""
         if is_small(self.matrix):
             return int(self.matrix.shape[1] - self.states.shape[1])
-        return self.kept.rank
+        count = clear_motions(self.structure, affine_picture(self.structure), self.matrix)
+        return self.kept.rank if count is None else self.matrix.shape[0] - count
 
     @property
     def least(self) -> float:

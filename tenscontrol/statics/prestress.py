@@ -97,8 +97,9 @@ class Prestress:
     def mechanisms(self) -> int:
         """Number of independent small motions that change no member length to first order.
 
-        Rigid-body motion is not counted. The time to count them grows with the members, and with
-        the square of their number.
+        Rigid-body motion is not counted. The time to count them grows with the members, as in flat
+        nets and of the segments of strings, or with the square of their number too, where some
+        motions change lengths but little.
         """
         structure = self.structure
         rigid = int(rigid_basis(structure).shape[1])

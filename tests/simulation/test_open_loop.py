@@ -1,5 +1,7 @@
 """Open-loop motion against the oracle, and what physics says of it."""
 
+import sys
+
 import numpy as np
 import pytest
 from scipy.integrate import simpson
@@ -402,3 +404,12 @@ def test_a_random_structure_from_a_random_start_keeps_its_momenta(seed):
     run = tc.simulate(tc.Model(structure), 1.0, *start, force_density=gamma, tolerance=1e-12)
     assert np.ptp(run.momentum, axis=1).max() < 1e-12
     assert np.ptp(run.angular_momentum, axis=1).max() < 1e-9
+
+
+def test_a_large_structure_keeps_fewer_states_by_default(monkeypatch):
+    prism, module = tc.prism(), sys.modules["tenscontrol.simulation.scene"]
+    numbers = 2 * prism.nodes.size  # of a state
+    monkeypatch.setattr(module, "_NUMBERS", 40 * numbers + 5)
+    run = tc.simulate(tc.Model(prism), 0.1, force_density=10.0)
+    assert run.time.shape == (41,)
+    assert tc.simulate(tc.Model(prism), 0.1, force_density=10.0, output_step=0.001).time.size == 101

@@ -199,3 +199,39 @@ def test_all_eigenvalues_of_a_large_structure_are_refused_with_a_hint():
     rest = tc.statics.Prestress(tower, gamma, lam, 0 * tower.nodes, 0.0)
     with pytest.raises(ValueError, match="Give count"):
         rest.tangent_stiffness(1e3)
+
+
+@pytest.mark.parametrize(
+    "structure",
+    [
+        tc.net(8, 9, 0.1, 0.01, fixed="edges"),
+        tc.subdivide(tc.prism_tower(3), 4, 0.01),
+        tc.prism_tower(4),
+    ],
+    ids=["net", "massive strings", "tower"],
+)
+def test_clear_mechanisms_are_counted_without_a_basis(structure, monkeypatch):
+    monkeypatch.delattr(MATRIX, "nearly_null")
+    load = np.zeros(len(structure.free_rows))
+    whole, sparse = both(monkeypatch, lambda: MATRIX.member_forces(structure, load).rank)
+    assert whole == sparse
+
+
+def test_mechanisms_of_a_large_net_are_counted():
+    """Each knot moves out of the plane."""
+    net = tc.net(80, 80, 0.1, 0.01, fixed="edges")
+    rest = tc.prestress(net, 10.0)
+    assert rest.mechanisms == 78**2
+    assert rest.self_stress_states == len(net.strings) - 4 * 79 - 2 * 78**2
+
+
+@pytest.mark.parametrize("bend", [1e-2, 1e-3, 1e-5])
+def test_motions_that_change_lengths_a_little_are_no_mechanisms(bend, monkeypatch):
+    net = tc.net(6, 7, 0.1, 0.01, fixed="edges")
+    nodes = net.nodes.copy()
+    nodes[2] += bend * np.sin(3 * nodes[0]) * np.cos(50 * nodes[1])
+    bent = replace(net, nodes=nodes)
+    counts = both(
+        monkeypatch, lambda: MATRIX.member_forces(bent, np.zeros(len(bent.free_rows))).rank
+    )
+    assert counts[0] == counts[1]

@@ -310,10 +310,17 @@ def design(plant: LinearPlant, settings: MPCSettings, nonlinear: bool = False) -
         natural_Q if Q is None else validation.weight_matrix("Q", Q, states, definite=False)
     )
     input_weight = natural_R if R is None else validation.weight("R", R, count, definite=True)
+    if input_weight.ndim == 2 and np.count_nonzero(input_weight) == count:
+        input_weight = np.diagonal(input_weight)
     winches, sample_time = settings.winches, settings.sample_time
     ramp = winches is not None and winches.ramp
-    numbers = 10.0 * count**2 if ramp or input_weight.ndim == 2 else 30.0 * count * settings.horizon
-    hint = ". Take a plant of fewer inputs, or with many inputs a diagonal R and no ramps"
+    numbers = (30.0 + 2.0 * states) * count * settings.horizon
+    if nonlinear or ramp or input_weight.ndim == 2 or count <= 2 * states:
+        numbers = 10.0 * count**2
+    hint = (
+        ". MPC takes more inputs where R is diagonal, winches are no ramps and states are fewer "
+        "than half of them: reduce(plant, modes=20)"
+    )
     validation.refuse_memory(
         f"plant has {count:,} inputs", numbers, "numbers in the program", 8, hint
     )

@@ -112,7 +112,9 @@ def test_memory_of_few_modes_grows_as_their_inputs():
     inputs, sizes = [], []
     for stages in (8, 16):
         plant = tc.reduce(plant_of(tc.prism_tower(stages), "rest_length"), 4)
-        mpc = tc.MPC(plant, horizon=20, sample_time=0.02, winches=tc.Winches(rate=0.02))
+        _, R = tc.energy_weights(plant, by_mode=True)
+        given = {"winches": tc.Winches(rate=0.02), "R": np.diag(R)}
+        mpc = tc.MPC(plant, horizon=20, sample_time=0.02, **given)
         problem, numbers = mpc.law.design.problem, mpc._program._core._memory[0]
         assert problem.input_weight.shape == plant.B.shape[1:]
         assert problem.rows.by_input.nnz == plant.B.shape[1]
