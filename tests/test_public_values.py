@@ -112,6 +112,7 @@ def values(tmp_path_factory):
             step=0.01,
         ),
         batch.crossings,
+        tc.Stepper(model, 0.01, step=0.01, rest_length=start.rest_length.copy()).state,
         tc.HealthLimits(),
         tc.Profile([0.0, 1.0], np.ones((9, 2))),
         tc.CutString(string=3, time=1.0),

@@ -11,6 +11,7 @@ from tenscontrol.simulation.integration import Integration
 from tenscontrol.simulation.observation import EstimateRecord
 from tenscontrol.simulation.scene import Scene
 from tenscontrol.simulation.simulate import simulate
+from tenscontrol.simulation.stepper import Stepper, StepperState
 from tenscontrol.simulation.trajectory import Trajectory, load_run
 
 __all__ = [
@@ -30,6 +31,8 @@ __all__ = [
     "LostMeasurement",
     "Scene",
     "SimulationError",
+    "Stepper",
+    "StepperState",
     "StuckWinch",
     "Trajectory",
     "load_run",

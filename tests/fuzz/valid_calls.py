@@ -153,6 +153,7 @@ RESULTS = {
     "simulation.Arguments",
     "simulation.Health",
     "simulation.SimulationError",
+    "simulation.StepperState",
     "simulation.Trajectory",
     "statics.Prestress",
     "statics.Stability",
@@ -374,6 +375,14 @@ def gait():
 @cache
 def case():
     return tc.Scene(elastic(), 0.02, rest_length=0.98 * rest_length())
+
+
+def stepper() -> tc.Stepper:
+    return tc.Stepper(elastic(), 0.02, step=0.01, rest_length=0.98 * rest_length())
+
+
+def steppers() -> tc.Stepper:
+    return tc.Stepper(elastic(), 0.02, step=0.01, rest_length=rest_length(), count=2)
 
 
 @cache
@@ -1456,6 +1465,27 @@ call("load_run", lambda: {"path": str(run().save(scratch("saved.npz")))}, share=
 call("show_config", share=0.3)
 call("simulation.ControlRecord.summary", on=lambda: closed_run().control)
 call("simulation.ContactRecord.summary", on=lambda: dropped_run().contacts)
+call(
+    "Stepper",
+    lambda: {
+        "model": elastic(),
+        "sample_time": 0.02,
+        "step": 0.01,
+        "rest_length": 0.98 * rest_length(),
+        "nodes": nodes(),
+        "velocities": STILL,
+        "winches": tc.Winches(rate=0.1, ramp=True),
+        "actuated": None,
+        "count": None,
+    },
+    share=0.3,
+)
+call("Stepper.step", lambda: {"command": 0.98 * rest_length()}, stepper)
+call(
+    "Stepper.reset",
+    lambda: {"robots": [1], "nodes": nodes(), "velocities": STILL, "rest_length": rest_length()},
+    steppers,
+)
 call("Scene.simulate", lambda: {"progress": False, "start": None}, scene, 0.05)
 call(
     "Scene.linearize",

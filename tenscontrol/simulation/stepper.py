@@ -1,0 +1,443 @@
+"""One robot or many, advanced sample by sample under commands."""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tenscontrol import validation
+from tenscontrol.actuation.driven_strings import (
+    Actuation,
+    actuation_of,
+    bounds_of_inputs,
+    changes_of_inputs,
+    inputs_of,
+    moved_by,
+    strings_of,
+)
+from tenscontrol.actuation.winches import Winches
+from tenscontrol.arrays import FloatArray, freeze_arrays
+from tenscontrol.dynamics.model import Model
+from tenscontrol.integrate.core_lanes import CoreLanes
+from tenscontrol.integrate.core_run import settings_of
+from tenscontrol.integrate.core_scene import CoreMotion, core_scene
+from tenscontrol.integrate.integrator import IntegrationError
+from tenscontrol.integrate.methods import METHODS
+from tenscontrol.simulation.integration import Integration
+from tenscontrol.simulation.scene import Scene
+
+# Steps that the core may take in one call: all of a sample.
+_ALL = 2**31 - 1
+
+# Values that differ by this part of the largest are the same.
+_ROUND_OFF = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class StepperState:
+    """Where the robots of a :class:`Stepper` are; it may be kept, pickled and set again.
+
+    Attributes
+    ----------
+    sample : int
+        Samples so far.
+    states : ndarray, shape (count, states)
+        Positions, then velocities, of the free coordinates, m and m/s.
+    held : ndarray, shape (count, α)
+        Rest lengths, m, or force densities, N/m, that the strings have.
+    lost : ndarray of bool, shape (count,)
+        Whether the motion of a robot has ended.
+    """
+
+    sample: int
+    states: FloatArray
+    held: FloatArray
+    lost: np.ndarray
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+
+class Stepper:
+    """Robots that are advanced by one sample a call: the plant of a loop of your own.
+
+    A sample has the bits of the same sample of ``simulate`` under ``method="rk4"`` with this step.
+    Nothing else is done in it: no record, no estimate of the error, no search for bars that cross.
+    ``simulate`` with the same commands tells them.
+
+    Parameters
+    ----------
+    model : Model
+        Without moving supports. Many robots differ in their states and commands alone.
+    sample_time : float
+        s.
+    step : float
+        Largest step of the integration, s.
+    rest_length, force_density : float or array_like, shape (α,) or (count, α)
+        One of the two: what the strings have at the start, m or N/m, and what commands are.
+    nodes, velocities : array_like, shape (d, n) or (count, d, n), optional
+        The start, m and m/s; at rest in the shape of the structure if not given.
+    winches : Winches, optional
+        Their range, rate and ramp limit what commands do. Without them a command is reached at
+        once. Motors and substeps are left to ``simulate``.
+    actuated : sequence of int or str, dict, array_like or Actuation, optional
+        The strings that are driven, as in :func:`linearize`: a command then has one value an
+        input, and passive strings keep what they have. All strings, one by one, if not given.
+    count : int, optional
+        Number of robots, whose arrays then have an axis more in front; one robot, without that
+        axis, if not given.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument does not fit.
+
+    Examples
+    --------
+    A prism, whose vertical strings are wound in for half a second:
+
+    >>> import numpy as np, tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> model = tc.Model(prism, strings=tc.LinearStrings(stiffness=100.0, damping=1.0))
+    >>> start = tc.to_rest_length(model, prism.nodes, [17.3205] * 6 + [30.0] * 3).rest_length
+    >>> robot = tc.Stepper(model, 0.05, step=1e-3, rest_length=start, actuated=["vertical"],
+    ...                    winches=tc.Winches(rate=0.2))
+    >>> for _ in range(10):
+    ...     nodes, velocities = robot.step(0.9 * start[6:])
+    >>> round(robot.time, 3), float((robot.held[6] / start[6]).round(3)), nodes.shape
+    (0.5, 0.9, (3, 6))
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        sample_time: float,
+        *,
+        step: float,
+        rest_length: Any = None,
+        force_density: Any = None,
+        nodes: Any = None,
+        velocities: Any = None,
+        winches: Winches | None = None,
+        actuated: object = None,
+        count: int | None = None,
+    ) -> None:
+        self._given = {
+            "model": model, "sample_time": sample_time, "step": step, "rest_length": rest_length,
+            "force_density": force_density, "nodes": nodes, "velocities": velocities,
+            "winches": winches, "actuated": actuated, "count": count,
+        }  # fmt: skip
+        validation.instance("model", model, Model, "make one by Model(structure)")
+        self.sample_time = validation.positive_number("sample_time", sample_time, "s")
+        self._step = validation.positive_number("step", step, "s")
+        self._how = Integration("rk4", step=self._step, error="none")
+        self._shape = () if count is None else (validation.whole_number("count", count, 1),)
+        self._count = 1 if count is None else count
+        self._model = model
+        scenes = self._scenes(nodes, velocities, rest_length, force_density)
+        self.input: str = scenes[0].input
+        self._begin = self._state_of(scenes)
+        self._actuation = actuation_of(model.structure, actuated, self._begin.held[0])
+        self._refuse_other_passive(self._begin.held)
+        self._ramps = winches is not None and winches.ramp
+        self._limits = None if winches is None else self._checked_limits(winches)
+        degree = int(self._ramps)
+        load: Any = scenes[0].loads
+        self._equation = model.equation(
+            self.input, load - model.constant_force, "auto", degree=degree
+        )
+        rk4 = METHODS["rk4"]
+        self._core = core_scene(self._equation)
+        self._integrator = rk4.integrator(self._equation, self._step, "step", None)
+        if self._core is not None:
+            self._settings = settings_of("rk4", self.sample_time, 1, rk4.projects, step=self._step)
+            self._lanes = CoreLanes(self._core, self._step, rk4.projects, {})
+        self.reset()
+
+    def _scenes(
+        self, nodes: Any, velocities: Any, rest_length: Any, force_density: Any
+    ) -> list[Scene]:
+        """Return what each robot begins with, checked as ``simulate`` does."""
+        given = {
+            "nodes": (nodes, 2), "velocities": (velocities, 2), "rest_length": (rest_length, 1),
+            "force_density": (force_density, 1),
+        }  # fmt: skip
+        of_each: list[dict[str, Any]] = [{} for _ in range(self._count)]
+        for name, (value, axes) in given.items():
+            if value is None:
+                continue
+            array = validation.float_array(name, value)
+            if self._shape and array.ndim == axes + 1:
+                if len(array) != self._count:
+                    raise ValueError(
+                        f"{name} has shape {array.shape}, expected {self._count} robots along the "
+                        "first axis, or one start for all"
+                    )
+                rows = list(array)
+            else:
+                rows = [array] * self._count
+            for settings, row in zip(of_each, rows, strict=True):
+                settings[name] = row
+
+        def scene(settings: dict[str, Any]) -> Scene:
+            return Scene(self._model, self.sample_time, **settings, integration=self._how)
+
+        first = {name: array.tobytes() for name, array in of_each[0].items()}
+        if all({k: v.tobytes() for k, v in each.items()} == first for each in of_each[1:]):
+            return [scene(of_each[0])] * self._count
+        return [scene(settings) for settings in of_each]
+
+    def _state_of(self, scenes: list[Scene]) -> StepperState:
+        held = [scene.inputs.at(np.zeros(1))[:, 0] for scene in scenes if scene.inputs is not None]
+        return StepperState(
+            0, np.stack([scene.state for scene in scenes]), np.stack(held),
+            np.zeros(self._count, dtype=bool),
+        )  # fmt: skip
+
+    def _refuse_other_passive(self, held: FloatArray) -> None:
+        """Raise if robots begin with values that their inputs cannot give."""
+        wanted = self._values(self._inputs(held))
+        off = np.abs(held - wanted)
+        robot, string = np.unravel_index(off.argmax(), off.shape)
+        if off[robot, string] > _ROUND_OFF * float(np.abs(held).max()):
+            raise ValueError(
+                f"robot {robot} begins with {held[robot, string]:g} in string {string}, which "
+                f"actuated leaves at {wanted[robot, string]:g}: passive strings begin alike in all "
+                "robots, and ganged ones by their ratios"
+            )
+
+    def _checked_limits(self, winches: Winches) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return least and largest input, and the largest change in a sample, or raise."""
+        validation.instance("winches", winches, Winches, "make them by Winches(rate=...)")
+        if self.input == "force_density":
+            raise ValueError(
+                "winches move rest lengths, but force_density is held: give rest_length, or leave "
+                "them out"
+            )
+        if winches.motor is not None or winches.ticks > 1:
+            raise ValueError(
+                "winches have a motor or substeps, which a stepper leaves to simulate(...): give "
+                "Winches(rate=..., shortest=..., longest=..., ramp=...)"
+            )
+        count = len(self._model.structure.strings)
+        for held in self._begin.held:
+            winches.refuse_out_of_range("rest_length", held, self._actuation.driven)
+        rate = np.inf if winches.largest_rate is None else winches.largest_rate
+        reach = np.broadcast_to(np.asarray(rate * self.sample_time, dtype=float), (count,))
+        bounds = bounds_of_inputs(self._actuation, *winches.range(count))
+        return *bounds, changes_of_inputs(self._actuation, reach)
+
+    # ---- where it is ----
+
+    @property
+    def state(self) -> StepperState:
+        """Where the robots are; set it to go on from there."""
+        return StepperState(self._sample, self._states.copy(), self._held.copy(), self._lost.copy())
+
+    @state.setter
+    def state(self, state: StepperState) -> None:
+        validation.instance("state", state, StepperState, "that of a stepper of this kind")
+        for name, ours in (("states", self._begin.states), ("held", self._begin.held)):
+            theirs = getattr(state, name)
+            if theirs.shape != ours.shape:
+                raise ValueError(
+                    f"state.{name} has shape {theirs.shape}, expected {ours.shape}: that of a "
+                    "stepper of this model and count"
+                )
+        self._sample, self._lost = state.sample, state.lost.copy()
+        self._states, self._held = state.states.copy(), state.held.copy()
+
+    @property
+    def time(self) -> float:
+        """Time that has passed, s."""
+        return self._sample * self.sample_time
+
+    @property
+    def nodes(self) -> FloatArray:
+        """Positions of all nodes, m, shape (d, n) or (count, d, n); NaN of robots that are lost."""
+        return self._motion()[0]
+
+    @property
+    def velocities(self) -> FloatArray:
+        """Velocities of all nodes, m/s, shape (d, n) or (count, d, n)."""
+        return self._motion()[1]
+
+    @property
+    def held(self) -> FloatArray:
+        """What the strings have, m or N/m, shape (α,) or (count, α)."""
+        return self._held.reshape((*self._shape, -1)).copy()
+
+    @property
+    def lost(self) -> np.ndarray:
+        """Whether the state of a robot is no longer finite, shape () or (count,)."""
+        return self._lost.reshape(self._shape).copy()
+
+    @property
+    def actuation(self) -> Actuation:
+        """The map from the inputs of a command to the strings."""
+        return self._actuation
+
+    def _motion(self) -> tuple[FloatArray, FloatArray]:
+        structure = self._model.structure
+        d, n = structure.nodes.shape
+        half = self._states.shape[1] // 2
+        nodes = np.empty((self._count, n * d))
+        nodes[:] = structure.nodes.ravel(order="F")
+        rates = np.zeros_like(nodes)
+        nodes[:, structure.free_rows] = self._states[:, :half]
+        rates[:, structure.free_rows] = self._states[:, half:]
+        nodes[self._lost], rates[self._lost] = np.nan, np.nan
+        shape = (*self._shape, n, d)
+        return nodes.reshape(shape).swapaxes(-1, -2), rates.reshape(shape).swapaxes(-1, -2)
+
+    # ---- how it moves ----
+
+    def reset(
+        self, robots: Any = None, *, nodes: Any = None, velocities: Any = None,
+        rest_length: Any = None, force_density: Any = None,
+    ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+        """Put robots back to the start, or to another one; all if none are named.
+
+        Parameters
+        ----------
+        robots : array_like of int or bool, optional
+            Those that begin anew, of many. Their time is that of the others.
+        nodes, velocities, rest_length, force_density : array_like, optional
+            Another start, as of the constructor, of all robots.
+
+        Returns
+        -------
+        nodes, velocities : ndarray
+            As of :meth:`step`.
+        """
+        start = self._begin
+        if any(each is not None for each in (nodes, velocities, rest_length, force_density)):
+            given = self._given
+            values = rest_length, force_density
+            if all(each is None for each in values):
+                values = given["rest_length"], given["force_density"]
+            motion = (given["nodes"] if nodes is None else nodes), velocities
+            scenes = self._scenes(*motion, *values)
+            if scenes[0].input != self.input:
+                raise ValueError(f"reset is given another input, expected {self.input}")
+            start = self._state_of(scenes)
+        if robots is None:
+            self.state = start
+            return self._motion()
+        which = np.asarray(robots)
+        if which.dtype != bool:
+            which = validation.index_list("robots", robots, self._count, "robots")
+        elif which.shape != (self._count,):
+            raise ValueError(f"robots has shape {which.shape}, expected ({self._count},)")
+        self._states[which], self._held[which] = start.states[which], start.held[which]
+        self._lost[which] = False
+        return self._motion()
+
+    def step(self, command: Any) -> tuple[FloatArray, FloatArray]:
+        """Advance by a sample under a command.
+
+        Parameters
+        ----------
+        command : array_like, shape (m,) or (count, m)
+            Rest lengths wanted, m, or force densities, N/m: one an input, as ``actuated`` says,
+            or one a string.
+
+        Returns
+        -------
+        nodes, velocities : ndarray, shape (d, n) or (count, d, n)
+            At the end of the sample, m and m/s; NaN of robots whose motion has ended.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If the command is of another shape, not finite, or no rest length or γ.
+        """
+        inputs = len(self._actuation.lead)
+        wanted = validation.shaped(
+            "command", command, (*self._shape, inputs), "one value an input"
+        ).reshape(self._count, inputs)
+        if self.input == "rest_length":
+            validation.positive("command", wanted, "rest length in m")
+        else:
+            validation.non_negative("command", wanted, "a string can only pull")
+        # As a loop over samples has it, to the last bit.
+        start = self._sample * self.sample_time
+        duration = start + self.sample_time - start
+        held, end = self._inputs_in_time(wanted)
+        self._advance(held, duration)
+        self._held, self._sample = end, self._sample + 1
+        return self._motion()
+
+    def _inputs(self, held: FloatArray) -> FloatArray:
+        return np.asarray(inputs_of(self._actuation, held.T).T)
+
+    def _values(self, inputs: FloatArray) -> FloatArray:
+        return np.asarray(strings_of(self._actuation, inputs.T).T)
+
+    def _inputs_in_time(self, wanted: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the inputs of the equation over a sample, and what strings have at its end."""
+        now = self._inputs(self._held)
+        if self._limits is not None:
+            low, high, reach = self._limits
+            wanted = np.clip(np.clip(wanted, low, high), now - reach, now + reach)
+        end = self._values(wanted)
+        if not self._ramps:
+            return end, end
+        speed = (wanted - now) / self.sample_time
+        if not self._actuation.is_whole:
+            speed = moved_by(self._actuation, speed)
+        return np.hstack([self._held, speed, np.zeros((self._count, 1))]), end
+
+    def _advance(self, held: FloatArray, duration: float) -> None:
+        """Advance the robots that are not lost."""
+        going = np.flatnonzero(~self._lost)
+        if self._core is not None and len(going) > 1:
+            states, *_ = self._lanes.advance(
+                going, self._states[going], held[going], duration, 1, ctypes.c_int(0)
+            )
+            self._enter(going, states[:, 0])
+            return
+        for robot in going.tolist():
+            self._enter(np.array([robot]), self._one(self._states[robot], held[robot], duration))
+
+    def _one(self, state: FloatArray, held: FloatArray, duration: float) -> FloatArray:
+        """Return the state of one robot at the end of a sample; NaN where there is none."""
+        if self._core is not None:
+            held = np.ascontiguousarray(held)
+            self._settings.duration = duration
+            motion = CoreMotion(
+                self._core, state, held, self._settings, self._core.taut(state, held)
+            )
+            motion.advance(_ALL)
+            return motion.state[None] if motion.is_over else np.full((1, len(state)), np.nan)
+        try:
+            return self._integrator.advance(state, held, duration, 1).states.T
+        except IntegrationError:
+            return np.full((1, len(state)), np.nan)
+
+    def _enter(self, robots: np.ndarray, states: FloatArray) -> None:
+        """Take new states, and note robots that have none."""
+        is_good = np.isfinite(states).all(axis=1) & (np.abs(states) < validation.LARGEST).all(
+            axis=1
+        )
+        self._states[robots[is_good]] = states[is_good]
+        self._lost[robots[~is_good]] = True
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _made_again, (self._given, self.state)
+
+    def __repr__(self) -> str:
+        robots = f"{self._count} robots" if self._shape else "one robot"
+        return (
+            f"Stepper({robots}, {len(self._actuation.lead)} inputs, {self.input}, "
+            f"{self.sample_time:g} s a sample)"
+        )
+
+
+def _made_again(given: dict[str, Any], state: StepperState) -> Stepper:
+    stepper = Stepper(**given)
+    stepper.state = state
+    return stepper

@@ -1,0 +1,224 @@
+"""Robots that are advanced sample by sample, beside runs of the same samples."""
+
+import pickle
+
+import numpy as np
+import pytest
+
+import tenscontrol as tc
+from tests.without_core import without_core
+
+SAMPLE, STEP = 0.02, 1e-3
+
+
+def ball(ground=True):
+    structure = tc.library.six_bar_ball(bar_length=1.0, bar_mass=0.5)
+    law = tc.LinearStrings(stiffness=1000.0, damping=10.0)
+    plane = tc.Ground(stiffness=5e3, damping=0.5, friction=0.5, slip_speed=0.05)
+    return tc.Model(structure, law, gravity=9.81, ground=plane if ground else None)
+
+
+def prism():
+    return tc.Model(tc.prism(), tc.LinearStrings(stiffness=100.0))
+
+
+def hinged():
+    from dataclasses import replace
+
+    return tc.Model(replace(tc.prism(), fixed=[3]), tc.LinearStrings(100.0), gravity=9.81)
+
+
+def joined():
+    return tc.Model(tc.library.class2_tower(1), tc.LinearStrings(100.0))
+
+
+MODELS = {"ball": ball, "prism": prism, "hinged": hinged, "joined": joined}
+WINCHES = {
+    "none": None,
+    "jumps": tc.Winches(rate=0.3),
+    "ramp": tc.Winches(rate=0.3, shortest=0.1, ramp=True),
+}
+
+
+def start_of(model):
+    """Nodes, and rest lengths a little short, so that it moves; the ball a little above ground."""
+    nodes = model.structure.nodes.copy()
+    if model.ground:
+        nodes[2] += 0.01 - nodes[2].min()
+    return nodes, 0.97 * model.structure.string_length()
+
+
+def commands_of(model, count, seed=0):
+    rng = np.random.default_rng(seed)
+    lengths = model.structure.string_length()
+    return rng.uniform(0.85, 1.05, (count, len(lengths))) * lengths
+
+
+def stepped(stepper, commands):
+    return [stepper.step(command) for command in commands]
+
+
+@pytest.mark.parametrize("winches", WINCHES)
+@pytest.mark.parametrize("name", MODELS)
+def test_samples_have_the_bits_of_a_run(name, winches):
+    model = MODELS[name]()
+    nodes, lengths = start_of(model)
+    commands = commands_of(model, 12)
+    run = tc.simulate(
+        model, 12 * SAMPLE, nodes, controller=lambda t, N, V: commands[round(t / SAMPLE)],
+        sample_time=SAMPLE, rest_length=lengths, winches=WINCHES[winches], method="rk4",
+        step=STEP, output_step=SAMPLE, error="none",
+    )  # fmt: skip
+    stepper = tc.Stepper(
+        model, SAMPLE, step=STEP, nodes=nodes, rest_length=lengths, winches=WINCHES[winches]
+    )
+    assert run.work.switches > 0 or winches == "ramp"
+    for k, (N, V) in enumerate(stepped(stepper, commands)):
+        assert np.array_equal(N, run.nodes[:, :, k + 1])
+        assert np.array_equal(V, run.velocities[:, :, k + 1])
+    assert np.array_equal(stepper.held, run.control.applied[:, -1])
+    assert stepper.time == pytest.approx(12 * SAMPLE)
+
+
+def test_force_densities_are_held():
+    model = tc.Model(tc.prism())
+    gamma = np.array([17.3205] * 6 + [9.0] * 3)
+    stepper = tc.Stepper(model, SAMPLE, step=STEP, force_density=gamma)
+    commands = np.random.default_rng(0).uniform(5, 30, (5, 9))
+    run = tc.simulate(
+        model, 5 * SAMPLE, controller=lambda t, N, V: commands[round(t / SAMPLE)],
+        sample_time=SAMPLE, method="rk4", step=STEP, output_step=SAMPLE, error="none",
+    )  # fmt: skip
+    (*_, (N, _)) = stepped(stepper, commands)
+    assert np.array_equal(N, run.nodes[:, :, -1])
+
+
+@pytest.mark.parametrize("winches", WINCHES)
+def test_many_robots_have_the_bits_of_each(winches):
+    model, count = ball(), 7
+    nodes, lengths = start_of(model)
+    rng = np.random.default_rng(1)
+    starts = nodes + rng.uniform(0.0, 0.2, (count, 3, 1))
+    commands = np.stack([commands_of(model, 8, seed) for seed in range(count)], axis=1)
+    given = {"step": STEP, "rest_length": lengths, "winches": WINCHES[winches]}
+    many = tc.Stepper(model, SAMPLE, nodes=starts, count=count, **given)
+    (*_, (N, V)) = stepped(many, commands)
+    assert N.shape == (count, 3, 12)
+    for robot in range(count):
+        one = tc.Stepper(model, SAMPLE, nodes=starts[robot], **given)
+        (*_, last) = stepped(one, commands[:, robot])
+        assert np.array_equal(last[0], N[robot])
+        assert np.array_equal(last[1], V[robot])
+    assert many.held.shape == (count, 24)
+
+
+def test_without_the_core_it_is_the_same_to_round_off():
+    model = ball()
+    nodes, lengths = start_of(model)
+    commands, given = commands_of(model, 3), {"step": STEP, "nodes": nodes, "rest_length": lengths}
+    fast = stepped(tc.Stepper(model, SAMPLE, **given), commands)
+    with without_core():
+        slow = stepped(tc.Stepper(ball(), SAMPLE, **given), commands)
+    assert np.allclose(fast[-1], slow[-1], rtol=0, atol=1e-9)
+
+
+def test_driven_strings_move_and_passive_ones_keep_what_they_have():
+    model = prism()
+    _, lengths = start_of(model)
+    groups = {"lid": ["top"], "side": {6: 1.0, 7: -0.5}}
+    stepper = tc.Stepper(
+        model, SAMPLE, step=STEP, rest_length=lengths, actuated=groups,
+        winches=tc.Winches(rate=0.1, ramp=True), count=2,
+    )  # fmt: skip
+    start = stepper.actuation.inputs(lengths)
+    stepper.step(start + np.array([[0.05, 0.0], [0.0, -0.05]]))
+    wound = stepper.held - lengths
+    expected = np.zeros((2, 9))
+    expected[0, :3] = 0.1 * SAMPLE
+    expected[1, 6:8] = np.array([-1.0, 0.5]) * 0.1 * SAMPLE
+    assert np.allclose(wound, expected, rtol=0, atol=1e-15)
+    plant = tc.linearize(
+        model, tc.prestress(tc.prism(), force_density=17.3205), "rest_length", actuated=groups
+    )
+    assert tc.Stepper(model, SAMPLE, step=STEP, rest_length=lengths, actuated=plant.actuation).step(
+        start
+    )[0].shape == (3, 6)
+
+
+def test_a_state_is_kept_set_and_pickled():
+    model, count = ball(), 3
+    nodes, lengths = start_of(model)
+    stepper = tc.Stepper(model, SAMPLE, step=STEP, nodes=nodes, rest_length=lengths, count=count)
+    commands = np.stack([commands_of(model, 6, seed) for seed in range(count)], axis=1)
+    stepped(stepper, commands[:3])
+    kept = pickle.loads(pickle.dumps(stepper.state))
+    copied = pickle.loads(pickle.dumps(stepper))
+    first = stepped(stepper, commands[3:])[-1]
+    stepper.state = kept
+    assert stepper.time == pytest.approx(3 * SAMPLE)
+    assert np.array_equal(first, stepped(stepper, commands[3:])[-1])
+    assert np.array_equal(first, stepped(copied, commands[3:])[-1])
+    begun = stepper.reset()
+    assert stepper.time == 0
+    assert np.array_equal(begun[0], np.broadcast_to(nodes, begun[0].shape))
+    with pytest.raises(ValueError, match=r"state.states has shape \(3, 72\), expected \(2, 72\)"):
+        tc.Stepper(model, SAMPLE, step=STEP, nodes=nodes, rest_length=lengths, count=2).state = kept
+
+
+def test_some_robots_begin_anew():
+    model, count = ball(), 4
+    nodes, lengths = start_of(model)
+    stepper = tc.Stepper(model, SAMPLE, step=STEP, nodes=nodes, rest_length=lengths, count=count)
+    command = np.tile(0.9 * lengths, (count, 1))
+    before = stepper.step(command)[0]
+    after = stepper.reset([1, 3], nodes=nodes + np.array([[0.0], [0.0], [1.0]]))[0]
+    assert np.array_equal(after[[0, 2]], before[[0, 2]])
+    assert np.allclose(after[[1, 3]] - [[0.0], [0.0], [1.0]], nodes, rtol=0, atol=1e-12)
+    assert np.array_equal(stepper.reset(np.array([True] * 4))[0], np.stack([nodes] * 4))
+
+
+def test_a_robot_that_is_lost_does_not_stop_the_others():
+    model = tc.Model(tc.prism(), tc.LinearStrings(stiffness=1e6))
+    lengths = model.structure.string_length()
+    stepper = tc.Stepper(model, 0.5, step=0.05, rest_length=lengths, count=2)
+    for _ in range(20):
+        nodes, _ = stepper.step([lengths, 0.5 * lengths])
+    assert stepper.lost.tolist() == [False, True]
+    assert np.isfinite(nodes[0]).all()
+    assert np.isnan(nodes[1]).all()
+    alone = tc.Stepper(model, 0.5, step=0.05, rest_length=lengths)
+    for _ in range(20):
+        alone.step(0.5 * lengths)
+    assert alone.lost
+    alone.reset()
+    assert not alone.lost
+
+
+def test_what_does_not_fit_is_refused():
+    model = prism()
+    _, lengths = start_of(model)
+
+    def made(**changes):
+        return tc.Stepper(model, SAMPLE, **{"step": STEP, "rest_length": lengths} | changes)
+
+    stepper = made()
+    with pytest.raises(ValueError, match=r"command has shape \(3,\), expected \(9,\)"):
+        stepper.step(np.ones(3))
+    with pytest.raises(ValueError, match="command"):
+        stepper.step(np.full(9, np.nan))
+    with pytest.raises(ValueError, match="command"):
+        stepper.step(np.zeros(9))
+    with pytest.raises(ValueError, match="motor or substeps"):
+        made(winches=tc.Winches(motor=tc.Motor(drum_radius=0.01, torque=1.0)))
+    with pytest.raises(ValueError, match="expected 2 robots"):
+        made(count=2, nodes=np.stack([tc.prism().nodes] * 3))
+    with pytest.raises(TypeError, match="rest_length"):
+        made(rest_length=tc.Profile([0.0, 1.0], np.column_stack([lengths, lengths + 0.1])))
+    with pytest.raises(ValueError, match=r"robot 1 begins with .* passive strings begin alike"):
+        made(count=2, rest_length=np.stack([lengths, 1.01 * lengths]), actuated=["vertical"])
+    with pytest.raises(ValueError, match="winches move rest lengths"):
+        tc.Stepper(model, SAMPLE, step=STEP, force_density=20.0, winches=tc.Winches(rate=1.0))
+    with pytest.raises(TypeError, match="state"):
+        stepper.state = lengths
+    with pytest.raises(ValueError, match="robots"):
+        made(count=2).reset([2])
