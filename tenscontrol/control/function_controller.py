@@ -9,7 +9,12 @@ from typing import Any, final
 import numpy as np
 
 from tenscontrol import validation
-from tenscontrol.actuation.driven_strings import every_string
+from tenscontrol.actuation.driven_strings import (
+    Actuation,
+    actuation_of,
+    bounds_of_inputs,
+    inputs_of,
+)
 from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.control.command import Command
 from tenscontrol.control.controller import BaseController
@@ -37,7 +42,8 @@ class FunctionController(BaseController):
 
     The function is called once a sample as ``function(time, nodes, velocities)``: s; m and m/s,
     shape (d, n) each. It returns an array_like of shape (α,), one γ, N/m, or rest length, m, per
-    string of the structure; or a :class:`Command` of that, with a status. In place of a function,
+    string of the structure, or per input if ``actuated`` is given; or a :class:`Command` of that,
+    with a status. In place of a function,
     an object may have
 
     - ``command(time, nodes, velocities)``, which is called in this way;
@@ -72,6 +78,10 @@ class FunctionController(BaseController):
         Largest change of the command from sample to sample, N/m or m.
     equilibrium_input : float or array_like, shape (α,), optional
         What is commanded without a decision at the first sample; γ at any sample.
+    actuated : sequence of int or str, dict, array_like or Actuation, optional
+        The strings that are driven, as in :func:`linearize`: the function then returns one value an
+        input, and :meth:`applied` tells as many. Passive strings keep their rest lengths of the
+        start of a run, or γ of ``equilibrium_input``.
 
     Raises
     ------
@@ -114,6 +124,7 @@ class FunctionController(BaseController):
         high: object = None,
         max_change: object = None,
         equilibrium_input: object = None,
+        actuated: object = None,
     ) -> None:
         validation.instance("structure", structure, Structure, "for example model.structure")
         self._function = _called("function", function)
@@ -138,15 +149,27 @@ class FunctionController(BaseController):
         else:
             validation.non_negative("low", low, "a string can only pull")
         high = validation.limit_per_member("high", high, count, "string")
-        change = largest_change(input, every_string(count), max_change, None, sample_time)
+        usual = structure.string_length()
         if equilibrium_input is not None:
             usual = validation.per_member("equilibrium_input", equilibrium_input, count, "string")
-            equilibrium_input = frozen(usual)
+        elif actuated is not None and not by_length:
+            raise ValueError(
+                "actuated leaves strings passive, whose γ is not known: give equilibrium_input, γ "
+                "of all strings, N/m"
+            )
+        self._of_strings = actuation_of(structure, actuated, usual)
+        low, high = bounds_of_inputs(self._of_strings, low, high)
+        change = largest_change(input, self._of_strings, max_change, None, sample_time)
+        if equilibrium_input is not None:
+            equilibrium_input = frozen(inputs_of(self._of_strings, usual))
         super().__init__(
             structure, input, sample_time, low, high, change,
             equilibrium_input=equilibrium_input,
         )  # fmt: skip
         self._what = f"the command of {self.label}"
+
+    def _driven(self) -> Actuation:
+        return self._of_strings
 
     @property
     def label(self) -> str:
@@ -177,7 +200,7 @@ class FunctionController(BaseController):
         validation.instance(
             f"status of {self._what}", command.status, Status, "for example Status.OK"
         )
-        meaning = f"one {_UNITS[self.input]}, per string"
+        meaning = f"one {_UNITS[self.input]}, per string or input"
         value = validation.measured(self._what, command.value, self._low.shape, meaning)
         command = replace(command, value=value)
         if command.status is Status.OK and not np.array_equal(self._within_bounds(value), value):

@@ -304,3 +304,43 @@ def test_a_reference_that_moves_passive_strings_is_refused():
     reference = tc.Reference([0.0, 1.0], np.stack([BALL_NODES] * 2, -1), np.stack([gamma] * 2, -1))
     with pytest.raises(ValueError, match="but the string is passive: leave force_density out"):
         tc.MPC(SOME, horizon=5, sample_time=SAMPLE, reference=reference)
+
+
+@pytest.mark.parametrize("ramp", [False, True])
+def test_a_function_commands_what_is_driven(ramp):
+    model = tc.Model(tc.prism(), strings=tc.LinearStrings(stiffness=100.0))
+    start = 0.97 * model.structure.string_length()
+    groups = {"lid": ["top"], "side": {6: 1.0, 7: -0.5}}
+    told = []
+
+    class Law:
+        input, sample_time = "rest_length", 0.02
+
+        def command(self, time, nodes, velocities):
+            return [start[0] + 0.02, start[6] - 0.03]
+
+        def applied(self, value):
+            told.append(value)
+
+    own = tc.FunctionController(model.structure, Law(), actuated=groups)
+    run = tc.simulate(
+        model, 0.1, controller=own, rest_length=start, winches=tc.Winches(rate=10.0, ramp=ramp)
+    )
+    wound = run.control.applied[:, -1] - start
+    expected = np.array([0.02] * 3 + [0.0] * 3 + [-0.03, 0.015, 0.0])
+    assert np.allclose(wound, expected, rtol=0, atol=1e-12)
+    assert np.allclose(told[-1], [start[0] + 0.02, start[6] - 0.03])
+    with pytest.raises(ValueError, match=r"has shape \(9,\), expected \(2,\)"):
+        tc.FunctionController(
+            model.structure, lambda t, N, V: start, input="rest_length", actuated=groups
+        ).command(0.0, model.structure.nodes, 0 * model.structure.nodes)
+    with pytest.raises(ValueError, match="equilibrium_input, γ of all strings"):
+        tc.FunctionController(
+            model.structure, Law().command, input="force_density", actuated=groups
+        )
+    held = tc.FunctionController(
+        model.structure, lambda t, N, V: [20.0, 31.0], input="force_density", sample_time=0.02,
+        actuated=[6, 0], equilibrium_input=17.0,
+    )  # fmt: skip
+    gamma = held.command(0.0, model.structure.nodes, 0 * model.structure.nodes).value
+    assert gamma.tolist() == [31.0, 17.0, 17.0, 17.0, 17.0, 17.0, 20.0, 17.0, 17.0]
