@@ -9,6 +9,7 @@ from . import (
     estimation as estimation,
     exchange as exchange,
     integrate as integrate,
+    learning as learning,
     library as library,
     plant as plant,
     plot as plot,
@@ -58,6 +59,9 @@ from .dynamics import (
 from .estimation import (
     KalmanFilter as KalmanFilter,
     Sensors as Sensors,
+)
+from .learning import (
+    vector_env as vector_env,
 )
 from .plant import (
     OperatingPoint as OperatingPoint,
@@ -176,5 +180,6 @@ __all__ = [
     "sweep",
     "to_force_density",
     "to_rest_length",
+    "vector_env",
     "work_precision",
 ]

@@ -293,6 +293,57 @@ class Stepper:
         shape = (*self._shape, n, d)
         return nodes.reshape(shape).swapaxes(-1, -2), rates.reshape(shape).swapaxes(-1, -2)
 
+    @property
+    def model(self) -> Model:
+        """The model of all robots."""
+        return self._model
+
+    @property
+    def largest_step(self) -> float:
+        """Largest step of the integration, s."""
+        return self._step
+
+    @property
+    def limits(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Least and largest input, and the largest change in a sample, shape (m,) each."""
+        if self._limits is None:
+            count = len(self._actuation.lead)
+            return np.zeros(count), np.full(count, np.inf), np.full(count, np.inf)
+        return self._limits
+
+    def with_step(self, step: float) -> Stepper:
+        """Return a stepper of the same robots, at the start, with another step.
+
+        Parameters
+        ----------
+        step : float
+            s.
+        """
+        return Stepper(**self._given | {"step": step})
+
+    def turn(self, robots: Any, angles: Any) -> None:
+        """Turn robots about the vertical through the mean of their nodes.
+
+        Parameters
+        ----------
+        robots : array_like of int or bool
+        angles : array_like, shape (count,)
+            rad, of all robots; those of others do not count.
+        """
+        structure = self._model.structure
+        if structure.dimension != 3 or len(structure.fixed_rows):
+            raise ValueError("the structure is in the plane or has supports: it cannot be turned")
+        angles = validation.shaped("angles", angles, (self._count,), "one a robot, rad")
+        which = self._which(robots)
+        c, s, still = np.cos(angles[which]), np.sin(angles[which]), np.zeros(len(angles[which]))
+        turns = np.array([[c, -s, still], [s, c, still], [still, still, still + 1]])
+        shape = (-1, 2, structure.nodes.shape[1], 3)
+        moving = self._states[which].reshape(shape)
+        centre = np.zeros_like(moving[:, :, :1])
+        centre[:, 0] = moving[:, 0].mean(axis=1, keepdims=True)
+        turned = np.einsum("ijr,rkmj->rkmi", turns, moving - centre) + centre
+        self._states[which] = turned.reshape(len(turned), -1)
+
     # ---- how it moves ----
 
     def reset(
@@ -327,14 +378,19 @@ class Stepper:
         if robots is None:
             self.state = start
             return self._motion()
-        which = np.asarray(robots)
-        if which.dtype != bool:
-            which = validation.index_list("robots", robots, self._count, "robots")
-        elif which.shape != (self._count,):
-            raise ValueError(f"robots has shape {which.shape}, expected ({self._count},)")
+        which = self._which(robots)
         self._states[which], self._held[which] = start.states[which], start.held[which]
         self._lost[which] = False
         return self._motion()
+
+    def _which(self, robots: Any) -> np.ndarray:
+        """Return robots by index or as a mask."""
+        which = np.asarray(robots)
+        if which.dtype != bool:
+            return validation.index_list("robots", robots, self._count, "robots")
+        if which.shape != (self._count,):
+            raise ValueError(f"robots has shape {which.shape}, expected ({self._count},)")
+        return which
 
     def step(self, command: Any) -> tuple[FloatArray, FloatArray]:
         """Advance by a sample under a command.

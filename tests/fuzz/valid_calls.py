@@ -172,6 +172,7 @@ ABSTRACT = {
     "dynamics.ContactLaw",
     "dynamics.StringLaw",
     "integrate.Integrator",
+    "learning.Task",
     "robustness.Distribution",
     "shape.Demand",
     "simulation.Fault",
@@ -1480,6 +1481,33 @@ call(
     },
     share=0.3,
 )
+call(
+    "vector_env",
+    lambda: {
+        "model": elastic(),
+        "task": tc.learning.Reach(0, [0.5, 0.0, 0.9]),
+        "sample_time": 0.02,
+        "step": 0.01,
+        "winches": tc.Winches(rate=0.1, shortest=0.2, longest=2.0),
+        "rest_length": 0.98 * rest_length(),
+        "nodes": nodes(),
+        "actuated": None,
+        "count": 2,
+        "duration": 1.0,
+        "turned": True,
+        "render_mode": None,
+    },
+    share=0.1,
+)
+call("learning.Rolling", lambda: {"direction": [1.0, 0.0, 0.0]})
+call("learning.Reach", lambda: {"node": 0, "place": [0.5, 0.0, 0.9], "tolerance": 0.01})
+call("learning.Track", lambda: {"node": 0, "path": lambda time: np.zeros((len(time), 3))})
+call(
+    "Stepper.turn",
+    lambda: {"robots": [1], "angles": [0.0, 0.5]},
+    steppers,
+)
+call("Stepper.with_step", lambda: {"step": 0.005}, stepper)
 call("Stepper.step", lambda: {"command": 0.98 * rest_length()}, stepper)
 call(
     "Stepper.reset",

@@ -1,0 +1,114 @@
+"""Many robots as one vectorized environment of gymnasium."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from tenscontrol import validation
+from tenscontrol.actuation.winches import Winches
+from tenscontrol.dynamics.model import Model
+from tenscontrol.learning.tasks import Task
+from tenscontrol.simulation.stepper import Stepper
+
+if TYPE_CHECKING:
+    from gymnasium.vector import VectorEnv
+
+_INSTALL = "environments are those of gymnasium: pip install 'tenscontrol[learning]'"
+
+
+def vector_env(
+    model: Model,
+    task: Task,
+    *,
+    sample_time: float,
+    step: float,
+    winches: Winches,
+    rest_length: Any,
+    nodes: Any = None,
+    actuated: object = None,
+    count: int = 16,
+    duration: float = 10.0,
+    turned: bool = True,
+    render_mode: str | None = None,
+) -> VectorEnv:
+    """Return many robots on one task as an environment of gymnasium.
+
+    An action has one number from −1 to 1 an input: the part of the winch's largest rate at which it
+    winds in (−) or lets out (+) over the sample. An observation has the nodes beside their centre,
+    m, velocities, m/s, the values of the inputs, m, and what the task shows of its goal. An episode
+    is terminated where the goal is reached or the motion has run away (``info["lost"]``), and
+    truncated after ``duration``. The step after it begins a new one (autoreset at the next step).
+
+    Parameters
+    ----------
+    model : Model
+        With a string law.
+    task : Task
+        :class:`Rolling`, :class:`Reach`, :class:`Track`, or one of your own.
+    sample_time : float
+        Time between actions, s.
+    step : float
+        Largest step of the integration, s; ``env.unwrapped.step_error()`` says what it errs.
+    winches : Winches
+        With a rate and a range.
+    rest_length : float or array_like, shape (α,)
+        At the start, m.
+    nodes : array_like, shape (d, n), optional
+        At the start, m.
+    actuated : sequence of int or str, dict, array_like or Actuation, optional
+        The strings that are driven, as in :func:`linearize`; all if not given.
+    count : int
+        Number of robots.
+    duration : float
+        Longest episode, s.
+    turned : bool
+        Whether an episode begins turned about the vertical by a random angle, of structures in
+        space without supports.
+    render_mode : {"rgb_array"}, optional
+        ``render()`` then returns a picture of each robot.
+
+    Returns
+    -------
+    gymnasium.vector.VectorEnv
+
+    Raises
+    ------
+    ImportError
+        If gymnasium is not installed.
+    TypeError, ValueError
+        If an argument does not fit.
+
+    Examples
+    --------
+    >>> import numpy as np, tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> model = tc.Model(prism, strings=tc.LinearStrings(stiffness=100.0, damping=1.0))
+    >>> env = tc.vector_env(model, tc.learning.Reach(0, [0.5, 0.0, 0.9]), sample_time=0.05,
+    ...                     step=1e-3, winches=tc.Winches(rate=0.2, shortest=0.3, longest=1.5),
+    ...                     rest_length=0.95 * prism.string_length(), count=4)
+    >>> seen, _ = env.reset(seed=0)
+    >>> seen, reward, terminated, truncated, info = env.step(np.zeros((4, 9)))
+    >>> seen.shape, reward.shape
+    ((4, 48), (4,))
+    """
+    try:
+        from tenscontrol.learning.robots import Robots
+    except ModuleNotFoundError as error:
+        raise ImportError(_INSTALL) from error
+    validation.instance("task", task, Task, "Rolling(...), Reach(...), Track(...)")
+    validation.instance("winches", winches, Winches, "make them by Winches(rate=..., ...)")
+    if winches.largest_rate is None or winches.shortest is None or winches.longest is None:
+        raise ValueError(
+            "winches have no rate or no range: give Winches(rate=..., shortest=..., longest=...), "
+            "which actions are parts of"
+        )
+    stepper = Stepper(
+        model, sample_time, step=step, rest_length=rest_length, nodes=nodes, winches=winches,
+        actuated=actuated, count=count,
+    )  # fmt: skip
+    task.check(model.structure)
+    if render_mode is not None:
+        validation.choice("render_mode", render_mode, ("rgb_array",))
+    validation.truth("turned", turned, "whether episodes begin at random angles")
+    duration = validation.positive_number("duration", duration, "s")
+    return Robots(stepper, task, duration, turned, render_mode)
