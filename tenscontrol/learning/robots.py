@@ -115,6 +115,7 @@ class Robots(VectorEnv):
     def _command(self, actions: FloatArray) -> FloatArray:
         """Return the inputs that actions lead to."""
         stepper = self._stepper
+        assert stepper.limits is not None  # it has winches
         low, high, reach = stepper.limits
         now = stepper.actuation.inputs(stepper.held.T).T
         return np.clip(now + np.clip(actions, -1.0, 1.0) * reach, low, high)

@@ -304,11 +304,8 @@ class Stepper:
         return self._step
 
     @property
-    def limits(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Least and largest input, and the largest change in a sample, shape (m,) each."""
-        if self._limits is None:
-            count = len(self._actuation.lead)
-            return np.zeros(count), np.full(count, np.inf), np.full(count, np.inf)
+    def limits(self) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+        """Least and largest input, and largest change in a sample, shape (m,); None without winches."""
         return self._limits
 
     def with_step(self, step: float) -> Stepper:
