@@ -93,6 +93,7 @@ def values(tmp_path_factory):
         run,
         run.control,
         run.control.estimate,
+        estimator.observability(),
         estimator.smooth(run.control.estimate.measurement, run.control.applied),
         dropped.contacts,
         sensors,

@@ -103,6 +103,7 @@ RESULTS = {
     "dynamics.Equation",
     "estimation.Estimate",
     "estimation.FilterStatistics",
+    "estimation.Observability",
     "estimation.SmoothedMotion",
     "exchange.Imported",
     "integrate.Choice",
@@ -1197,6 +1198,7 @@ call(
     },
     share=0.3,
 )
+call("KalmanFilter.observability", lambda: {"duration": 0.1}, estimator, 0.3)
 call(
     "KalmanFilter.smooth",
     lambda: {
