@@ -27,7 +27,7 @@ from tenscontrol.plant.modes import Modes
 from tenscontrol.plant.reduced_dynamics import refuse_lost_place, sampled_dynamics
 from tenscontrol.plant.reference import reduced_shape
 from tenscontrol.plant.riccati import filter_riccati
-from tenscontrol.structure.bar_geometry import refuse_wrong_bar_lengths
+from tenscontrol.structure.bar_geometry import rigid_shape
 from tenscontrol.structure.structure import different_members
 
 PREDICTIONS = ("linear", "nonlinear")
@@ -323,8 +323,7 @@ def _start_state(plant: LinearPlant, nodes: object) -> FloatArray:
     if nodes is None:
         return np.zeros(len(plant.A))
     structure = plant.model.structure
-    shape = structure.checked_nodes("start", nodes)
-    refuse_wrong_bar_lengths("start", structure, shape)
+    shape = rigid_shape("start", structure, structure.checked_nodes("start", nodes), stacklevel=4)
     q = reduced_shape(plant, "start", shape, _START_TOLERANCE)
     return np.concatenate([q, np.zeros_like(q)])
 

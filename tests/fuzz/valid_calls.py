@@ -1198,6 +1198,12 @@ call(
     },
     share=0.3,
 )
+call(
+    "estimation.Observability.told_by",
+    lambda: {"direction": "shape 0 at 2.319 Hz"},
+    lambda: estimator().observability(),
+    0.3,
+)
 call("KalmanFilter.observability", lambda: {"duration": 0.1}, estimator, 0.3)
 call(
     "KalmanFilter.smooth",
