@@ -1198,6 +1198,7 @@ call(
     },
     share=0.3,
 )
+call("estimation.Observability.table", on=lambda: estimator().observability())
 call(
     "estimation.Observability.told_by",
     lambda: {"direction": "shape 0 at 2.319 Hz"},
@@ -1730,6 +1731,12 @@ call(
     "generate_c",
     lambda: {"controller": regulator(), "folder": scratch("c"), "name": "regulator"},
     share=0.3,
+)
+call(
+    "deploy.GeneratedController.memory",
+    lambda: {"compiler": "cc", "options": ("-O0",), "timeout": 60.0},
+    generated,
+    0.02,
 )
 call("deploy.GeneratedController.compile", lambda: {"timeout": 60.0}, generated, 0.02)
 call("deploy.CompiledController.another", on=compiled)
