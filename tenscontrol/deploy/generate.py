@@ -20,8 +20,10 @@ from tenscontrol.control.mpc.nonlinear import NMPC
 from tenscontrol.deploy.code_text import code_files
 from tenscontrol.deploy.compiled_controller import CompiledController, compiled
 from tenscontrol.deploy.controllers import LawCode, lqr_code, mpc_code, nmpc_code
+from tenscontrol.deploy.filter_code import with_filter
 from tenscontrol.deploy.memory_use import MemoryUse, memory_use
 from tenscontrol.dynamics.evaluator import builds
+from tenscontrol.estimation.kalman_filter import KalmanFilter
 from tenscontrol.files import make_folder, read_file, write_file
 from tenscontrol.plant.linear_plant import LinearPlant
 
@@ -140,7 +142,12 @@ class GeneratedController:
 
 
 def generate_c(
-    controller: Controller, folder: object, *, name: str = "controller", overwrite: bool = False
+    controller: Controller,
+    folder: object,
+    *,
+    estimator: KalmanFilter | None = None,
+    name: str = "controller",
+    overwrite: bool = False,
 ) -> GeneratedController:
     """Write a controller as C code into a folder of its own.
 
@@ -157,6 +164,8 @@ def generate_c(
     folder : path-like
         Is created, or empty, or one that an earlier call wrote: its files are replaced, unless
         they were changed since. Other files there stay.
+    estimator : KalmanFilter, optional
+        Goes into the code as well: readings in, estimated motion out. It starts as newly made.
     name : str
         Prefix of files and functions in C.
     overwrite : bool
@@ -208,7 +217,9 @@ def generate_c(
             "or ganged strings yet: design it on a plant with all strings driven"
         )
     place = validation.file_path("folder", folder).absolute()
-    texts = code_files(controller, law, name)
+    if estimator is not None:
+        law = with_filter(law, controller, estimator)
+    texts = code_files(controller, law, name, estimator)
     sums = [f"{_checksum(text.encode())}  {file}" for file, text in texts.items()]
     texts[_LIST] = "\n".join([_HEAD, *sums, ""])
     overwrite = validation.truth("overwrite", overwrite, "whether to replace changed files")

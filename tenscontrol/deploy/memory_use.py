@@ -58,6 +58,7 @@ def memory_use(
     text, data, zeroed = (sum(int(row[i]) for row in rows) for i in range(3))
     own = {words[-1] for words in symbols if len(words) == 3}
     needed = {words[-1] for words in symbols if len(words) == 2 and words[0] == "U"} - own
+    needed -= {"_GLOBAL_OFFSET_TABLE_"}  # of the linker
     return MemoryUse(text + data, data + zeroed, tuple(sorted(needed)))
 
 

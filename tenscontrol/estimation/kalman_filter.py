@@ -24,10 +24,10 @@ from tenscontrol.plant.modes import Modes
 from tenscontrol.status import Status
 
 # From one start anew to the next, without a good sample between, the spread grows by this.
-_WIDER = 10.0
+WIDER = 10.0
 
 # A variance so many times that of the start says nothing any more, and would overflow in the end.
-_NOTHING_KNOWN = 1e12
+NOTHING_KNOWN = 1e12
 
 
 @dataclass(frozen=True, eq=False)
@@ -348,6 +348,11 @@ class KalmanFilter:
         self.reset()
 
     @property
+    def design(self) -> FilterDesign:
+        """What the filter computes with; not for users."""
+        return self._design
+
+    @property
     def plant(self) -> LinearPlant:
         """The plant in the coordinates of the filter."""
         return self._design.plant
@@ -533,7 +538,7 @@ class KalmanFilter:
             self._z, self._P, previous, self._previous_input, push
         )
         spread = np.diag(self._P) / np.diag(self._design.start_covariance)
-        if not self._correction.reaches(self._z) or spread.max() > _NOTHING_KNOWN:
+        if not self._correction.reaches(self._z) or spread.max() > NOTHING_KNOWN:
             self._start_over()
 
     def smooth(self, readings: object, held: object, *, previous: object = None) -> SmoothedMotion:
@@ -650,7 +655,7 @@ class KalmanFilter:
             self._mostly_refused += 1
             late = self._mostly_refused - self._design.settings.patience
             if late >= 0:
-                self._P = self._design.start_covariance * _WIDER**late
+                self._P = self._design.start_covariance * WIDER**late
                 self._tally.start_over()
                 correction = self._correction.fit(y, usable, self._z, self._P, self._previous_input)
         elif usable.any():

@@ -98,6 +98,7 @@ RESULTS = {
     "control.QPSolution",
     "deploy.CompiledController",
     "deploy.GeneratedController",
+    "deploy.MemoryUse",
     "dynamics.Contacts",
     "dynamics.Coordinates",
     "dynamics.Equation",
@@ -1729,7 +1730,13 @@ def swept_file():
 
 call(
     "generate_c",
-    lambda: {"controller": regulator(), "folder": scratch("c"), "name": "regulator"},
+    lambda: {
+        "controller": regulator(),
+        "folder": scratch("c"),
+        "name": "regulator",
+        "estimator": estimator(),
+        "overwrite": True,
+    },
     share=0.3,
 )
 call(
