@@ -113,7 +113,7 @@ class FilterDesign:
     start: FloatArray
     outputs: ca.Function
     motion: ca.Function | None
-    directions: FloatArray  # as one body that are left alone, and what is not told from them
+    unseen: FloatArray  # all states that are left alone, orthonormal columns
     left_alone: Modes
 
 
@@ -176,6 +176,7 @@ def filter_design(
     drive = _drive(extra, sensors, settings, pushed, pull)
     more = extra.size - extra.states
     none = np.zeros((more, plant.B.shape[1]))
+    lost = np.hstack([directions, np.pad(apart.modes, ((0, more), (0, 0)))])
     design = FilterDesign(
         plant=plant,
         sensors=sensors,
@@ -193,13 +194,12 @@ def filter_design(
         start=np.r_[_start_state(plant, start), np.zeros(more)],
         outputs=output_function(plant, sensors, extra),
         motion=motion,
-        directions=frozen(np.linalg.qr(directions)[0]),
+        unseen=frozen(np.linalg.qr(lost)[0]),
         left_alone=apart.left_alone,
     )
     # Where a load is estimated, nothing is unseen.
     split = None
     if not settings.load:
-        lost = np.hstack([directions, np.pad(apart.modes, ((0, more), (0, 0)))])
         count = lost.shape[1]
         split = np.roll(np.linalg.qr(lost, mode="complete")[0], -count, axis=1), extra.size - count
     solution = filter_riccati(design.sampled.transition, drive, C, sensors.noise, split)

@@ -35,7 +35,7 @@ class Observability:
         That of the filter at rest, before it uses the readings of a sample; NaN if it is left
         alone.
     left_alone : tuple of str
-        Directions that the filter has but no reading shows: it moves them on by their rates.
+        Directions that the filter has but no reading shows, wholly or in part: it predicts them.
     left_out : tuple of str
         Motions as one body that the filter does not have.
     duration : float
@@ -123,7 +123,7 @@ def observability(
         seen = C @ moved / sensors.noise[:, None]
         np.add.at(told, of_kind, seen**2)
         moved = design.sampled.transition @ moved
-    lost = design.directions
+    lost = design.unseen
     alone = np.linalg.norm(lost.T @ states, axis=0) > _PART * np.linalg.norm(states, axis=0)
     # Round-off of readings that do not change.
     told[told <= _PART**2 * told.max(axis=1, initial=0.0, keepdims=True) * _WHOLE] = 0.0

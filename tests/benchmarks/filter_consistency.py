@@ -79,7 +79,7 @@ def root(matrix):
 def consistency(estimator, runs, samples=25, seed=2):
     """Return the consistency of a filter that starts from its steady covariance."""
     design, held = estimator._design, estimator.plant.rest_length
-    lost = design.directions
+    lost = design.unseen
     seen = np.linalg.qr(lost, mode="complete")[0][:, lost.shape[1] :]
     unsteady = 1e-6 * lost @ lost.T  # there is no steady covariance of what is left alone
     P = estimator.covariance + unsteady

@@ -234,7 +234,7 @@ def test_a_report_says_what_tells_of_a_direction(held, model):
 def test_a_direction_left_alone_changes_no_other_estimate(held, model):
     """Turned about the vertical, the same readings give the same shape, turned as well."""
     estimator = tc.KalmanFilter(held, imu(model), sample_time=STEP)
-    lost = estimator._design.directions[:, 0]
+    lost = estimator._design.unseen[:, 0]
     nodes, states = model.structure.nodes, []
     exact = estimator.sensors.measure(nodes, velocities=np.zeros_like(nodes))
     for turned in (0.0, 1e-6):
