@@ -185,6 +185,15 @@ def control_estimation(names):
 
 
 @checks
+def control_imu_ball(names):
+    assert names["off"][0] > 0.02
+    assert names["off"][50:].max() < 3e-3
+    assert len(names["told_bias"]) == 8
+    assert names["bias_error"].max() < 4e-3
+    assert "turn about z" in names["report"].left_alone
+
+
+@checks
 def control_morph(names):
     for off, turned in names["errors"].values():
         assert abs(off) < 0.05

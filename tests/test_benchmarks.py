@@ -233,6 +233,12 @@ def test_contact_estimation(printed):
     assert np.abs(np.array(shares) - 1).max() < 0.5
 
 
+def test_filter_consistency(printed):
+    text = printed("filter_consistency", "--runs 3")
+    assert "outside" not in text
+    assert len(text.splitlines()) == 1 + 2 * 7
+
+
 def test_nmpc_contact(printed, nothing_compiled):
     text = printed("nmpc_contact", "--scenes 1 --duration 1.1")
     sample, horizon, steps, clear, median, largest, *_ = row(text, "x")

@@ -93,6 +93,7 @@ def values(tmp_path_factory):
         run,
         run.control,
         run.control.estimate,
+        estimator.observability(),
         estimator.smooth(run.control.estimate.measurement, run.control.applied),
         dropped.contacts,
         sensors,
@@ -136,6 +137,7 @@ def values(tmp_path_factory):
         mpc.statistics,
         tc.control.MPCSettings(horizon=3, sample_time=0.01, max_force_density=np.full(9, 50.0)),
         tc.generate_c(regulator, tmp_path_factory.mktemp("code")),
+        tc.deploy.MemoryUse(1, 2, ("sqrt",)),
         tc.NMPC(plant, horizon=3, sample_time=0.01, max_force_density=50.0).statistics,
         tc.FeedbackLinearization(
             plant, reference=None, sample_time=0.01, max_force_density=50.0, frequency=1.0

@@ -2,9 +2,11 @@
 
 from tenscontrol.deploy.compiled_controller import CompiledController
 from tenscontrol.deploy.generate import GeneratedController, generate_c
+from tenscontrol.deploy.memory_use import MemoryUse
 
 __all__ = [
     "CompiledController",
     "GeneratedController",
+    "MemoryUse",
     "generate_c",
 ]

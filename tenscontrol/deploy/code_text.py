@@ -20,6 +20,7 @@ from tenscontrol.control.controller import Controller
 from tenscontrol.deploy.controllers import LawCode
 from tenscontrol.deploy.measurement_code import measurement
 from tenscontrol.dynamics.evaluator import Function, builds
+from tenscontrol.estimation.kalman_filter import KalmanFilter
 from tenscontrol.status import OF_ESTIMATES, Status
 
 # Numbers a line.
@@ -35,7 +36,9 @@ _UNIT = {"force_density": "force densities, N/m", "rest_length": "rest lengths, 
 
 
 @builds
-def code_files(controller: Controller, law: LawCode, name: str) -> dict[str, str]:
+def code_files(
+    controller: Controller, law: LawCode, name: str, estimator: KalmanFilter | None
+) -> dict[str, str]:
     """Return the texts of all files, by file name; names in C begin with ``name``."""
     plant = controller.plant
     functions = _named({"measure": measurement(plant)} | law.functions, name)
@@ -48,7 +51,7 @@ def code_files(controller: Controller, law: LawCode, name: str) -> dict[str, str
         "STATUSES": "\n".join(
             f"#define {prefix}_{status.name} {number} /* {status} */"
             for number, status in enumerate(Status)
-            if status not in OF_ESTIMATES
+            if estimator is not None or status not in OF_ESTIMATES
         ),
         "FALLBACKS": "\n".join(
             f"#define {prefix}_{fallback.name} {_FALLBACK * number} /* {fallback} */"
@@ -61,6 +64,14 @@ def code_files(controller: Controller, law: LawCode, name: str) -> dict[str, str
         "STEP": f"{controller.sample_time:g}",
         "KIND": type(controller).__name__,
     }
+    words["ESTIMATOR"] = ""
+    if estimator is not None:
+        read = {
+            "READINGS": str(law.numbers_read),
+            "KINDS_READ": ", ".join(kind.name for kind in estimator.sensors.kinds),
+            "HELD": _UNIT[estimator.input],
+        }
+        words["ESTIMATOR"] = _template("filter.h", name, read).lstrip() + "\n"
     code = "".join(
         _template(file, name, {}) for file in ("common.c", *law.templates, "interface.c")
     )

@@ -42,6 +42,7 @@ class LawCode:
     table: tuple[int, FloatArray] | None = None
     functions: dict[str, ca.Function] = field(default_factory=dict)  # besides the measurement
     sources: tuple[str, ...] = ()  # of the core
+    numbers_read: int = 0  # at a sample, by a filter
 
 
 def lqr_code(controller: LQR) -> LawCode:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import re
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +20,10 @@ from tenscontrol.control.mpc.nonlinear import NMPC
 from tenscontrol.deploy.code_text import code_files
 from tenscontrol.deploy.compiled_controller import CompiledController, compiled
 from tenscontrol.deploy.controllers import LawCode, lqr_code, mpc_code, nmpc_code
+from tenscontrol.deploy.filter_code import with_filter
+from tenscontrol.deploy.memory_use import MemoryUse, memory_use
 from tenscontrol.dynamics.evaluator import builds
+from tenscontrol.estimation.kalman_filter import KalmanFilter
 from tenscontrol.files import make_folder, read_file, write_file
 from tenscontrol.plant.linear_plant import LinearPlant
 
@@ -96,6 +100,40 @@ class GeneratedController:
         bounds = self.low, self.high
         return CompiledController(self.name, library, self.plant, self.sample_time, bounds)
 
+    def memory(
+        self, compiler: str = "cc", options: Sequence[str] = ("-Os",), timeout: float = 600.0
+    ) -> MemoryUse:
+        """Compile the code for a machine, and return what it takes there.
+
+        Parameters
+        ----------
+        compiler : str
+            Name or path of a compiler like GCC's; ``size`` and ``nm`` are taken from beside it,
+            with its prefix: ``"arm-none-eabi-gcc"``.
+        options : sequence of str
+            Of the compiler, ``("-Os", "-mcpu=cortex-m4", "-mthumb", "-mfpu=fpv4-sp-d16",
+            "-mfloat-abi=hard")`` for a Cortex-M4F. Warnings are errors.
+        timeout : float
+            Longest time that the compiler may take for a file, s; at most a day.
+
+        Returns
+        -------
+        MemoryUse
+
+        Raises
+        ------
+        FileNotFoundError
+            If there is no such compiler, or no ``size`` or ``nm`` for it.
+        CompilerError
+            If the compiler fails, or warns.
+        TypeError, ValueError
+            If an argument does not fit.
+        """
+        compiler = validation.text("compiler", compiler, "the name of a compiler")
+        timeout = validation.positive_number("timeout", timeout, "s", validation.LONGEST_WAIT)
+        sources = [file for file in self.files if file.endswith(".c") and file != "main.c"]
+        return memory_use(compiler, [self.folder / file for file in sources], options, timeout)
+
     def __repr__(self) -> str:
         return (
             f"GeneratedController({self.kind} in {str(self.folder)!r}, {len(self.files)} files, "
@@ -103,9 +141,14 @@ class GeneratedController:
         )
 
 
-def generate_c(controller: Controller, folder: object, *, name: str = "controller") -> (
-    GeneratedController
-):  # fmt: skip
+def generate_c(
+    controller: Controller,
+    folder: object,
+    *,
+    estimator: KalmanFilter | None = None,
+    name: str = "controller",
+    overwrite: bool = False,
+) -> GeneratedController:
     """Write a controller as C code into a folder of its own.
 
     The code is C99, allocates no memory and needs nothing but a C compiler:
@@ -121,8 +164,13 @@ def generate_c(controller: Controller, folder: object, *, name: str = "controlle
     folder : path-like
         Is created, or empty, or one that an earlier call wrote: its files are replaced, unless
         they were changed since. Other files there stay.
+    estimator : KalmanFilter, optional
+        Goes into the code as well: readings in, estimated motion out. It starts as newly made.
     name : str
         Prefix of files and functions in C.
+    overwrite : bool
+        Whether files of these names are replaced whatever is in them, and those of an earlier call
+        even if they were changed. Another C file is refused all the same.
 
     Returns
     -------
@@ -169,10 +217,13 @@ def generate_c(controller: Controller, folder: object, *, name: str = "controlle
             "or ganged strings yet: design it on a plant with all strings driven"
         )
     place = validation.file_path("folder", folder).absolute()
-    texts = code_files(controller, law, name)
+    if estimator is not None:
+        law = with_filter(law, controller, estimator)
+    texts = code_files(controller, law, name, estimator)
     sums = [f"{_checksum(text.encode())}  {file}" for file, text in texts.items()]
     texts[_LIST] = "\n".join([_HEAD, *sums, ""])
-    for file in _replaced(place, set(texts)):
+    overwrite = validation.truth("overwrite", overwrite, "whether to replace changed files")
+    for file in _replaced(place, set(texts), overwrite):
         (place / file).unlink()
     _write_folder(place, texts, last=f"{name}.h")
     assert controller.sample_time is not None  # checked with the law
@@ -225,8 +276,8 @@ def _checksum(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-def _replaced(place: Path, files: set[str]) -> list[str]:
-    """Return the files of an earlier call in a folder; raise if others are in the way."""
+def _replaced(place: Path, files: set[str], overwrite: bool) -> list[str]:
+    """Return the files in a folder that make way; raise if others are in the way."""
     present = {each.name for each in place.iterdir()} if os.path.isdir(place) else set()
     known: dict[str, str] = {}
     if _LIST in present:
@@ -234,23 +285,28 @@ def _replaced(place: Path, files: set[str]) -> list[str]:
         head, *lines = text.splitlines() or [""]
         if head == _HEAD:
             known = {each[2]: each[1] for each in map(_LINE.fullmatch, lines) if each}
-    if present and not known:
+    if present and not known and not overwrite:
         raise FileExistsError(
             f"folder {str(place)!r} is not empty, and other C files in it would be compiled too: "
-            "give a new one"
+            "give a new one, or overwrite=True"
         )
-    ours = sorted(present & known.keys())
-    changed = [
-        file for file in ours if _checksum(read_file(place / file, _MOST_BYTES)) != known[file]
-    ]
-    others = present - known.keys() - {_LIST}
+    ours = present & known.keys()
+    if overwrite:
+        ours |= present & files
+        changed = []
+    else:
+        changed = sorted(
+            file for file in ours if _checksum(read_file(place / file, _MOST_BYTES)) != known[file]
+        )
+    others = present - ours - {_LIST}
     changed += sorted(file for file in others if file in files or file.endswith((".c", ".h")))
     if changed:
+        advice = "" if overwrite or changed[0] in others else ", give overwrite=True"
         raise FileExistsError(
             f"folder {str(place)!r} has {changed[0]!r}, which is not as an earlier call wrote it, "
-            "and would be replaced or compiled too: move it away, or give a new folder"
+            f"and would be replaced or compiled too: move it away{advice}, or give a new folder"
         )
-    return [*ours, _LIST] if present else []
+    return sorted(ours | (present & {_LIST}))
 
 
 def _write_folder(place: Path, texts: dict[str, str], last: str) -> None:

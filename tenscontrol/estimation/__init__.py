@@ -1,6 +1,7 @@
 """State estimation: sensors, and a Kalman filter in reduced coordinates."""
 
 from tenscontrol.estimation.kalman_filter import Estimate, FilterStatistics, KalmanFilter
+from tenscontrol.estimation.observability_report import Observability
 from tenscontrol.estimation.sensors import Sensors
 from tenscontrol.estimation.smoother import SmoothedMotion
 
@@ -8,6 +9,7 @@ __all__ = [
     "Estimate",
     "FilterStatistics",
     "KalmanFilter",
+    "Observability",
     "Sensors",
     "SmoothedMotion",
 ]

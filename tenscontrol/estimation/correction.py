@@ -14,7 +14,7 @@ from tenscontrol.plant.linear_plant import LinearPlant
 
 # The correction is repeated about its own result until it moves by less than this part of the
 # standard deviation before it, but not more often than this.
-_SETTLED, _MOST_REPEATS = 1e-3, 6
+SETTLED, MOST_REPEATS = 1e-3, 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +48,7 @@ class Gate:
         self._vectors = [
             (which, starts[which][:, None] + np.arange(sizes[which[0]])) for which in vectors
         ]
-        self._limit = chdtri(sizes.astype(float), probability)
+        self.limit = chdtri(sizes.astype(float), probability)
         self.needs_input = sensors.needs_input
 
     def lost(self, y: FloatArray) -> np.ndarray:
@@ -66,7 +66,7 @@ class Gate:
         every = np.ones(self._count, dtype=bool)
         # What is not finite, or too large to square, does not pass.
         with np.errstate(invalid="ignore", over="ignore"):
-            return np.asarray(self._distance(innovation, S, every) <= self._limit)
+            return np.asarray(self._distance(innovation, S, every) <= self.limit)
 
     def beyond(
         self, innovation: FloatArray, weight: FloatArray, rows: np.ndarray, used: np.ndarray
@@ -82,7 +82,7 @@ class Gate:
         weighed[rows] = weight @ innovation
         blocks = np.zeros((len(self._of),) * 2)
         blocks[np.ix_(rows, rows)] = weight
-        return np.asarray(self._distance(weighed, blocks, used) / self._limit)
+        return np.asarray(self._distance(weighed, blocks, used) / self.limit)
 
     def _distance(self, vector: FloatArray, S: FloatArray, used: np.ndarray) -> FloatArray:
         """Return ``vᵀ S⁻¹ v`` with the parts of each reading, zero where it is not used."""
@@ -160,7 +160,7 @@ class Correction:
         z = prior
         size = np.sqrt(np.maximum(np.diag(P), np.finfo(float).tiny))  # 0 where the state is known
         R = np.diag(self._noise[rows])
-        for _ in range(_MOST_REPEATS):
+        for _ in range(MOST_REPEATS):
             innovation, C = self._innovation(y, z, held)
             C = C[rows].copy()
             linear = innovation[rows] - C @ (prior - z)
@@ -171,7 +171,7 @@ class Correction:
             z = new
             if not self.reaches(z):
                 return None, linear, weight
-            if moved < _SETTLED:
+            if moved < SETTLED:
                 break
         # Joseph's form stays symmetric and positive definite.
         left = np.eye(len(P)) - gain @ C

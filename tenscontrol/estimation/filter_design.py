@@ -18,6 +18,7 @@ from tenscontrol.estimation.observability import (
     refuse_unseen_constants,
     refuse_unseen_loads,
     unseen,
+    unseen_with_biases,
 )
 from tenscontrol.estimation.sensors import Sensors
 from tenscontrol.fields import check_fields, checked
@@ -26,7 +27,7 @@ from tenscontrol.plant.modes import Modes
 from tenscontrol.plant.reduced_dynamics import refuse_lost_place, sampled_dynamics
 from tenscontrol.plant.reference import reduced_shape
 from tenscontrol.plant.riccati import filter_riccati
-from tenscontrol.structure.bar_geometry import refuse_wrong_bar_lengths
+from tenscontrol.structure.bar_geometry import rigid_shape
 from tenscontrol.structure.structure import different_members
 
 PREDICTIONS = ("linear", "nonlinear")
@@ -112,6 +113,7 @@ class FilterDesign:
     start: FloatArray
     outputs: ca.Function
     motion: ca.Function | None
+    unseen: FloatArray  # all states that are left alone, orthonormal columns
     left_alone: Modes
 
 
@@ -156,13 +158,11 @@ def filter_design(
         _refuse_fall(plant, pull)
     extra = _extra_states(plant, sensors, settings)
     C = output_derivative(plant, sensors, extra)
-    refuse_unseen_constants(plant, sensors, extra, C)
-    # No noise drives what is left alone: nothing would ever correct that.
-    seen = apart.basis[:, : apart.count]
+    directions = unseen_with_biases(plant, sensors, extra, C, apart)
+    refuse_unseen_constants(plant, sensors, extra, C, directions)
+    # No noise drives modes that are left alone: nothing would ever correct that.
     by_load = acceleration_response(plant, sample_time)
-    pushed = by_load
-    if apart.count < len(plant.A):
-        pushed = seen @ (seen.T @ by_load)
+    pushed = by_load - apart.modes @ (apart.modes.T @ by_load)
     moved = sampled(plant, sample_time, substeps > 1)
     motion: ca.Function | None = None
     if settings.prediction == "nonlinear":
@@ -176,6 +176,7 @@ def filter_design(
     drive = _drive(extra, sensors, settings, pushed, pull)
     more = extra.size - extra.states
     none = np.zeros((more, plant.B.shape[1]))
+    lost = np.hstack([directions, np.pad(apart.modes, ((0, more), (0, 0)))])
     design = FilterDesign(
         plant=plant,
         sensors=sensors,
@@ -193,15 +194,14 @@ def filter_design(
         start=np.r_[_start_state(plant, start), np.zeros(more)],
         outputs=output_function(plant, sensors, extra),
         motion=motion,
+        unseen=frozen(np.linalg.qr(lost)[0]),
         left_alone=apart.left_alone,
     )
     # Where a load is estimated, nothing is unseen.
     split = None
     if not settings.load:
-        inner = np.eye(extra.size)[:, extra.states :]
-        basis = np.pad(apart.basis, ((0, more), (0, 0)))
-        basis = np.hstack([basis[:, : apart.count], inner, basis[:, apart.count :]])
-        split = basis, apart.count + more
+        count = lost.shape[1]
+        split = np.roll(np.linalg.qr(lost, mode="complete")[0], -count, axis=1), extra.size - count
     solution = filter_riccati(design.sampled.transition, drive, C, sensors.noise, split)
     return design, frozen(C), solution
 
@@ -323,8 +323,7 @@ def _start_state(plant: LinearPlant, nodes: object) -> FloatArray:
     if nodes is None:
         return np.zeros(len(plant.A))
     structure = plant.model.structure
-    shape = structure.checked_nodes("start", nodes)
-    refuse_wrong_bar_lengths("start", structure, shape)
+    shape = rigid_shape("start", structure, structure.checked_nodes("start", nodes), stacklevel=4)
     q = reduced_shape(plant, "start", shape, _START_TOLERANCE)
     return np.concatenate([q, np.zeros_like(q)])
 

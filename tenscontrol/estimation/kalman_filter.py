@@ -15,6 +15,7 @@ from tenscontrol.arrays import FloatArray, IntArray, frozen
 from tenscontrol.dynamics.evaluator import Evaluator, Exclusive, exclusive
 from tenscontrol.estimation.correction import Correction
 from tenscontrol.estimation.filter_design import FilterDesign, FilterSettings, filter_design
+from tenscontrol.estimation.observability_report import Observability, observability
 from tenscontrol.estimation.sensors import Sensors
 from tenscontrol.estimation.smoother import Pass, SmoothedMotion, smoothed
 from tenscontrol.plant.controllability import warn_of_left_alone
@@ -23,10 +24,10 @@ from tenscontrol.plant.modes import Modes
 from tenscontrol.status import Status
 
 # From one start anew to the next, without a good sample between, the spread grows by this.
-_WIDER = 10.0
+WIDER = 10.0
 
 # A variance so many times that of the start says nothing any more, and would overflow in the end.
-_NOTHING_KNOWN = 1e12
+NOTHING_KNOWN = 1e12
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,7 +183,8 @@ class KalmanFilter:
     The input of the plant must be what the actuators hold between samples: for winches linearize
     with ``input="rest_length"``, whatever the controller commands. With internal coordinates, the
     filter adds the rigid-body motions that the readings observe. Undamped modes that are neither
-    observed nor reached by strings are left out: see :attr:`left_alone`.
+    observed nor reached by strings are left out: see :attr:`left_alone`. So are directions of the
+    structure as one body of which readings show only the rates. :meth:`observability` reports.
 
     Parameters
     ----------
@@ -312,12 +314,13 @@ class KalmanFilter:
             rest_length_error=rest_length_error,
         )
         self._begin(*filter_design(plant, sensors, settings, start))
-        warn_of_left_alone(
-            self.left_alone,
-            "no reading shows and no string reaches",
-            "A vibration in these modes is predicted from the start, with its uncertainty.",
-            stacklevel=2,
-        )
+        if self.left_alone.frequency.any():
+            warn_of_left_alone(
+                self.left_alone,
+                "no reading shows and no string reaches",
+                "A vibration in these modes is predicted from the start, with its uncertainty.",
+                stacklevel=2,
+            )
 
     def _begin(
         self,
@@ -345,6 +348,11 @@ class KalmanFilter:
         self.reset()
 
     @property
+    def design(self) -> FilterDesign:
+        """What the filter computes with; not for users."""
+        return self._design
+
+    @property
     def plant(self) -> LinearPlant:
         """The plant in the coordinates of the filter."""
         return self._design.plant
@@ -354,9 +362,48 @@ class KalmanFilter:
         """The undamped modes that no reading shows and no string reaches; empty if there are none.
 
         They are predicted from the start and never corrected; no process noise drives them, so
-        that their covariance stays as it was at the start.
+        that their covariance stays as it was at the start. At 0 Hz are directions of the structure
+        as one body, like that about the vertical without a compass: the estimated rates move them
+        on, and their covariance grows.
         """
         return self._design.left_alone
+
+    def observability(self, duration: float = 1.0) -> Observability:
+        """Return what each kind of reading tells of each direction, and what is left alone.
+
+        At the operating point, by derivatives.
+
+        Parameters
+        ----------
+        duration : float
+            How long readings are taken, s; whole samples, at least one.
+
+        Returns
+        -------
+        Observability
+
+        Raises
+        ------
+        TypeError, ValueError
+            If ``duration`` is not a positive number.
+
+        Examples
+        --------
+        Inclinations and gyroscopes do not tell where a structure points, lengths its shape alone:
+
+        >>> import tenscontrol as tc
+        >>> prism = tc.prism()
+        >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
+        >>> imu = tc.Sensors(structure=prism, string_length=0.001, bar_inclination=0.01,
+        ...                  gyroscope=0.02)
+        >>> report = tc.KalmanFilter(plant, imu, sample_time=0.02).observability()
+        >>> report.left_alone, report.told_by("rate of turn about z")
+        (('turn about z',), ('gyroscope',))
+        >>> report.left_out
+        ('motion along x', 'motion along y', 'motion along z')
+        """
+        duration = validation.positive_number("duration", duration, "s", validation.LONGEST_WAIT)
+        return observability(self._design, self.C, self.covariance, duration)
 
     @property
     def sensors(self) -> Sensors:
@@ -491,7 +538,7 @@ class KalmanFilter:
             self._z, self._P, previous, self._previous_input, push
         )
         spread = np.diag(self._P) / np.diag(self._design.start_covariance)
-        if not self._correction.reaches(self._z) or spread.max() > _NOTHING_KNOWN:
+        if not self._correction.reaches(self._z) or spread.max() > NOTHING_KNOWN:
             self._start_over()
 
     def smooth(self, readings: object, held: object, *, previous: object = None) -> SmoothedMotion:
@@ -608,7 +655,7 @@ class KalmanFilter:
             self._mostly_refused += 1
             late = self._mostly_refused - self._design.settings.patience
             if late >= 0:
-                self._P = self._design.start_covariance * _WIDER**late
+                self._P = self._design.start_covariance * WIDER**late
                 self._tally.start_over()
                 correction = self._correction.fit(y, usable, self._z, self._P, self._previous_input)
         elif usable.any():

@@ -36,16 +36,23 @@ _TOLERANCE = 1e-9
 # Poles this far left of the axis, relative to the largest, decay by themselves.
 _SLOW = 1e-6
 
+# A motion as one body is held or seen by more than this part of the highest stiffness, or readings.
+_STILL = 1e-11
+
 # Parts of a plant that move each other by less than this fraction are apart.
 _APART = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class UnseenStates:
-    """States that a filter leaves alone: an orthonormal basis with them after ``count`` others."""
+    """States that a filter leaves alone, as orthonormal columns.
 
-    basis: FloatArray  # (s, s)
-    count: int
+    ``directions`` are places and angles of the structure as one body: the estimate of its rates
+    moves them on. ``modes`` swing by themselves, and nothing drives them.
+    """
+
+    directions: FloatArray  # (s, k)
+    modes: FloatArray  # (s, k)
     left_alone: Modes
 
 
@@ -143,11 +150,11 @@ def unseen(plant: LinearPlant, sensors: Sensors, C: FloatArray) -> UnseenStates:
     Decaying motions are not among it: an estimate forgets them.
     """
     seen = C / sensors.noise[:, None]
-    lost, refused = _lasting(plant, seen)
+    directions, lost, refused = _lasting(plant, seen)
     A, _, unit, rate = _scaled(plant, seen)
     if refused:
         advice = _remedy(
-            plant, sensors, lambda more: not _lasting(plant, np.vstack([seen, more]))[1]
+            plant, sensors, seen, lambda more: not _lasting(plant, np.vstack([seen, more]))[2]
         )
         count = sum(space.unreached.shape[1] for space in refused)
         listed = ", ".join(f"{rate * space.pole:.4g}" for space in refused)
@@ -157,29 +164,79 @@ def unseen(plant: LinearPlant, sensors: Sensors, C: FloatArray) -> UnseenStates:
             f"1/s they do not decay by themselves. {advice}"
         )
     spaces = [space.unreached for space in lost]
-    whole = np.hstack([np.zeros((len(A), 0)), *(unit[:, None] * space for space in spaces)])
-    count = len(A) - whole.shape[1]
-    basis = np.linalg.qr(whole, mode="complete")[0]
+    swinging = np.hstack([np.zeros((len(A), 0)), *(unit[:, None] * space for space in spaces)])
     return UnseenStates(
-        basis=frozen(np.hstack([basis[:, len(A) - count :], basis[:, : len(A) - count]])),
-        count=count,
-        left_alone=modes_of(plant, *own_modes(A, rate, spaces)),
+        directions=frozen(_columns(unit[:, None] * directions)),
+        modes=frozen(_columns(swinging)),
+        left_alone=modes_of(plant, *own_modes(A, rate, [directions, *spaces])),
     )
 
 
-def _lasting(plant: LinearPlant, seen: FloatArray) -> tuple[list[LeftSpace], list[LeftSpace]]:
-    """Return what neither decays nor is seen, pole by pole, and what of it cannot be left alone."""
-    A, scaled, _, _ = _scaled(plant, seen)
+def _lasting(
+    plant: LinearPlant, seen: FloatArray
+) -> tuple[FloatArray, list[LeftSpace], list[LeftSpace]]:
+    """Return what neither decays nor is seen, in units of the state.
+
+    First directions of the structure as one body, shape (s, k), then the rest pole by pole, and
+    what of it cannot be left alone.
+    """
+    A, scaled, unit, _ = _scaled(plant, seen)
     reachable = reached_states(plant)
     reached = reachable.basis[:, : reachable.count]
+    rigid = _columns(_rigid_states(plant) / unit[:, None])
+    directions = rigid @ _kernel(np.vstack([A, scaled]) @ rigid)
+    directions = directions @ _kernel(reached.T @ directions, _APART)
+    # A place drifts away where no reading shows how fast it moves.
+    rates = np.roll(directions, plant.degrees_of_freedom, axis=0)
+    directions = directions @ _complement(_kernel(scaled @ rates))
+    # The rest is that of the plant without them: they move nothing else.
+    others = _complement(directions)
+    A = others.T @ A @ others
     lost = [
         space
-        for space in left_spaces(A.T, scaled.T)
+        for space in left_spaces(A.T, others.T @ scaled.T)
         if space.unreached.shape[1] and space.pole.real >= -_SLOW
     ]
-    return lost, [
-        space for space in lost if space.grows or not _is_apart(A, reached, space.unreached)
+    refused = [
+        space
+        for space in lost
+        if space.grows or not _is_apart(A, others.T @ reached, space.unreached)
     ]
+    lost, refused = (
+        [replace(space, unreached=others @ space.unreached) for space in spaces]
+        for spaces in (lost, refused)
+    )
+    return directions, lost, refused
+
+
+def _rigid_states(plant: LinearPlant) -> FloatArray:
+    """Return states of the structure at rest, moved as one body, shape (s, k); none over ground."""
+    fields = left_by_supports(plant.model.structure, rigid_motions(plant.nodes))
+    if plant.model.contacts is not None:
+        fields = fields[:, :0]
+    q = plant.coordinates.project(fields)
+    whole = _kernel((fields - plant.basis @ q) / np.linalg.norm(fields, axis=0).max(initial=1e-300))
+    return np.pad(q @ whole, ((0, len(q)), (0, 0)))
+
+
+def unseen_with_biases(
+    plant: LinearPlant, sensors: Sensors, extra: ExtraStates, C: FloatArray, apart: UnseenStates
+) -> FloatArray:
+    """Return the directions left alone, and what no reading tells from turning, shape (s, k).
+
+    Where no reading shows a direction, a bias of its rate is not told from the rate either. ``C``
+    has all states, and so has the result.
+    """
+    more, r = extra.size - extra.states, plant.degrees_of_freedom
+    directions = np.pad(apart.directions, ((0, more), (0, 0)))
+    turning = np.roll(directions, r, axis=0)
+    candidates = np.hstack([turning, np.eye(extra.size)[:, extra.of_bias]])
+    seen = C @ candidates / sensors.noise[:, None]
+    size = np.maximum(np.linalg.norm(seen, axis=0), np.finfo(float).tiny)
+    moved = plant.A[r:] @ turning[: extra.states] / (plant.spectral_radius or 1.0)
+    moved = np.pad(moved, ((0, 0), (0, candidates.shape[1] - turning.shape[1])))
+    mixed = candidates / size @ _kernel(np.vstack([seen / size, moved]))
+    return np.hstack([directions, mixed / np.linalg.norm(mixed, axis=0)])
 
 
 def _is_apart(A: FloatArray, reached: FloatArray, space: FloatArray) -> bool:
@@ -205,11 +262,12 @@ def refuse_unseen_loads(plant: LinearPlant, sensors: Sensors, C: FloatArray) -> 
         whole = output_derivative(plant, readings, at_rest) / readings.noise[:, None]
         return np.asarray(whole[:, :r] - whole[:, at_rest.of_load] @ plant.A[r:, :r])
 
-    seen = resting(sensors, C / sensors.noise[:, None])
+    rows = C / sensors.noise[:, None]
+    seen = resting(sensors, rows)
     count = r - _rank(seen)
     if not count:
         return
-    advice = _remedy(plant, sensors, lambda more: _rank(np.vstack([seen, more[:, :r]])) == r)
+    advice = _remedy(plant, sensors, rows, lambda more: _rank(np.vstack([seen, more[:, :r]])) == r)
     leave = f"{advice}{', or' if advice.startswith('Measure') else ';'} leave out load"
     raise ValueError(
         f"load: {count} of the {r} directions of a load cannot be estimated, as {sensors!r} do not "
@@ -218,11 +276,12 @@ def refuse_unseen_loads(plant: LinearPlant, sensors: Sensors, C: FloatArray) -> 
 
 
 def refuse_unseen_constants(
-    plant: LinearPlant, sensors: Sensors, extra: ExtraStates, C: FloatArray
+    plant: LinearPlant, sensors: Sensors, extra: ExtraStates, C: FloatArray, apart: FloatArray
 ) -> None:
     """Refuse biases and errors of rest lengths that readings do not tell from others, or motions.
 
-    The test of Hautus at the pole 0 of the plant with them as states; ``C`` has all states.
+    The test of Hautus at the pole 0 of the plant with them as states, but for those ``apart``;
+    ``C`` has all states.
     """
     own = np.r_[extra.of_rest_length, extra.of_bias]
     if not len(own):
@@ -235,9 +294,11 @@ def refuse_unseen_constants(
     moved[:, extra.of_rest_length] = plant.B @ extra.by_rest_length(plant.B.shape[1])
     states = np.r_[np.arange(extra.states), constant].astype(int)
     moved[:, : extra.states] = plant.A
-    rows = np.vstack(
-        [moved[:, states] / unit[:, None] / rate, C[:, states] / sensors.noise[:, None]]
-    )
+    # Of states that are left alone no reading says anything, and how they move does not matter.
+    away = _columns(apart[states] / np.r_[unit, np.ones(len(constant))][:, None])
+    moved = moved[:, states] / unit[:, None] / rate
+    moved = moved - away[: len(moved)] @ (away[: len(moved)].T @ moved)
+    rows = np.vstack([moved, C[:, states] / sensors.noise[:, None], away.T])
     size = np.linalg.norm(rows, axis=0)
     rows /= np.where(size > 0, size, 1.0)
     before = _rank(rows[:, : len(states) - len(own)])
@@ -258,8 +319,13 @@ def refuse_unseen_constants(
     )
 
 
-def _remedy(plant: LinearPlant, sensors: Sensors, helps: Callable[[FloatArray], bool]) -> str:
-    """Return the kinds of reading whose rows C, measured in addition, would help."""
+def _remedy(
+    plant: LinearPlant, sensors: Sensors, seen: FloatArray, helps: Callable[[FloatArray], bool]
+) -> str:
+    """Return the kinds of reading whose rows, measured in addition, would help.
+
+    Rows are C by the noise: that which the kind has, or one that makes them as large as those seen.
+    """
     remedies = []
     for kind in KINDS:
         available, chosen = sensors.count_of(kind.chooser), getattr(sensors, kind.chooser)
@@ -267,7 +333,13 @@ def _remedy(plant: LinearPlant, sensors: Sensors, helps: Callable[[FloatArray], 
         if is_whole or not available or kind.also or "acceleration" in kind.needs:
             continue
         arguments: dict[str, Any] = {"structure": sensors.structure, kind.name: 1.0}
-        if helps(output_derivative(plant, Sensors(**arguments))):
+        rows = output_derivative(plant, Sensors(**arguments))
+        noise = getattr(sensors, kind.name)
+        if noise is not None:
+            rows = rows / noise.mean()
+        elif rows.any():
+            rows = rows * (float(np.linalg.norm(seen, 2)) / float(np.linalg.norm(rows, 2)))
+        if helps(rows):
             remedies.append(f"{kind.name} of all {kind.members}")
     if not remedies:
         return "No single additional kind of reading is enough"
@@ -277,6 +349,22 @@ def _remedy(plant: LinearPlant, sensors: Sensors, helps: Callable[[FloatArray], 
 def _rank(rows: FloatArray) -> int:
     sizes = np.linalg.svd(rows, compute_uv=False)
     return int(np.count_nonzero(sizes > _TOLERANCE * sizes.max(initial=0.0)))
+
+
+def _kernel(rows: FloatArray, tolerance: float = _STILL) -> FloatArray:
+    """Return what rows of size 1 map to nothing, orthonormal columns."""
+    _, sizes, Vt = np.linalg.svd(rows)
+    return np.asarray(Vt[int(np.count_nonzero(sizes > tolerance)) :].T)
+
+
+def _columns(space: FloatArray) -> FloatArray:
+    """Return orthonormal columns of the same space."""
+    return np.asarray(np.linalg.qr(space)[0])
+
+
+def _complement(space: FloatArray) -> FloatArray:
+    """Return orthonormal columns of all that is orthogonal to orthonormal columns."""
+    return np.asarray(np.linalg.qr(space, mode="complete")[0][:, space.shape[1] :])
 
 
 def _scaled(plant: LinearPlant, C: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, float]:

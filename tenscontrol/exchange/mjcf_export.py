@@ -129,7 +129,7 @@ def to_mujoco(
         V = structure.checked_nodes("velocities", velocities)
     held = _held(model, rest_length, force_density, actuators)
     kind = "force_density" if rest_length is None else "rest_length"
-    initial_state(model, nodes, velocities, kind, held)
+    initial_state(model, nodes, velocities, kind, held, measured=False)
     load = checked_load(model, external_force)
     return _Document(model, N, V, held, kind, actuators, load, timestep, integrator).text()
 

@@ -22,7 +22,7 @@ from tenscontrol.statics.equilibrium_matrix import null_space
 from tenscontrol.statics.prestress import Prestress
 from tenscontrol.structure.bar_geometry import (
     refuse_strings_without_length,
-    refuse_wrong_bar_lengths,
+    rigid_shape,
 )
 from tenscontrol.structure.segments import to_segments, to_strings
 from tenscontrol.structure.structure import Structure
@@ -478,8 +478,8 @@ def _checked_point(
             "or an OperatingPoint(nodes, force_density)"
         )
     N = structure.checked_nodes("at.nodes", nodes)
-    refuse_wrong_bar_lengths("at.nodes", structure, N)
     refuse_moved_supports("at.nodes", structure, N)
+    N = rigid_shape("at.nodes", structure, N, stacklevel=3)
     count = len(structure.strings)
     gamma = validation.shaped("at.force_density", at.force_density, (count,), "one per string")
     validation.non_negative("at.force_density", gamma, "a string can only pull")

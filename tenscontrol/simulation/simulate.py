@@ -63,9 +63,10 @@ def simulate(
         Simulated time, s.
     nodes, velocities : array_like, shape (d, n), optional
         Motion at the start, m and m/s; the reference shape at rest if not given.
-        Bars must have their lengths, and these must not change. Errors below a thousandth are
-        corrected by projection, and ``run.note`` says so. Supports and rollers must be at their
-        places in the structure, and at rest.
+        Bars must have their lengths, and these must not change. Measured shapes, with bars off by
+        up to 5 % of their length, and velocities that stretch them at up to 5 % of the speed that
+        forces can give, are projected, and ``run.note`` says by how much. Supports and rollers must
+        be at their places in the structure, and at rest.
     start : Trajectory, optional
         A run to continue, in place of ``nodes`` and ``velocities``; see the notes.
     rest_length : float, array_like, shape (α,), Profile or callable, optional

@@ -14,6 +14,7 @@ from tenscontrol.integrate.projection import Projector
 from tenscontrol.simulation.moving_supports import MovingSupports
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.structure.bar_geometry import (
+    MEASURED,
     refuse_strings_without_length,
     refuse_wrong_bar_lengths,
 )
@@ -23,6 +24,7 @@ from tenscontrol.structure.supports import carried_by_supports, refuse_moved_sup
 # largest speed, is taken as it is; up to the second, at which a run counts as inaccurate, it is
 # projected. Near rest the speed is what forces and stiffness can give a structure of this size:
 # the first part of that is round-off, the second what RK4 leaves in a motion that has died out.
+# Measured velocities may stretch bars at that part of it by which measured lengths may be off.
 _EXACT, _PROJECTED = 1e-8, 1e-3
 _ROUND_OFF, _LEFT = 1e-12, 1e-6
 
@@ -77,21 +79,33 @@ def start_beside_supports(
 
 
 def initial_state(
-    model: Model, nodes: object, velocities: object, input: str, held: FloatArray | None = None
+    model: Model,
+    nodes: object,
+    velocities: object,
+    input: str,
+    held: FloatArray | None = None,
+    *,
+    measured: bool = True,
 ) -> tuple[FloatArray, str | None]:
     """Return the state at the start, and what was put right, after checking the structure is in it.
 
     ``held`` is the input at the start, if it is known: forces give the structure its speed.
+    ``measured`` says whether bars may be off as in measured shapes: the caller says what was moved.
     """
     if nodes is None and velocities is None:  # depends on nothing but the model
         key = "state at rest", input
-        build = lambda: frozen(_checked_state(model, None, None, input, None)[0])  # noqa: E731
+        build = lambda: frozen(_checked_state(model, None, None, input, None, True)[0])  # noqa: E731
         return model.prepared.get(key, build), None
-    return _checked_state(model, nodes, velocities, input, held)
+    return _checked_state(model, nodes, velocities, input, held, measured)
 
 
 def _checked_state(
-    model: Model, nodes: object, velocities: object, input: str, held: FloatArray | None
+    model: Model,
+    nodes: object,
+    velocities: object,
+    input: str,
+    held: FloatArray | None,
+    measured: bool,
 ) -> tuple[FloatArray, str | None]:
     structure = model.structure
     N = structure.nodes if nodes is None else structure.checked_nodes("nodes", nodes)
@@ -101,7 +115,7 @@ def _checked_state(
     bars = structure.bar_vectors(N)
     length = np.linalg.norm(bars, axis=0)
     off = float(np.abs(length / structure.bar_length - 1).max(initial=0.0))
-    if off > _PROJECTED:
+    if off > (MEASURED if measured else _PROJECTED):
         refuse_wrong_bar_lengths("nodes", structure, N)
     refuse_moved_supports("nodes", structure, N)
     rows = structure.fixed_rows
@@ -126,7 +140,8 @@ def _checked_state(
     speed = float(state_scale(equation, state, held, largest_frequency(equation, state, held))[-1])
     if off <= _EXACT and worst <= _ROUND_OFF * speed:
         return state, None
-    if worst > max(_PROJECTED * float(np.abs(V).max()), _LEFT * speed):
+    most = max(_PROJECTED * float(np.abs(V).max()), _LEFT * speed)
+    if worst > (MEASURED * speed if measured else most):
         raise ValueError(
             f"velocities stretch bar {stretching.argmax()} at {worst:.3g} m/s, expected 0: bars "
             "are rigid. plant.to_velocities(q, rates) gives velocities that bars can have"
@@ -137,6 +152,9 @@ def _checked_state(
             f"in nodes, bars are off by {off:.1e} of their length, and those that share nodes "
             "cannot all be given theirs near by: start from a shape that is nearer"
         )
+    half = len(state) // 2
+    moved = np.abs(exact[:, 0] - state)
     return exact[:, 0], (
-        f"bars made rigid: off by {off:.1e} of their length, stretching at {worst:.1e} m/s"
+        f"bars made rigid: off by {off:.1e} of their length, stretching at {worst:.1e} m/s; nodes "
+        f"moved by up to {moved[:half].max():.1e} m and {moved[half:].max():.1e} m/s along an axis"
     )

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
+from tests.estimation.conftest import STEP
 from tests.refused import (
     NAN,
     assert_refused,
@@ -202,3 +203,29 @@ ESTIMATION = [
 @pytest.mark.parametrize(("call", "exception", "message"), ESTIMATION)
 def test_bad_input_is_refused_by_name(call, exception, message):
     assert_refused(call, exception, message)
+
+
+def test_a_measured_start_is_moved_and_said(held, sensors_of):
+    nodes = held.model.structure.nodes
+    measured = nodes + 3e-3 * np.random.default_rng(1).normal(size=nodes.shape)
+    exact = tc.structure.restore_bar_lengths(held.model.structure, measured)
+    sensors, most = sensors_of("string_length"), np.linalg.norm(exact - measured, axis=0).max()
+    with pytest.warns(RuntimeWarning, match=f"in start, .* moved by up to {most:.3g} m") as said:
+        estimator = tc.KalmanFilter(held, sensors, sample_time=STEP, start=measured)
+    assert said[0].filename == __file__
+    same = tc.KalmanFilter(held, sensors, sample_time=STEP, start=exact)
+    np.testing.assert_array_equal(estimator._design.start, same._design.start)
+
+
+def test_a_measured_operating_point_is_moved_and_said(held, model):
+    nodes = held.model.structure.nodes
+    measured = nodes + 3e-3 * np.random.default_rng(1).normal(size=nodes.shape)
+    exact = tc.structure.restore_bar_lengths(model.structure, measured)
+    with pytest.warns(RuntimeWarning, match=r"in at\.nodes, bars are off by") as said:
+        plant = tc.linearize(
+            model, tc.OperatingPoint(measured, held.force_density), require_equilibrium=False
+        )
+    assert said[0].filename == __file__
+    np.testing.assert_array_equal(plant.nodes, exact)
+    with pytest.raises(ValueError, match="restore_bar_lengths"):
+        tc.linearize(model, tc.OperatingPoint(1.06 * nodes, held.force_density))

@@ -5,6 +5,7 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.estimation.observability import observed_plant, output_derivative, output_function
+from tests.benchmarks import filter_consistency
 from tests.estimation.conftest import EVERY, STEP
 
 
@@ -150,11 +151,16 @@ def test_what_is_not_seen_is_refused_with_what_would_do(by_force, model):
         )
 
 
-def test_rates_need_readings_of_where_the_structure_is_turned(held, sensors_of):
-    with pytest.raises(ValueError, match=r"3 of the 24 states.*bar_direction of all bars"):
-        tc.KalmanFilter(held, sensors_of("string_length", "bar_rate"), sample_time=STEP)
-    sensors = sensors_of("string_length", "bar_direction", "bar_rate", bars=[0, 1], rate_bars=[2])
-    assert np.abs(tc.KalmanFilter(held, sensors, sample_time=STEP).poles).max() < 1
+def test_rates_without_directions_tell_the_shape_and_leave_turning_alone(held, sensors_of):
+    estimator = tc.KalmanFilter(held, sensors_of("string_length", "bar_rate"), sample_time=STEP)
+    assert estimator.left_alone.label == ("rigid",) * 3
+    assert np.count_nonzero(np.abs(estimator.poles) < 1 - 1e-6) == 24 - 3
+    report = estimator.observability()
+    assert report.left_alone == ("turn about x", "turn about y", "turn about z")
+    whole = sensors_of("string_length", "bar_direction", "bar_rate", bars=[0, 1], rate_bars=[2])
+    seen = tc.KalmanFilter(held, whole, sample_time=STEP)
+    assert np.abs(seen.poles).max() < 1
+    assert not seen.observability().left_alone
 
 
 def test_minimal_coordinates_need_readings_of_the_motion_as_one_body(held, sensors_of):
@@ -166,3 +172,75 @@ def test_minimal_coordinates_need_readings_of_the_motion_as_one_body(held, senso
 def undamped(plant):
     model = tc.Model(plant.model.structure)
     return tc.linearize(model, tc.prestress(model.structure, force_density=17.320508))
+
+
+def test_advice_does_not_depend_on_how_good_the_other_readings_are(by_force, model):
+    texts = []
+    for noise in (1e-3, 1e-13):
+        sensors = tc.Sensors(structure=model.structure, string_length=noise, strings=[0])
+        with pytest.raises(ValueError, match="10 of the 18 states") as raised:
+            tc.KalmanFilter(undamped(by_force), sensors, sample_time=STEP)
+        texts.append(str(raised.value))
+    assert texts[0] == texts[1]
+
+
+# ---- directions left alone ----
+
+
+def imu(model, **more):
+    """Inertial sensors on all bars, without a compass."""
+    return tc.Sensors(
+        structure=model.structure, string_length=1e-3, bar_inclination=0.01, gyroscope=0.02, **more
+    )
+
+
+@pytest.mark.parametrize("kind", ["no compass", "no compass, biased"])
+def test_without_a_compass_errors_of_the_rest_are_as_large_as_said(held, kind):
+    estimator = filter_consistency.filter_of(held, kind, 0.3, "nonlinear")
+    found = filter_consistency.consistency(estimator, runs=12)
+    assert found.left_alone == (1 if kind == "no compass" else 2)
+    assert found.is_within, found
+
+
+def test_a_bias_about_the_vertical_is_said_to_be_left_alone(held, model):
+    """Those about the other axis of the bars are found."""
+    biased = imu(model, bias={"gyroscope": (0.05, 1e-3)})
+    report = tc.KalmanFilter(held, biased, sample_time=STEP).observability()
+    alone = {f"bias of gyroscope {bar}, entry 1" for bar in range(3)}
+    assert set(report.left_alone) == {"turn about z", "rate of turn about z", *alone}
+    by_name = dict(zip(report.direction, report.filter_deviation, strict=True))
+    assert by_name["bias of gyroscope 0, entry 0"] < 0.005
+    assert "Left alone: turn about z" in report.table()
+
+
+def test_a_report_says_what_tells_of_a_direction(held, model):
+    report = tc.KalmanFilter(held, imu(model), sample_time=STEP).observability(duration=STEP)
+    assert report.told_by("turn about x") == ("bar_inclination",)
+    assert report.told_by("rate of turn about z") == ("gyroscope",)
+    assert report.told_by("turn about z") == ()
+    # One sample: 1 mm of each of three inclined bars, in units of the node that moves most.
+    place = report.direction.index("turn about x"), report.sensor.index("bar_inclination")
+    turned = model.structure.nodes - model.structure.nodes.mean(axis=1, keepdims=True)
+    angle = 1 / np.linalg.norm(turned[1:], axis=0).max()
+    h, cos, sin = 1e-6, np.cos(1e-6 * angle), np.sin(1e-6 * angle)
+    turn = np.array([[1, 0, 0], [0, cos, -sin], [0, sin, cos]])
+    only = tc.Sensors(structure=model.structure, bar_inclination=0.01)
+    rise = (only.measure(turn @ turned) - only.measure(turned)) / h
+    assert report.deviation[place] == pytest.approx(0.01 / np.linalg.norm(rise), rel=1e-4)
+    with pytest.raises(ValueError, match="direction is 'yaw', expected one of"):
+        report.told_by("yaw")
+
+
+def test_a_direction_left_alone_changes_no_other_estimate(held, model):
+    """Turned about the vertical, the same readings give the same shape, turned as well."""
+    estimator = tc.KalmanFilter(held, imu(model), sample_time=STEP)
+    lost = estimator._design.unseen[:, 0]
+    nodes, states = model.structure.nodes, []
+    exact = estimator.sensors.measure(nodes, velocities=np.zeros_like(nodes))
+    for turned in (0.0, 1e-6):
+        estimator.reset(state=turned * lost)
+        for _ in range(30):
+            estimate = estimator.update(exact)
+            estimator.predict(held.rest_length)
+        states.append(estimate.state)
+    np.testing.assert_allclose(states[1] - states[0], 1e-6 * lost, rtol=0, atol=1e-11)

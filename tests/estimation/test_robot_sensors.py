@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
-from scipy.special import chdtri
 
 import tenscontrol as tc
 from tenscontrol.estimation.observability import observed_plant, output_function
 from tests import coupled
+from tests.benchmarks import filter_consistency
+from tests.benchmarks.filter_consistency import ANCHORS
 from tests.estimation.conftest import STEP
 
-ANCHORS = np.array([[0.0, 4.0, 0.0, -2.0], [0.0, 4.0, -3.0, 2.0], [5.0, 5.0, 0.0, 2.0]])
 STRUCTURES = {"ball": tc.library.six_bar_ball, "d_bar": coupled.d_bar, "tower": coupled.tower}
 
 
@@ -112,60 +112,12 @@ def test_derivatives_are_those_of_the_readings(name):
     np.testing.assert_allclose(C / scale, np.column_stack(columns) / scale, rtol=0, atol=1e-7)
 
 
-KINDS = {
-    "bar_inclination": {"bar_inclination": 0.01},
-    "gyroscope": {"gyroscope": 0.02, "bias": {"gyroscope": (0.05, 0.01)}},
-    "accelerometer": {"accelerometer": 0.1, "bias": {"accelerometer": (0.2, 0.05)}},
-    "node_range": {"node_range": 0.02, "range_nodes": [0, 3, 5], "anchors": ANCHORS},
-    "encoder": {
-        "encoder": 0.2, "motor": tc.Motor(drum_radius=0.01, gear_ratio=20.0, zero=1.0)
-    },
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", list(filter_consistency.KINDS)[:5])
 def test_errors_are_as_large_as_the_filter_says(held, kind):
     """NEES of runs on the plant of the filter itself, with biases, within its bounds."""
-    small, runs, samples = 1e-3, 20, 25
-    arguments = {
-        name: value * small if isinstance(value, float) else value
-        for name, value in ({"bar_direction": 0.01, "string_length": 1e-3} | KINDS[kind]).items()
-    }
-    if "bias" in arguments:
-        arguments["bias"] = {
-            name: tuple(small * size for size in pair) for name, pair in arguments["bias"].items()
-        }
-    sensors = tc.Sensors(structure=held.model.structure, **arguments)
-    error = (1e-3 * small, 1e-3 * small) if kind == "encoder" else None
-    estimator = tc.KalmanFilter(
-        held, sensors, sample_time=STEP, process_noise=0.02 * small, gate=1e-12,
-        rest_length_error=error,
-    )  # fmt: skip
-    design, P = estimator._design, estimator.covariance
-    F, C, R = design.sampled.transition, estimator.C, sensors.noise
-    still = np.array(design.outputs(np.zeros(len(F)), held.rest_length)[0]).ravel()
-
-    def root(matrix):
-        values, vectors = np.linalg.eigh(matrix)
-        return vectors * np.sqrt(np.maximum(values, 0.0))
-
-    drive, start, rng, nees = root(design.process_covariance), root(P), np.random.default_rng(2), []
-    for _ in range(runs):
-        estimator.reset(covariance=P, held=held.rest_length)
-        z = start @ rng.normal(size=len(F))
-        for _ in range(samples):
-            estimate = estimator.update(still + C @ z + R * rng.normal(size=len(R)))
-            off = estimate.state - z
-            estimator.predict(held.rest_length)
-            z = F @ z + drive @ rng.normal(size=len(F))
-        size = np.sqrt(np.diag(estimate.covariance))
-        scaled = estimate.covariance / np.outer(size, size)
-        values, vectors = np.linalg.eigh(scaled)
-        known = values > 1e-9  # a constraint between states leaves no error along it
-        along = vectors.T @ (off / size)
-        nees.append((along[known] ** 2 / values[known]).sum())
-    freedom = float(runs * known.sum())
-    assert chdtri(freedom, 0.9995) < sum(nees) < chdtri(freedom, 0.0005)
+    found = filter_consistency.consistency(filter_consistency.filter_of(held, kind, 1e-3), runs=20)
+    assert found.left_alone == 0
+    assert found.is_within, found
 
 
 def test_a_bias_is_found_in_a_loop_and_told_with_its_deviation(held, model):

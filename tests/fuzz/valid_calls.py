@@ -98,11 +98,13 @@ RESULTS = {
     "control.QPSolution",
     "deploy.CompiledController",
     "deploy.GeneratedController",
+    "deploy.MemoryUse",
     "dynamics.Contacts",
     "dynamics.Coordinates",
     "dynamics.Equation",
     "estimation.Estimate",
     "estimation.FilterStatistics",
+    "estimation.Observability",
     "estimation.SmoothedMotion",
     "exchange.Imported",
     "integrate.Choice",
@@ -1211,6 +1213,14 @@ call(
     },
     share=0.3,
 )
+call("estimation.Observability.table", on=lambda: estimator().observability())
+call(
+    "estimation.Observability.told_by",
+    lambda: {"direction": "shape 0 at 2.319 Hz"},
+    lambda: estimator().observability(),
+    0.3,
+)
+call("KalmanFilter.observability", lambda: {"duration": 0.1}, estimator, 0.3)
 call(
     "KalmanFilter.smooth",
     lambda: {
@@ -1782,8 +1792,20 @@ def swept_file():
 
 call(
     "generate_c",
-    lambda: {"controller": regulator(), "folder": scratch("c"), "name": "regulator"},
+    lambda: {
+        "controller": regulator(),
+        "folder": scratch("c"),
+        "name": "regulator",
+        "estimator": estimator(),
+        "overwrite": True,
+    },
     share=0.3,
+)
+call(
+    "deploy.GeneratedController.memory",
+    lambda: {"compiler": "cc", "options": ("-O0",), "timeout": 60.0},
+    generated,
+    0.02,
 )
 call("deploy.GeneratedController.compile", lambda: {"timeout": 60.0}, generated, 0.02)
 call("deploy.CompiledController.another", on=compiled)

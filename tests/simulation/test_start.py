@@ -195,11 +195,26 @@ def test_what_is_accepted_as_it_is_is_not_touched(example):
     assert np.array_equal(moved(example, nodes, None).nodes[:, :, 0], nodes)
 
 
+def test_a_measured_motion_is_projected_and_the_note_says_by_how_much(example):
+    rng, structure = np.random.default_rng(0), example.model.structure
+    N = structure.nodes + 5e-3 * rng.normal(size=(3, 6))
+    V = 0.01 * rng.normal(size=(3, 6))
+    run = moved(example, N, V)
+    exact = tc.structure.restore_bar_lengths(structure, N)
+    np.testing.assert_allclose(run.nodes[:, :, 0], exact, rtol=0, atol=1e-12)
+    assert np.abs(run.bar_length_error[:, 0]).max() < 1e-14
+    bars, rates = (structure.bar_vectors(part[:, :, 0]) for part in (run.nodes, run.velocities))
+    assert np.abs((bars * rates).sum(axis=0)).max() < 1e-15
+    after = run.velocities[:, :, 0].sum(axis=1)  # all bars have one mass
+    np.testing.assert_allclose(after, V.sum(axis=1), rtol=0, atol=1e-12)
+    assert f"moved by up to {np.abs(exact - N).max():.1e} m and" in run.note
+
+
 def test_more_is_refused(example):
     nodes = example.model.structure.nodes
     with pytest.raises(ValueError, match="in nodes, bar 0 has length"):
-        moved(example, nodes * (1 + 2e-3), None)
+        moved(example, nodes * 1.06, None)
     stretch = np.zeros_like(nodes)
-    stretch[2, 0] = 1e-3
-    with pytest.raises(ValueError, match=r"velocities stretch bar 0 at 0\.000719 m/s"):
+    stretch[2, 0] = 0.5
+    with pytest.raises(ValueError, match=r"velocities stretch bar 0 at 0\.36 m/s"):
         moved(example, nodes, stretch)

@@ -49,7 +49,7 @@ int controller_command(double time, const double *nodes, const double *velocitie
  */
 int controller_applied(const double *value);
 
-/* Iterations that the solver took in the last call of controller_command; 0 where none ran. */
+@ESTIMATOR@/* Iterations that the solver took in the last call of controller_command; 0 where none ran. */
 int controller_iterations(void);
 
 #ifdef __cplusplus

@@ -193,7 +193,8 @@ class BatchInputs:
         if "external_force" in self.given:
             validation.float_array("external_force", self.entry("external_force", run))
         nodes, velocities = self.entry("nodes", run), self.entry("velocities", run)
-        return initial_state(model, nodes, velocities, self.input, held)[0]
+        state, _ = initial_state(model, nodes, velocities, self.input, held, measured=False)
+        return state
 
     def states(self, first: int, last: int) -> tuple[FloatArray, dict[int, str]]:
         """Return the states at the start of some runs, and why others are refused: by number."""

@@ -1,0 +1,100 @@
+"""Data of a Kalman filter for C code."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+
+from tenscontrol import validation
+from tenscontrol.control.controller import Controller
+from tenscontrol.deploy.controllers import LawCode
+from tenscontrol.dynamics.evaluator import Function
+from tenscontrol.estimation.correction import MOST_REPEATS, SETTLED, Gate
+from tenscontrol.estimation.filter_design import FilterDesign
+from tenscontrol.estimation.kalman_filter import NOTHING_KNOWN, WIDER, KalmanFilter
+from tenscontrol.plant.reduced_dynamics import near_symbol, reduced_motion, settled
+from tenscontrol.structure.structure import different_members
+
+
+def with_filter(law: LawCode, controller: Controller, estimator: object) -> LawCode:
+    """Return the code of a law with that of the filter that tells it where the structure is."""
+    validation.instance(
+        "estimator", estimator, KalmanFilter, "make one by KalmanFilter(plant, sensors, ...)"
+    )
+    assert isinstance(estimator, KalmanFilter)  # just checked
+    design, plant = estimator.design, estimator.plant
+    different = different_members(plant.model.structure, controller.plant.model.structure, ())
+    if different:
+        raise ValueError(
+            f"estimator is for {plant.model.structure!r}, but the controller for that with "
+            f"{different}: design both on one structure"
+        )
+    if estimator.sample_time != controller.sample_time:
+        raise ValueError(
+            f"estimator has a sample time of {estimator.sample_time:g} s, but the controller one "
+            f"of {controller.sample_time:g} s: give both the same"
+        )
+    if not plant.actuation.is_whole:
+        raise ValueError(
+            f"estimator has {plant.actuation!r}, but generated C code does not know passive or "
+            "ganged strings yet: design it on a plant with all strings driven"
+        )
+    sensors, settings, s = estimator.sensors, design.settings, len(design.start)
+    gate, sizes = Gate(sensors, settings.gate), np.bincount(sensors.reading_of)
+    moved = design.sampled
+    constants: dict[str, int | float] = {
+        "FILTER_STATES": s,
+        "FILTER_READINGS": len(sizes),
+        "FILTER_LARGEST": int(sizes.max()),
+        "FILTER_DELAY": sensors.delay,
+        "FILTER_PATIENCE": settings.patience,
+        "FILTER_SUBSTEPS": settings.substeps,
+        "FILTER_NONLINEAR": int(design.motion is not None),
+        "FILTER_REPEATS": MOST_REPEATS,
+        "FILTER_SETTLED": SETTLED,
+        "FILTER_WIDER": WIDER,
+        "FILTER_NOTHING_KNOWN": NOTHING_KNOWN,
+        "FILTER_TINY": float(np.finfo(float).tiny),
+    }
+    arrays = {
+        "reading_noise": sensors.noise,
+        "reading_of": sensors.reading_of,
+        "reading_start": np.r_[0, np.cumsum(sizes)],
+        "needs_input": sensors.needs_input.astype(np.int64),
+        "gate_limit": gate.limit,
+        "start_state": design.start,
+        "start_covariance": design.start_covariance.ravel(),
+        "process_covariance": design.process_covariance.ravel(),
+        "filter_rest": plant.equilibrium_input,
+    }
+    matrices = {}
+    functions = {"outputs": design.outputs, "shape": _shape(design)}
+    if design.motion is None:
+        arrays["filter_drift"] = moved.drift
+        matrices = {
+            "filter_transition": moved.transition,
+            "filter_by_input": moved.by_input,
+            "filter_by_previous": moved.by_previous * moved.ramp,
+        }
+    else:
+        functions["motion"] = design.motion
+    return replace(
+        law,
+        templates=(*law.templates, "filter.c"),
+        constants=law.constants | constants,
+        arrays=law.arrays | arrays,
+        matrices=law.matrices | matrices,
+        functions=law.functions | functions,
+        numbers_read=len(sensors.noise),
+    )
+
+
+def _shape(design: FilterDesign) -> ca.Function:
+    """Return ``z -> (vec N, vec V)`` of all states of a filter; not finite for no shape."""
+    plant = design.plant
+    z, near = ca.SX.sym("z", len(design.start)), near_symbol(plant)
+    N, V = reduced_motion(plant, z[: design.extra.states], near)
+    parts = [ca.densify(ca.vec(part)) for part in (N, V)]
+    return Function("shape", [z], settled(plant, z, near, parts))
