@@ -305,7 +305,7 @@ class Stepper:
 
     @property
     def limits(self) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-        """Least and largest input, and largest change in a sample, shape (m,); None without winches."""
+        """Least and largest input, and the change in a sample, (m,); None without winches."""
         return self._limits
 
     def with_step(self, step: float) -> Stepper:
