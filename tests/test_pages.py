@@ -51,6 +51,25 @@ def test_mpc():
     assert names["jump"].nodes[1].min(axis=0)[300:].max() > 0.1
 
 
+def test_few_motors():
+    names = ran("few_motors")
+    passive = names["plant"].actuation.passive
+    assert len(passive) == 24
+    assert names["wound"][passive].max() == 0
+    assert names["wound"].max() > 0
+    assert np.allclose(
+        names["target"].rest_length[passive], names["plant"].rest_length[passive], atol=1e-9
+    )
+    assert len(names["choice"].string) == 6
+
+
+def test_stepping():
+    names = ran("stepping")
+    assert names["robot"].time == pytest.approx(0.2)
+    assert names["seen"].shape[0] == 8
+    assert 0 < names["env"].unwrapped.step_error() < 1e-3
+
+
 def test_winches(monkeypatch):
     monkeypatch.syspath_prepend(DOCS.parent / "examples")  # the study is a file to copy
     names = ran("winches", **{"[1e2, 1e4]": "[1e2]"})
