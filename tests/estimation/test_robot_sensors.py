@@ -10,7 +10,28 @@ from tests.benchmarks import filter_consistency
 from tests.benchmarks.filter_consistency import ANCHORS
 from tests.estimation.conftest import STEP
 
-STRUCTURES = {"ball": tc.library.six_bar_ball, "d_bar": coupled.d_bar, "tower": coupled.tower}
+
+def ball_with_payload():
+    """A ball of six bars, and 3 kg hung in its middle by a string from each node."""
+    ball = tc.library.six_bar_ball()
+    n = ball.nodes.shape[1]
+    middle = ball.nodes.mean(axis=1, keepdims=True)
+    return tc.Structure(
+        np.hstack([ball.nodes, middle]), ball.bars,
+        [*ball.strings.tolist(), *((i, n) for i in range(n))], ball.bar_mass,
+        point_mass=np.r_[np.zeros(n), 3.0],
+    )  # fmt: skip
+
+
+def payload_rest(structure):
+    """The shape in which the strings to the payload pull as well."""
+    return tc.shape_target(tc.Model(structure), force_density=20.0).prestress
+
+
+STRUCTURES = {
+    "ball": tc.library.six_bar_ball, "d_bar": coupled.d_bar, "tower": coupled.tower,
+    "payload": ball_with_payload,
+}  # fmt: skip
 
 
 def robot(structure, scale=1.0, **more):
@@ -85,7 +106,10 @@ def test_derivatives_are_those_of_the_readings(name):
     structure = STRUCTURES[name]()
     force = coupled.tower_force_density() if name == "tower" else 10.0
     model = tc.Model(structure, strings=tc.LinearStrings(500.0, damping=1.0))
-    rest = tc.prestress(structure, force_density=force)
+    if name == "payload":
+        rest = payload_rest(structure)
+    else:
+        rest = tc.prestress(structure, force_density=force)
     sensors = robot(structure)
     plant = observed_plant(tc.linearize(model, rest, input="rest_length"), sensors)
     function, rng = output_function(plant, sensors), np.random.default_rng(0)
@@ -180,3 +204,97 @@ def test_filters_refuse_what_readings_cannot_tell(held, by_force, model):
     felt = tc.Sensors(structure=model.structure, bar_direction=0.01, accelerometer=0.1)
     with pytest.raises(ValueError, match="sensors feel the gravity"):
         tc.KalmanFilter(weighed, felt, sample_time=STEP)
+
+
+def holding(plant, sample_time):
+    """A controller that holds the rest lengths of a plant."""
+    return tc.FunctionController(
+        plant.model.structure, lambda time, nodes, velocities: plant.rest_length,
+        sample_time=sample_time, input="rest_length",
+    )  # fmt: skip
+
+
+def test_a_payload_is_estimated_with_the_ball_that_carries_it():
+    structure = ball_with_payload()
+    model = tc.Model(structure, strings=tc.LinearStrings(500.0, damping=2.0))
+    plant = tc.linearize(model, payload_rest(structure), input="rest_length")
+    sensors = tc.Sensors(
+        structure=structure, bar_direction=0.005, accelerometer=0.05, string_length=1e-3,
+        strings=[24, 26, 29],
+    )  # fmt: skip
+    estimator = tc.KalmanFilter(plant, sensors, sample_time=STEP, prediction="nonlinear")
+    start = structure.nodes.copy()
+    start[:, -1] += [0.03, -0.02, 0.02]
+    hold = holding(plant, STEP)
+    run = tc.simulate(
+        model, 2.0, start, controller=hold, estimator=estimator, rest_length=plant.rest_length,
+        seed=1, step=1e-3,
+    )  # fmt: skip
+    at = np.round(run.control.estimate.time / 1e-3).astype(int)
+    off = run.control.estimate.nodes - run.nodes[:, :, at]
+    off = np.linalg.norm(off - off[:, :12].mean(axis=1, keepdims=True), axis=0)
+    assert off[-1, 0] > 0.02  # not known at first
+    assert off[-1, 25:].max() < 5e-3
+
+
+@pytest.mark.parametrize("moving", [False, True])
+def test_supports_that_travel_do_not_mislead_inclinations_and_gyroscopes(moving):
+    """A prism on a cart: readings that feel no place tell its shape wherever it is."""
+    prism = tc.prism()
+    held = tc.Structure(prism.nodes, prism.bars, prism.strings, prism.bar_mass, fixed=range(3))
+    model = tc.Model(held, strings=tc.LinearStrings(200.0, damping=1.0))
+    plant = tc.linearize(model, tc.prestress(held, force_density=17.3205), input="rest_length")
+    sensors = tc.Sensors(
+        structure=held, bar_inclination=0.005, gyroscope=0.01, string_length=1e-3,
+        bias={"gyroscope": (0.05, 1e-3)},
+    )  # fmt: skip
+    estimator = tc.KalmanFilter(plant, sensors, sample_time=STEP, process_noise=0.05)
+    hold = holding(plant, STEP)
+    cart = {}
+    if moving:
+        x = lambda t: 0.2 * (1 - np.cos(1.5 * t))  # noqa: E731
+        cart["support_motion"] = lambda t: np.array([[x(t)] * 3, [0.0] * 3, [0.0] * 3])
+    run = tc.simulate(
+        model, 3.0, plant.to_nodes(np.r_[0.01, np.zeros(plant.degrees_of_freedom - 1)]),
+        controller=hold, estimator=estimator, rest_length=plant.rest_length, seed=1, step=1e-3,
+        **cart,
+    )  # fmt: skip
+    at = np.round(run.control.estimate.time / 1e-3).astype(int)
+    off = run.control.estimate.nodes - run.nodes[:, :, at]
+    travelled = np.ptp(run.nodes[0, 0])
+    assert travelled > 0.3 if moving else travelled == 0
+    off = np.linalg.norm(off - off[:, :1], axis=0)
+    assert off[:, 50:].max() < 4e-3
+
+
+def test_a_body_on_the_ground_is_told_by_what_its_sensors_feel():
+    """In a plant over ground no direction is left alone: friction feels where it turns to."""
+    prism = tc.prism()
+    ground = tc.Ground(stiffness=5e3, damping=0.3, friction=0.5, slip_speed=0.1)
+    model = tc.Model(prism, tc.LinearStrings(200.0, damping=1.0), gravity=9.81, ground=ground)
+    pulled = tc.prestress(prism, force_density=60.0)
+    above = prism.nodes - [[0], [0], [prism.nodes[2].min() - 0.05]]
+    air = tc.OperatingPoint(above, pulled.force_density, model.constant_force)
+    plant = tc.linearize(
+        model, air, input="rest_length", coordinates="minimal", require_equilibrium=False
+    )
+    inertial = {"string_length": 1e-3, "bar_inclination": 0.01, "gyroscope": 0.02}
+    with pytest.raises(ValueError, match="not observable"):
+        tc.KalmanFilter(
+            plant, tc.Sensors(structure=prism, **inertial), sample_time=0.01,
+            prediction="nonlinear",
+        )  # fmt: skip
+    sensors = tc.Sensors(
+        structure=prism, **inertial, node_range=0.005, range_nodes=[0, 1, 4], anchors=ANCHORS
+    )
+    estimator = tc.KalmanFilter(plant, sensors, sample_time=0.01, prediction="nonlinear")
+    assert not estimator.observability().left_alone
+    hold = holding(plant, 0.01)
+    run = tc.simulate(
+        model, 0.6, above, controller=hold, estimator=estimator, rest_length=plant.rest_length,
+        seed=1, step=1e-4, output_step=0.01,
+    )  # fmt: skip
+    told = run.control.estimate
+    off = np.linalg.norm(told.nodes - run.nodes[:, :, : told.nodes.shape[2]], axis=0)
+    assert run.nodes[2].min() < 0  # it stood on the ground
+    assert off[:, 20:].mean() < 6e-3
