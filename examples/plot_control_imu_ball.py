@@ -80,8 +80,8 @@ true, found = (
 off = np.array([np.linalg.norm(a - b, axis=0).max() for a, b in zip(true, found, strict=True)])
 print(f"farthest node: {1e3 * off[0]:.1f} mm off at first, {1e3 * off[50:].max():.1f} mm after 1 s")
 
-figure = plt.figure(figsize=(10, 4.5), layout="constrained")
-view = figure.add_subplot(1, 2, 1, projection="3d")
+figure = plt.figure(figsize=(6, 5), layout="constrained")
+view = figure.add_subplot(projection="3d")
 for nodes, color, label in ((true[5], "black", "true"), (found[5], "tab:orange", "estimated")):
     for pairs, width in ((ball.bars, 3.0), (ball.strings, 0.8)):
         for start_node, end_node in pairs:
@@ -95,7 +95,7 @@ view.legend()
 # The bias about the axes across the bars: what is estimated, within two deviations, and what it is.
 
 told_bias = [i for i in np.flatnonzero(sensors.bias_deviation) if told.bias_deviation[i, -1] < 5e-3]
-axes = figure.add_subplot(1, 2, 2)
+_, axes = plt.subplots(figsize=(6, 4), layout="constrained")
 for i, color in zip(told_bias[:4], ("C0", "C1", "C2", "C3"), strict=True):
     low, high = (told.bias[i] + sign * 2 * told.bias_deviation[i] for sign in (-1, 1))
     axes.fill_between(time, low, high, color=color, alpha=0.2, linewidth=0)

@@ -21,6 +21,8 @@ def picture(structure: Structure, nodes: FloatArray) -> np.ndarray:
     figure = Figure(figsize=(_SIZE, _SIZE), dpi=_DOTS)
     canvas: Any = FigureCanvasAgg(figure)
     kind = {"projection": "3d"} if structure.dimension == 3 else {}
-    drawn_structure(structure, nodes, ax=figure.add_subplot(**kind), legend=False)
+    ax: Any = figure.add_axes((0.0, 0.0, 1.0, 1.0), **kind)
+    drawn_structure(structure, nodes, ax=ax, legend=False)
+    ax.set_axis_off()
     canvas.draw()
     return np.asarray(canvas.buffer_rgba())[:, :, :3].copy()
