@@ -20,8 +20,8 @@ def picture(structure: Structure, nodes: FloatArray) -> np.ndarray:
     """Return a picture of a structure in a shape, shape (height, width, 3), bytes."""
     figure = Figure(figsize=(_SIZE, _SIZE), dpi=_DOTS)
     canvas: Any = FigureCanvasAgg(figure)
-    kind = {"projection": "3d"} if structure.dimension == 3 else {}
-    ax: Any = figure.add_axes((0.0, 0.0, 1.0, 1.0), **kind)
+    projection = "3d" if structure.dimension == 3 else None
+    ax: Any = figure.add_axes((0.0, 0.0, 1.0, 1.0), projection=projection)
     drawn_structure(structure, nodes, ax=ax, legend=False)
     ax.set_axis_off()
     canvas.draw()
