@@ -17,6 +17,7 @@ from . import (
     scene as scene,
     shape as shape,
     simulation as simulation,
+    sizing as sizing,
     statics as statics,
     structure as structure,
 )
@@ -104,6 +105,11 @@ from .simulation import (
     simulate as simulate,
     simulate_many as simulate_many,
 )
+from .sizing import (
+    Material as Material,
+    design as design,
+    sections as sections,
+)
 from .statics import (
     prestress as prestress,
 )
@@ -132,6 +138,7 @@ __all__ = [
     "KalmanFilter",
     "LinearStrings",
     "LostMeasurement",
+    "Material",
     "Model",
     "Motor",
     "NodesAt",
@@ -155,6 +162,7 @@ __all__ = [
     "clearance",
     "controllability",
     "convergence_order",
+    "design",
     "energy_weights",
     "equilibrium",
     "generate_c",
@@ -169,6 +177,7 @@ __all__ = [
     "prism",
     "prism_tower",
     "reduce",
+    "sections",
     "shape_path",
     "shape_target",
     "show_config",

@@ -157,6 +157,8 @@ RESULTS = {
     "simulation.SimulationError",
     "simulation.StepperState",
     "simulation.Trajectory",
+    "sizing.Design",
+    "sizing.Sections",
     "statics.Prestress",
     "statics.Stability",
     "statics.TangentStiffness",
@@ -192,6 +194,8 @@ WITHIN = {
     "learning.Track.seen",
     "Model.of_parameters",
     "plot.View.open",
+    "sizing.Design.table",
+    "sizing.Tube.stress",
     *(f"integrate.RK4.{name}" for name in ("smooth_step", "steps_between", "work_of")),
     "ElasticStrings.tension",
     "ElasticStrings.taut_rest_length",
@@ -639,6 +643,63 @@ call(
         "structure": prism(),
         "force_density": gamma(),
         "bar_force_density": rest().bar_force_density,
+    },
+)
+
+# ---- sizing ----
+
+
+def soft():
+    return tc.Material(modulus=60e9, density=2700.0, yield_stress=110e6)
+
+
+def sized():
+    return tc.sections(prism(), bars=soft(), strings=soft(), bar_radius=0.01, string_radius=1e-3)
+
+
+call("Material", lambda: {"modulus": 60e9, "density": 2700.0, "yield_stress": 110e6})
+call("sizing.Tube", lambda: {"ratio": 0.8, "wall_factor": 0.5, "least_wall": 1e-3})
+call(
+    "sections",
+    lambda: {
+        "structure": prism(),
+        "bars": soft(),
+        "strings": soft(),
+        "bar_radius": 0.01,
+        "string_radius": np.full(9, 1e-3),
+        "bar_inner_radius": np.full(3, 0.005),
+        "string_mass_to_nodes": True,
+    },
+)
+call(
+    "sections, areas",
+    lambda: {
+        "structure": prism(),
+        "bars": soft(),
+        "strings": soft(),
+        "bar_area": np.full(3, 1e-4),
+        "bar_inertia": 1e-9,
+        "string_area": 1e-6,
+    },
+)
+call(
+    "sizing.Sections.margins",
+    lambda: {"string_force": np.full(9, 10.0), "bar_force": np.full(3, 10.0)},
+    sized,
+)
+call(
+    "design",
+    lambda: {
+        "structure": prism(),
+        "bars": soft(),
+        "strings": soft(),
+        "loads": [STILL],
+        "safety": 1.5,
+        "min_force_density": 10.0,
+        "tube": tc.sizing.Tube(0.8),
+        "least_radius": 1e-3,
+        "restarts": 1,
+        "seed": 1,
     },
 )
 

@@ -1,0 +1,7 @@
+"""Materials, cross sections and minimal mass."""
+
+from tenscontrol.sizing.materials import Material, materials
+from tenscontrol.sizing.minimal_mass import Design, Tube, design
+from tenscontrol.sizing.sections import Sections, sections
+
+__all__ = ["Design", "Material", "Sections", "Tube", "design", "materials", "sections"]

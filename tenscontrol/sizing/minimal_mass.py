@@ -1,0 +1,470 @@
+"""Cross sections of least mass that carry given loads."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NoReturn
+
+import numpy as np
+
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, IntArray, frozen
+from tenscontrol.sizing.materials import Material
+from tenscontrol.sizing.sections import Sections, with_areas
+from tenscontrol.statics.equilibrium_matrix import movable_members, sparse_equilibrium_matrix
+from tenscontrol.structure.structure import Structure
+from tenscontrol.tables import aligned
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+# Tangents of the root of a force begin at these parts of the largest force of a bar, one after the
+# other. The error of the mass is the root of the last.
+_FLOORS = (0.03, 1e-8, 1e-13)
+
+# Programs in a row, and the gain of mass at which they end.
+_MOST_PROGRAMS, _GAIN = 50, 1e-10
+
+# Forces that are left over in the program without a solution, part of the largest load.
+_UNBALANCED = 1e-7
+
+# Members above which one start is enough by default: a program takes seconds.
+_LARGE = 3_000
+
+# Masses of restarts that agree to this part are the same.
+_AGREE = 1e-6
+
+
+@dataclass(frozen=True)
+class Tube:
+    """Round tubes of one ratio of radii, as bars of a :func:`design`.
+
+    Parameters
+    ----------
+    ratio : float
+        Inner over outer radius, at least 0 and below 1.
+    wall_factor : float, optional
+        What is left of the load at which a perfect thin wall buckles, 0.3 to 0.6 for walls as they
+        are made: the stress is limited to ``0.605 · wall_factor · E t / r``, r the mean radius.
+    least_wall : float, optional
+        Least thickness of the wall t, m.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a value is out of its range.
+    """
+
+    ratio: float
+    wall_factor: float = 0.5
+    least_wall: float = 0.0
+
+    def __post_init__(self) -> None:
+        ratio = validation.number("ratio", self.ratio, "inner over outer radius")
+        if not 0 <= ratio < 1:
+            raise ValueError(f"ratio is {ratio:g}, expected at least 0 and below 1")
+        validation.positive_number("wall_factor", self.wall_factor, "part of the perfect wall's")
+        if validation.number("least_wall", self.least_wall, "m") < 0:
+            raise ValueError(f"least_wall is {self.least_wall:g} m, expected at least 0")
+
+    @property
+    def inertia_ratio(self) -> float:
+        """``4π I / A²``: 1 of a solid bar."""
+        return (1 + self.ratio**2) / (1 - self.ratio**2)
+
+    def stress(self, material: Material) -> float:
+        """Return the stress that the wall bears in compression, Pa.
+
+        Parameters
+        ----------
+        material : Material
+        """
+        slenderness = 2 * (1 - self.ratio) / (1 + self.ratio)  # t over the mean radius
+        wall = 0.605 * self.wall_factor * material.modulus * slenderness
+        return min(material.yield_stress, wall)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Design(Sections):
+    """Sections of least mass that carry loads. Made by :func:`design`.
+
+    Attributes
+    ----------
+    structure, bars, strings, bar_area, string_area, bar_inertia, bar_stress :
+        As of :class:`Sections`.
+    force_density : ndarray, shape (K, α)
+        γ of each string under each load, N/m.
+    bar_force_density : ndarray, shape (K, β)
+        λ of each bar under each load, N/m, positive in compression.
+    string_limit, bar_limit : tuple of str
+        What gives each member its area: "yield", "buckling" or "least".
+    string_load, bar_load : ndarray of int, shape (α,), (β,)
+        The load that does.
+    restarts : ndarray, shape (r,)
+        The mass that was found from each start, kg. The first is that of yield alone; others are
+        random. The mass is the least of them.
+    """
+
+    force_density: FloatArray
+    bar_force_density: FloatArray
+    string_limit: tuple[str, ...]
+    bar_limit: tuple[str, ...]
+    string_load: IntArray
+    bar_load: IntArray
+    restarts: FloatArray
+
+    @property
+    def restarts_agree(self) -> bool:
+        """Whether all starts end at the same mass, to 1e-6."""
+        return bool(self.restarts.max() <= self.restarts.min() * (1 + _AGREE))
+
+    def table(self) -> str:
+        """Return members with area, mass, and the limit and the load that govern them."""
+        rows = []
+        for kind, area, mass, limits, loads in (
+            ("string", self.string_area, self.string_mass, self.string_limit, self.string_load),
+            ("bar", self.bar_area, self.bar_mass, self.bar_limit, self.bar_load),
+        ):
+            rows += [
+                [f"{kind} {i}", f"{1e6 * a:.4g}", f"{m:.4g}", limit, str(load)]
+                for i, (a, m, limit, load) in enumerate(zip(area, mass, limits, loads, strict=True))
+            ]
+        return aligned(["member", "area mm^2", "mass kg", "limit", "load"], rows)
+
+
+def design(
+    structure: Structure,
+    *,
+    bars: Material,
+    strings: Material,
+    loads: Sequence[object] = (),
+    safety: float = 1.0,
+    min_force_density: object = None,
+    tube: Tube | None = None,
+    least_radius: float = 0.0,
+    restarts: int | None = None,
+    seed: int = 0,
+) -> Design:
+    """Return the cross sections of least mass that carry each of several loads in a given shape.
+
+    Parameters
+    ----------
+    structure : Structure
+        Its shape, members and supports; its bar masses do not count.
+    bars, strings : Material
+        What bars and strings are made of.
+    loads : sequence of array_like, shape (d, n), optional
+        Loads W on the nodes, N, one after the other. Without any, the prestress alone.
+    safety : float, optional
+        Members are sized for this many times their forces, at least 1.
+    min_force_density : float or array_like, shape (α,), optional
+        Least γ of each string under each load, N/m. By default a thousandth of the largest load
+        over the length of the longest member: strings that are taut, as slack ones leave
+        mechanisms.
+    tube : Tube, optional
+        Makes bars tubes; solid round bars without.
+    least_radius : float, optional
+        Least radius of a solid member, m, the outer one of a tube.
+    restarts : int, optional
+        How many starts: one from the forces of yield alone, the others from random ones. Least
+        mass with buckling is no convex problem, so that each may end in another minimum. By
+        default 4, and 1 above 3,000 members.
+    seed : int, optional
+        Of the random starts.
+
+    Returns
+    -------
+    Design
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument does not fit, no forces carry a load (the message says which load and which
+        nodes cannot be held), or a member carries no force, so that it would have no section.
+
+    Notes
+    -----
+    A string has the area ``S T/σ``, a bar the larger of ``S |F|/σ`` and, in compression,
+    ``2 l √(S F/(π E))``, where Euler's load ``π² E I/l²`` is reached. Yield is a linear program in
+    forces and areas. Buckling is concave in the force: the root is replaced by its tangent, which
+    is above it, so that each program gives areas that hold and a mass that falls (Skelton &
+    de Oliveira, Tensegrity Systems, 2009, ch. 4). Each load has forces of its own, in balance in
+    the given shape: those of a structure whose strings are wound for it. A structure that is left
+    to stretch takes others, which :meth:`Sections.margins` can judge. The weight of the members is
+    no load.
+
+    Examples
+    --------
+    Four bars and a string that carry 10 kN over 2 m; buckling sizes the bars:
+
+    >>> import tenscontrol as tc
+    >>> square = tc.Structure([[-1, 0, 1, 0], [0, 1, 0, -1]],
+    ...                       bars=[[0, 1], [1, 2], [2, 3], [3, 0]], strings=[[1, 3]], bar_mass=1.0)
+    >>> soft = tc.Material(modulus=60e9, density=2700, yield_stress=110e6)
+    >>> sized = tc.design(square, bars=soft, strings=soft, min_force_density=0.0,
+    ...                   loads=[[[1e4, 0, -1e4, 0], [0, 0, 0, 0]]])
+    >>> sized.bar_mass.round(4), sized.string_mass.round(4), round(sized.mass, 4)
+    (array([2.0918, 2.0918, 2.0918, 2.0918]), array([0.4909]), 8.858)
+    >>> sized.bar_limit[0], sized.string_limit[0]
+    ('buckling', 'yield')
+    """
+    validation.instance("structure", structure, Structure, "make one by Structure(...)")
+    for name, value in (("bars", bars), ("strings", strings)):
+        validation.instance(name, value, Material, "make one by Material(...)")
+    if tube is not None:
+        validation.instance("tube", tube, Tube, "make one by Tube(ratio=…)")
+    if validation.positive_number("safety", safety, "times the forces") < 1:
+        raise ValueError(f"safety is {safety:g}, expected at least 1: times the forces")
+    if validation.number("least_radius", least_radius, "m") < 0:
+        raise ValueError(f"least_radius is {least_radius:g} m, expected at least 0")
+    if restarts is None:
+        restarts = 4 if len(structure.strings) + len(structure.bars) <= _LARGE else 1
+    validation.whole_number("restarts", restarts, least=1)
+    validation.whole_number("seed", seed, least=0)
+    given = validation.items("loads", loads, "loads, one array of shape (d, n) each")
+    forces = [
+        validation.node_forces(f"loads[{k}]", load, structure.nodes.shape)
+        for k, load in enumerate(given)
+    ] or [np.zeros(structure.nodes.shape)]
+    largest = max(float(np.abs(load).max()) for load in forces)
+    lengths = np.concatenate([structure.string_length(), structure.bar_length])
+    if min_force_density is None:
+        if largest == 0:
+            raise ValueError(
+                "loads has no force and min_force_density is not given, so that nothing is to be "
+                "carried; give a load, or min_force_density in N/m for a prestress"
+            )
+        min_force_density = 1e-3 * largest / float(lengths.max())
+    alpha = len(structure.strings)
+    least = validation.per_member("min_force_density", min_force_density, alpha, "string")
+    validation.non_negative("min_force_density", least, "a string can only pull")
+    shape = _Shape.of(structure, bars, strings, np.array(forces), least, safety, tube, least_radius)
+    return shape.designed(structure, tube, restarts, seed)
+
+
+@dataclass(frozen=True, eq=False)
+class _Shape:
+    """The least mass of a shape: member forces x in units of one force, strings first."""
+
+    balance: csr_array  # (f, α + β), unit forces of members on free coordinates
+    loads: FloatArray  # (K, f), in the unit
+    least_pull: FloatArray  # (α,), in the unit
+    unit: float  # N
+    length: FloatArray  # (α + β,)
+    materials: tuple[Material, Material]  # of strings and of bars
+    per_pull: FloatArray  # (α + β,), area per unit force in tension, m²
+    per_push: FloatArray  # (β,), area per unit force in compression by stress, m²
+    per_root: FloatArray  # (β,), area per root of the unit force by buckling, m²
+    least_area: FloatArray  # (α + β,)
+    stress: float  # of bars in compression, Pa
+
+    @classmethod
+    def of(
+        cls, structure: Structure, bars: Material, strings: Material, loads: FloatArray,
+        least: FloatArray, safety: float, tube: Tube | None, least_radius: float,
+    ) -> _Shape:  # fmt: skip
+        from scipy.sparse import csr_array, diags_array
+
+        pulls, l = structure.string_length(), structure.bar_length  # noqa: E741
+        alpha, beta, length = len(pulls), len(l), np.concatenate([pulls, l])
+        E = sparse_equilibrium_matrix(structure, structure.nodes).tocsr()[structure.free_rows]
+        unit_forces = csr_array(E @ diags_array(1 / length))
+        w = loads.transpose(0, 2, 1).reshape(len(loads), -1)[:, structure.free_rows]
+        unit = max(float(np.abs(w).max(initial=0.0)), float((least * pulls).max(initial=0.0)))
+        if unit == 0:
+            raise ValueError(
+                "loads pulls on supports alone and min_force_density is 0, so that nothing is to "
+                "be carried; give min_force_density in N/m"
+            )
+        hollow = tube.inertia_ratio if tube else 1.0
+        stress = tube.stress(bars) if tube else bars.yield_stress
+        solid = np.pi * least_radius**2
+        ring = solid * (1 - tube.ratio**2) if tube else solid
+        if tube:
+            wall = tube.least_wall / (1 - tube.ratio)
+            ring = max(ring, np.pi * wall**2 * (1 - tube.ratio**2))
+        pull = np.r_[np.full(alpha, strings.yield_stress), np.full(beta, bars.yield_stress)]
+        return cls(
+            unit_forces, w / unit, least * pulls / unit, unit, length, (strings, bars),
+            safety * unit / pull, np.full(beta, safety * unit / stress),
+            2 * l * np.sqrt(safety * unit / (np.pi * bars.modulus * hollow)),
+            np.r_[np.full(alpha, solid), np.full(beta, ring)], stress,
+        )  # fmt: skip
+
+    @property
+    def per_area(self) -> FloatArray:
+        """Mass of each member for an area of 1 m², kg."""
+        alpha = len(self.least_pull)
+        strings, bars = self.materials
+        density = np.full(len(self.length), bars.density)
+        density[:alpha] = strings.density
+        return density * self.length
+
+    def areas(self, x: FloatArray) -> FloatArray:
+        """Return what each limit asks for, shape (4, K, α + β): pull, push, buckling, least."""
+        alpha = len(self.least_pull)
+        area = np.zeros((4, *x.shape))
+        area[0] = self.per_pull * np.abs(x)
+        push = np.maximum(x[:, alpha:], 0.0)
+        area[0, :, alpha:] = self.per_pull[alpha:] * np.maximum(-x[:, alpha:], 0.0)
+        area[1, :, alpha:] = self.per_push * push
+        area[2, :, alpha:] = self.per_root * np.sqrt(push)
+        area[3] = self.least_area
+        return area
+
+    def program(self, slope: FloatArray, offset: FloatArray) -> FloatArray | None:
+        """Return forces, shape (K, α + β), of least mass where bars ask for offset + slope x."""
+        from scipy.optimize import linprog
+        from scipy.sparse import block_array, block_diag, csr_array, diags_array, eye_array, vstack
+
+        cases, count = len(self.loads), len(self.length)
+        alpha = len(self.least_pull)
+        beta, scale = count - alpha, self.per_area * self.per_pull
+        # Unknowns: for each load pulls of strings, pushes of bars and pulls of bars, all positive.
+        # Then the areas over per_pull, of bars and of those strings whose area is more than one
+        # pull: the fewer rows, the faster.
+        sized = np.arange(count)
+        if cases == 1 and not self.least_area[:alpha].any():
+            sized = sized[alpha:]
+        unit = eye_array(count, format="csr")
+        of_bars = unit[alpha:]
+        of_stress = diags_array(np.r_[np.ones(alpha), self.per_push / self.per_pull[alpha:]])
+        stress = block_array([[of_stress, of_bars.T]], format="csr")[sized]
+        steep = diags_array(slope / self.per_pull[alpha:]) @ of_bars
+        buckling = block_array([[steep, csr_array((beta, beta))]])
+        rows = block_array(
+            [
+                [block_diag([stress] * cases), vstack([-unit[sized][:, sized]] * cases)],
+                [block_diag([buckling] * cases), vstack([-of_bars[:, sized]] * cases)],
+            ],
+            format="csr",
+        )
+        split = block_diag([block_array([[self.balance, -self.balance[:, alpha:]]])] * cases)
+        equal = block_array([[split, csr_array((split.shape[0], len(sized)))]], format="csr")
+        weight = np.zeros((cases, count + beta))
+        if len(sized) == beta:
+            weight[:, :alpha] = scale[:alpha]
+        low = np.zeros((cases, count + beta))
+        low[:, :alpha] = self.least_pull
+        low = np.r_[low.ravel(), (self.least_area / self.per_pull)[sized]]
+        beyond = np.tile(-offset / self.per_pull[alpha:], cases)
+        right = np.r_[np.zeros(len(sized) * cases), beyond]
+        # On 24,000 members the first program takes an interior point a third of the simplex's time,
+        # those with tangents the simplex without presolve half of either.
+        first = not slope.any()
+        answer = linprog(
+            np.r_[weight.ravel(), scale[sized]] / scale.max(),
+            rows, right, equal, self.loads.ravel(), np.c_[low, np.full(len(low), np.inf)],
+            method="highs-ipm" if first else "highs-ds", options={"presolve": first},
+        )  # fmt: skip
+        if answer.status == 2:
+            return None
+        if answer.status != 0:
+            raise ArithmeticError(f"the linear program of least mass ended early: {answer.message}")
+        found = answer.x[: weight.size].reshape(weight.shape)
+        return np.hstack([found[:, :alpha], found[:, alpha:count] - found[:, count:]])
+
+    def improved(self, x: FloatArray, floors: tuple[float, ...]) -> tuple[float, FloatArray]:
+        """Return mass and forces where programs with tangents at the last forces end.
+
+        A bar without force has a steep tangent, so that it stays without. Tangents begin at
+        a floor, part of the largest force: from high to low, more bars come and go.
+        """
+        alpha = len(self.least_pull)
+        best, least = x, self.mass(x)
+        largest = np.abs(x[:, alpha:]).max(initial=1.0)
+        for floor in floors:
+            before = self.mass(x)
+            for _ in range(_MOST_PROGRAMS):
+                # At the area that all loads share: a load below may rise to it.
+                area = self.areas(x).max(axis=(0, 1))[alpha:]
+                area = np.maximum(area, self.per_root * np.sqrt(floor * largest))
+                trial = self.program(0.5 * self.per_root**2 / area, 0.5 * area)
+                if trial is None:
+                    raise ArithmeticError("the linear program of least mass lost its solution")
+                mass, x = self.mass(trial), trial
+                if mass < least:
+                    best, least = trial, mass
+                if mass >= before * (1 - _GAIN):
+                    break
+                before = mass
+        return least, best
+
+    def mass(self, x: FloatArray) -> float:
+        """Return the mass of all members under these forces, kg."""
+        return float(self.per_area @ self.areas(x).max(axis=(0, 1)))
+
+    def designed(self, structure: Structure, tube: Tube | None, restarts: int, seed: int) -> Design:
+        """Return the best design of all starts."""
+        cases, count = len(self.loads), len(self.length)
+        alpha = len(self.least_pull)
+        beta, random = count - alpha, np.random.default_rng(seed)
+        none = np.zeros(beta)
+        by_yield = self.program(none, none)
+        if by_yield is None:
+            self._refuse(structure)
+        results = [self.improved(by_yield, _FLOORS[-1:])]
+        for _ in range(restarts - 1 if beta else 0):
+            weight = self.per_push * 10 ** random.uniform(-2, 2, beta)
+            start = self.program(weight, none)
+            if start is None:
+                raise ArithmeticError("the linear program of least mass lost its solution")
+            results.append(self.improved(start, _FLOORS))
+        x = min(results, key=lambda result: result[0])[1]
+        area = self.areas(x)
+        least = area.max(axis=(0, 1))
+        moves = movable_members(structure)
+        if not least.all():
+            i = int(np.flatnonzero(least == 0)[0])
+            member = f"string {i}" if i < alpha else f"bar {i - alpha}"
+            why = "no force under any load" if moves[i] else "no load, as both ends are fixed"
+            raise ValueError(
+                f"{member} carries {why}, so that it would have no section; give least_radius in m"
+                + (", or a positive min_force_density" if i < alpha else "")
+            )
+        governs = area.transpose(2, 0, 1).reshape(count, -1).argmax(axis=1)
+        limit = np.array(["yield", "yield", "buckling", "least"])[governs // cases]
+        strings, bars = self.materials
+        hollow = tube.inertia_ratio if tube else 1.0
+        A_s, A_b = least[:alpha], least[alpha:]
+        plain = with_areas(
+            structure, bars, strings, A_b, A_s, hollow * A_b**2 / (4 * np.pi),
+            np.full(beta, self.stress), is_lumped=False,
+        )  # fmt: skip
+        density = x * self.unit / self.length
+        return Design(
+            plain.structure, bars, strings, plain.bar_area, plain.string_area, plain.bar_inertia,
+            plain.bar_stress, frozen(density[:, :alpha]), frozen(density[:, alpha:]),
+            tuple(limit[:alpha].tolist()), tuple(limit[alpha:].tolist()),
+            frozen(governs[:alpha] % cases), frozen(governs[alpha:] % cases),
+            frozen(np.array([result[0] for result in results])),
+        )  # fmt: skip
+
+    def _refuse(self, structure: Structure) -> NoReturn:
+        """Raise, naming the load and the nodes that no forces of members hold."""
+        from scipy.optimize import linprog
+        from scipy.sparse import eye_array, hstack
+
+        rows, count = self.balance.shape
+        low = np.r_[self.least_pull, np.full(count - len(self.least_pull), -np.inf)]
+        bounds = np.c_[low, np.full(count, np.inf)]
+        bounds = np.vstack([bounds, np.tile([0.0, np.inf], (2 * rows, 1))])
+        equal = hstack([self.balance, eye_array(rows), -eye_array(rows)], format="csr")
+        for k, load in enumerate(self.loads):
+            cost = np.r_[np.zeros(count), np.ones(2 * rows)]
+            answer = linprog(cost, A_eq=equal, b_eq=load, bounds=bounds, method="highs")
+            if answer.status != 0:
+                raise ArithmeticError(f"the program that looks for balance ended: {answer.message}")
+            left = np.abs(answer.x[count : count + rows] - answer.x[count + rows :])
+            if left.max(initial=0.0) > _UNBALANCED:
+                nodes = np.unique(structure.free_rows[left > _UNBALANCED] // structure.dimension)
+                named = ", ".join(str(node) for node in nodes[:5])
+                more = f" and {len(nodes) - 5} more" if len(nodes) > 5 else ""
+                raise ValueError(
+                    f"loads[{k}] cannot be carried in this shape with min_force_density in every "
+                    f"string: no forces of the members hold nodes {named}{more} (at least "
+                    f"{left.max() * self.unit:.3g} N are left). Add members or supports there, "
+                    "change the shape, or let strings go slack by min_force_density=0"
+                )
+        raise ArithmeticError("the linear program of least mass found no forces, yet some balance")
