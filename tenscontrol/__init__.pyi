@@ -11,6 +11,7 @@ from . import (
     integrate as integrate,
     learning as learning,
     library as library,
+    optimize as optimize,
     plant as plant,
     plot as plot,
     robustness as robustness,
@@ -63,6 +64,10 @@ from .estimation import (
 )
 from .learning import (
     vector_env as vector_env,
+)
+from .optimize import (
+    gradient as gradient,
+    sensitivity as sensitivity,
 )
 from .plant import (
     OperatingPoint as OperatingPoint,
@@ -166,6 +171,7 @@ __all__ = [
     "energy_weights",
     "equilibrium",
     "generate_c",
+    "gradient",
     "linearize",
     "load_run",
     "load_scene",
@@ -178,6 +184,7 @@ __all__ = [
     "prism_tower",
     "reduce",
     "sections",
+    "sensitivity",
     "shape_path",
     "shape_target",
     "show_config",

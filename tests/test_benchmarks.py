@@ -335,6 +335,12 @@ def test_shape_control(printed):
 
 
 @needs_compiler
+def test_sensitivities(printed):
+    text = printed("sensitivities", "--seed 24 --count 2 --steps 200")
+    assert "2 scenes, 0 of more than 200 steps left out; 2 judged, 2 with switches" in text
+    assert "above 1e-7: []; beyond what differences are certain to: []" in text
+
+
 def test_trust(printed, tmp_path):
     text = printed("trust", f"--seed 9 --count 2 --methods rk4 energy_momentum --cache {tmp_path}")
     assert "2 scenes: 2 ok" in text

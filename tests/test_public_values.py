@@ -57,6 +57,7 @@ def values(tmp_path_factory):
         force_density=np.full(9, 20.0),
         step=1e-3,
     )
+    moving = tc.simulate(model, 0.02, rest_length=start.rest_length, step=1e-3)
     height = tc.Height(0.9, top=[0, 1, 2], bottom=[3, 4, 5])
     target = tc.shape_target(model, height, force_density=17.3205)
     steel = tc.sizing.materials["steel"]
@@ -65,6 +66,8 @@ def values(tmp_path_factory):
         tc.sizing.Tube(0.8),
         tc.sections(prism, bars=steel, strings=steel, bar_radius=0.01, string_radius=np.ones(9)),
         tc.design(prism, bars=steel, strings=steel, min_force_density=10.0, restarts=1),
+        tc.sensitivity(moving, ["stiffness"]),
+        tc.gradient(moving, lambda time, nodes, velocities: nodes[2, 3], ["stiffness"]),
         height,
         tc.Twist(0.1, top=[0, 1, 2], bottom=[3, 4, 5]),
         tc.NodesAt([0], np.zeros((3, 1))),

@@ -141,6 +141,7 @@ typedef struct {
 typedef struct {
   int32_t method; /* RK4_METHOD or DOP853_METHOD */
   int32_t projects;
+  int32_t traces;  /* whether each step ends at its first switch, as near as it can, and is kept */
   int32_t outputs; /* equally spaced over the span, the last at its end */
   int32_t budget;  /* steps tried in a call, at most */
   int32_t room;    /* ends of steps that are kept at most, an even number */
@@ -197,12 +198,12 @@ EXPORTED double tc_evaluations(const Progress *progress);
 /* Integrates until the end of the span, or until the budget or the limit is used up; writes the
    states at outputs that are reached, and returns how many are: one a column of `states`, whose
    first is left for the start. `slope` is that of the state, of dop853. `step_times` (room) and
-   `step_states` (room, states) become the ends of steps: of every second where they have no room,
-   and so on. */
+   `step_states` (room, states) become the ends of steps, and `step_taut` (room, switches), where it is
+   traced, what pulled and pressed in them: of every second where they have no room, and so on. */
 EXPORTED int32_t tc_advance(const Scene *scene, const Drive *drive, const Lengths *lengths,
                             const Settings *settings, Progress *progress, double *state,
                             double *slope, double *taut, double *states, double *step_times,
-                            double *step_states, double *work);
+                            double *step_states, double *step_taut, double *work);
 
 /* Integrates many runs by rk4, to the bits of `tc_advance`, from the states of `start`, one a row;
    writes the states at outputs, (runs, outputs, states), and the progress of each run. All end

@@ -172,7 +172,7 @@ int advance_by_dop853(Span *span, const Settings *settings, Progress *now, Kept 
   const int n = span->states, m = span->switches;
   const double duration = settings->duration, *scale = settings->scale;
   const double spacing = duration / settings->outputs;
-  const int may_carry = !velocity_dependent(span->scene);
+  const int may_carry = !velocity_dependent(span->scene) && !settings->traces;
   double *x1 = work, *K = x1 + n, *y = K + SLOPES * n, *made = y + n, *started = made + POWERS * n;
   double *end = started + m, *pulling = end + n, *defect = pulling + m;
   Dop853 method = {span, x, taut, 0, 0, K, y, made, 0};
@@ -231,10 +231,10 @@ int advance_by_dop853(Span *span, const Settings *settings, Progress *now, Kept 
     }
     if (crossed && !is_carried) {
       const double reach = settings->longest / STABLE;
-      const double allowed = 2 * LATE * scale[n - 1] * (reach * reach);
+      const double allowed = settings->traces ? 0 : 2 * LATE * scale[n - 1] * (reach * reach);
       const Cut cut = first_switch(span, &step, allowed, 0);
       if (cut.found) {
-        is_inside = error * interpolant_error(cut.part) < SMOOTH;
+        is_inside = !settings->traces && error * interpolant_error(cut.part) < SMOOTH;
         if (is_inside) {
           interpolate(&method, h, x1);
           now->interpolants += 1;
@@ -266,7 +266,7 @@ int advance_by_dop853(Span *span, const Settings *settings, Progress *now, Kept 
     now->time = after;
     now->step = h * factor;
     memcpy(x, x1, n * sizeof *x);
-    keep_step(kept, now, x);
+    keep_step(kept, now, after, x, started);
     if (is_carried) {
       memcpy(slope, defect, n * sizeof *slope);
       now->landings += 1;

@@ -17,15 +17,15 @@ typedef struct {
 #ifndef LANES
 /* What is kept of a motion: states at outputs, and at ends of steps. */
 typedef struct {
-  double *states, *step_times, *step_states;
+  double *states, *step_times, *step_states, *step_taut;
   double *rows; /* (GATHERED, n): outputs to be written */
-  int n, columns, column, waiting, room;
+  int n, switches, columns, column, waiting, room;
 } Kept;
 
 /* The memory of the next output. */
 double *next_output(Kept *kept);
 void write_outputs(Kept *kept);
-void keep_step(Kept *kept, Progress *now, const double *x);
+void keep_step(Kept *kept, Progress *now, double time, const double *x, const double *taut);
 
 int advance_by_rk4(Span *span, const Settings *settings, Progress *now, Kept *kept, double *x,
                    double *taut, double *work);

@@ -86,8 +86,8 @@ void write_outputs(Kept *kept) {
   kept->waiting = 0;
 }
 
-void keep_step(Kept *kept, Progress *now, const double *x) {
-  const size_t n = kept->n;
+void keep_step(Kept *kept, Progress *now, double time, const double *x, const double *taut) {
+  const size_t n = kept->n, m = kept->switches;
   if (!kept->room || ++now->since < now->every) return;
   now->since = 0;
   if (now->kept == kept->room) {
@@ -100,19 +100,21 @@ void keep_step(Kept *kept, Progress *now, const double *x) {
     }
     return;
   }
-  kept->step_times[now->kept] = now->time;
+  kept->step_times[now->kept] = time;
+  if (kept->step_taut) memcpy(kept->step_taut + now->kept * m, taut, m * sizeof *taut);
   memcpy(kept->step_states + now->kept++ * n, x, n * sizeof *x);
 }
 
 int32_t tc_advance(const Scene *scene, const Drive *drive, const Lengths *lengths,
                    const Settings *settings, Progress *progress, double *state, double *slope,
                    double *taut, double *states, double *step_times, double *step_states,
-                   double *work) {
+                   double *step_taut, double *work) {
   Span span;
   double *rest = begin(&span, scene, drive, settings->projects ? lengths : 0, work);
   const int n = span.states;
-  Kept kept = {states, step_times, step_states, rest + (size_t)(METHOD_STATES - GATHERED) * n,
-               n,      settings->outputs + 1, 0, 0, settings->room};
+  Kept kept = {states, step_times, step_states, settings->traces ? step_taut : 0,
+               rest + (size_t)(METHOD_STATES - GATHERED) * n,
+               n, span.switches, settings->outputs + 1, 0, 0, settings->room};
   int done;
   if (settings->method == RK4_METHOD)
     done = advance_by_rk4(&span, settings, progress, &kept, state, taut, rest);

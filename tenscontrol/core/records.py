@@ -103,7 +103,7 @@ class Settings(ctypes.Structure):
     """How a motion is integrated."""
 
     _fields_ = (
-        *((name, _COUNT) for name in ("method", "projects", "outputs", "budget", "room")),
+        *((name, _COUNT) for name in ("method", "projects", "traces", "outputs", "budget", "room")),
         *((name, _NUMBER) for name in ("duration", "step", "longest", "limit")),
         ("scale", _POINTER),
     )  # fmt: skip

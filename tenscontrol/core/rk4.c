@@ -17,6 +17,7 @@ typedef struct {
   const Number *x;
   Number *x1, *taut, time, left;
   Number *k1, *k2, *k3, *k4, *y, *slope1;
+  int traces;
 } Rk4;
 
 /* Of the memory of a step. */
@@ -25,7 +26,7 @@ enum { RK4_STATES = 6 };
 static Rk4 rk4_of(Span *span, const Number *x, Number *x1, Number *taut, Number *work) {
   const int n = span->states;
   const Rk4 m = {span, x, x1, taut, all(0), all(0), work, work + n, work + 2 * n, work + 3 * n,
-                 work + 4 * n, work + 5 * n};
+                 work + 4 * n, work + 5 * n, 0};
   return m;
 }
 
@@ -80,7 +81,8 @@ typedef struct {
 static Landing land(Rk4 *m, Number crossed, int cuts) {
   Span *span = m->span;
   const Tried step = tried_by(m);
-  const int is_last = cuts >= MOST_CUTS, may_carry = !velocity_dependent(span->scene);
+  const int is_last = cuts >= MOST_CUTS;
+  const int may_carry = !velocity_dependent(span->scene) && !m->traces;
   const Truth carries = crossed > (may_carry ? (is_last ? 0 : MANY_SWITCHES) : INFINITY);
   Landing now = {m->left, all(0), all(0), all(0), truth(carries), all(0), all(0)};
   if (is_last && !may_carry) {
@@ -91,7 +93,7 @@ static Landing land(Rk4 *m, Number crossed, int cuts) {
   }
   slope_at(span, m->x1, m->time + m->left, m->taut, m->slope1);
   if (any(carries == 0)) {
-    Cut cut = first_switch(span, &step, 0, LATE);
+    Cut cut = first_switch(span, &step, 0, m->traces ? 0 : LATE);
     cut.found &= carries == 0;
     now.landings = truth(carries == 0);
     now.taken = m->left * approach(span, &step, cut, step_to, m, m->x1, &now.places);
@@ -125,13 +127,14 @@ SHARED FixedSteps fixed_steps(const Settings *settings) {
 }
 
 #ifndef LANES
-/* A step that is cut at switches, in place. */
-static void step_through(Rk4 *m, double *x, Progress *now) {
+/* A step that is cut at switches, in place; `before` is room for what pulls and presses. */
+static void step_through(Rk4 *m, double *x, double *before, Progress *now, Kept *kept) {
   const double rest = REST * m->left;
   for (int cuts = 0; m->left > rest; ++cuts) {
     const double crossed = take_whole(m);
     double taken = m->left;
     now->tries += 1;
+    memcpy(before, m->taut, m->span->switches * sizeof *before);
     if (crossed > 0) {
       const Landing landing = land(m, crossed, cuts);
       count(&landing, 0, now);
@@ -140,6 +143,7 @@ static void step_through(Rk4 *m, double *x, Progress *now) {
     memcpy(x, m->x1, m->span->states * sizeof *x);
     m->time += taken;
     m->left -= taken;
+    if (m->traces) keep_step(kept, now, m->time, x, before);
   }
 }
 
@@ -147,13 +151,15 @@ int advance_by_rk4(Span *span, const Settings *settings, Progress *now, Kept *ke
                    double *taut, double *work) {
   const int n = span->states;
   const FixedSteps steps = fixed_steps(settings);
-  Rk4 method = rk4_of(span, x, work, taut, work + n);
+  double *before = work + n;
+  Rk4 method = rk4_of(span, x, work, taut, before + span->switches);
   int64_t done = (int64_t)round(now->time / steps.h);
+  method.traces = settings->traces;
   kept->column = (int)(done / steps.inner) + 1;
   for (int tried = 0; tried < settings->budget && done < steps.total; ++tried) {
     method.time = (double)done * steps.h;
     method.left = steps.h;
-    step_through(&method, x, now);
+    step_through(&method, x, before, now, kept);
     ++done;
     now->time = (double)done * steps.h;
     for (int i = 0; i < n; ++i)
@@ -161,7 +167,7 @@ int advance_by_rk4(Span *span, const Settings *settings, Progress *now, Kept *ke
         now->stuck = 1;
         return (int)((done - 1) / steps.inner);
       }
-    keep_step(kept, now, x);
+    if (!settings->traces) keep_step(kept, now, now->time, x, 0);
     if (done % steps.inner == 0) memcpy(next_output(kept), x, n * sizeof *x);
   }
   return (int)(done / steps.inner);

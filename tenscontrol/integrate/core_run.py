@@ -39,16 +39,17 @@ def settings_of(
     scale: FloatArray | None = None,
     limit: float = float("inf"),
     room: int = 0,
+    traces: bool = False,
 ) -> records.Settings:
     """Return the settings of a span for the core."""
     return records.Settings(
-        _METHODS.index(method), project, outputs, 0, room, duration, step, longest, limit,
+        _METHODS.index(method), project, traces, outputs, 0, room, duration, step, longest, limit,
         None if scale is None else scale.ctypes.data,
     )  # fmt: skip
 
 
 def room_for(states: int) -> int:
-    """Return how many ends of steps are kept at most, an even number."""
+    """Return how many ends of steps are kept at most in a call, an even number."""
     return 2 * min(max(_MOST_NUMBERS // (2 * states), 32), _MOST_ENDS // 2)
 
 
@@ -87,7 +88,7 @@ def advance_in_core(
         while not motion.is_over:
             check()
             began = perf_counter()
-            motion.advance(budget)
+            motion.advance(min(budget, motion.most_steps))
             taken = perf_counter() - began
             if progress.stuck:
                 raise failure(motion)

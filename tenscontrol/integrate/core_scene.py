@@ -22,6 +22,9 @@ from tenscontrol.structure.structure import Structure
 _GROUNDS = (Ground, HertzGround, SmoothGround)
 _LAWS = (type(None), LinearStrings, ElasticStrings)
 
+# Steps in a call at most, and the parts that switches may cut one into.
+_MOST_STEPS, _PARTS = 2**30, 10
+
 
 def core_scene(equation: Equation) -> CoreScene | None:
     """Return an equation as the core runs it, kept with it; None where there is no core for it.
@@ -333,6 +336,8 @@ class CoreMotion:
         self._states[:, 0] = state
         self._step_times = np.empty(settings.room)
         self._step_states = np.empty((settings.room, len(state)))
+        self._step_taut = np.empty((settings.room, scene.switches))
+        self._traced: list[tuple[FloatArray, ...]] = []  # ends of steps of the calls before
         self.done = 0
         self.progress = records.Progress(step=settings.step, every=1)
         self._work = np.empty(scene.work_size)
@@ -343,10 +348,20 @@ class CoreMotion:
         return self._states[:, : self.done + 1]
 
     @property
-    def ends(self) -> tuple[FloatArray, FloatArray]:
-        """Times and states, (K,) and (states, K), of the ends of steps that are kept."""
-        count = self.progress.kept
-        return self._step_times[:count], self._step_states[:count].T
+    def ends(self) -> tuple[FloatArray, ...]:
+        """Times, states and ``taut``, with one column each, of the ends of steps that are kept."""
+        if not self._settings.traces:
+            count = self.progress.kept
+            return self._step_times[:count], self._step_states[:count].T
+        if not self._traced:
+            return np.zeros(0), np.zeros((len(self.state), 0)), np.zeros((len(self._taut), 0))
+        time, states, taut = map(np.concatenate, zip(*self._traced, strict=True))
+        return time, states.T, taut.T
+
+    @property
+    def most_steps(self) -> int:
+        """Steps that a call may take at most: all of their parts are to be kept where traced."""
+        return self._settings.room // _PARTS if self._settings.traces else _MOST_STEPS
 
     @property
     def is_over(self) -> bool:
@@ -371,8 +386,12 @@ class CoreMotion:
             _at(scene.scene), _at(self._drive), _at(scene.lengths), _at(self._settings),
             _at(self.progress), _data(self.state), _data(self._slope), _data(self._taut),
             _data(self._states), _data(self._step_times), _data(self._step_states),
-            _data(self._work),
+            _data(self._step_taut), _data(self._work),
         )  # fmt: skip
+        if self._settings.traces:
+            count, self.progress.kept = self.progress.kept, 0
+            ends = self._step_times, self._step_states, self._step_taut
+            self._traced.append(tuple(part[:count].copy() for part in ends))
 
 
 def times_in_rows(motion: FloatArray) -> FloatArray:

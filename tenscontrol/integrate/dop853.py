@@ -24,6 +24,7 @@ from tenscontrol.integrate.integrator import (
     Integrator,
     Report,
     Span,
+    Trace,
     Work,
     checked_tolerance,
     largest_frequency,
@@ -151,7 +152,7 @@ class DOP853(Integrator):
         if core is not None:
             settings = settings_of(
                 "dop853", duration, outputs, self._project, step, longest, allowed, self.limit,
-                room_for(len(state)) if self.keeps_steps else 0,
+                room_for(len(state)) if self.keeps_steps or self.traces else 0, self.traces,
             )  # fmt: skip
             motion = CoreMotion(core, state, held, settings, taut, slope)
             span = advance_in_core(motion, _work, _core_failure, report)
@@ -162,7 +163,8 @@ class DOP853(Integrator):
                 )
             return span
         states = np.empty((outputs, self._equation.states))
-        given = _Given(held, duration, duration / outputs, longest, allowed, states)
+        trace = Trace() if self.traces else None
+        given = _Given(held, duration, duration / outputs, longest, allowed, states, trace)
         return self._advance(given, _Motion(state, slope, taut, step), report)
 
     def _advance(self, span: _Given, now: _Motion, report: Report | None) -> Span:
@@ -175,7 +177,7 @@ class DOP853(Integrator):
             if exact.shape[1] < len(span.states) - 1:
                 raise _not_rigid(span.spacing, exact, now.work)
             span.states[:-1], span.states[-1] = exact.T, now.x
-            return Span(span.states.T, now.work)
+            return self._reached(span, now, span.states.T)
         except KeyboardInterrupt:
             raise IntegrationInterrupt(now.time, self._reached(span, now)) from None
 
@@ -195,9 +197,11 @@ class DOP853(Integrator):
                 if not is_over and now.work.evaluations >= self.limit:
                     raise IntegrationPause(now.time, now.x, self._reached(span, now))
 
-    def _reached(self, span: _Given, now: _Motion) -> Span:
+    def _reached(self, span: _Given, now: _Motion, states: FloatArray | None = None) -> Span:
         """Return the outputs so far."""
-        return Span(self._projected(span.states[: now.done].T), now.work)
+        if states is None:
+            states = self._projected(span.states[: now.done].T)
+        return Span(states, now.work, ends=None if span.trace is None else span.trace.ends)
 
     def _try_step(self, span: _Given, now: _Motion) -> None:
         """Try a step: it is accepted, cut at a switch, or thrown away."""
@@ -230,6 +234,8 @@ class DOP853(Integrator):
             factors = _factors((times - now.time) / reach)
             span.states[now.done : done] = x + factors.T @ made.T
         now.x, now.taut, now.time, now.done = end.x.copy(), end.taut, after, done
+        if span.trace is not None:
+            span.trace.append(after, now.x, taut)
         factor = _factor(error)
         if is_crossed:
             now.landings += 1
@@ -249,12 +255,14 @@ class DOP853(Integrator):
         are then what the evaluator of steps holds.
         """
         # What ending late may change of velocities, as part of what a step may err.
-        allowed = 2 * _LATE * span.allowed[-1] * (span.longest / _STABLE) ** 2
+        exact = span.trace is not None
+        allowed = 0.0 if exact else 2 * _LATE * span.allowed[-1] * (span.longest / _STABLE) ** 2
         cut = self._switches.first(step, allowed, 0.0)
         if cut is None:
             return _End(step.x1, step.h, step.taut)
         made: FloatArray | None = None
-        if error * abs(np.polynomial.polynomial.polyval(cut.part, _interpolant_error())) < _SMOOTH:
+        off = error * abs(np.polynomial.polynomial.polyval(cut.part, _interpolant_error()))
+        if off < _SMOOTH and not exact:
             ends = step.x, step.x1, step.slope, step.slope1
             made = self._interpolant(*ends, K, step.u, step.taut, step.h)[0]
             now.interpolants += 1
@@ -290,6 +298,7 @@ class _Given:
     longest: float  # step, s
     allowed: FloatArray  # error of a step
     states: FloatArray  # at the outputs, one a row
+    trace: Trace | None
 
 
 @dataclass(eq=False)

@@ -23,6 +23,7 @@ from tenscontrol.integrate.integrator import (
     Integrator,
     Report,
     Span,
+    Trace,
     Work,
 )
 from tenscontrol.integrate.projection import projected
@@ -102,7 +103,7 @@ class FixedStep(Integrator):
         step = duration / total
         states = np.empty((len(state), outputs))
         counts, done = np.zeros(len(COUNTS)), 0
-        x, taut = state, self._switches.taut(state, held)
+        x, taut, trace = state, self._switches.taut(state, held), Trace()
         try:
             # A state that is not finite is looked for, so NumPy need not warn of it.
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -112,12 +113,15 @@ class FixedStep(Integrator):
                     end, crossed = self._attempt(x, u, taut, step)
                     if crossed[0]:
                         before = counts.copy()
-                        x, taut = self._cut(x, end.copy(), crossed[0], taut, u, step, counts)
+                        given = u, step, counts, trace, step * done
+                        x, taut = self._cut(x, end.copy(), crossed[0], taut, *given)
                         if not np.isfinite(x).all():
                             reached = Span(states[:, : done // inner], self.work_of(done, before))
                             raise IntegrationError(not_finite(done, step), step * done, reached)
                     else:
                         x = end.copy()
+                        if self.traces:
+                            trace.append(step * (done + 1), x, taut)
                     if (done + 1) % inner == 0:
                         states[:, done // inner] = x
                     done += 1
@@ -126,25 +130,32 @@ class FixedStep(Integrator):
         except KeyboardInterrupt:
             reached = Span(states[:, : done // inner], self.work_of(done, counts))
             raise IntegrationInterrupt(step * done, reached) from None
-        return Span(states, self.work_of(total, counts))
+        return Span(states, self.work_of(total, counts), ends=trace.ends)
 
     def _cut(
         self, x: FloatArray, x1: FloatArray, crossed: float, taut: FloatArray, u: FloatArray,
-        h: float, counts: FloatArray,
+        h: float, counts: FloatArray, trace: Trace, time: float,
     ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
         """Return the state and ``taut`` after a step to x1, cut at its switches; count them."""
         left, layout = h, self._equation.layout
         for _ in range(SUBSTEPS):
             if not crossed > 0:
+                if self.traces:
+                    trace.append(time + h, x1, taut)
                 return x1, taut
+            before = taut
             x, taut, taken = self._landed(x, x1, taut, layout.later(u, h - left), left, counts)
             left -= taken
+            if self.traces:
+                trace.append(time + h - left, x, before)
             if left <= REST * h:
                 return x, taut
             end, (crossed,) = self._attempt(x, layout.later(u, h - left), taut, left)
             x1 = end.copy()
             counts[_MORE] += 1
         counts[_MISSED] += max(crossed, 0)
+        if self.traces:
+            trace.append(time + h, x1, taut)
         return x1, self._switches.taut(x1, layout.later(u, h))
 
     def _landed(
@@ -157,7 +168,7 @@ class FixedStep(Integrator):
         slope1 = self._slope(x1, layout.later(u, h), taut)[0]
         step = Step(x, slope, x1, slope1, u, taut, h)
         counts[_LANDINGS] += 1
-        cut = self._switches.first(step, 0.0, LATE)
+        cut = self._switches.first(step, 0.0, 0.0 if self.traces else LATE)
         if cut is None:
             return x1, taut, h
         x1, part, tries = self._switches.approach(
@@ -224,7 +235,8 @@ class RK4(FixedStep):
         inner = self.steps_between(duration, outputs)
         step = duration / (inner * outputs)
         settings = settings_of("rk4", duration, outputs, self._project, step=self.step)
-        settings.room = room_for(len(state)) if self.keeps_steps and inner > 1 else 0
+        if self.traces or (self.keeps_steps and inner > 1):
+            settings.room, settings.traces = room_for(len(state)), self.traces
         motion = CoreMotion(scene, state, held, settings, scene.taut(state, held))
 
         def work(progress: Progress) -> Work:

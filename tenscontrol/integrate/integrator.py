@@ -79,10 +79,32 @@ class StepEnds:
     time : ndarray, shape (K,)
         After the start of the span, s, ascending.
     states : ndarray, shape (states, K)
+    taut : ndarray, shape (switches, K), optional
+        What pulled and pressed in the step that ended there, where it was traced.
     """
 
     time: FloatArray
     states: FloatArray
+    taut: FloatArray | None = None
+
+
+class Trace:
+    """The ends of steps of a span, one by one, where all are kept."""
+
+    def __init__(self) -> None:
+        self._ends: list[tuple[float, FloatArray, FloatArray]] = []
+
+    def append(self, time: float, state: FloatArray, taut: FloatArray) -> None:
+        """Keep the end of a step, with what pulled and pressed in it."""
+        self._ends.append((time, state.copy(), taut.copy()))
+
+    @property
+    def ends(self) -> StepEnds | None:
+        """What was kept; None where nothing was."""
+        if not self._ends:
+            return None
+        time, states, taut = zip(*self._ends, strict=True)
+        return StepEnds(np.array(time), np.column_stack(states), np.column_stack(taut))
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,6 +243,10 @@ class Integrator(ABC):
 
     #: Whether ends of steps are kept, of what runs in the core; see :attr:`Span.ends`.
     keeps_steps = False
+
+    #: Whether each step ends at its first switch, as near as it can, and all ends are kept, with
+    #: what pulled in the step. Of explicit methods.
+    traces = False
 
     def __init__(self, equation: Equation, project: bool = False) -> None:
         validation.instance("equation", equation, Equation, "make one by model.equation(input)")

@@ -76,6 +76,7 @@ class PlantRun:
     output_step: float = 0.0
     report: Callable[[float], None] | None = None  # of the time reached, s
     keeps_steps: bool = False  # whether ends of steps are kept beside states at outputs
+    traces: bool = False  # whether all are, with what pulled; see Integrator.traces
     spans: list[RunSpan] = field(init=False, default_factory=list)
     moves: bool = field(init=False, default=False)  # an input changes without a controller
     lost_energy: float = field(init=False, default=0.0)
@@ -169,7 +170,7 @@ class PlantRun:
         # Not what the user says of a method that he has not chosen, and that needs no projection.
         project = how.project if method.drifts or self._method is not None else None
         integrator = method.integrator(equation, value, self.choice.setting, project)
-        integrator.keeps_steps = self.keeps_steps
+        integrator.keeps_steps, integrator.traces = self.keeps_steps, self.traces
         return integrator
 
     def go_to(self, time: float) -> None:

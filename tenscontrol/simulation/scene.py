@@ -527,13 +527,17 @@ class Scene:
         is_wound = self.input == "rest_length" and self.winches is not None
         return self.winches.degree if is_wound and self.winches is not None else 0
 
-    def plant_run(self, report: Callable[[float], None] | None = None) -> PlantRun:
+    def plant_run(
+        self, report: Callable[[float], None] | None = None, traces: bool = False
+    ) -> PlantRun:
         """Return the plant side of a run, at its start.
 
         Parameters
         ----------
         report : callable, optional
             It is told the time reached, s.
+        traces : bool
+            Whether all steps are kept; see :attr:`Integrator.traces`.
         """
         return PlantRun(
             self.model,
@@ -549,6 +553,7 @@ class Scene:
             output_step=self._output_step,
             report=report,
             keeps_steps=self._keeps_steps,
+            traces=traces,
         )
 
     @property
@@ -589,6 +594,19 @@ class Scene:
         parts += [f"{self.duration:g} s"]
         parts += [f"{self.input} held" if self.law is None else self.law.label]
         return f"Scene({', '.join(parts)}, {self.structure.nodes.shape[1]} nodes)"
+
+
+def traced(scene: Scene) -> PlantRun:
+    """Return the motion of a scene with all of its steps, by a method that can be traced."""
+    run = scene.plant_run(traces=True)
+    if scene.law is None:
+        assert scene.inputs is not None  # held in open loop
+        run.run(scene.state, scene.inputs, scene.duration)
+        return run
+    estimator = scene.estimator
+    with scene.law.in_use, nullcontext() if estimator is None else estimator.in_use:
+        _loop(scene, run).run(scene.state)
+    return run
 
 
 def run_scene(scene: Scene, progress: bool) -> Trajectory:

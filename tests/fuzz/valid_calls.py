@@ -117,6 +117,8 @@ RESULTS = {
     "integrate.Span",
     "integrate.Watched",
     "integrate.Work",
+    "optimize.Gradient",
+    "optimize.Sensitivity",
     "plant.ActuatorChoice",
     "plant.Controllability",
     "plant.LinearPlant",
@@ -194,6 +196,7 @@ WITHIN = {
     "learning.Track.seen",
     "Model.of_parameters",
     "plot.View.open",
+    "optimize.Sensitivity.table",
     "sizing.Design.table",
     "sizing.Tube.stress",
     *(f"integrate.RK4.{name}" for name in ("smooth_step", "steps_between", "work_of")),
@@ -701,6 +704,29 @@ call(
         "restarts": 1,
         "seed": 1,
     },
+)
+
+# ---- derivatives of runs ----
+
+
+def differentiable():
+    return tc.simulate(elastic(), 0.02, rest_length=rest_length(), step=1e-3)
+
+
+call(
+    "sensitivity",
+    lambda: {"run": differentiable(), "to": ["rest_length", "stiffness"], "times": [0.01, 0.02]},
+    share=0.3,
+)
+call(
+    "gradient",
+    lambda: {
+        "run": differentiable(),
+        "cost": lambda time, nodes, velocities: nodes[2, 3],
+        "to": ["bar_mass"],
+        "times": 0.02,
+    },
+    share=0.3,
 )
 
 # ---- dynamics and actuation ----

@@ -1,0 +1,311 @@
+"""Derivatives of the equation of motion by state, input and parameters, at many states."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from tenscontrol.arrays import FloatArray
+from tenscontrol.dynamics.contact_laws import Contacts
+from tenscontrol.dynamics.equation import Equation
+from tenscontrol.dynamics.evaluator import Function, evaluate_columns
+from tenscontrol.dynamics.force import Force
+from tenscontrol.dynamics.forces import Forces
+from tenscontrol.dynamics.model import Model
+from tenscontrol.integrate.projection import projection
+from tenscontrol.optimize.parameters import Parameter, load_of_gravity
+from tenscontrol.structure.structure import Structure
+
+# Of a bar's mass, what each end has of the acceleration of itself and of the other.
+_OWN, _OTHER = 1 / 3, 1 / 6
+
+
+class _Symbol(ca.SX):  # type: ignore[misc]  # CasADi has no types
+    """A parameter that is there: laws leave out what has none."""
+
+    def __bool__(self) -> bool:
+        return True
+
+
+@dataclass(frozen=True, eq=False)
+class Slopes:
+    """Derivatives of the accelerations at K states.
+
+    Attributes
+    ----------
+    by_state : ndarray, shape (K, half, states)
+    by_input : ndarray, shape (K, half, α), or None
+    by_parameters : ndarray, shape (K, half, P)
+        By all parameters but start and input.
+    """
+
+    by_state: FloatArray
+    by_input: FloatArray | None
+    by_parameters: FloatArray
+
+
+class Derivatives:
+    """Derivatives of the equation of a model; forces are differentiated, masses are in closed form.
+
+    What a parameter changes of the forces on nodes, less what a mass changes of ``M a``, moves the
+    nodes as a load does. So this serves every structure, whatever bars share nodes.
+
+    Parameters
+    ----------
+    model : Model
+    input : {"rest_length", "force_density"}
+    degree : int
+        Of the polynomials in time that the input is made of.
+    parameters : sequence of Parameter
+    """
+
+    def __init__(
+        self, model: Model, input: str, degree: int, parameters: Sequence[Parameter]
+    ) -> None:
+        self._model, self._input = model, input
+        options: dict[str, Any] = {"degree": degree, "load_input": True}
+        equation = model.equation(input, **options)
+        if equation.form == "loops":  # without derivatives
+            equation = model.equation(input, form="mapped", **options)
+        self.equation = equation
+        self._by_input = any(each.kind == "input" for each in parameters)
+        self._of = [each for each in parameters if each.kind not in _BESIDE]
+        self._laws = [each for each in self._of if each.kind in ("strings", "ground")]
+        kept, names = model.prepared.get, tuple(each.name for each in self._laws)
+        wanted = self._by_input, bool(self._of)
+        self._jacobian = kept(
+            ("slopes", input, degree, wanted), partial(_jacobian, equation, *wanted)
+        )
+        if names:
+            self._by_law = kept(("slopes by", input, degree, names), self._force_slopes)
+        self._gap = kept(("slopes of gaps", input, degree), partial(_gap_slopes, equation))
+        self._projection = kept(("slope of projection",), partial(_projection_slope, equation))
+
+    @property
+    def structure(self) -> Structure:
+        """The structure of the model."""
+        return self._model.structure
+
+    @property
+    def half(self) -> int:
+        """Number of free coordinates."""
+        return self.equation.states // 2
+
+    def slope(self, x: FloatArray, u: FloatArray, taut: FloatArray) -> FloatArray:
+        """Return ẋ, shape (states, K), of states, inputs and switches, one a column."""
+        return evaluate_columns(self.equation.slope, x, u, taut)[0]
+
+    def at(self, x: FloatArray, u: FloatArray, taut: FloatArray, slope: FloatArray) -> Slopes:
+        """Return the derivatives at states, inputs, switches and their ẋ, one a column."""
+        found = iter(evaluate_columns(self._jacobian, x, u, taut))
+        half, count = self.half, x.shape[1]
+        by_state = _stacked(next(found), half)
+        by_input = _stacked(next(found), half) if self._by_input else None
+        if not self._of:
+            return Slopes(by_state, by_input, np.zeros((count, half, 0)))
+        by_load = _stacked(next(found), half)
+        return Slopes(by_state, by_input, by_load @ self._forces(x, u, taut, slope))
+
+    def _forces(
+        self, x: FloatArray, u: FloatArray, taut: FloatArray, slope: FloatArray
+    ) -> FloatArray:
+        """Return what parameters change of the forces on all nodes, shape (K, d n, P)."""
+        structure, count = self._model.structure, x.shape[1]
+        d, n = structure.nodes.shape
+        of_laws = iter(list[FloatArray]())
+        if self._laws:
+            values = _stacked(evaluate_columns(self._by_law, x, u, taut)[0], d * n)
+            ends = np.cumsum([each.size for each in self._laws])[:-1]
+            of_laws = iter(np.split(values, ends, axis=2))
+        moved = np.zeros((d * n, count))
+        moved[structure.free_rows] = slope[self.half :]
+        excess = self._model.gravity[:, None, None] - moved.reshape(n, d, count).swapaxes(0, 1)
+        parts: list[FloatArray] = []
+        for each in self._of:
+            if each in self._laws:
+                parts.append(next(of_laws))
+                continue
+            fixed = {"gravity": load_of_gravity, "external_force": _unit_load}.get(each.kind)
+            if fixed is not None:
+                constant = fixed(self._model)
+                parts.append(np.broadcast_to(constant, (count, *constant.shape)))
+                continue
+            part = np.zeros((count, n, d, each.size))
+            if each.kind == "point_mass":
+                nodes = np.arange(n)
+                part[:, nodes, :, nodes] = excess.transpose(1, 2, 0)
+            else:
+                self._add_bars(part, excess)
+            parts.append(part.reshape(count, d * n, each.size))
+        return np.concatenate(parts, axis=2)
+
+    def _add_bars(self, part: FloatArray, excess: FloatArray) -> None:
+        """Add what the masses of bars change, of gravity less acceleration, (d, n, K)."""
+        bars = self._model.structure.bars
+        every = np.arange(len(bars))
+        for own, other in (bars.T, bars.T[::-1]):
+            mean = _OWN * excess[:, own] + _OTHER * excess[:, other]
+            part[:, own, :, every] = mean.transpose(1, 2, 0)
+
+    def _force_slopes(self) -> ca.Function:
+        """Return ``(x, u, taut) -> dF``: forces on all nodes by the parameters of laws."""
+        model, equation = self._model, self.equation
+        x, u, taut = (ca.SX.sym(name, equation.slope.size1_in(i)) for i, name in enumerate("xut"))
+        symbols = [_Symbol(ca.SX.sym(each.field, each.size)) for each in self._laws]
+        of_strings = {
+            each.field: symbol
+            for each, symbol in zip(self._laws, symbols, strict=True)
+            if each.kind == "strings"
+        }
+        law, terms = model.forces(self._input).law, model.forces(self._input).terms
+        if law is not None:
+            law = law.with_parameters(of_strings)
+        of_ground = [
+            (each.law, each.field, symbol)
+            for each, symbol in zip(self._laws, symbols, strict=True)
+            if each.kind == "ground"
+        ]
+        forces = Forces(model.structure, law, tuple(_with_symbols(t, of_ground) for t in terms))
+        half = self.half
+        N = _all_nodes(model, x[:half], model.structure.nodes)
+        V = _all_nodes(model, x[half:], np.zeros(model.structure.nodes.shape))
+        on_nodes = forces.on_nodes(N, V, equation.of_strings(u), None, taut)
+        slopes = ca.jacobian(ca.vec(on_nodes), ca.vertcat(*symbols))
+        values = ca.vertcat(*(ca.vec(ca.DM(self._value(each))) for each in self._laws))
+        slopes = ca.substitute(slopes, ca.vertcat(*symbols), values)
+        return Function("by_laws", [x, u, taut], [ca.densify(ca.vec(slopes))])
+
+    def _value(self, parameter: Parameter) -> Any:
+        if parameter.kind == "ground":
+            return getattr(self._model.ground[parameter.law], parameter.field)
+        return getattr(self._model.forces(self._input).law, parameter.field)
+
+    def at_switches(
+        self, x: FloatArray, u: FloatArray, taut: FloatArray, changes: FloatArray
+    ) -> Switches:
+        """Return what switches at the ends of steps, one a column; ``changes`` are 1, −1 or 0."""
+        step, which = np.nonzero(changes.T)
+        if not len(step):
+            no_states, no_inputs = (
+                np.zeros((0, len(x))),
+                np.zeros((0, self.equation.layout.strings)),
+            )
+            nothing = np.zeros(0)
+            return Switches(step, which, no_states, no_inputs, nothing, no_states, nothing)
+        x, u, before = (part[:, step] for part in (x, u, taut))
+        after = before.copy()
+        after[which, np.arange(len(step))] += changes[which, step]
+        slope = self.slope(x, u, before)
+        jump = self.slope(x, u, after) - slope
+        m = self.equation.switches
+        by_state, by_input, by_time, scale = evaluate_columns(self._gap, x, u)
+        every = np.arange(len(step))
+        by_state = _stacked(by_state, m)[every, which]
+        by_input = _stacked(by_input, m)[every, which]
+        rate = (by_state * slope.T).sum(axis=1) + by_time[which, every]
+        return Switches(step, which, by_state, by_input, rate, jump.T, scale[which, every])
+
+    def projected(self, x: FloatArray) -> FloatArray | None:
+        """Return the derivative of putting bars on their lengths, shape (K, states, states)."""
+        if self._projection.n_in() == 0:
+            return None
+        return _stacked(evaluate_columns(self._projection, x)[0], self.equation.states)
+
+
+@dataclass(frozen=True, eq=False)
+class Switches:
+    """What switched at the ends of steps, one an entry.
+
+    Attributes
+    ----------
+    step, which : ndarray of int, shape (E,)
+        The step that ended so, and the switch.
+    by_state : ndarray, shape (E, states)
+        Derivative of the gap.
+    by_input : ndarray, shape (E, α)
+    rate : ndarray, shape (E,)
+        Of the gap along the motion just before, m/s.
+    jump : ndarray, shape (E, states)
+        Of ẋ.
+    scale : ndarray, shape (E,)
+        Length that the gap is measured by, m.
+    """
+
+    step: Any
+    which: Any
+    by_state: FloatArray
+    by_input: FloatArray
+    rate: FloatArray
+    jump: FloatArray
+    scale: FloatArray
+
+
+_BESIDE = {"nodes", "velocities", "input"}
+
+
+def _stacked(columns: FloatArray, rows: int) -> FloatArray:
+    """Return matrices of so many rows, (K, rows, ·), from their entries, one matrix a column."""
+    entries, count = columns.shape
+    width = entries // rows if rows else 0
+    return np.ascontiguousarray(columns.T.reshape(count, width, rows).swapaxes(1, 2))
+
+
+def _jacobian(equation: Equation, by_input: bool, by_load: bool) -> ca.Function:
+    """Return ``(x, u, taut) -> columns of the derivatives of the accelerations``."""
+    x, u, taut, _ = equation.symbols()
+    rates = equation.slope(x, u, taut)[equation.states // 2 :]
+    strings, load = equation.layout.strings, equation.layout.load
+    outputs = [ca.jacobian(rates, x)]
+    by_held: Any = ca.jacobian(rates, u) if by_input or by_load else None
+    if by_input:
+        outputs.append(by_held[:, :strings])
+    if by_load:
+        outputs.append(by_held[:, strings : strings + load])
+    return Function("slopes", [x, u, taut], [ca.densify(ca.vec(each)) for each in outputs])
+
+
+def _gap_slopes(equation: Equation) -> ca.Function:
+    """Return ``(x, u) -> columns of the gaps by state, by input, by time, and their scale``."""
+    x, u, *_ = equation.symbols()
+    gap = equation.gap(x, u)[0]
+    by_held, strings = ca.jacobian(gap, u), equation.layout.strings
+    by_time = by_held[:, -1] if equation.layout.degree else type(x)(*gap.shape)
+    outputs = [ca.jacobian(gap, x), by_held[:, :strings], by_time, equation.gap_scale(u)]
+    return Function("gap_slopes", [x, u], [ca.densify(ca.vec(each)) for each in outputs])
+
+
+def _projection_slope(equation: Equation) -> ca.Function:
+    exact = projection(equation)
+    if exact is None:
+        return Function("nothing", [], [])
+    x = (ca.SX if exact.is_a("SXFunction") else ca.MX).sym("x", equation.states)
+    return Function("projection_slope", [x], [ca.densify(ca.vec(ca.jacobian(exact(x), x)))])
+
+
+def _with_symbols(term: Force, symbols: list[tuple[int, str, Any]]) -> Force:
+    """Return a force with symbols for numbers of its contact laws."""
+    if not isinstance(term, Contacts) or not symbols:
+        return term
+    laws = [copy(law) for law in term.laws]
+    for i, name, symbol in symbols:
+        object.__setattr__(laws[i], name, symbol)
+    return Contacts(tuple(laws), term.nodes, term.switch)
+
+
+def _all_nodes(model: Model, free: Any, held: FloatArray) -> Any:
+    """Return columns of all nodes, (d, n), from what supports leave free and what they hold."""
+    nodes = ca.SX(ca.DM(held.ravel(order="F")))
+    nodes[model.structure.free_rows.tolist()] = free
+    return ca.reshape(nodes, *held.shape)
+
+
+def _unit_load(model: Model) -> FloatArray:
+    d, n = model.structure.nodes.shape
+    rows = np.arange(d * n).reshape(n, d).T.ravel()  # node by node, of a load (d, n)
+    return np.eye(d * n)[:, rows]

@@ -1,0 +1,135 @@
+"""Parameters that a run can be differentiated by."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray
+from tenscontrol.dynamics.contact_laws import ContactLaw
+from tenscontrol.dynamics.model import Model
+from tenscontrol.dynamics.profile import Pieces, Profile, polynomial_at
+from tenscontrol.simulation.scene import Scene
+
+# Of contact laws, what is no number to differentiate by.
+_NO_NUMBER = {"normal", "nodes"}
+
+
+@dataclass(frozen=True, eq=False)
+class Parameter:
+    """Something that a run depends on.
+
+    Attributes
+    ----------
+    name : str
+    kind : {"nodes", "velocities", "input", "strings", "ground", "bar_mass", "point_mass", \
+"gravity", "external_force"}
+    shape : tuple of int
+    pieces : Pieces, optional
+        Of an input that is a profile: what the values at its K times count by, one row each.
+    law : int
+        Which contact law, of the ground.
+    field : str
+        Which parameter of a law.
+    """
+
+    name: str
+    kind: str
+    shape: tuple[int, ...]
+    pieces: Pieces | None = None
+    law: int = 0
+    field: str = ""
+
+    @property
+    def size(self) -> int:
+        """Number of entries."""
+        return int(np.prod(self.shape))
+
+
+def parameters_of(scene: Scene, to: object) -> tuple[Parameter, ...]:
+    """Return what a run of a scene is to be differentiated by, after checking the names."""
+    if isinstance(to, str) or not isinstance(to, Sequence):
+        raise validation.wrong_kind("to", to, "a list of names, as ['rest_length', 'stiffness']")
+    known = known_parameters(scene)
+    if not len(to):
+        raise ValueError(f"to is empty, expected some of {sorted(known)}")
+    names = [validation.choice(f"to[{i}]", name, known) for i, name in enumerate(to)]
+    twice = {name for name in names if names.count(name) > 1}
+    if twice:
+        raise ValueError(f"to names {sorted(twice)} twice, expected each once")
+    return tuple(known[name] for name in names)
+
+
+def known_parameters(scene: Scene) -> dict[str, Parameter]:
+    """Return all that a run of a scene can be differentiated by."""
+    model = scene.model
+    shape = model.structure.nodes.shape
+    d, n = shape
+    found = [Parameter("nodes", "nodes", shape), Parameter("velocities", "velocities", shape)]
+    if len(model.structure.strings):
+        found.append(_input(scene))
+    if scene.input == "rest_length":
+        law: Any = model.strings
+        count = len(model.structure.strings)
+        found += [
+            Parameter(each.name, "strings", (count,), field=each.name) for each in fields(law)
+        ]
+    found += [
+        Parameter("bar_mass", "bar_mass", (len(model.structure.bars),)),
+        Parameter("point_mass", "point_mass", (n,)),
+        Parameter("gravity", "gravity", (d,)),
+        Parameter("external_force", "external_force", shape),
+    ]
+    several = len(model.ground) > 1
+    for i, ground in enumerate(model.ground):
+        label = f"ground[{i}]" if several else "ground"
+        found += [
+            Parameter(f"{label}.{name}", "ground", (), law=i, field=name)
+            for name in numbers_of(ground)
+        ]
+    return {each.name: each for each in found}
+
+
+def numbers_of(law: ContactLaw) -> list[str]:
+    """Return the names of the numbers in a contact law."""
+    names = (each.name for each in fields(law) if each.name not in _NO_NUMBER)
+    return [name for name in names if isinstance(getattr(law, name), float)]
+
+
+def _input(scene: Scene) -> Parameter:
+    """Return the input of the strings: constant, at the times of a profile, or a sample."""
+    count, given = len(scene.structure.strings), getattr(scene, scene.input)
+    if scene.law is None and isinstance(given, Profile) and given.values.ndim == 2:
+        unit = Profile(given.time, np.eye(len(given.time)), given.interpolation)
+        return Parameter(scene.input, "input", (count, len(given.time)), unit.pieces)
+    if scene.law is None:
+        return Parameter(scene.input, "input", (count,))
+    ticks = np.arange(scene.begin, scene.begin + scene.duration * (1 - 1e-9), scene.law.sample_time)
+    unit = Profile(ticks, np.eye(len(ticks)), "hold")
+    return Parameter(scene.input, "input", (count, len(ticks)), unit.pieces)
+
+
+def shares(parameter: Parameter, time: FloatArray, within: FloatArray) -> FloatArray | None:
+    """Return by what the values of a profile count at times, shape (K, T).
+
+    By the pieces of the times ``within``, of which they may be the ends. None for an input that is
+    one number a string.
+    """
+    pieces = parameter.pieces
+    if pieces is None:
+        return None
+    i = pieces.index(within)
+    return polynomial_at(pieces.coefficients[i].transpose(1, 2, 0), time - pieces.origin[i])
+
+
+def load_of_gravity(model: Model) -> FloatArray:
+    """Return the weights by an acceleration of one along each axis, shape (d n, d), kg."""
+    from tenscontrol.dynamics.equation import gravity_forces
+
+    structure, d = model.structure, model.structure.dimension
+    weights = gravity_forces(structure, np.eye(d), structure.bar_mass, structure.point_mass)
+    return np.stack([each.ravel(order="F") for each in weights], axis=1)

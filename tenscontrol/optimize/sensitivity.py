@@ -1,0 +1,328 @@
+"""Derivatives of a run by what it depends on: of its motion, and of costs of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, frozen
+from tenscontrol.dynamics.equation import unpack_states
+from tenscontrol.integrate.methods import Choice
+from tenscontrol.optimize.derivatives import Derivatives
+from tenscontrol.optimize.parameters import parameters_of
+from tenscontrol.optimize.traced_steps import steps_of
+from tenscontrol.optimize.variations import Variations
+from tenscontrol.simulation.health import HealthLimits
+from tenscontrol.simulation.scene import Scene, traced
+from tenscontrol.simulation.trajectory import Trajectory
+from tenscontrol.tables import aligned
+
+# The methods that can be differentiated, and the one in place of what a tolerance leaves open.
+_METHODS = ("rk4", "dop853")
+
+# A switch that is passed slower than this part of the largest speed of its kind may not be met at
+# all by a run next to it.
+_GRAZING = 1e-3
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Sensitivity:
+    """Derivatives of a motion by what it depends on. Made by :func:`sensitivity`.
+
+    Attributes
+    ----------
+    run : Trajectory
+        The motion that is differentiated.
+    time : ndarray, shape (T,)
+        s.
+    nodes, velocities : mapping of str to ndarray, shape (d, n, T, ...)
+        Derivatives of the nodes, m, and of their velocities, m/s, by each parameter; the last axes
+        are those of the parameter.
+    switches : int
+        Switches of strings and contacts that the derivatives take into account.
+    grazing : tuple of float
+        Times of switches that are passed so slowly that a run next to it may not have them, s: the
+        derivative holds for smaller changes only.
+    """
+
+    run: Trajectory
+    time: FloatArray
+    nodes: Mapping[str, FloatArray]
+    velocities: Mapping[str, FloatArray]
+    switches: int
+    grazing: tuple[float, ...]
+
+    @property
+    def trusted_until(self) -> float | None:
+        """Time up to which the run itself can be trusted, s; beyond, so is its derivative not."""
+        return self.run.trusted_until
+
+    def table(self) -> str:
+        """Return the largest derivatives of the nodes at the last time, as text."""
+        rows = []
+        for name, by in self.nodes.items():
+            last = np.abs(by[:, :, -1])
+            place = np.unravel_index(int(last.argmax()), last.shape)
+            axis, node, *entry = (int(i) for i in place)
+            rows.append(
+                [name, f"{last.max():.4g}", f"{'xyz'[axis]} of node {node}",
+                 ", ".join(map(str, entry)) or "-"]
+            )  # fmt: skip
+        return aligned(["parameter", "largest", "of", "by entry"], rows)
+
+    def __repr__(self) -> str:
+        names = ", ".join(f"{name} {by.shape[3:]}" for name, by in self.nodes.items())
+        until = f"{len(self.time)} times up to {self.time[-1]:g} s"
+        return f"Sensitivity(by {names}; {until}, {self.switches} switches)"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Gradient:
+    """A cost of a run and its derivatives. Made by :func:`gradient`.
+
+    Attributes
+    ----------
+    run : Trajectory
+    value : float
+        The cost.
+    slope : mapping of str to ndarray
+        Its derivative by each parameter, in the shape of the parameter.
+    switches : int
+    grazing : tuple of float
+        As of :class:`Sensitivity`.
+    """
+
+    run: Trajectory
+    value: float
+    slope: Mapping[str, FloatArray]
+    switches: int
+    grazing: tuple[float, ...]
+
+    def __repr__(self) -> str:
+        names = ", ".join(f"{name} {by.shape}" for name, by in self.slope.items())
+        return f"Gradient({self.value:.6g}, by {names}, {self.switches} switches)"
+
+
+def sensitivity(run: Trajectory, to: object, times: object = None) -> Sensitivity:
+    """Return the derivatives of a run by what it depends on, through its switches.
+
+    The steps of the run are differentiated as they were taken, and its landings where strings go
+    slack or taut and contacts open or close. One pass gives the derivatives by all parameters.
+
+    Parameters
+    ----------
+    run : Trajectory
+        Made by :func:`simulate`, of the methods "auto", "rk4" or "dop853".
+    to : list of str
+        What to differentiate by: ``"nodes"`` and ``"velocities"`` at the start; the input,
+        ``"rest_length"`` or ``"force_density"``; parameters of the string law, as ``"stiffness"``
+        and ``"damping"``; ``"bar_mass"``, ``"point_mass"``, ``"gravity"``, ``"external_force"``;
+        and those of the ground, as ``"ground.stiffness"``, or ``"ground[1].friction"`` of several.
+    times : float or array_like, shape (T,), optional
+        Ascending, s; the end of the run if not given.
+
+    Returns
+    -------
+    Sensitivity
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is of the wrong kind, a name is not one of the run's parameters, or the run
+        cannot be differentiated: by another method, with moving supports, or a copy or from a file.
+
+    Notes
+    -----
+    Of an input that is a :class:`Profile` the derivatives are those by its values, shape (α, K); of
+    a controller's, by a change over each of its samples, with its commands as they were. A change
+    of the nodes or velocities at the start is projected onto what keeps the bars' lengths, as
+    :func:`simulate` does. A change of a mass changes its weight, too.
+
+    Where a damped string goes taut, its force jumps, and the derivatives with it. Elsewhere forces
+    are continuous. The steps are those of the run's method and its step or tolerance: the error of
+    a derivative is of the same order as that of the motion.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> model = tc.Model(tc.prism(), strings=tc.LinearStrings(100.0, damping=0.5))
+    >>> run = tc.simulate(model, 1.0, rest_length=0.9 * tc.prism().string_length())
+    >>> tangent = tc.sensitivity(run, ["rest_length", "stiffness"])
+    >>> tangent.nodes["rest_length"].shape
+    (3, 6, 1, 9)
+    """
+    work = _Differentiable(run, to, times)
+    half, structure = work.variations.derivatives.half, run.structure
+    found = work.variations.forward()
+    nodes, velocities = dict[str, FloatArray](), dict[str, FloatArray]()
+    d, n = structure.nodes.shape
+    for each, columns in zip(work.parameters, work.variations.columns, strict=True):
+        for part, into in ((slice(half), nodes), (slice(half, None), velocities)):
+            own = np.zeros((n * d, len(found), each.size))
+            own[structure.free_rows] = found[:, part, columns].swapaxes(0, 1)
+            whole = own.reshape(n, d, len(found), *each.shape).swapaxes(0, 1)
+            into[each.name] = frozen(whole)
+    return Sensitivity(
+        run, frozen(work.times), MappingProxyType(nodes), MappingProxyType(velocities),
+        len(work.variations.switches.step), work.grazing,
+    )  # fmt: skip
+
+
+def gradient(
+    run: Trajectory, cost: Callable[[Any, Any, Any], Any], to: object, times: object = None
+) -> Gradient:
+    """Return a cost of a run and its derivatives by all parameters, in one pass backward.
+
+    It takes about as long as a few runs, however many parameters there are.
+
+    Parameters
+    ----------
+    run : Trajectory
+        As of :func:`sensitivity`.
+    cost : callable
+        ``(time, nodes, velocities) -> cost``, one number, in CasADi: of a time, s, the nodes, m,
+        and their velocities, m/s, shape (d, n). Added up over the times.
+    to : list of str
+        As of :func:`sensitivity`.
+    times : float or array_like, shape (T,), optional
+        As of :func:`sensitivity`.
+
+    Returns
+    -------
+    Gradient
+
+    Raises
+    ------
+    TypeError, ValueError
+        As :func:`sensitivity`, or if the cost is not a number in CasADi.
+
+    Examples
+    --------
+    How high the prism stands after a second, by its rest lengths:
+
+    >>> import tenscontrol as tc
+    >>> model = tc.Model(tc.prism(), strings=tc.LinearStrings(100.0, damping=0.5))
+    >>> run = tc.simulate(model, 1.0, rest_length=0.9 * tc.prism().string_length())
+    >>> height = lambda time, nodes, velocities: nodes[2, 3]
+    >>> tc.gradient(run, height, ["rest_length"]).slope["rest_length"].shape
+    (9,)
+    """
+    validation.function("cost", cost, "(time, nodes, velocities) -> a number in CasADi")
+    work = _Differentiable(run, to, times)
+    states, structure = work.states, run.structure
+    function = _cost_function(cost, structure.nodes.shape)
+    value, costs = 0.0, np.zeros(states.T.shape)
+    nodes, velocities = unpack_states(structure, states)
+    rows = structure.free_rows
+    for i, time in enumerate(work.times):
+        one, by_nodes, by_velocities = function(time, nodes[:, :, i], velocities[:, :, i])
+        value += float(one)
+        by = [np.asarray(part.full()).ravel(order="F")[rows] for part in (by_nodes, by_velocities)]
+        costs[i] = np.concatenate(by)
+    if not (np.isfinite(value) and np.isfinite(costs).all()):
+        raise ValueError("cost or its slope is not finite at the motion of the run")
+    found = work.variations.backward(costs)
+    slope = {
+        each.name: frozen(found[columns].reshape(each.shape))
+        for each, columns in zip(work.parameters, work.variations.columns, strict=True)
+    }
+    switches = len(work.variations.switches.step)
+    return Gradient(run, value, MappingProxyType(slope), switches, work.grazing)
+
+
+def _cost_function(cost: Callable[[Any, Any, Any], Any], shape: tuple[int, ...]) -> ca.Function:
+    time, nodes, velocities = ca.MX.sym("time"), ca.MX.sym("N", *shape), ca.MX.sym("V", *shape)
+    found = cost(time, nodes, velocities)
+    if isinstance(found, (int, float, ca.DM)):
+        found = ca.MX(found)
+    if not isinstance(found, ca.MX) or found.numel() != 1:
+        raise validation.wrong_kind(
+            "what cost returns", found, "one number in CasADi, as ca.sumsqr(nodes - goal)"
+        )
+    slopes = (ca.gradient(found, part) for part in (nodes, velocities))
+    return ca.Function("cost", [time, nodes, velocities], [found, *slopes])
+
+
+class _Differentiable:
+    """A run, checked, traced again, with what carries its variations."""
+
+    def __init__(self, run: Trajectory, to: object, times: object) -> None:
+        validation.instance("run", run, Trajectory, "make one by simulate(model, ...)")
+        scene = run.scene
+        if not isinstance(scene, Scene):
+            raise ValueError(
+                "run has no scene to be run again: it is a copy, from a file or a batch, or goes "
+                "on from another run. Give one that simulate(...) returned"
+            )
+        if scene.support_motion is not None:
+            raise ValueError("run has supports that move, through which no derivative is taken")
+        if run.stopped is not None:
+            raise ValueError(f"run {run.stopped}, expected one that reached its end")
+        self.parameters = parameters_of(scene, to)
+        self.times = _checked_times(run, times)
+        plant = traced(_explicit(scene, run.choice))
+        load = plant.load if isinstance(plant.load, np.ndarray) else scene.model.constant_force
+        steps = steps_of(plant, load)
+        derivatives = Derivatives(scene.model, scene.input, steps.layout.degree, self.parameters)
+        self.variations = Variations(steps, derivatives, self.parameters, self.times)
+
+    @property
+    def states(self) -> FloatArray:
+        """States at the times, shape (states, T)."""
+        return self.variations.motion()
+
+    @property
+    def grazing(self) -> tuple[float, ...]:
+        """Times of switches that are passed slowly, s."""
+        switches, steps = self.variations.switches, self.variations.steps
+        if not len(switches.step):
+            return ()
+        speed = np.abs(steps.states[len(steps.states) // 2 :]).max()
+        slow = np.abs(switches.rate) < _GRAZING * speed
+        ends = (steps.begin + steps.length)[switches.step[slow]]
+        return tuple(float(t) for t in ends)
+
+
+def _explicit(scene: Scene, choice: Choice) -> Scene:
+    """Return a scene by a method that can be traced, the same as in its run if it can."""
+    how = scene.integration
+    used = set(choice.methods)
+    if how.method == "auto":
+        method = "rk4" if how.step is not None else "dop853"
+    elif used <= set(_METHODS):
+        method = choice.method
+    else:
+        raise ValueError(
+            f"run is by the method {choice.method!r}, expected one of {list(_METHODS)}, or 'auto': "
+            "implicit methods and those of your own are not differentiated"
+        )
+    whole = None if method == "rk4" else scene.duration
+    integration = replace(
+        how, method=method, error="none", limits=HealthLimits(crossings=None),
+        output_step=how.output_step if whole is None else whole,
+    )  # fmt: skip
+    return replace(scene, integration=integration)
+
+
+def _checked_times(run: Trajectory, times: object) -> FloatArray:
+    if times is None:
+        return run.time[-1:].copy()
+    array = np.atleast_1d(validation.float_array("times", times))
+    if array.ndim != 1 or not len(array):
+        raise ValueError(f"times has shape {array.shape}, expected (T,): at least one time, s")
+    first, last = float(run.time[0]), float(run.time[-1])
+    if (np.diff(array) <= 0).any():
+        raise ValueError("times do not ascend, expected each later than the one before, s")
+    close = 1e-9 * (last - first)
+    if array[0] < first - close or array[-1] > last + close:
+        raise ValueError(
+            f"times run from {array[0]:g} s to {array[-1]:g} s, expected times of the run, from "
+            f"{first:g} s to {last:g} s"
+        )
+    return np.clip(array, first, last)

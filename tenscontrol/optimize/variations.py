@@ -1,0 +1,383 @@
+"""Small changes of a run, carried over its steps forward, and costs backward."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, IntArray
+from tenscontrol.interrupt import check
+from tenscontrol.optimize.derivatives import Derivatives, Slopes, Switches
+from tenscontrol.optimize.parameters import Parameter, shares
+from tenscontrol.optimize.traced_steps import TracedSteps
+from tenscontrol.properties import cached_property
+
+# Numbers of the derivatives that are held at a time.
+_MOST_NUMBERS = 8_000_000
+
+
+class Tableau(NamedTuple):
+    """An explicit Runge-Kutta method."""
+
+    a: FloatArray
+    b: FloatArray
+    c: FloatArray
+
+
+def tableau(method: str) -> Tableau:
+    """Return the coefficients of a method by name."""
+    if method == "rk4":
+        a = np.zeros((4, 4))
+        a[1, 0] = a[2, 1] = 0.5
+        a[3, 2] = 1.0
+        return Tableau(a, np.array([1, 2, 2, 1]) / 6, np.array([0, 0.5, 0.5, 1]))
+    from scipy.integrate import DOP853
+
+    return Tableau(DOP853.A, DOP853.B, DOP853.C)
+
+
+class _Leg(NamedTuple):
+    """A step, or a part of one up to a time that is asked for, with its derivatives."""
+
+    step: int
+    length: float
+    output: int  # -1: the whole step
+    stages: Slopes  # at its stages
+    shares: list[FloatArray | None]  # of each input, at the stages, (s, K)
+
+
+@dataclass(frozen=True, eq=False)
+class Variations:
+    """The derivative of a run, step by step: of the steps as they were taken, landings included.
+
+    At a switch the motions before and after differ where the slope jumps: ``X + (f⁺ − f⁻)(g_x X +
+    g_p)/ġ``, of each string that switches there (I. A. Hiskens & M. A. Pai, *Trajectory
+    sensitivity analysis of hybrid systems*, 2000, doi:10.1109/81.828574).
+
+    Parameters
+    ----------
+    steps : TracedSteps
+    derivatives : Derivatives
+    parameters : sequence of Parameter
+    times : ndarray, shape (T,)
+        At which derivatives are asked for, s, ascending.
+    """
+
+    steps: TracedSteps
+    derivatives: Derivatives
+    parameters: Sequence[Parameter]
+    times: FloatArray
+
+    @cached_property
+    def switches(self) -> Switches:
+        """What switched, and what that changes."""
+        steps = self.steps
+        ends = steps.inputs
+        if steps.layout.degree:
+            ends = ends.copy()
+            ends[-1] += steps.length
+        return self.derivatives.at_switches(steps.states[:, 1:], ends, steps.taut, steps.switched)
+
+    @cached_property
+    def columns(self) -> list[slice]:
+        """Which columns of a derivative are those of each parameter."""
+        ends = np.cumsum([0, *(each.size for each in self.parameters)])
+        return [slice(int(a), int(b)) for a, b in pairwise(ends)]
+
+    def forward(self) -> FloatArray:
+        """Return the derivatives of x at the times, shape (T, states, P)."""
+        size = sum(each.size for each in self.parameters)
+        X = self._start()
+        found = np.empty((len(self.times), len(X), size))
+        found[self.times <= self.steps.begin[0]] = X
+        b, at = self._tableau.b, self._first_switch
+        for leg in self._legs(range(len(self.steps.length))):
+            check()
+            K = self._slopes(X, leg)
+            reached = X + leg.length * (b @ K.reshape(len(b), -1)).reshape(X.shape)
+            if leg.output >= 0:
+                found[leg.output] = reached
+                continue
+            X = reached
+            exact = self._exact(leg.step)
+            if exact is not None:
+                X = exact @ X
+            for e in range(at[leg.step], at[leg.step + 1]):
+                X = X + self._jumped(e, X)
+            found[self._ends[leg.step]] = X
+        return found
+
+    def motion(self) -> FloatArray:
+        """Return the states at the times, shape (states, T)."""
+        steps, b = self.steps, self._tableau.b
+        ends, parts = self._places
+        found = np.repeat(steps.states[:, :1], len(self.times), axis=1)
+        for k, which in enumerate(ends):
+            found[:, which] = steps.states[:, [k + 1]]
+        plan = [(k, length, i) for k, own in enumerate(parts) for length, i in own]
+        if plan:
+            of, outputs = (np.array([each[j] for each in plan]) for j in (0, 2))
+            h = np.array([length for _, length, _ in plan])
+            slopes = self._stages(of, h)[0]
+            found[:, outputs] = steps.states[:, of] + h * sum(
+                weight * slope for weight, slope in zip(b, slopes, strict=True)
+            )
+        return found
+
+    def backward(self, costs: FloatArray) -> FloatArray:
+        """Return derivatives of a cost by the parameters, shape (P,), from those by x at the times.
+
+        Parameters
+        ----------
+        costs : ndarray, shape (T, states)
+        """
+        a, b = self._tableau.a, self._tableau.b
+        half, at = self.derivatives.half, self._first_switch
+        slope = np.zeros(sum(each.size for each in self.parameters))
+        mu = np.zeros(costs.shape[1])
+        partial = np.zeros_like(mu)
+        for leg in self._legs(range(len(self.steps.length) - 1, -1, -1)):
+            check()
+            if leg.output >= 0:
+                end = costs[leg.output]
+            else:
+                mu = mu + partial + costs[self._ends[leg.step]].sum(axis=0)
+                partial = np.zeros_like(mu)
+                for e in range(at[leg.step + 1] - 1, at[leg.step] - 1, -1):
+                    mu = self._jumped_back(e, mu, slope)
+                exact = self._exact(leg.step)
+                end = mu if exact is None else exact.T @ mu
+            back, stages = end.copy(), len(b)
+            later = np.zeros((stages, len(mu)))
+            for i in reversed(range(stages)):
+                kappa = leg.length * (b[i] * end + a[i + 1 :, i] @ later[i + 1 :])
+                later[i] = kappa[half:] @ leg.stages.by_state[i]
+                later[i, half:] += kappa[:half]
+                back += later[i]
+                self._add_sources(slope, leg, i, kappa[half:])
+            if leg.output >= 0:
+                partial += back
+            else:
+                mu = back
+        mu = mu + partial + costs[self.times <= self.steps.begin[0]].sum(axis=0)
+        return np.asarray(slope + mu @ self._start())
+
+    # ---- a step ----
+
+    def _slopes(self, X: FloatArray, leg: _Leg) -> FloatArray:
+        """Return the derivatives of the slopes of the stages, shape (stages, states, P)."""
+        a, half = self._tableau.a, self.derivatives.half
+        K = np.empty((len(a), *X.shape))
+        flat = K.reshape(len(a), -1)
+        for i in range(len(a)):
+            Y = X
+            if i:
+                Y = X + leg.length * (a[i, :i] @ flat[:i]).reshape(X.shape)
+            K[i, :half] = Y[half:]
+            np.matmul(leg.stages.by_state[i], Y, out=K[i, half:])
+            self._add_to(K[i, half:], leg, i)
+        return K
+
+    def _add_to(self, rates: FloatArray, leg: _Leg, stage: int) -> None:
+        """Add what the parameters themselves change of the accelerations in a stage."""
+        first = 0
+        for each, columns, part in zip(self.parameters, self.columns, leg.shares, strict=True):
+            if each.kind == "input":
+                by_input = leg.stages.by_input
+                assert by_input is not None  # it was asked for
+                if part is None:
+                    rates[:, columns] += by_input[stage]
+                    continue
+                for k in np.flatnonzero(part[stage]):
+                    rates[:, columns][:, k :: len(part[stage])] += part[stage, k] * by_input[stage]
+            elif each.kind not in ("nodes", "velocities"):
+                own = leg.stages.by_parameters[stage]
+                rates[:, columns] += own[:, first : first + each.size]
+                first += each.size
+
+    def _add_sources(self, slope: FloatArray, leg: _Leg, stage: int, kappa: FloatArray) -> None:
+        """Add what a cost of the accelerations in a stage makes of the parameters."""
+        first, own = 0, kappa @ leg.stages.by_parameters[stage]
+        for each, columns, part in zip(self.parameters, self.columns, leg.shares, strict=True):
+            if each.kind == "input":
+                assert leg.stages.by_input is not None  # it was asked for
+                by_input = kappa @ leg.stages.by_input[stage]
+                slope[columns] += (
+                    by_input if part is None else np.outer(by_input, part[stage]).ravel()
+                )
+            elif each.kind not in ("nodes", "velocities"):
+                slope[columns] += own[first : first + each.size]
+                first += each.size
+
+    # ---- starts and switches ----
+
+    def _start(self) -> FloatArray:
+        """Return the derivative of the state at the start, shape (states, P)."""
+        half, structure = self.derivatives.half, self.derivatives.structure
+        X = np.zeros((2 * half, sum(each.size for each in self.parameters)))
+        exact = self.derivatives.projected(self.steps.states[:, :1])
+        whole = np.eye(2 * half) if exact is None else exact[0]
+        d, n = structure.nodes.shape
+        place = np.arange(d * n).reshape(d, n).ravel(order="F")  # of x's entries in an array (d, n)
+        for each, columns in zip(self.parameters, self.columns, strict=True):
+            if each.kind in ("nodes", "velocities"):
+                part = slice(half) if each.kind == "nodes" else slice(half, None)
+                X[:, columns.start + place[structure.free_rows]] = whole[:, part]
+        return X
+
+    def _gap_by(self, e: int) -> Iterator[tuple[slice | IntArray, FloatArray]]:
+        """Yield columns of inputs and what they change of the gap of a switch."""
+        switches, steps = self.switches, self.steps
+        k = switches.step[e]
+        begin, length = steps.begin[[k]], steps.length[k]
+        for each, columns in zip(self.parameters, self.columns, strict=True):
+            if each.kind != "input":
+                continue
+            part = shares(each, begin + length, begin + length / 2)
+            by_input = switches.by_input[e]
+            yield columns, by_input if part is None else np.outer(by_input, part[:, 0]).ravel()
+
+    def _jumped(self, e: int, X: FloatArray) -> FloatArray:
+        """Return what a switch adds to the derivative."""
+        switches = self.switches
+        moved = switches.by_state[e] @ X
+        for columns, change in self._gap_by(e):
+            moved[columns] += change
+        return np.outer(switches.jump[e], moved / switches.rate[e])
+
+    def _jumped_back(self, e: int, mu: FloatArray, slope: FloatArray) -> FloatArray:
+        """Return a cost by x before a switch, from that after it."""
+        switches = self.switches
+        weight = float(switches.jump[e] @ mu / switches.rate[e])
+        for columns, change in self._gap_by(e):
+            slope[columns] += weight * change
+        return np.asarray(mu + weight * switches.by_state[e])
+
+    # ---- what is prepared ----
+
+    @cached_property
+    def _tableau(self) -> Tableau:
+        return tableau(self.steps.method)
+
+    @cached_property
+    def _first_switch(self) -> IntArray:
+        """Where the switches at the end of each step begin, shape (K + 1,)."""
+        return np.searchsorted(self.switches.step, np.arange(len(self.steps.length) + 1))
+
+    @cached_property
+    def _exact_slopes(self) -> dict[int, FloatArray]:
+        return {}
+
+    def _exact(self, step: int) -> FloatArray | None:
+        """Return the derivative of what puts bars on their lengths at the end of a step."""
+        if not self.steps.projects:
+            return None
+        known = self._exact_slopes
+        if step not in known:
+            known.clear()
+            block = self._block
+            first = step // block * block
+            some = self.derivatives.projected(self.steps.states[:, first + 1 : first + 1 + block])
+            if some is None:
+                return None
+            known |= {first + i: each for i, each in enumerate(some)}
+        return known[step]
+
+    @cached_property
+    def _ends(self) -> list[IntArray]:
+        """Which of the times are the end of each step."""
+        return self._places[0]
+
+    @cached_property
+    def _places(self) -> tuple[list[IntArray], list[list[tuple[float, int]]]]:
+        """Return for each step which times are its end, and parts of it that reach others."""
+        steps, count = self.steps, len(self.steps.length)
+        ends: list[list[int]] = [[] for _ in range(count)]
+        parts: list[list[tuple[float, int]]] = [[] for _ in range(count)]
+        close = 1e-9 * steps.length
+        for i, k in enumerate(steps.step_at(self.times)):
+            past = float(self.times[i] - steps.begin[k])
+            if past <= 0:
+                continue
+            if abs(past - steps.length[k]) <= close[k]:
+                ends[k].append(i)
+            else:
+                parts[k].append((past, i))
+        return [np.array(some, dtype=int) for some in ends], parts
+
+    @cached_property
+    def _block(self) -> int:
+        """Number of steps whose derivatives are held at a time."""
+        half, stages = self.derivatives.half, len(self._tableau.b)
+        width = 2 * half + len(self.derivatives.structure.strings)
+        width += sum(each.size for each in self.parameters if each.kind != "input")
+        numbers = stages * half * width
+        validation.refuse_memory(
+            "the derivative of a step", 1, "steps", 8 * numbers, ". Use a smaller structure"
+        )
+        return max(1, _MOST_NUMBERS // numbers)
+
+    def _legs(self, order: range) -> Iterator[_Leg]:
+        """Yield the steps in an order, each after its parts, with their derivatives."""
+        parts = self._places[1]
+        is_back = order.step < 0
+        for block in range(0, len(order), self._block):
+            plan = [
+                (k, length, output)
+                for k in order[block : block + self._block]
+                for length, output in (
+                    [(float(self.steps.length[k]), -1), *parts[k]]
+                    if is_back
+                    else [*parts[k], (float(self.steps.length[k]), -1)]
+                )
+            ]
+            for first in range(0, len(plan), self._block):
+                yield from self._differentiated(plan[first : first + self._block])
+
+    def _stages(
+        self, of: IntArray, h: FloatArray
+    ) -> tuple[list[FloatArray], list[FloatArray], list[FloatArray]]:
+        """Return slopes, states and inputs at the stages of steps that are so long."""
+        steps, (a, _, c) = self.steps, self._tableau
+        x, taut = steps.states[:, of], steps.taut[:, of]
+        slopes: list[FloatArray] = []
+        states, inputs = [], []
+        for i in range(len(c)):
+            y = x + h * sum((a[i, j] * slopes[j] for j in range(i) if a[i, j]), np.zeros_like(x))
+            u = steps.inputs[:, of]
+            if steps.layout.degree:
+                u[-1] += c[i] * h
+            slopes.append(self.derivatives.slope(y, u, taut))
+            states.append(y)
+            inputs.append(u)
+        return slopes, states, inputs
+
+    def _differentiated(self, plan: list[tuple[int, float, int]]) -> Iterator[_Leg]:
+        """Yield legs with the derivatives at their stages: found for all of them together."""
+        steps, c = self.steps, self._tableau.c
+        of = np.array([k for k, *_ in plan])
+        h = np.array([length for _, length, _ in plan])
+        slopes, states, inputs = self._stages(of, h)
+        stages, count = len(c), len(plan)
+        found = self.derivatives.at(
+            np.hstack(states), np.hstack(inputs), np.tile(steps.taut[:, of], stages),
+            np.hstack(slopes),
+        )  # fmt: skip
+        time = (steps.begin[of] + c[:, None] * h).ravel()
+        middle = np.tile(steps.begin[of] + h / 2, stages)
+        by_input = [
+            shares(each, time, middle) if each.kind == "input" else None for each in self.parameters
+        ]
+        for i, (k, length, output) in enumerate(plan):
+            own = Slopes(
+                found.by_state[i::count],
+                None if found.by_input is None else found.by_input[i::count],
+                found.by_parameters[i::count],
+            )
+            part = [None if each is None else each[:, i::count].T for each in by_input]
+            yield _Leg(k, length, output, own, part)
