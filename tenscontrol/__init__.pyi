@@ -66,7 +66,10 @@ from .learning import (
     vector_env as vector_env,
 )
 from .optimize import (
+    Log as Log,
+    fit as fit,
     gradient as gradient,
+    identifiable as identifiable,
     sensitivity as sensitivity,
 )
 from .plant import (
@@ -142,6 +145,7 @@ __all__ = [
     "Integration",
     "KalmanFilter",
     "LinearStrings",
+    "Log",
     "LostMeasurement",
     "Material",
     "Model",
@@ -170,8 +174,10 @@ __all__ = [
     "design",
     "energy_weights",
     "equilibrium",
+    "fit",
     "generate_c",
     "gradient",
+    "identifiable",
     "linearize",
     "load_run",
     "load_scene",

@@ -341,6 +341,12 @@ def test_sensitivities(printed):
     assert "above 1e-7: []; beyond what differences are certain to: []" in text
 
 
+def test_identification(printed):
+    text = printed("identification", "--count 1")
+    assert "converged, 0 not told" in text
+    assert "of 29 intervals of 95 % hold" in text
+
+
 def test_trust(printed, tmp_path):
     text = printed("trust", f"--seed 9 --count 2 --methods rk4 energy_momentum --cache {tmp_path}")
     assert "2 scenes: 2 ok" in text

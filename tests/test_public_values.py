@@ -58,6 +58,9 @@ def values(tmp_path_factory):
         step=1e-3,
     )
     moving = tc.simulate(model, 0.02, rest_length=start.rest_length, step=1e-3)
+    read_by = tc.Sensors(structure=prism, node_position=1e-3)
+    log = tc.Log.of_run(moving, read_by, [0.01, 0.02], seed=0)
+    fitted = tc.fit(model, log, ["stiffness"], groups={"stiffness": "all"})
     height = tc.Height(0.9, top=[0, 1, 2], bottom=[3, 4, 5])
     target = tc.shape_target(model, height, force_density=17.3205)
     steel = tc.sizing.materials["steel"]
@@ -67,6 +70,12 @@ def values(tmp_path_factory):
         tc.sections(prism, bars=steel, strings=steel, bar_radius=0.01, string_radius=np.ones(9)),
         tc.design(prism, bars=steel, strings=steel, min_force_density=10.0, restarts=1),
         tc.sensitivity(moving, ["stiffness"]),
+        fitted,
+        fitted.identifiability,
+        fitted.residuals[0],
+        log,
+        tc.optimize.LogNormal(100.0, 0.5),
+        tc.plot.residuals(fitted.residuals[0]),
         tc.gradient(moving, lambda time, nodes, velocities: nodes[2, 3], ["stiffness"]),
         height,
         tc.Twist(0.1, top=[0, 1, 2], bottom=[3, 4, 5]),

@@ -88,7 +88,8 @@ def advance_in_core(
         while not motion.is_over:
             check()
             began = perf_counter()
-            motion.advance(min(budget, motion.most_steps))
+            budget = min(budget, motion.most_steps)
+            motion.advance(budget)
             taken = perf_counter() - began
             if progress.stuck:
                 raise failure(motion)

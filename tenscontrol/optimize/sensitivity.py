@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
@@ -15,7 +15,7 @@ from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.dynamics.equation import unpack_states
 from tenscontrol.integrate.methods import Choice
 from tenscontrol.optimize.derivatives import Derivatives
-from tenscontrol.optimize.parameters import parameters_of
+from tenscontrol.optimize.parameters import Parameter, parameters_of
 from tenscontrol.optimize.traced_steps import steps_of
 from tenscontrol.optimize.variations import Variations
 from tenscontrol.simulation.health import HealthLimits
@@ -249,6 +249,15 @@ def _cost_function(cost: Callable[[Any, Any, Any], Any], shape: tuple[int, ...])
     return ca.Function("cost", [time, nodes, velocities], [found, *slopes])
 
 
+def variations_of(scene: Scene, parameters: Sequence[Parameter], times: FloatArray) -> Variations:
+    """Return what carries the variations of a scene by an explicit method."""
+    plant = traced(scene)
+    load = plant.load if isinstance(plant.load, np.ndarray) else scene.model.constant_force
+    steps = steps_of(plant, load)
+    derivatives = Derivatives(scene.model, scene.input, steps.layout.degree, parameters)
+    return Variations(steps, derivatives, parameters, times)
+
+
 class _Differentiable:
     """A run, checked, traced again, with what carries its variations."""
 
@@ -266,11 +275,7 @@ class _Differentiable:
             raise ValueError(f"run {run.stopped}, expected one that reached its end")
         self.parameters = parameters_of(scene, to)
         self.times = _checked_times(run, times)
-        plant = traced(_explicit(scene, run.choice))
-        load = plant.load if isinstance(plant.load, np.ndarray) else scene.model.constant_force
-        steps = steps_of(plant, load)
-        derivatives = Derivatives(scene.model, scene.input, steps.layout.degree, self.parameters)
-        self.variations = Variations(steps, derivatives, self.parameters, self.times)
+        self.variations = variations_of(_explicit(scene, run.choice), self.parameters, self.times)
 
     @property
     def states(self) -> FloatArray:

@@ -129,6 +129,15 @@ class Variations:
             )
         return found
 
+    def slopes(self) -> FloatArray:
+        """Return ẋ at the times, shape (states, T)."""
+        steps, states = self.steps, self.motion()
+        of = steps.step_at(self.times)
+        inputs = steps.inputs[:, of]
+        if steps.layout.degree:
+            inputs[-1] += self.times - steps.begin[of]
+        return self.derivatives.slope(states, inputs, steps.taut[:, of])
+
     def backward(self, costs: FloatArray) -> FloatArray:
         """Return derivatives of a cost by the parameters, shape (P,), from those by x at the times.
 

@@ -12,6 +12,7 @@ from tenscontrol.plot.accuracy_figures import (
 )
 from tenscontrol.plot.animation import animate
 from tenscontrol.plot.estimation_error import estimate
+from tenscontrol.plot.fit_figures import FitDrawing, intervals, residuals
 from tenscontrol.plot.ground_drawing import contacts
 from tenscontrol.plot.histories import Curves, history
 from tenscontrol.plot.interactive_view import view
@@ -26,6 +27,7 @@ from tenscontrol.plot.web_page import View
 __all__ = [
     "Curves",
     "Drawing",
+    "FitDrawing",
     "ModeShape",
     "PoleMap",
     "SweepDrawing",
@@ -36,10 +38,12 @@ __all__ = [
     "estimate",
     "health",
     "history",
+    "intervals",
     "long_run",
     "mode_shapes",
     "motors",
     "poles",
+    "residuals",
     "save_figure",
     "stability_map",
     "structure",

@@ -117,8 +117,11 @@ RESULTS = {
     "integrate.Span",
     "integrate.Watched",
     "integrate.Work",
+    "optimize.Fit",
     "optimize.Gradient",
+    "optimize.Identifiability",
     "optimize.Sensitivity",
+    "optimize.Validation",
     "plant.ActuatorChoice",
     "plant.Controllability",
     "plant.LinearPlant",
@@ -130,6 +133,7 @@ RESULTS = {
     "plant.Tipping",
     "plot.Curves",
     "plot.Drawing",
+    "plot.FitDrawing",
     "plot.ModeShape",
     "plot.PoleMap",
     "plot.SweepDrawing",
@@ -196,6 +200,8 @@ WITHIN = {
     "learning.Track.seen",
     "Model.of_parameters",
     "plot.View.open",
+    "optimize.Fit.table",
+    "optimize.Identifiability.table",
     "optimize.Sensitivity.table",
     "sizing.Design.table",
     "sizing.Tube.stress",
@@ -728,6 +734,82 @@ call(
     },
     share=0.3,
 )
+
+
+def read_by():
+    return tc.Sensors(structure=prism(), node_position=1e-3)
+
+
+def logged():
+    return tc.Log.of_run(differentiable(), read_by(), [0.01, 0.02], seed=0)
+
+
+def fitted():
+    return tc.fit(elastic(), logged(), ["stiffness"], groups={"stiffness": "all"})
+
+
+call(
+    "Log",
+    lambda: {
+        "time": [0.01, 0.02],
+        "readings": np.ones((2, 18)),
+        "sensors": read_by(),
+        "rest_length": rest_length(),
+        "nodes": prism().nodes,
+        "velocities": STILL,
+        "external_force": None,
+    },
+)
+call(
+    "Log, force density",
+    lambda: {
+        "time": [0.01, 0.02],
+        "readings": np.ones((2, 18)),
+        "sensors": read_by(),
+        "force_density": np.full(9, 10.0),
+    },
+)
+call("Log.until", lambda: {"time": 0.015}, logged)
+call(
+    "Log.of_run",
+    lambda: {"run": differentiable(), "sensors": read_by(), "times": [0.01, 0.02], "seed": 1},
+    logged,
+    share=0.3,
+)
+call("optimize.LogNormal", lambda: {"median": 300.0, "deviation": 0.5})
+for name in ("fit", "identifiable"):
+    call(
+        name,
+        lambda name=name: (
+            {
+                "model": elastic(),
+                "log": logged(),
+                "parameters": {"stiffness": 0.5},
+                "known": {"stiffness": [0, 1]},
+                "groups": {"stiffness": [[2, 3, 4], [5, 6, 7, 8]]},
+                "start": (0.01, 0.1),
+                "tolerance": 1e-6,
+                "step": None,
+            }
+            | ({"loss": "huber", "most_rollouts": 20, "progress": False} if name == "fit" else {})
+        ),
+        share=0.2,
+    )
+call("Log.save", lambda: {"file": scratch("log.csv")}, logged, share=0.3)
+call(
+    "Log.read",
+    lambda: {
+        "file": str(logged().save(scratch("read.csv"))),
+        "sensors": read_by(),
+        "rest_length": rest_length(),
+    },
+    logged,
+    share=0.3,
+)
+call("optimize.Fit.save", lambda: {"file": scratch("fit.json")}, fitted, share=0.2)
+call("optimize.Fit.validate", lambda: {"log": logged()}, fitted, share=0.2)
+call("plot.residuals", lambda: {"found": fitted().residuals[0], "ax": flat()}, share=0.2)
+call("plot.intervals", lambda: {"found": fitted(), "ax": flat()}, share=0.2)
 
 # ---- dynamics and actuation ----
 

@@ -1,0 +1,549 @@
+"""Fit of a model to logs, and what logs can tell."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, frozen
+from tenscontrol.dynamics.model import Model
+from tenscontrol.files import write_file
+from tenscontrol.integrate.integrator import IntegrationError
+from tenscontrol.optimize.log import Log
+from tenscontrol.optimize.rollouts import Readings, Rollouts, checked_logs
+from tenscontrol.optimize.unknowns import unknowns_of
+from tenscontrol.progress import progress_bar
+from tenscontrol.properties import cached_property
+from tenscontrol.simulation.integration import Integration
+from tenscontrol.simulation.plant_run import StoppedError
+from tenscontrol.tables import aligned
+
+# First parts of the logs that are fitted one after the other, and how little a cost must still fall
+# before the next is taken, and at the end.
+_PARTS, _ROUGHLY, _WELL = (0.1, 0.25, 0.5, 1.0), 3e-2, 1e-6
+
+# Steps in a part at most; damping of the first step, and by how much it changes.
+_MOST, _DAMPING, _LESS, _MORE, _MOST_DAMPING = 12, 1e-3, 0.2, 6.0, 1e8
+
+# Longest step of an unknown, in standard deviations of its prior: slopes do not hold far away.
+_LONGEST = 2.0
+
+# What the prior still says of an unknown at most, of one that data tells.
+_TOLD = 0.01
+
+# Residuals beyond count in proportion, with Huber's loss.
+_HUBER = 1.345
+
+# Of a normal distribution, 95 % lie within.
+_INTERVAL = 1.959964
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Identifiability:
+    """What logs tell of parameters, beside what was known before. Made by :func:`identifiable`.
+
+    Attributes
+    ----------
+    labels : tuple of str
+        Name of each unknown.
+    singular : ndarray, shape (unknowns,)
+        Of the slope of the readings, in standard deviations, by the unknowns in theirs, largest
+        first: below 1, data tells less of that direction than was known before.
+    directions : ndarray, shape (unknowns, unknowns)
+        One row each, of length 1.
+    is_told : ndarray of bool, shape (unknowns,)
+        Whether what is left of the prior of an unknown is below 1 % of its variance.
+    """
+
+    labels: tuple[str, ...]
+    singular: FloatArray
+    directions: FloatArray
+    is_told: Any
+
+    @property
+    def untold(self) -> FloatArray:
+        """Directions that data does not tell, one row each."""
+        return self.directions[self.singular < 1]
+
+    def table(self) -> str:
+        """Return as text which unknowns are told, and the directions that are not."""
+        left = (self.untold**2).sum(axis=0)
+        rows = [
+            [label, "yes" if told else "no", f"{share:.2g}"]
+            for label, told, share in zip(self.labels, self.is_told, left, strict=True)
+        ]
+        lines = [aligned(["unknown", "told", "left to the prior"], rows)]
+        for size, direction in zip(self.singular[self.singular < 1], self.untold, strict=True):
+            lines.append(f"not told ({size:.2g}): {_described(self.labels, direction)}")
+        return "\n".join(lines)
+
+    def __repr__(self) -> str:
+        untold = int((self.singular < 1).sum())
+        return f"Identifiability({len(self.labels)} unknowns, {untold} directions not told)"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Validation:
+    """How a model does on a log. Made by :meth:`Fit.validate`.
+
+    Attributes
+    ----------
+    log : Log
+    residuals : ndarray, shape (K, m)
+        What the model reads less what was read, in standard deviations of the noise; NaN where a
+        reading was lost.
+    """
+
+    log: Log
+    residuals: FloatArray
+
+    @property
+    def root_mean_square(self) -> float:
+        """Of the residuals: 1 where only noise is left."""
+        return float(np.sqrt(np.nanmean(self.residuals**2)))
+
+    @property
+    def whiteness(self) -> float:
+        """Correlation of residuals with those just before: near 0 where only noise is left."""
+        r = np.nan_to_num(self.residuals)
+        return float((r[1:] * r[:-1]).sum() / max((r**2).sum(), np.finfo(float).tiny))
+
+    def __repr__(self) -> str:
+        return (
+            f"Validation(residuals {self.root_mean_square:.3g} deviations, correlated by "
+            f"{self.whiteness:.2g})"
+        )
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Fit:
+    """A model fitted to logs. Made by :func:`fit`.
+
+    Attributes
+    ----------
+    model : Model
+        With the parameters that were found.
+    logs : tuple of Log
+    labels : tuple of str
+        Name of each unknown.
+    value : ndarray, shape (unknowns,)
+        Factors of what was known before, of what is positive; else what is added, in its unit.
+    interval : ndarray, shape (unknowns, 2)
+        Within which each is at 95 %; NaN where data does not tell.
+    parameters : mapping of str to ndarray
+        All parameters that were fitted, with those that were known.
+    identifiability : Identifiability
+        At what was found.
+    chi_squared : float
+        Squares of the residuals over the degrees of freedom: 1 where only noise is left.
+    rollouts : int
+        Simulations of all logs.
+    message : str
+        Why it ended.
+    """
+
+    model: Model
+    logs: tuple[Log, ...]
+    labels: tuple[str, ...]
+    value: FloatArray
+    interval: FloatArray
+    parameters: Mapping[str, FloatArray]
+    identifiability: Identifiability
+    chi_squared: float
+    rollouts: int
+    message: str
+    _rollouts: Rollouts
+    _theta: FloatArray
+
+    @property
+    def converged(self) -> bool:
+        """Whether no step lessens the cost any more."""
+        return self.message == "converged"
+
+    def validate(self, log: Log) -> Validation:
+        """Return how the model does on a log, as a rule another than those of the fit.
+
+        Parameters
+        ----------
+        log : Log
+            Its start is taken as known.
+
+        Returns
+        -------
+        Validation
+        """
+        checked_logs(self.model, (log,))
+        known = Rollouts(
+            self._rollouts.model, (log,), self._rollouts.unknowns, None, self._rollouts.integration
+        )
+        return self._judged(known, log, self._theta[: known.size], 0)
+
+    @cached_property
+    def residuals(self) -> tuple[Validation, ...]:
+        """Those of the logs of the fit."""
+        return tuple(
+            self._judged(self._rollouts, log, self._theta, i) for i, log in enumerate(self.logs)
+        )
+
+    def _judged(self, rollouts: Rollouts, log: Log, theta: FloatArray, i: int) -> Validation:
+        found = rollouts.readings(theta, 1.0, slopes=False)
+        residuals = np.full(log.readings.shape, np.nan)
+        residuals[~np.isnan(log.readings)] = found.residuals[found.of_log == i]
+        return Validation(log, frozen(residuals))
+
+    def table(self) -> str:
+        """Return what was found as text."""
+        rows = []
+        for label, value, (low, high), told in zip(
+            self.labels, self.value, self.interval, self.identifiability.is_told, strict=True
+        ):
+            between = f"{low:.5g} to {high:.5g}" if told else "not told by the data"
+            rows.append([label, f"{value:.5g}", between])
+        lines = [
+            aligned(["unknown", "factor or shift", "95 %"], rows),
+            f"chi squared {self.chi_squared:.3g} a degree of freedom, {self.rollouts} rollouts, "
+            f"{self.message}",
+        ]
+        for direction in self.identifiability.untold:
+            lines.append(f"not told: {_described(self.labels, direction)}")
+        return "\n".join(lines)
+
+    def save(self, file: str | Path) -> Path:
+        """Write what was found as JSON and return its path.
+
+        Parameters
+        ----------
+        file : path
+
+        Returns
+        -------
+        Path
+        """
+        record = {
+            "parameters": {name: value.tolist() for name, value in self.parameters.items()},
+            "unknowns": [
+                {"name": label, "value": value, "interval": interval if told else None}
+                for label, value, interval, told in zip(
+                    self.labels, self.value.tolist(), self.interval.tolist(),
+                    self.identifiability.is_told.tolist(), strict=True,
+                )
+            ],
+            "chi_squared": self.chi_squared,
+            "rollouts": self.rollouts,
+            "message": self.message,
+        }  # fmt: skip
+        return write_file(Path(file), json.dumps(record, indent=1) + "\n")
+
+    def __repr__(self) -> str:
+        untold = len(self.identifiability.untold)
+        return (
+            f"Fit({len(self.labels)} unknowns, {untold} directions not told; chi squared "
+            f"{self.chi_squared:.3g}, {self.rollouts} rollouts, {self.message})"
+        )
+
+
+def identifiable(
+    model: Model,
+    log: object,
+    parameters: object,
+    *,
+    known: Mapping[str, object] | None = None,
+    groups: Mapping[str, object] | None = None,
+    start: object = None,
+    tolerance: float = 1e-8,
+    step: float | None = None,
+) -> Identifiability:
+    """Return what logs can tell of parameters, by the derivatives of the readings, before a fit.
+
+    Readings of places, lengths and directions alone cannot tell the common scale of masses,
+    stiffness, damping and ground: hold one as ``known``, or read a tension.
+
+    Parameters
+    ----------
+    model : Model
+    log : Log, or sequence of Log
+        The readings are not used, but which of them were lost.
+    parameters : list of str, or dict of str to LogNormal or float
+    known : dict of str to list of int, optional
+    groups : dict of str to list of lists of int, or "all", optional
+    start : tuple of float, optional
+    tolerance : float
+    step : float, optional
+        All as of :func:`fit`.
+
+    Returns
+    -------
+    Identifiability
+
+    Raises
+    ------
+    TypeError, ValueError
+        As :func:`fit`.
+
+    Examples
+    --------
+    >>> import numpy as np, tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> model = tc.Model(prism, strings=tc.LinearStrings(100.0, damping=0.5))
+    >>> sensors = tc.Sensors(structure=prism, node_position=0.001)
+    >>> run = tc.simulate(model, 0.5, rest_length=0.9 * prism.string_length())
+    >>> log = tc.Log.of_run(run, sensors, np.linspace(0.02, 0.5, 25))
+    >>> tc.identifiable(model, log, ["stiffness", "damping", "bar_mass"])
+    Identifiability(21 unknowns, 2 directions not told)
+    """
+    rollouts = _rollouts_of(model, log, parameters, known, groups, start, tolerance, step)
+    theta = np.zeros(rollouts.size)
+    slope = rollouts.readings(theta, 1.0, slopes=True).slope
+    assert slope is not None  # it was asked for
+    return _identifiability(rollouts, slope)
+
+
+def fit(
+    model: Model,
+    log: object,
+    parameters: object,
+    *,
+    known: Mapping[str, object] | None = None,
+    groups: Mapping[str, object] | None = None,
+    start: object = None,
+    loss: str = "squared",
+    tolerance: float = 1e-8,
+    step: float | None = None,
+    most_rollouts: int = 100,
+    progress: bool = False,
+) -> Fit:
+    """Return a model fitted to what sensors read of a structure.
+
+    By Levenberg and Marquardt's method with the derivatives of the run, through its switches. The
+    first tenth of the logs is fitted first, then more and more, as long motions from a poor guess
+    have many minima.
+
+    Parameters
+    ----------
+    model : Model
+        With what is known of the parameters before.
+    log : Log, or sequence of Log
+    parameters : list of str, or dict of str to LogNormal or float
+        What is unknown: ``"stiffness"`` and other parameters of the string law, ``"rest_length"``,
+        a shift of those that were commanded, ``"bar_mass"``, ``"point_mass"``, those of the ground
+        as ``"ground.friction"``, ``"delay"`` of the readings, s. The value is what is known before:
+        a :class:`~tenscontrol.optimize.LogNormal`, or the standard deviation of the logarithm, of
+        a shift in its unit; if not given, 0.5, 5 % of a length, 0.02 s, or 1 % of the size.
+    known : dict of str to list of int, optional
+        Members whose parameter is not fitted.
+    groups : dict of str to list of lists of int, or "all", optional
+        Members that share an unknown; the others have one each.
+    start : tuple of float, optional
+        Standard deviations of nodes, m, and velocities, m/s, at the start of each log, which are
+        then fitted too; known exactly if not given.
+    loss : {"squared", "huber"}
+        Whether readings that are far off count in proportion only.
+    tolerance : float
+        Of the rollouts.
+    step : float, optional
+        Of rollouts by rk4 in place of a tolerance, s.
+    most_rollouts : int
+    progress : bool
+
+    Returns
+    -------
+    Fit
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is of the wrong kind or does not fit, a parameter is not one of the model's,
+        or the model cannot be simulated as it is given.
+
+    Notes
+    -----
+    Ctrl-C ends a fit with what was found so far. Intervals are those of the slope at what was
+    found, with the residuals as they are, and of data alone: for what data does not tell there is
+    none. See :func:`identifiable`.
+
+    Examples
+    --------
+    >>> import numpy as np, tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> true = tc.Model(prism, strings=tc.LinearStrings(120.0, damping=0.5))
+    >>> run = tc.simulate(true, 0.5, rest_length=0.9 * prism.string_length(), step=1e-3)
+    >>> sensors = tc.Sensors(structure=prism, node_position=0.001)
+    >>> log = tc.Log.of_run(run, sensors, np.linspace(0.02, 0.5, 25), seed=0)
+    >>> guess = tc.Model(prism, strings=tc.LinearStrings(100.0, damping=0.5))
+    >>> found = tc.fit(guess, log, ["stiffness"], groups={"stiffness": "all"})
+    >>> found.parameters["stiffness"][0].round(1), found.converged
+    (np.float64(119.9), True)
+    """
+    validation.choice("loss", loss, ("squared", "huber"))
+    most = validation.whole_number("most_rollouts", most_rollouts, 1)
+    rollouts = _rollouts_of(model, log, parameters, known, groups, start, tolerance, step)
+    solver = _Solver(rollouts, loss == "huber", most)
+    with progress_bar(1.0, progress, label="fitting") as report:
+        theta, found, message = solver.run(report)
+    return _result(rollouts, theta, found, message)
+
+
+def _rollouts_of(
+    model: Model, log: object, parameters: object, known: Any, groups: Any, start: object,
+    tolerance: float, step: float | None,
+) -> Rollouts:  # fmt: skip
+    validation.instance("model", model, Model, "make one by Model(structure)")
+    logs = checked_logs(model, log)
+    first = logs[0]
+    held = None if first.input == "force_density" else np.zeros(len(model.structure.strings))
+    unknowns = unknowns_of(model, first.input, parameters, known, groups, held)
+    deviations = None
+    if start is not None:
+        pair = validation.shaped("start", start, (2,), "deviations of nodes and velocities")
+        pair = validation.positive("start", pair, "standard deviation")
+        deviations = float(pair[0]), float(pair[1])
+    method = "rk4" if step is not None else "dop853"
+    integration = Integration(method, tolerance, step, error="none")
+    return Rollouts(model, logs, unknowns, deviations, integration)
+
+
+class _Solver:
+    """Levenberg and Marquardt's method, over longer and longer parts of the logs."""
+
+    def __init__(self, rollouts: Rollouts, is_robust: bool, most: int) -> None:
+        self._rollouts, self._is_robust, self._most = rollouts, is_robust, most
+        self._scale = rollouts.deviations
+
+    def run(self, report: Any) -> tuple[FloatArray, Readings, str]:
+        """Return the unknowns, the residuals with their slope, and why it ended."""
+        theta, done = np.zeros(self._rollouts.size), 0.0
+        found = self._rollouts.readings(theta, _PARTS[0], slopes=True)
+        message = "converged"
+        try:
+            for part in _PARTS:
+                if part > _PARTS[0]:
+                    found = self._rollouts.readings(theta, part, slopes=True)
+                least = _WELL if part == 1.0 else _ROUGHLY
+                theta, found, message = self._fit_part(theta, found, part, least)
+                done = part
+                report(part)
+        except KeyboardInterrupt:
+            message = f"interrupted, {100 * done:.0f} % of the logs were fitted"
+            found = self._rollouts.readings(theta, 1.0, slopes=True)
+        return theta, found, message
+
+    def _fit_part(
+        self, theta: FloatArray, found: Readings, part: float, least: float
+    ) -> tuple[FloatArray, Readings, str]:
+        damping, cost = _DAMPING, self._cost(found, theta)
+        most = self._most if part == 1.0 else _MOST
+        for _ in range(most):
+            if self._rollouts.count >= self._most:
+                return theta, found, f"stopped after {self._rollouts.count} rollouts"
+            moved = theta + self._step(found, theta, damping)
+            tried = self._tried(moved, part)
+            new = np.inf if tried is None else self._cost(tried, moved)
+            if tried is None or not new < cost:
+                damping *= _MORE
+                if damping > _MOST_DAMPING or abs(new - cost) <= least * cost:
+                    return theta, found, "converged"
+                continue
+            fall = (cost - new) / max(cost, np.finfo(float).tiny)
+            theta, found, cost = moved, tried, new
+            damping *= _LESS
+            if fall < least:
+                break
+        return theta, found, "converged"
+
+    def _tried(self, theta: FloatArray, part: float) -> Readings | None:
+        """Return the residuals for unknowns; None where the motion runs away."""
+        try:
+            found = self._rollouts.readings(theta, part, slopes=True)
+        except (IntegrationError, StoppedError):
+            return None
+        return found if np.isfinite(found.residuals).all() else None
+
+    def _cost(self, found: Readings, theta: FloatArray) -> float:
+        r = found.residuals
+        squares = r**2
+        if self._is_robust:
+            far = np.abs(r) > _HUBER
+            squares = np.where(far, 2 * _HUBER * np.abs(r) - _HUBER**2, squares)
+        return float(squares.sum() + ((theta / self._scale) ** 2).sum())
+
+    def _step(self, found: Readings, theta: FloatArray, damping: float) -> FloatArray:
+        assert found.slope is not None  # every try has one
+        weight = np.ones(len(found.residuals))
+        if self._is_robust:
+            weight = np.sqrt(_HUBER / np.maximum(np.abs(found.residuals), _HUBER))
+        J = found.slope * self._scale * weight[:, None]
+        own = np.eye(len(theta))
+        size = np.sqrt(damping * ((J**2).sum(axis=0) + 1))
+        rows = np.vstack([J, own, np.diag(size)])
+        right = np.concatenate([weight * found.residuals, theta / self._scale, 0 * theta])
+        step = -np.linalg.lstsq(rows, right, None)[0]
+        longest = float(np.abs(step).max())
+        return np.asarray(self._scale * step * min(1.0, _LONGEST / max(longest, 1e-300)))
+
+
+def _identifiability(rollouts: Rollouts, slope: FloatArray) -> Identifiability:
+    _, triangle = np.linalg.qr(slope * rollouts.deviations, mode="reduced")
+    _, singular, directions = np.linalg.svd(triangle)
+    singular = np.concatenate([singular, np.zeros(rollouts.size - len(singular))])
+    left = (directions[singular < 1] ** 2).sum(axis=0)
+    return Identifiability(
+        tuple(rollouts.labels), frozen(singular), frozen(directions), frozen(left < _TOLD)
+    )
+
+
+def _result(rollouts: Rollouts, theta: FloatArray, found: Readings, message: str) -> Fit:
+    assert found.slope is not None  # every try has one
+    told = _identifiability(rollouts, found.slope)
+    count = len(found.residuals)
+    freedom = max(count - int((told.singular >= 1).sum()), 1)
+    chi_squared = float((found.residuals**2).sum() / freedom)
+    # Of data alone, in the directions that it tells.
+    weight = np.where(told.singular >= 1, 1 / np.maximum(told.singular, 1), 0.0)
+    variance = ((told.directions.T * weight) ** 2).sum(axis=1) * chi_squared
+    reach = _INTERVAL * np.sqrt(variance) * rollouts.deviations
+    is_scaled = np.zeros(rollouts.size, dtype=bool)
+    first = 0
+    for each in rollouts.unknowns:
+        is_scaled[first : first + len(each.groups)] = each.is_scaled
+        first += len(each.groups)
+    interval = theta[:, None] + np.stack([-reach, reach], axis=1)
+    interval[~told.is_told] = np.nan
+    value = np.where(is_scaled, np.exp(np.where(is_scaled, theta, 0.0)), theta)
+    interval = np.where(
+        is_scaled[:, None], np.exp(np.where(is_scaled[:, None], interval, 0.0)), interval
+    )
+    parameters = {
+        each.name: frozen(each.values(own))
+        for each, own in zip(rollouts.unknowns, rollouts.own(theta), strict=True)
+    }
+    return Fit(
+        rollouts.model_for(theta), tuple(rollouts.logs), tuple(rollouts.labels), frozen(value),
+        frozen(interval), MappingProxyType(parameters), told, chi_squared, rollouts.count, message,
+        rollouts, frozen(theta),
+    )  # fmt: skip
+
+
+def _described(labels: Sequence[str], direction: FloatArray) -> str:
+    """Return the unknowns of a direction, those of the same parameter together."""
+    parts: dict[str, list[int]] = {}
+    for i, label in enumerate(labels):
+        parts.setdefault(label.split()[0], []).append(i)
+    sign = np.sign(direction[np.abs(direction).argmax()])
+    found = []
+    for name, members in parts.items():
+        own = sign * direction[members]
+        if np.abs(own).max() < 0.05:
+            continue
+        if np.ptp(own) < 0.02 and len(own) > 1:
+            found.append(f"{own.mean():+.2f} all of {name}")
+            continue
+        large = np.argsort(-np.abs(own), kind="stable")[:4]
+        found += [f"{own[k]:+.2f} {labels[members[k]]}" for k in large if abs(own[k]) >= 0.05]
+    return ", ".join(found)

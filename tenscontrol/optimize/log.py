@@ -1,0 +1,267 @@
+"""Logs: what sensors read of a structure over time, and what its actuators held."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, frozen
+from tenscontrol.estimation.sensors import Sensors
+from tenscontrol.fields import converted
+from tenscontrol.files import write_file
+from tenscontrol.simulation.trajectory import Trajectory
+
+# Numbers in a table at most: more is no log of a robot, and fills the memory.
+_MOST_NUMBERS = 50_000_000
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Log:
+    """Readings of a motion at some times, with the inputs meanwhile and the start.
+
+    Parameters
+    ----------
+    time : array_like, shape (K,)
+        Of the readings, ascending, s. The motion begins at 0.
+    readings : array_like, shape (K, m)
+        One row a time, in the order of ``sensors.readings``; NaN where a reading was lost.
+    sensors : Sensors
+        What was read, and its noise.
+    rest_length : array_like, shape (α,), or Profile, optional
+        Rest lengths that were commanded, m: constant, or over the time.
+    force_density : array_like, shape (α,), or Profile, optional
+        γ in place of rest lengths, N/m.
+    nodes, velocities : array_like, shape (d, n), optional
+        At time 0, as well as they are known; the reference shape at rest if not given.
+    external_force : array_like, shape (d, n), optional
+        A load, N, for a model with ``external_force=True``.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is of the wrong kind or does not fit, times do not ascend, nothing is read,
+        or a reading is infinite.
+
+    Examples
+    --------
+    >>> import numpy as np, tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> sensors = tc.Sensors(structure=prism, string_length=0.001)
+    >>> log = tc.Log([0.1, 0.2], np.ones((2, 9)), sensors, rest_length=np.full(9, 0.9))
+    >>> log
+    Log(2 times up to 0.2 s, 18 numbers read, 0 lost)
+    """
+
+    time: FloatArray = converted()
+    readings: FloatArray = converted()
+    sensors: Sensors = converted()
+    rest_length: Any = None
+    force_density: Any = None
+    nodes: Any = None
+    velocities: Any = None
+    external_force: Any = None
+
+    def __post_init__(self) -> None:
+        put = object.__setattr__  # the dataclass is frozen for everyone else
+        validation.instance(
+            "sensors", self.sensors, Sensors, "make them by Sensors(structure=..., ...)"
+        )
+        time = validation.float_array("time", self.time)
+        if time.ndim != 1 or not len(time):
+            raise ValueError(f"time has shape {time.shape}, expected (K,): at least one time, s")
+        late = np.flatnonzero(np.diff(time) <= 0)
+        if len(late):
+            k = int(late[0]) + 1
+            raise ValueError(
+                f"time[{k}] is {time[k]:g} s after {time[k - 1]:g} s, expected ascending times: "
+                "sort the rows of the log, and drop what is there twice"
+            )
+        if time[0] < 0:
+            raise ValueError(
+                f"time[0] is {time[0]:g} s, expected 0 or later: the motion begins at 0"
+            )
+        shape = len(time), len(self.sensors.noise)
+        meaning = f"a row for each time, with the {shape[1]} numbers of {self.sensors!r}"
+        readings = validation.measured("readings", self.readings, shape, meaning)
+        if np.isinf(readings).any():
+            row, column = np.argwhere(np.isinf(readings))[0]
+            raise ValueError(f"readings[{row}, {column}] is infinite; NaN says that it was lost")
+        if np.isnan(readings).all():
+            raise ValueError("readings are all NaN: nothing was read")
+        if (self.rest_length is None) == (self.force_density is None):
+            raise ValueError("expected one of rest_length and force_density: what was held")
+        put(self, "time", frozen(time))
+        put(self, "readings", frozen(readings))
+        for name in ("nodes", "velocities"):
+            value = getattr(self, name)
+            if value is not None:
+                put(self, name, frozen(self.sensors.structure.checked_nodes(name, value)))
+
+    @property
+    def input(self) -> str:
+        """``"rest_length"`` or ``"force_density"``."""
+        return "force_density" if self.rest_length is None else "rest_length"
+
+    @property
+    def lost(self) -> int:
+        """Number of readings that were lost."""
+        return int(np.isnan(self.readings).sum())
+
+    def until(self, time: float) -> Log:
+        """Return the log up to a time.
+
+        Parameters
+        ----------
+        time : float
+            s; at least one reading must be before it.
+
+        Returns
+        -------
+        Log
+        """
+        end = validation.positive_number("time", time, "s")
+        kept = self.time <= end * (1 + 1e-12)
+        if not kept.any():
+            raise ValueError(f"time is {end:g} s, but the first reading is at {self.time[0]:g} s")
+        return replace(self, time=self.time[kept], readings=self.readings[kept])
+
+    @classmethod
+    def of_run(
+        cls, run: Trajectory, sensors: Sensors, times: object, seed: int | None = None
+    ) -> Log:
+        """Return what sensors would have read of a run in open loop.
+
+        Parameters
+        ----------
+        run : Trajectory
+            Its states at the times are those of the run that are nearest.
+        sensors : Sensors
+        times : array_like, shape (K,)
+            s.
+        seed : int, optional
+            Of the noise; none if not given.
+
+        Returns
+        -------
+        Log
+        """
+        validation.instance("run", run, Trajectory, "make one by simulate(model, ...)")
+        validation.instance("sensors", sensors, Sensors, "make them by Sensors(structure=..., ...)")
+        if run.scene is None or run.control is not None:
+            raise ValueError(
+                "run is under a controller, a copy or goes on from another, expected one in open "
+                "loop that simulate(...) returned"
+            )
+        wanted = np.atleast_1d(validation.float_array("times", times))
+        columns = np.clip(np.searchsorted(run.time, wanted), 1, len(run.time) - 1)
+        nearer = wanted - run.time[columns - 1] < run.time[columns] - wanted
+        columns = columns - nearer
+        generator = np.random.default_rng(seed)
+        rows = []
+        for k in columns:
+            held = None if run.rest_length is None else run.rest_length[:, k]
+            y = sensors.measure(
+                run.nodes[:, :, k], run.tension[:, k], run.velocities[:, :, k], rest_length=held
+            )
+            rows.append(y if seed is None else sensors.disturb(y, generator))
+        scene = run.scene
+        return cls(
+            run.time[columns] - scene.begin, np.array(rows), sensors, scene.rest_length,
+            scene.force_density, scene.nodes, scene.velocities, scene.external_force,
+        )  # fmt: skip
+
+    def save(self, file: str | Path) -> Path:
+        """Write the times and readings as a CSV table and return its path.
+
+        Parameters
+        ----------
+        file : path
+
+        Returns
+        -------
+        Path
+        """
+        lines = [",".join(["time", *_columns(self.sensors)])]
+        for time, row in zip(self.time.tolist(), self.readings.tolist(), strict=True):
+            numbers = ("" if np.isnan(value) else repr(value) for value in row)
+            lines.append(",".join([repr(time), *numbers]))
+        return write_file(Path(file), "\n".join(lines) + "\n")
+
+    @classmethod
+    def read(cls, file: str | Path, sensors: Sensors, **others: Any) -> Log:
+        """Return a log from a CSV table with a column ``time`` and one a number read.
+
+        Columns may come in any order; others are not read. Empty cells and ``nan`` are lost.
+
+        Parameters
+        ----------
+        file : path
+        sensors : Sensors
+            Whose ``readings`` are the names of the columns, with the axis behind those of several
+            numbers: ``"string_length 3"``, ``"node_position 0 x"``.
+        **others
+            Inputs and start, as of the class.
+
+        Returns
+        -------
+        Log
+
+        Raises
+        ------
+        ValueError
+            If a column is missing or a cell is no number, with its line.
+        """
+        validation.instance("sensors", sensors, Sensors, "make them by Sensors(structure=..., ...)")
+        names = ["time", *_columns(sensors)]
+        rows: list[list[float]] = []
+        with Path(file).open(newline="", encoding="utf-8") as stream:
+            table = csv.reader(stream)
+            header = [name.strip() for name in next(table, [])]
+            missing = [name for name in names if name not in header]
+            if missing:
+                raise ValueError(
+                    f"{file} has no column {missing[0]!r}; expected 'time' and {names[1:4]}..., "
+                    f"found {header[:6]}"
+                )
+            places = [header.index(name) for name in names]
+            for line in table:
+                if not line:
+                    continue
+                rows.append([_number(line, i, file, table.line_num) for i in places])
+                if len(rows) * len(names) > _MOST_NUMBERS:
+                    raise ValueError(f"{file} has more than {_MOST_NUMBERS} numbers: read a part")
+        array = np.array(rows).reshape(len(rows), len(names))
+        return cls(array[:, 0], array[:, 1:], sensors, **others)
+
+    def __repr__(self) -> str:
+        numbers = self.readings.size - self.lost
+        return (
+            f"Log({len(self.time)} times up to {self.time[-1]:g} s, {numbers} numbers read, "
+            f"{self.lost} lost)"
+        )
+
+
+def _columns(sensors: Sensors) -> list[str]:
+    """Return a name for each number read: of several in a reading, with the axis."""
+    of, found = sensors.reading_of, []
+    first = {int(reading): i for i, reading in reversed(list(enumerate(of)))}
+    for i, reading in enumerate(of):
+        several = int((of == reading).sum()) > 1
+        axis = " " + "xyz"[i - first[int(reading)]] if several else ""
+        found.append(sensors.readings[reading] + axis)
+    return found
+
+
+def _number(line: list[str], place: int, file: object, number: int) -> float:
+    text = line[place].strip() if place < len(line) else ""
+    if not text:
+        return float("nan")
+    try:
+        return float(text)
+    except ValueError:
+        raise ValueError(f"{file}, line {number}: {text!r} is no number") from None

@@ -1,0 +1,237 @@
+"""Unknowns of a fit: numbers that scale or shift the parameters of a model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, frozen
+from tenscontrol.dynamics.model import Model
+from tenscontrol.optimize.parameters import Parameter, numbers_of
+
+# Prior standard deviations where none is given: of a logarithm; of a rest length as part of it; of
+# the height of the ground as part of the size; of a delay, s.
+_LOGARITHM, _LENGTH, _HEIGHT, _DELAY = 0.5, 0.05, 0.01, 0.02
+
+_SHIFTED = {"rest_length", "delay"}
+
+
+@dataclass(frozen=True)
+class LogNormal:
+    """What is known of a positive parameter before a fit: its median, and how far it may be off.
+
+    Parameters
+    ----------
+    median : float
+        In the unit of the parameter.
+    deviation : float
+        Standard deviation of the natural logarithm: 0.5 is a factor of 1.6 either way.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a number is not positive.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> tc.optimize.LogNormal(300.0, 0.5)
+    LogNormal(median=300.0, deviation=0.5)
+    """
+
+    median: float
+    deviation: float
+
+    def __post_init__(self) -> None:
+        for name in ("median", "deviation"):
+            value = validation.positive_number(name, getattr(self, name), "number")
+            object.__setattr__(self, name, value)
+
+
+@dataclass(frozen=True, eq=False)
+class Unknown:
+    """One parameter of the model, of which groups of members have an unknown each.
+
+    Attributes
+    ----------
+    name : str
+    base : ndarray, shape (members,)
+        Values where all unknowns are 0.
+    groups : tuple of ndarray of int
+        Members of each unknown.
+    deviation : float
+        Of the prior of each: of the logarithm, or in the unit of the parameter.
+    is_scaled : bool
+        Whether unknowns are logarithms of factors; else they are added.
+    """
+
+    name: str
+    base: FloatArray
+    groups: tuple[Any, ...]
+    deviation: float
+    is_scaled: bool
+
+    @property
+    def labels(self) -> list[str]:
+        """Name of each unknown."""
+        if len(self.base) == 1 and self.name.startswith(("ground", "delay")):
+            return [self.name]
+        return [f"{self.name} {_range(group)}" for group in self.groups]
+
+    def values(self, theta: FloatArray) -> FloatArray:
+        """Return the parameter for the unknowns."""
+        values = self.base.copy()
+        for unknown, group in zip(theta, self.groups, strict=True):
+            values[group] = (
+                values[group] * np.exp(unknown) if self.is_scaled else values[group] + unknown
+            )
+        return values
+
+    def slope(self, theta: FloatArray) -> FloatArray:
+        """Return the derivative of the parameter by the unknowns, shape (members, unknowns)."""
+        values, slope = self.values(theta), np.zeros((len(self.base), len(self.groups)))
+        for column, group in enumerate(self.groups):
+            slope[group, column] = values[group] if self.is_scaled else 1.0
+        return slope
+
+
+def _range(group: Any) -> str:
+    members = [int(i) for i in group]
+    if len(members) > 2 and members == list(range(members[0], members[-1] + 1)):
+        return f"{members[0]}-{members[-1]}"
+    return ", ".join(map(str, members))
+
+
+def unknowns_of(
+    model: Model,
+    input: str,
+    parameters: object,
+    known: Mapping[str, object] | None,
+    groups: Mapping[str, object] | None,
+    held: FloatArray | None,
+) -> tuple[Unknown, ...]:
+    """Return the unknowns of a fit, after checking what is asked for.
+
+    ``held`` are the rest lengths at the start, which those that are unknown are parts of.
+    """
+    if isinstance(parameters, str) or not isinstance(parameters, (Mapping, Sequence)):
+        raise validation.wrong_kind(
+            "parameters", parameters, "a list of names, or a dict of names with what is known"
+        )
+    asked = dict(parameters) if isinstance(parameters, Mapping) else dict.fromkeys(parameters)
+    bases = _bases(model, input, held)
+    if not asked:
+        raise ValueError(f"parameters is empty, expected some of {sorted(bases)}")
+    for label, mapping in (("known", known), ("groups", groups)):
+        for name in mapping or {}:
+            validation.choice(f"a key of {label}", name, asked)
+    found = []
+    for name, prior in asked.items():
+        base = bases[validation.choice("parameters", name, bases)]
+        is_scaled = name not in _SHIFTED and not name.endswith(".height")
+        base, deviation = _with_prior(name, base, prior, is_scaled, model)
+        some = _grouped(name, len(base), (groups or {}).get(name), (known or {}).get(name))
+        if is_scaled:
+            some = tuple(group for group in some if (base[group] != 0).any())
+        if not some:
+            raise ValueError(f"{name} has no unknown: all of it is known, or zero")
+        found.append(Unknown(name, frozen(base), some, deviation, is_scaled))
+    return tuple(found)
+
+
+def _bases(model: Model, input: str, held: FloatArray | None) -> dict[str, FloatArray]:
+    """Return what can be fitted, with its values in the model."""
+    structure = model.structure
+    found = {"bar_mass": structure.bar_mass, "point_mass": structure.point_mass}
+    if input == "rest_length":
+        law: Any = model.strings
+        count = len(structure.strings)
+        for each in fields(law):
+            found[each.name] = np.broadcast_to(getattr(law, each.name), (count,))
+        if held is not None:
+            found["rest_length"] = np.zeros(count)
+    several = len(model.ground) > 1
+    for i, ground in enumerate(model.ground):
+        label = f"ground[{i}]" if several else "ground"
+        for name in numbers_of(ground):
+            found[f"{label}.{name}"] = np.array([getattr(ground, name)])
+    found["delay"] = np.zeros(1)
+    return {name: np.array(value, dtype=float) for name, value in found.items()}
+
+
+def _with_prior(
+    name: str, base: FloatArray, prior: object, is_scaled: bool, model: Model
+) -> tuple[FloatArray, float]:
+    """Return the values to begin with, and the deviation of the prior."""
+    if isinstance(prior, LogNormal):
+        if not is_scaled:
+            raise ValueError(f"parameters: {name} is shifted, expected its standard deviation")
+        return np.full(len(base), prior.median), prior.deviation
+    if prior is not None:
+        unit = "of its logarithm" if is_scaled else "in its unit"
+        return base, validation.positive_number(f"deviation of {name}", prior, unit)
+    if is_scaled:
+        return base, _LOGARITHM
+    length = float(model.structure.string_length().mean()) if len(model.structure.strings) else 1.0
+    size = float(np.ptp(model.structure.nodes, axis=1).max())
+    usual = {"rest_length": _LENGTH * length, "delay": _DELAY}
+    return base, usual.get(name, _HEIGHT * size)
+
+
+def _grouped(name: str, count: int, groups: object, known: object) -> tuple[Any, ...]:
+    """Return the members of each unknown."""
+    kept = np.ones(count, dtype=bool)
+    if known is not None:
+        which = validation.index_list(f"known[{name!r}]", known, count, f"there are {count}")
+        kept[which] = False
+    if groups is None:
+        return tuple(np.array([i]) for i in np.flatnonzero(kept))
+    label = f"groups[{name!r}]"
+    if isinstance(groups, str) and groups == "all":
+        groups = [np.arange(count)]
+    found = []
+    for i, group in enumerate(validation.items(label, groups, "lists of members")):
+        members = validation.index_list(f"{label}[{i}]", group, count, f"there are {count}")
+        if not kept[members].all():
+            raise ValueError(f"{label}[{i}] has members that are known, or in another group")
+        kept[members] = False
+        found.append(np.asarray(members))
+    return (*found, *(np.array([i]) for i in np.flatnonzero(kept)))
+
+
+def fitted_model(model: Model, unknowns: Sequence[Unknown], theta: Sequence[FloatArray]) -> Model:
+    """Return a model with the parameters for the unknowns."""
+    structure, strings, ground = model.structure, model.strings, list(model.ground)
+    for unknown, own in zip(unknowns, theta, strict=True):
+        name, values = unknown.name, unknown.values(own)
+        if name in ("bar_mass", "point_mass"):
+            masses: dict[str, Any] = {name: values}
+            structure = replace(structure, **masses)
+        elif name.startswith("ground"):
+            i = int(name[7 : name.index("]")]) if "[" in name else 0
+            ground[i] = replace(ground[i], **{name.rpartition(".")[2]: float(values[0])})
+        elif name not in _SHIFTED:
+            strings = replace(strings, **{name: values})  # type: ignore[type-var]
+    load: Any = model.has_external_force
+    if not load and model.built_in_load.any():
+        load = model.built_in_load
+    return Model(structure, strings, load, model.gravity, tuple(ground) or None)
+
+
+def parameter_of(model: Model, unknown: Unknown) -> Parameter | None:
+    """Return what a run is differentiated by for an unknown; None for a delay."""
+    name = unknown.name
+    if name == "delay":
+        return None
+    if name == "rest_length":
+        return Parameter(name, "input", (len(unknown.base),))
+    if name in ("bar_mass", "point_mass"):
+        return Parameter(name, name, (len(unknown.base),))
+    if name.startswith("ground"):
+        i = int(name[7 : name.index("]")]) if "[" in name else 0
+        return Parameter(name, "ground", (), law=i, field=name.rpartition(".")[2])
+    return Parameter(name, "strings", (len(unknown.base),), field=name)

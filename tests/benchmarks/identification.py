@@ -1,0 +1,176 @@
+"""Fits of models to simulated logs: rollouts, errors beside intervals, and other methods.
+
+Run: ``python -m tests.benchmarks.identification [--count 100] [--ball 1] [--peers]``.
+
+A prism with 29 unknowns, 9 rest lengths, 9 stiffnesses, 9 dampings and 2 masses, off by about 20 %
+and 1 cm, is fitted to the places of its nodes, read to 1 mm at 50 Hz for 1 s while its strings are
+wound. The table has a line for each draw of parameters and noise. Below is how many of all
+intervals of 95 % hold the true value. ``--ball`` fits six-bar balls that fall on ground, by the
+lengths of strings and directions of bars over 2 s: 24 stiffnesses, friction, and a payload.
+``--peers`` fits the prism by ``scipy.optimize.least_squares`` with differences and by Nelder and
+Mead's method, on the same rollouts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from time import perf_counter
+
+import numpy as np
+
+import tenscontrol as tc
+from tenscontrol.optimize.fit import Fit
+from tests.benchmarks.command_line import options
+
+TIMES = np.arange(1, 51) * 0.02
+
+NAMES = ["rest_length", "stiffness", "damping", "bar_mass"]
+
+_NO_LIMITS = tc.HealthLimits(crossings=None, penetration=None)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A log, the model to begin with, and the values that made the log."""
+
+    model: tc.Model
+    log: tc.Log
+    names: list[str]
+    known: dict[str, list[int]]
+    true: np.ndarray  # factors, or shifts
+
+    def fit(self) -> Fit:
+        """Return the fit by the package."""
+        return tc.fit(self.model, self.log, self.names, known=self.known)
+
+
+def wound(rest: np.ndarray) -> tc.Profile:
+    """Return rest lengths that change by 8 % up and down, out of step."""
+    changes = [0.08 * rest.mean() * np.sin(3 * i + np.arange(len(rest))) for i in range(6)]
+    return tc.Profile(np.linspace(0, 1, 6), np.stack([rest + each for each in changes], 1), "cubic")
+
+
+def prism_case(seed: int) -> Case:
+    """Return a prism whose parameters are drawn at random."""
+    random, prism = np.random.default_rng([29, seed]), tc.prism()
+    factors = np.exp(0.2 * random.normal(size=20))
+    shifts = 0.01 * random.normal(size=9)
+    mass = prism.bar_mass * np.append(1.0, factors[18:])
+    strings = tc.LinearStrings(300.0 * factors[:9], 1.5 * factors[9:18])
+    model = tc.Model(replace(prism, bar_mass=mass), strings=strings)
+    rest = 0.95 * prism.string_length()
+    run = tc.simulate(
+        model, 1.0, rest_length=wound(rest + shifts), tolerance=1e-9, output_step=0.02,
+        error="none", limits=_NO_LIMITS,
+    )  # fmt: skip
+    sensors = tc.Sensors(structure=prism, node_position=1e-3)
+    log = replace(tc.Log.of_run(run, sensors, TIMES, seed=seed), rest_length=wound(rest))
+    guess = tc.Model(prism, strings=tc.LinearStrings(300.0, 1.5))
+    return Case(guess, log, NAMES, {"bar_mass": [0]}, np.concatenate([shifts, factors]))
+
+
+def ball_case(seed: int) -> Case:
+    """Return a six-bar ball that falls on ground, with a payload."""
+    random = np.random.default_rng([30, seed])
+    ball = tc.library.six_bar_ball()
+    length = ball.string_length()
+    payload = np.zeros(ball.nodes.shape[1])
+    payload[0] = 0.2 * ball.bar_mass.mean()
+    factors = np.exp(0.2 * random.normal(size=26))
+    ground = tc.Ground(2e3, damping=0.3, friction=0.5)
+
+    def model(stiffness, friction, mass) -> tc.Model:
+        return tc.Model(
+            replace(ball, point_mass=mass), strings=tc.LinearStrings(stiffness, 2.0), gravity=9.81,
+            ground=replace(ground, friction=friction),
+        )  # fmt: skip
+
+    push = np.zeros(ball.nodes.shape)
+    push[0] = 0.5
+    start = ball.nodes - [[0], [0], [ball.nodes[2].min() - 0.02]]
+    true = model(800.0 * factors[:24], 0.5 * factors[24], payload * factors[25])
+    rest = 0.95 * length
+    run = tc.simulate(
+        true, 2.0, start, push, rest_length=rest, tolerance=1e-9, output_step=0.02, error="none",
+        limits=_NO_LIMITS,
+    )  # fmt: skip
+    sensors = tc.Sensors(structure=ball, string_length=1e-3, bar_direction=5e-3)
+    log = tc.Log.of_run(run, sensors, np.arange(1, 101) * 0.02, seed=seed)
+    names = ["stiffness", "ground.friction", "point_mass"]
+    return Case(model(800.0, 0.5, payload), log, names, {}, factors)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    given = options(__doc__, arguments, count=20, ball=0, peers=False)
+    for title, case_of, count in (
+        ("prism", prism_case, given.count), ("ball", ball_case, given.ball),
+    ):  # fmt: skip
+        if count:
+            print_fits(title, case_of, count)
+    if given.peers:
+        print_peers(prism_case(0))
+
+
+def print_fits(title: str, case_of, count: int) -> None:
+    """Print a line for each fit, and how many intervals hold."""
+    held, of, ratios = 0, 0, []
+    print(f"{title}: seed rollouts chi2   error/deviation rms   s")
+    for seed in range(count):
+        case = case_of(seed)
+        began = perf_counter()
+        found = case.fit()
+        seconds = perf_counter() - began
+        low, high = found.interval.T
+        told = found.identifiability.is_told
+        held += int(((low <= case.true) & (case.true <= high))[told].sum())
+        of += int(told.sum())
+        scaled = np.arange(len(case.true)) >= len(case.true) - 20 if title == "prism" else True
+        values, true, ends = (
+            np.where(scaled, np.log(np.where(scaled, part, 1.0)), part)
+            for part in (found.value, case.true, high)
+        )
+        own = (values - true) / ((ends - values) / 1.959964)
+        ratios.append(float(np.sqrt(np.mean(own[told] ** 2))))
+        print(
+            f"{title} {seed:8d} {found.rollouts:8d} {found.chi_squared:4.2f} {ratios[-1]:20.2f} "
+            f"{seconds:5.1f}  {found.message}, {int((~told).sum())} not told",
+            flush=True,
+        )
+    print(f"{title}: {held} of {of} intervals of 95 % hold, {100 * held / max(of, 1):.1f} %")
+
+
+def print_peers(case: Case) -> None:
+    """Print how general methods do on the same rollouts."""
+    from scipy.optimize import least_squares, minimize
+
+    from tenscontrol.optimize.fit import _rollouts_of
+
+    rollouts = _rollouts_of(case.model, case.log, case.names, case.known, None, None, 1e-8, None)
+    scale = rollouts.deviations
+
+    def residuals(scaled: np.ndarray) -> np.ndarray:
+        found = rollouts.readings(scaled * scale, 1.0, slopes=False).residuals
+        return np.concatenate([found, scaled])
+
+    start, size = np.zeros(rollouts.size), len(case.log.readings.ravel())
+    ours = case.fit()
+    print(f"fit: {ours.rollouts} rollouts with slopes, chi2 {ours.chi_squared:.2f}")
+    for name, solve in (
+        ("least_squares", lambda: least_squares(residuals, start, max_nfev=60)),
+        (
+            "Nelder-Mead",
+            lambda: minimize(
+                lambda s: (residuals(s) ** 2).sum(), start, method="Nelder-Mead",
+                options={"maxfev": 3000},
+            ),
+        ),
+    ):  # fmt: skip
+        rollouts.count = 0
+        x = solve().x
+        chi = (residuals(x)[:size] ** 2).sum() / (size - rollouts.size)
+        print(f"{name}: {rollouts.count} rollouts, chi2 {chi:.3g}")
+
+
+if __name__ == "__main__":
+    main()

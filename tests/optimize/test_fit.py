@@ -1,0 +1,178 @@
+"""Fits of models to logs: what was put in comes out, and what cannot be told is said."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import tenscontrol as tc
+from tests.benchmarks.identification import prism_case
+
+PRISM = tc.prism()
+REST = 0.95 * PRISM.string_length()
+TIMES = np.arange(1, 41) * 0.02
+
+
+def model_of(stiffness=100.0, damping=0.8, **options):
+    return tc.Model(PRISM, strings=tc.LinearStrings(stiffness, damping), gravity=0.5, **options)
+
+
+def log_of(model, sensors=None, seed=0, **start):
+    if sensors is None:
+        sensors = tc.Sensors(structure=PRISM, node_position=1e-3)
+    run = tc.simulate(
+        model, 0.8, rest_length=REST, tolerance=1e-9, error="none", output_step=0.02, **start
+    )
+    return tc.Log.of_run(run, sensors, TIMES, seed)
+
+
+def test_a_prism_of_29_unknowns_is_found_in_few_rollouts():
+    case = prism_case(1)
+    found = case.fit()
+    assert found.converged
+    assert found.rollouts <= 20
+    assert found.chi_squared == pytest.approx(1.0, abs=0.1)
+    low, high = found.interval.T
+    assert found.identifiability.is_told.all()
+    assert ((low <= case.true) & (case.true <= high)).sum() >= 25
+    assert abs(found.residuals[0].whiteness) < 0.1
+    # The run of the fitted model is that of the true one, on inputs that were not in the log.
+    assert found.validate(prism_case(1).log).root_mean_square < 1.1
+
+
+def test_what_data_cannot_tell_is_named_and_gets_no_interval():
+    log = log_of(model_of())
+    names = ["stiffness", "damping", "bar_mass"]
+    told = tc.identifiable(model_of(), log, names)
+    assert told.singular[-1] < 1e-6 < 1 < told.singular[0]
+    together = told.directions[-1]
+    np.testing.assert_allclose(together, together[0], atol=1e-6)
+    assert "all of stiffness, " in told.table().splitlines()[-1]
+    found = tc.fit(model_of(115.0), log, names)
+    assert np.isnan(found.interval).all()
+    assert "not told by the data" in found.table()
+    # A tension tells it.
+    sensors = tc.Sensors(structure=PRISM, node_position=1e-3, string_tension=0.1)
+    tense = log_of(model_of(), sensors)
+    assert tc.identifiable(model_of(), tense, names).singular[-1] > 1
+
+
+def test_groups_share_an_unknown_and_what_is_known_is_held():
+    true = model_of(np.repeat([80.0, 100.0, 140.0], 3))
+    found = tc.fit(
+        model_of(), log_of(true), {"stiffness": 1.0, "damping": tc.optimize.LogNormal(0.5, 1.0)},
+        groups={"stiffness": [[0, 1, 2], [6, 7, 8]], "damping": "all"},
+        known={"stiffness": [3, 4, 5]},
+    )  # fmt: skip
+    assert found.labels == ("stiffness 0-2", "stiffness 6-8", "damping 0-8")
+    np.testing.assert_array_equal(found.parameters["stiffness"][3:6], 100.0)
+    np.testing.assert_allclose(found.parameters["stiffness"], true.strings.stiffness, rtol=0.01)
+    np.testing.assert_allclose(found.parameters["damping"], 0.8, rtol=0.05)
+    np.testing.assert_array_equal(found.model.strings.stiffness, found.parameters["stiffness"])
+
+
+def test_lost_and_wild_readings_are_skipped_and_bounded():
+    clean = log_of(model_of(120.0))
+    readings = np.array(clean.readings)
+    readings[5:8] = np.nan
+    readings[20, 3] += 0.5
+    readings[33, 11:14] -= 0.8
+    log = replace(clean, readings=readings)
+    assert log.lost == 3 * 18
+    wild = tc.fit(model_of(), log, ["stiffness"], groups={"stiffness": "all"})
+    bounded = tc.fit(model_of(), log, ["stiffness"], groups={"stiffness": "all"}, loss="huber")
+    off = [abs(each.parameters["stiffness"][0] - 120.0) for each in (wild, bounded)]
+    assert 5 * off[1] < off[0]
+    assert off[1] < 2.0
+
+
+def test_a_start_that_is_not_known_is_found_with_the_rest():
+    turned = np.array([[0.9998, -0.02, 0.0], [0.02, 0.9998, 0.0], [0.0, 0.0, 1.0]])
+    nodes = turned @ PRISM.nodes + [[0.01], [-0.02], [0.015]]
+    push = np.full((3, 6), 0.03)
+    log = log_of(model_of(115.0), nodes=nodes, velocities=push)
+    vague = replace(log, nodes=None, velocities=None)
+    found = tc.fit(model_of(), vague, ["stiffness"], groups={"stiffness": "all"}, start=(0.02, 0.1))
+    assert found.parameters["stiffness"][0] == pytest.approx(115.0, rel=0.01)
+    assert found.chi_squared == pytest.approx(1.0, abs=0.15)
+    fixed = tc.fit(model_of(), vague, ["stiffness"], groups={"stiffness": "all"})
+    assert fixed.chi_squared > 10
+
+
+def test_a_delay_of_the_readings_is_found():
+    log = log_of(model_of())
+    late = replace(log, time=log.time + 0.013)
+    found = tc.fit(model_of(), late, ["delay", "damping"], groups={"damping": "all"})
+    assert found.parameters["delay"][0] == pytest.approx(0.013, abs=5e-4)
+
+
+def test_friction_and_payload_of_a_sliding_prism_are_found():
+    ground = tc.Ground(2e3, damping=0.3, friction=0.4, height=PRISM.nodes[2].min() - 0.01)
+
+    def sliding(friction, payload):
+        structure = replace(PRISM, point_mass=[0, 0, 0, payload, 0, 0])
+        return tc.Model(
+            structure, strings=tc.LinearStrings(200.0, 1.0), gravity=9.81,
+            ground=replace(ground, friction=friction),
+        )  # fmt: skip
+
+    push = np.zeros((3, 6))
+    push[0] = 0.8
+    log = log_of(sliding(0.55, 0.4), velocities=push)
+    found = tc.fit(sliding(0.4, 0.3), log, ["ground.friction", "point_mass"])
+    assert found.labels == ("ground.friction", "point_mass 3")
+    assert found.parameters["ground.friction"][0] == pytest.approx(0.55, rel=0.01)
+    assert found.parameters["point_mass"][3] == pytest.approx(0.4, rel=0.02)
+
+
+def test_several_logs_share_the_parameters():
+    true = model_of(90.0)
+    logs = [log_of(true, seed=1), log_of(true, seed=2)]
+    both = tc.fit(model_of(), logs, ["stiffness"], groups={"stiffness": "all"})
+    one = tc.fit(model_of(), logs[0], ["stiffness"], groups={"stiffness": "all"})
+    assert both.parameters["stiffness"][0] == pytest.approx(90.0, rel=0.01)
+    assert np.ptp(both.interval) < 0.85 * np.ptp(one.interval)
+
+
+def test_a_log_goes_through_a_table_and_a_fit_through_json(tmp_path):
+    log = log_of(model_of())
+    readings = np.array(log.readings)
+    readings[2, 4] = np.nan
+    log = replace(log, readings=readings)
+    read = tc.Log.read(log.save(tmp_path / "log.csv"), log.sensors, rest_length=REST)
+    np.testing.assert_array_equal(read.readings, log.readings)
+    np.testing.assert_array_equal(read.time, log.time)
+    found = tc.fit(model_of(), read, ["stiffness"], groups={"stiffness": "all"})
+    saved = json.loads(found.save(tmp_path / "fit.json").read_text())
+    assert saved["parameters"]["stiffness"] == found.parameters["stiffness"].tolist()
+    text = (tmp_path / "log.csv").read_text().replace("node_position 0 y", "node_position 0 w")
+    (tmp_path / "log.csv").write_text(text)
+    with pytest.raises(ValueError, match="no column 'node_position 0 y'"):
+        tc.Log.read(tmp_path / "log.csv", log.sensors, rest_length=REST)
+    (tmp_path / "log.csv").write_text(text.replace("node_position 0 w", "node_position 0 y") + "x")
+    with pytest.raises(ValueError, match="line 42: 'x' is no number"):
+        tc.Log.read(tmp_path / "log.csv", log.sensors, rest_length=REST)
+
+
+def test_what_does_not_fit_is_refused():
+    log = log_of(model_of())
+    with pytest.raises(ValueError, match=r"time\[3\] is .* expected ascending"):
+        replace(log, time=np.where(np.arange(40) == 3, 0.0, log.time))
+    with pytest.raises(ValueError, match=r"readings\[0, 0\] is infinite"):
+        replace(log, readings=np.full(log.readings.shape, np.inf))
+    with pytest.raises(ValueError, match="nothing was read"):
+        replace(log, readings=np.full(log.readings.shape, np.nan))
+    with pytest.raises(ValueError, match="parameters is 'stifness'"):
+        tc.fit(model_of(), log, ["stifness"])
+    with pytest.raises(ValueError, match="point_mass has no unknown"):
+        tc.fit(model_of(), log, ["point_mass"])
+    with pytest.raises(ValueError, match=r"groups\['stiffness'\]\[1\] has members"):
+        tc.fit(model_of(), log, ["stiffness"], groups={"stiffness": [[0, 1], [1, 2]]})
+    ball = tc.library.six_bar_ball()
+    with pytest.raises(ValueError, match="log has sensors of"):
+        tc.fit(tc.Model(ball, strings=tc.LinearStrings(100.0)), log, ["stiffness"])
+    sensors = tc.Sensors(structure=PRISM, node_position=1e-3, accelerometer=0.1)
+    shape = 40, len(sensors.noise)
+    with pytest.raises(ValueError, match="accelerometers, whose readings are not fitted"):
+        tc.fit(model_of(), replace(log, sensors=sensors, readings=np.ones(shape)), ["stiffness"])
