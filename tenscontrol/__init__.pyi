@@ -112,6 +112,7 @@ from .simulation import (
     load_run as load_run,
     simulate as simulate,
     simulate_many as simulate_many,
+    strength as strength,
 )
 from .sizing import (
     Material as Material,
@@ -198,6 +199,7 @@ __all__ = [
     "simulate_many",
     "skin",
     "stability_map",
+    "strength",
     "subdivide",
     "sweep",
     "to_force_density",

@@ -64,12 +64,14 @@ def values(tmp_path_factory):
     height = tc.Height(0.9, top=[0, 1, 2], bottom=[3, 4, 5])
     target = tc.shape_target(model, height, force_density=17.3205)
     steel = tc.sizing.materials["steel"]
+    stout = tc.sections(prism, bars=steel, strings=steel, bar_radius=0.01, string_radius=np.ones(9))
     found = [
         steel,
         tc.sizing.Tube(0.8),
-        tc.sections(prism, bars=steel, strings=steel, bar_radius=0.01, string_radius=np.ones(9)),
+        stout,
         tc.design(prism, bars=steel, strings=steel, min_force_density=10.0, restarts=1),
         tc.sensitivity(moving, ["stiffness"]),
+        tc.strength(moving, stout),
         fitted,
         fitted.identifiability,
         fitted.residuals[0],

@@ -12,6 +12,7 @@ from tenscontrol.simulation.observation import EstimateRecord
 from tenscontrol.simulation.scene import Scene
 from tenscontrol.simulation.simulate import simulate
 from tenscontrol.simulation.stepper import Stepper, StepperState
+from tenscontrol.simulation.strength import Strength, strength
 from tenscontrol.simulation.trajectory import Trajectory, load_run
 
 __all__ = [
@@ -33,9 +34,11 @@ __all__ = [
     "SimulationError",
     "Stepper",
     "StepperState",
+    "Strength",
     "StuckWinch",
     "Trajectory",
     "load_run",
     "simulate",
     "simulate_many",
+    "strength",
 ]

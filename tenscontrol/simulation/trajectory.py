@@ -7,10 +7,12 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import casadi as ca
 import numpy as np
 
 from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics.contact_laws import ContactLaw
+from tenscontrol.dynamics.evaluator import Function, evaluate_columns
 from tenscontrol.dynamics.model import Model
 from tenscontrol.integrate.integrator import Work
 from tenscontrol.integrate.methods import Choice
@@ -200,6 +202,32 @@ class Trajectory(Viewable):
         length = np.zeros(self.force_density.shape)
         np.add.at(length, of, distances(self.nodes, self.structure.segments))
         return read_only(self.force_density * length)
+
+    @cached_property
+    def bar_force_density(self) -> FloatArray:
+        """λ of each bar, N/m, shape (β, T), positive in compression: eq. (16) at each time.
+
+        Raises a ValueError in a copy, where the model is not there, and where supports move.
+        """
+        model, functions = self.model, self._of_model
+        if functions.moved:
+            raise ValueError("forces of bars are not found in a run whose supports move")
+        free, count = model.structure.free, len(self.time)
+        columns = [part[:, free] for part in (self.nodes, self.velocities)]
+        if model.has_external_force:
+            load = functions.load
+            if load is None:
+                load = np.zeros(self.nodes.shape[:2])
+            if load.shape != self.nodes.shape[:2]:
+                load = load.reshape(*self.nodes.shape[1::-1], count).swapaxes(0, 1)
+            else:
+                load = np.broadcast_to(load[:, :, None], self.nodes.shape)
+            columns.append(load[:, free] - model.constant_force[:, free, None])
+        motion, velocities, *more = (by_node(each) for each in columns)
+        function = model.prepared.get("bar forces", lambda: _of_columns(model.bar_force_density))
+        return read_only(
+            evaluate_columns(function, motion, velocities, self.force_density, *more)[0]
+        )
 
     @cached_property
     def kinetic_energy(self) -> FloatArray:
@@ -622,3 +650,11 @@ def load_run(path: str | Path) -> Trajectory:
     run = Trajectory(**saved, _ground=ground, _functions=functions)
     vars(run).update(evaluated)
     return run
+
+
+def _of_columns(function: ca.Function) -> ca.Function:
+    """Return a function whose arguments are columns, in place of matrices."""
+    shapes = [function.size_in(i) for i in range(function.n_in())]
+    columns = [ca.MX.sym(f"column{i}", m * n) for i, (m, n) in enumerate(shapes)]
+    matrices = [ca.reshape(c, *shape) for c, shape in zip(columns, shapes, strict=True)]
+    return Function("of_columns", columns, [ca.densify(function(*matrices))])

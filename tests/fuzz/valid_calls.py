@@ -143,6 +143,7 @@ RESULTS = {
     "robustness.SweepReport",
     "scene.SceneError",
     "shape.DemandCheck",
+    "simulation.Strength",
     "shape.PathError",
     "shape.RollingStep",
     "shape.ShapeError",
@@ -203,6 +204,7 @@ WITHIN = {
     "optimize.Fit.table",
     "optimize.Identifiability.table",
     "optimize.Sensitivity.table",
+    "simulation.Strength.table",
     "sizing.Design.table",
     "sizing.Tube.stress",
     *(f"integrate.RK4.{name}" for name in ("smooth_step", "steps_between", "work_of")),
@@ -711,6 +713,14 @@ call(
         "seed": 1,
     },
 )
+
+
+def strong():
+    return tc.strength(run(), sized())
+
+
+call("strength", lambda: {"run": run(), "sections": sized()}, share=0.3)
+call("plot.strength", lambda: {"found": strong(), "members": 3, "ax": flat()}, share=0.2)
 
 # ---- derivatives of runs ----
 

@@ -1,0 +1,70 @@
+"""Figure of the margins of strength along a run."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from tenscontrol import validation
+from tenscontrol.plot.histories import Curves, draw_curves
+from tenscontrol.plot.style import closes_on_error, flat_axes, legend_above
+from tenscontrol.simulation.strength import Strength
+
+# Margins beyond are drawn there: members that bear nothing have infinite ones. The axis ends at so
+# many times the least margin, or 1.
+_FAR, _SHOWN = 1e4, 4.0
+
+
+@closes_on_error
+def strength(found: Strength, *, members: int = 4, ax: Axes | None = None) -> Curves:
+    """Draw how many times its force each of the worst members could carry, over time.
+
+    Below the grey line at 1 it yields or buckles.
+
+    Parameters
+    ----------
+    found : Strength
+        Made by :func:`tenscontrol.strength`.
+    members : int
+        How many members are drawn, those of the least margin.
+    ax : Axes, optional
+        Where to draw; a new figure if not given.
+
+    Returns
+    -------
+    Curves
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is of the wrong kind or does not fit.
+
+    Examples
+    --------
+    >>> import matplotlib.pyplot as plt, tenscontrol as tc
+    >>> metal = tc.sizing.materials["aluminium"]
+    >>> sized = tc.sections(tc.prism(), bars=metal, bar_radius=0.02, strings=metal,
+    ...                     string_radius=0.002)
+    >>> rest = tc.prestress(sized.structure, force_density=1000.0)
+    >>> run = tc.simulate(tc.Model(sized.structure), 0.1, force_density=rest.force_density)
+    >>> curves = tc.plot.strength(tc.strength(run, sized), members=2)
+    >>> len(curves.lines), curves.ax.get_ylabel()
+    (2, 'strength over force')
+    >>> plt.close(curves.ax.figure)
+    """
+    validation.instance("found", found, Strength, "make one by strength(run, sections)")
+    count = validation.whole_number("members", members, 1)
+    alpha = len(found.string_margin)
+    margins = np.vstack([found.string_margin, found.bar_margin])
+    rows = {}
+    for i in np.argsort(found.least, kind="stable")[:count]:
+        member = f"string {i}" if i < alpha else f"bar {i - alpha}"
+        rows[f"{member} ({found.limit[i]})"] = np.minimum(margins[i], _FAR)[None]
+    ax = flat_axes(ax)
+    one = {"yields or buckles": np.array(1.0)}
+    curves = draw_curves(
+        ax, found.run.time, rows, "strength over force", references=one, xlabel="time, s"
+    )
+    ax.set_ylim(0, _SHOWN * max(1.0, found.margin))
+    legend_above(ax)
+    return curves

@@ -1,0 +1,145 @@
+"""Margins of strength of the members along a run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, IntArray, frozen
+from tenscontrol.properties import cached_property
+from tenscontrol.simulation.motion_functions import distances
+from tenscontrol.simulation.trajectory import Trajectory
+from tenscontrol.sizing.sections import Sections
+from tenscontrol.tables import aligned
+
+# Margins that differ by less than this part are the same.
+_SAME = 1e-9
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Strength:
+    """How many times its force each member could carry over a run. Made by :func:`strength`.
+
+    Attributes
+    ----------
+    run : Trajectory
+    sections : Sections
+    string_margin : ndarray, shape (α, T)
+        Strength over tension at the times of the run; infinite without force.
+    bar_margin : ndarray, shape (β, T)
+        The less of yield and, in compression, Euler's load, over the force.
+    """
+
+    run: Trajectory
+    sections: Sections
+    string_margin: FloatArray
+    bar_margin: FloatArray
+
+    @cached_property
+    def least(self) -> FloatArray:
+        """Least margin of each member, strings first, shape (α + β,)."""
+        return frozen(self._all.min(axis=1))
+
+    @cached_property
+    def when(self) -> FloatArray:
+        """Time at which each member first has its least margin, s, shape (α + β,)."""
+        return frozen(self.run.time[self._worst])
+
+    @property
+    def margin(self) -> float:
+        """Least margin of all members; at least 1 where nothing yields and nothing buckles."""
+        return float(self.least.min(initial=np.inf))
+
+    @cached_property
+    def limit(self) -> tuple[str, ...]:
+        """What each member comes nearest to, "yield" or "buckling", strings first."""
+        sized, alpha = self.sections, len(self.string_margin)
+        worst = self._worst[alpha:]
+        force = np.take_along_axis(self.run.bar_force_density, worst[:, None], axis=1)[:, 0]
+        is_weak = sized.buckling_force < sized.bar_stress * sized.bar_area
+        buckles = (force > 0) & is_weak
+        return ("yield",) * alpha + tuple("buckling" if each else "yield" for each in buckles)
+
+    def table(self) -> str:
+        """Return the members as text, those of the least margin first."""
+        alpha = len(self.string_margin)
+        rows = []
+        for i in np.argsort(self.least, kind="stable"):
+            member = f"string {i}" if i < alpha else f"bar {i - alpha}"
+            rows.append([member, f"{self.least[i]:.4g}", f"{self.when[i]:.4g}", self.limit[i]])
+        return aligned(["member", "margin", "time s", "limit"], rows)
+
+    @property
+    def _all(self) -> FloatArray:
+        return np.vstack([self.string_margin, self.bar_margin])
+
+    @property
+    def _worst(self) -> IntArray:
+        """Which time is the first at which each member has its least margin, but for round-off."""
+        return np.asarray((self._all <= self.least[:, None] * (1 + _SAME)).argmax(axis=1))
+
+    def __repr__(self) -> str:
+        if not len(self.least):
+            return "Strength(no members)"
+        i = int(self.least.argmin())
+        alpha = len(self.string_margin)
+        member = f"string {i}" if i < alpha else f"bar {i - alpha}"
+        return f"Strength({self.margin:.4g} at {self.when[i]:.4g} s, {self.limit[i]} of {member})"
+
+
+def strength(run: Trajectory, sections: Sections) -> Strength:
+    """Return how many times its force each member could carry over a run.
+
+    Parameters
+    ----------
+    run : Trajectory
+        Made by :func:`simulate`. Margins are those of its times: give outputs close enough to see
+        the peaks.
+    sections : Sections
+        Of the same members, made by :func:`sections` or :func:`design`.
+
+    Returns
+    -------
+    Strength
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is of the wrong kind, members differ, or the bars' forces are not known:
+        of a run with moving supports, or a copy without its model.
+
+    Notes
+    -----
+    A member is taken to bear its force as if it stayed. Buckling takes longer than a short shock,
+    so that peaks of a shock are on the safe side. Bending of bars by their own inertia and weight
+    is left out.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> metal = tc.sizing.materials["aluminium"]
+    >>> sized = tc.sections(tc.prism(), bars=metal, bar_radius=0.005, strings=metal,
+    ...                     string_radius=0.001)
+    >>> rest = tc.prestress(sized.structure, force_density=1000.0)
+    >>> run = tc.simulate(tc.Model(sized.structure), 0.1, force_density=rest.force_density)
+    >>> tc.strength(run, sized)
+    Strength(0.07171 at 0 s, buckling of bar 0)
+    """
+    validation.instance("run", run, Trajectory, "make one by simulate(model, ...)")
+    validation.instance("sections", sections, Sections, "make one by sections(...) or design(...)")
+    for name in ("strings", "bars"):
+        of_run, given = (_pairs(each, name) for each in (run.structure, sections.structure))
+        if not np.array_equal(of_run, given):
+            raise ValueError(
+                f"sections are of other {name} than the run: {len(given)} against {len(of_run)}; "
+                "simulate sections.structure, or make sections of run.structure"
+            )
+    length = distances(run.nodes, run.structure.bars)
+    margins = sections.margins(run.tension, run.bar_force_density * length)
+    return Strength(run, sections, *(frozen(each) for each in margins))
+
+
+def _pairs(structure: object, name: str) -> IntArray:
+    return np.asarray(getattr(structure, name))
