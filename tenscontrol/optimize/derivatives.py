@@ -112,6 +112,10 @@ class Derivatives:
         by_load = _stacked(next(found), half)
         return Slopes(by_state, by_input, by_load @ self._forces(x, u, taut, slope))
 
+    def by_state(self, x: FloatArray, u: FloatArray, taut: FloatArray) -> FloatArray:
+        """Return the derivatives of the accelerations by the state, shape (K, half, states)."""
+        return _stacked(evaluate_columns(self._jacobian, x, u, taut)[0], self.half)
+
     def _forces(
         self, x: FloatArray, u: FloatArray, taut: FloatArray, slope: FloatArray
     ) -> FloatArray:

@@ -378,8 +378,8 @@ def fit(
     >>> log = tc.Log.of_run(run, sensors, np.linspace(0.02, 0.5, 25), seed=0)
     >>> guess = tc.Model(prism, strings=tc.LinearStrings(100.0, damping=0.5))
     >>> found = tc.fit(guess, log, ["stiffness"], groups={"stiffness": "all"})
-    >>> found.parameters["stiffness"][0].round(1), found.converged
-    (np.float64(119.9), True)
+    >>> found.converged, bool(abs(found.parameters["stiffness"][0] - 120.0) < 1.0)
+    (True, True)
     """
     validation.choice("loss", loss, ("squared", "huber"))
     most = validation.whole_number("most_rollouts", most_rollouts, 1)

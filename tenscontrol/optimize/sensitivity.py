@@ -17,7 +17,7 @@ from tenscontrol.integrate.methods import Choice
 from tenscontrol.optimize.derivatives import Derivatives
 from tenscontrol.optimize.parameters import Parameter, parameters_of
 from tenscontrol.optimize.traced_steps import steps_of
-from tenscontrol.optimize.variations import Variations
+from tenscontrol.optimize.variations import Variations, stable
 from tenscontrol.simulation.health import HealthLimits
 from tenscontrol.simulation.scene import Scene, traced
 from tenscontrol.simulation.trajectory import Trajectory
@@ -255,7 +255,7 @@ def variations_of(scene: Scene, parameters: Sequence[Parameter], times: FloatArr
     load = plant.load if isinstance(plant.load, np.ndarray) else scene.model.constant_force
     steps = steps_of(plant, load)
     derivatives = Derivatives(scene.model, scene.input, steps.layout.degree, parameters)
-    return Variations(steps, derivatives, parameters, times)
+    return Variations(stable(steps, derivatives), derivatives, parameters, times)
 
 
 class _Differentiable:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -19,6 +19,11 @@ from tenscontrol.properties import cached_property
 
 # Numbers of the derivatives that are held at a time.
 _MOST_NUMBERS = 8_000_000
+
+# Rates times the step up to which a method is stable, less a fifth. Steps of the power method that
+# finds the rates.
+_STABLE = {"rk4": 2.2, "dop853": 4.9}
+_POWERS = 16
 
 
 class Tableau(NamedTuple):
@@ -49,6 +54,92 @@ class _Leg(NamedTuple):
     output: int  # -1: the whole step
     stages: Slopes  # at its stages
     shares: list[FloatArray | None]  # of each input, at the stages, (s, K)
+
+
+def stable(steps: TracedSteps, derivatives: Derivatives) -> TracedSteps:
+    """Return steps that are cut where the method is not stable for all small changes.
+
+    The motion itself stays near the border of stability, as errors shorten its steps; what it does
+    not move along would grow without end. Parts of a step follow each other from its beginning, and
+    the next begins where it did.
+    """
+    if not derivatives.equation.velocity_dependent:  # the steps are short enough for the strings
+        return steps
+    method = tableau(steps.method)
+    parts = np.ceil(steps.length * _rates(steps, derivatives) / _STABLE[steps.method]).astype(int)
+    parts = np.maximum(parts, 1)
+    if parts.max() == 1:
+        return steps
+    first = np.concatenate([[0], np.cumsum(parts)])
+    of = np.repeat(np.arange(len(parts)), parts)
+    length = (steps.length / parts)[of]
+    within = (np.arange(len(of)) - first[of]) * length
+    states = np.empty((len(steps.states), len(of) + 1))
+    states[:, first[:-1]], states[:, -1] = steps.states[:, :-1], steps.states[:, -1]
+    inputs = steps.inputs[:, of]
+    if steps.layout.degree:
+        inputs[-1] += within
+    cut = replace(
+        steps, begin=steps.begin[of] + within, length=length, span=steps.span[of], states=states,
+        inputs=inputs, taut=steps.taut[:, of],
+    )  # fmt: skip
+    for k in range(1, int(parts.max())):
+        some = first[:-1][parts > k] + k - 1
+        slopes = stages(cut, derivatives, method, some, length[some])[0]
+        moved = sum(weight * slope for weight, slope in zip(method.b, slopes, strict=True))
+        states[:, some + 1] = states[:, some] + length[some] * moved
+    return cut
+
+
+def _finite(found: FloatArray) -> FloatArray:
+    if not np.isfinite(found).all():
+        raise ValueError(
+            "the derivatives of the run grow beyond all bounds: it cannot be predicted so far. "
+            "Take a shorter one"
+        )
+    return found
+
+
+def _rates(steps: TracedSteps, derivatives: Derivatives) -> FloatArray:
+    """Return the largest rate of small changes at the beginning of each step, 1/s, about."""
+    half, count = derivatives.half, len(steps.length)
+    block = max(1, _MOST_NUMBERS // (2 * half * half))
+    found = np.empty(count)
+    start = np.random.default_rng(0).normal(size=(1, half, 2))
+    for begin in range(0, count, block):
+        some = slice(begin, begin + block)
+        x, u, taut = steps.states[:, :-1][:, some], steps.inputs[:, some], steps.taut[:, some]
+        whole = derivatives.by_state(x, u, taut)
+        sizes = []
+        for part in (whole[:, :, half:], whole[:, :, :half]):
+            vectors = np.repeat(start, len(part), axis=0)
+            for _ in range(_POWERS):
+                vectors = part @ vectors
+                size = np.linalg.norm(vectors, axis=1, keepdims=True)
+                vectors = vectors / np.maximum(size, np.finfo(float).tiny)
+            sizes.append(size.max(axis=(1, 2)))
+        damped, stiff = sizes
+        found[some] = (damped + np.sqrt(damped**2 + 4 * stiff)) / 2
+    return found
+
+
+def stages(
+    steps: TracedSteps, derivatives: Derivatives, method: Tableau, of: IntArray, h: FloatArray
+) -> tuple[list[FloatArray], list[FloatArray], list[FloatArray]]:
+    """Return slopes, states and inputs at the stages of steps that are so long, one a column."""
+    x, taut = steps.states[:, of], steps.taut[:, of]
+    slopes: list[FloatArray] = []
+    states, inputs = [], []
+    for weights, part in zip(method.a, method.c, strict=True):
+        used = [w * slope for w, slope in zip(weights, slopes, strict=False) if w]
+        y = x + h * sum(used, np.zeros_like(x))
+        u = steps.inputs[:, of]
+        if steps.layout.degree:
+            u[-1] += part * h
+        slopes.append(derivatives.slope(y, u, taut))
+        states.append(y)
+        inputs.append(u)
+    return slopes, states, inputs
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +201,7 @@ class Variations:
             for e in range(at[leg.step], at[leg.step + 1]):
                 X = X + self._jumped(e, X)
             found[self._ends[leg.step]] = X
-        return found
+        return _finite(found)
 
     def motion(self) -> FloatArray:
         """Return the states at the times, shape (states, T)."""
@@ -174,7 +265,7 @@ class Variations:
             else:
                 mu = back
         mu = mu + partial + costs[self.times <= self.steps.begin[0]].sum(axis=0)
-        return np.asarray(slope + mu @ self._start())
+        return _finite(np.asarray(slope + mu @ self._start()))
 
     # ---- a step ----
 
@@ -352,19 +443,7 @@ class Variations:
         self, of: IntArray, h: FloatArray
     ) -> tuple[list[FloatArray], list[FloatArray], list[FloatArray]]:
         """Return slopes, states and inputs at the stages of steps that are so long."""
-        steps, (a, _, c) = self.steps, self._tableau
-        x, taut = steps.states[:, of], steps.taut[:, of]
-        slopes: list[FloatArray] = []
-        states, inputs = [], []
-        for i in range(len(c)):
-            y = x + h * sum((a[i, j] * slopes[j] for j in range(i) if a[i, j]), np.zeros_like(x))
-            u = steps.inputs[:, of]
-            if steps.layout.degree:
-                u[-1] += c[i] * h
-            slopes.append(self.derivatives.slope(y, u, taut))
-            states.append(y)
-            inputs.append(u)
-        return slopes, states, inputs
+        return stages(self.steps, self.derivatives, self._tableau, of, h)
 
     def _differentiated(self, plan: list[tuple[int, float, int]]) -> Iterator[_Leg]:
         """Yield legs with the derivatives at their stages: found for all of them together."""

@@ -178,6 +178,31 @@ def test_under_a_controller_each_sample_is_an_input():
     np.testing.assert_allclose(found, again, atol=1e-8 * np.abs(again).max())
 
 
+@pytest.mark.filterwarnings("ignore:penetration")
+def test_friction_that_keeps_explicit_steps_short_leaves_derivatives_stable():
+    """A symmetric throw: what it does not move along is seen by no error of its steps."""
+    ball = tc.library.six_bar_ball()
+    ground = tc.Ground(5e3, damping=0.3, friction=0.6)
+    model = tc.Model(ball, tc.LinearStrings(800.0, damping=2.0), gravity=9.81, ground=ground)
+    start = ball.nodes - [[0], [0], [ball.nodes[2].min() - 0.3]]
+    throw = np.zeros(ball.nodes.shape)
+    throw[0] = 1.5
+    rest = 0.95 * ball.string_length()
+
+    def thrown(rest):
+        return tc.simulate(model, 0.6, start, throw, rest_length=rest, tolerance=1e-9, error="none")
+
+    def far(time, nodes, velocities):
+        return ca.sum2(nodes[0, :]) / 12
+
+    run = thrown(rest)
+    slope = tc.gradient(run, far, ["rest_length"]).slope["rest_length"]
+    random = np.random.default_rng(0)
+    along = random.normal(size=24)
+    ends = [thrown(rest + by * along).nodes[0, :, -1].mean() for by in (1e-5, -1e-5)]
+    assert slope @ along == pytest.approx((ends[0] - ends[1]) / 2e-5, rel=1e-4)
+
+
 def test_what_cannot_be_differentiated_is_refused():
     model = tc.Model(tc.prism(), strings=tc.LinearStrings(100.0))
     rest = 0.9 * tc.prism().string_length()
