@@ -27,6 +27,16 @@ def control_ball(names):
 
 
 @checks
+def control_landing(names):
+    ways, steps, slope = (np.asarray(names[name]) for name in ("ways", "steps", "slope"))
+    assert (np.diff(ways) > 0).all()
+    told = slope @ names["along"]
+    assert_near((ways[1] - ways[0]) / steps[1], told, 0.03 * told)
+    # The throw is symmetric, and so are the strings.
+    assert_near(slope[:8], slope[8:16], 0.05)
+
+
+@checks
 def ground_lander(names):
     # Softest and stiffest strings both stop the payload harder than those between.
     for height, values in names["peak"].items():
