@@ -82,6 +82,7 @@ from .plant import (
     linearize as linearize,
     modes as modes,
     reduce as reduce,
+    rigidity as rigidity,
 )
 from .robustness import (
     ClosedLoopCase as ClosedLoopCase,
@@ -190,6 +191,7 @@ __all__ = [
     "prism",
     "prism_tower",
     "reduce",
+    "rigidity",
     "sections",
     "sensitivity",
     "shape_path",

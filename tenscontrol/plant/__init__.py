@@ -9,6 +9,7 @@ from tenscontrol.plant.modes import Modes, modes
 from tenscontrol.plant.reduced_dynamics import ReducedPlant, reduce
 from tenscontrol.plant.reference import Reference
 from tenscontrol.plant.riccati import energy_weights, natural_weights
+from tenscontrol.plant.rigidity import Rigidity, RigidityWarning, rigidity
 from tenscontrol.plant.stance import Stance, StanceContacts, Tipping, set_down
 
 __all__ = [
@@ -19,6 +20,8 @@ __all__ = [
     "OperatingPoint",
     "ReducedPlant",
     "Reference",
+    "Rigidity",
+    "RigidityWarning",
     "SparsePlant",
     "Stance",
     "StanceContacts",
@@ -33,5 +36,6 @@ __all__ = [
     "modes",
     "natural_weights",
     "reduce",
+    "rigidity",
     "set_down",
 ]

@@ -127,6 +127,8 @@ RESULTS = {
     "plant.LinearPlant",
     "plant.Modes",
     "plant.ReducedPlant",
+    "plant.Rigidity",
+    "plant.RigidityWarning",
     "plant.SparsePlant",
     "plant.Stance",
     "plant.StanceContacts",
@@ -201,6 +203,7 @@ WITHIN = {
     "learning.Track.seen",
     "Model.of_parameters",
     "plot.View.open",
+    "plant.Rigidity.table",
     "optimize.Fit.table",
     "optimize.Identifiability.table",
     "optimize.Sensitivity.table",
@@ -711,6 +714,16 @@ call(
         "least_radius": 1e-3,
         "restarts": 1,
         "seed": 1,
+    },
+)
+
+
+call(
+    "rigidity",
+    lambda: {
+        "plant": tc.linearize(elastic(), rest(), input="rest_length"),
+        "axial_rigidity": np.full(3, 1e6),
+        "count": 3,
     },
 )
 
