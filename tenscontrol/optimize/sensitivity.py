@@ -18,7 +18,9 @@ from tenscontrol.optimize.derivatives import Derivatives
 from tenscontrol.optimize.parameters import Parameter, parameters_of
 from tenscontrol.optimize.traced_steps import steps_of
 from tenscontrol.optimize.variations import Variations, stable
+from tenscontrol.properties import cached_property
 from tenscontrol.simulation.health import HealthLimits
+from tenscontrol.simulation.integration import Integration
 from tenscontrol.simulation.scene import Scene, traced
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.tables import aligned
@@ -57,6 +59,23 @@ class Sensitivity:
     velocities: Mapping[str, FloatArray]
     switches: int
     grazing: tuple[float, ...]
+    _to: tuple[str, ...]
+
+    @cached_property
+    def error(self) -> Mapping[str, FloatArray]:
+        """Estimated error of the derivatives of the nodes by each parameter, shape (T,).
+
+        As part of the largest at that time: the difference from those of the same run at ten times
+        the tolerance, or twice the step. Found when it is first read, in about the time that the
+        derivatives took.
+        """
+        other = _Differentiable(self.run, self._to, self.time, looser=True)
+        again, found = _derivatives(other)[0], dict[str, FloatArray]()
+        for name, by in self.nodes.items():
+            rows = tuple(i for i in range(by.ndim) if i != 2)
+            off, size = (np.abs(part).max(axis=rows) for part in (by - again[name], by))
+            found[name] = frozen(off / np.maximum(size, np.finfo(float).tiny))
+        return MappingProxyType(found)
 
     @property
     def trusted_until(self) -> float | None:
@@ -146,7 +165,7 @@ def sensitivity(run: Trajectory, to: object, times: object = None) -> Sensitivit
 
     Where a damped string goes taut, its force jumps, and the derivatives with it. Elsewhere forces
     are continuous. The steps are those of the run's method and its step or tolerance: the error of
-    a derivative is of the same order as that of the motion.
+    a derivative is of the same order as that of the motion; :attr:`Sensitivity.error` estimates it.
 
     Examples
     --------
@@ -158,7 +177,17 @@ def sensitivity(run: Trajectory, to: object, times: object = None) -> Sensitivit
     (3, 6, 1, 9)
     """
     work = _Differentiable(run, to, times)
-    half, structure = work.variations.derivatives.half, run.structure
+    nodes, velocities = _derivatives(work)
+    names = tuple(each.name for each in work.parameters)
+    return Sensitivity(
+        run, frozen(work.times), MappingProxyType(nodes), MappingProxyType(velocities),
+        len(work.variations.switches.step), work.grazing, names,
+    )  # fmt: skip
+
+
+def _derivatives(work: _Differentiable) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
+    """Return the derivatives of nodes and velocities by each parameter."""
+    half, structure = work.variations.derivatives.half, work.structure
     found = work.variations.forward()
     nodes, velocities = dict[str, FloatArray](), dict[str, FloatArray]()
     d, n = structure.nodes.shape
@@ -168,10 +197,7 @@ def sensitivity(run: Trajectory, to: object, times: object = None) -> Sensitivit
             own[structure.free_rows] = found[:, part, columns].swapaxes(0, 1)
             whole = own.reshape(n, d, len(found), *each.shape).swapaxes(0, 1)
             into[each.name] = frozen(whole)
-    return Sensitivity(
-        run, frozen(work.times), MappingProxyType(nodes), MappingProxyType(velocities),
-        len(work.variations.switches.step), work.grazing,
-    )  # fmt: skip
+    return nodes, velocities
 
 
 def gradient(
@@ -261,7 +287,7 @@ def variations_of(scene: Scene, parameters: Sequence[Parameter], times: FloatArr
 class _Differentiable:
     """A run, checked, traced again, with what carries its variations."""
 
-    def __init__(self, run: Trajectory, to: object, times: object) -> None:
+    def __init__(self, run: Trajectory, to: object, times: object, looser: bool = False) -> None:
         validation.instance("run", run, Trajectory, "make one by simulate(model, ...)")
         scene = run.scene
         if not isinstance(scene, Scene):
@@ -275,7 +301,11 @@ class _Differentiable:
             raise ValueError(f"run {run.stopped}, expected one that reached its end")
         self.parameters = parameters_of(scene, to)
         self.times = _checked_times(run, times)
-        self.variations = variations_of(_explicit(scene, run.choice), self.parameters, self.times)
+        self.structure = run.structure
+        explicit = _explicit(scene, run.choice)
+        if looser:
+            explicit = replace(explicit, integration=_looser(explicit.integration))
+        self.variations = variations_of(explicit, self.parameters, self.times)
 
     @property
     def states(self) -> FloatArray:
@@ -313,6 +343,15 @@ def _explicit(scene: Scene, choice: Choice) -> Scene:
         output_step=how.output_step if whole is None else whole,
     )  # fmt: skip
     return replace(scene, integration=integration)
+
+
+def _looser(how: Integration) -> Integration:
+    """Return the same integration in steps of twice the length, or to ten times the tolerance."""
+    if how.step is None:
+        return replace(how, tolerance=10 * how.tolerance)
+    step = 2 * how.step
+    outputs = how.output_step
+    return replace(how, step=step, output_step=None if outputs is None else max(outputs, step))
 
 
 def _checked_times(run: Trajectory, times: object) -> FloatArray:

@@ -203,6 +203,25 @@ def test_friction_that_keeps_explicit_steps_short_leaves_derivatives_stable():
     assert slope @ along == pytest.approx((ends[0] - ends[1]) / 2e-5, rel=1e-4)
 
 
+@pytest.mark.parametrize("how", [{"tolerance": 1e-6}, {"tolerance": 1e-8}, {"step": 2e-3}])
+def test_the_error_is_estimated_on_the_safe_side(how):
+    model = tc.Model(tc.prism(), strings=tc.LinearStrings(100.0, damping=0.8), gravity=0.5)
+    rest = 0.97 * tc.prism().string_length() * np.linspace(0.93, 1.05, 9)
+    names, times = ["rest_length", "stiffness"], [0.3, 0.6, 1.0]
+
+    def tangent(**how):
+        run = tc.simulate(model, 1.0, rest_length=rest, error="none", **how)
+        return tc.sensitivity(run, names, times)
+
+    found, exact = tangent(**how), tangent(tolerance=1e-12)
+    assert exact.switches > 3
+    for name in names:
+        off = np.abs(found.nodes[name] - exact.nodes[name]).max(axis=(0, 1, 3))
+        off /= np.abs(exact.nodes[name]).max(axis=(0, 1, 3))
+        assert (found.error[name] > 0.7 * off).all()
+        assert (found.error[name] < 1e4 * off).all()
+
+
 def test_what_cannot_be_differentiated_is_refused():
     model = tc.Model(tc.prism(), strings=tc.LinearStrings(100.0))
     rest = 0.9 * tc.prism().string_length()
