@@ -28,6 +28,11 @@ from tenscontrol.tables import aligned
 # The methods that can be differentiated, and the one in place of what a tolerance leaves open.
 _METHODS = ("rk4", "dop853")
 
+# With a tolerance, the steps that are differentiated are those of this part of it: a pair of
+# switches that they pass over costs a motion little, and its derivatives per cents. The second is
+# about the least that double precision is good for.
+_TIGHTER, _TIGHTEST = 1e-3, 1e-12
+
 # A switch that is passed slower than this part of the largest speed of its kind may not be met at
 # all by a run next to it.
 _GRAZING = 1e-3
@@ -164,8 +169,9 @@ def sensitivity(run: Trajectory, to: object, times: object = None) -> Sensitivit
     :func:`simulate` does. A change of a mass changes its weight, too.
 
     Where a damped string goes taut, its force jumps, and the derivatives with it. Elsewhere forces
-    are continuous. The steps are those of the run's method and its step or tolerance: the error of
-    a derivative is of the same order as that of the motion; :attr:`Sensitivity.error` estimates it.
+    are continuous. The steps are those of the run, or of a thousandth of its tolerance: a pair of
+    switches that is passed over costs a motion little, and its derivatives per cents.
+    :attr:`Sensitivity.error` estimates what is left.
 
     Examples
     --------
@@ -337,11 +343,12 @@ def _explicit(scene: Scene, choice: Choice) -> Scene:
             f"run is by the method {choice.method!r}, expected one of {list(_METHODS)}, or 'auto': "
             "implicit methods and those of your own are not differentiated"
         )
-    whole = None if method == "rk4" else scene.duration
-    integration = replace(
-        how, method=method, error="none", limits=HealthLimits(crossings=None),
-        output_step=how.output_step if whole is None else whole,
-    )  # fmt: skip
+    changed: dict[str, Any] = {}
+    if method == "dop853":
+        tolerance = max(how.tolerance * _TIGHTER, min(how.tolerance, _TIGHTEST))
+        changed = {"tolerance": tolerance, "output_step": scene.duration}
+    limits = HealthLimits(crossings=None)
+    integration = replace(how, method=method, error="none", limits=limits, **changed)
     return replace(scene, integration=integration)
 
 
