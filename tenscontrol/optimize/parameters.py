@@ -11,6 +11,7 @@ import numpy as np
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics.contact_laws import ContactLaw
+from tenscontrol.dynamics.equation import gravity_forces
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.profile import Pieces, Profile, polynomial_at
 from tenscontrol.simulation.scene import Scene
@@ -128,8 +129,6 @@ def shares(parameter: Parameter, time: FloatArray, within: FloatArray) -> FloatA
 
 def load_of_gravity(model: Model) -> FloatArray:
     """Return the weights by an acceleration of one along each axis, shape (d n, d), kg."""
-    from tenscontrol.dynamics.equation import gravity_forces
-
     structure, d = model.structure, model.structure.dimension
     weights = gravity_forces(structure, np.eye(d), structure.bar_mass, structure.point_mass)
     return np.stack([each.ravel(order="F") for each in weights], axis=1)
