@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray
-from tenscontrol.dynamics.contact_laws import ContactLaw
 from tenscontrol.dynamics.equation import gravity_forces
 from tenscontrol.dynamics.model import Model
+from tenscontrol.dynamics.parameters import ground_numbers, law_parameters
 from tenscontrol.dynamics.profile import Pieces, Profile, polynomial_at
 from tenscontrol.simulation.scene import Scene
-
-# Of contact laws, what is no number to differentiate by.
-_NO_NUMBER = {"normal", "nodes"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,10 +70,9 @@ def known_parameters(scene: Scene) -> dict[str, Parameter]:
     if len(model.structure.strings):
         found.append(_input(scene))
     if scene.input == "rest_length":
-        law: Any = model.strings
         count = len(model.structure.strings)
         found += [
-            Parameter(each.name, "strings", (count,), field=each.name) for each in fields(law)
+            Parameter(name, "strings", (count,), field=name) for name in law_parameters(model)
         ]
     found += [
         Parameter("bar_mass", "bar_mass", (len(model.structure.bars),)),
@@ -85,20 +80,11 @@ def known_parameters(scene: Scene) -> dict[str, Parameter]:
         Parameter("gravity", "gravity", (d,)),
         Parameter("external_force", "external_force", shape),
     ]
-    several = len(model.ground) > 1
-    for i, ground in enumerate(model.ground):
-        label = f"ground[{i}]" if several else "ground"
-        found += [
-            Parameter(f"{label}.{name}", "ground", (), law=i, field=name)
-            for name in numbers_of(ground)
-        ]
+    found += [
+        Parameter(name, "ground", (), law=law, field=number)
+        for name, (law, number) in ground_numbers(model).items()
+    ]
     return {each.name: each for each in found}
-
-
-def numbers_of(law: ContactLaw) -> list[str]:
-    """Return the names of the numbers in a contact law."""
-    names = (each.name for each in fields(law) if each.name not in _NO_NUMBER)
-    return [name for name in names if isinstance(getattr(law, name), float)]
 
 
 def _input(scene: Scene) -> Parameter:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,14 @@ import numpy as np
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.dynamics.model import Model
-from tenscontrol.optimize.parameters import Parameter, numbers_of
+from tenscontrol.dynamics.parameters import (
+    MASSES,
+    ground_numbers,
+    law_parameters,
+    parameters_of,
+    with_parameters,
+)
+from tenscontrol.optimize.parameters import Parameter
 
 # Prior standard deviations where none is given: of a logarithm; of a rest length as part of it; of
 # the height of the ground as part of the size; of a delay, s.
@@ -145,22 +152,15 @@ def unknowns_of(
 
 def _bases(model: Model, input: str, held: FloatArray | None) -> dict[str, FloatArray]:
     """Return what can be fitted, with its values in the model."""
-    structure = model.structure
-    found = {"bar_mass": structure.bar_mass, "point_mass": structure.point_mass}
-    if input == "rest_length":
-        law: Any = model.strings
-        count = len(structure.strings)
-        for each in fields(law):
-            found[each.name] = np.broadcast_to(getattr(law, each.name), (count,))
-        if held is not None:
-            found["rest_length"] = np.zeros(count)
-    several = len(model.ground) > 1
-    for i, ground in enumerate(model.ground):
-        label = f"ground[{i}]" if several else "ground"
-        for name in numbers_of(ground):
-            found[f"{label}.{name}"] = np.array([getattr(ground, name)])
-    found["delay"] = np.zeros(1)
-    return {name: np.array(value, dtype=float) for name, value in found.items()}
+    values = parameters_of(model)
+    del values["gravity"]
+    if input != "rest_length":
+        for name in law_parameters(model):
+            del values[name]
+    elif held is not None:
+        values["rest_length"] = np.zeros(len(model.structure.strings))
+    values["delay"] = np.zeros(1)
+    return {name: np.array(value, dtype=float) for name, value in values.items()}
 
 
 def _with_prior(
@@ -205,21 +205,12 @@ def _grouped(name: str, count: int, groups: object, known: object) -> tuple[Any,
 
 def fitted_model(model: Model, unknowns: Sequence[Unknown], theta: Sequence[FloatArray]) -> Model:
     """Return a model with the parameters for the unknowns."""
-    structure, strings, ground = model.structure, model.strings, list(model.ground)
-    for unknown, own in zip(unknowns, theta, strict=True):
-        name, values = unknown.name, unknown.values(own)
-        if name in ("bar_mass", "point_mass"):
-            masses: dict[str, Any] = {name: values}
-            structure = replace(structure, **masses)
-        elif name.startswith("ground"):
-            i = int(name[7 : name.index("]")]) if "[" in name else 0
-            ground[i] = replace(ground[i], **{name.rpartition(".")[2]: float(values[0])})
-        elif name not in _SHIFTED:
-            strings = replace(strings, **{name: values})  # type: ignore[type-var]
-    load: Any = model.has_external_force
-    if not load and model.built_in_load.any():
-        load = model.built_in_load
-    return Model(structure, strings, load, model.gravity, tuple(ground) or None)
+    values = {
+        unknown.name: unknown.values(own) for unknown, own in zip(unknowns, theta, strict=True)
+    }
+    return with_parameters(
+        model, {name: value for name, value in values.items() if name not in _SHIFTED}
+    )
 
 
 def parameter_of(model: Model, unknown: Unknown) -> Parameter | None:
@@ -229,9 +220,10 @@ def parameter_of(model: Model, unknown: Unknown) -> Parameter | None:
         return None
     if name == "rest_length":
         return Parameter(name, "input", (len(unknown.base),))
-    if name in ("bar_mass", "point_mass"):
+    if name in MASSES:
         return Parameter(name, name, (len(unknown.base),))
-    if name.startswith("ground"):
-        i = int(name[7 : name.index("]")]) if "[" in name else 0
-        return Parameter(name, "ground", (), law=i, field=name.rpartition(".")[2])
+    ground = ground_numbers(model)
+    if name in ground:
+        law, number = ground[name]
+        return Parameter(name, "ground", (), law=law, field=number)
     return Parameter(name, "strings", (len(unknown.base),), field=name)
