@@ -32,9 +32,11 @@ speed = SPEED + SPREAD * rng.standard_normal((RUNS, 3))
 spin = SPIN * rng.standard_normal((RUNS, 3))
 arms = prism.nodes - prism.nodes.mean(axis=1, keepdims=True)
 velocities = speed[:, :, None] + np.cross(spin[:, :, None], arms[None], axis=1)
+scene = tc.Scene(
+    model, DURATION, rest_length=lengths, integration=tc.Integration(step=STEP, output_step=0.01)
+)
 batch = tc.simulate_many(
-    model, DURATION, velocities=velocities, rest_length=lengths, step=STEP, output_step=0.01,
-    vary={"stiffness": rng.uniform(800.0, 1200.0, RUNS)},
+    scene, {"velocities": velocities, "stiffness": rng.uniform(800.0, 1200.0, RUNS)},
     # Bounces magnify errors: where many throws end can be told, not where one of them does.
     error="none",
 )  # fmt: skip

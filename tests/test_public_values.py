@@ -126,11 +126,10 @@ def values(tmp_path_factory):
         run.health.clearance,
         tc.structure.BarCrossing(0.5, (0, 1)),
         batch := tc.simulate_many(
-            model,
-            0.01,
-            rest_length=start.rest_length,
-            vary={"gravity": [0.0, 1.0]},
-            step=0.01,
+            tc.Scene(
+                model, 0.01, rest_length=start.rest_length, integration=tc.Integration(step=0.01)
+            ),
+            {"gravity": [0.0, 1.0]},
         ),
         batch.crossings,
         tc.Stepper(model, 0.01, step=0.01, rest_length=start.rest_length.copy()).state,

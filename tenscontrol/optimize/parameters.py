@@ -11,7 +11,7 @@ from tenscontrol import validation
 from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics.equation import gravity_forces
 from tenscontrol.dynamics.model import Model
-from tenscontrol.dynamics.parameters import ground_numbers, law_parameters
+from tenscontrol.dynamics.model_parameters import ground_numbers, law_parameters
 from tenscontrol.dynamics.profile import Pieces, Profile, polynomial_at
 from tenscontrol.simulation.scene import Scene
 

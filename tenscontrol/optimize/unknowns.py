@@ -11,7 +11,7 @@ import numpy as np
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.dynamics.model import Model
-from tenscontrol.dynamics.parameters import (
+from tenscontrol.dynamics.model_parameters import (
     MASSES,
     ground_numbers,
     law_parameters,

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, final
 
@@ -15,16 +16,20 @@ from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.control.command import ControlWarning
 from tenscontrol.control.controller import Controller
-from tenscontrol.dynamics.contact_laws import ContactLaw
 from tenscontrol.dynamics.coordinates import Coordinates, coordinates
 from tenscontrol.dynamics.model import Model
-from tenscontrol.dynamics.string_laws import StringLaw
+from tenscontrol.dynamics.model_parameters import (
+    MASSES,
+    law_parameters,
+    parameters_of,
+    with_parameters,
+)
 from tenscontrol.estimation.sensors import Sensors
 from tenscontrol.plant.linear_plant import LinearPlant
 from tenscontrol.plant.reference import checked_reference
 from tenscontrol.robustness.distributions import one_number
 from tenscontrol.robustness.sweep_report import SweepError
-from tenscontrol.simulation.batch.compiled_loop import checked_controller
+from tenscontrol.simulation.batch.batch_inputs import refusal
 from tenscontrol.simulation.batch.simulate_many import simulate_many
 from tenscontrol.simulation.health import HealthLimits
 from tenscontrol.simulation.scene import Scene
@@ -34,18 +39,15 @@ from tenscontrol.structure.bar_geometry import refuse_wrong_bar_lengths
 from tenscontrol.structure.structure import Structure
 from tenscontrol.structure.supports import refuse_moved_supports
 
-_PARAMETERS = (
-    "bar_mass", "string_node_mass", "point_mass", "stiffness", "damping", "ground_stiffness",
-    "ground_damping", "friction", "start", "noise", "delay",
-)  # fmt: skip
+# What can be drawn of a run, beside factors on the parameters of the model.
+_OF_RUN = "start", "noise", "delay"
 
-# What factors on the ground act on.
-_GROUND = {"ground_stiffness": "stiffness", "ground_damping": "damping", "friction": "friction"}
+# Factors that act on a parameter of another name.
+_STRING_NODE_MASS, _RIGIDITY = "string_node_mass", {"stiffness": "axial_rigidity"}
 
-# What a factor on the stiffness acts on, by the law.
-_STIFFNESS = ("stiffness", "axial_rigidity")
+_MEMBERS = {"bar_mass": "bar", "point_mass": "node", "gravity": "axis"}
 
-_MASSES = {"bar_mass", "point_mass", "string_node_mass"}
+_LAW_NUMBER = re.compile(r"ground\[\d+\]")
 
 # Runs that go through the compiled loops together, and numbers of their motions.
 _MOST_TOGETHER, _MOST_NUMBERS = 64, 4_000_000
@@ -114,11 +116,11 @@ class ClosedLoopCase:
 
     These parameters can vary:
 
-    - ``"bar_mass"``, ``"string_node_mass"``, ``"point_mass"``, ``"stiffness"``, ``"damping"``:
-      factors on the nominal values, one for all or one for each member (point masses: one for
-      each node);
-    - ``"ground_stiffness"``, ``"ground_damping"``, ``"friction"``: factors, one for all contact
-      laws or one for each;
+    - ``"bar_mass"``, ``"string_node_mass"``, ``"point_mass"``, ``"gravity"``, ``"stiffness"``,
+      ``"damping"`` and other parameters of the string law: factors on the nominal values, one for
+      all or one for each member (point masses: one for each node; gravity: for each axis);
+    - ``"ground.stiffness"``, ``"ground.damping"``, ``"ground.friction"`` and other numbers of the
+      contact laws: factors, one for all laws or one for each;
     - ``"start"``: where the structure starts, coordinates q of the controller's plant, m √kg; for
       a function, internal coordinates about the target;
     - ``"noise"``, with an estimator: a factor on the standard deviations of all readings;
@@ -206,19 +208,16 @@ class ClosedLoopCase:
         runs away or is not accurate; SweepError if there is no such parameter, or it has nothing to
         act on.
         """
-        unknown = sorted(set(parameters) - set(_PARAMETERS))
-        if unknown:
-            known = ", ".join(repr(name) for name in _PARAMETERS)
-            raise SweepError(f"there is no parameter {unknown[0]!r}, expected some of {known}")
         estimator, sensors = self.scene.estimator, self.scene.sensors
         if sensors is None and estimator is not None:
             sensors = estimator.sensors
         # Where the loop ends is what a sweep asks.
+        nodes = self._start(parameters["start"]) if "start" in parameters else self.scene.nodes
         with warnings.catch_warnings(action="ignore", category=ControlWarning):
             run = replace(
                 self.scene,
                 model=self._model(parameters),
-                nodes=self._start(parameters),
+                nodes=nodes,
                 sensors=_varied_sensors(sensors, parameters),
                 seed=None if estimator is None else int(rng.integers(2**63)),
                 integration=replace(self.scene.integration, limits=self._limits),
@@ -242,34 +241,29 @@ class ClosedLoopCase:
         why = self._runs_alone()
         if why is not None:
             return why
-        scene, nominal, varied = self.scene, self.scene.model, {*names} - {"start"}
-        if not varied <= {*_MASSES, "stiffness", "damping"}:
+        if not names:
+            return "nothing varies"
+        scene, model, varied = self.scene, self.scene.model, {*names} - {"start"}
+        masses = {*MASSES, _STRING_NODE_MASS}
+        if not varied <= {*masses, *_RIGIDITY, *law_parameters(model)}:
             return "more than masses and strings vary"
-        no_law = nominal.strings is None or scene.force_density is not None
-        if no_law and varied - _MASSES:
+        no_law = model.strings is None or scene.force_density is not None
+        if no_law and varied - masses:
             return "strings vary whose rest lengths are not held"
-        held = "force_density" if no_law else "rest_length"
-        if varied and nominal.equation(held).form != "flat":
+        if varied and model.equation("force_density" if no_law else "rest_length").form != "flat":
             return "equations of so many members take no parameters"
-        if varied & _MASSES and self.structure.blocks:
+        if varied & masses and self.structure.blocks:
             return "masses of bars that share nodes vary"
         return None
 
     def _runs_alone(self) -> str | None:
         """Return why runs of the scene go one by one, whatever varies."""
-        scene, law = self.scene, self.scene.controller
-        if law is not None:
-            try:
-                checked_controller(law, scene.model)
-            except (TypeError, ValueError):
-                return "the controller is not compiled code for these strings"
-            if scene.input != law.input or scene.rest_length is not None:
-                return "the controller is told rest lengths at the start, or has another input"
-        for part in ("winches", "estimator", "external_force", "support_motion", "start"):
-            if getattr(scene, part) is not None:
-                return f"{part} given"
-        if scene.model.ground or scene.faults:
-            return f"{'ground' if scene.model.ground else 'faults'} given"
+        scene = self.scene
+        why = refusal(scene)
+        if why is not None:
+            return why
+        if scene.model.ground or scene.external_force is not None:
+            return f"{'ground' if scene.model.ground else 'external_force'} given"
         if scene.integration.step is None or scene.integration.method not in ("auto", "rk4"):
             return "there are no steps of RK4"
         if scene.inputs is not None and not scene.inputs.is_constant:
@@ -294,34 +288,26 @@ class ClosedLoopCase:
             Parameters of each run.
         """
         outcomes: list[Callable[[], Outcome] | None] = [None] * len(drawn)
-        scene, varied, nominal = self.scene, {}, self.scene.model
+        values: dict[int, dict[str, FloatArray]] = {}
         for i, parameters in enumerate(drawn):
             # By itself, a run says what is wrong with its parameters.
             with suppress(TypeError, ValueError, SweepError):
-                varied[i] = self._model(parameters), self._start(parameters)
-        if not varied:
+                values[i] = self._values(parameters)
+                if "start" in parameters:
+                    values[i]["nodes"] = self._start(parameters["start"])
+        if not values:
             return outcomes
-        models, starts = zip(*varied.values(), strict=True)
-        of_law = (
-            [] if nominal.strings is None else [field.name for field in fields(nominal.strings)]
-        )
-        vary = {}
-        for component, names in (("structure", ("bar_mass", "point_mass")), ("strings", of_law)):
-            for name in names:
-                usual, *own = (
-                    getattr(getattr(model, component), name) for model in (nominal, *models)
-                )
-                if (np.array(own) != usual).any():
-                    vary[name] = np.array(own)
-        how = scene.integration
-        batch = simulate_many(
-            nominal, scene.duration,
-            np.array([self.structure.nodes if start is None else start for start in starts]),
-            scene.velocities, rest_length=scene.rest_length, force_density=scene.force_density,
-            controller=scene.controller, vary=vary, threads=1, project=how.project,
-            method="rk4", step=how.step,  # as simulate takes for a step
-            output_step=how.output_step or how.step, error="none",  # found with the trajectory
+        every = list(values.values())
+        how = self.scene.integration
+        how = replace(
+            how, method="rk4", output_step=how.output_step or how.step,
+            error="none",  # found with the trajectory
         )  # fmt: skip
+        batch = simulate_many(
+            replace(self.scene, integration=how),
+            {name: np.array([own[name] for own in every]) for name in every[0]},
+            threads=1,
+        )
 
         def outcome(run: int) -> Outcome:
             motion = batch.trajectory(run, self._limits)
@@ -330,7 +316,7 @@ class ClosedLoopCase:
                 return self._judged(motion)
             return self._judged(motion, commands[run], int(not_ok[run]))
 
-        for run, i in enumerate(varied):
+        for run, i in enumerate(values):
             if batch.completed[run]:
                 outcomes[i] = partial(outcome, run)
         return outcomes
@@ -340,42 +326,51 @@ class ClosedLoopCase:
         """What a run must keep to count; where bars cross is not asked."""
         return replace(self.scene.integration.limits, crossings=None, action="raise")
 
-    def _model(self, parameters: Mapping[str, object]) -> Model:
-        nominal_model = self.scene.model
-        structure, strings = nominal_model.structure, nominal_model.strings
-        if "bar_mass" in parameters:
-            nominal = structure.bar_mass
-            factor = validation.per_member("bar_mass", parameters["bar_mass"], len(nominal), "bar")
-            structure = replace(structure, bar_mass=factor * nominal)
-        mass, points = structure.point_mass.copy(), structure.string_nodes
-        if "point_mass" in parameters:
-            if not mass.any():
-                raise SweepError("point_mass is drawn, but no node has one")
-            mass *= validation.per_member("point_mass", parameters["point_mass"], len(mass), "node")
-        if "string_node_mass" in parameters:
-            given = parameters["string_node_mass"]
-            mass[points] *= validation.per_member(
-                "string_node_mass", given, len(points), "string node"
-            )
-        if (mass != structure.point_mass).any():
-            structure = replace(structure, point_mass=mass)
-        for name, of_law in (("stiffness", _STIFFNESS), ("damping", ("damping",))):
-            if name in parameters:
-                strings = _varied_strings(
-                    strings, name, of_law, parameters[name], len(structure.strings)
-                )
-        ground = nominal_model.ground
-        for name in (each for each in _GROUND if each in parameters):
-            ground = _varied_ground(ground, name, parameters[name])
-        load: Any = nominal_model.has_external_force
-        if not load and nominal_model.built_in_load.any():
-            load = nominal_model.built_in_load
-        return Model(structure, strings, load, nominal_model.gravity, ground or None)
+    def _model(self, drawn: Mapping[str, object]) -> Model:
+        """Return the model with the factors that are drawn."""
+        return with_parameters(self.scene.model, self._values(drawn))
 
-    def _start(self, parameters: Mapping[str, object]) -> FloatArray | None:
-        if "start" not in parameters:
-            nodes: FloatArray | None = self.scene.nodes
-            return nodes
+    def _values(self, drawn: Mapping[str, object]) -> dict[str, FloatArray]:
+        """Return the parameters of the model on which factors are drawn."""
+        nominal = parameters_of(self.scene.model)
+        values: dict[str, FloatArray] = {}
+        for name in (name for name in drawn if name not in _OF_RUN):
+            for own, factors in self._factors(name, drawn[name], nominal).items():
+                values[own] = factors * values.get(own, nominal[own])
+        return values
+
+    def _factors(
+        self, name: str, drawn: object, nominal: Mapping[str, FloatArray]
+    ) -> dict[str, FloatArray]:
+        """Return the factors on parameters of the model, by name, that are drawn under a name."""
+        structure, model = self.structure, self.scene.model
+        if name == _STRING_NODE_MASS:
+            points = structure.string_nodes
+            factors = np.ones(structure.nodes.shape[1])
+            factors[points] = validation.per_member(name, drawn, len(points), "string node")
+            return {"point_mass": factors}
+        if name.startswith("ground"):
+            laws = [own for own in nominal if name in (own, _LAW_NUMBER.sub("ground", own))]
+            if not any(nominal[own].any() for own in laws):
+                why = "the ground has none" if model.ground else "there is no ground: give ground"
+                raise SweepError(f"{name} is drawn, but {why}")
+            factors = validation.per_member(
+                name, drawn, len(laws), "contact law of the ground that has it"
+            )
+            return dict(zip(laws, factors[:, None], strict=True))
+        own = name if name in nominal else _RIGIDITY.get(name, name)
+        if own in nominal and (own != "point_mass" or nominal[own].any()):
+            member = _MEMBERS.get(own, "string")
+            return {own: validation.per_member(name, drawn, len(nominal[own]), member)}
+        if name == "point_mass":
+            raise SweepError("point_mass is drawn, but no node has one")
+        if name in ("stiffness", "damping"):
+            raise SweepError(f"{name} is drawn, but the strings have none: {model.strings!r}")
+        known = ", ".join(repr(name) for name in (*nominal, _STRING_NODE_MASS, *_OF_RUN))
+        raise SweepError(f"there is no parameter {name!r}, expected some of {known}")
+
+    def _start(self, drawn: object) -> FloatArray:
+        """Return the nodes at the start by the coordinates that are drawn."""
         known = self._coordinates
         if known.nodes.shape != self.structure.nodes.shape:
             raise SweepError(
@@ -383,7 +378,7 @@ class ClosedLoopCase:
                 f"position, but the structure has {self.structure.nodes.shape[1]}: give nodes "
                 "instead"
             )
-        return known.to_nodes(parameters["start"])
+        return known.to_nodes(drawn)
 
     def _judged(
         self, run: Trajectory, commands: FloatArray | None = None, not_ok: int = 0
@@ -401,31 +396,6 @@ class ClosedLoopCase:
             figures["largest_command"] = float(commands.max())
             figures["commands_not_ok"] = float(not_ok)
         return Outcome(success=error <= self.tolerance, figures=figures)
-
-
-def _varied_strings(
-    strings: StringLaw | None, name: str, of_law: tuple[str, ...], factor: object, count: int
-) -> StringLaw:
-    """Return the law with a parameter multiplied: the first of these that it has."""
-    own = [] if strings is None else [field.name for field in fields(strings)]
-    scaled = [parameter for parameter in of_law if parameter in own]
-    if strings is None or not scaled:
-        raise SweepError(f"{name} is drawn, but the strings have none: {strings!r}")
-    value = validation.per_member(name, factor, count, "string")
-    return replace(strings, **{scaled[0]: value * getattr(strings, scaled[0])})
-
-
-def _varied_ground(ground: Any, name: str, factor: object) -> tuple[ContactLaw, ...]:
-    """Return the contact laws with a parameter multiplied."""
-    nominal = [getattr(law, _GROUND[name]) for law in ground or ()]
-    if not any(nominal):
-        why = "the ground has none" if nominal else "there is no ground: give ground"
-        raise SweepError(f"{name} is drawn, but {why}")
-    factors = validation.per_member(name, factor, len(nominal), "contact law of the ground")
-    return tuple(
-        replace(law, **{_GROUND[name]: by * value})
-        for law, by, value in zip(ground, factors, nominal, strict=True)
-    )
 
 
 def _varied_sensors(sensors: Sensors | None, parameters: Mapping[str, object]) -> Sensors | None:

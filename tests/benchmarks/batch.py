@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
@@ -103,12 +104,13 @@ def farthest_of_most(ends: np.ndarray) -> Callable[[np.ndarray], float]:
 # ---- ours ----
 
 
-def many(case: tc.Scene, velocities: np.ndarray, **more: Any) -> tc.Batch:
+def many(
+    case: tc.Scene, velocities: np.ndarray, error: str = "sample", **how: Any
+) -> tc.Batch:  # fmt: skip
     """Return the runs of :func:`tc.simulate_many`."""
     with warnings.catch_warnings(action="ignore", category=AccuracyWarning):
-        return tc.simulate_many(
-            case.model, case.duration, velocities=velocities, rest_length=case.input_value, **more
-        )
+        scene = replace(case, integration=tc.Integration(**how))
+        return tc.simulate_many(scene, {"velocities": velocities}, error=error)
 
 
 def ours(case: tc.Scene, velocities: np.ndarray) -> list[Program]:
@@ -142,7 +144,9 @@ def controlled(runs: int, duration: float, repeats: int) -> None:
     settings = {"step": 5e-3, "output_step": 0.02}
 
     def at_once() -> np.ndarray:
-        return tc.simulate_many(plant.model, duration, starts, controller=code, **settings).nodes
+        how = tc.Integration(**settings)
+        scene = tc.Scene(plant.model, duration, controller=code, integration=how)
+        return tc.simulate_many(scene, {"nodes": starts}).nodes
 
     def one_by_one(controller: Any) -> np.ndarray:
         loops = (

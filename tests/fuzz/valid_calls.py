@@ -1636,17 +1636,11 @@ call("HealthLimits.passed", lambda: {"health": run().health}, tc.HealthLimits)
 call(
     "simulate_many",
     lambda: {
-        "model": elastic(),
-        "duration": 0.01,
-        "nodes": nodes(),
-        "velocities": np.array([STILL, STILL]),
-        "rest_length": rest_length(),
+        "scene": tc.Scene(
+            elastic(), 0.01, rest_length=rest_length(), integration=tc.Integration(step=1e-3)
+        ),
         "vary": {"stiffness": np.array([90.0, 100.0])},
-        "method": "rk4",
-        "step": 1e-3,
-        "output_step": 0.005,
         "keep_nodes": [0, 2],
-        "project": True,
         "threads": 1,
         "progress": False,
     },
@@ -1656,11 +1650,8 @@ call(
     "simulation.Batch.trajectory",
     lambda: {"run": 1, "limits": tc.HealthLimits()},
     lambda: tc.simulate_many(
-        elastic(),
-        0.01,
-        np.array([nodes(), nodes()]),
-        rest_length=rest_length(),
-        step=1e-3,
+        tc.Scene(elastic(), 0.01, rest_length=rest_length(), integration=tc.Integration(step=1e-3)),
+        {"nodes": np.array([nodes(), nodes()])},
     ),
     share=0.3,
 )

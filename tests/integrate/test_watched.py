@@ -226,8 +226,9 @@ def test_a_run_says_which_methods_it_took(tmp_path):
     assert f"by dop853, then {run.choice.changes[0].method}" in run.summary()
     assert run.choice.changes[0].reason in run.summary()
     assert tc.load_run(run.save(tmp_path / "run.npz")).choice == run.choice
-    given["velocities"] = np.array([spin, spin])
-    batch = tc.simulate_many(model, 1.0, **given)
+    how = tc.Integration(output_step=0.1)
+    scene = tc.Scene(model, 1.0, rest_length=lengths, integration=how)
+    batch = tc.simulate_many(scene, {"velocities": np.array([spin, spin])})
     np.testing.assert_array_equal(batch.nodes[1], run.nodes)
     assert batch.trajectory(1).choice.changes == run.choice.changes
 

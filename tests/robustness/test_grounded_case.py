@@ -40,7 +40,7 @@ def dropped(prism, regulator):
 
 
 def test_it_is_the_simulation_on_the_varied_ground(dropped, prism, regulator):
-    drawn = {"ground_stiffness": [1.5, 1.0], "ground_damping": 0.5, "friction": 2.0}
+    drawn = {"ground.stiffness": [1.5, 1.0], "ground.damping": 0.5, "ground.friction": 2.0}
     figures = dropped(drawn, RNG).figures
     floor = replace(FLOOR, stiffness=3e3, damping=0.1, friction=0.8)
     model = tc.Model(prism, strings=STRINGS, gravity=9.81, ground=[floor, WALL])
@@ -50,17 +50,18 @@ def test_it_is_the_simulation_on_the_varied_ground(dropped, prism, regulator):
     assert figures["largest_force_density"] == run.force_density.max()
     nominal = dropped({}, RNG).figures
     assert nominal != figures
-    assert dropped({"friction": 1.0}, RNG).figures == nominal
+    assert dropped({"ground.friction": 1.0}, RNG).figures == nominal
 
 
 def test_a_sweep_draws_friction_and_stiffness_by_name(dropped):
-    drawn = {"friction": tc.Uniform(0.5, 1.5), "ground_stiffness": tc.Uniform(0.5, 2.0, size=2)}
+    stiffness = tc.Uniform(0.5, 2.0, size=2)
+    drawn = {"ground.friction": tc.Uniform(0.5, 1.5), "ground.stiffness": stiffness}
     first, again = (tc.sweep(dropped, drawn, 3, seed=4, executor=Inline()) for _ in range(2))
     assert first.completed.all()
     for name, values in first.figures.items():
         np.testing.assert_array_equal(values, again.figures[name])
     assert len(set(first.figures["final_error"])) == 3
-    assert first.parameters["ground_stiffness"].shape == (3, 2)
+    assert first.parameters["ground.stiffness"].shape == (3, 2)
 
 
 def test_workers_get_the_ground_pickled(dropped):
@@ -69,23 +70,23 @@ def test_workers_get_the_ground_pickled(dropped):
     case = on(dropped, hill, duration=0.25)
     sent = pickle.loads(pickle.dumps(case))
     assert sent({}, RNG).figures == case({}, RNG).figures
-    assert sent({"friction": 0.5}, RNG).figures != case({}, RNG).figures
+    assert sent({"ground.friction": 0.5}, RNG).figures != case({}, RNG).figures
 
 
 @pytest.mark.parametrize(
     ("changes", "drawn", "error", "message"),
     [
-        ({"ground": None}, {"friction": 1.1}, tc.robustness.SweepError,
-         "friction is drawn, but there is no ground: give ground"),
-        ({"ground": WALL}, {"friction": 1.1}, tc.robustness.SweepError,
-         "friction is drawn, but the ground has none"),
-        ({"ground": WALL}, {"ground_damping": 1.1}, tc.robustness.SweepError,
-         "ground_damping is drawn, but the ground has none"),
-        ({}, {"ground_stiffness": [1.0, 1.0, 1.0]}, ValueError,
-         r"ground_stiffness has shape \(3,\), expected \(\) or \(2,\): .* contact law"),
-        ({}, {"friction": -1.0}, ValueError, r"friction is -0\.4, expected at least 0"),
-        ({}, {"ground_friction": 1.0}, tc.robustness.SweepError,
-         "no parameter 'ground_friction', expected some of .*'friction'"),
+        ({"ground": None}, {"ground.friction": 1.1}, tc.robustness.SweepError,
+         "ground.friction is drawn, but there is no ground: give ground"),
+        ({"ground": WALL}, {"ground.friction": 1.1}, tc.robustness.SweepError,
+         "ground.friction is drawn, but the ground has none"),
+        ({"ground": WALL}, {"ground.damping": 1.1}, tc.robustness.SweepError,
+         "ground.damping is drawn, but the ground has none"),
+        ({}, {"ground.stiffness": [1.0, 1.0, 1.0]}, ValueError,
+         r"ground.stiffness has shape \(3,\), expected \(\) or \(2,\): .* contact law"),
+        ({}, {"ground.friction": -1.0}, ValueError, r"friction is -0\.4, expected at least 0"),
+        ({}, {"friction": 1.0}, tc.robustness.SweepError,
+         r"no parameter 'friction', expected some of .*'ground\[0\].friction'"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_with_a_draw_is_named(dropped, changes, drawn, error, message):

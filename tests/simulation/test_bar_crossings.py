@@ -2,6 +2,7 @@
 
 import pickle
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -169,7 +170,9 @@ def test_each_run_of_a_batch_has_its_own(scene, sampled, kwargs):
     model, lengths = scene
     starts = np.stack([lengths, model.structure.string_length(), lengths])
     starts[2] *= 1.001
-    batch = tc.simulate_many(model, DURATION, rest_length=starts, **kwargs)
+    how = tc.Integration(**kwargs)
+    batched = tc.Scene(model, DURATION, rest_length=lengths, integration=how)
+    batch = tc.simulate_many(batched, {"rest_length": starts})
     found = batch.crossings
     assert found.count.tolist() == [OFTEN, 0, OFTEN]
     assert found.first_time[0] == pytest.approx(sampled[0][0], abs=5e-4)
@@ -183,18 +186,20 @@ def test_batches_say_what_they_cannot_tell(scene):
     starts = np.stack([model.structure.nodes] * 2)
     values = np.stack([lengths, lengths, 1.01 * lengths], axis=1)
     growing = tc.Profile([0.0, 0.1, DURATION], values)
-    given = {"rest_length": growing}
-    batch = tc.simulate_many(model, DURATION, starts, **given)
+    growth = tc.Scene(model, DURATION, rest_length=growing)
+    batch = tc.simulate_many(growth, {"nodes": starts})
     assert batch.crossings.unresolved_intervals.tolist() == [1, 1]
-    batch = tc.simulate_many(model, DURATION, starts, output_step=0.3, **given)
+    finer = replace(growth, integration=tc.Integration(output_step=0.3))
+    batch = tc.simulate_many(finer, {"nodes": starts})
     assert batch.crossings.count.tolist() == [OFTEN, OFTEN]
     assert batch.crossings.unresolved_intervals.tolist() == [0, 0]
-    some = tc.simulate_many(model, 0.1, starts, keep_nodes=[0], **given)
+    some = tc.simulate_many(replace(growth, duration=0.1), {"nodes": starts}, keep_nodes=[0])
     with pytest.raises(ValueError, match="leave keep_nodes out"):
         _ = some.crossings
     flat = tc.library.snelson_x(dimension=2)
     starts = np.stack([flat.nodes] * 2)
-    batch = tc.simulate_many(tc.Model(flat), 0.1, starts, force_density=1.0)
+    held = tc.Scene(tc.Model(flat), 0.1, force_density=1.0)
+    batch = tc.simulate_many(held, {"nodes": starts})
     assert batch.crossings is None
 
 

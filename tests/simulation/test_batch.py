@@ -42,6 +42,14 @@ def scene(structure, seed=1, runs=RUNS):
     return N, V, factors * structure.string_length(structure.nodes)
 
 
+def many(model, duration, how, vary, keep_nodes=None, threads=None, **given):
+    """A batch of a scene; rest lengths that vary have those of the first run in it."""
+    if "rest_length" in vary:
+        given["rest_length"] = np.ones(len(model.structure.strings))
+    held = tc.Scene(model, duration, integration=tc.Integration(**how), **given)
+    return tc.simulate_many(held, vary, keep_nodes, threads=threads)
+
+
 STRUCTURES = {
     "prism": tc.prism,
     "supported": lambda: replace(tc.prism(), fixed=[3]),
@@ -68,7 +76,8 @@ def test_a_batch_has_the_bits_of_single_runs(name, method):
     N, V, lengths = scene(structure)
     model = tc.Model(structure, strings=tc.LinearStrings(100.0))
     how = {"step": 0.01, "output_step": 0.1} | method
-    batch = tc.simulate_many(model, 0.3, N, V, rest_length=lengths, threads=1, **how)
+    vary = {"nodes": N, "velocities": V, "rest_length": lengths}
+    batch = many(model, 0.3, how, vary, threads=1)
     runs = {
         i: tc.simulate(model, 0.3, N[i], V[i], rest_length=lengths[i], **how) for i in LOOKED_AT
     }
@@ -82,7 +91,8 @@ def test_lanes_have_the_bits_of_single_runs():
     N, V, lengths = scene(prism, runs=MORE)
     model = tc.Model(prism, strings=tc.LinearStrings(100.0))
     how = {"step": 0.01, "output_step": 0.1}
-    batch = tc.simulate_many(model, 0.3, N, V, rest_length=lengths, threads=2, **how)
+    vary = {"nodes": N, "velocities": V, "rest_length": lengths}
+    batch = many(model, 0.3, how, vary, threads=2)
     assert batch.choice.back_end == "core, runs side by side"
     assert batch.switches.sum() > 10
     runs = {
@@ -96,10 +106,10 @@ def test_lanes_carry_switches_as_single_runs_do():
     tower = tc.prism_tower(6)
     N, V = thrown(tower, 0.5, runs=MORE)
     model = tc.Model(tower, strings=tc.LinearStrings(100.0))
-    how = {"rest_length": 0.999 * tower.string_length(), "step": 0.02, "output_step": 0.1}
-    how["method"] = "rk4"
-    batch = tc.simulate_many(model, 0.2, N, V, **how)
-    runs = {i: tc.simulate(model, 0.2, N[i], V[i], **how) for i in (0, 3, 9, 10)}
+    how = {"step": 0.02, "output_step": 0.1, "method": "rk4"}
+    held = {"rest_length": 0.999 * tower.string_length()}
+    batch = many(model, 0.2, how, {"nodes": N, "velocities": V}, **held)
+    runs = {i: tc.simulate(model, 0.2, N[i], V[i], **held, **how) for i in (0, 3, 9, 10)}
     assert all(run.work.carried for run in runs.values())
     assert_same(batch, runs)
 
@@ -125,7 +135,8 @@ def test_parameters_that_vary_give_the_bits_of_models_with_them(name, method):
     }
     model = tc.Model(structure, strings=tc.LinearStrings(100.0, damping=0.1), gravity=9.81)
     how = {"step": 0.01} | method
-    batch = tc.simulate_many(model, 0.1, N, V, rest_length=lengths, vary=vary, **how)
+    starts = {"nodes": N, "velocities": V, "rest_length": lengths}
+    batch = many(model, 0.1, how, starts | vary)
 
     def alone(i):
         law = tc.LinearStrings(vary["stiffness"][i], np.full(count, vary["damping"][i]))
@@ -143,7 +154,8 @@ def test_loads_and_profiles_are_those_of_single_runs():
     profile = tc.Profile([0.0, 0.05, 0.12], np.outer(lengths[0], [1.0, 0.95, 1.0]))
     model = tc.Model(prism, strings=tc.LinearStrings(100.0), external_force=True)
     how = {"step": 0.01, "output_step": 0.05}
-    batch = tc.simulate_many(model, 0.15, N, V, rest_length=profile, external_force=loads, **how)
+    vary = {"nodes": N, "velocities": V, "external_force": loads}
+    batch = many(model, 0.15, how, vary, rest_length=profile, external_force=0)
     runs = {
         i: tc.simulate(model, 0.15, N[i], V[i], rest_length=profile, external_force=loads[i], **how)
         for i in LOOKED_AT
@@ -160,7 +172,8 @@ def test_a_run_that_fails_ends_alone():
     lengths[4, 5] = -1.0
     model = tc.Model(prism, strings=tc.LinearStrings(100.0))
     how = {"step": 0.01, "output_step": 0.1}
-    batch = tc.simulate_many(model, 0.3, N, V, rest_length=lengths, **how)
+    vary = {"nodes": N, "velocities": V, "rest_length": lengths}
+    batch = many(model, 0.3, how, vary)
     assert batch.completed.tolist() == [True, False, False, False, False, True]
     assert sorted(batch.messages) == [1, 2, 3, 4]
     for run, said in ((1, "nodes"), (2, "bar 0|bar 1|bar 2"), (3, "finite"), (4, "rest_length")):
@@ -168,7 +181,7 @@ def test_a_run_that_fails_ends_alone():
     assert np.isnan(batch.nodes[[1, 2, 4]]).all()
     assert np.isnan(batch.nodes[3, :, :, -1]).all()
     assert batch.end_time[3] < 0.3 == batch.end_time[0]
-    fine = tc.simulate_many(model, 0.3, N[[0, 5]], V[[0, 5]], rest_length=lengths[[0, 5]], **how)
+    fine = many(model, 0.3, how, {name: value[[0, 5]] for name, value in vary.items()})
     assert np.array_equal(fine.nodes, batch.nodes[[0, 5]])
 
 
@@ -176,39 +189,71 @@ def test_some_nodes_are_kept():
     prism = replace(tc.prism(), fixed=[3])
     N, V, lengths = scene(prism)
     model = tc.Model(prism, strings=tc.LinearStrings(100.0))
-    given = {"rest_length": lengths, "step": 0.01}
-    every = tc.simulate_many(model, 0.1, N, V, **given)
-    some = tc.simulate_many(model, 0.1, N, V, keep_nodes=[4, 3], **given)
+    given = model, 0.1, {"step": 0.01}, {"nodes": N, "velocities": V, "rest_length": lengths}
+    every = many(*given)
+    some = many(*given, keep_nodes=[4, 3])
     assert np.array_equal(some.nodes, every.nodes[:, :, [4, 3]])
     assert np.array_equal(some.velocities, every.velocities[:, :, [4, 3]])
     assert some.nodes.shape == (RUNS, 3, 2, 2)
-    one = tc.simulate_many(model, 0.1, N, V, keep_nodes=4, **given)
+    one = many(*given, keep_nodes=4)
     np.testing.assert_array_equal(one.nodes, every.nodes[:, :, 4:5])
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("vary", "more", "said"),
     [
-        ({"rest_length": np.ones(9)}, "all runs are the same"),
-        ({"rest_length": np.ones((2, 8))}, "rest_length has shape"),
-        ({"nodes": np.zeros((2, 3, 6)), "rest_length": np.ones((3, 9))}, "has 3 runs, but nodes"),
-        ({"rest_length": np.ones((2, 9)), "vary": {"colour": [1, 2]}}, "vary"),
-        ({"rest_length": np.ones((2, 9)), "vary": {"stiffness": [1, 2, 3]}}, "3 runs"),
-        ({}, "expected one of rest_length, force_density and controller, found none"),
-        ({"rest_length": np.ones((2, 9)), "vary": {"stiffness": 1j}}, "vary.*stiffness.*runs, 9"),
-        ({"rest_length": np.ones((2, 9)), "vary": {"stiffness": 2.0}}, "vary.*stiffness.*runs, 9"),
-        ({"rest_length": np.ones((2, 9)), "nodes": np}, "nodes"),
-        ({"rest_length": np.ones((2, 9)), "keep_nodes": [6]}, "keep_nodes"),
-        ({"rest_length": np.ones((2, 9)), "keep_nodes": [[1, 2]]}, r"keep_nodes.*\(1, 2\)"),
-        ({"rest_length": np.ones((2, 9)), "method": "rk4", "step": None}, "step"),
-        ({"rest_length": np.ones((2, 9)), "external_force": np.ones((2, 3, 6))}, "no load"),
-        ({"rest_length": np.ones((10**6, 9)), "output_step": 1e-3}, "GB of memory"),
+        ({}, {}, "vary is empty, so all runs are the same"),
+        ([1.0], {}, "vary is a list"),
+        ({"rest_length": np.ones((2, 8))}, {}, r"vary\['rest_length'\] has shape"),
+        ({"nodes": np.zeros((2, 3, 6)), "rest_length": np.ones(3)}, {}, "3 runs, but vary.'nodes"),
+        ({"colour": [1, 2]}, {}, "vary is 'colour', expected .*'stiffness'"),
+        ({"force_density": np.ones(2)}, {}, "vary is 'force_density'"),
+        ({"gravity": np.ones((2, 2))}, {}, r"\(2, 3\)"),
+        ({"stiffness": np.ones(0)}, {}, "0 runs"),
+        ({"stiffness": 1j}, {}, "vary.*stiffness.*runs, 9"),
+        ({"stiffness": 2.0}, {}, "vary.*stiffness.*runs, 9"),
+        ({"nodes": np}, {}, "nodes"),
+        ({"nodes": np.zeros((3, 6))}, {}, r"nodes.*\(3, 6\)"),
+        ({"rest_length": np.ones(2)}, {"keep_nodes": [6]}, "keep_nodes"),
+        ({"rest_length": np.ones(2)}, {"keep_nodes": [[1, 2]]}, r"keep_nodes.*\(1, 2\)"),
+        ({"external_force": np.ones((2, 3, 6))}, {}, "no load"),
+        ({"rest_length": np.ones(10**6)}, {"output_step": 1e-3}, "GB of memory"),
+        ({"rest_length": np.ones(2)}, {"faults": [tc.CutString(0, 0.1)]}, "faults given"),
+        ({"rest_length": np.ones(2)}, {"support_motion": np.zeros((3, 0))}, "support_motion given"),
     ],
 )
-def test_bad_input_is_named(given, said):
+def test_bad_input_is_named(vary, more, said):
     model = tc.Model(tc.prism(), strings=tc.LinearStrings(100.0))
+    how = {"step": 0.01} | {name: more.pop(name) for name in list(more) if name == "output_step"}
+    kept = more.pop("keep_nodes", None)
+    held = tc.Scene(model, 1.0, rest_length=1.0, integration=tc.Integration(**how), **more)
     with pytest.raises((TypeError, ValueError), match=said):
-        tc.simulate_many(model, 1.0, **{"step": 0.01} | given)
+        tc.simulate_many(held, vary, kept)
+
+
+def test_a_model_is_no_scene():
+    with pytest.raises(TypeError, match=r"scene is .*Model.*, expected Scene: make one by Scene"):
+        tc.simulate_many(tc.Model(tc.prism()), {"force_density": [1.0, 2.0]})
+
+
+def test_numbers_of_the_ground_vary():
+    ball = tc.library.six_bar_ball()
+    floor = tc.Ground(5e3, damping=0.3, friction=0.4, height=float(ball.nodes[2].min()) - 0.01)
+    strings = tc.LinearStrings(500.0, damping=1.0)
+    model = tc.Model(ball, strings=strings, gravity=9.81, ground=floor)
+    V = np.array([[0.5], [0.0], [0.0]]) * np.ones(12)
+    held = {"velocities": V, "rest_length": 0.95 * ball.string_length()}
+    how = {"step": 1e-3, "output_step": 0.1}
+    vary = {"ground.friction": np.array([0.0, 0.9]), "ground.stiffness": np.array([3e3, 9e3])}
+    batch = many(model, 0.2, how, vary, **held)
+    assert np.abs(batch.nodes[0] - batch.nodes[1]).max() > 1e-3
+
+    def alone(i):
+        ground = replace(floor, friction=[0.0, 0.9][i], stiffness=[3e3, 9e3][i])
+        own = tc.Model(ball, strings=strings, gravity=9.81, ground=ground)
+        return tc.simulate(own, 0.2, **held, **how)
+
+    assert_same(batch, {i: alone(i) for i in range(2)})
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
@@ -217,11 +262,9 @@ def test_an_interrupt_keeps_the_runs_that_are_done(monkeypatch):
     N, V, lengths = scene(prism)
     model = tc.Model(prism, strings=tc.LinearStrings(100.0))
     count = 60
-    given = {
-        "nodes": np.resize(N, (count, 3, 6)), "velocities": np.resize(V, (count, 3, 6)),
-        "rest_length": lengths[0], "step": 0.01, "threads": 1,
-    }  # fmt: skip
-    whole = tc.simulate_many(model, 0.05, **given)
+    held = tc.Scene(model, 0.05, rest_length=lengths[0], integration=tc.Integration(step=0.01))
+    starts = {"nodes": np.resize(N, (count, 3, 6)), "velocities": np.resize(V, (count, 3, 6))}
+    whole = tc.simulate_many(held, starts, threads=1)
 
     @contextmanager
     def told(*_, **__):
@@ -233,7 +276,7 @@ def test_an_interrupt_keeps_the_runs_that_are_done(monkeypatch):
 
     monkeypatch.setattr(simulate_many_file(), "progress_bar", told)
     with pytest.warns(InterruptionWarning, match="runs are done"):
-        part = tc.simulate_many(model, 0.05, **given)
+        part = tc.simulate_many(held, starts, threads=1)
     assert 0 < part.completed.sum() < count
     assert {part.messages[i] for i in np.flatnonzero(~part.completed)} == {"interrupted"}
     done = part.completed
@@ -258,8 +301,8 @@ def test_a_run_of_a_batch_is_that_of_simulate(name, damping, method):
     stiffness = np.linspace(50.0, 150.0, RUNS)
     model = tc.Model(structure, strings=tc.LinearStrings(100.0, damping), gravity=1.0)
     how = method | {"output_step": 0.01}
-    vary = {"stiffness": stiffness}
-    batch = tc.simulate_many(model, 0.3, N, V, rest_length=lengths, vary=vary, **how)
+    vary = {"nodes": N, "velocities": V, "rest_length": lengths, "stiffness": stiffness}
+    batch = many(model, 0.3, how, vary)
     count, i = len(structure.strings), RUNS - 1
     own = tc.LinearStrings(np.full(count, stiffness[i]), np.full(count, damping))
     run = batch.trajectory(i)
@@ -280,10 +323,10 @@ def test_a_run_under_a_load_is_that_of_simulate():
     N, V, lengths = scene(prism)
     loads = np.random.default_rng(3).standard_normal((RUNS, 3, 6))
     model = tc.Model(prism, strings=tc.LinearStrings(100.0), external_force=True)
-    how = {"step": 0.01, "rest_length": lengths[0], "output_step": 0.01}
-    batch = tc.simulate_many(model, 0.1, N, V, external_force=loads, **how)
-    run = batch.trajectory(2)
-    alone = tc.simulate(model, 0.1, N[2], V[2], external_force=loads[2], **how)
+    how, held = {"step": 0.01, "output_step": 0.01}, {"rest_length": lengths[0]}
+    vary = {"nodes": N, "velocities": V, "external_force": loads}
+    run = many(model, 0.1, how, vary, external_force=0, **held).trajectory(2)
+    alone = tc.simulate(model, 0.1, N[2], V[2], external_force=loads[2], **held, **how)
     assert run.health == alone.health
     for what in ("rest_length", "force_density", "energy", "momentum"):
         assert np.array_equal(getattr(run, what), getattr(alone, what)), what
@@ -294,8 +337,8 @@ def test_a_run_that_is_not_whole_is_no_trajectory():
     N, V, lengths = scene(prism)
     V[3] *= 1e6
     model = tc.Model(prism, strings=tc.LinearStrings(100.0))
-    how = {"rest_length": lengths, "step": 0.01}
-    batch = tc.simulate_many(model, 0.1, N, V, **how)
+    how = {"step": 0.01}
+    batch = many(model, 0.1, how, {"nodes": N, "velocities": V, "rest_length": lengths})
     with pytest.raises(ValueError, match=r"run 3 ended early: .*finite"):
         batch.trajectory(3)
     with pytest.raises(ValueError, match="run"):
@@ -304,9 +347,9 @@ def test_a_run_that_is_not_whole_is_no_trajectory():
         batch.trajectory(0, {"energy": 1.0})
     with pytest.raises(tc.simulation.SimulationError, match="bar length error"):
         batch.trajectory(0, tc.HealthLimits(bar_length_error=1e-15, action="raise"))
-    some = tc.simulate_many(model, 0.1, N[:2], keep_nodes=[4], **how | {"rest_length": 0.9})
+    some = many(model, 0.1, how, {"nodes": N[:2]}, [4], rest_length=0.9)
     with pytest.raises(ValueError, match="leave keep_nodes out"):
         some.trajectory(1)
     grounded = tc.Model(prism, strings=model.strings, ground=tc.Ground(1e3))
     with pytest.raises(ValueError, match="ground, or inputs that change"):
-        tc.simulate_many(grounded, 0.02, N[:2], **how | {"rest_length": 0.9}).trajectory(0)
+        many(grounded, 0.02, how, {"nodes": N[:2]}, rest_length=0.9).trajectory(0)

@@ -22,6 +22,14 @@ def shaken(plant, size, runs=RUNS):
     return np.array([plant.to_nodes(each) for each in q])
 
 
+def loops(model, duration, code, vary, how, threads=None, **given):
+    """Many loops closed by compiled code."""
+    scene = tc.Scene(
+        model, duration, controller=code, integration=tc.Integration(**how), **given
+    )  # fmt: skip
+    return tc.simulate_many(scene, vary, threads=threads)
+
+
 @pytest.fixture(scope="module")
 def tower():
     """Plant of a tower whose bars share nodes, and the code of its LQR of rest lengths."""
@@ -63,7 +71,7 @@ def test_numbers_are_those_of_single_runs(name, how, codes, request):
     plant, code = request.getfixturevalue(name)[0], codes[name]
     starts = shaken(plant, 0.01)
     # The last sample is a part of one.
-    batch = tc.simulate_many(plant.model, 0.2, starts, controller=code, threads=2, **how)
+    batch = loops(plant.model, 0.2, code, {"nodes": starts}, how, threads=2)
     assert batch.completed.all()
     for i in (0, RUNS - 1):
         run = tc.simulate(plant.model, 0.2, starts[i], controller=code, **how)
@@ -80,10 +88,8 @@ def test_numbers_are_those_of_single_runs(name, how, codes, request):
 def test_parameters_vary_under_a_controller_that_does_not_know(tower, codes):
     plant, _ = tower
     starts, factor = shaken(plant, 0.005, 2)[[0, 0]], np.array([1.0, 1.3])
-    batch = tc.simulate_many(
-        plant.model, 0.06, starts, controller=codes["tower"], vary={"stiffness": 1e3 * factor},
-        step=5e-3,
-    )  # fmt: skip
+    vary = {"nodes": starts, "stiffness": 1e3 * factor}
+    batch = loops(plant.model, 0.06, codes["tower"], vary, {"step": 5e-3})
     strings = tc.LinearStrings(1.3e3, damping=2.0)
     softer = tc.Model(plant.model.structure, strings=strings)
     run = tc.simulate(softer, 0.06, starts[1], controller=codes["tower"], step=5e-3)
@@ -94,9 +100,10 @@ def test_parameters_vary_under_a_controller_that_does_not_know(tower, codes):
 def test_a_run_that_cannot_begin_leaves_the_others_alone(prism, codes):
     plant, _ = prism
     starts = shaken(plant, 0.01, 3)
-    good = tc.simulate_many(plant.model, 0.06, starts, controller=codes["prism"], step=5e-3)
+    given = plant.model, 0.06, codes["prism"], {"nodes": starts}, {"step": 5e-3}
+    good = loops(*given)
     starts[1, :, 0] += 1.0  # a bar of another length
-    batch = tc.simulate_many(plant.model, 0.06, starts, controller=codes["prism"], step=5e-3)
+    batch = loops(*given)
     assert list(batch.messages) == [1]
     assert np.isnan(batch.command[1]).all()
     assert np.array_equal(batch.nodes[[0, 2]], good.nodes[[0, 2]])
@@ -106,20 +113,18 @@ def test_a_run_that_cannot_begin_leaves_the_others_alone(prism, codes):
 def test_what_does_not_fit_is_refused(prism, tower, codes):
     plant, mpc = prism
     starts = shaken(plant, 0.01)
-    given = {"duration": 0.1, "nodes": starts, "step": 0.01}
+    given = {"nodes": starts}, {"step": 0.01}
     with pytest.raises(TypeError, match=r"controller is a MPC, expected the compiled code"):
-        tc.simulate_many(plant.model, controller=mpc, **given)
+        loops(plant.model, 0.1, mpc, *given)
     with pytest.raises(ValueError, match="the controller was designed on"):
-        tc.simulate_many(plant.model, controller=codes["tower"], **given)
-    with pytest.raises(ValueError, match="found force_density and controller"):
-        tc.simulate_many(plant.model, controller=codes["prism"], force_density=9.0, **given)
+        loops(plant.model, 0.1, codes["tower"], *given)
     elastic = tc.Model(plant.model.structure, strings=tc.LinearStrings(100.0))
     with pytest.raises(ValueError, match="commands force density, and the model's strings are Lin"):
-        tc.simulate_many(elastic, controller=codes["prism"], **given)
+        loops(elastic, 0.1, codes["prism"], *given)
     model = tc.Model(plant.model.structure, external_force=True)
     gust = tc.Profile([0.0, 0.05, 0.1], np.zeros((3, 6, 3)))
     with pytest.raises(ValueError, match="external_force changes in time"):
-        tc.simulate_many(model, controller=codes["prism"], external_force=gust, **given)
+        loops(model, 0.1, codes["prism"], *given, external_force=gust)
 
 
 def test_another_has_a_memory_of_its_own(prism, codes):
@@ -140,8 +145,8 @@ def test_copies_of_a_controller_serve_the_next_batch(tower, tmp_path, monkeypatc
     code = tc.generate_c(law, tmp_path / "own").compile()
     made, another = [], type(code).another
     monkeypatch.setattr(type(code), "another", lambda self: made.append(1) or another(self))
-    starts, how = shaken(plant, 0.01), {"controller": code, "step": 0.01, "threads": 1}
-    first, second = (tc.simulate_many(plant.model, 0.06, starts, **how) for _ in range(2))
+    given = plant.model, 0.06, code, {"nodes": shaken(plant, 0.01)}, {"step": 0.01}
+    first, second = (loops(*given, threads=1) for _ in range(2))
     assert 0 < len(made) <= RUNS
     assert np.array_equal(first.nodes, second.nodes)
     # The start and the end alone are kept.
@@ -164,7 +169,7 @@ def test_after_an_interrupt_copies_are_used_again(prism, codes, monkeypatch):
             raise KeyboardInterrupt
 
     def run():
-        tc.simulate_many(plant.model, 0.2, starts, controller=code, threads=1, step=5e-3)
+        loops(plant.model, 0.2, code, {"nodes": starts}, {"step": 5e-3}, threads=1)
 
     run()
     made.clear()

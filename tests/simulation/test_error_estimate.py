@@ -1,6 +1,7 @@
 """The estimate of the global error: against exact motions, whatever is kept of them."""
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -182,8 +183,9 @@ def test_the_other_motion_takes_about_as_many_steps(example, monkeypatch):
 def test_a_batch_looks_at_some_runs_and_names_those_that_are_wrong(example):
     model, lengths = example
     given = lengths * np.linspace(0.9, 1.0, 40)[:, None]
-    how = {"rest_length": given, "step": 5e-3, "output_step": 0.1}
-    batch = tc.simulate_many(model, 0.2, **how)
+    how = tc.Integration(step=5e-3, output_step=0.1)
+    scene = tc.Scene(model, 0.2, rest_length=lengths, integration=how)
+    batch = tc.simulate_many(scene, {"rest_length": given})
     looked_at = np.isfinite(batch.error[:, 0])
     assert looked_at.sum() == 32
     assert np.isfinite(batch.error[looked_at]).all()
@@ -192,10 +194,10 @@ def test_a_batch_looks_at_some_runs_and_names_those_that_are_wrong(example):
         model, 0.2, rest_length=given[some], method="rk4", step=5e-3, output_step=0.1
     )
     assert np.array_equal(batch.error[some], alone.error)
-    assert tc.simulate_many(model, 0.2, **how, error="none").error is None
-    how |= {"step": 0.05}
+    assert tc.simulate_many(scene, {"rest_length": given}, error="none").error is None
+    coarse = replace(scene, integration=replace(how, step=0.05))
     with pytest.warns(AccuracyWarning, match=r"of the 40 runs that were looked at passes 0\.01"):
-        wrong = tc.simulate_many(model, 0.2, **how, error="all")
+        wrong = tc.simulate_many(coarse, {"rest_length": given}, error="all")
     assert np.isfinite(wrong.error[:, 0]).all()
 
 

@@ -42,7 +42,9 @@ def test_every_method_runs_without_strings(method):
 def test_many_runs_without_strings_need_no_input():
     starts = np.array([turning(3), 2 * turning(3)])
     for law in (None, tc.LinearStrings(100.0)):
-        batch = tc.simulate_many(tc.Model(bar(fixed=[0]), law), 0.5, velocities=starts, step=1e-3)
+        model = tc.Model(bar(fixed=[0]), law)
+        scene = tc.Scene(model, 0.5, integration=tc.Integration(step=1e-3))
+        batch = tc.simulate_many(scene, {"velocities": starts})
         np.testing.assert_allclose(batch.nodes[0, :2, 1, -1], [np.cos(1), np.sin(1)], atol=1e-9)
         np.testing.assert_allclose(batch.nodes[1, :2, 1, -1], [np.cos(2), np.sin(2)], atol=1e-9)
 
@@ -50,8 +52,6 @@ def test_many_runs_without_strings_need_no_input():
 def test_with_strings_an_input_is_still_asked_for():
     with pytest.raises(ValueError, match="expected one of rest_length, force_density and contr"):
         tc.simulate(MODEL, 0.1)
-    with pytest.raises(ValueError, match="found none"):
-        tc.simulate_many(MODEL, 0.1, velocities=np.zeros((2, 3, 6)))
     with pytest.raises(ValueError, match=r"rest_length has shape \(2,\), expected \(\) or \(0,\)"):
         tc.simulate(tc.Model(bar()), 0.1, rest_length=[1.0, 1.0])
 
@@ -64,10 +64,11 @@ def test_a_load_of_zero_needs_no_model_that_takes_one(load):
         run = tc.simulate(model, 0.1, force_density=GAMMA, step=1e-3, external_force=load)
         np.testing.assert_allclose(run.nodes, bare.nodes, atol=1e-14)
     starts = np.zeros((2, 3, 6))
-    for each in (load, np.zeros((2, 3, 6))):
-        batch = tc.simulate_many(
-            MODEL, 0.1, velocities=starts, force_density=GAMMA, external_force=each, step=1e-3
-        )
+    scene = tc.Scene(
+        MODEL, 0.1, force_density=GAMMA, external_force=load, integration=tc.Integration(step=1e-3)
+    )
+    for vary in ({}, {"external_force": np.zeros((2, 3, 6))}):
+        batch = tc.simulate_many(scene, {"velocities": starts} | vary)
         np.testing.assert_allclose(batch.nodes[1, :, :, -1], bare.nodes[:, :, -1], atol=1e-14)
 
 
@@ -85,7 +86,7 @@ def test_loads_of_many_runs_are_not_lost():
     loads = np.zeros((2, 3, 6))
     loads[1] = 1.0
     with pytest.raises(ValueError, match="the model takes no load"):
-        tc.simulate_many(MODEL, 0.1, force_density=GAMMA, external_force=loads)
+        tc.simulate_many(tc.Scene(MODEL, 0.1, force_density=GAMMA), {"external_force": loads})
 
 
 def test_inputs_may_be_columns():
@@ -135,8 +136,9 @@ def test_supports_at_rest_may_be_told_by_0():
 
 def test_kept_nodes_may_be_a_mask():
     starts = np.zeros((2, 3, 6))
-    given = {"velocities": starts, "force_density": 0.9 * GAMMA, "step": 1e-2}
-    known = tc.simulate_many(MODEL, 0.1, keep_nodes=[1, 2], **given)
+    how = tc.Integration(step=1e-2)
+    scene = tc.Scene(MODEL, 0.1, force_density=0.9 * GAMMA, integration=how)
+    known = tc.simulate_many(scene, {"velocities": starts}, keep_nodes=[1, 2])
     for nodes in (np.isin(np.arange(6), [1, 2]), [1, 2, 1], {1, 2}):
-        batch = tc.simulate_many(MODEL, 0.1, keep_nodes=nodes, **given)
+        batch = tc.simulate_many(scene, {"velocities": starts}, keep_nodes=nodes)
         np.testing.assert_array_equal(batch.nodes, known.nodes)

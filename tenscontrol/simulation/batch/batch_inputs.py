@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from math import ceil
 from typing import Any
 
@@ -11,11 +12,19 @@ import numpy as np
 
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray
+from tenscontrol.control.controller import Controller
 from tenscontrol.dynamics.equation import gravity_forces
 from tenscontrol.dynamics.model import Model
+from tenscontrol.dynamics.model_parameters import (
+    MASSES,
+    law_parameters,
+    parameters_of,
+    with_parameters,
+)
 from tenscontrol.dynamics.profile import Pieces
 from tenscontrol.plant.equilibrium import held_value, refuse_load
 from tenscontrol.properties import cached_property
+from tenscontrol.simulation.batch.compiled_loop import checked_controller
 from tenscontrol.simulation.closed_loop import samples
 from tenscontrol.simulation.inputs import changes_in_time
 from tenscontrol.simulation.scene import Scene
@@ -26,76 +35,82 @@ from tenscontrol.simulation.start import initial_state
 _EXACT, _NO_LENGTH = 1e-8, 1e-11
 
 # Numbers that may be zero, and those that may have any sign; all others are positive.
-_FROM_ZERO = {"force_density", "damping", "point_mass"}
-_SIGNED = {"nodes", "velocities", "external_force", "load", "gravity"}
+_FROM_ZERO = {"force_density", "damping", "point_mass", "ground.damping", "ground.friction"}
+_SIGNED = {"nodes", "velocities", "external_force", "load", "gravity", "ground.height"}
 
 # What is no parameter of the model.
 _ARRAYS = "nodes", "velocities", "rest_length", "force_density", "external_force", "load"
 
+_LAW_NUMBER = re.compile(r"ground\[\d+\]")
 
-MASSES = "bar_mass", "point_mass"
+
+def refusal(scene: Scene) -> str | None:
+    """Return why a scene is run by :func:`simulate` alone; None if many runs of it can be."""
+    for part in ("winches", "estimator", "support_motion", "start"):
+        if getattr(scene, part) is not None:
+            return f"{part} given"
+    if scene.faults:
+        return "faults given"
+    law = scene.law
+    if law is None:
+        return None
+    try:
+        checked_controller(scene.controller, scene.model)
+    except (TypeError, ValueError) as error:
+        return str(error)
+    if scene.input != law.input or scene.rest_length is not None:
+        return "the controller is told rest lengths at the start, or has another input"
+    return None
 
 
-def given_by_run(model: Model, vary: object, **values: object) -> dict[str, FloatArray]:
-    """Return arrays with a first axis: of one entry, or one a run."""
-    count, nodes = len(model.structure.strings), model.structure.nodes
-    shapes = dict.fromkeys(("nodes", "velocities", "external_force"), nodes.shape)
-    found, runs = dict[str, FloatArray](), dict[str, int]()
-    for name, value in values.items():
-        if value is None or changes_in_time(value):
-            continue
-        shape = shapes.get(name, (count,))
-        if name == "external_force" and _axes(value) == 0:
-            value = validation.node_forces(name, value, shape)
-        stacked = _axes(value) > len(shape)
-        wanted = (len(value), *shape) if stacked else shape  # type: ignore[arg-type]  # has an axis
-        if len(shape) == 1 and _axes(value) == 0:
-            value = np.full(shape, validation.measured(name, value, ()))
-        array = validation.measured(
-            name, value, wanted, f"of a run {shape}, with a first axis for runs"
-        )
-        found[name] = array if stacked else array[None]
-        runs |= {name: len(array)} if stacked else {}
-    parameters = _varied_parameters(model, vary, values.get("rest_length") is not None)
-    found |= parameters
-    runs |= {f"vary[{name!r}]": len(array) for name, array in parameters.items()}
-    if not runs:
+def checked_variation(scene: Scene, vary: object) -> dict[str, FloatArray]:
+    """Return what differs from run to run, by name, as arrays with a first axis of runs."""
+    if not isinstance(vary, Mapping):
+        raise validation.wrong_kind("vary", vary, "a dict of arrays, by name, one entry a run")
+    shapes = _shapes(scene)
+    given = {
+        name: _of_runs(f"vary[{name!r}]", value, shapes[validation.choice("vary", name, shapes)])
+        for name, value in vary.items()
+    }
+    if "gravity" in given and np.ndim(vary["gravity"]) == 1:
+        given["gravity"] = np.outer(vary["gravity"], _down(scene.structure.dimension))
+    if not given:
         raise ValueError(
-            "all runs are the same: give one of nodes, velocities, rest_length, "
-            "force_density, external_force and vary a first axis with one entry for each run"
+            "vary is empty, so all runs are the same: give what differs by name, one entry a run"
         )
-    (first, count), *others = runs.items()
+    (first, count), *others = ((name, len(values)) for name, values in given.items())
     for name, other in others:
         if other != count:
-            raise ValueError(f"{name} has {other} runs, but {first} has {count}")
+            raise ValueError(f"vary[{name!r}] has {other} runs, but vary[{first!r}] has {count}")
     if not count:
-        raise ValueError(f"{first} has 0 runs, expected at least one")
-    return found
+        raise ValueError(f"vary[{first!r}] has 0 runs, expected at least one")
+    return given
 
 
-def _varied_parameters(model: Model, vary: object, is_wound: bool) -> dict[str, FloatArray]:
-    """Return parameters of the model, shape (runs, members); of strings if these are wound."""
-    if vary is not None and not isinstance(vary, Mapping):
-        raise validation.wrong_kind("vary", vary, "a dict of arrays, one entry a run")
-    d, n = model.structure.nodes.shape
-    found = {}
-    sizes = {"bar_mass": len(model.structure.bars), "point_mass": n, "gravity": d}
-    if is_wound and model.strings is not None:
-        count = len(model.structure.strings)
-        sizes |= {each.name: count for each in fields(model.strings)}
-    for name, value in (vary or {}).items():
-        size = sizes[validation.choice("vary", name, sizes)]
-        label = f"vary[{name!r}]"
-        axes = _axes(value)
-        if axes == 0 or axes > 2:
-            expected = f"an array of shape (runs,) or (runs, {size}): one a run, or one a run and"
-            raise validation.wrong_kind(label, value, f"{expected} member")
-        wanted = (len(value), size) if axes == 2 else (len(value),)
-        array = validation.measured(label, value, wanted, "one a run, or one a run and member")
-        if array.ndim == 1:
-            array = np.outer(array, _down(d) if name == "gravity" else np.ones(size))
-        found[name] = array
-    return found
+def _shapes(scene: Scene) -> dict[str, tuple[int, ...]]:
+    """Return what can differ from run to run, and the shape that each run has."""
+    model, nodes = scene.model, scene.structure.nodes.shape
+    shapes: dict[str, tuple[int, ...]] = {"nodes": nodes, "velocities": nodes}
+    if scene.controller is None:
+        shapes[scene.input] = (len(scene.structure.strings),)
+    shapes["external_force"] = nodes
+    without = () if scene.input == "rest_length" else law_parameters(model)
+    members = {name: value.shape for name, value in parameters_of(model).items()}
+    return shapes | {name: shape for name, shape in members.items() if name not in without}
+
+
+def _of_runs(label: str, value: object, shape: tuple[int, ...]) -> FloatArray:
+    """Return an array of shape (runs, *shape); of members also from one number a run."""
+    axes, own = _axes(value), ", ".join(map(str, shape))
+    if len(shape) > 1:
+        runs: Any = len(value) if axes == 1 + len(shape) else "runs"  # type: ignore[arg-type]
+        return validation.measured(label, value, (runs, *shape), "one a run")
+    if axes not in (1, 2):
+        expected = f"an array of shape (runs,) or (runs, {own}): one a run, or one a run and member"
+        raise validation.wrong_kind(label, value, expected)
+    wanted = (len(value), *shape)[:axes]  # type: ignore[arg-type]  # has an axis
+    array = validation.measured(label, value, wanted, "one a run, or one a run and member")
+    return array if axes == 2 else np.outer(array, np.ones(shape))
 
 
 def _axes(value: Any) -> int:
@@ -112,10 +127,10 @@ def _down(dimension: int) -> FloatArray:
 
 
 class BatchInputs:
-    """What a batch integrates: a scene, and what varies from it run by run.
+    """What a batch integrates: a scene, and what differs from it run by run.
 
-    ``given`` are arrays with a first axis, see :func:`given_by_run`; what it has is zero, or the
-    reference, in the scene ``base``.
+    ``given`` are arrays with a first axis of runs, see :func:`checked_variation`. The scene has
+    some value of each.
     """
 
     def __init__(self, base: Scene, given: dict[str, FloatArray]) -> None:
@@ -123,14 +138,21 @@ class BatchInputs:
         self.model, self.duration = base.model, base.duration
         self.count = max(map(len, given.values()))
         self.varied = [name for name in given if name not in _ARRAYS]
-        self.held = None if self.input in given else base.inputs
+        self.held: Pieces | None = None
+        if isinstance(base.law, Controller):
+            # What runs begin from, and what is chosen for, until there is a command.
+            self.held = Pieces.constant(base.law.plant.string_values)
+        elif self.input not in given:
+            self.held = base.inputs
         # All that acts on the nodes from outside: the same for all, in time, or run by run.
         self.load = base.loads
-        external_force = base.external_force
-        if "external_force" in given and len(given["external_force"]) == 1:
-            external_force = given.pop("external_force")[0]
         if self._loads_differ():
-            self._stack_loads(external_force)
+            self._stack_loads()
+
+    @property
+    def varies_ground(self) -> bool:
+        """Whether contact laws differ from run to run."""
+        return any(name.startswith("ground") for name in self.varied)
 
     def _loads_differ(self) -> bool:
         heavy = {"gravity", *MASSES} & set(self.varied)
@@ -140,9 +162,10 @@ class BatchInputs:
             raise ValueError("external_force changes in time, so masses and gravity may not vary")
         return differ
 
-    def _stack_loads(self, external_force: object) -> None:
+    def _stack_loads(self) -> None:
         """Find all that acts on the nodes of each run."""
         model, given = self.model, self.given
+        external_force = self.base.external_force
         if "external_force" in given and given["external_force"].any():
             refuse_load(model)
         c = model.built_in_load + gravity_forces(
@@ -160,23 +183,18 @@ class BatchInputs:
         self.load = np.zeros(model.structure.nodes.shape)
 
     def entry(self, name: str, run: int) -> FloatArray | None:
-        """Return what a run is given; None for nothing."""
+        """Return what a run is given beside the scene; None for nothing."""
         array = self.given.get(name)
         return None if array is None else array[run if len(array) > 1 else 0]
 
     def model_of(self, run: int) -> Model:
         """Return the model of a run, refusing parameters that are none."""
-        if not self.varied:
-            return self.model
-        model = self.model
-        own: dict[str, Any] = {name: self.entry(name, run) for name in self.varied}
-        masses = {name: own.pop(name) for name in MASSES if name in own}
-        structure = replace(model.structure, **masses) if masses else model.structure
-        gravity = own.pop("gravity", model.gravity)
-        strings = (
-            replace(model.strings, **own) if model.strings is not None and own else model.strings
-        )
-        return model.replace(structure=structure, strings=strings, gravity=gravity)
+        return with_parameters(self.model, {name: self.given[name][run] for name in self.varied})
+
+    def input_value(self, run: int) -> FloatArray:
+        """Return what a run holds, m or N/m, shape (α,)."""
+        own = self.entry(self.input, run)
+        return self.base.input_value if own is None else own
 
     def single(self, run: int) -> FloatArray:
         """Return the state at the start of a run, checked as that of a single run is.
@@ -192,7 +210,10 @@ class BatchInputs:
             held = self.held.at(np.zeros(1))[:, 0]
         if "external_force" in self.given:
             validation.float_array("external_force", self.entry("external_force", run))
-        nodes, velocities = self.entry("nodes", run), self.entry("velocities", run)
+        nodes, velocities = (
+            getattr(self.base, name) if name not in self.given else self.given[name][run]
+            for name in ("nodes", "velocities")
+        )
         state, _ = initial_state(model, nodes, velocities, self.input, held, measured=False)
         return state
 
@@ -202,8 +223,8 @@ class BatchInputs:
         d, n = structure.nodes.shape
         count = last - first
         N, V = (
-            np.broadcast_to(self.some(name, first, last, usual), (count, d, n))
-            for name, usual in (("nodes", structure.nodes), ("velocities", np.zeros((d, n))))
+            np.broadcast_to(self.some(name, first, last, getattr(self.base, name)), (count, d, n))
+            for name in ("nodes", "velocities")
         )
         every = [part.transpose(0, 2, 1).reshape(count, -1) for part in (N, V)]
         states = np.hstack([part[:, structure.free_rows] for part in every])
@@ -232,8 +253,9 @@ class BatchInputs:
         for name in self.given:
             values = self.some(name, first, last)
             values = values.reshape(len(values), -1) if values.size else np.zeros((1, 0))
-            lowest = 0.0 if name in _FROM_ZERO else np.finfo(float).tiny
-            if name in _SIGNED:
+            kind = _LAW_NUMBER.sub("ground", name)
+            lowest = 0.0 if kind in _FROM_ZERO else np.finfo(float).tiny
+            if kind in _SIGNED:
                 lowest = -validation.LARGEST
             fine &= ((values >= lowest) & (values <= validation.LARGEST)).all(axis=1)
         rows = structure.fixed_rows

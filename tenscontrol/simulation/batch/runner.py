@@ -17,6 +17,7 @@ from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.control.controller import Controller
 from tenscontrol.dynamics.equation import Equation, unpack_states
 from tenscontrol.dynamics.model import Model
+from tenscontrol.dynamics.model_parameters import MASSES
 from tenscontrol.dynamics.profile import Pieces
 from tenscontrol.integrate.core_lanes import COUNTS, CoreLanes, tables_of_runs, work_of
 from tenscontrol.integrate.core_scene import core_scene
@@ -26,7 +27,7 @@ from tenscontrol.integrate.methods import METHODS, Choice, Method, choose
 from tenscontrol.integrate.watched import Watched
 from tenscontrol.interrupt import check
 from tenscontrol.simulation.arguments import Arguments
-from tenscontrol.simulation.batch.batch_inputs import MASSES, BatchInputs, InputSpan
+from tenscontrol.simulation.batch.batch_inputs import BatchInputs, InputSpan
 from tenscontrol.simulation.batch.compiled_loop import MOST_CONTROLLERS, CompiledLoops
 from tenscontrol.simulation.error_estimate import Motion, Path, Resolved, Stage
 from tenscontrol.simulation.health import ERROR_LIMIT
@@ -47,10 +48,9 @@ class _StopError(Exception):
 class Runner:
     """Runs a scene block by block, and keeps what is asked for."""
 
-    def __init__(
-        self, scene: BatchInputs, kept: IntArray, controller: Controller | None,
-    ) -> None:  # fmt: skip
-        structure = scene.model.structure
+    def __init__(self, scene: BatchInputs, kept: IntArray) -> None:
+        structure, law = scene.model.structure, scene.base.law
+        controller = law if isinstance(law, Controller) else None
         self.scene, self.kept, self._controller = scene, kept, controller
         self.how, output_step = scene.base.integration, scene.base.integration.output_step
         sample_time = None if controller is None else controller.sample_time
@@ -139,7 +139,7 @@ class Runner:
         """Return what integrates several runs at once; None where the core does not know them."""
         scene, structure = self.scene, self.scene.model.structure
         is_bound = structure.blocks or structure.point_mass[structure.bar_nodes].any()
-        if first is None or len(np.unique(self._are_damped())) > 1:
+        if first is None or scene.varies_ground or len(np.unique(self._are_damped())) > 1:
             return None
         if set(MASSES) & set(scene.given) and (is_bound or self._loads_bars()):
             return None  # bars that share nodes, or carry masses, have other tables
@@ -190,7 +190,8 @@ class Runner:
         """Whether one compiled function takes the parameters of all runs as inputs."""
         given, structure = self.scene.given, self.scene.model.structure
         form = self._equation(self.scene.model, "auto", ()).form
-        if form != "flat" or (structure.blocks and set(MASSES) & set(given)):
+        own_model = self.scene.varies_ground or (structure.blocks and set(MASSES) & set(given))
+        if form != "flat" or own_model:
             return False
         return bool(self._are_damped().all())
 
@@ -458,12 +459,15 @@ class Runner:
         All nodes were kept.
         """
         scene, choice, model = self.scene, self.choice, self.scene.model_of(run)
-        structure, held = model.structure, scene.entry(scene.input, run)
-        assert held is not None  # refused where it changes in time
+        structure = model.structure
         nodes, velocities = self.nodes[run], self.velocities[run]
         of = self._span_of
-        inputs: FloatArray = np.broadcast_to(held[:, None], (len(held), len(of)))
-        if self.command is not None:
+        given = Arguments({})
+        if self.command is None:
+            held = scene.input_value(run)
+            inputs: FloatArray = np.broadcast_to(held[:, None], (len(held), len(of)))
+            given = Arguments({scene.input: held})
+        else:
             inputs = self.command[run][:, of]
         load = scene.entry("load", run)
         if load is None:
@@ -480,7 +484,7 @@ class Runner:
             conserves_momentum=not loaded and free and forces.conserves_momentum, control=None,
             released_energy=np.zeros(len(of)), error=self.error(run),
             falls=free and float(model.constant_force[-1].sum()) < 0,
-            given=Arguments({scene.input: held} if self.command is None else {}),
+            given=given,
             _functions=MotionFunctions(
                 model, False, inputs, load if loaded else None,
                 shared=partial(self._function, run, model) if self._shares else None,

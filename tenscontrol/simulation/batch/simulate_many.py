@@ -1,4 +1,4 @@
-"""Many runs of one model at once: starts, inputs, loads and parameters that differ from run to run.
+"""Many runs of one scene at once: starts, inputs, loads and parameters that differ from run to run.
 
 Runs go in blocks to threads. By rk4 a block is one call of the compiled core, which takes a step of
 several runs by one instruction. Else each run is a call of the integrator. The numbers are those of
@@ -12,25 +12,20 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, IntArray, freeze_arrays
-from tenscontrol.control.controller import Controller
-from tenscontrol.dynamics.model import Model
-from tenscontrol.integrate.methods import Choice, Method
+from tenscontrol.integrate.methods import Choice
 from tenscontrol.interrupt import keeping
-from tenscontrol.plant.equilibrium import own_input
 from tenscontrol.progress import progress_bar
 from tenscontrol.properties import cached_property
-from tenscontrol.simulation.batch.batch_inputs import BatchInputs, given_by_run
+from tenscontrol.simulation.batch.batch_inputs import BatchInputs, checked_variation, refusal
 from tenscontrol.simulation.batch.compiled_loop import checked_controller
 from tenscontrol.simulation.batch.runner import Runner
 from tenscontrol.simulation.health import ERROR_LIMIT, AccuracyWarning, HealthLimits
 from tenscontrol.simulation.health_check import check_health, finer
-from tenscontrol.simulation.integration import Integration
 from tenscontrol.simulation.scene import Scene
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.structure.structure import Structure
@@ -184,66 +179,43 @@ class Batch:
 
 
 def simulate_many(
-    model: Model,
-    duration: float,
-    nodes: object = None,
-    velocities: object = None,
-    *,
-    rest_length: object = None,
-    force_density: object = None,
-    external_force: object = None,
-    controller: object = None,
-    vary: Mapping[str, object] | None = None,
-    method: str | Method = "auto",
-    tolerance: float = 1e-6,
-    step: float | None = None,
-    output_step: float | None = None,
+    scene: Scene,
+    vary: Mapping[str, object],
     keep_nodes: object = None,
-    project: bool | None = None,
+    *,
     threads: int | None = None,
     error: str = "sample",
     progress: bool = False,
 ) -> Batch:
-    """Return the motions of many runs of a model: open loops, or loops closed by compiled code.
+    """Return the motions of many runs of a scene: open loops, or loops closed by compiled code.
 
-    Arguments are those of :func:`simulate`; each array may have a first axis, one entry a run. What
-    has none is the same for all runs. The numbers are those of :func:`simulate` run by run, to the
-    last bit, with the same method and step.
+    The numbers are those of :meth:`Scene.simulate` run by run, to the last bit, with the same
+    method and step.
 
     Parameters
     ----------
-    model : Model
-    duration : float
-        s.
-    nodes, velocities : array_like, shape (d, n) or (runs, d, n), optional
-        Start of each run, m and m/s; the reference shape at rest if not given.
-    rest_length : float, array_like, shape (α,) or (runs, α), Profile or callable, optional
-        m. Give this or ``force_density``.
-    force_density : float, array_like, shape (α,) or (runs, α), Profile or callable, optional
-        N/m.
-    external_force : array_like, shape (d, n) or (runs, d, n), Profile or callable, optional
-        N, for a model built with ``external_force=True``.
-    controller : CompiledController, optional
-        ``generate_c(controller, folder).compile()``, in place of ``rest_length`` and
-        ``force_density``. Each run has its own, from a fresh start; commands are held over a
-        sample as they are, γ where the model has no string law. With winches: :func:`simulate`.
-    vary : mapping of str to array_like, shape (runs,) or (runs, members), optional
-        Parameters of the model that differ from run to run, by name: ``"bar_mass"``,
-        ``"point_mass"`` (members are nodes), kg, parameters of the string law such as
-        ``"stiffness"`` and ``"damping"``, and ``"gravity"``, shape (runs,) or (runs, d).
-    method, tolerance, project : optional
-        As in :func:`simulate`. ``"auto"`` chooses once, for the first run.
-    step : float, optional
-        Step of a method with a fixed step, s. Only these methods take several runs at once.
-    output_step : float, optional
-        Largest time between states kept, s; start and end alone if not given.
+    scene : Scene
+        What runs have in common. Its controller, if it has one, is compiled code:
+        ``generate_c(controller, folder).compile()``. Each run has its own, from a fresh start;
+        commands are held over a sample as they are. Winches, estimators, faults, moving supports
+        and a ``start`` go by :meth:`Scene.simulate` alone. Of its integration, ``"auto"`` chooses
+        once, for the first run; without ``output_step`` start and end alone are kept; ``limits``
+        are not looked at. Only methods with a fixed step take several runs at once.
+    vary : mapping of str to array_like
+        What differs from run to run, in place of what the scene has, by name: ``"nodes"``,
+        ``"velocities"`` and ``"external_force"``, shape (runs, d, n), in m, m/s and N; what is held
+        in open loop, ``"rest_length"``, m, or ``"force_density"``, N/m, shape (runs,) or (runs, α);
+        and parameters of the model, shape (runs,) or (runs, members): ``"bar_mass"``,
+        ``"point_mass"`` (members are nodes), kg, those of the string law such as ``"stiffness"``
+        and ``"damping"``, ``"gravity"`` (members are axes), and numbers of the contact law, as
+        ``"ground.friction"``, of several as ``"ground[0].friction"``.
     keep_nodes : array_like of int, or of bool, shape (n,), optional
         Nodes that are kept, or a mask of them; all if not given.
     threads : int, optional
         All processors if not given.
     error : {"sample", "all", "none"}
         Of which runs the error is estimated, by a second run at another resolution: of 32, spread
-        evenly, of all, or of none.
+        evenly, of all, or of none. None if the integration of the scene says so.
     progress : bool
         Whether to show a progress bar; never shown away from a terminal.
 
@@ -275,34 +247,35 @@ def simulate_many(
     >>> model = tc.Model(prism, strings=tc.LinearStrings(stiffness=100.0))
     >>> gamma = np.repeat([17.3205, 17.3205, 20.0], 3)
     >>> start = tc.to_rest_length(model, prism.nodes, gamma).rest_length
+    >>> how = tc.Integration(step=5e-3)
+    >>> scene = tc.Scene(model, 0.5, rest_length=start, integration=how)
     >>> factors = np.linspace(0.9, 1.0, 100)
-    >>> batch = tc.simulate_many(model, 0.5, rest_length=factors[:, None] * start, step=5e-3)
+    >>> batch = tc.simulate_many(scene, {"rest_length": factors[:, None] * start})
     >>> batch.nodes.shape, int(batch.completed.sum())
     ((100, 3, 6, 2), 100)
     """
-    validation.instance("model", model, Model, "make one by Model(structure)")
-    integration = Integration(method, tolerance, step, output_step, project, error="none")
+    validation.instance("scene", scene, Scene, "make one by Scene(model, duration, ...)")
     validation.truth("progress", progress, "whether to show a progress bar")
     validation.choice("error", error, ("sample", "all", "none"))
     threads = _processors() if threads is None else validation.whole_number("threads", threads, 1)
-    inputs, law = _inputs(model, rest_length, force_density, controller)
-    given = given_by_run(
-        model, vary, nodes=nodes, velocities=velocities, external_force=external_force, **inputs
-    )
-    base = Scene(
-        model, duration, **_nominal(model, inputs | {"external_force": external_force}, given),
-        integration=integration,
-    )  # fmt: skip
-    scene = BatchInputs(base, given)
-    kept = np.arange(model.structure.nodes.shape[1])
+    if scene.law is not None:
+        checked_controller(scene.controller, scene.model)
+    why = refusal(scene)
+    if why is not None:
+        raise ValueError(
+            f"many runs of this scene are not done together: {why}; simulate does each"
+        )
+    inputs = BatchInputs(scene, checked_variation(scene, vary))
+    structure = scene.structure
+    kept = np.arange(structure.nodes.shape[1])
     if keep_nodes is not None:
         kept = validation.index_list("keep_nodes", keep_nodes, len(kept), "nodes")
     runner = errors = None
     with keeping("runs are done, the others are NaN", lambda: 0 if runner is None else runner.done):
-        runner = Runner(scene, kept, law)
-        with progress_bar(scene.count, progress, label="simulating", unit="runs") as report:
+        runner = Runner(inputs, kept)
+        with progress_bar(inputs.count, progress, label="simulating", unit="runs") as report:
             runner.run(threads, report)
-        if error != "none":
+        if error != "none" and scene.integration.error != "none":
             runs = np.flatnonzero(runner.completed)
             if error == "sample" and len(runs) > _SAMPLE:
                 runs = runs[np.linspace(0, len(runs) - 1, _SAMPLE).round().astype(int)]
@@ -315,7 +288,7 @@ def simulate_many(
     messages = dict.fromkeys(np.flatnonzero(~runner.completed).tolist(), _INTERRUPTED)
     messages = dict(sorted((messages | runner.messages).items()))
     return Batch(
-        model.structure, runner.time, runner.nodes, runner.velocities, kept, runner.completed,
+        structure, runner.time, runner.nodes, runner.velocities, kept, runner.completed,
         runner.end_time, messages, runner.switches, runner.missed, runner.choice,
         runner.command, runner.commands_not_ok, errors, runner,
     )  # fmt: skip
@@ -325,41 +298,6 @@ def _processors() -> int:
     """Return the number of processors that this process may use."""
     affinity = getattr(os, "sched_getaffinity", None)
     return len(affinity(0)) if affinity else os.cpu_count() or 1
-
-
-def _inputs(
-    model: Model, rest_length: object, force_density: object, controller: object
-) -> tuple[dict[str, object], Controller | None]:
-    """Return what runs hold, by name, one of the two None, and the controller, checked."""
-    if controller is None:
-        rest_length, force_density = own_input(model, rest_length, force_density)
-    given = {"rest_length": rest_length, "force_density": force_density, "controller": controller}
-    names = [name for name, value in given.items() if value is not None]
-    if len(names) != 1:
-        found = " and ".join(names) or "none"
-        raise ValueError(
-            f"expected one of rest_length, force_density and controller, found {found}"
-        )
-    law = None
-    if controller is not None:
-        law = checked_controller(controller, model)
-        # What runs begin from, and what is chosen for, until there is a command.
-        rest = law.plant.string_values
-        rest_length, force_density = (rest, None) if law.input == "rest_length" else (None, rest)
-    return {"rest_length": rest_length, "force_density": force_density}, law
-
-
-def _nominal(model: Model, values: dict[str, Any], given: dict[str, FloatArray]) -> dict[str, Any]:
-    """Return arguments of the scene that runs vary: of what differs something that it can have."""
-    usual = {
-        "rest_length": np.ones(len(model.structure.strings)),
-        "force_density": np.zeros(len(model.structure.strings)),
-        "external_force": 0.0,
-    }
-    stacked = [
-        name for name in usual if name in given and np.ndim(values[name]) == given[name].ndim
-    ]
-    return values | {name: usual[name] for name in stacked}
 
 
 def _warn_of_errors(errors: FloatArray, used: Choice) -> None:
