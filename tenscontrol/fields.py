@@ -44,6 +44,15 @@ def checked(check: Callable[..., object], *details: object) -> Mapping[str, Any]
     return {"check": check, "details": details}
 
 
+def optional(check: Callable[..., object], *details: object) -> Mapping[str, Any]:
+    """Return metadata of a field that is None or passes a check, as :func:`checked`."""
+
+    def or_none(name: str, value: object, *more: object) -> object:
+        return None if value is None else check(name, value, *more)
+
+    return checked(or_none, *details)
+
+
 def check_fields(record: Any) -> None:
     """Check the fields of a frozen record in their order, and keep read-only arrays."""
     for declared in fields(record):

@@ -338,10 +338,11 @@ def wrong_kind(name: str, value: object, expected: str) -> TypeError:
     return TypeError(f"{name} is a {type(value).__name__}, expected {expected}")
 
 
-def instance(name: str, value: object, kind: type, how: str) -> None:
-    """Refuse a value of the wrong class and say where the right one comes from."""
+def instance(name: str, value: object, kind: type, how: str) -> Any:
+    """Return a value, and refuse one of the wrong class and say where the right one comes from."""
     if not isinstance(value, kind):
         raise wrong_kind(name, value, f"{kind.__name__}: {how}")
+    return value
 
 
 def number(name: str, value: object, unit: str) -> float:

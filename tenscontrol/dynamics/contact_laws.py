@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, final
 
@@ -24,7 +24,14 @@ from tenscontrol.docstrings import with_parameters_of
 from tenscontrol.dynamics import kernel
 from tenscontrol.dynamics.evaluator import Function
 from tenscontrol.dynamics.force import Columns, Force, Pass, Read, Write
-from tenscontrol.fields import Field, OptionalArray, converted
+from tenscontrol.fields import (
+    Field,
+    OptionalArray,
+    check_fields,
+    checked,
+    converted,
+    optional,
+)
 from tenscontrol.structure.structure import Structure
 
 if TYPE_CHECKING:
@@ -36,6 +43,27 @@ _QUADRATURE = np.polynomial.legendre.leggauss(6)
 
 # Added below roots and quotients, which have derivatives at zero then: m, or m², and m².
 _ROOTED, _SHORT = 1e-30, 1e-12
+
+
+def _at_least_zero(name: str, value: object, unit: str) -> float:
+    number = 0.0 if value is None else validation.number(name, value, unit)
+    if number < 0:
+        raise ValueError(f"{name} is {number:g}, expected at least 0")
+    return number
+
+
+def _normal(name: str, value: object) -> FloatArray:
+    dimension = 2 if np.size(validation.float_array(name, value)) == 2 else 3
+    return validation.direction(name, value, dimension)
+
+
+def _height(name: str, value: object) -> float | ca.Function:
+    return value if isinstance(value, ca.Function) else validation.number(name, value, "m")
+
+
+def _touching(name: str, value: object) -> IntArray:
+    listed = validation.index_array(name, value)
+    return validation.indices(name, listed, validation.LARGEST_WHOLE, "nodes")
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,12 +109,12 @@ class ContactLaw(ABC):
     """
 
     stiffness: float
-    damping: float = 0.0
-    friction: float = 0.0
-    slip_speed: float = 0.01
-    normal: OptionalArray = converted(None)
-    height: float | ca.Function = 0.0
-    nodes: Field[ArrayLike | None, IntArray | None] = converted(None)
+    damping: float = field(default=0.0, metadata=checked(_at_least_zero, "s/m"))
+    friction: float = field(default=0.0, metadata=checked(_at_least_zero, "–"))
+    slip_speed: float = field(default=0.01, metadata=checked(validation.positive_number, "m/s"))
+    normal: OptionalArray = converted(None, optional(_normal))
+    height: float | ca.Function = field(default=0.0, metadata=checked(_height))
+    nodes: Field[ArrayLike | None, IntArray | None] = converted(None, optional(_touching))
 
     # Expressions in CasADi: the only statement of the law.
 
@@ -143,35 +171,14 @@ class ContactLaw(ABC):
         return energy
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            name, value = field.name, getattr(self, field.name)
-            if name in ("damping", "friction"):
-                value = 0.0 if value is None else value
-                if (
-                    given := validation.number(name, value, "s/m" if name == "damping" else "–")
-                ) < 0:
-                    raise ValueError(f"{name} is {given:g}, expected at least 0")
-                object.__setattr__(self, name, given)
-            elif name not in ("normal", "height", "nodes"):
-                unit = "m/s" if name == "slip_speed" else "SI units"
-                object.__setattr__(self, name, validation.positive_number(name, value, unit))
-        if self.normal is not None:
-            dimension = 2 if np.size(validation.float_array("normal", self.normal)) == 2 else 3
-            object.__setattr__(
-                self, "normal", frozen(validation.direction("normal", self.normal, dimension))
-            )
+        check_fields(self)
+        for declared in fields(self):
+            if "check" not in declared.metadata:
+                value = getattr(self, declared.name)
+                number = validation.positive_number(declared.name, value, "SI units")
+                object.__setattr__(self, declared.name, number)
         if isinstance(self.height, ca.Function):
             _check_height(self.height, self.normal)
-        else:
-            object.__setattr__(self, "height", validation.number("height", self.height, "m"))
-        if self.nodes is not None:
-            chosen = validation.indices(
-                "nodes",
-                validation.index_array("nodes", self.nodes),
-                validation.LARGEST_WHOLE,
-                "nodes",
-            )
-            object.__setattr__(self, "nodes", frozen(chosen))
 
     @property
     def is_velocity_dependent(self) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from tenscontrol import validation
+from tenscontrol.fields import check_fields, checked, optional
 from tenscontrol.integrate.methods import METHODS, Method, method_of
 from tenscontrol.simulation.health import HealthLimits
 
@@ -46,30 +47,29 @@ class Integration:
     """
 
     method: str | Method = "auto"
-    tolerance: float = 1e-6
-    step: float | None = None
-    output_step: float | None = None
-    project: bool | None = None
-    error: str = "estimate"
-    limits: HealthLimits = field(default_factory=HealthLimits)
+    tolerance: float = field(
+        default=1e-6, metadata=checked(validation.positive_number, "of size and speed")
+    )
+    step: float | None = field(default=None, metadata=optional(validation.positive_number, "s"))
+    output_step: float | None = field(
+        default=None, metadata=optional(validation.positive_number, "s")
+    )
+    project: bool | None = field(
+        default=None,
+        metadata=optional(validation.truth, "whether to make bar lengths exact after each step"),
+    )
+    error: str = field(
+        default="estimate", metadata=checked(validation.choice, ("estimate", "none"))
+    )
+    limits: HealthLimits = field(
+        default_factory=HealthLimits,
+        metadata=checked(
+            validation.instance, HealthLimits, "make them by HealthLimits(bar_length_error=...)"
+        ),
+    )
 
     def __post_init__(self) -> None:
-        put = object.__setattr__  # the dataclass is frozen for everyone else
-        put(
-            self,
-            "tolerance",
-            validation.positive_number("tolerance", self.tolerance, "of size and speed"),
-        )
-        validation.choice("error", self.error, ("estimate", "none"))
-        if self.project is not None:
-            validation.truth(
-                "project", self.project, "whether to make bar lengths exact after each step"
-            )
-        how = "make them by HealthLimits(bar_length_error=...)"
-        validation.instance("limits", self.limits, HealthLimits, how)
-        for name in ("step", "output_step"):
-            if getattr(self, name) is not None:
-                put(self, name, validation.positive_number(name, getattr(self, name), "s"))
+        check_fields(self)
         method = method_of(self.method)
         if method is None:
             return

@@ -22,6 +22,7 @@ from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.profile import Pieces, sampling_interval
 from tenscontrol.estimation.kalman_filter import KalmanFilter
 from tenscontrol.estimation.sensors import Sensors
+from tenscontrol.fields import check_fields, checked, optional
 from tenscontrol.interrupt import InterruptionWarning, finishing, interruptible
 from tenscontrol.plant.equilibrium import held_value, own_input
 from tenscontrol.plant.linear_plant import LinearPlant
@@ -118,8 +119,10 @@ class Scene:
     Trajectory(5 s, 1001 states, dop853)
     """
 
-    model: Model
-    duration: float
+    model: Model = field(
+        metadata=checked(validation.instance, Model, "make one by Model(structure)")
+    )
+    duration: float = field(metadata=checked(validation.positive_number, "s"))
     nodes: Any = None
     velocities: Any = None
     _: KW_ONLY
@@ -127,71 +130,63 @@ class Scene:
     force_density: Any = None
     controller: Any = None
     input: Any = None  # found below
-    winches: Winches | None = None
-    sample_time: float | None = None
+    winches: Winches | None = field(
+        default=None,
+        metadata=optional(validation.instance, Winches, "make them by Winches(rate=...)"),
+    )
+    sample_time: float | None = field(
+        default=None, metadata=optional(validation.positive_number, "s")
+    )
     faults: Sequence[Fault] | None = ()
     external_force: Any = None
     support_motion: Any = None
-    estimator: KalmanFilter | None = None
-    sensors: Sensors | None = None
-    seed: int | None = None
-    start: Trajectory | None = None
+    estimator: KalmanFilter | None = field(
+        default=None,
+        metadata=optional(
+            validation.instance, KalmanFilter,
+            "make one by KalmanFilter(plant, sensors, sample_time=...)",
+        ),
+    )  # fmt: skip
+    sensors: Sensors | None = field(
+        default=None,
+        metadata=optional(validation.instance, Sensors, "make them by Sensors(structure=..., ...)"),
+    )
+    seed: int | None = field(
+        default=None, metadata=optional(validation.whole_number, 0, validation.LARGEST_SEED)
+    )
+    start: Trajectory | None = field(
+        default=None,
+        metadata=optional(validation.instance, Trajectory, "a run that simulate(...) returned"),
+    )
     prestress: Any = None
-    integration: Integration = field(default_factory=Integration)
-    name: str = ""
-    note: str = ""
+    integration: Integration = field(
+        default_factory=Integration,
+        metadata=checked(validation.instance, Integration, "make one by Integration(step=...)"),
+    )
+    name: str = field(default="", metadata=checked(validation.text, "for titles"))
+    note: str = field(
+        default="", metadata=checked(validation.text, "what a reader of the result must know")
+    )
 
     def __post_init__(self) -> None:
-        validation.instance("model", self.model, Model, "make one by Model(structure)")
+        check_fields(self)
         if not len(self.model.structure.free):
             raise ValueError("every node of the model is fixed: nothing can move")
-        put = object.__setattr__  # the dataclass is frozen for everyone else
-        put(self, "duration", validation.positive_number("duration", self.duration, "s"))
-        validation.instance(
-            "integration", self.integration, Integration, "make one by Integration(step=...)"
-        )
-        validation.text("name", self.name, "for titles")
-        validation.text("note", self.note, "what a reader of the result must know")
-        self._check_loop()
+        if self.sensors is not None and self.estimator is None:
+            raise ValueError("sensors go with an estimator; KalmanFilter(...) makes one")
+        of_loop = self.winches, self.sample_time, self.estimator
+        if self.controller is None and any(setting is not None for setting in of_loop):
+            raise ValueError("estimator, winches and sample_time go with a controller")
         self._take_over_start()
         self._check_inputs()
         _ = self.loads, self.initial
         self._keep_arrays()
-
-    def _check_loop(self) -> None:
-        """Check the parts of a closed loop, each by itself."""
-        put = object.__setattr__
-        if self.estimator is not None:
-            how = "make one by KalmanFilter(plant, sensors, sample_time=...)"
-            validation.instance("estimator", self.estimator, KalmanFilter, how)
-        if self.sensors is not None:
-            validation.instance(
-                "sensors", self.sensors, Sensors, "make them by Sensors(structure=..., ...)"
-            )
-            if self.estimator is None:
-                raise ValueError("sensors go with an estimator; KalmanFilter(...) makes one")
-        if self.winches is not None:
-            validation.instance("winches", self.winches, Winches, "make them by Winches(rate=...)")
-        if self.sample_time is not None:
-            put(
-                self,
-                "sample_time",
-                validation.positive_number("sample_time", self.sample_time, "s"),
-            )
-        if self.seed is not None:
-            put(
-                self, "seed", validation.whole_number("seed", self.seed, 0, validation.LARGEST_SEED)
-            )
-        alone = self.winches, self.sample_time, self.estimator
-        if self.controller is None and any(setting is not None for setting in alone):
-            raise ValueError("estimator, winches and sample_time go with a controller")
 
     def _take_over_start(self) -> None:
         """Check the run to go on from, and take its faults and inputs where none are given."""
         run, put = self.start, object.__setattr__
         if run is None:
             return
-        validation.instance("start", run, Trajectory, "a run that simulate(...) returned")
         if self.nodes is not None or self.velocities is not None:
             raise ValueError("start gives nodes and velocities: leave those out")
         structure = self.structure
