@@ -7,6 +7,7 @@ or of a law. A test prints them anew and compares.
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,8 @@ from tenscontrol.dynamics.contact_laws import Ground, HertzGround, SmoothGround
 from tenscontrol.dynamics.string_laws import ElasticStrings, LinearStrings
 from tenscontrol.structure.structure import Structure
 
-FILE = Path(__file__).parent.parent / "tenscontrol" / "core" / "kernels.h"
+_CORE = Path(__file__).parent.parent / "tenscontrol" / "core"
+FILE, SLOPES = _CORE / "kernels.h", _CORE / "slopes.h"
 
 _HEAD = """\
 /* Kernels of one member: printed by tests/core_kernels.py, not by hand.
@@ -37,6 +39,8 @@ _OPERATIONS = {
     ca.OP_DIV: "{0} / {1}", ca.OP_INV: "1 / {0}", ca.OP_NEG: "-{0}", ca.OP_SQ: "{0} * {0}",
     ca.OP_TWICE: "2 * {0}", ca.OP_SQRT: "root({0})", ca.OP_FMAX: "larger({0}, {1})",
     ca.OP_FMIN: "smaller({0}, {1})", ca.OP_LT: "truth({0} < {1})",
+    ca.OP_LE: "truth({0} <= {1})", ca.OP_AND: "truth(({0} != 0) & ({1} != 0))",
+    ca.OP_OR: "truth(({0} != 0) | ({1} != 0))", ca.OP_EQ: "truth({0} == {1})",
     ca.OP_IF_ELSE_ZERO: "only({0} != 0, {1})", ca.OP_NOT: "truth({0} == 0)",
     ca.OP_CONSTPOW: "power({0}, {1})", ca.OP_POW: "power({0}, {1})",
 }  # fmt: skip
@@ -141,6 +145,61 @@ def _of_segments(d: int) -> list[str]:
     ]  # fmt: skip
 
 
+_SLOPES_HEAD = """\
+/* Derivatives of the kernels of one member: printed by tests/core_kernels.py, not by hand.
+
+   Jacobians are stored column by column: of what a kernel returns, by what it is given in turn. */
+#ifndef TENSCONTROL_SLOPES_H
+#define TENSCONTROL_SLOPES_H
+
+#include "numbers.h"
+"""
+
+
+def slopes() -> str:
+    """Return the header of derivatives."""
+    texts = [_SLOPES_HEAD]
+    for d in (2, 3):
+        B, Bd, start, end = (ca.SX.sym(name, d) for name in ("B", "Bd", "start", "end"))
+        mass = ca.SX.sym("mass")
+        at_start, at_end, _ = kernel.free_bar(B, Bd, start, end, mass)
+        given = {"bar": B, "rate": Bd, "on_start": start, "on_end": end}
+        outputs = {"start": at_start, "end": at_end}
+        texts.append(_with_slopes(f"free_bar_slopes_{d}", given, {"mass": mass}, outputs))
+        at_tip, _ = kernel.swinging_bar(B, Bd, end, mass)
+        given = {"bar": B, "rate": Bd, "on_tip": end}
+        texts.append(
+            _with_slopes(f"swinging_bar_slopes_{d}", given, {"mass": mass}, {"tip": at_tip})
+        )
+        for name, law, symbols in _ground_laws():
+            x, v, normal = (ca.SX.sym(letter, d) for letter in ("x", "v", "n"))
+            pressing = ca.SX.sym("pressing")
+            depth, rate = law.height - kernel.dots(normal, x), -kernel.dots(normal, v)
+            press = law.normal_force(depth, rate)
+            if not isinstance(law, SmoothGround):
+                press = pressing * press
+            beside = {} if isinstance(law, SmoothGround) else {"pressing": pressing}
+            force = {"force": law.resultant(press, normal, v)}
+            given = {"x": x, "v": v} | symbols
+            texts.append(
+                _with_slopes(f"{name}_ground_slopes_{d}", given, beside | {"normal": normal}, force)
+            )
+    for name, law, given in _string_laws():
+        length, rest, rate = (given.get(key, ca.SX.sym(key)) for key in ("length", "rest", "rate"))
+        pull = {"force_density": law.taut_force_density(length, rest, rate)}
+        texts.append(_with_slopes(f"{name}_force_density_slopes", given, {}, pull))
+    return "\n".join([*texts, "#endif\n"])
+
+
+def _with_slopes(
+    name: str, given: dict[str, Any], beside: dict[str, Any], outputs: dict[str, Any]
+) -> str:
+    """Return the C text of a kernel that returns its derivatives by what is given, too."""
+    by = ca.vertcat(*(ca.vec(symbol) for symbol in given.values()))
+    jacobian = ca.jacobian(ca.vertcat(*outputs.values()), by)
+    return printed(name, given | beside, outputs | {"slopes": ca.vec(jacobian)})
+
+
 def _bar_energy() -> str:
     """Return the kinetic energy of a bar along one axis."""
     bar = Structure(nodes=np.array([[0.0, 1.0], [0.0, 0.0]]), bars=[[0, 1]], strings=[], bar_mass=1)
@@ -153,6 +212,20 @@ def _bar_energy() -> str:
 
 def _of_laws() -> list[str]:
     texts = [_bar_energy()]
+    for name, law, given in _string_laws():
+        length, rest, rate = (given.get(key, ca.SX.sym(key)) for key in ("length", "rest", "rate"))
+        if "rate" not in given:
+            stored = {"energy": law.stored_energy(length, rest)}
+            texts.append(printed(f"{name.removesuffix('_undamped')}_energy", given, stored))
+        pull = {"force_density": law.taut_force_density(length, rest, rate)}
+        texts.append(printed(f"{name}_force_density", given, pull))
+        if "rate" in given:
+            texts.append(printed(f"{name}_gap", given, {"gap": law.gap(length, rest, rate)}))
+    return texts
+
+
+def _string_laws() -> Iterator[tuple[str, Any, dict[str, Any]]]:
+    """Yield the laws of strings with symbols for what they depend on, by name."""
     length, rest, rate, stiffness = (ca.SX.sym(n) for n in ("length", "rest", "rate", "stiffness"))
     for name, kind, field in (
         ("linear", LinearStrings, "stiffness"), ("elastic", ElasticStrings, "axial_rigidity"),
@@ -165,26 +238,11 @@ def _of_laws() -> list[str]:
             given |= {} if damping is None else {"rate": rate}
             given |= {"stiffness": stiffness}
             given |= {} if damping is None else {"damping": damping}
-            if damping is None:
-                stored = {"energy": law.stored_energy(length, rest)}
-                texts.append(printed(f"{name}_energy", given, stored))
-            full = f"{name}_{'undamped' if damping is None else 'damped'}"
-            texts.append(
-                printed(
-                    f"{full}_force_density",
-                    given,
-                    {"force_density": law.taut_force_density(length, rest, rate)},
-                )
-            )
-            if damping is not None:
-                texts.append(printed(f"{full}_gap", given, {"gap": law.gap(length, rest, rate)}))
-    return texts
+            yield f"{name}_{'undamped' if damping is None else 'damped'}", law, given
 
 
-def _of_ground(d: int) -> list[str]:
-    texts = []
-    x, v, normal = (ca.SX.sym(name, d) for name in ("x", "v", "n"))
-    pressing = ca.SX.sym("pressing")
+def _ground_laws() -> Iterator[tuple[str, Any, dict[str, Any]]]:
+    """Yield the laws of contacts with symbols for their numbers, by name."""
     for name, kind in (
         ("linear", Ground), ("hertz", HertzGround), ("smooth", SmoothGround),
         ("smooth_undamped", SmoothGround),
@@ -198,6 +256,15 @@ def _of_ground(d: int) -> list[str]:
         if name == "smooth_undamped":  # the factor of damping is rounded, unless there is none
             del symbols["damping"]
             object.__setattr__(law, "damping", 0.0)
+        yield name, law, symbols
+
+
+def _of_ground(d: int) -> list[str]:
+    texts = []
+    x, v, normal = (ca.SX.sym(name, d) for name in ("x", "v", "n"))
+    pressing = ca.SX.sym("pressing")
+    for name, law, symbols in _ground_laws():
+        kind = type(law)
         depth, rate = law.height - kernel.dots(normal, x), -kernel.dots(normal, v)
         given = {"x": x, "v": v}
         if kind is not SmoothGround:
@@ -227,7 +294,7 @@ def _of_ground(d: int) -> list[str]:
     return texts
 
 
-COEFFICIENTS = Path(__file__).parent.parent / "tenscontrol" / "core" / "dop853_coefficients.h"
+COEFFICIENTS = _CORE / "dop853_coefficients.h"
 
 
 def coefficients() -> str:
@@ -260,6 +327,7 @@ def main() -> None:
     """Write the kernels, or say whether those in the package are up to date."""
     if sys.argv[1:] == ["--write"]:
         FILE.write_text(kernels(), encoding="utf-8")
+        SLOPES.write_text(slopes(), encoding="utf-8")
         COEFFICIENTS.write_text(coefficients(), encoding="utf-8")
     else:
         print("up to date" if FILE.read_text("utf-8") == kernels() else "run it with --write")

@@ -16,7 +16,7 @@ from pathlib import Path
 PROJECT = Path(__file__).parent.parent
 TESTS = (
     "tests/integrate/test_core_scene.py", "tests/integrate/test_core_run.py",
-    "tests/simulation/test_batch.py",
+    "tests/simulation/test_batch.py", "tests/optimize/test_core_steps.py",
 )  # fmt: skip
 FLAGS = ("-O1", "-g", "-std=c99", "-fPIC", "-shared", "-fno-sanitize-recover=all")
 

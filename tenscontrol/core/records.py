@@ -119,3 +119,24 @@ class Runs(ctypes.Structure):
             "point_inverse_mass",
         )),
     )  # fmt: skip
+
+
+class Tableau(ctypes.Structure):
+    """An explicit Runge-Kutta method."""
+
+    _fields_ = (("stages", _COUNT), *((name, _POINTER) for name in ("a", "b", "c")))
+
+
+class Changes(ctypes.Structure):
+    """Changes of what a step depends on, in columns, or derivatives of a cost by them."""
+
+    _fields_ = (
+        ("columns", _COUNT), ("gravity", _NUMBER * 3),
+        *((name, _POINTER) for name in (
+            "input", "stiffness", "damping", "load", "bar_mass", "point_mass", "ground",
+        )),
+    )  # fmt: skip
+
+
+#: Columns of changes are a multiple of this many.
+COLUMNS = 8

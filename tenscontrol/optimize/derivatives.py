@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 import casadi as ca
 import numpy as np
 
-from tenscontrol.arrays import FloatArray
+from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.dynamics.contact_laws import Contacts
 from tenscontrol.dynamics.equation import Equation
 from tenscontrol.dynamics.evaluator import Function, evaluate_columns
@@ -19,11 +19,15 @@ from tenscontrol.dynamics.force import Force
 from tenscontrol.dynamics.forces import Forces
 from tenscontrol.dynamics.model import Model
 from tenscontrol.integrate.projection import projection
-from tenscontrol.optimize.parameters import Parameter, load_of_gravity
+from tenscontrol.optimize.parameters import Parameter, load_of_gravity, unit_load
+from tenscontrol.properties import cached_property
 from tenscontrol.structure.structure import Structure
 
 # Of a bar's mass, what each end has of the acceleration of itself and of the other.
 _OWN, _OTHER = 1 / 3, 1 / 6
+
+
+_Built = TypeVar("_Built")
 
 
 class _Symbol(ca.SX):  # type: ignore[misc]  # CasADi has no types
@@ -77,15 +81,34 @@ class Derivatives:
         self._by_input = any(each.kind == "input" for each in parameters)
         self._of = [each for each in parameters if each.kind not in _BESIDE]
         self._laws = [each for each in self._of if each.kind in ("strings", "ground")]
-        kept, names = model.prepared.get, tuple(each.name for each in self._laws)
+
+    @property
+    def model(self) -> Model:
+        """The model."""
+        return self._model
+
+    @cached_property
+    def _jacobian(self) -> ca.Function:
         wanted = self._by_input, bool(self._of)
-        self._jacobian = kept(
-            ("slopes", input, degree, wanted), partial(_jacobian, equation, *wanted)
-        )
-        if names:
-            self._by_law = kept(("slopes by", input, degree, names), self._force_slopes)
-        self._gap = kept(("slopes of gaps", input, degree), partial(_gap_slopes, equation))
-        self._projection = kept(("slope of projection",), partial(_projection_slope, equation))
+        return self._prepared(("slopes", wanted), partial(_jacobian, self.equation, *wanted))
+
+    @cached_property
+    def _by_law(self) -> ca.Function:
+        names = tuple(each.name for each in self._laws)
+        return self._prepared(("slopes by", names), self._force_slopes)
+
+    @cached_property
+    def _gap(self) -> ca.Function:
+        return self._prepared(("slopes of gaps",), partial(_gap_slopes, self.equation))
+
+    @cached_property
+    def _projection(self) -> tuple[ca.Function, IntArray, IntArray]:
+        return self._prepared(("slope of projection",), partial(_projection_slope, self.equation))
+
+    def _prepared(self, key: tuple[Any, ...], build: Callable[[], _Built]) -> _Built:
+        """Return a function that the model keeps."""
+        key = (*key, self._input, self.equation.layout.degree)
+        return self._model.prepared.get(key, build)
 
     @property
     def structure(self) -> Structure:
@@ -135,7 +158,7 @@ class Derivatives:
             if each in self._laws:
                 parts.append(next(of_laws))
                 continue
-            fixed = {"gravity": load_of_gravity, "external_force": _unit_load}.get(each.kind)
+            fixed = {"gravity": load_of_gravity, "external_force": unit_load}.get(each.kind)
             if fixed is not None:
                 constant = fixed(self._model)
                 parts.append(np.broadcast_to(constant, (count, *constant.shape)))
@@ -217,9 +240,12 @@ class Derivatives:
 
     def projected(self, x: FloatArray) -> FloatArray | None:
         """Return the derivative of putting bars on their lengths, shape (K, states, states)."""
-        if self._projection.n_in() == 0:
+        slope, row, column = self._projection
+        if slope.n_in() == 0:
             return None
-        return _stacked(evaluate_columns(self._projection, x)[0], self.equation.states)
+        exact = np.zeros((x.shape[1], len(x), len(x)))
+        exact[:, row, column] = evaluate_columns(slope, x)[0].T
+        return exact
 
 
 @dataclass(frozen=True, eq=False)
@@ -284,12 +310,15 @@ def _gap_slopes(equation: Equation) -> ca.Function:
     return Function("gap_slopes", [x, u], [ca.densify(ca.vec(each)) for each in outputs])
 
 
-def _projection_slope(equation: Equation) -> ca.Function:
-    exact = projection(equation)
+def _projection_slope(equation: Equation) -> tuple[ca.Function, IntArray, IntArray]:
+    """Return ``x -> entries`` of the derivative that are not zero, with their rows and columns."""
+    exact, nowhere = projection(equation), np.zeros(0, dtype=int)
     if exact is None:
-        return Function("nothing", [], [])
+        return Function("nothing", [], []), nowhere, nowhere
     x = (ca.SX if exact.is_a("SXFunction") else ca.MX).sym("x", equation.states)
-    return Function("projection_slope", [x], [ca.densify(ca.vec(ca.jacobian(exact(x), x)))])
+    slope = ca.jacobian(exact(x), x)
+    row, column = map(np.array, slope.sparsity().get_triplet())
+    return Function("projection_slope", [x], [slope.nz[:]]), row, column
 
 
 def _with_symbols(term: Force, symbols: list[tuple[int, str, Any]]) -> Force:
@@ -307,9 +336,3 @@ def _all_nodes(model: Model, free: Any, held: FloatArray) -> Any:
     nodes = ca.SX(ca.DM(held.ravel(order="F")))
     nodes[model.structure.free_rows.tolist()] = free
     return ca.reshape(nodes, *held.shape)
-
-
-def _unit_load(model: Model) -> FloatArray:
-    d, n = model.structure.nodes.shape
-    rows = np.arange(d * n).reshape(n, d).T.ravel()  # node by node, of a load (d, n)
-    return np.eye(d * n)[:, rows]

@@ -113,6 +113,13 @@ def shares(parameter: Parameter, time: FloatArray, within: FloatArray) -> FloatA
     return polynomial_at(pieces.coefficients[i].transpose(1, 2, 0), time - pieces.origin[i])
 
 
+def unit_load(model: Model) -> FloatArray:
+    """Return forces of one along each axis of each node, (d n, d n), columns as a load (d, n)."""
+    d, n = model.structure.nodes.shape
+    rows = np.arange(d * n).reshape(n, d).T.ravel()
+    return np.eye(d * n)[:, rows]
+
+
 def load_of_gravity(model: Model) -> FloatArray:
     """Return the weights by an acceleration of one along each axis, shape (d n, d), kg."""
     structure, d = model.structure, model.structure.dimension

@@ -12,6 +12,7 @@ import numpy as np
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.interrupt import check
+from tenscontrol.optimize.core_steps import CoreSteps, Tableau, core_steps
 from tenscontrol.optimize.derivatives import Derivatives, Slopes, Switches
 from tenscontrol.optimize.parameters import Parameter, shares
 from tenscontrol.optimize.traced_steps import TracedSteps
@@ -24,14 +25,6 @@ _MOST_NUMBERS = 8_000_000
 # finds the rates.
 _STABLE = {"rk4": 2.2, "dop853": 4.9}
 _POWERS = 16
-
-
-class Tableau(NamedTuple):
-    """An explicit Runge-Kutta method."""
-
-    a: FloatArray
-    b: FloatArray
-    c: FloatArray
 
 
 def tableau(method: str) -> Tableau:
@@ -52,7 +45,7 @@ class _Leg(NamedTuple):
     step: int
     length: float
     output: int  # -1: the whole step
-    stages: Slopes  # at its stages
+    stages: Slopes | None  # at its stages; None where the core finds them
     shares: list[FloatArray | None]  # of each input, at the stages, (s, K)
 
 
@@ -186,11 +179,10 @@ class Variations:
         X = self._start()
         found = np.empty((len(self.times), len(X), size))
         found[self.times <= self.steps.begin[0]] = X
-        b, at = self._tableau.b, self._first_switch
+        at = self._first_switch
         for leg in self._legs(range(len(self.steps.length))):
             check()
-            K = self._slopes(X, leg)
-            reached = X + leg.length * (b @ K.reshape(len(b), -1)).reshape(X.shape)
+            reached = self._forward(X, leg)
             if leg.output >= 0:
                 found[leg.output] = reached
                 continue
@@ -236,8 +228,7 @@ class Variations:
         ----------
         costs : ndarray, shape (T, states)
         """
-        a, b = self._tableau.a, self._tableau.b
-        half, at = self.derivatives.half, self._first_switch
+        at = self._first_switch
         slope = np.zeros(sum(each.size for each in self.parameters))
         mu = np.zeros(costs.shape[1])
         partial = np.zeros_like(mu)
@@ -252,26 +243,32 @@ class Variations:
                     mu = self._jumped_back(e, mu, slope)
                 exact = self._exact(leg.step)
                 end = mu if exact is None else exact.T @ mu
-            back, stages = end.copy(), len(b)
-            later = np.zeros((stages, len(mu)))
-            for i in reversed(range(stages)):
-                kappa = leg.length * (b[i] * end + a[i + 1 :, i] @ later[i + 1 :])
-                later[i] = kappa[half:] @ leg.stages.by_state[i]
-                later[i, half:] += kappa[:half]
-                back += later[i]
-                self._add_sources(slope, leg, i, kappa[half:])
+            back = self._backward(end, leg, slope)
             if leg.output >= 0:
                 partial += back
             else:
                 mu = back
+        if self._core is not None:
+            self._core.take_costs(slope)
         mu = mu + partial + costs[self.times <= self.steps.begin[0]].sum(axis=0)
         return _finite(np.asarray(slope + mu @ self._start()))
 
     # ---- a step ----
 
-    def _slopes(self, X: FloatArray, leg: _Leg) -> FloatArray:
-        """Return the derivatives of the slopes of the stages, shape (stages, states, P)."""
-        a, half = self._tableau.a, self.derivatives.half
+    @cached_property
+    def _core(self) -> CoreSteps | None:
+        derivatives = self.derivatives
+        return core_steps(
+            derivatives.model, derivatives.equation, self.steps, self._tableau, self.parameters,
+            self.columns,
+        )  # fmt: skip
+
+    def _forward(self, X: FloatArray, leg: _Leg) -> FloatArray:
+        """Return the derivative of the state after a leg."""
+        if self._core is not None:
+            return self._core.forward(leg.step, leg.length, X)
+        a, b, half = self._tableau.a, self._tableau.b, self.derivatives.half
+        assert leg.stages is not None  # without the core
         K = np.empty((len(a), *X.shape))
         flat = K.reshape(len(a), -1)
         for i in range(len(a)):
@@ -280,15 +277,33 @@ class Variations:
                 Y = X + leg.length * (a[i, :i] @ flat[:i]).reshape(X.shape)
             K[i, :half] = Y[half:]
             np.matmul(leg.stages.by_state[i], Y, out=K[i, half:])
-            self._add_to(K[i, half:], leg, i)
-        return K
+            self._add_to(K[i, half:], leg.stages, leg.shares, i)
+        return np.asarray(X + leg.length * (b @ flat).reshape(X.shape))
 
-    def _add_to(self, rates: FloatArray, leg: _Leg, stage: int) -> None:
+    def _backward(self, end: FloatArray, leg: _Leg, slope: FloatArray) -> FloatArray:
+        """Return a cost by the state before a leg; add those by the parameters."""
+        if self._core is not None:
+            return self._core.backward(leg.step, leg.length, end, slope)
+        a, b, half = self._tableau.a, self._tableau.b, self.derivatives.half
+        assert leg.stages is not None  # without the core
+        back, stages = end.copy(), len(b)
+        later = np.zeros((stages, len(end)))
+        for i in reversed(range(stages)):
+            kappa = leg.length * (b[i] * end + a[i + 1 :, i] @ later[i + 1 :])
+            later[i] = kappa[half:] @ leg.stages.by_state[i]
+            later[i, half:] += kappa[:half]
+            back += later[i]
+            self._add_sources(slope, leg.stages, leg.shares, i, kappa[half:])
+        return back
+
+    def _add_to(
+        self, rates: FloatArray, slopes: Slopes, counts: list[FloatArray | None], stage: int
+    ) -> None:
         """Add what the parameters themselves change of the accelerations in a stage."""
         first = 0
-        for each, columns, part in zip(self.parameters, self.columns, leg.shares, strict=True):
+        for each, columns, part in zip(self.parameters, self.columns, counts, strict=True):
             if each.kind == "input":
-                by_input = leg.stages.by_input
+                by_input = slopes.by_input
                 assert by_input is not None  # it was asked for
                 if part is None:
                     rates[:, columns] += by_input[stage]
@@ -296,17 +311,20 @@ class Variations:
                 for k in np.flatnonzero(part[stage]):
                     rates[:, columns][:, k :: len(part[stage])] += part[stage, k] * by_input[stage]
             elif each.kind not in ("nodes", "velocities"):
-                own = leg.stages.by_parameters[stage]
+                own = slopes.by_parameters[stage]
                 rates[:, columns] += own[:, first : first + each.size]
                 first += each.size
 
-    def _add_sources(self, slope: FloatArray, leg: _Leg, stage: int, kappa: FloatArray) -> None:
+    def _add_sources(
+        self, slope: FloatArray, slopes: Slopes, counts: list[FloatArray | None], stage: int,
+        kappa: FloatArray,
+    ) -> None:  # fmt: skip
         """Add what a cost of the accelerations in a stage makes of the parameters."""
-        first, own = 0, kappa @ leg.stages.by_parameters[stage]
-        for each, columns, part in zip(self.parameters, self.columns, leg.shares, strict=True):
+        first, own = 0, kappa @ slopes.by_parameters[stage]
+        for each, columns, part in zip(self.parameters, self.columns, counts, strict=True):
             if each.kind == "input":
-                assert leg.stages.by_input is not None  # it was asked for
-                by_input = kappa @ leg.stages.by_input[stage]
+                assert slopes.by_input is not None  # it was asked for
+                by_input = kappa @ slopes.by_input[stage]
                 slope[columns] += (
                     by_input if part is None else np.outer(by_input, part[stage]).ravel()
                 )
@@ -436,6 +454,9 @@ class Variations:
                     else [*parts[k], (float(self.steps.length[k]), -1)]
                 )
             ]
+            if self._core is not None:
+                yield from (_Leg(*leg, None, []) for leg in plan)
+                continue
             for first in range(0, len(plan), self._block):
                 yield from self._differentiated(plan[first : first + self._block])
 

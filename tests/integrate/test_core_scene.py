@@ -96,4 +96,5 @@ def test_what_the_core_does_not_know_is_left_to_casadi():
 def test_the_kernels_are_those_of_the_laws():
     """``python -m tests.core_kernels --write`` prints them anew."""
     assert core_kernels.FILE.read_text("utf-8") == core_kernels.kernels()
+    assert core_kernels.SLOPES.read_text("utf-8") == core_kernels.slopes()
     assert core_kernels.COEFFICIENTS.read_text("utf-8") == core_kernels.coefficients()

@@ -1,0 +1,478 @@
+/* Derivatives of the equation of motion in D dimensions: included by variations.c, once for each. */
+
+#define NAME_(name, d) name##_##d
+#define NAME2(name, d) NAME_(name, d)
+#define N(name) NAME2(name, D)
+
+enum { N(TOUCH) = 2 * D + GROUND_NUMBERS };
+
+/* Forces of strings, with their derivatives. */
+static void N(pulled)(const Scene *s, const double *u, const double *taut, const Point *at) {
+  const int has_lengths = s->law != FORCE_DENSITY_HELD || s->clustered;
+  memset(at->string_length, 0, s->strings * sizeof(double));
+  memset(at->string_rate, 0, s->strings * sizeof(double));
+  for (int i = 0; i < s->segments; ++i) {
+    const double *p = at->p, *v = at->v;
+    const int start = s->segment_start[i], end = s->segment_end[i];
+    double *S = at->S + D * i, *Sd = at->Sd + D * i, square = 0, along = 0;
+    for (int k = 0; k < D; ++k) {
+      S[k] = p[end + k] - p[start + k];
+      Sd[k] = v[end + k] - v[start + k];
+      square += S[k] * S[k];
+      along += S[k] * Sd[k];
+    }
+    if (!has_lengths) continue;
+    at->length[i] = sqrt(larger(square, s->shortest * s->shortest));
+    at->rate[i] = s->damped ? along / at->length[i] : 0;
+    at->string_length[s->segment_string[i]] += at->length[i];
+    at->string_rate[s->segment_string[i]] += at->rate[i];
+  }
+  for (int i = 0; i < s->strings; ++i)
+    at->gamma[i] = string_slopes(s, i, at->string_length[i], at->string_rate[i], u[i],
+                                 s->slacking ? taut[i] : 1, at->by + STRING_SLOPES * i);
+  for (int i = 0; i < s->segments; ++i) {
+    const int j = s->segment_string[i];
+    const double *S = at->S + D * i;
+    at->weight[i] = at->gamma[j] * (s->clustered ? at->string_length[j] / at->length[i] : 1);
+    for (int k = 0; k < D; ++k) {
+      at->f[s->segment_start[i] + k] += at->weight[i] * S[k];
+      at->f[s->segment_end[i] + k] -= at->weight[i] * S[k];
+    }
+  }
+}
+
+/* The force of the ground on a node, with its derivatives by x, v and the numbers of the law. */
+static void N(touched)(const Ground *g, const double *x, const double *v, double pressing,
+                       double *force, double *by) {
+  const double k = g->stiffness, c = g->damping, friction = g->friction, slip = g->slip_speed;
+  const double *normal = g->normal;
+  double slopes[D * N(TOUCH)];
+  int given = 2 * D + GROUND_NUMBERS - 1;
+  memset(by, 0, D * N(TOUCH) * sizeof *by);
+  if (g->kind == LINEAR_GROUND) {
+    N(linear_ground_slopes)(x, v, k, c, friction, slip, g->height, pressing, normal, force, slopes);
+  } else if (g->kind == HERTZ_GROUND) {
+    N(hertz_ground_slopes)(x, v, k, c, friction, slip, g->height, pressing, normal, force, slopes);
+  } else if (c == 0) { /* nothing is known of damping, which the law leaves out */
+    N(smooth_undamped_ground_slopes)(x, v, k, friction, slip, g->height, g->width, normal, force, slopes);
+    memcpy(by, slopes, D * (2 * D + 1) * sizeof *by);
+    memcpy(by + D * (2 * D + 2), slopes + D * (2 * D + 1), D * 4 * sizeof *by);
+    return;
+  } else {
+    N(smooth_ground_slopes)(x, v, k, c, friction, slip, g->height, g->width, normal, force, slopes);
+    ++given;
+  }
+  memcpy(by, slopes, D * given * sizeof *by);
+}
+
+static void N(accelerated)(const Scene *s, const Point *at) {
+  const double *p = at->p, *v = at->v, *f = at->f;
+  double *a = at->a;
+  memset(a, 0, s->entries * sizeof *a);
+  for (int i = 0; i < s->free_bars; ++i) {
+    const int start = s->bar_start[i], end = s->bar_end[i];
+    double bar[D], rate[D];
+    for (int k = 0; k < D; ++k) bar[k] = p[end + k] - p[start + k], rate[k] = v[end + k] - v[start + k];
+    N(free_bar_slopes)(bar, rate, f + start, f + end, 12 * s->bar_constants[4 * i + 2], a + start,
+                       a + end, at->free_bar + 8 * D * D * i);
+  }
+  for (int i = 0; i < s->swinging_bars; ++i) {
+    const int hinge = s->hinge[i], tip = s->tip[i];
+    double bar[D], rate[D];
+    for (int k = 0; k < D; ++k) bar[k] = p[tip + k] - p[hinge + k], rate[k] = v[tip + k] - v[hinge + k];
+    N(swinging_bar_slopes)(bar, rate, f + tip, 3 * s->tip_constants[2 * i], a + tip,
+                           at->swinging_bar + 3 * D * D * i);
+  }
+  for (int i = 0; i < s->points; ++i)
+    for (int k = 0; k < D; ++k) a[s->point[i] + k] = f[s->point[i] + k] * s->point_inverse_mass[i];
+  if (!s->block_bars) return;
+  memcpy(at->factors, s->block_mass, (s->factors + s->unknowns + 1) * sizeof(double));
+  for (int i = 0; i < s->block_rows; ++i) at->unknowns[s->block_place[i]] = f[s->block_row[i]];
+  for (int i = 0; i < s->block_bars; ++i) {
+    double square = 0;
+    for (int k = 0; k < D; ++k) {
+      const double b = p[s->block_end[i] + k] - p[s->block_start[i] + k];
+      const double r = v[s->block_end[i] + k] - v[s->block_start[i] + k];
+      at->factors[s->entry_end[D * i + k]] = b;
+      at->factors[s->entry_start[D * i + k]] = -b;
+      square += r * r;
+    }
+    at->unknowns[s->right_place[i]] = -square;
+  }
+  factorize(s, at->factors);
+  solve(s, at->factors, at->unknowns);
+  for (int i = 0; i < s->block_rows; ++i) a[s->block_row[i]] = at->unknowns[s->block_place[i]];
+}
+
+/* Forces and accelerations at a point whose p and v are there, with the derivatives of members. */
+static void N(differentiated)(const Scene *s, const Input *input, const double *taut,
+                              const Point *at) {
+  const double *load = input->load ? input->load : s->load;
+  double *by = at->touch;
+  if (load)
+    memcpy(at->f, load, s->entries * sizeof *load);
+  else
+    memset(at->f, 0, s->entries * sizeof(double));
+  if (s->segments) N(pulled)(s, input->strings, taut, at);
+  for (int i = 0; i < s->grounds; ++i) {
+    const Ground *g = s->ground + i;
+    for (int j = 0; j < g->count; ++j, by += D * N(TOUCH)) {
+      const double pressing = g->first_switch < 0 ? 1 : taut[s->slacking + g->first_switch + j];
+      double force[D];
+      N(touched)(g, at->p + g->node[j], at->v + g->node[j], pressing, force, by);
+      for (int k = 0; k < D; ++k) at->f[g->node[j] + k] += force[k];
+    }
+  }
+  N(accelerated)(s, at);
+}
+
+/* ---- forward: a block of columns ---- */
+
+#define EACH for (int j = 0; j < COLUMNS; ++j)
+typedef double N(Row)[COLUMNS];
+
+INLINE void N(differences)(const N(Row) *from, int start, int end, N(Row) *to) {
+  for (int k = 0; k < D; ++k) EACH to[k][j] = from[end + k][j] - from[start + k][j];
+}
+
+INLINE void N(pulled_forward)(const Scene *s, const Point *at, int stage, const Changes *c, int first,
+                              const N(Row) *dp, const N(Row) *dv, N(Row) *df, N(Row) *dL,
+                              N(Row) *dR, N(Row) *dgamma, N(Row) *dl) {
+  const size_t P = c->columns;
+  const int has_lengths = s->law != FORCE_DENSITY_HELD || s->clustered;
+  memset(dL, 0, s->strings * sizeof *dL);
+  memset(dR, 0, s->strings * sizeof *dR);
+  for (int i = 0; i < s->segments && has_lengths; ++i) {
+    const int string = s->segment_string[i];
+    const double *S = at->S + D * i, *Sd = at->Sd + D * i, inverse = 1 / at->length[i];
+    N(Row) change[D];
+    N(differences)(dp, s->segment_start[i], s->segment_end[i], change);
+    EACH dl[i][j] = 0;
+    for (int k = 0; k < D; ++k) EACH dl[i][j] += S[k] * inverse * change[k][j];
+    EACH dL[string][j] += dl[i][j];
+    if (!s->damped) continue;
+    for (int k = 0; k < D; ++k) EACH dR[string][j] += Sd[k] * inverse * change[k][j];
+    N(differences)(dv, s->segment_start[i], s->segment_end[i], change);
+    for (int k = 0; k < D; ++k) EACH dR[string][j] += S[k] * inverse * change[k][j];
+    EACH dR[string][j] -= at->rate[i] * inverse * dl[i][j];
+  }
+  for (int i = 0; i < s->strings; ++i) {
+    const double *by = at->by + STRING_SLOPES * i;
+    const double *const changes[] = {c->input ? c->input + stage * s->strings * P : 0, c->stiffness,
+                                     c->damping};
+    const double slopes[] = {by[BY_REST], by[BY_STIFFNESS], by[BY_DAMPING]};
+    EACH dgamma[i][j] = by[BY_LENGTH] * dL[i][j] + by[BY_RATE] * dR[i][j];
+    for (int m = 0; m < 3; ++m) {
+      const double *row = changes[m] ? changes[m] + i * P + first : 0;
+      if (row && slopes[m] != 0) EACH dgamma[i][j] += slopes[m] * row[j];
+    }
+  }
+  for (int i = 0; i < s->segments; ++i) {
+    const int start = s->segment_start[i], end = s->segment_end[i], string = s->segment_string[i];
+    const double *S = at->S + D * i, weight = at->weight[i];
+    double dw[COLUMNS];
+    N(Row) change[D];
+    EACH dw[j] = dgamma[string][j];
+    if (s->clustered)
+      EACH dw[j] = (dw[j] * at->string_length[string] + at->gamma[string] * dL[string][j] -
+                    weight * dl[i][j]) / at->length[i];
+    N(differences)(dp, start, end, change);
+    for (int k = 0; k < D; ++k)
+      EACH {
+        const double pull = dw[j] * S[k] + weight * change[k][j];
+        df[start + k][j] += pull;
+        df[end + k][j] -= pull;
+      }
+  }
+}
+
+/* Weights less inertia that changes of masses add to the forces. */
+INLINE void N(weighed_forward)(const Scene *s, const Point *at, const Changes *c, int first,
+                               N(Row) *df) {
+  const size_t P = c->columns;
+  for (int i = 0; i < s->bars && c->bar_mass; ++i) {
+    const double *dm = c->bar_mass + i * P + first;
+    const int ends[] = {s->any_start[i], s->any_end[i]};
+    for (int side = 0; side < 2; ++side)
+      for (int k = 0; k < D; ++k) {
+        const double own = c->gravity[k] - at->a[ends[side] + k];
+        const double other = c->gravity[k] - at->a[ends[!side] + k];
+        EACH df[ends[side] + k][j] += (OWN * own + OTHER * other) * dm[j];
+      }
+  }
+  for (int i = 0; i < s->entries / D && c->point_mass; ++i) {
+    const double *dm = c->point_mass + i * P + first;
+    for (int k = 0; k < D; ++k) EACH df[D * i + k][j] += (c->gravity[k] - at->a[D * i + k]) * dm[j];
+  }
+}
+
+INLINE void N(touched_forward)(const Scene *s, const Point *at, const Changes *c, int first,
+                               const N(Row) *dp, const N(Row) *dv, N(Row) *df) {
+  const double *by = at->touch;
+  for (int i = 0; i < s->grounds; ++i)
+    for (int contact = 0; contact < s->ground[i].count; ++contact, by += D * N(TOUCH)) {
+      const int node = s->ground[i].node[contact];
+      for (int k = 0; k < D; ++k) {
+        for (int m = 0; m < D; ++m)
+          EACH df[node + k][j] += by[k + D * m] * dp[node + m][j] + by[k + D * (D + m)] * dv[node + m][j];
+        for (int m = 0; m < GROUND_NUMBERS && c->ground; ++m) {
+          const double *change = c->ground + (size_t)(GROUND_NUMBERS * i + m) * c->columns + first;
+          EACH df[node + k][j] += by[k + D * (2 * D + m)] * change[j];
+        }
+      }
+    }
+}
+
+/* Solves for the changes of bars that share nodes; df of their nodes is used up. */
+INLINE void N(coupled_forward)(const Scene *s, const Point *at, const N(Row) *dp, const N(Row) *dv,
+                               N(Row) *df, N(Row) *da, double *y) {
+  for (int i = 0; i < s->block_bars; ++i) {
+    const double force = at->unknowns[s->right_place[i]];
+    N(Row) change[D];
+    N(differences)(dp, s->block_start[i], s->block_end[i], change);
+    for (int k = 0; k < D; ++k)
+      EACH {
+        df[s->block_end[i] + k][j] -= force * change[k][j];
+        df[s->block_start[i] + k][j] += force * change[k][j];
+      }
+  }
+  for (int j = 0; j < COLUMNS; ++j) {
+    for (int i = 0; i < s->block_rows; ++i) y[s->block_place[i]] = df[s->block_row[i]][j];
+    for (int i = 0; i < s->block_bars; ++i) {
+      const int start = s->block_start[i], end = s->block_end[i];
+      double right = 0;
+      for (int k = 0; k < D; ++k)
+        right -= 2 * (at->v[end + k] - at->v[start + k]) * (dv[end + k][j] - dv[start + k][j]) +
+                 (dp[end + k][j] - dp[start + k][j]) * (at->a[end + k] - at->a[start + k]);
+      y[s->right_place[i]] = right;
+    }
+    solve(s, at->factors, y);
+    for (int i = 0; i < s->block_rows; ++i) da[s->block_row[i]][j] = y[s->block_place[i]];
+  }
+}
+
+/* Multiplies a Jacobian (rows, cells), stored by columns, with changes of vectors of D entries. */
+INLINE void N(times)(const double *by, int rows, const N(Row) *const *changes, int count,
+                            N(Row) *to) {
+  for (int i = 0; i < rows; ++i) EACH to[i][j] = 0;
+  for (int m = 0; m < count; ++m)
+    for (int k = 0; k < D; ++k)
+      for (int i = 0; i < rows; ++i)
+        EACH to[i][j] += by[i + rows * (D * m + k)] * changes[m][k][j];
+}
+
+INLINE void N(accelerated_forward)(const Scene *s, const Point *at, const N(Row) *dp,
+                                   const N(Row) *dv, N(Row) *df, N(Row) *da, double *y) {
+  for (int i = 0; i < s->free_bars; ++i) {
+    const int start = s->bar_start[i], end = s->bar_end[i];
+    N(Row) bar[D], rate[D], both[2 * D];
+    const N(Row) *const changes[] = {bar, rate, df + start, df + end};
+    N(differences)(dp, start, end, bar);
+    N(differences)(dv, start, end, rate);
+    N(times)(at->free_bar + 8 * D * D * i, 2 * D, changes, 4, both);
+    memcpy(da + start, both, D * sizeof *both);
+    memcpy(da + end, both + D, D * sizeof *both);
+  }
+  for (int i = 0; i < s->swinging_bars; ++i) {
+    const int hinge = s->hinge[i], tip = s->tip[i];
+    N(Row) bar[D], rate[D];
+    const N(Row) *const changes[] = {bar, rate, df + tip};
+    N(differences)(dp, hinge, tip, bar);
+    N(differences)(dv, hinge, tip, rate);
+    N(times)(at->swinging_bar + 3 * D * D * i, D, changes, 3, da + tip);
+  }
+  for (int i = 0; i < s->points; ++i)
+    for (int k = 0; k < D; ++k)
+      EACH da[s->point[i] + k][j] = df[s->point[i] + k][j] * s->point_inverse_mass[i];
+  if (s->block_bars) N(coupled_forward)(s, at, dp, dv, df, da, y);
+}
+
+/* Changes of the accelerations, (free, columns), by those of the state Y, (states, columns). */
+WIDE static void N(forward)(const Scene *s, const Point *at, int stage, const Changes *c,
+                            int first, const double *Y, double *to, double *work) {
+  const size_t P = c->columns, row = sizeof(N(Row)), n = s->entries;
+  N(Row) *dp = (N(Row) *)work, *dv = dp + n, *df = dv + n, *da = df + n, *dL = da + n;
+  N(Row) *dR = dL + s->strings, *dgamma = dR + s->strings, *dl = dgamma + s->strings;
+  double *y = (double *)(dl + s->segments);
+  if (s->free_row) memset(dp, 0, 2 * n * row);
+  for (int i = 0; i < s->free; ++i) {
+    const int to_row = s->free_row ? s->free_row[i] : i;
+    memcpy(dp + to_row, Y + i * P + first, row);
+    memcpy(dv + to_row, Y + (s->free + i) * P + first, row);
+  }
+  for (size_t i = 0; i < n; ++i)
+    if (c->load)
+      memcpy(df + i, c->load + i * P + first, row);
+    else
+      memset(df + i, 0, row);
+  if (s->segments) N(pulled_forward)(s, at, stage, c, first, dp, dv, df, dL, dR, dgamma, dl);
+  N(touched_forward)(s, at, c, first, dp, dv, df);
+  N(weighed_forward)(s, at, c, first, df);
+  memset(da, 0, n * row);
+  N(accelerated_forward)(s, at, dp, dv, df, da, y);
+  for (int i = 0; i < s->free; ++i)
+    memcpy(to + i * P + first, da + (s->free_row ? s->free_row[i] : i), row);
+}
+#undef EACH
+
+/* ---- backward: one cost ---- */
+
+static inline void N(spread_difference)(const double *of, int start, int end, double *to) {
+  for (int k = 0; k < D; ++k) {
+    to[end + k] += of[k];
+    to[start + k] -= of[k];
+  }
+}
+
+/* Multiplies the transpose of a Jacobian of so many rows with a cost of what it returns. */
+static inline void N(transposed)(const double *by, int rows, const double *cost, int count,
+                                 double *to) {
+  for (int m = 0; m < count; ++m) {
+    to[m] = 0;
+    for (int i = 0; i < rows; ++i) to[m] += by[i + rows * m] * cost[i];
+  }
+}
+
+static void N(accelerated_backward)(const Scene *s, const Point *at, const double *cost, double *p,
+                                    double *v, double *f, double *y) {
+  for (int i = 0; i < s->free_bars; ++i) {
+    const int start = s->bar_start[i], end = s->bar_end[i];
+    double both[2 * D], to[4 * D];
+    memcpy(both, cost + start, D * sizeof *both);
+    memcpy(both + D, cost + end, D * sizeof *both);
+    N(transposed)(at->free_bar + 8 * D * D * i, 2 * D, both, 4 * D, to);
+    N(spread_difference)(to, start, end, p);
+    N(spread_difference)(to + D, start, end, v);
+    for (int k = 0; k < D; ++k) f[start + k] += to[2 * D + k], f[end + k] += to[3 * D + k];
+  }
+  for (int i = 0; i < s->swinging_bars; ++i) {
+    const int hinge = s->hinge[i], tip = s->tip[i];
+    double to[3 * D];
+    N(transposed)(at->swinging_bar + 3 * D * D * i, D, cost + tip, 3 * D, to);
+    N(spread_difference)(to, hinge, tip, p);
+    N(spread_difference)(to + D, hinge, tip, v);
+    for (int k = 0; k < D; ++k) f[tip + k] += to[2 * D + k];
+  }
+  for (int i = 0; i < s->points; ++i)
+    for (int k = 0; k < D; ++k)
+      f[s->point[i] + k] += cost[s->point[i] + k] * s->point_inverse_mass[i];
+  if (!s->block_bars) return;
+  memset(y, 0, s->unknowns * sizeof *y);
+  for (int i = 0; i < s->block_rows; ++i) y[s->block_place[i]] = cost[s->block_row[i]];
+  solve(s, at->factors, y);
+  for (int i = 0; i < s->block_rows; ++i) f[s->block_row[i]] += y[s->block_place[i]];
+  for (int i = 0; i < s->block_bars; ++i) {
+    const int start = s->block_start[i], end = s->block_end[i];
+    const double force = at->unknowns[s->right_place[i]], own = y[s->right_place[i]];
+    double of_bar[D], of_rate[D];
+    for (int k = 0; k < D; ++k) {
+      of_bar[k] = -force * (f[end + k] - f[start + k]) - own * (at->a[end + k] - at->a[start + k]);
+      of_rate[k] = -2 * own * (at->v[end + k] - at->v[start + k]);
+    }
+    N(spread_difference)(of_bar, start, end, p);
+    N(spread_difference)(of_rate, start, end, v);
+  }
+}
+
+static void N(weighed_backward)(const Scene *s, const Point *at, Changes *c, const double *f) {
+  for (int i = 0; i < s->bars && c->bar_mass; ++i) {
+    const int ends[] = {s->any_start[i], s->any_end[i]};
+    for (int side = 0; side < 2; ++side)
+      for (int k = 0; k < D; ++k)
+        c->bar_mass[i] += f[ends[side] + k] * (OWN * (c->gravity[k] - at->a[ends[side] + k]) +
+                                               OTHER * (c->gravity[k] - at->a[ends[!side] + k]));
+  }
+  for (int i = 0; i < s->entries && c->point_mass; ++i)
+    c->point_mass[i / D] += f[i] * (c->gravity[i % D] - at->a[i]);
+}
+
+static void N(touched_backward)(const Scene *s, const Point *at, Changes *c, const double *f,
+                                double *p, double *v) {
+  const double *by = at->touch;
+  for (int i = 0; i < s->grounds; ++i)
+    for (int contact = 0; contact < s->ground[i].count; ++contact, by += D * N(TOUCH)) {
+      const int node = s->ground[i].node[contact];
+      double to[N(TOUCH)];
+      N(transposed)(by, D, f + node, N(TOUCH), to);
+      for (int k = 0; k < D; ++k) p[node + k] += to[k], v[node + k] += to[D + k];
+      for (int m = 0; m < GROUND_NUMBERS && c->ground; ++m)
+        c->ground[GROUND_NUMBERS * i + m] += to[2 * D + m];
+    }
+}
+
+static void N(pulled_backward)(const Scene *s, const Point *at, int stage, Changes *c,
+                               const double *f, double *p, double *v, double *of_length,
+                               double *of_gamma, double *of_segment) {
+  const int has_lengths = s->law != FORCE_DENSITY_HELD || s->clustered;
+  double *of_input = c->input ? c->input + stage * s->strings : 0;
+  memset(of_length, 0, s->strings * sizeof *of_length);
+  memset(of_gamma, 0, s->strings * sizeof *of_gamma);
+  for (int i = 0; i < s->segments; ++i) {
+    const int start = s->segment_start[i], end = s->segment_end[i], string = s->segment_string[i];
+    double of_weight = 0, of_S[D];
+    for (int k = 0; k < D; ++k) {
+      const double pull = f[start + k] - f[end + k];
+      of_weight += at->S[D * i + k] * pull;
+      of_S[k] = at->weight[i] * pull;
+    }
+    N(spread_difference)(of_S, start, end, p);
+    of_segment[i] = 0;
+    if (!s->clustered) {
+      of_gamma[string] += of_weight;
+      continue;
+    }
+    of_gamma[string] += of_weight * at->string_length[string] / at->length[i];
+    of_length[string] += of_weight * at->gamma[string] / at->length[i];
+    of_segment[i] = -of_weight * at->weight[i] / at->length[i];
+  }
+  for (int i = 0; i < s->strings; ++i) {
+    const double *by = at->by + STRING_SLOPES * i;
+    of_length[i] += by[BY_LENGTH] * of_gamma[i];
+    if (of_input) of_input[i] = by[BY_REST] * of_gamma[i];
+    if (c->stiffness) c->stiffness[i] += by[BY_STIFFNESS] * of_gamma[i];
+    if (c->damping) c->damping[i] += by[BY_DAMPING] * of_gamma[i];
+  }
+  for (int i = 0; i < s->segments && has_lengths; ++i) {
+    const int start = s->segment_start[i], end = s->segment_end[i], string = s->segment_string[i];
+    const double *S = at->S + D * i, *Sd = at->Sd + D * i, inverse = 1 / at->length[i];
+    const double of_rate = at->by[STRING_SLOPES * string + BY_RATE] * of_gamma[string];
+    const double own = of_segment[i] + of_length[string] - of_rate * at->rate[i] * inverse;
+    double of_S[D], of_Sd[D];
+    for (int k = 0; k < D; ++k) {
+      of_S[k] = (own * S[k] + of_rate * Sd[k]) * inverse;
+      of_Sd[k] = of_rate * S[k] * inverse;
+    }
+    N(spread_difference)(of_S, start, end, p);
+    N(spread_difference)(of_Sd, start, end, v);
+  }
+}
+
+/* The cost by the state, (states), of one by the accelerations, (free). */
+static void N(backward)(const Scene *s, const Point *at, int stage, Changes *c, const double *cost,
+                        double *to, double *work) {
+  const int n = s->entries;
+  double *p = work, *v = p + n, *f = v + n, *a = f + n, *of_length = a + n;
+  double *of_gamma = of_length + s->strings, *of_segment = of_gamma + s->strings;
+  memset(p, 0, 3 * (size_t)n * sizeof *p);
+  to_all(s, cost, 0, a);
+  N(accelerated_backward)(s, at, a, p, v, f, of_segment + s->segments);
+  if (s->free_row) { /* what supports hold takes all forces */
+    to_all(s, cost, 0, a);
+    for (int i = 0; i < s->free; ++i) a[s->free_row[i]] = f[s->free_row[i]];
+    memcpy(f, a, n * sizeof *f);
+  }
+  for (int i = 0; i < n && c->load; ++i) c->load[i] += f[i];
+  N(weighed_backward)(s, at, c, f);
+  N(touched_backward)(s, at, c, f, p, v);
+  if (s->segments)
+    N(pulled_backward)(s, at, stage, c, f, p, v, of_length, of_gamma, of_segment);
+  for (int i = 0; i < s->free; ++i) {
+    const int row = s->free_row ? s->free_row[i] : i;
+    to[i] = p[row];
+    to[s->free + i] = v[row];
+  }
+}
+
+#undef NAME_
+#undef NAME2
+#undef N

@@ -1,0 +1,223 @@
+"""Small changes of the steps of a run in the compiled core, forward, and costs backward."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tenscontrol.arrays import FloatArray
+from tenscontrol.core import records
+from tenscontrol.dynamics.contact_laws import SmoothGround
+from tenscontrol.dynamics.equation import Equation
+from tenscontrol.dynamics.model import Model
+from tenscontrol.integrate.core_scene import CoreScene, core_scene
+from tenscontrol.optimize.parameters import Parameter, load_of_gravity, shares, unit_load
+from tenscontrol.optimize.traced_steps import TracedSteps
+
+# Numbers of contact laws in the order of the core.
+_GROUND = "stiffness", "damping", "friction", "slip_speed", "height", "width"
+
+
+class Tableau(NamedTuple):
+    """An explicit Runge-Kutta method."""
+
+    a: FloatArray
+    b: FloatArray
+    c: FloatArray
+
+
+def core_steps(
+    model: Model,
+    equation: Equation,
+    steps: TracedSteps,
+    method: Tableau,
+    parameters: Sequence[Parameter],
+    columns: Sequence[slice],
+) -> CoreSteps | None:
+    """Return the steps of a run as the core differentiates them; None where it does not.
+
+    It does not know the derivative of a smooth ground by a damping that is zero.
+    """
+    scene = core_scene(equation)
+    if scene is None:
+        return None
+    damped = (
+        model.ground[each.law]
+        for each in parameters
+        if each.kind == "ground" and each.field == "damping"
+    )
+    if any(isinstance(law, SmoothGround) and not law.damping for law in damped):
+        return None
+    return CoreSteps(scene, model, steps, method, parameters, columns)
+
+
+class CoreSteps:
+    """The steps of a run, differentiated by the core.
+
+    Parameters
+    ----------
+    scene : CoreScene
+    model : Model
+    steps : TracedSteps
+    method : Tableau
+    parameters : sequence of Parameter
+    columns : sequence of slice
+        Which columns of a derivative are those of each parameter.
+    """
+
+    def __init__(
+        self, scene: CoreScene, model: Model, steps: TracedSteps, method: Tableau,
+        parameters: Sequence[Parameter], columns: Sequence[slice],
+    ) -> None:  # fmt: skip
+        self._core, self._tables = scene, records.Scene.from_buffer_copy(scene.scene)
+        self._model, self._steps = model, steps
+        self._parameters, self._columns = parameters, columns
+        if any(each.kind == "strings" and each.field == "damping" for each in parameters):
+            self._tables.damped = 1  # also where it is zero
+        self._c = method.c
+        self._width = columns[-1].stop if columns else 0
+        self._padded = -(-max(self._width, 1) // records.COLUMNS) * records.COLUMNS
+        self._pulls = [self._pull(parameter) for parameter in parameters]
+        self._profiles = [
+            (parameter, own)
+            for parameter, own in zip(parameters, columns, strict=True)
+            if parameter.pieces is not None
+        ]
+        self._changes, self._given = self._record(self._padded)
+        for name, value in self._unit_changes().items():
+            self._given[name][..., : self._width] = value
+        self._costs, self._derivatives = self._record(1)
+        self._by_input = np.zeros(len(model.structure.strings))
+        self._inputs = np.ascontiguousarray(steps.inputs.T)
+        self._drive = scene.drive(self._inputs[0])
+        self._method = [np.ascontiguousarray(part, dtype=float) for part in method]
+        self._tableau = records.Tableau(len(self._c), *(part.ctypes.data for part in self._method))
+        self._states = np.ascontiguousarray(steps.states.T)
+        self._taut = np.ascontiguousarray(steps.taut.T)
+        self._always = tuple(map(ctypes.byref, (self._tables, self._drive, self._tableau)))
+        self._work = np.empty(scene.core.tc_variations_work_size(*self._always, self._padded))
+        self._addresses = [
+            (array.ctypes.data, array.strides[0])
+            for array in (self._inputs, self._states, self._taut)
+        ]
+
+    def forward(self, k: int, length: float, X: FloatArray) -> FloatArray:
+        """Return the derivative of the state, (states, P), after so much of a step."""
+        whole = np.zeros((len(X), self._padded))
+        whole[:, : self._width] = X
+        for parameter, columns in self._profiles:
+            self._enter_inputs(self._share(parameter, k, length), columns)
+        self._call(self._core.core.tc_step_tangents, k, length, self._changes, whole)
+        return whole[:, : self._width]
+
+    def backward(self, k: int, length: float, end: FloatArray, slope: FloatArray) -> FloatArray:
+        """Return a cost by the state before a step from that after it.
+
+        Those by the values of profiles are added to the slope; those by all else are kept.
+        """
+        mu = end.copy()
+        self._call(self._core.core.tc_step_costs, k, length, self._costs, mu)
+        if "input" in self._derivatives:
+            by_input = self._derivatives["input"][:, :, 0]
+            self._by_input += by_input.sum(axis=0)
+            for parameter, columns in self._profiles:
+                slope[columns] += (self._share(parameter, k, length) @ by_input).T.ravel()
+        return mu
+
+    def take_costs(self, slope: FloatArray) -> None:
+        """Add what steps backward have kept to the slope, and forget it."""
+        for parameter, columns, (name, pull) in zip(
+            self._parameters, self._columns, self._pulls, strict=True
+        ):
+            if parameter.kind == "input" and parameter.pieces is None:
+                slope[columns] += self._by_input
+            elif name and parameter.kind != "input":
+                slope[columns] += pull(self._derivatives[name][..., 0])
+        for array in (*self._derivatives.values(), self._by_input):
+            array[:] = 0
+
+    # ---- changes ----
+
+    def _record(self, columns: int) -> tuple[records.Changes, dict[str, FloatArray]]:
+        """Return a record of changes in so many columns, all zero, and its arrays by name."""
+        scene, structure = self._tables, self._model.structure
+        counts = {
+            "input": (len(self._c), scene.strings), "stiffness": (scene.strings,),
+            "damping": (scene.strings,), "load": (scene.entries,), "bar_mass": (scene.bars,),
+            "point_mass": (structure.nodes.shape[1],), "ground": (scene.grounds, len(_GROUND)),
+        }  # fmt: skip
+        names = {name for name, _ in self._pulls if name}
+        arrays = {name: np.zeros((*counts[name], columns)) for name in names}
+        record = records.Changes(columns)
+        record.gravity[: structure.dimension] = self._model.gravity.tolist()
+        for name, array in arrays.items():
+            setattr(record, name, array.ctypes.data)
+        return record, arrays
+
+    def _pull(self, parameter: Parameter) -> tuple[str, Callable[[FloatArray], FloatArray]]:
+        kind = parameter.kind
+        if kind in ("input", "bar_mass", "point_mass"):
+            return kind, np.asarray
+        if kind == "strings":
+            return "damping" if parameter.field == "damping" else "stiffness", np.asarray
+        if kind == "ground":
+            place = parameter.law, _GROUND.index(parameter.field)
+            return "ground", lambda cost: cost[place]
+        if kind in ("gravity", "external_force"):
+            of = load_of_gravity if kind == "gravity" else unit_load
+            constant = of(self._model)
+            return "load", lambda cost: cost @ constant
+        return "", np.asarray
+
+    def _unit_changes(self) -> dict[str, FloatArray]:
+        """Return the changes by all parameters but inputs in time, by array."""
+        units = {
+            name: np.zeros((*array.shape[:-1], self._width)) for name, array in self._given.items()
+        }
+        for each, columns, (name, pull) in zip(
+            self._parameters, self._columns, self._pulls, strict=True
+        ):
+            if not name or each.pieces is not None:
+                continue
+            shape = units[name].shape[:-1]
+            size = int(np.prod(shape))
+            whole = np.eye(size).reshape(size, *shape)
+            if each.kind == "input":  # the same at all stages
+                whole = np.repeat(np.eye(shape[1])[:, None], shape[0], axis=1)
+                units[name][..., columns] += np.moveaxis(whole, 0, -1)
+                continue
+            by_entry = np.array([pull(entry) for entry in whole]).reshape(*shape, each.size)
+            units[name][..., columns] += by_entry
+        return units
+
+    def _enter_inputs(self, share: FloatArray, columns: slice) -> None:
+        """Enter what the values of a profile change of the inputs at the stages of a step."""
+        stages, strings = self._given["input"].shape[:2]
+        values = np.zeros((stages, strings, strings, len(share)))
+        every = np.arange(strings)
+        values[:, every, every] = share.T[:, None]
+        self._given["input"][..., columns] = values.reshape(stages, strings, -1)
+
+    def _share(self, parameter: Parameter, k: int, length: float) -> FloatArray:
+        """Return by what the values of a profile count at the stages, (K, stages)."""
+        begin = self._steps.begin[k]
+        time = begin + self._c * length
+        share = shares(parameter, time, np.full(len(time), begin + length / 2))
+        assert share is not None  # it is a profile
+        return share
+
+    def _call(
+        self, function: Any, k: int, length: float, record: records.Changes, array: FloatArray
+    ) -> None:
+        inputs, state, taut = (begin + k * stride for begin, stride in self._addresses)
+        self._drive.coefficients = inputs
+        if self._drive.degree:
+            self._drive.begin = self._inputs[k, -1]
+        function(
+            *self._always, ctypes.c_double(length), ctypes.c_void_p(state), ctypes.c_void_p(taut),
+            ctypes.byref(record), ctypes.c_void_p(array.ctypes.data),
+            ctypes.c_void_p(self._work.ctypes.data),
+        )  # fmt: skip
