@@ -201,10 +201,10 @@ def warn_of_slow_errors(
     )
 
 
-def _warn(sample_time: float, what: str) -> None:
+def _warn(sample_time: float, effect: str) -> None:
     warnings.warn(
         f"where winches hold rest lengths between samples of {sample_time:g} s, strings this "
-        f"stiff {what}; if the actuators hold forces, build the model without a string law",
+        f"stiff {effect}; if the actuators hold forces, build the model without a string law",
         RuntimeWarning,
         stacklevel=4,
     )

@@ -140,30 +140,30 @@ def clearance(plant: LinearPlant, clearance: float, penalty: float | None = None
     validation.instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
     clearance = validation.positive_number("clearance", clearance, "m")
     structure, nodes = plant.model.structure, plant.nodes
-    found = bar_distances(structure, nodes)
-    passing = np.flatnonzero(found.side)
-    if len(found.pairs) and not len(passing):
+    gaps = bar_distances(structure, nodes)
+    passing = np.flatnonzero(gaps.side)
+    if len(gaps.pairs) and not len(passing):
         raise ValueError(
             "plant has no two bars that pass one another: each pair is nearest at an end of a bar"
         )
-    too_near = passing[found.distance[passing] < clearance]
+    too_near = passing[gaps.distance[passing] < clearance]
     if len(too_near):
-        near = too_near[found.distance[too_near].argmin()]
-        i, j = found.pairs[near]
+        near = too_near[gaps.distance[too_near].argmin()]
+        i, j = gaps.pairs[near]
         raise ValueError(
-            f"clearance is {clearance:g} m, but bars {i} and {j} are {found.distance[near]:g} m "
+            f"clearance is {clearance:g} m, but bars {i} and {j} are {gaps.distance[near]:g} m "
             "apart at the operating point; expected at most that"
         )
     rows = np.zeros((len(passing), *nodes.shape))
     starts, vectors = nodes[:, structure.bars[:, 0]], structure.bar_vectors(nodes)
     for row, pair in zip(rows, passing, strict=True):
-        (i, j), (s, t) = found.pairs[pair], found.nearest[pair]
+        (i, j), (s, t) = gaps.pairs[pair], gaps.nearest[pair]
         between = starts[:, i] + s * vectors[:, i] - starts[:, j] - t * vectors[:, j]
         u = between / np.linalg.norm(between)
-        for bar, place, sign in ((i, s, 1.0), (j, t, -1.0)):
+        for bar, share, sign in ((i, s, 1.0), (j, t, -1.0)):
             start, end = structure.bars[bar]
-            row[:, start] += sign * (1 - place) * u
-            row[:, end] += sign * place * u
+            row[:, start] += sign * (1 - share) * u
+            row[:, end] += sign * share * u
     return OutputLimit(
         rows.transpose(0, 2, 1).reshape(len(passing), nodes.size), low=clearance, penalty=penalty
     )
@@ -176,20 +176,20 @@ def broken_limits(
 
     Raise where the operating point or a reference breaks a hard one.
     """
-    found = []
+    sentences = []
     times, outputs = path.times, 0
     preview, shapes = path.at(times), path.nodes_at(times).transpose(2, 1, 0)
     strings = string_map(plant, plant.input) if any(block.quantity for block in blocks) else None
     for block in blocks:
         if block.quantity:
             names, unit = _STRING_LIMITS[block.quantity]
-            here, there = (getattr(of, block.quantity) for of in (strings, preview))
+            here, on_path = (getattr(of, block.quantity) for of in (strings, preview))
             close, which = _HELD * block.scale, "string"
         else:
             names, unit = (f"outputs[{outputs}].low", f"outputs[{outputs}].high"), "m"
-            here, there = block.offset, shapes.reshape(len(shapes), -1) @ block.on_nodes.T
+            here, on_path = block.offset, shapes.reshape(len(shapes), -1) @ block.on_nodes.T
             close, which, outputs = _ROUND_OFF * block.scale, "row", outputs + 1
-        for at, values in ((None, here[None]), (times, there)):
+        for instants, values in ((None, here[None]), (times, on_path)):
             for name, bound, over in zip(
                 names,
                 (block.low, block.high),
@@ -201,7 +201,11 @@ def broken_limits(
                 k, i = np.unravel_index(int((over - close).argmax()), over.shape)
                 if over[k, i] <= close[i]:
                     continue
-                where = "the operating point" if at is None else f"the reference at {at[k]:g} s"
+                where = (
+                    "the operating point"
+                    if instants is None
+                    else f"the reference at {instants[k]:g} s"
+                )
                 text = (
                     f"{name} is {bound[i]:.6g} {unit} for {which} {i}, but {where} has "
                     f"{values[k, i]:.6g} {unit}, {over[k, i]:.2g} {unit} beyond"
@@ -211,9 +215,9 @@ def broken_limits(
                         f"{text}: there programs with this hard limit have no solution. Move the "
                         "limit or the shape, or give a finite penalty"
                     )
-                if at is not None and path.given:
-                    found.append(f"{text}: the loop will settle between the two")
-    return found
+                if instants is not None and path.given:
+                    sentences.append(f"{text}: the loop will settle between the two")
+    return sentences
 
 
 def output_block(plant: LinearPlant, limit: OutputLimit) -> RowBlock:

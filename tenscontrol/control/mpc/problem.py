@@ -114,7 +114,7 @@ class Constraints:
     def key(self) -> tuple[tuple[str, int, bytes], ...]:
         """What the values of the rows depend on, bounds aside."""
         return tuple(
-            (each.quantity, len(each.low), each.on_nodes.tobytes()) for each in self.blocks
+            (block.quantity, len(block.low), block.on_nodes.tobytes()) for block in self.blocks
         )
 
     def rows(self) -> Rows | None:
@@ -229,7 +229,7 @@ class StageJacobians:
         """Return the same with slopes in the order of samples."""
         if self.slots is None:
             return self
-        return StageJacobians(self.values, tuple(part[self.slots] for part in self.slopes))
+        return StageJacobians(self.values, tuple(slope[self.slots] for slope in self.slopes))
 
     def from_zero(self, *arguments: FloatArray) -> StageJacobians:
         """Return the same in order, with values where all of these arguments are zero."""
