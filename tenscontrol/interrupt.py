@@ -118,7 +118,7 @@ def interruptible(whole: bool = False) -> Iterator[Interruption]:
 
 
 @contextmanager
-def keeping(what: str, count: Callable[[], int]) -> Iterator[None]:
+def keeping(result: str, count: Callable[[], int]) -> Iterator[None]:
     """Run a loop whose finished parts are its result; if it is ended, warn how many there are.
 
     KeyboardInterrupt goes on if there are none, or a loop around this one wants all of them.
@@ -132,7 +132,7 @@ def keeping(what: str, count: Callable[[], int]) -> Iterator[None]:
     except KeyboardInterrupt:
         if passed_on or not count():
             raise
-    warnings.warn(f"interrupted: {count()} {what}", InterruptionWarning, stacklevel=4)
+    warnings.warn(f"interrupted: {count()} {result}", InterruptionWarning, stacklevel=4)
 
 
 def check() -> None:
