@@ -11,6 +11,7 @@ from tenscontrol.plot.accuracy_figures import (
     work_precision,
 )
 from tenscontrol.plot.animation import animate
+from tenscontrol.plot.deflected_shape import deflections
 from tenscontrol.plot.estimation_error import estimate
 from tenscontrol.plot.fit_figures import FitDrawing, intervals, residuals
 from tenscontrol.plot.ground_drawing import contacts
@@ -36,6 +37,7 @@ __all__ = [
     "animate",
     "contacts",
     "convergence_order",
+    "deflections",
     "estimate",
     "health",
     "history",

@@ -28,6 +28,8 @@ from tenscontrol.plot.style import (
     FORCE_MAP,
     FORCE_WIDTH,
     NORMAL,
+    PALETTE,
+    SMALL,
     MemberStyle,
     checked_axes,
     closes_on_error,
@@ -56,6 +58,9 @@ _FLAT_MARGIN = 0.12  # in the plane, where supports are drawn beside their nodes
 _THINNEST = 0.25  # least extent of the box in a direction, relative to the largest
 _TICKS = 4  # along the longest edge
 _CORNER = 0.04  # of an edge, without ticks
+
+# Of many arrows, so many are drawn.
+_ARROW, _MOST_ARROWS = PALETTE[1], 24
 
 # Points; the offsets are what Matplotlib adds itself.
 _LABEL_PAD = {"x": 5.0, "y": 7.0, "z": 10.0}
@@ -288,6 +293,19 @@ def draw(ax: Any, structure: Structure, nodes: FloatArray, style: MemberStyle) -
         (line,) = ax.plot(*nodes[:, which], zorder=style.layer + above, **look)
         marks.append((name, line, which))
     return Drawing(structure, ax, bars, strings, dots, (), (), (), None, tuple(marks), supports)
+
+
+def draw_arrows(ax: Any, nodes: FloatArray, moved: FloatArray, least: float) -> Any:
+    """Draw arrows at nodes, those longer than ``least``, m: all, or some of many."""
+    seen = np.flatnonzero(np.linalg.norm(moved, axis=0) > least)
+    seen = seen[np.linspace(0, len(seen) - 1, min(len(seen), _MOST_ARROWS)).round().astype(int)]
+    ends = (*nodes[:, seen], *moved[:, seen])
+    if len(nodes) == 3:
+        return ax.quiver(
+            *ends, color=_ARROW, linewidth=1.1, arrow_length_ratio=0.3, zorder=SMALL.layer + 1
+        )
+    look = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "units": "inches", "width": 0.02}
+    return ax.quiver(*ends, color=_ARROW, zorder=SMALL.layer + 1, **look)
 
 
 def marked_nodes(structure: Structure) -> dict[str, IntArray]:

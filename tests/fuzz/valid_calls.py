@@ -728,6 +728,34 @@ call(
 )
 
 
+def stretched():
+    pull = np.zeros((3, 6))
+    pull[2] = [1.0, 1.0, 1.0, -1.0, -1.0, -1.0]
+    return pull
+
+
+call(
+    "deflections",
+    lambda: {"model": elastic(), "at": rest(), "loads": [stretched()], "rest_length": None},
+    share=0.2,
+)
+call(
+    "stiffness_along",
+    lambda: {"model": elastic(), "at": rest(), "directions": [stretched()], "rest_length": None},
+    share=0.3,
+)
+call(
+    "plot.deflections",
+    lambda: {
+        "found": tc.deflections(elastic(), rest(), [stretched()]),
+        "load": 0,
+        "magnify": 5.0,
+        "ax": space(),
+    },
+    share=0.1,
+)
+
+
 def strong():
     return tc.strength(run(), sized())
 
