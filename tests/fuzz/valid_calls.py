@@ -127,6 +127,8 @@ RESULTS = {
     "plant.LinearPlant",
     "plant.Modes",
     "plant.ReducedPlant",
+    "plant.Deflections",
+    "plant.DirectionalStiffness",
     "plant.Rigidity",
     "plant.RigidityWarning",
     "plant.SparsePlant",
