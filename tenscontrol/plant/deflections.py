@@ -34,6 +34,9 @@ if TYPE_CHECKING:
 # A part of a load above this, which no stiffness takes, is not round-off.
 _NOTHING_TAKES = 1e-9
 
+# Displacements below this part of those by the largest stiffness are none.
+_RIGID = 1e-12
+
 # Steps that refine displacements along motions that are soft beside others.
 _REFINEMENTS = 5
 
@@ -138,7 +141,7 @@ class DirectionalStiffness:
     directions : ndarray, shape (d, n, k)
         The forces per unit: the largest on a node has length 1.
     stiffness : ndarray, shape (k,)
-        Force over the displacement along it, N/m.
+        Force over the displacement along it, N/m; infinite where bars alone resist.
     displacement : ndarray, shape (d, n, k)
         Of the nodes by a unit of force, m/N.
     """
@@ -305,8 +308,10 @@ def stiffness_along(
         if not largest > 0:
             raise ValueError(f"directions[{k}] is zero, expected a force on some node")
         given[:, :, k] /= largest
-    moved = _LinearResponse.about(plant).displacements("directions", given)
+    response = _LinearResponse.about(plant)
+    moved = response.displacements("directions", given)
     along = (given * moved).sum(axis=(0, 1))
+    along[along < _RIGID / response.unit] = 0.0
     with np.errstate(divide="ignore"):
         stiffness = 1 / along
     return DirectionalStiffness(frozen(given), frozen(stiffness), frozen(moved))
@@ -360,6 +365,11 @@ class _LinearResponse:
                 )
         return cls(plant, K, J)
 
+    @property
+    def unit(self) -> float:
+        """The largest stiffness, N/m."""
+        return float(abs(self.stiffness).max()) or 1.0
+
     def displacements(self, name: str, loads: FloatArray) -> FloatArray:
         """Return the displacements by loads, shape (d, n, k), m, or refuse what nothing takes."""
         from scipy.sparse import block_array
@@ -372,7 +382,7 @@ class _LinearResponse:
             except ValueError as error:
                 raise ValueError(f"{name}[{k}]: {error}") from None
         right = loads.reshape(structure.nodes.size, loads.shape[2], order="F")[free]
-        unit = float(abs(self.stiffness).max()) or 1.0
+        unit = self.unit
         system = block_array(
             [[self.stiffness / unit, self.rows.T], [self.rows, None]], format="csc"
         )

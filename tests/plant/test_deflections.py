@@ -209,6 +209,16 @@ def test_it_says_where_a_structure_snaps_through():
     assert found.displacement[0, 1, 1] < -1.9
 
 
+def test_along_a_bar_there_is_no_give():
+    prism = tc.prism()
+    model, rest = tc.Model(prism, tc.LinearStrings(2e4)), tc.prestress(prism, force_density=100.0)
+    i, j = prism.bars[0]
+    along = np.zeros((3, 6))
+    along[:, j] = prism.nodes[:, j] - prism.nodes[:, i]
+    along[:, i] = -along[:, j]
+    assert tc.stiffness_along(model, rest, [along]).stiffness[0] == np.inf
+
+
 def test_what_has_no_answer_is_refused():
     model, rest = bistable()
     with pytest.raises(TypeError, match="at is a "):
