@@ -158,6 +158,7 @@ RESULTS = {
     "control.ControlWarning",
     "simulation.AccuracyWarning",
     "simulation.BarCrossingWarning",
+    "simulation.StrengthWarning",
     "simulation.Batch",
     "simulation.BatchCrossings",
     "simulation.ContactRecord",
@@ -766,6 +767,7 @@ def strong():
 
 
 call("strength", lambda: {"run": run(), "sections": sized()}, share=0.3)
+call("simulation.Strength.failure", lambda: {"margin": 1.5}, strong, share=0.3)
 call("plot.strength", lambda: {"found": strong(), "members": 3, "ax": flat()}, share=0.2)
 
 # ---- derivatives of runs ----

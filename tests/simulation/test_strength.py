@@ -1,11 +1,14 @@
 """Margins of strength along a run: forces found anew, Euler's column, what is refused."""
 
+import warnings
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import tenscontrol as tc
+from tenscontrol.simulation import SimulationError, StrengthWarning
 from tests.oracle import consistent_mass
 from tests.random_structures import constraint_rows
 
@@ -122,3 +125,67 @@ def test_what_has_no_margins_is_refused():
         ValueError, match="sections are of other strings than the run: 24 against 9"
     ):
         tc.strength(still, sized(tc.library.six_bar_ball()))
+
+
+def spun(**limits):
+    """A ball of thin bars that spins up, with limits on its members."""
+    ball = tc.library.six_bar_ball()
+    thin = sized(ball, bar_radius=0.004)
+    model = tc.Model(thin.structure, tc.LinearStrings(2e4, damping=20.0))
+    spin = np.cross([0.0, 0.0, 8.0], ball.nodes, axisb=0, axisc=0)
+    limits = tc.HealthLimits(sections=thin, **limits)
+    how = tc.Integration(step=1e-3, error="none", limits=limits)
+    rest = 0.9999 * ball.string_length()
+    return tc.Scene(model, 0.3, velocities=spin, rest_length=rest, integration=how), thin
+
+
+def test_a_run_warns_of_the_member_that_fails_first_and_when():
+    scene, thin = spun()
+    with pytest.warns(StrengthWarning, match="the margin of ") as told:
+        run = scene.simulate()
+    found = tc.strength(run, thin)
+    below = np.vstack([found.string_margin, found.bar_margin]) < 1
+    first = run.time[below.any(axis=0).argmax()]
+    soonest = np.flatnonzero(below[:, below.any(axis=0).argmax()])
+    named = soonest[found.least[soonest].argmin()]
+    name = f"bar {named - 24}" if named >= 24 else f"string {named}"
+    assert f"of {name} falls below 1 at {first:.4g} s, to {found.least[named]:.3g}" in (
+        str(told[0].message)
+    )
+    assert f"and {below.any(axis=1).sum() - 1} more members" in str(told[0].message)
+    with pytest.raises(SimulationError, match="the margin of ") as stopped:
+        spun(action="raise")[0].simulate()
+    assert stopped.value.trajectory.time[-1] == pytest.approx(0.3)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        spun(margin=0.99 * found.margin)[0].simulate()
+
+
+def test_a_sweep_counts_runs_whose_members_fail():
+    scene, _ = spun(margin=1 / 2.4)
+    varied = {"stiffness": tc.Uniform(0.5, 1.5)}
+    case = tc.ClosedLoopCase(scene, tolerance=10.0)
+    with ThreadPoolExecutor(1) as executor:
+        report = tc.sweep(case, varied, 6, seed=0, executor=executor)
+    shares = report.figures["utilization"]
+    np.testing.assert_array_equal(report.success, shares <= 2.4)
+    assert 0 < report.success.sum() < 6
+    one = case.together([{"stiffness": s} for s in report.parameters["stiffness"]])
+    np.testing.assert_allclose([each().figures["utilization"] for each in one], shares, rtol=1e-9)
+
+
+def test_limits_of_strength_are_checked_before_the_run():
+    scene, thin = spun()
+    other = sized(tc.prism())
+    with pytest.raises(ValueError, match="sections are of other strings than the run"):
+        replace(scene, integration=tc.Integration(limits=tc.HealthLimits(sections=other)))
+    with pytest.raises(TypeError, match="sections is a "):
+        tc.HealthLimits(sections=1.0)
+    with pytest.raises(ValueError, match="margin is 0"):
+        tc.HealthLimits(margin=0.0)
+    held = replace(thin.structure, fixed=[0, 1, 2])
+    with pytest.raises(ValueError, match="forces of bars are not found where supports move"):
+        replace(
+            scene, model=tc.Model(held, tc.LinearStrings(2e4)), velocities=None,
+            support_motion=lambda time: np.zeros((3, 3)),
+        )  # fmt: skip
