@@ -20,7 +20,7 @@ from tenscontrol.plot.interactive_view import view
 from tenscontrol.plot.mode_shapes import ModeShape, mode_shapes
 from tenscontrol.plot.motion_histories import health, motors, tracking, trajectory
 from tenscontrol.plot.pole_map import PoleMap, poles
-from tenscontrol.plot.strength_margins import strength
+from tenscontrol.plot.strength_margins import strength, utilization
 from tenscontrol.plot.structure_drawing import Drawing, structure
 from tenscontrol.plot.style import save_figure
 from tenscontrol.plot.sweep_figures import SweepDrawing, sweep
@@ -54,6 +54,7 @@ __all__ = [
     "sweep",
     "tracking",
     "trajectory",
+    "utilization",
     "view",
     "work_precision",
 ]

@@ -343,12 +343,17 @@ def _mark_style(name: str, style: MemberStyle) -> tuple[dict[str, Any], float]:
 
 def color_by_force(strings: Any, gamma: FloatArray) -> None:
     """Colour the strings by force density, from 0 to the largest. Slack ones are dotted."""
-    strings.set_edgecolor(None)  # the colour given before would win over the map
     strings.set_linewidth(FORCE_WIDTH * np.asarray(strings.get_linewidth()))
-    strings.set_cmap(FORCE_MAP)
-    strings.set_array(gamma)
-    strings.set_clim(0.0, float(gamma.max(initial=0.0)) or 1.0)
+    color_by(strings, gamma, float(gamma.max(initial=0.0)) or 1.0)
     strings.set_linestyle(string_dashes(gamma))
+
+
+def color_by(members: Any, values: FloatArray, most: float) -> None:
+    """Colour members by values, from 0 to ``most``."""
+    members.set_edgecolor(None)  # the colour given before would win over the map
+    members.set_cmap(FORCE_MAP)
+    members.set_array(values)
+    members.set_clim(0.0, most)
 
 
 def checked_force_density(structure: Structure, force_density: object) -> FloatArray:
@@ -518,7 +523,7 @@ def structure(
         )  # fmt: skip
     if gamma is not None:
         color_by_force(drawing.strings, gamma)
-        drawing = replace(drawing, colorbar=_scale(drawing, own))
+        drawing = replace(drawing, colorbar=add_scale(drawing, own, "γ, N/m"))
     if legend and not faint:
         slack = gamma is not None and bool(is_slack(gamma).any())
         samples = legend_samples(structure, slack, colored=gamma is not None)
@@ -527,7 +532,7 @@ def structure(
     return drawing
 
 
-def _scale(drawing: Drawing, own: bool) -> Any:
+def add_scale(drawing: Drawing, own: bool, label: str) -> Any:
     """Draw the colour scale beside the axes; in a figure of our own in room that is added."""
     figure = drawing.ax.figure
     axes: dict[str, Any] = {"ax": drawing.ax, "shrink": 0.6, "pad": 0.22, "aspect": 18}
@@ -541,7 +546,7 @@ def _scale(drawing: Drawing, own: bool) -> Any:
         )
         left, low = (width + 0.05) / wider, (1 - _SCALE_SHARE) / 2
         axes = {"cax": figure.add_axes((left, low, _SCALE_WIDTH / wider, _SCALE_SHARE))}
-    return figure.colorbar(drawing.strings, label="γ, N/m", **axes)
+    return figure.colorbar(drawing.strings, label=label, **axes)
 
 
 def _in_a_shape(

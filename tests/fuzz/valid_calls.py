@@ -767,6 +767,7 @@ def strong():
 
 
 call("strength", lambda: {"run": run(), "sections": sized()}, share=0.3)
+call("plot.utilization", lambda: {"found": strong(), "time": 0.0, "ax": space()}, share=0.1)
 call("simulation.Strength.failure", lambda: {"margin": 1.5}, strong, share=0.3)
 call("plot.strength", lambda: {"found": strong(), "members": 3, "ax": flat()}, share=0.2)
 
