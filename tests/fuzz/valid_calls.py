@@ -1287,8 +1287,10 @@ call(
         "low": np.full(2, -2.0),
         "high": np.full(2, 2.0),
         "penalty": 10.0,
+        "of": "nodes",
     },
 )
+call("control.buckling", lambda: {"sections": sized(), "safety": 2.0, "penalty": 10.0})
 call("clearance", lambda: {"plant": plant(), "clearance": 0.05, "penalty": 10.0})
 
 
