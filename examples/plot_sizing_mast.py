@@ -69,18 +69,13 @@ light = found[best]
 print(f"{best} stages: {mass[best]:.2f} kg, {light.mass:.2f} kg of it in members")
 print(f"strings are {1e3 * 2 * np.sqrt(light.string_area.max() / np.pi):.1f} mm thick at most")
 
-figure = plt.figure(figsize=(7.5, 4.2), layout="constrained")
-grid = figure.add_gridspec(1, 2, width_ratios=(2, 1))
-ax = figure.add_subplot(grid[0])
+figure, ax = plt.subplots(figsize=(6.4, 3.6), layout="constrained")
 ax.plot(STAGES, list(mass.values()), "o-", label="all")
 ax.plot(STAGES, [each.mass for each in found.values()], "s--", label="bars and strings")
 ax.plot(STAGES, list(joints.values()), "^:", label="joints")
 ax.set(xlabel="stages", ylabel="mass, kg", ylim=(0, None))
 ax.legend(frameon=False)
-ax = figure.add_subplot(grid[1], projection="3d")
-tc.plot.structure(light.structure, ax=ax, legend=False)
-ax.set_box_aspect(np.ptp(light.structure.nodes, axis=1), zoom=1.5)
-ax.set_axis_off()
+tc.plot.structure(light.structure)
 
 # %%
 # Modes
