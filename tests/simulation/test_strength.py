@@ -70,10 +70,8 @@ def bar_forces(run, k, law, ground, gravity, load):
 def clustered(structure):
     """The structure with two of its strings that meet as one, which slides over their node."""
     first = tuple(structure.strings[0])
-    for k, other in enumerate(structure.strings[1:], 1):
-        if other[0] == first[1]:
-            path = (*first, other[1])
-            break
+    k = int(np.flatnonzero(structure.strings[:, 0] == first[1])[0])
+    path = (*first, structure.strings[k, 1])
     left = [tuple(each) for i, each in enumerate(structure.strings) if i not in (0, k)]
     return tc.Structure(
         structure.nodes, structure.bars, [path, *left], structure.bar_mass, fixed=structure.fixed
