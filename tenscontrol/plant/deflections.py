@@ -60,11 +60,12 @@ class Deflections:
     displacement : ndarray, shape (d, n, k)
         Of the nodes from rest, m.
     linear : ndarray, shape (d, n, k)
-        The same by the stiffness at rest, m.
+        The same by the stiffness at rest, m; on ground, with the contacts as supports.
     string_force : ndarray, shape (α, k)
         Tension of each string under each load, N.
     bar_force : ndarray, shape (β, k)
-        Force of each bar, N, positive in compression.
+        Force of each bar, N, positive in compression; of a body with redundant bars the least that
+        balance, which are not unique.
     reaction : ndarray, shape (d, n, k)
         Forces of the supports on the nodes, N; zero where a node is free.
     slack : tuple of tuple of int
