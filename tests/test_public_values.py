@@ -73,6 +73,8 @@ def values(tmp_path_factory):
         tc.sensitivity(moving, ["stiffness"]),
         tc.strength(moving, stout),
         tc.rigidity(plant, 1e7),
+        tc.deflections(model, rest, []),
+        tc.stiffness_along(model, rest, []),
         fitted,
         fitted.identifiability,
         fitted.residuals[0],

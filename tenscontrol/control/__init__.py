@@ -19,6 +19,7 @@ from tenscontrol.control.mpc import (
     QPSolution,
     QPSolver,
     QuadraticProgram,
+    buckling,
     clearance,
 )
 from tenscontrol.status import Status
@@ -44,6 +45,7 @@ __all__ = [
     "QPSolver",
     "QuadraticProgram",
     "Status",
+    "buckling",
     "clearance",
     "held_loop",
 ]

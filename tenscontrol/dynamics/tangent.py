@@ -340,8 +340,15 @@ class Tangent:
         bent : ndarray, shape (c, k)
             ``−J(a) δN``.
         """
-        free = self.structure.free_rows
-        return np.asarray(self._factors.solve(np.vstack([forces[free], bent]))[: len(free)])
+        return self._solved(forces, bent)[: len(self.structure.free_rows)]
+
+    def bar_force_densities(self, forces: FloatArray, bent: FloatArray) -> FloatArray:
+        """Return δλ of the bars that are kept, N/m, shape (c, k); arguments as above."""
+        return -self._solved(forces, bent)[len(self.structure.free_rows) :]
+
+    def _solved(self, forces: FloatArray, bent: FloatArray) -> FloatArray:
+        right = np.vstack([forces[self.structure.free_rows], bent])
+        return np.asarray(self._factors.solve(right))
 
 
 def tangent(

@@ -16,6 +16,7 @@ from tenscontrol.dynamics.evaluator import BUILDING, Function, builds
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.profile import Profile
 from tenscontrol.plant.linear_plant import INPUTS
+from tenscontrol.plant.saddle import least_curvature, least_step
 from tenscontrol.plant.stance import (
     GroundPoints,
     Stance,
@@ -26,7 +27,6 @@ from tenscontrol.plant.stance import (
     refuse_slip,
 )
 from tenscontrol.statics.equilibrium_matrix import member_forces
-from tenscontrol.statics.inertia import factorized
 from tenscontrol.statics.prestress import Prestress, balanced
 from tenscontrol.structure.bar_clearance import BarCrossing, BarMotion
 from tenscontrol.structure.bar_geometry import refuse_strings_without_length, restore_bar_lengths
@@ -64,11 +64,8 @@ _SLACK = 1e-10
 # Iterations of the optimizer at most.
 _ITERATIONS = 500
 
-# Curvature of the energy below this fraction of the stiffest string's is none.
-_FLAT = 1e-9
-
-# Stiffness of bars, parts of the largest stiffness, in whose place rigid ones are.
-_RIGID = 1e4
+# A segment of a clustered string below this part of the size has no length.
+_NO_LENGTH = 1e-9
 
 _HINT = "Start from other nodes"
 
@@ -452,7 +449,9 @@ def _minimize(
         if structure.has_clusters:
             ends = np.array(whole(point[:count]).full())
             pulling = held > 0 if kind == "force_density" else structure.string_length(ends) > held
-            _refuse_collapsed(structure, ends, pulling, size * (_COLLAPSED if trouble else _FLAT))
+            _refuse_collapsed(
+                structure, ends, pulling, size * (_COLLAPSED if trouble else _NO_LENGTH)
+            )
         point, off = _polished(newton, point, count, size, stiffness)
         if trouble and off > _EXACT * size:
             raise ValueError(trouble)
@@ -555,7 +554,7 @@ def _polished(
             best, least = point, largest
         if worse == _WORSE or least < _ROUND_OFF * size:
             break
-        point = point - columns * _least_step(system, off, count)
+        point = point - columns * least_step(system, off, count)
     return best, least
 
 
@@ -567,54 +566,9 @@ def _evaluated(newton: ca.Function, point: FloatArray) -> tuple[FloatArray, csc_
     return np.array(residual.full()).ravel(), csc_array(jacobian.sparse())
 
 
-def _least_step(system: csc_array, off: FloatArray, count: int) -> FloatArray:
-    """Return the least step that takes away what is off.
-
-    Motions that nothing resists, as one body or of slack strings, make the system singular. It is
-    shifted, and applied between two solutions: what it leaves without an answer goes to zero.
-    """
-    from scipy.sparse import diags_array
-    from scipy.sparse.linalg import splu
-
-    shift = np.full(len(off), -_EXACT)
-    shift[:count] = _EXACT
-    factors = splu((system + diags_array(shift)).tocsc())
-    return np.asarray(factors.solve(system @ factors.solve(off)))
-
-
 def _softest(
     newton: ca.Function, point: FloatArray, count: int, flat: float
 ) -> tuple[float, FloatArray]:
-    """Return the least curvature of the energy with bar lengths kept, N/m, and its direction.
-
-    It is sought from just below: from where all pivots are positive with stiff bars in place of
-    rigid ones.
-    """
-    from scipy.sparse import block_array, diags_array, eye_array
-    from scipy.sparse.linalg import LinearOperator, eigsh, splu
-
+    """Return the least curvature of the energy with bar lengths kept, N/m, and its direction."""
     _, jacobian = _evaluated(newton, point)
-    hessian, J = jacobian[:count, :count], jacobian[count:, :count].tocsr()
-    bars = J.shape[0]
-    if bars >= count:
-        return np.inf, np.zeros(count)
-    length = np.sqrt(J.multiply(J).sum(axis=1))
-    J = diags_array(1 / np.where(length > 0, length, 1.0)) @ J
-    size = float(abs(hessian).max()) or 1.0
-    shift = flat = max(flat, _FLAT * size)
-    stiffened = (hessian + _RIGID * size * (J.T @ J)).tocsc()
-    while factorized((stiffened + shift * eye_array(count)).tocsc()).pivots.min() <= 0:
-        shift *= 4.0
-    held = [[hessian + shift * eye_array(count), J.T], [J, -_EXACT * eye_array(bars) / size]]
-    factors = splu(block_array(held, format="csc"))
-
-    def inverse(force: FloatArray) -> FloatArray:
-        return np.asarray(factors.solve(np.append(force.ravel(), np.zeros(bars)))[:count])
-
-    direction = inverse(np.cos(np.arange(1.0, count + 1) ** 2))  # any
-    if count > 1:
-        operator = LinearOperator((count, count), matvec=inverse, dtype=float)
-        direction = eigsh(operator, 1, which="LA", v0=direction)[1][:, 0]
-    direction /= np.linalg.norm(direction)
-    least = float(direction @ (hessian @ direction))
-    return (0.0 if abs(least) <= flat else least), direction
+    return least_curvature(jacobian[:count, :count], jacobian[count:, :count].tocsr(), flat)

@@ -13,12 +13,13 @@ from tenscontrol.plot.ground_drawing import ground_surface
 from tenscontrol.plot.structure_drawing import checked_force_density
 from tenscontrol.plot.web_page import View
 from tenscontrol.shape.shape_path import ShapePath
+from tenscontrol.simulation.strength import Strength
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.structure.structure import Structure
 
 
 def view(
-    shown: Structure | Trajectory | Modes | ShapePath, *, force_density: object = None
+    shown: Structure | Trajectory | Strength | Modes | ShapePath, *, force_density: object = None
 ) -> View:
     """Return a view of a structure, a run, modes or a path, to be turned in a browser.
 
@@ -29,8 +30,9 @@ def view(
 
     Parameters
     ----------
-    shown : Structure, Trajectory, Modes or ShapePath
-        A run or path is played and scrubbed. Of modes, one is chosen, with an amplitude.
+    shown : Structure, Trajectory, Strength, Modes or ShapePath
+        A run or path is played and scrubbed; of its strength, with strings and bars coloured by
+        force over strength. Of modes, one is chosen, with an amplitude.
     force_density : float or array_like, shape (α,), optional
         γ, N/m, by which the strings of a structure are coloured; a run and a path have their own.
 
@@ -69,7 +71,7 @@ def view(
 @singledispatch
 def _view_of(shown: object) -> View:
     raise validation.wrong_kind(
-        "shown", shown, "a Structure, a Trajectory of simulate, Modes or a ShapePath"
+        "shown", shown, "a Structure, a Trajectory of simulate, a Strength, Modes or a ShapePath"
     )
 
 
@@ -95,6 +97,12 @@ def _of_run(shown: Trajectory) -> View:
         ground=tuple(grid for grid in surfaces if grid is not None),
         pressed=pressed,
     )
+
+
+@_view_of.register
+def _of_strength(shown: Strength) -> View:
+    margins = np.vstack([shown.string_margin, shown.bar_margin])
+    return replace(_of_run(shown.run), share=1 / margins)
 
 
 @_view_of.register

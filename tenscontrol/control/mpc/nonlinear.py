@@ -255,6 +255,12 @@ class NMPC(PredictiveController):
                 f"linearization_tolerance is {tolerance:g}, and plant has ground, which changes "
                 "derivatives within far less: expected 0 or None"
             )
+        for i, limit in enumerate(settings.outputs):
+            if limit.of == "bars":
+                raise ValueError(
+                    f"outputs[{i}] limits forces of bars, which NMPC does not predict: take MPC, "
+                    "or max_force_density"
+                )
         designed = design(plant, settings, nonlinear=True)
         super().__init__(plant, settings, designed)
         path = ReferencePreview(plant, settings.reference, designed.sampled)
