@@ -11,6 +11,7 @@ from __future__ import annotations
 import ctypes
 import tempfile
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -32,17 +33,18 @@ LOOPS = {
 }
 
 
+@cache
 def plant_of():
     model = tc.Model(tc.prism(), strings=tc.LinearStrings(100.0, damping=0.5))
     rest = tc.prestress(model.structure, force_density=17.320508)
     return tc.linearize(model, rest, input="rest_length")
 
 
-def filter_of(plant, prediction="linear", delay=0, substeps=1):
+def filter_of(plant, prediction="linear", delay=0, substeps=1, strings=(0, 4)):
     motor = tc.Motor(drum_radius=0.01, gear_ratio=20.0, zero=1.0)
     sensors = tc.Sensors(
         structure=plant.model.structure, bar_inclination=0.01, gyroscope=0.02, encoder=0.2,
-        motor=motor, string_length=1e-3, strings=[0, 4], bar_direction=0.01, bars=[1],
+        motor=motor, string_length=1e-3, strings=strings, bar_direction=0.01, bars=[1],
         bias={"gyroscope": (0.02, 1e-3)}, delay=delay,
     )  # fmt: skip
     winches = tc.Winches(rate=0.5, shortest=0.1, substeps=substeps) if substeps > 1 else None
@@ -50,6 +52,12 @@ def filter_of(plant, prediction="linear", delay=0, substeps=1):
         plant, sensors, sample_time=STEP, prediction=prediction, winches=winches,
         rest_length_error=(1e-3, 1e-4),
     )  # fmt: skip
+
+
+@cache
+def simulated():
+    """The nonlinear motion of the prism and its readings."""
+    return filter_of(plant_of(), "nonlinear").design
 
 
 def regulator_of(plant):
@@ -108,7 +116,7 @@ def compare(name, samples, folder):
     estimator, law = filter_of(plant, **LOOPS[name][0]), regulator_of(plant)
     code = Code(tc.generate_c(law, folder, estimator=estimator))
     design, rng = estimator.design, np.random.default_rng(3)
-    truth = filter_of(plant, "nonlinear").design  # what is simulated
+    truth = simulated()
     assert truth.extra == design.extra
     z, late = np.zeros(len(design.start)), []
     z[:9] = 5e-3 * rng.normal(size=9)

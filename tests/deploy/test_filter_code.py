@@ -1,5 +1,7 @@
 """The Kalman filter as C code: equal to Python's in a closed loop, whatever is read."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ import tenscontrol as tc
 from tenscontrol.status import Status
 from tests.benchmarks import filter_code
 from tests.benchmarks.filter_code import STEP, Code, filter_of, plant_of, regulator_of
+from tests.deploy.scenes import coupled_plant
 from tests.fuzz import sanitizers
 
 
@@ -45,9 +48,15 @@ int main(void)
 
 
 @pytest.mark.skipif(not sanitizers.can_sanitize(), reason="needs a compiler with sanitizers")
-@pytest.mark.parametrize("options", [{}, {"prediction": "nonlinear", "delay": 2}])
-def test_absurd_readings_and_inputs_are_clean_under_the_sanitizers(options, tmp_path):
-    plant = plant_of()
+@pytest.mark.parametrize(
+    ("plant", "options"),
+    [
+        (plant_of, {}),
+        (partial(coupled_plant, "d_bar"), {"prediction": "nonlinear", "delay": 2, "strings": (1,)}),
+    ],
+)
+def test_absurd_readings_and_inputs_are_clean_under_the_sanitizers(plant, options, tmp_path):
+    plant = plant()
     estimator = filter_of(plant, **options)
     made = tc.generate_c(regulator_of(plant), tmp_path, estimator=estimator)
     (tmp_path / "main.c").write_text(PLAY)
@@ -72,15 +81,16 @@ def test_predictive_control_and_a_filter_go_into_one_folder(tmp_path):
     plant = plant_of()
     winches = tc.Winches(rate=0.5, shortest=0.1)
     mpc = tc.MPC(plant, horizon=3, sample_time=STEP, winches=winches)
-    made = tc.generate_c(mpc, tmp_path, estimator=filter_of(plant))
+    estimator = filter_of(plant)
+    made = tc.generate_c(mpc, tmp_path, estimator=estimator)
     code, N, command = Code(made), plant.nodes, plant.rest_length
     for _ in range(5):
-        y = filter_of(plant).sensors.measure(N, velocities=0 * N, rest_length=command)
+        y = estimator.sensors.measure(N, velocities=0 * N, rest_length=command)
         nodes, velocities, _ = code.estimate(y)
         command = mpc.command(0.0, nodes, velocities).value
         np.testing.assert_allclose(code.command(nodes, velocities), command, rtol=0, atol=1e-12)
         code.predict(command)
-    use = made.memory()
+    use = made.memory(options=["-O0"])
     assert use.ram < 2**19
 
 
