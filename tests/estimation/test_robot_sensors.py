@@ -113,7 +113,7 @@ def test_derivatives_are_those_of_the_readings(name):
     sensors = robot(structure)
     plant = observed_plant(tc.linearize(model, rest, input="rest_length"), sensors)
     function, rng = output_function(plant, sensors), np.random.default_rng(0)
-    z, h = 0.01 * rng.normal(size=len(plant.A)), 1e-5
+    z, h = 0.01 * rng.normal(size=len(plant.A)), 3e-6
     u, r = plant.rest_length, plant.degrees_of_freedom
 
     def read(z):
@@ -131,9 +131,10 @@ def test_derivatives_are_those_of_the_readings(name):
 
     y, C = (np.array(part.full()) for part in function(z, u))
     np.testing.assert_allclose(y.ravel(), read(z), rtol=0, atol=1e-9)
-    columns = [(read(z + h * e) - read(z - h * e)) / (2 * h) for e in np.eye(len(z))]
     scale = max(1.0, np.abs(C).max())
-    np.testing.assert_allclose(C / scale, np.column_stack(columns) / scale, rtol=0, atol=1e-7)
+    for along in rng.choice([-1.0, 1.0], size=(6, len(z))):  # each has all columns
+        slope = (read(z + h * along) - read(z - h * along)) / (2 * h)
+        np.testing.assert_allclose(C @ along / scale, slope / scale, rtol=0, atol=1e-7)
 
 
 @pytest.mark.parametrize("kind", list(filter_consistency.KINDS)[:5])
@@ -227,7 +228,7 @@ def test_a_payload_is_estimated_with_the_ball_that_carries_it():
     start[:, -1] += [0.03, -0.02, 0.02]
     hold = holding(plant, STEP)
     run = tc.simulate(
-        model, 2.0, start, controller=hold, estimator=estimator, rest_length=plant.rest_length,
+        model, 0.8, start, controller=hold, estimator=estimator, rest_length=plant.rest_length,
         seed=1, step=1e-3,
     )  # fmt: skip
     at = np.round(run.control.estimate.time / 1e-3).astype(int)
