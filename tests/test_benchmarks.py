@@ -132,7 +132,10 @@ def test_frontier(printed):
 
 
 def test_growth(printed, monkeypatch):
-    monkeypatch.setattr(import_module("tests.benchmarks.growth"), "REPEATS", 1)
+    module = import_module("tests.benchmarks.growth")
+    module.forget_peak()
+    monkeypatch.setattr(module, "forget_peak", lambda: None)  # takes longer than most routines
+    monkeypatch.setattr(module, "REPEATS", 1)
     text = printed("growth", "--stages 1 2 --whole 2")
     for what in import_module("tests.benchmarks.growth").ROUTINES:
         lines = [line for line in text.splitlines() if line.startswith(f"{what} ")]
@@ -443,7 +446,9 @@ def beside(*names):
 
 
 @needs("mujoco", "bench")
-def test_error_against_time(printed, jax_compiles_quickly):
+def test_error_against_time(printed, monkeypatch, jax_compiles_quickly):
+    module = import_module("tests.benchmarks.error_against_time")
+    monkeypatch.setattr(module, "DIFFRAX", ("Dopri8",))
     text = printed(
         "error_against_time", "--scenes switching --duration 0.2 --errors 1e-3 --repeats 1"
     )

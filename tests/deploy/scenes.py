@@ -235,11 +235,6 @@ def sliding():
     return tc.MPC(coupled_plant("arm"), horizon=4, sample_time=SAMPLE, winches=winches)
 
 
-def nonlinear_in_the_plane():
-    """Winches of a D-bar in the plane, linearized along the predicted motion."""
-    return tc.NMPC(coupled_plant("d_bar"), horizon=3, sample_time=SAMPLE, winches=WINCHES)
-
-
 def tumbling(horizon=10):
     """Winches of a ball of six bars, with soft limits on tension and γ."""
     ball = tc.library.six_bar_ball(bar_length=1.0)
