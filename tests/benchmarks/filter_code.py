@@ -94,7 +94,7 @@ class Code:
         assert self.library.controller_predict(held) == 0
 
 
-def spoilt(y, k, rng):
+def spoilt(y, noise, k, rng):
     """Readings of which some are lost, infinite or far off; at times all."""
     y = y.copy()
     if k % 97 == 13:
@@ -107,6 +107,9 @@ def spoilt(y, k, rng):
         y[:] = np.nan
     if 60 <= k % 1013 < 65:  # as long as the patience of the filter
         y += 1e2
+    if k % 9 == 5:  # so little off that some pass alone, but not beside the others
+        off = rng.choice(len(y), 8, replace=False)
+        y[off] += noise[off] * rng.uniform(3, 8, size=8) * rng.choice([-1, 1], size=8)
     return y
 
 
@@ -121,11 +124,11 @@ def compare(name, samples, folder):
     z, late = np.zeros(len(design.start)), []
     z[:9] = 5e-3 * rng.normal(size=9)
     kick = 1e-2 * np.linalg.cholesky(design.process_covariance + 1e-18 * np.eye(len(z)))
-    worst, statuses = np.zeros(3), set()
+    worst, statuses, noise = np.zeros(3), set(), estimator.sensors.noise
     held = plant.rest_length
     for k in range(samples):
         y = np.array(truth.outputs(z, held)[0]).ravel()
-        late.append(spoilt(y + estimator.sensors.noise * rng.normal(size=len(y)), k, rng))
+        late.append(spoilt(y + noise * rng.normal(size=len(y)), noise, k, rng))
         read = late[max(0, k - estimator.sensors.delay)]
         estimate = estimator.update(read)
         N, V, status = code.estimate(read)

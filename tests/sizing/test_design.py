@@ -63,10 +63,11 @@ def test_d_bar_in_space_has_the_mass_of_the_closed_form(angle):
     assert found.mass == pytest.approx(bars + strings, rel=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(8))
+# Among them those in which a program of wrong weights ends elsewhere.
+@pytest.mark.parametrize("seed", [0, 4, 8, 14, 15, 24])
 def test_least_mass_of_random_structures(seed):
     """The least of a concave mass is at a corner: none of many random ones is lighter."""
-    assert least_mass.over_corners(seed, corners=25) <= 1 + 1e-6  # of 50 structures: the benchmark
+    assert least_mass.over_corners(seed, corners=25) <= 1 + 1e-6  # of 50: the benchmark
 
 
 @pytest.mark.parametrize("seed", range(4))
