@@ -107,7 +107,7 @@ def spoilt(y, noise, k, rng):
         y[:] = np.nan
     if 60 <= k % 1013 < 65:  # as long as the patience of the filter
         y += 1e2
-    if k % 9 == 5 and k % 1013 < 125:  # so little off that some pass alone, but not beside the others
+    if k % 9 == 5 and k % 1013 < 125:  # some pass alone, but not beside the others
         off = rng.choice(len(y), 8, replace=False)
         y[off] += noise[off] * rng.uniform(3, 8, size=8) * rng.choice([-1, 1], size=8)
     return y
