@@ -246,7 +246,7 @@ def broken_limits(
         if block.quantity == "bar_force":
             rows //= 2  # at starts and ends of samples
             names, unit = (f"outputs[{outputs}].low", f"outputs[{outputs}].high"), "N"
-            here, there = block.offset, block.along(preview)
+            here, on_path = block.offset, block.along(preview)
             close, which, outputs = _HELD * block.scale, "row", outputs + 1
         elif block.quantity:
             names, unit = _STRING_LIMITS[block.quantity]
