@@ -494,7 +494,7 @@ class Controller(BaseController):
         return state, None
 
 
-def warn_of_unreached(controller: Controller, stacklevel: int) -> None:
+def warn_of_unreached(controller: Controller) -> None:
     """Warn of modes that a controller leaves alone and that do not decay."""
     if not len(reached_states(controller.plant).unreached_pole):
         return
@@ -502,5 +502,4 @@ def warn_of_unreached(controller: Controller, stacklevel: int) -> None:
         controller.left_alone,
         "no string reaches",
         "No command changes a vibration in these modes; the other modes are controlled.",
-        stacklevel + 1,
     )

@@ -141,7 +141,7 @@ class LQR(Controller):
             plant, A, B, state_weight, input_weight, sample_time is not None
         )
         super().__init__(plant, sample_time, *bounds, change)
-        warn_of_unreached(self, stacklevel=3)
+        warn_of_unreached(self)
         ramp = gain.shape[1] > states
         self.gain = frozen(gain[:, :states])
         self._settings = {"gain": self.gain}

@@ -319,7 +319,6 @@ class KalmanFilter:
                 self.left_alone,
                 "no reading shows and no string reaches",
                 "A vibration in these modes is predicted from the start, with its uncertainty.",
-                stacklevel=2,
             )
 
     def _begin(

@@ -479,7 +479,7 @@ def _checked_point(
         )
     N = structure.checked_nodes("at.nodes", nodes)
     refuse_moved_supports("at.nodes", structure, N)
-    N = rigid_shape("at.nodes", structure, N, stacklevel=3)
+    N = rigid_shape("at.nodes", structure, N)
     count = len(structure.strings)
     gamma = validation.shaped("at.force_density", at.force_density, (count,), "one per string")
     validation.non_negative("at.force_density", gamma, "a string can only pull")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +15,7 @@ from tenscontrol.plant.string_outputs import to_model_strings
 from tenscontrol.structure.blocks import bar_rows
 from tenscontrol.structure.structure import Structure
 from tenscontrol.tables import aligned
+from tenscontrol.warn import warn
 
 # Changes beyond matter, and so do frequencies above this part of the lowest of the bars.
 _MATTERS, _NEAR = 0.01, 1 / 3
@@ -190,10 +190,9 @@ def _warn(found: Rigidity) -> None:
     near = np.flatnonzero((found.change < -_MATTERS) | (found.frequency > _NEAR * lowest))
     if len(near):
         i = int(near[0])
-        warnings.warn(
+        warn(
             f"elastic bars change mode {i}, at {found.frequency[i]:.4g} Hz, by "
             f"{100 * found.change[i]:.2g} %; bars vibrate along themselves from {lowest:.4g} Hz. "
             "Rigid bars are right below that mode",
             RigidityWarning,
-            stacklevel=3,
         )

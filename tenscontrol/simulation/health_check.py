@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import warnings
-
 from tenscontrol.integrate.methods import Choice
 from tenscontrol.simulation.health import AccuracyWarning, BarCrossingWarning, HealthLimits
 from tenscontrol.simulation.trajectory import Trajectory
+from tenscontrol.warn import warn
 
 
 class SimulationError(ArithmeticError):
@@ -23,7 +22,7 @@ class SimulationError(ArithmeticError):
         self.trajectory = trajectory
 
 
-def check_health(run: Trajectory, limits: HealthLimits, stacklevel: int = 3) -> None:
+def check_health(run: Trajectory, limits: HealthLimits) -> None:
     """Warn or raise where the motion passes a limit."""
     health = run.health_of(limits.names)
     passed = limits.passed(health)
@@ -31,7 +30,7 @@ def check_health(run: Trajectory, limits: HealthLimits, stacklevel: int = 3) -> 
     if crossed and limits.action == "raise":
         raise SimulationError(crossed, run)
     if crossed:
-        warnings.warn(crossed, BarCrossingWarning, stacklevel=stacklevel)
+        warn(crossed, BarCrossingWarning)
     if not passed:
         return
     text = "; ".join(passed.values())
@@ -42,7 +41,7 @@ def check_health(run: Trajectory, limits: HealthLimits, stacklevel: int = 3) -> 
         text += "; a motion that magnifies errors can only be foretold for a time, see run.error"
     if limits.action == "raise":
         raise SimulationError(text, run)
-    warnings.warn(text, AccuracyWarning, stacklevel=stacklevel)
+    warn(text, AccuracyWarning)
 
 
 def finer(used: Choice) -> str:

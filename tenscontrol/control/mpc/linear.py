@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import warnings
 from dataclasses import dataclass
 from typing import final
 
@@ -33,6 +32,7 @@ from tenscontrol.docstrings import with_parameters_of
 from tenscontrol.plant.linear_plant import LinearPlant
 from tenscontrol.plant.reference import Preview, ReferencePreview
 from tenscontrol.status import Status
+from tenscontrol.warn import warn
 
 # A reference is farther than the linear plant holds where its loop comes to rest off by more than
 # this part of the size, or errors grow faster, 1/s. Those nearer than the third part of the size
@@ -199,7 +199,7 @@ class MPC(PredictiveController):
             path=ReferencePreview(plant, settings.reference, made.sampled),
         )
         for text in self._concerns(self._law.path):
-            warnings.warn(text, ControlWarning, stacklevel=3)
+            warn(text, ControlWarning)
         self._program = self._law.program()
         self._sparse: Sparse | None = None  # for other solvers, once it is asked for
         # The data of a reference that rests, which no sample changes.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import final
@@ -33,6 +32,7 @@ from tenscontrol.plant.linear_plant import LinearPlant
 from tenscontrol.plant.reference import ReferencePreview
 from tenscontrol.properties import cached_property
 from tenscontrol.status import Status
+from tenscontrol.warn import warn
 
 # Sequential quadratic programming has converged when no input changes by more, in its unit.
 CONVERGED = 1e-5
@@ -259,7 +259,7 @@ class NMPC(PredictiveController):
         super().__init__(plant, settings, made)
         path = ReferencePreview(plant, settings.reference, made.sampled)
         for text in self._concerns(path):
-            warnings.warn(text, ControlWarning, stacklevel=3)
+            warn(text, ControlWarning)
         # After all checks: it may be compiled.
         model = TrajectoryModel(plant, settings, made.constraints, settings.machine_code)
         if tolerance is None:

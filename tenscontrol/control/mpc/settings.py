@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import wraps
@@ -42,6 +41,7 @@ from tenscontrol.plant.string_outputs import (
     to_model_strings,
 )
 from tenscontrol.string_bounds import string_bounds
+from tenscontrol.warn import warn
 
 # Price of a violation by one level, against the cost of an input one level off.
 _PENALTY = 1e2
@@ -467,7 +467,7 @@ class PredictiveController(Controller):
     def __init__(self, plant: LinearPlant, settings: MPCSettings, made: Design) -> None:
         super().__init__(plant, settings.sample_time, made.low, made.high, made.problem.change)
         if not (self._nonlinear and plant.model.contacts is not None):
-            warn_of_unreached(self, stacklevel=5)
+            warn_of_unreached(self)
         self._longest_time = settings.longest_time
         self._settings = vars(settings)
         self._limits = made.constraints.blocks
@@ -505,7 +505,7 @@ class PredictiveController(Controller):
         """
         law = self._law.following(reference)
         for text in self._concerns(law.path):
-            warnings.warn(text, ControlWarning, stacklevel=3)  # that of the lock is between
+            warn(text, ControlWarning)  # that of the lock is between
         self._law, self._settings = law, vars(law.settings)
 
     def reference_nodes(self, times: FloatArray) -> FloatArray:

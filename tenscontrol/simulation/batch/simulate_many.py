@@ -8,7 +8,6 @@ single runs, to the last bit.
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -29,6 +28,7 @@ from tenscontrol.simulation.health_check import check_health, finer
 from tenscontrol.simulation.scene import Scene
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.structure.structure import Structure
+from tenscontrol.warn import warn
 
 _INTERRUPTED = "interrupted"
 
@@ -306,9 +306,8 @@ def _warn_of_errors(errors: FloatArray, used: Choice) -> None:
     wrong = np.flatnonzero((errors > ERROR_LIMIT).any(axis=1))
     if len(wrong):
         named = ", ".join(map(str, wrong[:_NAMED].tolist())) + ", …" * (len(wrong) > _NAMED)
-        warnings.warn(
+        warn(
             f"the error of {len(wrong)} of the {looked_at.sum()} runs that were looked at passes "
             f"{ERROR_LIMIT:g} of the size: of {named}. batch.error says when. Try {finer(used)}",
             AccuracyWarning,
-            stacklevel=3,
         )
