@@ -32,12 +32,16 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 
 def pytest_collection_modifyitems(items):
-    """Scenes that try the numerics may have bars that cross; examples and pages may not."""
+    """Scenes that try the numerics may have bars that cross, and strings beside bars or others.
+
+    Examples and pages may not.
+    """
     tests = Path(__file__).parent
     for item in items:
         if tests in item.path.parents and item.path.parent != tests:
-            warning = "ignore::tenscontrol.simulation.BarCrossingWarning"
-            item.add_marker(pytest.mark.filterwarnings(warning))
+            crossing = "ignore::tenscontrol.simulation.BarCrossingWarning"
+            beside = r"ignore:strings\[\d+\] joins nodes:UserWarning"
+            item.add_marker(pytest.mark.filterwarnings(crossing, beside))
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -14,7 +14,7 @@ from tenscontrol.plant.linearize import in_coordinates
 from tenscontrol.plant.string_outputs import to_model_strings
 from tenscontrol.structure.blocks import bar_rows
 from tenscontrol.structure.structure import Structure
-from tenscontrol.tables import aligned
+from tenscontrol.tables import aligned, percent
 from tenscontrol.warn import warn
 
 # Changes beyond matter, and so do frequencies above this part of the lowest of the bars.
@@ -52,7 +52,7 @@ class Rigidity:
     def table(self) -> str:
         """Return the modes as text, with what elastic bars change of each."""
         rows = [
-            [str(i), f"{frequency:.5g}", f"{100 * change:.3g} %", str(bar)]
+            [str(i), f"{frequency:.5g}", percent(change, 3), str(bar)]
             for i, (frequency, change, bar) in enumerate(
                 zip(self.frequency, self.change, self.bar, strict=True)
             )
@@ -66,7 +66,8 @@ class Rigidity:
             return "Rigidity(no modes)"
         most, lowest = 100 * self.change.min(), self.axial_frequency.min()
         return (
-            f"Rigidity({len(self.change)} modes, {most:.2g} % at most, bars from {lowest:.4g} Hz)"
+            f"Rigidity({len(self.change)} modes, {percent(most)} at most, "
+            f"bars from {lowest:.4g} Hz)"
         )
 
 
@@ -192,7 +193,7 @@ def _warn(found: Rigidity) -> None:
         i = int(near[0])
         warn(
             f"elastic bars change mode {i}, at {found.frequency[i]:.4g} Hz, by "
-            f"{100 * found.change[i]:.2g} %; bars vibrate along themselves from {lowest:.4g} Hz. "
+            f"{percent(found.change[i])}; bars vibrate along themselves from {lowest:.4g} Hz. "
             "Rigid bars are right below that mode",
             RigidityWarning,
         )

@@ -44,6 +44,9 @@ _CLOSE = 1e-7
 # Force densities below this fraction of the largest are zero.
 _ROUND_OFF = 1e-12
 
+# Entries of γ that a message lists.
+_LISTED = 12
+
 # Unbalanced force above this fraction of the largest member force is not round-off.
 _RESIDUAL_TOLERANCE = 1e-9
 
@@ -308,7 +311,10 @@ def prestress(
         validation.non_negative("force_density", gamma, "a string can only pull")
         forces = member_forces(structure, free_coordinates(structure, load))
         hint = "prestress(structure, force_density=<one number>) finds force densities that balance"
-        return balanced(structure, forces, gamma, load, "force_density does not balance", hint)
+        try:
+            return balanced(structure, forces, gamma, load, "force_density does not balance", hint)
+        except ValueError as error:
+            raise ValueError(f"{error}{_nearest_balance(structure, forces, gamma)}") from None
     level = (
         None if given is None else validation.positive_number("force_density", float(given), "N/m")
     )
@@ -410,6 +416,41 @@ def balanced(
     densities = np.concatenate([gamma[pulls], _least_bars(forces, gamma[pulls], w)])
     _refuse_unbalanced(structure, E, densities, w, what, hint, least)
     return _at_rest(structure, forces, gamma, densities, load)
+
+
+def _nearest_balance(structure: Structure, forces: MemberForces, gamma: FloatArray) -> str:
+    """Say which γ near given ones balance; nothing of large structures, or if none do."""
+    strings = np.flatnonzero(forces.live[: len(gamma)])
+    if not (is_small(forces.matrix) and len(strings)):
+        return ""
+    target, unbounded = gamma[strings], np.full(len(strings), np.inf)
+    every = BalancedForces.of(forces)
+    first = np.flatnonzero(np.isin(strings, structure.strings_in(structure.string_groups[0])))
+    if len(first):  # the first group keeps its mean, where it can
+        every = every.at_level(first, float(target[first].mean())) or every
+    densities = every.nearest(target, np.zeros(len(strings)), unbounded)
+    if densities is None or not densities.any():
+        return ""
+    missed = np.abs(forces.matrix @ densities - forces.load).max()
+    if missed > _RESIDUAL_TOLERANCE * abs(forces.matrix * densities).max():
+        return ""
+    nearest = gamma.copy()
+    nearest[strings] = densities[: len(strings)]
+    off, size = np.abs(nearest - gamma), np.abs(nearest).max()
+    digits = [f"{entry:.12g}" for entry in np.where(nearest < _ROUND_OFF * size, 0.0, nearest)]
+    by_group = {
+        group: {digits[i] for i in structure.strings_in(group)}
+        for group in dict.fromkeys(structure.string_groups)
+    }
+    if all(len(entries) == 1 for entries in by_group.values()):
+        values = ", ".join(f"{entries.pop()} in {group}" for group, entries in by_group.items())
+    else:
+        values = ", ".join(digits[:_LISTED]) + ", …" * (len(digits) > _LISTED)
+    worst = int(off.argmax())
+    return (
+        f". The nearest that balance, N/m: {values}; string {worst} is farthest from it, by "
+        f"{off[worst]:.2g} N/m"
+    )
 
 
 def _least_bars(forces: MemberForces, gamma: FloatArray, w: FloatArray) -> FloatArray:

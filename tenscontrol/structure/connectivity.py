@@ -9,6 +9,7 @@ import numpy as np
 
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, IntArray
+from tenscontrol.warn import warn
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -101,6 +102,26 @@ def refuse_repeats(bars: IntArray) -> None:
         f"bars[{again}] joins nodes {one} and {other}, as bars[{first[which.ravel()[again]]}] "
         "does; remove one"
     )
+
+
+def warn_of_useless_strings(bars: IntArray, strings: IntArray, groups: tuple[str, ...]) -> None:
+    """Warn of straight strings that repeat another of their group, or that run along a bar."""
+    along = {tuple(sorted(ends)): i for i, ends in enumerate(bars.tolist())}
+    first: dict[tuple[object, ...], int] = {}
+    for i, (ends, group) in enumerate(zip(strings.tolist(), groups, strict=True)):
+        low, high = sorted(ends)
+        if (bar := along.get((low, high))) is not None:
+            warn(
+                f"strings[{i}] joins nodes {low} and {high}, as bars[{bar}] does: it never changes "
+                "its length, so that it does not act on the motion",
+                UserWarning,
+            )
+        if (other := first.setdefault((low, high, group), i)) != i:
+            warn(
+                f"strings[{i}] joins nodes {low} and {high}, as strings[{other}] does: both pull. "
+                "Remove one; if two strings are meant, give them different string_groups",
+                UserWarning,
+            )
 
 
 def refuse_untouched_nodes(bars: IntArray, segments: IntArray, held: IntArray, count: int) -> None:

@@ -21,6 +21,7 @@ from tenscontrol.structure.connectivity import (
     refuse_untouched_nodes,
     selection,
     signed_incidence,
+    warn_of_useless_strings,
 )
 from tenscontrol.structure.structure_file import read_structure, write_structure
 from tenscontrol.viewable import Viewable
@@ -90,6 +91,11 @@ class Structure(Viewable):
         repeats another, a clustered string passes a node twice, a free node has no member, a bar
         has no length, a mass is missing or not positive, or ``string_parent`` does not fit
         ``parent``. The message names what is wrong.
+
+    Warns
+    -----
+    UserWarning
+        If a straight string joins the same nodes as another of its group, or as a bar.
 
     Notes
     -----
@@ -171,6 +177,9 @@ class Structure(Viewable):
         put(self, "bar_mass", frozen(validation.positive("bar_mass", mass, "mass in kg")))
         put(self, "point_mass", frozen(self._checked_point_mass(point_mass, string_node_mass)))
         put(self, "string_groups", self._checked_groups(string_groups))
+        # Strings of another structure, which are read-only, were looked at when it was made.
+        if not ((isinstance(strings, np.ndarray) and not strings.flags.writeable) or self.paths):
+            warn_of_useless_strings(self.bars, self.strings, self.string_groups)
         if parent is not None:
             validation.instance(
                 "parent", parent, Structure, "the structure that this one was made from"

@@ -113,6 +113,8 @@ OPEN_LOOP = [
     refused("rk4 without step", lambda: run(method="rk4"), ValueError, r"'rk4' needs a step"),
     refused("dop853 with step", lambda: run(method="dop853", step=0.001), ValueError,
             r"step goes with the methods .*; 'dop853' chooses"),
+    refused("step and tolerance", lambda: run(step=1e-3, tolerance=1e-8), ValueError,
+            r"step is 0\.001 s and tolerance is 1e-08, expected one of them"),
     refused("simulation step zero", lambda: run(step=0.0), ValueError, r"step is 0\.0"),
     refused("simulation step text", lambda: run(step="1 ms"), TypeError, r"step is '1 ms'"),
     refused("tolerance zero", lambda: run(tolerance=0.0), ValueError, r"tolerance is 0\.0"),

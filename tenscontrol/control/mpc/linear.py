@@ -32,6 +32,7 @@ from tenscontrol.docstrings import with_parameters_of
 from tenscontrol.plant.linear_plant import LinearPlant
 from tenscontrol.plant.reference import Preview, ReferencePreview
 from tenscontrol.status import Status
+from tenscontrol.tables import percent
 from tenscontrol.warn import warn
 
 # A reference is farther than the linear plant holds where its loop comes to rest off by more than
@@ -222,7 +223,7 @@ class MPC(PredictiveController):
         growth, off = law_in_shape(plant, self._law.design, path, end)
         if growth <= _GROWS and off <= _OFF * size:
             return found
-        what = f"comes to rest {off:.2g} m off, {100 * off / size:.2g} % of the size"
+        what = f"comes to rest {off:.2g} m off, {percent(off / size)} of the size"
         if growth > _GROWS:
             what = f"lets errors grow by a factor e in {1 / growth:.2g} s"
         found.append(

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
 from functools import wraps
-from inspect import signature
+from inspect import Parameter, signature
 from typing import Any, ClassVar, Concatenate, ParamSpec, Self, TypeVar
 
 import numpy as np
@@ -240,14 +241,26 @@ def from_settings(
     def decorate(
         init: Callable[[_C, LinearPlant, _S], None],
     ) -> Callable[Concatenate[_C, LinearPlant, _P], None]:
-        @wraps(init)
-        def from_keywords(self: Any, plant: LinearPlant, **settings: Any) -> None:
-            init(self, plant, record(**settings))  # type: ignore[call-arg]
-
         shown = signature(init)
         itself, plant, _ = shown.parameters.values()
-        parameters = [itself, plant, *signature(record).parameters.values()]
-        from_keywords.__signature__ = shown.replace(parameters=parameters)  # type: ignore[attr-defined]
+        options = signature(record).parameters
+        required = [name for name, option in options.items() if option.default is Parameter.empty]
+
+        @wraps(init)
+        def from_keywords(self: Any, plant: LinearPlant, **settings: Any) -> None:
+            name = type(self).__name__
+            for given in settings.keys() - options.keys():
+                near = get_close_matches(given, options, n=1)
+                meant = f"did you mean {near[0]!r}?" if near else f"expected {', '.join(options)}"
+                raise TypeError(f"{name} has no argument {given!r}; {meant}")
+            if missing := [option for option in required if option not in settings]:
+                example = ", ".join(f"{option}=..." for option in missing)
+                raise TypeError(f"{name} needs {' and '.join(missing)}: {name}(plant, {example})")
+            init(self, plant, record(**settings))  # type: ignore[call-arg]
+
+        from_keywords.__signature__ = shown.replace(  # type: ignore[attr-defined]
+            parameters=[itself, plant, *options.values()]
+        )
         return from_keywords  # type: ignore[return-value]
 
     return decorate
