@@ -260,7 +260,8 @@ class Scene:
         for name in (*names, "support_motion"):
             value = getattr(self, name)
             if value is not None and not changes_in_time(value):
-                object.__setattr__(self, name, frozen(np.asarray(value, dtype=float)))
+                array = np.asarray(validation.array_of(name, value), dtype=float)
+                object.__setattr__(self, name, frozen(array))
 
     # ---- what follows from it ----
 

@@ -230,6 +230,15 @@ class Trajectory(Viewable):
         )
 
     @cached_property
+    def bar_force(self) -> FloatArray:
+        """Force along each bar, N, shape (β, T), positive in compression: λ times the length.
+
+        Raises as :attr:`bar_force_density` does.
+        """
+        length = self.structure.bar_length[:, None]  # not the drifted one: bars are rigid
+        return read_only(self.bar_force_density * length)
+
+    @cached_property
     def kinetic_energy(self) -> FloatArray:
         """½ tr(Ṅ M_s Ṅᵀ), J, shape (T,)."""
         return self._of_model.kinetic_energy(self.nodes, self.velocities)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tenscontrol import validation
-from tenscontrol.arrays import FloatArray, IntArray, frozen
+from tenscontrol.arrays import ArrayRecord, FloatArray, IntArray, frozen
 from tenscontrol.properties import cached_property
 from tenscontrol.statics.equilibrium_matrix import (
     MemberForces,
@@ -52,8 +53,10 @@ _RESIDUAL_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Prestress:
+class Prestress(ArrayRecord):
     """A structure at rest: nodes, force densities and load in balance. Made by :func:`prestress`.
+
+    It can be given wherever its ``force_density``, ``external_force`` or nodes can.
 
     Attributes
     ----------
@@ -79,6 +82,31 @@ class Prestress:
     external_force: FloatArray
     residual: float
     crossings: tuple[BarCrossing, ...] = field(default=(), kw_only=True)
+
+    stands_for = MappingProxyType(
+        {
+            "force_density": "force_density",
+            "prestress": "force_density",
+            "nodes": "nodes",
+            "external_force": "external_force",
+            "bar_force_density": "bar_force_density",
+        }
+    )
+
+    @property
+    def nodes(self) -> FloatArray:
+        """The shape at rest, m, shape (d, n)."""
+        return self.structure.nodes
+
+    @property
+    def tension(self) -> FloatArray:
+        """Tension of each string, N, shape (α,): γ times its length."""
+        return frozen(self.force_density * self.structure.string_length())
+
+    @property
+    def bar_force(self) -> FloatArray:
+        """Force along each bar, N, shape (β,), positive in compression: λ times its length."""
+        return frozen(self.bar_force_density * self.structure.bar_length)
 
     @property
     def clearance(self) -> float:

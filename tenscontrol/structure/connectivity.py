@@ -40,6 +40,26 @@ def checked_members(name: str, pairs: Any, count: int) -> IntArray:
     return np.column_stack(ends)
 
 
+def members_of(name: str, matrix: Any, count: int) -> IntArray:
+    """Return start and end node of each member, shape (·, 2), from its connectivity matrix."""
+    C = validation.float_array(name, matrix.toarray() if hasattr(matrix, "toarray") else matrix)
+    if C.size == 0:
+        return np.zeros((0, 2), dtype=np.int64)
+    if C.ndim != 2 or C.shape[1] != count:
+        raise ValueError(
+            f"{name} has shape {C.shape}, expected (members, {count}): a column for each node"
+        )
+    wrong = np.flatnonzero(
+        ((C == -1).sum(axis=1) != 1) | ((C == 1).sum(axis=1) != 1) | ((C != 0).sum(axis=1) != 2)
+    )
+    if len(wrong):
+        raise ValueError(
+            f"{name}[{wrong[0]}] is {C[wrong[0]].tolist()}, expected one -1, at the start node, "
+            "and one 1, at the end node"
+        )
+    return np.column_stack([C.argmin(axis=1), C.argmax(axis=1)])
+
+
 def checked_strings(strings: Any, paths: Any, count: int) -> tuple[IntArray, Paths]:
     """Return the first and last nodes of strings, shape (α, 2), and all paths if one is longer."""
     given = () if paths is None else validation.items("paths", paths, "paths of nodes")

@@ -604,6 +604,18 @@ for _name in tc.library.__all__:
         _defaults = {each.name: each.default for each in _parameters}
         call(f"library.{_name}", partial(dict, _defaults))
 call("Structure.bar_vectors", lambda: {"nodes": nodes()}, prism)
+call(
+    "Structure.from_matrices",
+    lambda: {
+        "nodes": nodes(),
+        "C_b": (prism().C_b @ prism().C_nb).toarray(),
+        "C_s": prism().C_s.toarray(),
+        "bar_mass": 1.0,
+        "string_groups": ["top"] * 9,
+        "fixed": [0],
+        "point_mass": np.zeros(6),
+    },
+)
 call("Structure.string_vectors", lambda: {"nodes": nodes()}, prism)
 call("Structure.string_length", lambda: {"nodes": nodes()}, prism)
 call("Structure.save", lambda: {"path": scratch("prism.toml")}, prism)
