@@ -4,6 +4,7 @@ import gc
 import signal
 import sys
 import sysconfig
+import threading
 import warnings
 from pathlib import Path
 from types import SimpleNamespace
@@ -67,7 +68,8 @@ def warnings_point_to_lines_of_users():
 
     def checked(message, category, stacklevel):
         where = sys._getframe(stacklevel).f_code.co_filename
-        if where.startswith(_NO_USERS):
+        is_main = threading.current_thread() is threading.main_thread()
+        if where.startswith(_NO_USERS) and is_main:
             raise AssertionError(f"the warning {message!r} points to {where}")
         warnings.warn(message, category, stacklevel=stacklevel + 1)
 

@@ -47,7 +47,7 @@ def members_of(name: str, matrix: Any, count: int) -> IntArray:
         return np.zeros((0, 2), dtype=np.int64)
     if C.ndim != 2 or C.shape[1] != count:
         raise ValueError(
-            f"{name} has shape {C.shape}, expected (members, {count}): a column for each node"
+            f"{name} has shape {C.shape}, expected (members, {count}): a column for each of nodes"
         )
     wrong = np.flatnonzero(
         ((C == -1).sum(axis=1) != 1) | ((C == 1).sum(axis=1) != 1) | ((C != 0).sum(axis=1) != 2)

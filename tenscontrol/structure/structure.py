@@ -348,7 +348,7 @@ class Structure(Viewable):
         >>> tc.Structure.from_matrices(prism.nodes, prism.C_b @ prism.C_nb, prism.C_s, 1.0)
         Structure(6 nodes, 3 bars, 9 strings)
         """
-        count = validation.float_array("nodes", nodes).shape[-1]
+        count = (validation.float_array("nodes", nodes).shape or (0,))[-1]
         bars, strings = (members_of(*named, count) for named in (("C_b", C_b), ("C_s", C_s)))
         return cls(
             nodes, bars, strings, bar_mass, string_node_mass, string_groups, fixed,

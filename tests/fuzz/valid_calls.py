@@ -101,6 +101,7 @@ RESULTS = {
     "deploy.MemoryUse",
     "dynamics.Contacts",
     "dynamics.Coordinates",
+    "dynamics.SymbolicModel",
     "dynamics.Equation",
     "estimation.Estimate",
     "estimation.FilterStatistics",
@@ -615,6 +616,7 @@ call(
         "fixed": [0],
         "point_mass": np.zeros(6),
     },
+    lambda: tc.Structure,
 )
 call("Structure.string_vectors", lambda: {"nodes": nodes()}, prism)
 call("Structure.string_length", lambda: {"nodes": nodes()}, prism)
@@ -904,6 +906,7 @@ call(
     },
 )
 call("Model.mass_matrix", on=elastic)
+call("Model.symbolic", lambda: {"input": "rest_length", "parameters": ["damping"]}, elastic)
 call("Model.replace", lambda: {"gravity": 9.81}, elastic)
 call("Model.of_all_nodes", lambda: {"name": "kinetic_energy"}, elastic)
 call("Model.state_equation", lambda: {"input": "rest_length"}, elastic)

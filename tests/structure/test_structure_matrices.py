@@ -141,7 +141,10 @@ def test_structures_come_back_from_their_matrices(seed):
     [
         (np.eye(6), r"C_b\[0\] is \[1\.0, .*expected one -1, at the start node, and one 1"),
         (np.zeros((2, 6)), r"C_b\[0\] is"),
-        ([[-1.0, 1.0]], r"C_b has shape \(1, 2\), expected \(members, 6\): a column for each node"),
+        (
+            [[-1.0, 1.0]],
+            r"C_b has shape \(1, 2\), expected \(members, 6\): a column for each of nodes",
+        ),
     ],
 )
 def test_matrices_that_are_no_connectivity_are_refused(C, message):
