@@ -249,6 +249,8 @@ WITHIN = {
     "dynamics.Equation.ahead",
     "dynamics.Equation.of_strings",
     "LQR.reference_nodes",
+    "control.LinearController.reset",
+    "control.LinearController.reference_nodes",
     "MPC.reference_nodes",
     "NMPC.reference_nodes",
     "FeedbackLinearization.reference_nodes",
@@ -1125,7 +1127,7 @@ call("plant.LinearPlant.measure", lambda: {"nodes": nodes(), "velocities": STILL
 call("plant.LinearPlant.to_nodes", lambda: {"q": np.zeros(9)}, plant)
 call("plant.LinearPlant.to_velocities", lambda: {"q": np.zeros(9), "rates": np.zeros(9)}, plant)
 call("plant.LinearPlant.discretize", lambda: {"sample_time": 0.01}, plant)
-call("plant.LinearPlant.to_statespace", on=plant)
+call("plant.LinearPlant.to_statespace", lambda: {"dt": 0.01, "outputs": "state"}, plant)
 call(
     "Reference",
     lambda: {
@@ -1157,6 +1159,18 @@ call(
         "plant": held_plant(),
         "sample_time": 0.01,
         "winches": tc.Winches(rate=0.5, shortest=0.1),
+    },
+    share=0.5,
+)
+call("LQR.to_statespace", on=regulator)
+call(
+    "control.LinearController",
+    lambda: {
+        "plant": plant(),
+        "system": tc.LQR(plant(), sample_time=0.01).to_statespace(),
+        "sees": "state",
+        "max_force_density": np.full(9, 50.0),
+        "max_change": 1.0,
     },
     share=0.5,
 )
