@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, final
+from typing import Any, final
 
 import numpy as np
 
@@ -19,9 +19,6 @@ from tenscontrol.plant.input_bounds import input_bounds, largest_change
 from tenscontrol.plant.linear_plant import LinearPlant, named_system, sampled
 from tenscontrol.plant.riccati import natural_weights, regulator
 from tenscontrol.status import Status
-
-if TYPE_CHECKING:
-    import control
 
 
 @final
@@ -153,7 +150,7 @@ class LQR(Controller):
         self.cost = frozen(cost)
         self.riccati_residual = residual
 
-    def to_statespace(self) -> control.StateSpace:
+    def to_statespace(self) -> Any:
         """Return the law as a ``control.StateSpace`` from z to v, in a loop with the sign of +.
 
         It is a gain or, for a ramp input, has the previous input as its state. Close the loop by
