@@ -106,6 +106,10 @@ class BaseController(ABC):
         self._status_count: Counter[Status] = Counter()
         self._fallback_count: Counter[Fallback] = Counter()
 
+    def __repr__(self) -> str:
+        when = "" if self.sample_time is None else f", every {self.sample_time:g} s"
+        return f"{type(self).__name__}(input {self.input}{when})"
+
     @property
     def label(self) -> str:
         """What it is called in messages."""

@@ -11,11 +11,15 @@ import numpy as np
 
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, freeze_arrays
+from tenscontrol.short_repr import short_repr
 from tenscontrol.structure.structure import Structure
 
 
 class Task(ABC):
     """What robots are to do. Nodes and velocities have the shape (count, d, n), m and m/s."""
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}()"
 
     @abstractmethod
     def check(self, structure: Structure) -> None:
@@ -194,6 +198,8 @@ class Track(Task):
 
     node: int
     path: Callable[[FloatArray], Any]
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         validation.whole_number("node", self.node, 0)

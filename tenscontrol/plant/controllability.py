@@ -22,6 +22,7 @@ from tenscontrol.plant.linear_plant import (
 from tenscontrol.plant.modes import Modes, modes_of
 from tenscontrol.plant.reduced_dynamics import reduce
 from tenscontrol.plant.string_outputs import to_commanded_strings
+from tenscontrol.short_repr import short_repr
 from tenscontrol.warn import warn
 
 # A direction or margin below this fraction of its surroundings does not exist.
@@ -72,6 +73,8 @@ class Controllability:
     margin: FloatArray
     unreachable: int
     unreached: Modes
+
+    __repr__ = short_repr
 
     @property
     def is_controllable(self) -> bool:

@@ -18,6 +18,7 @@ from tenscontrol.dynamics.evaluator import Prepared, on_one_thread
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.tangent import refuse_large
 from tenscontrol.properties import cached_property
+from tenscontrol.short_repr import short_repr
 from tenscontrol.structure.segments import to_segments
 from tenscontrol.structure.structure import Structure
 
@@ -97,6 +98,8 @@ class SparsePlant:
     damping: csr_array
     by_input: csr_array
     drift: FloatArray
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         for matrix in (self.stiffness, self.damping, self.by_input):

@@ -18,6 +18,7 @@ from tenscontrol.fields import Array, OptionalArray, converted
 from tenscontrol.plant.linear_plant import INPUTS, LinearPlant, SparsePlant, norm
 from tenscontrol.plant.stance import Stance, standing_model
 from tenscontrol.plant.string_outputs import to_model_strings
+from tenscontrol.short_repr import short_repr
 from tenscontrol.statics.equilibrium_matrix import null_space
 from tenscontrol.statics.prestress import Prestress
 from tenscontrol.structure.bar_geometry import (
@@ -84,6 +85,8 @@ class OperatingPoint:
     nodes: Array = converted()
     force_density: Array = converted()
     external_force: OptionalArray = converted(None)
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         nodes = validation.float_array("nodes", self.nodes)

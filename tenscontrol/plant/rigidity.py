@@ -64,7 +64,7 @@ class Rigidity:
     def __repr__(self) -> str:
         if not len(self.change):
             return "Rigidity(no modes)"
-        most, lowest = 100 * self.change.min(), self.axial_frequency.min()
+        most, lowest = float(self.change.min()), self.axial_frequency.min()
         return (
             f"Rigidity({len(self.change)} modes, {percent(most)} at most, "
             f"bars from {lowest:.4g} Hz)"

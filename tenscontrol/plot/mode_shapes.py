@@ -23,6 +23,7 @@ from tenscontrol.plot.style import (
     closes_on_error,
     given_axes,
 )
+from tenscontrol.short_repr import short_repr
 
 _COLUMNS = 3
 _MOST = 9  # modes shown unless the user says which
@@ -57,6 +58,8 @@ class ModeShape:
     reference: Drawing
     displaced: Drawing
     arrows: Any
+
+    __repr__ = short_repr
 
     @property
     def ax(self) -> Any:

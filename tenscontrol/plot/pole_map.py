@@ -21,6 +21,7 @@ from tenscontrol.plot.style import (
     legend_above,
     marker_style,
 )
+from tenscontrol.short_repr import short_repr
 
 # Poles closer than this fraction of the largest are drawn as one: round-off
 # splits a double pole by less.
@@ -55,6 +56,8 @@ class PoleMap:
     ax: Axes
     markers: dict[str, Line2D]
     multiplicities: dict[str, tuple[Annotation, ...]]
+
+    __repr__ = short_repr
 
 
 @closes_on_error

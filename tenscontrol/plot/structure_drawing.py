@@ -35,6 +35,7 @@ from tenscontrol.plot.style import (
     marker_style,
 )
 from tenscontrol.shape.target import ShapeTarget
+from tenscontrol.short_repr import short_repr
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.statics.prestress import Prestress
 from tenscontrol.structure.structure import Structure
@@ -201,6 +202,8 @@ class Drawing:
     ground: tuple[Any, ...] = ()
     touching: Any = None
     _places: NumberPlaces | None = field(default=None, repr=False)
+
+    __repr__ = short_repr
 
     def update(self, nodes: object, force_density: object = None, touching: object = None) -> None:
         """Move the drawing to other node positions. The limits of the axes stay.

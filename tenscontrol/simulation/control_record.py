@@ -101,6 +101,10 @@ class ControlRecord:
     statistics: object = None
     settings: Arguments = field(default_factory=Arguments)
 
+    def __repr__(self) -> str:
+        counts = ", ".join(f"{count} {status}" for status, count in self.status_count.items())
+        return f"ControlRecord({self.controller}, {len(self.time)} samples: {counts})"
+
     @property
     def unsolved(self) -> float:
         """Fraction of the samples whose program was not solved."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields
 
 from tenscontrol import validation
 from tenscontrol.integrate.integrator import Work
+from tenscontrol.short_repr import short_repr
 from tenscontrol.structure.bar_clearance import BarClearance, BarCrossing
 
 # The error, as part of the size, up to which a motion is trusted unless the user says otherwise.
@@ -93,6 +94,8 @@ class Health:
     clearance: BarClearance | None = None
     unresolved_intervals: int = 0
 
+    __repr__ = short_repr
+
 
 @dataclass(frozen=True)
 class HealthLimits:
@@ -146,6 +149,8 @@ class HealthLimits:
     impulse_error: float | None = None
     rest_length_error: float | None = 2e-3
     crossings: int | None = 0
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         validation.choice("action", self.action, ("warn", "raise"))

@@ -15,6 +15,7 @@ from tenscontrol.fields import Array, Field, converted
 from tenscontrol.plant.linear_plant import LinearPlant
 from tenscontrol.plant.reference import ReferencePreview
 from tenscontrol.plant.string_outputs import string_map
+from tenscontrol.short_repr import short_repr
 from tenscontrol.structure.bar_clearance import bar_distances
 
 if TYPE_CHECKING:
@@ -77,6 +78,8 @@ class OutputLimit:
     low: Field[ArrayLike | None, FloatArray] = converted(None)
     high: Field[ArrayLike | None, FloatArray] = converted(None)
     penalty: float | None = None
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         matrix = np.atleast_2d(validation.float_array("matrix", self.matrix))

@@ -31,6 +31,7 @@ from tenscontrol.control.mpc.stages import StagesProgram
 from tenscontrol.docstrings import with_parameters_of
 from tenscontrol.plant.linear_plant import LinearPlant
 from tenscontrol.plant.reference import Preview, ReferencePreview
+from tenscontrol.short_repr import short_repr
 from tenscontrol.status import Status
 from tenscontrol.tables import percent
 from tenscontrol.warn import warn
@@ -58,6 +59,8 @@ class MPCStatistics:
     status_count: dict[Status, int]
     fallback_count: dict[Fallback, int]
     iterations: np.ndarray
+
+    __repr__ = short_repr
 
     @property
     def fallbacks(self) -> int:

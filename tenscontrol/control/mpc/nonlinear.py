@@ -31,6 +31,7 @@ from tenscontrol.fields import checked
 from tenscontrol.plant.linear_plant import LinearPlant
 from tenscontrol.plant.reference import ReferencePreview
 from tenscontrol.properties import cached_property
+from tenscontrol.short_repr import short_repr
 from tenscontrol.status import Status
 from tenscontrol.warn import warn
 
@@ -75,6 +76,8 @@ class NMPCStatistics:
     last_change: FloatArray
     preparation_time: FloatArray
     feedback_time: FloatArray
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -178,6 +181,8 @@ class NonlinearSettings(MPCSettings):
     machine_code: bool = field(
         default=False, metadata=checked(validation.truth, "whether to compile the derivatives")
     )
+
+    __repr__ = short_repr
 
 
 @final

@@ -41,6 +41,7 @@ from tenscontrol.plant.string_outputs import (
     to_commanded_strings,
     to_model_strings,
 )
+from tenscontrol.short_repr import short_repr
 from tenscontrol.string_bounds import string_bounds
 from tenscontrol.warn import warn
 
@@ -209,6 +210,8 @@ class MPCSettings:
     max_iterations: int = field(default=4000, metadata=checked(validation.whole_number, 1))
     time_limit: float | None = field(default=None, metadata=checked(_time))
     solver: str | type[QPSolver] = field(default="auto", metadata=checked(_solver))
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -20,6 +20,7 @@ from tenscontrol.integrate.methods import Choice
 from tenscontrol.interrupt import keeping
 from tenscontrol.progress import progress_bar
 from tenscontrol.properties import cached_property
+from tenscontrol.short_repr import short_repr
 from tenscontrol.simulation.batch.batch_inputs import BatchInputs, checked_variation, refusal
 from tenscontrol.simulation.batch.compiled_loop import checked_controller
 from tenscontrol.simulation.batch.runner import Runner
@@ -53,6 +54,8 @@ class BatchCrossings:
     count: IntArray
     first_time: FloatArray
     unresolved_intervals: IntArray
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
