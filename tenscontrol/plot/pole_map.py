@@ -170,7 +170,7 @@ def _lay_out(ax: Axes, sets: Mapping[str, np.ndarray], largest: float) -> None:
     size = largest if largest > 0 else 1.0
     limits = []
     for values in (every.real, every.imag):
-        margin = 0.1 * max(float(np.ptp(values)), 0.5 * size)
+        margin = 0.1 * max(float(np.ptp(values)), 0.1 * size)
         limits.append((float(values.min()) - margin, float(values.max()) + margin))
     if ax.has_data():
         before = (ax.get_xlim(), ax.get_ylim())

@@ -2105,7 +2105,9 @@ call(
 )
 call("plot.poles", lambda: {"poles": np.array([-1.0, -1 + 1j, -1 - 1j]), "ax": flat()}, share=0.2)
 call(
-    "plot.save_figure", lambda: {"figure": flat().figure, "path": scratch("figure.png")}, share=0.1
+    "plot.save_figure",
+    lambda: {"figure": flat().figure, "path": scratch("figure.png"), "width": 89.0},
+    share=0.1,
 )
 call("plot.stability_map", lambda: {"result": stable(), "ax": flat()}, share=0.2)
 call(
