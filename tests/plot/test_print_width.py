@@ -4,8 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from matplotlib import pyplot as plt
-from matplotlib import rcParams
+from matplotlib import pyplot as plt, rcParams
 from matplotlib.text import Text
 
 import tenscontrol as tc
