@@ -10,7 +10,9 @@ import numpy as np
 from tenscontrol.actuation.motors import MotorRecord
 from tenscontrol.arrays import FloatArray
 from tenscontrol.control.command import Fallback
+from tenscontrol.properties import cached_property
 from tenscontrol.simulation.arguments import Arguments
+from tenscontrol.simulation.error_growth import ErrorGrowth, error_growth
 from tenscontrol.simulation.observation import EstimateRecord
 from tenscontrol.status import UNSOLVED, Status
 from tenscontrol.tables import percent
@@ -110,6 +112,18 @@ class ControlRecord:
         """Fraction of the samples whose program was not solved."""
         return sum(status in UNSOLVED for status in self.status) / len(self.status)
 
+    @cached_property
+    def growth(self) -> ErrorGrowth | None:
+        """When the tracking error begins to grow exponentially, and how fast; None if it does not.
+
+        It is seen after seven windows of three samples or more, long before the end is far off.
+        """
+        error = self.tracking_error
+        if error is None or self.size is None or len(self.time) < 2:
+            return None
+        times = np.append(self.time, 2 * self.time[-1] - self.time[-2])
+        return error_growth(times, error, self.size)
+
     @property
     def problems(self) -> list[str]:
         """A sentence for what went wrong; empty where the run did what was asked.
@@ -117,7 +131,8 @@ class ControlRecord:
         The run ends away from the reference: by more than 2 % of the size in its last tenth, with
         errors in the last third of more than 0.9 of the largest of those in the second, after two
         turns of the slowest vibration of the plant. Or by more than a fifth of the size, and 1.2
-        times as far as it began. Programs were not solved: more than one in twenty.
+        times as far as it began. Its error grows from sample to sample: see :attr:`growth`.
+        Programs were not solved: more than one in twenty.
         """
         reasons, error = [], self.tracking_error
         if error is not None and self.size is not None and self.slowest_vibration is not None:
@@ -131,6 +146,11 @@ class ControlRecord:
                     f"it ends up to {end * self.size:.2g} m from its reference, {percent(end)} "
                     "of the size, and comes no nearer"
                 )
+        if (growth := self.growth) is not None:
+            reasons.append(
+                f"from {growth.begin:.3g} s on its error grows by a factor e in "
+                f"{growth.time_constant:.2g} s: the closed loop is unstable"
+            )
         if self.unsolved > _UNSOLVED_SHARE:
             worst = Counter(status for status in self.status if status in UNSOLVED).most_common(1)
             reasons.append(

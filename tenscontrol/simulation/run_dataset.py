@@ -13,7 +13,7 @@ from tenscontrol._version import __version__
 _MOST_ROWS = 20_000_000
 
 
-class RunDataset(Dataset):
+class RunDataset(Dataset):  # type: ignore[no-untyped-call]  # of xarray
     """A dataset that makes no table of every node with every string, bar and sample."""
 
     __slots__ = ()
