@@ -35,9 +35,9 @@ class Task(ABC):
 
         Parameters
         ----------
-        time : ndarray, shape (count,)
+        time : ndarray, shape (count,), s
             Since the beginning of each episode, s.
-        nodes : ndarray, shape (count, d, n)
+        nodes : ndarray, shape (count, d, n), m
         """
         return np.zeros((len(nodes), 0))
 
@@ -47,9 +47,9 @@ class Task(ABC):
 
         Parameters
         ----------
-        time : ndarray, shape (count,)
+        time : ndarray, shape (count,), s
             At its end, s.
-        before, nodes : ndarray, shape (count, d, n)
+        before, nodes : ndarray, shape (count, d, n), m
             At its beginning and at its end.
         """
 
@@ -58,7 +58,7 @@ class Task(ABC):
 
         Parameters
         ----------
-        nodes : ndarray, shape (count, d, n)
+        nodes : ndarray, shape (count, d, n), m
         """
         return np.zeros(len(nodes), dtype=bool)
 
@@ -102,8 +102,8 @@ class Rolling(Task):
 
         Parameters
         ----------
-        time : ndarray, shape (count,)
-        before, nodes : ndarray, shape (count, d, n)
+        time : ndarray, shape (count,), s
+        before, nodes : ndarray, shape (count, d, n), m
         """
         return np.asarray((nodes - before).mean(axis=2) @ self.direction)
 
@@ -152,8 +152,8 @@ class Reach(Task):
 
         Parameters
         ----------
-        time : ndarray, shape (count,)
-        nodes : ndarray, shape (count, d, n)
+        time : ndarray, shape (count,), s
+        nodes : ndarray, shape (count, d, n), m
         """
         return np.asarray(self.place - nodes[:, :, self.node])
 
@@ -162,8 +162,8 @@ class Reach(Task):
 
         Parameters
         ----------
-        time : ndarray, shape (count,)
-        before, nodes : ndarray, shape (count, d, n)
+        time : ndarray, shape (count,), s
+        before, nodes : ndarray, shape (count, d, n), m
         """
         return np.asarray(self._left(before) - self._left(nodes))
 
@@ -172,7 +172,7 @@ class Reach(Task):
 
         Parameters
         ----------
-        nodes : ndarray, shape (count, d, n)
+        nodes : ndarray, shape (count, d, n), m
         """
         return np.asarray(self._left(nodes) <= self.tolerance)
 
@@ -220,8 +220,8 @@ class Track(Task):
 
         Parameters
         ----------
-        time : ndarray, shape (count,)
-        nodes : ndarray, shape (count, d, n)
+        time : ndarray, shape (count,), s
+        nodes : ndarray, shape (count, d, n), m
         """
         place = validation.shaped(
             "what path returns", self.path(time), nodes.shape[:2], "one place a time"
@@ -233,8 +233,8 @@ class Track(Task):
 
         Parameters
         ----------
-        time : ndarray, shape (count,)
-        before, nodes : ndarray, shape (count, d, n)
+        time : ndarray, shape (count,), s
+        before, nodes : ndarray, shape (count, d, n), m
         """
         return -np.asarray(np.linalg.norm(self.seen(time, nodes), axis=1))
 

@@ -557,6 +557,7 @@ class Structure(Viewable):
         name : str
             What the message calls them.
         nodes : array_like, shape (d, n)
+            m or m/s.
         """
         axes = ", ".join("xyz"[: self.dimension])
         meaning = f"one column of {axes} per node of the structure"
