@@ -1,11 +1,14 @@
 """One word for one thing: the public names, their arguments and units, by the table of the docs."""
 
+import ast
 import inspect
 import re
+from pathlib import Path
 
 import pytest
 
-from tests.public import DOCS, members, public
+import tenscontrol as tc
+from tests.public import DOCS, members, public, public_functions, tree
 
 # What another word or another unit is for.
 EXCEPTIONS = {
@@ -119,3 +122,19 @@ def test_no_signature_hides_its_settings():
         if any(each.kind is inspect.Parameter.VAR_KEYWORD for each in parameters.values())
     ]
     assert hidden == []
+
+
+def test_messages_name_functions_where_they_are_found():
+    """What is not at the top level has its folder before it."""
+    inside = {name.rpartition(".")[2]: name for name in public_functions() if "." in name}
+    wrong = []
+    for path in Path(tc.__file__).parent.rglob("*.py"):
+        for node in ast.walk(tree(path)):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+                texts = [each for each in ast.walk(node) if isinstance(each, ast.Constant)]
+                if not re.search("Error$|^warn$", node.func.id):
+                    continue
+                for text in (str(each.value) for each in texts):
+                    found = re.findall(r"(?<![\w.`])(\w+)\(", text)
+                    wrong += [(path.name, name) for name in found if name in inside]
+    assert [each for each in wrong if not hasattr(tc, each[1])] == []

@@ -113,7 +113,7 @@ def refuse_wrong_bar_lengths(
         raise ValueError(
             f"in {name}, bar {worst} has length {length[worst]:.9g} m, expected "
             f"{structure.bar_length[worst]:.9g} m as in the structure; bars are rigid. "
-            "restore_bar_lengths(structure, nodes) corrects a shape"
+            "tenscontrol.structure.restore_bar_lengths(structure, nodes) corrects a shape"
         )
 
 
