@@ -329,7 +329,8 @@ def _fit_width(figure: Figure, width: object) -> None:
     figure.set_size_inches(inches, old_height * (max(share, size) if is_flat else share))
     for text in figure.findobj(Text):
         text.set_fontsize(size * text.get_fontsize())
-    for ax in figure.axes:
+    every: list[Any] = list(figure.axes)  # with a third axis or without
+    for ax in every:
         for axis in (ax.xaxis, ax.yaxis, *([ax.zaxis] if ax.name == "3d" else [])):
             labels = axis.get_ticklabels()
             if labels:
