@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,13 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
+
+
+class ArrayRecord:
+    """A record that goes wherever one of its arrays does, by the name of the argument."""
+
+    #: Argument, and the attribute that goes there.
+    stands_for: ClassVar[Mapping[str, str]]
 
 
 def frozen(array: NDArray[Any]) -> NDArray[Any]:

@@ -12,10 +12,11 @@ import os
 import signal
 import threading
 import time
-import warnings
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from types import FrameType
+
+from tenscontrol.warn import warn
 
 # A loop that calls `check` less often is ended wherever it is, s.
 _PATIENCE = 0.5
@@ -132,7 +133,7 @@ def keeping(result: str, count: Callable[[], int]) -> Iterator[None]:
     except KeyboardInterrupt:
         if passed_on or not count():
             raise
-    warnings.warn(f"interrupted: {count()} {result}", InterruptionWarning, stacklevel=4)
+    warn(f"interrupted: {count()} {result}", InterruptionWarning)
 
 
 def check() -> None:

@@ -21,6 +21,12 @@ def shown(value: Cell, form: str = ".1e") -> str:
     return format(value, form) if isinstance(value, float) else str(value)
 
 
+def percent(part: float, digits: int = 2) -> str:
+    """Return a part of 1 as percent: 1 is 100 %, however few digits are asked for."""
+    value = float(f"{100 * part:.{digits}g}")
+    return f"{value:.0f} %" if abs(value) >= 100 else f"{value:g} %"
+
+
 def aligned(head: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> str:
     """Return columns of text; the first ``left`` are flush left, the others right."""
     width = [max(len(row[i]) for row in (head, *rows)) for i in range(len(head))]

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from tenscontrol.arrays import FloatArray, IntArray
+from tenscontrol.arrays import ArrayRecord, FloatArray, IntArray
 
 # Squares and fourth powers must stay within double precision.
 LARGEST = 1e70
@@ -98,6 +98,7 @@ def _real_array(name: str, value: object) -> FloatArray:
         return value.astype(float)
     if value is None:
         raise TypeError(f"{name} is None, expected an array of real numbers")
+    value = array_of(name, value)
     if isinstance(value, np.ma.MaskedArray):
         raise TypeError(f"{name} is a masked array, expected one without a mask: fill or drop")
     try:
@@ -111,6 +112,19 @@ def _real_array(name: str, value: object) -> FloatArray:
         )
     with np.errstate(over="ignore"):  # of a longer kind of float: infinite
         return given.astype(float)
+
+
+def array_of(name: str, value: object) -> object:
+    """Return the array of a record that stands for this argument; other values as they are."""
+    if not isinstance(value, ArrayRecord):
+        return value
+    known = value.stands_for
+    if name.rpartition(".")[2] not in known:
+        raise TypeError(
+            f"{name} is a {type(value).__name__}, which stands for {', '.join(known)}; give an "
+            "array"
+        )
+    return getattr(value, known[name.rpartition(".")[2]])
 
 
 def shaped(name: str, value: object, shape: tuple[int, ...], meaning: str) -> FloatArray:

@@ -2,6 +2,10 @@
 
 import gc
 import signal
+import sys
+import sysconfig
+import threading
+import warnings
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -13,6 +17,9 @@ import tenscontrol as tc
 from tenscontrol.dynamics import machine_code
 from tests.dynamics.scenes import TOP_FORCE_DENSITY, paper_force_density, rest_lengths
 from tests.oracle import HeldRestLength, RigidBars
+
+# Where no line of a user is: the package, Python's library, and what is not a file.
+_NO_USERS = (str(Path(tc.__file__).parent), sysconfig.get_path("stdlib"), "sys", "<frozen")
 
 # Property tests draw the same few examples on every run, so that a failure can be repeated;
 # many others with ``pytest --hypothesis-profile=thorough``.
@@ -26,12 +33,16 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 
 def pytest_collection_modifyitems(items):
-    """Scenes that try the numerics may have bars that cross; examples and pages may not."""
+    """Scenes that try the numerics may have bars that cross, and strings beside bars or others.
+
+    Examples and pages may not.
+    """
     tests = Path(__file__).parent
     for item in items:
         if tests in item.path.parents and item.path.parent != tests:
-            warning = "ignore::tenscontrol.simulation.BarCrossingWarning"
-            item.add_marker(pytest.mark.filterwarnings(warning))
+            crossing = "ignore::tenscontrol.simulation.BarCrossingWarning"
+            beside = r"ignore:strings\[\d+\] joins nodes:UserWarning"
+            item.add_marker(pytest.mark.filterwarnings(crossing, beside))
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -49,6 +60,22 @@ def compiled_quickly():
         quick = tuple("-O1" if flag == "-O3" else flag for flag in flags)
         patch.setattr(machine_code, "FLAGS", quick)
         yield flags
+
+
+@pytest.fixture(autouse=True, scope="session")
+def warnings_point_to_lines_of_users():
+    """Each warning of any test names a line outside of the package and of Python's library."""
+
+    def checked(message, category, stacklevel):
+        where = sys._getframe(stacklevel).f_code.co_filename
+        is_main = threading.current_thread() is threading.main_thread()
+        if where.startswith(_NO_USERS) and is_main:
+            raise AssertionError(f"the warning {message!r} points to {where}")
+        warnings.warn(message, category, stacklevel=stacklevel + 1)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("tenscontrol.warn.warnings", SimpleNamespace(warn=checked))
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -72,6 +72,7 @@ def values(tmp_path_factory):
         tc.design(prism, bars=steel, strings=steel, min_force_density=10.0, restarts=1),
         tc.sensitivity(moving, ["stiffness"]),
         tc.strength(moving, stout),
+        model.symbolic("rest_length", ["stiffness"]),
         tc.rigidity(plant, 1e7),
         tc.deflections(model, rest, []),
         tc.stiffness_along(model, rest, []),

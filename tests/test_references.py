@@ -9,7 +9,10 @@ from tests.oracle import HeldForceDensity, HeldRestLength, NodeMotion
 from tests.random_scenes import plane_of, random_scene, stiffness_of
 from tests.references import TIMES, error_between, fingerprint, reference
 
-pytestmark = pytest.mark.skipif(c_compiler() is None, reason="there is no C compiler")
+pytestmark = [
+    pytest.mark.skipif(c_compiler() is None, reason="there is no C compiler"),
+    pytest.mark.filterwarnings(r"ignore:strings\[\d+\] joins nodes:UserWarning"),
+]
 
 
 def in_numpy(scene, times):

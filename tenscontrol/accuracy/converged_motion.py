@@ -19,6 +19,7 @@ from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.dynamics.equation import unpack_states
 from tenscontrol.dynamics.evaluator import Evaluator, builds
 from tenscontrol.integrate.dop853 import DOP853
+from tenscontrol.short_repr import short_repr
 from tenscontrol.simulation.scene import Scene
 
 _TOLERANCE = 1e-13
@@ -65,6 +66,8 @@ class ConvergedMotion:
     states: FloatArray
     error: float
     switches: FloatArray
+
+    __repr__ = short_repr
 
     def summary(self) -> str:
         """Return what the reference is and how good, as text."""

@@ -149,7 +149,10 @@ def convergence_order(
     count = validation.whole_number("outputs", outputs, 1, validation.MOST_RUNS)
     if reference is not None:
         validation.instance(
-            "reference", reference, ConvergedMotion, "make one by converged_motion(case)"
+            "reference",
+            reference,
+            ConvergedMotion,
+            "make one by tenscontrol.accuracy.converged_motion(scene)",
         )
         count = len(reference.time)
     unit = "s" if chosen.setting == "step" else "1"

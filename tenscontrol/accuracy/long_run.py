@@ -19,6 +19,7 @@ from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.integrate.integrator import IntegrationError, IntegrationInterrupt, Work
 from tenscontrol.interrupt import keeping
 from tenscontrol.progress import progress_bar
+from tenscontrol.short_repr import short_repr
 from tenscontrol.simulation.scene import Scene
 from tenscontrol.tables import aligned, shown
 
@@ -53,6 +54,8 @@ class Drift:
     error: FloatArray
     slope: float
     half_width: float
+
+    __repr__ = short_repr
 
     @property
     def is_zero(self) -> bool:

@@ -21,6 +21,7 @@ from tenscontrol.dynamics.equation import pack_state, unpack_states
 from tenscontrol.dynamics.evaluator import Function, builds, evaluate_columns
 from tenscontrol.integrate.integrator import Work
 from tenscontrol.integrate.methods import METHODS, Method
+from tenscontrol.short_repr import short_repr
 from tenscontrol.simulation.health import AccuracyWarning, HealthLimits
 from tenscontrol.simulation.health_check import SimulationError
 from tenscontrol.simulation.scene import Scene
@@ -228,6 +229,8 @@ class Measurement:
     bar_length_drift: float = NOT_KNOWN
     back_end: str = ""
     failure: str = ""
+
+    __repr__ = short_repr
 
 
 class TimedRun:

@@ -12,6 +12,7 @@ from tenscontrol.accuracy.open_loop import only_free, open_loop_of, state_change
 from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.integrate.dop853 import DOP853
 from tenscontrol.interrupt import keeping
+from tenscontrol.short_repr import short_repr
 from tenscontrol.simulation.scene import Scene
 from tenscontrol.structure.structure import Structure
 
@@ -60,6 +61,8 @@ class Predictability:
     horizon: float
     error: float
     duration: float
+
+    __repr__ = short_repr
 
     @property
     def factor(self) -> float:

@@ -455,7 +455,10 @@ def _checked_settings(
 
 def _refuse_other_times(reference: ConvergedMotion, case: Scene) -> None:
     validation.instance(
-        "reference", reference, ConvergedMotion, "make one by converged_motion(case)"
+        "reference",
+        reference,
+        ConvergedMotion,
+        "make one by tenscontrol.accuracy.converged_motion(scene)",
     )
     end = float(reference.time[-1])
     if abs(end / case.duration - 1) > 1e-12:

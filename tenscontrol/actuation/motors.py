@@ -13,6 +13,7 @@ from tenscontrol.arrays import FloatArray, IntArray, freeze_arrays, frozen
 from tenscontrol.dynamics.evaluator import evaluate_columns
 from tenscontrol.dynamics.model import Model
 from tenscontrol.fields import Array, OptionalArray, check_fields, checked, converted
+from tenscontrol.short_repr import short_repr
 
 # Parts of an interval in which a string goes slack or taut.
 _PARTS = 32
@@ -119,6 +120,8 @@ class Motor:
     lag: Array = converted(0.0, checked(_size_or_zero, "time in s"))
     backlash: Array = converted(0.0, checked(_size_or_zero, "angle in rad"))
     zero: OptionalArray = converted(None, checked(_size_or_none, "rest length in m"))
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -266,6 +269,8 @@ class MotorRecord:
     zero: FloatArray
     at_end: FloatArray
     rest_length_error: float
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         freeze_arrays(self)

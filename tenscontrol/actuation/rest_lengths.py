@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 
 from tenscontrol import validation
-from tenscontrol.arrays import FloatArray, IntArray, frozen
+from tenscontrol.arrays import ArrayRecord, FloatArray, IntArray, frozen
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.string_laws import StringLaw
+from tenscontrol.statics.prestress import Prestress
 from tenscontrol.structure.bar_geometry import refuse_strings_without_length
 
 
 @dataclass(frozen=True, eq=False)
-class RestLengths:
+class RestLengths(ArrayRecord):
     """Rest lengths that give wanted force densities. Made by :func:`to_rest_length`.
+
+    They can be given wherever their array can: to :func:`simulate`, :func:`linearize`, and so on.
 
     Attributes
     ----------
@@ -28,8 +32,17 @@ class RestLengths:
     rest_length: FloatArray
     slack: IntArray
 
+    stands_for = MappingProxyType({"rest_length": "rest_length"})
 
-def to_rest_length(model: Model, nodes: object, force_density: object) -> RestLengths:
+    def __repr__(self) -> str:
+        some = (
+            f"{self.rest_length.min(initial=np.inf):.4g} to {self.rest_length.max(initial=0):.4g} m"
+        )
+        slack = f", {len(self.slack)} slack" if len(self.slack) else ""
+        return f"RestLengths({len(self.rest_length)} strings, {some}{slack})"
+
+
+def to_rest_length(model: Model, nodes: object, force_density: object = None) -> RestLengths:
     """Return the rest lengths that give the strings these force densities in a given shape.
 
     Parameters
@@ -37,7 +50,8 @@ def to_rest_length(model: Model, nodes: object, force_density: object) -> RestLe
     model : Model
         With a string law.
     nodes : array_like, shape (d, n)
-        Current node positions, m.
+        Current node positions, m; or a :class:`Prestress`, for its nodes and, if no other are
+        given, its force densities.
     force_density : float or array_like, shape (α,)
         Wanted γ, N/m, at least 0.
 
@@ -56,12 +70,15 @@ def to_rest_length(model: Model, nodes: object, force_density: object) -> RestLe
     >>> prism = tc.prism()
     >>> model = tc.Model(prism, strings=tc.LinearStrings(stiffness=100.0))
     >>> rest = tc.prestress(prism, force_density=17.3205)
-    >>> found = tc.to_rest_length(model, prism.nodes, rest.force_density)
+    >>> found = tc.to_rest_length(model, rest)
     >>> found.rest_length[[0, 6]].round(4), found.slack
     (array([0.716 , 0.7231]), array([], dtype=int64))
-    >>> tc.to_force_density(model, prism.nodes, found.rest_length)[[0, 6]].round(4)
+    >>> tc.to_force_density(model, prism.nodes, found)[[0, 6]].round(4)
     array([17.3205, 30.    ])
     """
+    if force_density is None and isinstance(nodes, Prestress):
+        force_density = nodes.force_density
+    force_density = validation.array_of("force_density", force_density)
     law, length = _law_and_length(model, nodes)
     rest_length = law.rest_length(length, force_density)
     wanted = np.broadcast_to(np.asarray(force_density, dtype=float), length.shape)

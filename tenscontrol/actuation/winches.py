@@ -12,6 +12,7 @@ from tenscontrol.actuation.motors import Motor, Turning, each_motor
 from tenscontrol.arrays import FloatArray, IntArray, freeze_arrays, frozen
 from tenscontrol.dynamics.profile import polynomial_at
 from tenscontrol.fields import Field, OptionalArray, check_fields, checked, converted
+from tenscontrol.short_repr import short_repr
 
 _SUBSTEPS = 10
 
@@ -50,6 +51,8 @@ class WinchMove:
     rate_limited: IntArray
     range_limited: IntArray
     torque_limited: IntArray = field(default_factory=lambda: frozen(np.zeros(0, dtype=np.int64)))
+
+    __repr__ = short_repr
 
 
 _LIMITS = "rate", "shortest", "longest"
@@ -128,6 +131,8 @@ class Winches:
     )
     substeps: Field[int | None, int] = converted(None, checked(_substeps))
     motor: Motor | None = field(default=None, metadata=checked(_motor))
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_fields(self)

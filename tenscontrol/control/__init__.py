@@ -8,6 +8,7 @@ from tenscontrol.control.feedback_linearization import (
 )
 from tenscontrol.control.function_controller import FunctionController
 from tenscontrol.control.held_loop import HeldLoop, held_loop
+from tenscontrol.control.linear_controller import LinearController
 from tenscontrol.control.lqr import LQR
 from tenscontrol.control.mpc import (
     MPC,
@@ -37,6 +38,7 @@ __all__ = [
     "FeedbackLinearizationStatistics",
     "FunctionController",
     "HeldLoop",
+    "LinearController",
     "MPCSettings",
     "MPCStatistics",
     "NMPCStatistics",

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from tenscontrol.arrays import FloatArray
+from tenscontrol.short_repr import short_repr
 from tenscontrol.status import Status
 
 
@@ -43,6 +44,8 @@ class Command:
     status: Status = Status.OK
     fallback: Fallback | None = None
     detail: str = ""
+
+    __repr__ = short_repr
 
     def __str__(self) -> str:
         """Return status, fallback and detail in one line."""

@@ -106,6 +106,10 @@ class BaseController(ABC):
         self._status_count: Counter[Status] = Counter()
         self._fallback_count: Counter[Fallback] = Counter()
 
+    def __repr__(self) -> str:
+        when = "" if self.sample_time is None else f", every {self.sample_time:g} s"
+        return f"{type(self).__name__}(input {self.input}{when})"
+
     @property
     def label(self) -> str:
         """What it is called in messages."""
@@ -494,7 +498,7 @@ class Controller(BaseController):
         return state, None
 
 
-def warn_of_unreached(controller: Controller, stacklevel: int) -> None:
+def warn_of_unreached(controller: Controller) -> None:
     """Warn of modes that a controller leaves alone and that do not decay."""
     if not len(reached_states(controller.plant).unreached_pole):
         return
@@ -502,5 +506,4 @@ def warn_of_unreached(controller: Controller, stacklevel: int) -> None:
         controller.left_alone,
         "no string reaches",
         "No command changes a vibration in these modes; the other modes are controlled.",
-        stacklevel + 1,
     )

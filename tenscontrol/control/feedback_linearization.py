@@ -20,6 +20,7 @@ from tenscontrol.plant.input_bounds import input_bounds, largest_change
 from tenscontrol.plant.linear_plant import LinearPlant
 from tenscontrol.plant.reduced_dynamics import checked_tracked, tracked_motion
 from tenscontrol.plant.reference import SmoothReference, checked_reference
+from tenscontrol.short_repr import short_repr
 from tenscontrol.status import Status
 
 # An acceleration off by δ leaves an error of δ/b. The law counts as reached where that is below
@@ -61,6 +62,8 @@ class FeedbackLinearizationStatistics:
     unbounded_residual: FloatArray
     at_bound: np.ndarray
     iterations: np.ndarray
+
+    __repr__ = short_repr
 
     @property
     def largest_residual(self) -> float:

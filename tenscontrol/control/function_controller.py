@@ -18,6 +18,7 @@ from tenscontrol.actuation.driven_strings import (
 from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.control.command import Command
 from tenscontrol.control.controller import BaseController
+from tenscontrol.control.linear_controller import is_state_space
 from tenscontrol.plant.input_bounds import largest_change, rest_length_bounds
 from tenscontrol.plant.linear_plant import INPUTS
 from tenscontrol.status import Status
@@ -226,6 +227,12 @@ def as_controller(
     """
     if isinstance(controller, BaseController):
         return controller
+    if is_state_space(controller):
+        raise TypeError(
+            f"controller is a {type(controller).__name__}, which does not say about which shape "
+            "and input it acts: give control.LinearController(plant, system, "
+            "sees=...)"
+        )
     _called("controller", controller)
     own = {
         "input": _own("input", controller) or held,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +17,7 @@ from tenscontrol.plant.string_outputs import (
     to_commanded_strings,
     to_model_strings,
 )
+from tenscontrol.warn import warn
 
 # A loop that settles slower than this fraction of its design no longer follows: see
 # tests/control/test_held_loop.py, with nonlinear runs on both sides of the limit.
@@ -202,9 +202,8 @@ def warn_of_slow_errors(
 
 
 def _warn(sample_time: float, effect: str) -> None:
-    warnings.warn(
+    warn(
         f"where winches hold rest lengths between samples of {sample_time:g} s, strings this "
         f"stiff {effect}; if the actuators hold forces, build the model without a string law",
         RuntimeWarning,
-        stacklevel=4,
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from tenscontrol.control.controller import (
 )
 from tenscontrol.plant.controllability import refuse_empty, refuse_unreachable
 from tenscontrol.plant.input_bounds import input_bounds, largest_change
-from tenscontrol.plant.linear_plant import LinearPlant, sampled
+from tenscontrol.plant.linear_plant import LinearPlant, named_system, sampled
 from tenscontrol.plant.riccati import natural_weights, regulator
 from tenscontrol.status import Status
 
@@ -141,7 +141,7 @@ class LQR(Controller):
             plant, A, B, state_weight, input_weight, sample_time is not None
         )
         super().__init__(plant, sample_time, *bounds, change)
-        warn_of_unreached(self, stacklevel=3)
+        warn_of_unreached(self)
         ramp = gain.shape[1] > states
         self.gain = frozen(gain[:, :states])
         self._settings = {"gain": self.gain}
@@ -149,6 +149,41 @@ class LQR(Controller):
         self.poles = frozen(poles)
         self.cost = frozen(cost)
         self.riccati_residual = residual
+
+    def to_statespace(self) -> Any:
+        """Return the law as a ``control.StateSpace`` from z to v, in a loop with the sign of +.
+
+        It is a gain or, for a ramp input, has the previous input as its state. Close the loop by
+        ``control.feedback(plant.to_statespace(dt, outputs="state"), law, sign=1)``.
+
+        Returns
+        -------
+        control.StateSpace
+            Continuous, or with the sample time as its ``dt``, s. Bounds are left out.
+
+        Examples
+        --------
+        >>> import control, numpy as np, tenscontrol as tc
+        >>> prism = tc.prism()
+        >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=10.0))
+        >>> regulator = tc.LQR(plant, sample_time=0.01)
+        >>> system = plant.to_statespace(0.01, outputs="state")
+        >>> loop = control.feedback(system, regulator.to_statespace(), sign=1)
+        >>> poles = (np.sort(abs(each)) for each in (loop.poles(), regulator.poles))
+        >>> bool(np.allclose(*poles))
+        True
+        """
+        plant, K, H = self.plant, self.gain, self.previous_input_gain
+        if H is None:
+            nothing = np.zeros((0, 0)), np.zeros((0, K.shape[1])), np.zeros((len(K), 0))
+            return named_system(
+                (*nothing, -K), self.sample_time, "LQR",
+                inputs=plant.state_names, outputs=plant.input_names,
+            )  # fmt: skip
+        return named_system(
+            (-H, -K, -H, -K), self.sample_time, "LQR", inputs=plant.state_names,
+            outputs=plant.input_names, states=[f"previous_{name}" for name in plant.input_names],
+        )  # fmt: skip
 
     def reference_nodes(self, times: FloatArray) -> FloatArray:
         """See :meth:`Controller.reference_nodes`: the operating point."""

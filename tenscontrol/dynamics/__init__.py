@@ -14,6 +14,7 @@ from tenscontrol.dynamics.machine_code import compiled
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.profile import Profile
 from tenscontrol.dynamics.string_laws import ElasticStrings, LinearStrings, StringLaw
+from tenscontrol.dynamics.symbolic_model import SymbolicModel
 
 __all__ = [
     "BUILDING",
@@ -29,6 +30,7 @@ __all__ = [
     "Profile",
     "SmoothGround",
     "StringLaw",
+    "SymbolicModel",
     "compiled",
     "coordinates",
 ]

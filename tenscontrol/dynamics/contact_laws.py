@@ -32,6 +32,7 @@ from tenscontrol.fields import (
     converted,
     optional,
 )
+from tenscontrol.short_repr import short_repr
 from tenscontrol.structure.structure import Structure
 
 if TYPE_CHECKING:
@@ -117,6 +118,8 @@ class ContactLaw(ABC):
     nodes: Field[ArrayLike | None, IntArray | None] = converted(None, optional(_touching))
 
     # Expressions in CasADi: the only statement of the law.
+
+    __repr__ = short_repr
 
     @abstractmethod
     def normal_force(self, depth: Any, rate: Any) -> Any:
@@ -325,6 +328,8 @@ class Ground(ContactLaw):
     >>> model = tc.Model(tc.library.six_bar_ball(), gravity=9.81, ground=[ground, wall])
     """
 
+    __repr__ = short_repr
+
     def normal_force(self, depth: Any, rate: Any) -> Any:
         """Return k p (1 + d ṗ), N; see :meth:`ContactLaw.normal_force`."""
         return self.stiffness * depth * _factor(self, rate)
@@ -353,6 +358,8 @@ class HertzGround(ContactLaw):
     >>> ground = tc.dynamics.HertzGround(stiffness=1e6, friction=0.5)
     >>> model = tc.Model(tc.library.six_bar_ball(), gravity=9.81, ground=ground)
     """
+
+    __repr__ = short_repr
 
     def normal_force(self, depth: Any, rate: Any) -> Any:
         """Return k p √p (1 + d ṗ), N, odd in p; see :meth:`ContactLaw.normal_force`."""
@@ -391,6 +398,8 @@ class SmoothGround(ContactLaw):
     """
 
     width: float = 0.01
+
+    __repr__ = short_repr
 
     def normal_force(self, depth: Any, rate: Any) -> Any:
         """Return the force, N; see :meth:`ContactLaw.normal_force`."""
@@ -500,6 +509,8 @@ class Contacts(Force):
     laws: tuple[ContactLaw, ...]
     nodes: tuple[IntArray, ...]
     switch: tuple[slice | None, ...]
+
+    __repr__ = short_repr
 
     @classmethod
     def of_argument(cls, structure: Structure, ground: object) -> Contacts | None:

@@ -24,6 +24,7 @@ from tenscontrol.dynamics.tangent import (
     refuse_large,
 )
 from tenscontrol.properties import cached_property
+from tenscontrol.short_repr import short_repr
 from tenscontrol.structure.bar_geometry import refuse_wrong_bar_lengths
 from tenscontrol.structure.blocks import Block, bar_rows, block_mass
 from tenscontrol.structure.structure import Structure
@@ -75,6 +76,8 @@ class Coordinates:
     _inside: Complement | FloatArray | None = None  # H, (m, r); None for all of y
     # F, G, rows: δN is less by F G δN[rows], what feet move as one body, and on them it is zero.
     _feet: tuple[FloatArray, FloatArray, IntArray] | None = None
+
+    __repr__ = short_repr
 
     @property
     def count(self) -> int:

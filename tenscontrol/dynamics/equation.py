@@ -135,6 +135,9 @@ class Equation:
     input_layout: InputLayout | None = None
     prepared: Prepared = field(default_factory=Prepared, init=False, repr=False)
 
+    def __repr__(self) -> str:
+        return f"Equation({self.states} states, {self.form})"
+
     @property
     def structure(self) -> Structure | None:
         """The structure, or None."""

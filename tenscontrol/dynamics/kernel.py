@@ -157,17 +157,19 @@ def string_lengths(structure: Structure, N: Symbolic) -> Symbolic:
     return string_sums(structure, lengths) if structure.has_clusters else lengths
 
 
-def bar_force_density(structure: Structure, N: Symbolic, Nd: Symbolic, F: Symbolic) -> Symbolic:
+def bar_force_density(
+    structure: Structure, N: Symbolic, Nd: Symbolic, F: Symbolic, masses: Masses | None = None
+) -> Symbolic:
     """Return λ, shape (1, β), N/m, positive in compression.
 
-    A bar with both ends fixed is part of the support; its entry is zero. Of redundant bars, whose
-    forces are not unique, those of least norm.
+    Masses are the structure's if not given. A bar with both ends fixed is part of the support; its
+    entry is zero. Of redundant bars, whose forces are not unique, those of least norm.
     """
     lam = type(N)(1, len(structure.bars))
     if len(structure.free_bars):
-        *_, lam[:, structure.free_bars.tolist()] = _free_bars(structure, N, Nd, F)
+        *_, lam[:, structure.free_bars.tolist()] = _free_bars(structure, N, Nd, F, masses)
     if len(structure.swinging_bars):
-        _, lam[:, structure.swinging_bars.tolist()] = _swinging_bars(structure, N, Nd, F)
+        _, lam[:, structure.swinging_bars.tolist()] = _swinging_bars(structure, N, Nd, F, masses)
     if structure.blocks:
         every = coupled_block(structure)
         _, force_density = block_motion(structure, every, N, Nd, F)
@@ -480,6 +482,27 @@ def mass_product(structure: Structure, V: Symbolic) -> Symbolic:
         points = structure.string_nodes.tolist()
         product[:, points] = scale_columns(V[:, points], _row(structure.string_node_mass))
     return product
+
+
+def mass_matrix(structure: Structure, masses: Masses | None = None) -> Symbolic:
+    """Return M_s, shape (n, n), sparse, in the order of the nodes (eq. 8), point masses added."""
+    if masses is None:
+        return _sparse(node_mass(structure))
+    M = ca.diag(masses.point_mass)
+    if len(structure.bars):
+        C_bar = _gather(structure.bars, structure.nodes.shape[1])
+        mass, C_r = ca.diag(masses.bar_mass), ca.fabs(C_bar) / 2
+        M += ca.mtimes([C_bar.T, mass / 12, C_bar]) + ca.mtimes([C_r.T, mass, C_r])
+    return M
+
+
+def weights(structure: Structure, gravity: FloatArray, masses: Masses) -> Symbolic:
+    """Return the weights on the nodes, N, shape (d, n): half of each bar at either end."""
+    mass = masses.point_mass
+    if len(structure.bars):
+        C_bar = _gather(structure.bars, structure.nodes.shape[1])
+        mass = mass + ca.mtimes(ca.fabs(C_bar).T, masses.bar_mass) / 2
+    return ca.mtimes(ca.DM(gravity), mass.T)
 
 
 def stiffness(structure: Structure, gamma: Symbolic, lam: Symbolic) -> Symbolic:

@@ -9,7 +9,6 @@ import shutil
 import subprocess
 import sys
 import tempfile
-import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import cache
@@ -22,6 +21,7 @@ import casadi as ca
 from tenscontrol import validation
 from tenscontrol.dynamics.evaluator import builds
 from tenscontrol.files import write_file
+from tenscontrol.warn import warn
 
 #: Environment variable that names the compiler, before ``CC``; ``none`` switches compiling off.
 VARIABLE = "TENSCONTROL_COMPILER"
@@ -191,10 +191,9 @@ def if_compiled(make: Callable[[], _Value]) -> _Value | None:
     except PermissionError:
         raise
     except (CompilerError, OSError) as error:
-        warnings.warn(
+        warn(
             f"runs uncompiled, which takes several times as long: {error}",
             CompilerWarning,
-            stacklevel=2,
         )
         return None
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import fields
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
@@ -29,6 +30,7 @@ from tenscontrol.dynamics.forms.mapped import mapped_functions
 from tenscontrol.dynamics.machine_code import compiler, if_compiled
 from tenscontrol.dynamics.string_force import StringForce
 from tenscontrol.dynamics.string_laws import StringLaw
+from tenscontrol.dynamics.symbolic_model import SymbolicModel
 from tenscontrol.structure.blocks import node_mass
 from tenscontrol.structure.structure import Structure
 
@@ -292,6 +294,90 @@ class Model:
         s = self._symbols()
         xdot = self._xdot(s, self._on_nodes(s, "rest_length"))
         return self._function("rest_length_dynamics", s, "x rest_length W", xdot=xdot)
+
+    @property
+    def M_s(self) -> csr_array:  # noqa: N802
+        """The paper's name of :meth:`mass_matrix`: M_s of eq. (8), sparse, shape (n, n), kg."""
+        return self.mass_matrix()
+
+    @property
+    def K_s(self) -> ca.Function:  # noqa: N802
+        """The paper's name of :attr:`stiffness_matrix`: ``(N, Nd, gamma[, W]) -> K_s``, N/m."""
+        return self.stiffness_matrix
+
+    def symbolic(
+        self, input: str = "force_density", parameters: Sequence[str] = ()
+    ) -> SymbolicModel:
+        """Return the equation of motion as symbols and matrices, by the paper's names.
+
+        Parameters
+        ----------
+        input : {"force_density", "rest_length"}
+            What is a symbol of the strings: γ, or rest lengths, of which γ is then an expression.
+        parameters : sequence of str
+            What else is a symbol and not a number: ``"bar_mass"``, ``"point_mass"`` and, with rest
+            lengths as the input, fields of the string law, such as ``"stiffness"`` and
+            ``"damping"``.
+
+        Returns
+        -------
+        SymbolicModel
+
+        Raises
+        ------
+        ValueError
+            If a word is unknown, the model has no string law for rest lengths, or masses are asked
+            for where bars share nodes.
+
+        Examples
+        --------
+        >>> import casadi as ca, tenscontrol as tc
+        >>> model = tc.Model(tc.prism(), strings=tc.LinearStrings(stiffness=100.0))
+        >>> s = model.symbolic("rest_length", parameters=["bar_mass", "stiffness"])
+        >>> s
+        SymbolicModel(6 nodes, d = 3, input rest_length, symbols bar_mass, stiffness)
+        >>> error = s.Ndd @ s.M_s + s.N @ s.K_s - s.W  # the paper's eq. (7)
+        >>> given = [s.x, s.rest_length, *s.parameters.values()]
+        >>> residual = ca.Function("residual", given, [error])
+        >>> x = ca.vertcat(ca.vec(ca.DM(model.structure.nodes)), ca.DM.ones(18))
+        >>> float(ca.norm_inf(ca.vec(residual(x, 0.6, 2.0, 50.0)))) < 1e-12
+        True
+        """
+        validation.choice("input", input, ("force_density", "rest_length"))
+        structure, s = self._structure, self._symbols()
+        law = self._needed_strings() if input == "rest_length" else None
+        own = {name: ca.SX.sym(name, size) for name, size in self._parameter_sizes(parameters, law)}
+        masses = kernel.Masses.of(structure, own)
+        if law is not None:
+            law = law.with_parameters(own)
+        forces = Forces(structure, law, self._terms)
+        nodes, velocities, load = s["nodes"], s["velocities"], s["load"]
+        if masses is not None and self._gravity.any():  # weights are expressions too
+            load += kernel.weights(structure, self._gravity, masses)
+            load -= ca.DM(self._constant_force - self._load)
+        u = s["gamma"] if law is None else s["rest_length"]
+        acting = forces.on_nodes(nodes, velocities, u, load)
+        gamma = u if law is None else StringForce(structure, law).force_density(
+            nodes, velocities, u
+        )  # fmt: skip
+        without_strings = Forces(structure, None, self._terms)
+        S = kernel.differences(nodes, structure.segments)
+        by_segment = kernel.segment_force_density(structure, S, gamma.T).T
+        lam = kernel.bar_force_density(structure, nodes, velocities, acting, masses)
+        return SymbolicModel(
+            x=s["x"],
+            N=nodes,
+            Nd=velocities,
+            Ndd=ca.densify(kernel.accelerations(structure, nodes, velocities, acting, masses)),
+            gamma=gamma,
+            rest_length=None if law is None else u,
+            lam=ca.densify(lam.T),
+            W=ca.densify(without_strings.on_nodes(nodes, velocities, ca.SX(*u.shape), load)),
+            load=s["W"] if self._external_force else None,
+            M_s=ca.SX(kernel.mass_matrix(structure, masses)),
+            K_s=kernel.stiffness(structure, by_segment, lam),
+            parameters=MappingProxyType(own),
+        )
 
     def state_equation(self, input: str) -> ca.Function:
         """Return the state equation with the held input as its input.

@@ -14,6 +14,7 @@ from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, IntArray, frozen
 from tenscontrol.interrupt import check
 from tenscontrol.properties import cached_property
+from tenscontrol.short_repr import short_repr
 
 # How a profile goes from one value to the next.
 _INTERPOLATIONS = ("hold", "linear", "cubic")
@@ -63,6 +64,8 @@ class Profile:
     time: FloatArray
     values: FloatArray
     interpolation: str = "linear"
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         validation.choice("interpolation", self.interpolation, _INTERPOLATIONS)

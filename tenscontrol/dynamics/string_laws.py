@@ -14,6 +14,7 @@ from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.dynamics.evaluator import Function, Prepared, SharedEvaluator
 from tenscontrol.fields import Array, Field, converted
 from tenscontrol.properties import cached_property
+from tenscontrol.short_repr import short_repr
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -38,6 +39,8 @@ class StringLaw(ABC):
     """
 
     # Expressions in CasADi: the only statement of the law.
+
+    __repr__ = short_repr
 
     @abstractmethod
     def tension(self, length: Any, rest_length: Any) -> Any:
@@ -335,6 +338,8 @@ class LinearStrings(StringLaw):
     stiffness: Array = converted()
     damping: Field[ArrayLike | None, FloatArray] = converted(0.0)
 
+    __repr__ = short_repr
+
     def tension(self, length: Any, rest_length: Any) -> Any:
         """Return k (l − l0), N; see :meth:`StringLaw.tension`."""
         return self.stiffness * (length - rest_length)
@@ -383,6 +388,8 @@ class ElasticStrings(StringLaw):
 
     axial_rigidity: Array = converted()
     damping: Field[ArrayLike | None, FloatArray] = converted(0.0)
+
+    __repr__ = short_repr
 
     def tension(self, length: Any, rest_length: Any) -> Any:
         """Return EA (l/l0 − 1), N; see :meth:`StringLaw.tension`."""

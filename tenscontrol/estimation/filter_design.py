@@ -323,7 +323,7 @@ def _start_state(plant: LinearPlant, nodes: object) -> FloatArray:
     if nodes is None:
         return np.zeros(len(plant.A))
     structure = plant.model.structure
-    shape = rigid_shape("start", structure, structure.checked_nodes("start", nodes), stacklevel=4)
+    shape = rigid_shape("start", structure, structure.checked_nodes("start", nodes))
     q = reduced_shape(plant, "start", shape, _START_TOLERANCE)
     return np.concatenate([q, np.zeros_like(q)])
 

@@ -21,6 +21,7 @@ from tenscontrol.estimation.smoother import Pass, SmoothedMotion, smoothed
 from tenscontrol.plant.controllability import warn_of_left_alone
 from tenscontrol.plant.linear_plant import LinearPlant, acceleration_response
 from tenscontrol.plant.modes import Modes
+from tenscontrol.short_repr import short_repr
 from tenscontrol.status import Status
 
 # From one start anew to the next, without a good sample between, the spread grows by this.
@@ -76,6 +77,8 @@ class Estimate:
     length_deviation: FloatArray
     status: Status
 
+    __repr__ = short_repr
+
 
 @dataclass(frozen=True, eq=False)
 class FilterStatistics:
@@ -104,6 +107,8 @@ class FilterStatistics:
     normalized_innovation: FloatArray
     degrees_of_freedom: IntArray
     restarts: int
+
+    __repr__ = short_repr
 
 
 class Tally:
@@ -319,7 +324,6 @@ class KalmanFilter:
                 self.left_alone,
                 "no reading shows and no string reaches",
                 "A vibration in these modes is predicted from the start, with its uncertainty.",
-                stacklevel=2,
             )
 
     def _begin(

@@ -9,6 +9,7 @@ import numpy as np
 from tenscontrol.arrays import FloatArray, freeze_arrays
 from tenscontrol.estimation.filter_design import FilterDesign
 from tenscontrol.plant.linear_plant import LinearPlant, squared_frequencies
+from tenscontrol.short_repr import short_repr
 from tenscontrol.structure.supports import left_by_supports, rigid_motions
 
 # Motions as one body that a filter has to this part, and parts of states that are left alone.
@@ -50,6 +51,8 @@ class Observability:
     left_alone: tuple[str, ...]
     left_out: tuple[str, ...]
     duration: float
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         freeze_arrays(self)

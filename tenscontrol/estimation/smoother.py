@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tenscontrol.arrays import FloatArray
+from tenscontrol.short_repr import short_repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +51,8 @@ class SmoothedMotion:
     filtered_state: FloatArray
     covariance: FloatArray
     filtered_covariance: FloatArray
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from tenscontrol.arrays import FloatArray, freeze_arrays
 from tenscontrol.dynamics.model import Model
+from tenscontrol.short_repr import short_repr
 from tenscontrol.structure.structure import Structure
 
 
@@ -26,6 +27,8 @@ class Imported:
     model: Model
     rest_length: FloatArray | None
     notes: tuple[str, ...] = ()
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         freeze_arrays(self)

@@ -18,6 +18,7 @@ from tenscontrol.dynamics.contact_laws import ContactLaw
 from tenscontrol.dynamics.equation import Equation
 from tenscontrol.dynamics.evaluator import Function, SharedEvaluator
 from tenscontrol.integrate.core_scene import core_scene
+from tenscontrol.short_repr import short_repr
 from tenscontrol.structure.blocks import node_mass
 from tenscontrol.structure.structure import Structure
 from tenscontrol.structure.supports import moving_mass
@@ -125,6 +126,8 @@ class Span:
     work: Work
     whole: FloatArray | None = None
     ends: StepEnds | None = None
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True)
@@ -252,6 +255,9 @@ class Integrator(ABC):
         validation.instance("equation", equation, Equation, "make one by model.equation(input)")
         validation.truth("project", project, "whether to make bar lengths exact after each step")
         self._equation = equation
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self._equation!r})"
 
     @property
     def cost(self) -> float:

@@ -19,6 +19,7 @@ from tenscontrol.integrate.integrator import (
     contact_frequency,
     largest_frequency,
 )
+from tenscontrol.short_repr import short_repr
 
 # The largest step of an explicit method is about this over the largest frequency.
 _STABLE = 3.0
@@ -69,6 +70,8 @@ class Method:
     follows: bool = False
     locates: bool = True
     order: int = 1
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         validation.text("name", self.name, "what the method is called")
@@ -207,6 +210,8 @@ class Choice:
     reason: str
     back_end: str = "virtual machine"
     changes: tuple[MethodChange, ...] = ()
+
+    __repr__ = short_repr
 
     @property
     def methods(self) -> tuple[str, ...]:

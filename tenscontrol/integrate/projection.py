@@ -69,6 +69,9 @@ class Projector:
     def __init__(self, equation: Equation, wanted: bool) -> None:
         self._exact = projection(equation) if wanted else None
 
+    def __repr__(self) -> str:
+        return f"Projector({'exact bar lengths' if self._exact is not None else 'nothing'})"
+
     def __call__(self, states: FloatArray) -> FloatArray:
         """Return states of shape (states, count), up to the first that is too far off."""
         if self._exact is None:

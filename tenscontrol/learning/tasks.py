@@ -11,11 +11,15 @@ import numpy as np
 
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, freeze_arrays
+from tenscontrol.short_repr import short_repr
 from tenscontrol.structure.structure import Structure
 
 
 class Task(ABC):
     """What robots are to do. Nodes and velocities have the shape (count, d, n), m and m/s."""
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}()"
 
     @abstractmethod
     def check(self, structure: Structure) -> None:
@@ -31,9 +35,9 @@ class Task(ABC):
 
         Parameters
         ----------
-        time : ndarray, shape (count,)
+        time : ndarray, shape (count,), s
             Since the beginning of each episode, s.
-        nodes : ndarray, shape (count, d, n)
+        nodes : ndarray, shape (count, d, n), m
         """
         return np.zeros((len(nodes), 0))
 
@@ -43,9 +47,9 @@ class Task(ABC):
 
         Parameters
         ----------
-        time : ndarray, shape (count,)
+        time : ndarray, shape (count,), s
             At its end, s.
-        before, nodes : ndarray, shape (count, d, n)
+        before, nodes : ndarray, shape (count, d, n), m
             At its beginning and at its end.
         """
 
@@ -54,7 +58,7 @@ class Task(ABC):
 
         Parameters
         ----------
-        nodes : ndarray, shape (count, d, n)
+        nodes : ndarray, shape (count, d, n), m
         """
         return np.zeros(len(nodes), dtype=bool)
 
@@ -98,8 +102,8 @@ class Rolling(Task):
 
         Parameters
         ----------
-        time : ndarray, shape (count,)
-        before, nodes : ndarray, shape (count, d, n)
+        time : ndarray, shape (count,), s
+        before, nodes : ndarray, shape (count, d, n), m
         """
         return np.asarray((nodes - before).mean(axis=2) @ self.direction)
 
@@ -148,8 +152,8 @@ class Reach(Task):
 
         Parameters
         ----------
-        time : ndarray, shape (count,)
-        nodes : ndarray, shape (count, d, n)
+        time : ndarray, shape (count,), s
+        nodes : ndarray, shape (count, d, n), m
         """
         return np.asarray(self.place - nodes[:, :, self.node])
 
@@ -158,8 +162,8 @@ class Reach(Task):
 
         Parameters
         ----------
-        time : ndarray, shape (count,)
-        before, nodes : ndarray, shape (count, d, n)
+        time : ndarray, shape (count,), s
+        before, nodes : ndarray, shape (count, d, n), m
         """
         return np.asarray(self._left(before) - self._left(nodes))
 
@@ -168,7 +172,7 @@ class Reach(Task):
 
         Parameters
         ----------
-        nodes : ndarray, shape (count, d, n)
+        nodes : ndarray, shape (count, d, n), m
         """
         return np.asarray(self._left(nodes) <= self.tolerance)
 
@@ -195,6 +199,8 @@ class Track(Task):
     node: int
     path: Callable[[FloatArray], Any]
 
+    __repr__ = short_repr
+
     def __post_init__(self) -> None:
         validation.whole_number("node", self.node, 0)
         validation.function("path", self.path, "it takes times (count,), s, to places (count, d)")
@@ -214,8 +220,8 @@ class Track(Task):
 
         Parameters
         ----------
-        time : ndarray, shape (count,)
-        nodes : ndarray, shape (count, d, n)
+        time : ndarray, shape (count,), s
+        nodes : ndarray, shape (count, d, n), m
         """
         place = validation.shaped(
             "what path returns", self.path(time), nodes.shape[:2], "one place a time"
@@ -227,8 +233,8 @@ class Track(Task):
 
         Parameters
         ----------
-        time : ndarray, shape (count,)
-        before, nodes : ndarray, shape (count, d, n)
+        time : ndarray, shape (count,), s
+        before, nodes : ndarray, shape (count, d, n), m
         """
         return -np.asarray(np.linalg.norm(self.seen(time, nodes), axis=1))
 

@@ -37,7 +37,7 @@ class Log:
     force_density : array_like, shape (α,), or Profile, optional
         γ in place of rest lengths, N/m.
     nodes, velocities : array_like, shape (d, n), optional
-        At time 0, as well as they are known; the reference shape at rest if not given.
+        At time 0, m and m/s, as well as they are known; the reference shape at rest if not given.
     external_force : array_like, shape (d, n), optional
         A load, N, for a model with ``external_force=True``.
 

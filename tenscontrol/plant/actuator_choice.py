@@ -10,6 +10,7 @@ from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, IntArray, freeze_arrays
 from tenscontrol.plant.controllability import normalized_input, reached_states, refuse_empty
 from tenscontrol.plant.linear_plant import LinearPlant, clusters, squared_frequencies
+from tenscontrol.short_repr import short_repr
 
 # Squared reach of a mode below this part of the largest counts as none.
 _NOTHING = 1e-9
@@ -42,6 +43,8 @@ class ActuatorChoice:
     name: tuple[str, ...]
     unreachable: IntArray
     margin: FloatArray
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         freeze_arrays(self)

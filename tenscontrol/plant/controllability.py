@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,6 +22,8 @@ from tenscontrol.plant.linear_plant import (
 from tenscontrol.plant.modes import Modes, modes_of
 from tenscontrol.plant.reduced_dynamics import reduce
 from tenscontrol.plant.string_outputs import to_commanded_strings
+from tenscontrol.short_repr import short_repr
+from tenscontrol.warn import warn
 
 # A direction or margin below this fraction of its surroundings does not exist.
 _TOLERANCE = 1e-9
@@ -72,6 +73,8 @@ class Controllability:
     margin: FloatArray
     unreachable: int
     unreached: Modes
+
+    __repr__ = short_repr
 
     @property
     def is_controllable(self) -> bool:
@@ -474,7 +477,7 @@ def refuse_unreachable(plant: LinearPlant, drifting: bool = True) -> None:
     )
 
 
-def warn_of_left_alone(modes: Modes, effect: str, meaning: str, stacklevel: int) -> None:
+def warn_of_left_alone(modes: Modes, effect: str, meaning: str) -> None:
     """Warn of modes left alone that do not decay: what is so of them, and what that means."""
     swinging = [
         f"{frequency:.4g} Hz ({label})"
@@ -486,9 +489,8 @@ def warn_of_left_alone(modes: Modes, effect: str, meaning: str, stacklevel: int)
     if swinging:
         count = f"{len(swinging)} mode{'s' if len(swinging) > 1 else ''}"
         more = ", …" if len(swinging) > _LISTED else ""
-        warnings.warn(
+        warn(
             f"{effect} {count} of the plant, at {', '.join(swinging[:_LISTED])}{more}: left "
             f"alone. {meaning} The attribute left_alone has the mode shapes, for plot.mode_shapes",
             RuntimeWarning,
-            stacklevel=stacklevel + 1,
         )

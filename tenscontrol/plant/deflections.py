@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -27,6 +26,7 @@ from tenscontrol.structure.supports import (
     rigid_motions,
 )
 from tenscontrol.tables import aligned
+from tenscontrol.warn import warn
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array, csr_array
@@ -470,11 +470,10 @@ def _reaction(state: Prestress) -> FloatArray:
 def _warn_of_snap(is_elastic: np.ndarray) -> None:
     if not is_elastic.all():
         k = int(np.argmin(is_elastic))
-        warnings.warn(
+        warn(
             f"under loads[{k}] the structure goes to another shape, from which it does not come "
             "back when the load is gone",
             UserWarning,
-            stacklevel=3,
         )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -36,6 +35,7 @@ from tenscontrol.structure.supports import (
     refuse_load_without_support,
     refuse_moved_supports,
 )
+from tenscontrol.warn import warn
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array
@@ -224,12 +224,11 @@ def equilibrium(
     crossings = _crossings(structure, start, settled.nodes)
     if crossings:
         i, j = crossings[0].bars
-        warnings.warn(
+        warn(
             f"bars {i} and {j} pass through each other on the way from the shape at the start to "
             "the equilibrium found: a real structure cannot move like this. If this is not meant, "
             "start from nodes on the other side",
             UserWarning,
-            stacklevel=2,
         )
     return replace(rest, crossings=crossings)
 
@@ -259,10 +258,9 @@ def _warn_of_slack(rest: Prestress, live: np.ndarray) -> None:
     moving = live[: len(rest.force_density)]
     if not moving.any() or rest.force_density[moving].any():
         return
-    warnings.warn(
+    warn(
         "in the equilibrium found, all strings are slack; shorter rest lengths would tighten them",
         UserWarning,
-        stacklevel=3,
     )
 
 

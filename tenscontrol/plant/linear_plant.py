@@ -18,6 +18,7 @@ from tenscontrol.dynamics.evaluator import Prepared, on_one_thread
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.tangent import refuse_large
 from tenscontrol.properties import cached_property
+from tenscontrol.short_repr import short_repr
 from tenscontrol.structure.segments import to_segments
 from tenscontrol.structure.structure import Structure
 
@@ -97,6 +98,8 @@ class SparsePlant:
     damping: csr_array
     by_input: csr_array
     drift: FloatArray
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         for matrix in (self.stiffness, self.damping, self.by_input):
@@ -326,10 +329,16 @@ class LinearPlant:
         d, n = self.nodes.shape
         return [f"delta_{axis}[{i}]" for i in range(n) for axis in "xyz"[:d]]
 
-    def to_statespace(self) -> control.StateSpace:
+    def to_statespace(self, dt: float | None = None, outputs: str = "nodes") -> control.StateSpace:
         """Return the plant as a ``control.StateSpace`` with named signals.
 
-        The outputs are the node displacements δN, m, node by node.
+        Parameters
+        ----------
+        dt : float, optional
+            Sample time, s: the plant is discretized exactly, for inputs held between samples. A
+            continuous system if not given.
+        outputs : {"nodes", "state"}
+            The node displacements δN, m, node by node; or z, as :meth:`LQR.to_statespace` sees it.
 
         Returns
         -------
@@ -340,25 +349,22 @@ class LinearPlant:
         ValueError
             If the operating point is not an equilibrium: a state-space system has no drift.
         """
-        import control
-
+        validation.choice("outputs", outputs, ("nodes", "state"))
         if np.abs(self.drift).max(initial=0.0) > 1e-8 * max(1.0, np.abs(self.A).max(initial=0.0)):
             raise ValueError(
                 "the plant has a drift, as it was linearized away from an equilibrium, and a "
                 "StateSpace has none. Use A, B and drift"
             )
-        r = self.degrees_of_freedom
-        C = np.hstack([self.basis, np.zeros((len(self.basis), r))])
-        return control.StateSpace(
-            self.A,
-            self.B,
-            C,
-            np.zeros((len(self.basis), self.B.shape[1])),
-            name=f"{self.coordinates.kind} {self.input}".replace(" ", "_"),
-            states=self.state_names,
+        A, B = (self.A, self.B) if dt is None else self.discretize(dt)[:2]
+        r, by_node = self.degrees_of_freedom, outputs == "nodes"
+        C = np.hstack([self.basis, np.zeros((len(self.basis), r))]) if by_node else np.eye(2 * r)
+        return named_system(
+            (A, B, C, np.zeros((len(C), B.shape[1]))),
+            dt,
+            f"{self.coordinates.kind} {self.input}",
             inputs=self.input_names,
-            outputs=self.output_names,
-            remove_useless_states=False,
+            outputs=self.output_names if by_node else self.state_names,
+            states=self.state_names,
         )
 
     def __repr__(self) -> str:
@@ -366,6 +372,19 @@ class LinearPlant:
             f"LinearPlant({self.degrees_of_freedom} {self.coordinates.kind} coordinates, "
             f"input {self.input}, {len(self.actuation.lead)} inputs)"
         )
+
+
+def named_system(
+    matrices: tuple[FloatArray, FloatArray, FloatArray, FloatArray], dt: float | None, name: str,
+    **signals: list[str],
+) -> control.StateSpace:  # fmt: skip
+    """Return A, B, C, D as a system with named inputs, outputs and states; dt None: continuous."""
+    import control
+
+    return control.StateSpace(
+        *matrices, 0 if dt is None else dt, name=name.replace(" ", "_"),
+        remove_useless_states=False, **signals,
+    )  # fmt: skip
 
 
 def _dense_A(plant: LinearPlant) -> FloatArray:  # noqa: N802

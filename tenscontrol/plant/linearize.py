@@ -18,6 +18,7 @@ from tenscontrol.fields import Array, OptionalArray, converted
 from tenscontrol.plant.linear_plant import INPUTS, LinearPlant, SparsePlant, norm
 from tenscontrol.plant.stance import Stance, standing_model
 from tenscontrol.plant.string_outputs import to_model_strings
+from tenscontrol.short_repr import short_repr
 from tenscontrol.statics.equilibrium_matrix import null_space
 from tenscontrol.statics.prestress import Prestress
 from tenscontrol.structure.bar_geometry import (
@@ -84,6 +85,8 @@ class OperatingPoint:
     nodes: Array = converted()
     force_density: Array = converted()
     external_force: OptionalArray = converted(None)
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         nodes = validation.float_array("nodes", self.nodes)
@@ -481,7 +484,7 @@ def _checked_point(
         )
     N = structure.checked_nodes("at.nodes", nodes)
     refuse_moved_supports("at.nodes", structure, N)
-    N = rigid_shape("at.nodes", structure, N, stacklevel=3)
+    N = rigid_shape("at.nodes", structure, N)
     count = len(structure.strings)
     gamma = validation.shaped("at.force_density", point.force_density, (count,), "one per string")
     validation.non_negative("at.force_density", gamma, "a string can only pull")

@@ -139,7 +139,7 @@ def reduce(plant: LinearPlant, modes: object = 20) -> ReducedPlant:
     if plant.coordinates.kind == "nodes":
         raise ValueError(
             "plant is in 'nodes' coordinates, in which bars change their lengths; expected "
-            "'internal' or 'minimal': in_coordinates(plant, 'internal')"
+            "'internal' or 'minimal': tenscontrol.plant.in_coordinates(plant, 'internal')"
         )
     if plant.sparse is None:
         raise ValueError("plant has other A and B than linearize made, or is reduced already")

@@ -15,6 +15,7 @@ from tenscontrol.dynamics.evaluator import Function, evaluate_columns
 from tenscontrol.fields import Array, OptionalArray, converted
 from tenscontrol.plant.linear_plant import LinearPlant, Sampled, acceleration_response, kept
 from tenscontrol.plant.string_outputs import input_matrix, to_commanded_strings, to_model_strings
+from tenscontrol.short_repr import short_repr
 from tenscontrol.structure.bar_clearance import bar_distances
 from tenscontrol.structure.bar_geometry import refuse_wrong_bar_lengths
 from tenscontrol.structure.supports import refuse_moved_supports
@@ -87,6 +88,8 @@ class Reference:
     time: Array = converted()
     nodes: Array = converted()
     force_density: OptionalArray = converted(None)
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         time = validation.vector("time", self.time)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +14,8 @@ from tenscontrol.plant.linearize import in_coordinates
 from tenscontrol.plant.string_outputs import to_model_strings
 from tenscontrol.structure.blocks import bar_rows
 from tenscontrol.structure.structure import Structure
-from tenscontrol.tables import aligned
+from tenscontrol.tables import aligned, percent
+from tenscontrol.warn import warn
 
 # Changes beyond matter, and so do frequencies above this part of the lowest of the bars.
 _MATTERS, _NEAR = 0.01, 1 / 3
@@ -52,7 +52,7 @@ class Rigidity:
     def table(self) -> str:
         """Return the modes as text, with what elastic bars change of each."""
         rows = [
-            [str(i), f"{frequency:.5g}", f"{100 * change:.3g} %", str(bar)]
+            [str(i), f"{frequency:.5g}", percent(change, 3), str(bar)]
             for i, (frequency, change, bar) in enumerate(
                 zip(self.frequency, self.change, self.bar, strict=True)
             )
@@ -64,9 +64,10 @@ class Rigidity:
     def __repr__(self) -> str:
         if not len(self.change):
             return "Rigidity(no modes)"
-        most, lowest = 100 * self.change.min(), self.axial_frequency.min()
+        most, lowest = float(self.change.min()), self.axial_frequency.min()
         return (
-            f"Rigidity({len(self.change)} modes, {most:.2g} % at most, bars from {lowest:.4g} Hz)"
+            f"Rigidity({len(self.change)} modes, {percent(most)} at most, "
+            f"bars from {lowest:.4g} Hz)"
         )
 
 
@@ -190,10 +191,9 @@ def _warn(result: Rigidity) -> None:
     near = np.flatnonzero((result.change < -_MATTERS) | (result.frequency > _NEAR * lowest))
     if len(near):
         i = int(near[0])
-        warnings.warn(
+        warn(
             f"elastic bars change mode {i}, at {result.frequency[i]:.4g} Hz, by "
-            f"{100 * result.change[i]:.2g} %; bars vibrate along themselves from {lowest:.4g} Hz. "
+            f"{percent(result.change[i])}; bars vibrate along themselves from {lowest:.4g} Hz. "
             "Rigid bars are right below that mode",
             RigidityWarning,
-            stacklevel=3,
         )

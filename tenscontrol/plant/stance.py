@@ -13,6 +13,7 @@ from tenscontrol.dynamics.contact_laws import Contacts
 from tenscontrol.dynamics.evaluator import Function
 from tenscontrol.dynamics.model import Model
 from tenscontrol.properties import cached_property
+from tenscontrol.short_repr import short_repr
 from tenscontrol.statics.equilibrium_matrix import equilibrium_matrix
 from tenscontrol.statics.prestress import Prestress
 from tenscontrol.structure.blocks import bar_rows
@@ -58,6 +59,8 @@ class StanceContacts:
     normal_force: FloatArray
     tangential_force: FloatArray
     cone_use: FloatArray
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         freeze_arrays(self)

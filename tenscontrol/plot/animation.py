@@ -7,7 +7,7 @@ import subprocess
 import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from io import BytesIO
 from os import PathLike
 from pathlib import Path
@@ -20,6 +20,7 @@ from PIL import Image
 
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, IntArray
+from tenscontrol.dynamics.contact_laws import ContactLaw
 from tenscontrol.files import write_file
 from tenscontrol.plot.ground_drawing import add_ground, ground_samples, near_ground, touching
 from tenscontrol.plot.structure_drawing import (
@@ -34,7 +35,12 @@ from tenscontrol.plot.structure_drawing import (
     sample,
 )
 from tenscontrol.plot.style import FAINT, NORMAL
+from tenscontrol.shape.shape_path import ShapePath
+from tenscontrol.shape.target import ShapeTarget
+from tenscontrol.simulation.contacts import ContactRecord
 from tenscontrol.simulation.trajectory import Trajectory
+from tenscontrol.statics.prestress import Prestress
+from tenscontrol.structure.structure import Structure
 
 # A GIF counts time in hundredths of a second, up to 65,535, and viewers slow down below two.
 _SLOWEST, _FASTEST = 0.01, 50.0
@@ -125,7 +131,7 @@ def _palette(picture: Image.Image) -> Image.Image:
 
 
 def animate(
-    run: Trajectory,
+    run: Trajectory | ShapePath,
     path: str | PathLike[str],
     *,
     fps: float = 20.0,
@@ -142,7 +148,7 @@ def animate(
 
     Parameters
     ----------
-    run : Trajectory
+    run : Trajectory or ShapePath
     path : str or path
         Where to write; ends in ``.gif``, or in ``.mp4``, which needs the program ffmpeg. A file
         that is there is replaced.
@@ -151,7 +157,7 @@ def animate(
     duration : float, optional
         Time that the animation takes, s; as long as the motion if not given,
         so that it plays in real time.
-    target : array_like, shape (d, n), optional
+    target : array_like, shape (d, n), or Structure, Prestress or ShapeTarget, optional
         Node positions of a shape to draw faintly, m: where the motion should go. It is drawn where
         it is given; a free structure may reach the shape at another place.
     view : tuple of two floats
@@ -185,22 +191,30 @@ def animate(
     ...     path.name, path.stat().st_size > 0
     ('prism.gif', True)
     """
-    validation.instance("run", run, Trajectory, "make one by simulate(model, ...)")
+    if isinstance(run, ShapePath):
+        moved = _Motion(run.model.structure, run.time, run.nodes, run.force_density)
+    else:
+        validation.instance("run", run, Trajectory, "make one by simulate(model, ...)")
+        moved = _Motion(
+            run.structure, run.time, run.nodes, run.force_density, run.ground, run.contacts
+        )
+    if isinstance(target, Structure | Prestress | ShapeTarget):
+        target = target.nodes
     file = validation.file_path("path", path, [".gif", ".mp4"])
     if not file.parent.is_dir():
         raise FileNotFoundError(f"path is {str(file)!r}, but its folder is not there; make it")
     is_film = file.suffix.lower() == ".mp4"
     if is_film:
         _ffmpeg(file)
-    rate, count, dots = _frames(run, fps, duration, dpi)
+    rate, count, dots = _frames(moved, fps, duration, dpi)
     eye = validation.float_array("view", view)
     if eye.shape != (2,):
         raise ValueError(f"view has shape {eye.shape}, expected (2,): elevation and azimuth")
-    motion = validation.float_array("run.nodes", run.nodes)
-    validation.float_array("run.force_density", run.force_density)
-    goal = None if target is None else run.structure.checked_nodes("target", target)
-    times = np.linspace(run.time[0], run.time[-1], count)
-    scene = _Scene(run, _sampled(run, motion, times), goal, eye, dots)
+    motion = validation.float_array("run.nodes", moved.nodes)
+    validation.float_array("run.force_density", moved.force_density)
+    goal = None if target is None else moved.structure.checked_nodes("target", target)
+    times = np.linspace(moved.time[0], moved.time[-1], count)
+    scene = _Scene(moved, _sampled(moved, motion, times), goal, eye, dots)
     if is_film:
         write_mp4(file, scene.canvas, scene.pictures(times), rate)
     else:
@@ -208,9 +222,19 @@ def animate(
     return file
 
 
-def _frames(
-    run: Trajectory, fps: float, duration: float | None, dpi: int
-) -> tuple[float, int, int]:
+@dataclass(frozen=True, eq=False)
+class _Motion:
+    """What is shown of a run or path."""
+
+    structure: Structure
+    time: FloatArray
+    nodes: FloatArray
+    force_density: FloatArray
+    ground: tuple[ContactLaw, ...] = ()
+    contacts: ContactRecord | None = None
+
+
+def _frames(run: _Motion, fps: float, duration: float | None, dpi: int) -> tuple[float, int, int]:
     """Return frames a second, their number, and pixels an inch, after checking them."""
     rate = validation.positive_number("fps", fps, "1/s")
     if not _SLOWEST <= rate <= _FASTEST:
@@ -236,7 +260,7 @@ class _Scene:
 
     def __init__(
         self,
-        run: Trajectory,
+        run: _Motion,
         sampled: tuple[FloatArray, FloatArray, IntArray],
         goal: FloatArray | None,
         eye: FloatArray,
@@ -296,7 +320,7 @@ class _Scene:
 
 
 def _sampled(
-    run: Trajectory, motion: FloatArray, times: FloatArray
+    run: _Motion, motion: FloatArray, times: FloatArray
 ) -> tuple[FloatArray, FloatArray, IntArray]:
     """Return nodes between the states, (d, n, frames), γ there, (α, frames), and the states."""
     after = np.clip(np.searchsorted(run.time, times), 0, len(run.time) - 1)

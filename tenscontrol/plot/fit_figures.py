@@ -11,6 +11,7 @@ from matplotlib.lines import Line2D
 from tenscontrol import validation
 from tenscontrol.optimize.fit import Fit, Validation
 from tenscontrol.plot.style import PALETTE, closes_on_error, dress, flat_axes, legend_above
+from tenscontrol.short_repr import short_repr
 
 # Unknowns beyond are not told apart in a figure.
 _MOST_UNKNOWNS = 80
@@ -32,6 +33,8 @@ class FitDrawing:
 
     ax: Axes
     lines: dict[str, Line2D]
+
+    __repr__ = short_repr
 
 
 @closes_on_error

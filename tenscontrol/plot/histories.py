@@ -21,6 +21,7 @@ from tenscontrol.plot.style import (
     marker_style,
     reference_style,
 )
+from tenscontrol.short_repr import short_repr
 
 # Up to so many curves of one name have full width; many more at least this share of it.
 _FEW, _THINNEST = 4, 0.35
@@ -46,6 +47,8 @@ class Curves:
     lines: dict[str, tuple[Line2D, ...]]
     references: dict[str, Line2D]
     marks: dict[str, Line2D]
+
+    __repr__ = short_repr
 
 
 @closes_on_error

@@ -13,13 +13,17 @@ from tenscontrol.plot.ground_drawing import ground_surface
 from tenscontrol.plot.structure_drawing import checked_force_density
 from tenscontrol.plot.web_page import View
 from tenscontrol.shape.shape_path import ShapePath
+from tenscontrol.shape.target import ShapeTarget
 from tenscontrol.simulation.strength import Strength
 from tenscontrol.simulation.trajectory import Trajectory
+from tenscontrol.statics.prestress import Prestress
 from tenscontrol.structure.structure import Structure
 
 
 def view(
-    shown: Structure | Trajectory | Strength | Modes | ShapePath, *, force_density: object = None
+    shown: Structure | Prestress | ShapeTarget | Trajectory | Strength | Modes | ShapePath,
+    *,
+    force_density: object = None,
 ) -> View:
     """Return a view of a structure, a run, modes or a path, to be turned in a browser.
 
@@ -30,9 +34,10 @@ def view(
 
     Parameters
     ----------
-    shown : Structure, Trajectory, Strength, Modes or ShapePath
+    shown : Structure, Prestress, ShapeTarget, Trajectory, Strength, Modes or ShapePath
         A run or path is played and scrubbed; of its strength, with strings and bars coloured by
-        force over strength. Of modes, one is chosen, with an amplitude.
+        force over strength. Of modes, one is chosen, with an amplitude. A prestress and a target
+        have the colours of their force densities.
     force_density : float or array_like, shape (α,), optional
         γ, N/m, by which the strings of a structure are coloured; a run and a path have their own.
 
@@ -54,8 +59,10 @@ def view(
     --------
     >>> import tenscontrol as tc
     >>> ball = tc.library.six_bar_ball()
-    >>> tc.plot.view(ball, force_density=tc.prestress(ball, 20.0).force_density)
+    >>> tc.plot.view(ball)
     View('structure: 12 nodes, 6 bars, 24 strings')
+    >>> tc.plot.view(tc.prestress(ball, 20.0))
+    View('prestress: 12 nodes, 6 bars, 24 strings')
     """
     page = _view_of(shown)
     if force_density is None:
@@ -71,13 +78,27 @@ def view(
 @singledispatch
 def _view_of(shown: object) -> View:
     raise validation.wrong_kind(
-        "shown", shown, "a Structure, a Trajectory of simulate, a Strength, Modes or a ShapePath"
+        "shown",
+        shown,
+        "a Structure, a Trajectory of simulate, a Strength, a Prestress, a ShapeTarget, Modes or "
+        "a ShapePath",
     )
 
 
 @_view_of.register
 def _of_structure(shown: Structure) -> View:
     return View("structure", shown, shown.nodes[:, :, None])
+
+
+@_view_of.register
+def _of_prestress(shown: Prestress) -> View:
+    nodes, gamma = shown.nodes[:, :, None], shown.force_density[:, None]
+    return View("prestress", shown.structure, nodes, force_density=gamma)
+
+
+@_view_of.register
+def _of_target(shown: ShapeTarget) -> View:
+    return replace(_of_prestress(shown.prestress), what="target")
 
 
 @_view_of.register

@@ -22,12 +22,14 @@ from tenscontrol.plot.style import (
     closes_on_error,
     given_axes,
 )
+from tenscontrol.short_repr import short_repr
 
 _COLUMNS = 3
 _MOST = 9  # modes shown unless the user says which
 _PANEL = 2.5  # inches, the larger side of a panel
 _NARROWEST = 0.6  # the smaller one, as part of it
-_TITLE = 0.45  # above a panel, inches
+_GAP = 0.12  # between a drawing and its title, inches
+_TITLE = 0.45 + _GAP  # above a panel, inches
 
 # Nodes that move less than this part of the largest displacement have no arrow.
 _STILL = 0.15
@@ -54,6 +56,8 @@ class ModeShape:
     reference: Drawing
     displaced: Drawing
     arrows: Any
+
+    __repr__ = short_repr
 
     @property
     def ax(self) -> Any:
@@ -175,7 +179,7 @@ def _panels(axes: Sequence[Any] | None, count: int, nodes: FloatArray) -> tuple[
         ax.patch.set_visible(False)
         ax.set_position((*corner / (width, height), _PANEL / width, _PANEL / height))
         panels.append(ax)
-    return panels, 0.5 + 0.5 * high / _PANEL
+    return panels, 0.5 + (0.5 * high + _GAP) / _PANEL
 
 
 def _at_largest(shape: np.ndarray) -> FloatArray:

@@ -105,13 +105,14 @@ def trajectory(
 ) -> dict[str, Curves]:
     """Draw the time histories of a motion, one panel for each kind of quantity.
 
-    The panels are ``"coordinates"``; ``"force_density"``, with one style for each string group, if
-    there are strings; and ``"rest_length"`` if rest lengths were held. The first shows how far the
-    nodes that move most are from where they started, with all others in grey, and under a
-    controller with a reference how far the farthest node is from that; the time in which the
-    motion is not to be trusted is shaded. What was held is drawn in steps. Samples at which a
-    controller's status was not ``"ok"`` are marked on the lowest time axis, faults in the
-    panels of force densities and rest lengths; a cut string has no rest length.
+    The panels are ``"coordinates"``; ``"force_density"``, with one style for each string group, or
+    of one group for each of the four strings that change most, if there are strings; and
+    ``"rest_length"`` if rest lengths were held. The first shows how far the nodes that move most
+    are from where they started, with all others in grey, and under a controller with a reference
+    how far the farthest node is from that; the time in which the motion is not to be trusted is
+    shaded. What was held is drawn in steps. Samples at which a controller's status was not ``"ok"``
+    are marked on the lowest time axis, faults in the panels of force densities and rest lengths; a
+    cut string has no rest length.
 
     Parameters
     ----------
@@ -173,10 +174,10 @@ def trajectory(
         "coordinates": (coordinates, of, False)
     }
     if len(run.structure.strings):
-        by_group = _by_group(run.structure, run.force_density)
+        by_group = _by_group(run.structure, run.force_density, run.force_density)
         content["force_density"] = (by_group, "γ, N/m", run.rest_length is None)
     if run.rest_length is not None and len(run.structure.strings):
-        wound = _by_group(run.structure, _rest_lengths(run))
+        wound = _by_group(run.structure, _rest_lengths(run), run.force_density)
         content["rest_length"] = (wound, "rest length, m", True)
     panels = {}
     for ax, name, xlabel in timed_panels(axes, list(content)):
@@ -193,10 +194,12 @@ def trajectory(
         if name == "coordinates":
             panels[name] = _with_distances(panels[name], run, others, tracked)
         else:
-            panels[name] = _with_faults(panels[name], run)
+            panels[name] = _with_faults(_in_grey(panels[name]), run)
         panels[name] = _with_doubt(panels[name], run)
     if run.control is not None:
         panels[name] = _with_statuses(panels[name], run.control)
+    if axes is None:
+        _drop_repeated_legends(panels)
     return panels
 
 
@@ -271,9 +274,46 @@ def _with_distances(panel: Curves, run: Trajectory, others: FloatArray, tracked:
     return replace(panel, lines=lines, references=references)
 
 
-def _by_group(structure: Structure, values: FloatArray) -> dict[str, FloatArray]:
-    groups = dict.fromkeys(structure.string_groups)
-    return {group: values[structure.strings_in(group)] for group in groups}
+def _by_group(
+    structure: Structure, values: FloatArray, first: FloatArray
+) -> dict[str, FloatArray]:  # fmt: skip
+    """Return curves by string group; of one group, of the strings that change most and others.
+
+    Which change most, ``first`` says, the values of the first panel.
+    """
+    groups, count = dict.fromkeys(structure.string_groups), len(values)
+    if len(groups) > 1 or count == 1:
+        return {group: values[structure.strings_in(group)] for group in groups}
+    known = np.where(np.isfinite(first), first, 0.0)
+    change = np.ptp(known, axis=1) / max(float(np.abs(known).max(initial=0.0)), 1e-300)
+    # Strings of a symmetric structure change alike: round-off does not choose between them.
+    chosen = np.sort(np.argsort(-change.round(6), kind="stable")[:_MOVING])
+    others = np.setdiff1d(np.arange(count), chosen)
+    rows = {f"string {i}": values[[i]] for i in chosen.tolist()}
+    if len(others):
+        rows[f"other {len(others)} of {count} strings"] = values[others]
+    return rows
+
+
+def _in_grey(panel: Curves) -> Curves:
+    """Draw curves of other strings in grey, behind those with a name of their own."""
+    for name, lines in panel.lines.items():
+        if name.startswith("other ") and name.endswith(" strings"):
+            for line in lines:
+                line.set(color=_OTHERS, linewidth=0.6, linestyle="solid", zorder=1.6)
+    legend_above(panel.ax)
+    return panel
+
+
+def _drop_repeated_legends(panels: Mapping[str, Curves]) -> None:
+    """Leave one legend of those that say the same, in a figure of panels below each other."""
+    seen: list[list[str]] = []
+    for panel in panels.values():
+        names = panel.ax.get_legend_handles_labels()[1]
+        legend = panel.ax.get_legend()
+        if names in seen and legend is not None:
+            legend.remove()
+        seen.append(names)
 
 
 def _with_statuses(panel: Curves, control: ControlRecord) -> Curves:
@@ -345,12 +385,14 @@ def motors(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, 
         panels[name] = draw_curves(
             ax,
             record.time,
-            total if name == "energy" else _by_group(structure, values),
+            total if name == "energy" else _by_group(structure, values, record.angle),
             f"motor {name}, {units[name]}",
             held=name == "speed",
             xlabel=xlabel,
         )
-        panels[name] = _with_faults(panels[name], run)
+        panels[name] = _with_faults(_in_grey(panels[name]), run)
+    if axes is None:
+        _drop_repeated_legends(panels)
     return panels
 
 

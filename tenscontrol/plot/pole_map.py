@@ -21,6 +21,7 @@ from tenscontrol.plot.style import (
     legend_above,
     marker_style,
 )
+from tenscontrol.short_repr import short_repr
 
 # Poles closer than this fraction of the largest are drawn as one: round-off
 # splits a double pole by less.
@@ -55,6 +56,8 @@ class PoleMap:
     ax: Axes
     markers: dict[str, Line2D]
     multiplicities: dict[str, tuple[Annotation, ...]]
+
+    __repr__ = short_repr
 
 
 @closes_on_error
@@ -167,7 +170,7 @@ def _lay_out(ax: Axes, sets: Mapping[str, np.ndarray], largest: float) -> None:
     size = largest if largest > 0 else 1.0
     limits = []
     for values in (every.real, every.imag):
-        margin = 0.1 * max(float(np.ptp(values)), 0.5 * size)
+        margin = 0.1 * max(float(np.ptp(values)), 0.1 * size)
         limits.append((float(values.min()) - margin, float(values.max()) + margin))
     if ax.has_data():
         before = (ax.get_xlim(), ax.get_ylim())

@@ -36,7 +36,9 @@ from tenscontrol.plot.style import (
     dress,
     marker_style,
 )
+from tenscontrol.shape.shape_path import ShapePath
 from tenscontrol.shape.target import ShapeTarget
+from tenscontrol.short_repr import short_repr
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.statics.prestress import Prestress
 from tenscontrol.structure.structure import Structure
@@ -206,6 +208,8 @@ class Drawing:
     ground: tuple[Any, ...] = ()
     touching: Any = None
     _places: NumberPlaces | None = field(default=None, repr=False)
+
+    __repr__ = short_repr
 
     def update(self, nodes: object, force_density: object = None, touching: object = None) -> None:
         """Move the drawing to other node positions. The limits of the axes stay.
@@ -421,7 +425,7 @@ def sample(label: str, **style: Any) -> Line2D:
 
 @closes_on_error
 def structure(
-    structure: Structure | Prestress | ShapeTarget | Trajectory,
+    structure: Structure | Prestress | ShapeTarget | Trajectory | ShapePath,
     nodes: object = None,
     *,
     time: float | None = None,
@@ -443,14 +447,14 @@ def structure(
 
     Parameters
     ----------
-    structure : Structure, Prestress, ShapeTarget or Trajectory
+    structure : Structure, Prestress, ShapeTarget, Trajectory or ShapePath
         A prestress, an equilibrium or a shape that was found are drawn with the colours of their
         force densities unless they are faint, and so is a run, in its last shape; with its ground,
-        if there is one, and marks of the nodes that press on it.
+        if there is one, and marks of the nodes that press on it. So is a path, in its last shape.
     nodes : array_like, shape (d, n), optional
         Node positions, m; if not given, the reference shape, or that of the result.
     time : float, optional
-        When in a run, s: the state kept nearest to it is drawn.
+        When in a run or path, s: the state kept nearest to it is drawn.
     ax : Axes3D or Axes, optional
         Where to draw, flat for a structure in the plane; a new figure if not given.
     force_density : float or array_like, shape (α,), optional
@@ -553,23 +557,27 @@ def _in_a_shape(
     drawn: object, nodes: object, force_density: object, time: object
 ) -> tuple[Structure, object, object, int]:
     """Return a structure, nodes and force densities, those given or of a result, and its state."""
-    if time is not None:
-        advice = "time goes with a run, which simulate(model, ...) returns"
+    if time is not None and not isinstance(drawn, ShapePath):
+        advice = "time goes with a run, which simulate(model, ...) returns, or a path"
         validation.instance("structure", drawn, Trajectory, advice)
     shape, gamma, k = None, None, -1
     source = drawn.prestress if isinstance(drawn, ShapeTarget) else drawn
     if isinstance(source, Prestress):
         gamma, source = source.force_density, source.structure
-    elif isinstance(source, Trajectory):
+    elif isinstance(source, Trajectory | ShapePath):
         moment = float(source.time[-1]) if time is None else validation.number("time", time, "s")
         if not source.time[0] <= moment <= source.time[-1]:
             raise ValueError(
                 f"time is {moment:g} s, expected {source.time[0]:g} to {source.time[-1]:g} s, "
-                "as the run"
+                f"as the {'run' if isinstance(source, Trajectory) else 'path'}"
             )
         k = int(np.abs(source.time - moment).argmin())
-        shape, gamma, source = source.nodes[:, :, k], source.force_density[:, k], source.structure
-    how = "or a Prestress, a ShapeTarget, a Trajectory; make one by Structure(...) or prism(...)"
+        members = source.model.structure if isinstance(source, ShapePath) else source.structure
+        shape, gamma, source = source.nodes[:, :, k], source.force_density[:, k], members
+    how = (
+        "or a Prestress, a ShapeTarget, a Trajectory, a ShapePath; make one by Structure(...) or "
+        "prism(...)"
+    )
     validation.instance("structure", source, Structure, how)
     assert isinstance(source, Structure)  # just checked
     chosen = shape if nodes is None else nodes, gamma if force_density is None else force_density

@@ -18,11 +18,12 @@ from typing import Any, ParamSpec, TypeVar
 
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib import colormaps
+from matplotlib import colormaps, rc_context
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from tenscontrol import validation
@@ -60,6 +61,13 @@ _FEW, _THINNEST = 30, 0.4
 
 # Inches.
 _WIDTH, _ROW_HEIGHT, _SINGLE_HEIGHT = 6.4, 2.2, 3.2
+
+# Letters of a legend, points, and the least part of their size that letters of narrow figures have.
+_LEGEND_SIZE, _LEAST_SIZE = 8.33, 0.7
+
+# Widths of a figure in print, mm: one column of a journal, and two.
+_WIDTHS = MappingProxyType({"column": 89.0, "page": 183.0})
+_MM = 1 / 25.4  # inches
 
 # Width of a legend entry, points: of its sample with the gaps, and of a letter.
 _SAMPLE_WIDTH, _LETTER_WIDTH = 44.0, 5.0
@@ -223,12 +231,15 @@ def decade_ticks(*axes: Axis) -> None:
         axis.set_minor_locator(LogLocator(subs=(), numticks=10))
 
 
-def legend_above(ax: Axes) -> None:
-    """Put the legend above the axes, where no curve can be, or none if nothing has a name."""
+def legend_above(ax: Axes, size: float = 1.0) -> None:
+    """Put the legend above the axes, where no curve can be, or none if nothing has a name.
+
+    ``size`` is that of its letters, as part of the usual one.
+    """
     handles, names = ax.get_legend_handles_labels()
     if not handles:
         return
-    columns = _legend_columns(names, ax.bbox.width * 72 / ax.figure.dpi)
+    columns = _legend_columns(names, ax.bbox.width * 72 / ax.figure.dpi / size)
     # The legend is filled column by column, but read row by row.
     order = [i for first in range(columns) for i in range(first, len(handles), columns)]
     legend = ax.legend(
@@ -237,7 +248,7 @@ def legend_above(ax: Axes) -> None:
         bbox_to_anchor=(0.0, 1.0),
         ncols=columns,
         frameon=False,
-        fontsize="small",
+        fontsize=size * _LEGEND_SIZE,
         handlelength=2.6,
         columnspacing=1.4,
         borderaxespad=0.2,
@@ -257,14 +268,21 @@ def _legend_columns(names: Sequence[str], room: float) -> int:
     return 1
 
 
-def save_figure(figure: Figure, path: str | PathLike[str]) -> Path:
+def save_figure(
+    figure: Figure, path: str | PathLike[str], *, width: float | str | None = None
+) -> Path:
     """Write a figure to a file, close it, and return where it is.
+
+    Vector files have their fonts in them: as TrueType in ``.pdf``, as outlines in ``.svg``.
 
     Parameters
     ----------
     figure : matplotlib.figure.Figure
     path : str or path
         The ending says the format: ``.png``, ``.pdf``, ``.svg`` or another of matplotlib.
+    width : {"column", "page"} or float, optional
+        Width in print: 89 mm, one column of most journals, 183 mm, two, or a number, mm. Letters
+        have at least 7 of 10 points then. As it is if not given.
 
     Returns
     -------
@@ -273,7 +291,7 @@ def save_figure(figure: Figure, path: str | PathLike[str]) -> Path:
     Raises
     ------
     TypeError, ValueError
-        If ``figure`` is no figure, or ``path`` has no ending of a format.
+        If ``figure`` is no figure, ``path`` has no ending of a format, or ``width`` is no width.
     OSError
         If it cannot be written: a file that was there is as it was, and the figure stays open.
 
@@ -289,7 +307,41 @@ def save_figure(figure: Figure, path: str | PathLike[str]) -> Path:
     validation.instance("figure", figure, Figure, "take ax.figure of what was drawn")
     formats = sorted(f".{name}" for name in figure.canvas.get_supported_filetypes())
     file, buffer = validation.file_path("path", path, formats), BytesIO()
-    figure.savefig(buffer, dpi=_DPI, format=file.suffix[1:].lower())
+    if width is not None:
+        _fit_width(figure, width)
+    with rc_context({"pdf.fonttype": 42, "ps.fonttype": 42}):  # TrueType: journals take no Type 3
+        figure.savefig(buffer, dpi=_DPI, format=file.suffix[1:].lower())
     write_file(file, buffer.getbuffer())
     plt.close(figure)
     return file
+
+
+def _fit_width(figure: Figure, width: object) -> None:
+    """Give a figure a width, mm, with letters and lines that can be read."""
+    if isinstance(width, str):
+        width = _WIDTHS[validation.choice("width", width, _WIDTHS)]
+    inches = _MM * validation.positive_number("width", width, "mm, or 'column' or 'page'", 1000.0)
+    old_width, old_height = figure.get_size_inches()
+    share = inches / old_width
+    size = min(1.0, max(share, _LEAST_SIZE))
+    is_flat = all(ax.name != "3d" for ax in figure.axes)
+    # Flat axes may be lower than wide; drawings keep their form.
+    figure.set_size_inches(inches, old_height * (max(share, size) if is_flat else share))
+    for text in figure.findobj(Text):
+        text.set_fontsize(size * text.get_fontsize())
+    every: list[Any] = list(figure.axes)  # with a third axis or without
+    for ax in every:
+        for axis in (ax.xaxis, ax.yaxis, *([ax.zaxis] if ax.name == "3d" else [])):
+            labels = axis.get_ticklabels()
+            if labels:
+                axis.set_tick_params(labelsize=labels[0].get_fontsize())
+        for line in ax.lines:
+            line.set_linewidth(size * line.get_linewidth())
+        for collection in ax.collections:
+            collection.set_linewidth(size * np.asarray(collection.get_linewidth()))
+    if figure.get_layout_engine() is None or not is_flat:
+        return
+    figure.draw_without_rendering()
+    for ax in figure.axes:
+        if ax.get_legend() is not None:
+            legend_above(ax, size)

@@ -25,6 +25,7 @@ from tenscontrol.plot.style import (
     panel_axes,
 )
 from tenscontrol.robustness.sweep_report import SweepReport
+from tenscontrol.short_repr import short_repr
 
 # Inches; both panels side by side.
 _SIZE = (8.0, 3.4)
@@ -57,6 +58,8 @@ class SweepDrawing:
     markers: dict[str, Line2D]
     curve: Line2D
     limit: Line2D | None
+
+    __repr__ = short_repr
 
 
 @closes_on_error

@@ -29,6 +29,7 @@ from tenscontrol.plant.linear_plant import LinearPlant
 from tenscontrol.plant.reference import checked_reference
 from tenscontrol.robustness.distributions import one_number
 from tenscontrol.robustness.sweep_report import SweepError
+from tenscontrol.short_repr import short_repr
 from tenscontrol.simulation.batch.batch_inputs import refusal
 from tenscontrol.simulation.batch.simulate_many import simulate_many
 from tenscontrol.simulation.health import HealthLimits
@@ -85,6 +86,8 @@ class Outcome:
 
     success: bool
     _figures: tuple[tuple[str, float], ...] = field(repr=False)
+
+    __repr__ = short_repr
 
     def __init__(self, success: bool, figures: Mapping[str, object] | None = None) -> None:
         given = {} if figures is None else figures
@@ -176,6 +179,8 @@ class ClosedLoopCase:
     target: Any = None  # given as anything array-like, held as an array
     # In which the nodes are to be at their place.
     _coordinates: Coordinates = field(init=False, repr=False)
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         validation.instance(

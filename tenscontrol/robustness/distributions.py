@@ -12,6 +12,7 @@ import numpy as np
 from tenscontrol import validation
 from tenscontrol.arrays import frozen
 from tenscontrol.fields import Array, converted
+from tenscontrol.short_repr import short_repr
 
 Drawn = float | list[float]
 
@@ -177,6 +178,8 @@ class OneOf(Distribution):
     """
 
     values: Array = converted()
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         super().__post_init__()

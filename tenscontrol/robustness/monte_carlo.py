@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import pickle
-import warnings
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from typing import Any
@@ -19,6 +18,7 @@ from tenscontrol.robustness.distributions import Distribution
 from tenscontrol.robustness.pool import do_runs, spread, workers
 from tenscontrol.robustness.store import Record
 from tenscontrol.robustness.sweep_report import SweepError, SweepReport, collected
+from tenscontrol.warn import warn
 
 # Runs from which they go together: what is compiled for that takes seconds the first time.
 _WORTHWHILE = 48
@@ -165,10 +165,9 @@ def sweep(
             partial_report = collected(header, records, back_end)
             raise SweepError(str(error), partial_report) from error.__cause__
         except KeyboardInterrupt:
-            warnings.warn(
+            warn(
                 f"the sweep was interrupted with {len(records) - beyond} of {count} runs done",
                 RuntimeWarning,
-                stacklevel=2,
             )
     return collected(header, records, back_end)
 

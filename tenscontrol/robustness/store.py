@@ -9,7 +9,6 @@ from __future__ import annotations
 import errno
 import json
 import os
-import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -23,6 +22,7 @@ from tenscontrol import validation
 from tenscontrol.files import append_file, opened_file, read_file, write_file
 from tenscontrol.parsing import parse_json
 from tenscontrol.robustness.distributions import Distribution, Drawn, draw_run
+from tenscontrol.warn import warn
 
 _MOST_BYTES = 1_000_000_000  # of 3 million runs; each takes about four times its line
 
@@ -99,9 +99,7 @@ def read(
             raise ValueError(f"{file}, line {number} is not a run: {error}") from None
         records[record.run] = record
     if whole < len(content):
-        warnings.warn(
-            f"{file} ends in an incomplete line, which is ignored", RuntimeWarning, stacklevel=3
-        )
+        warn(f"{file} ends in an incomplete line, which is ignored", RuntimeWarning)
     return header, dict(sorted(records.items())), whole
 
 

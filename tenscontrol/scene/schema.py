@@ -18,6 +18,7 @@ from tenscontrol.actuation.motors import Motor
 from tenscontrol.actuation.winches import Winches
 from tenscontrol.control.controller import Controller
 from tenscontrol.control.function_controller import FunctionController
+from tenscontrol.control.linear_controller import LinearController
 from tenscontrol.control.mpc.constraints import OutputLimit
 from tenscontrol.docstrings import documented
 from tenscontrol.dynamics.contact_laws import ContactLaw, Ground, HertzGround, SmoothGround
@@ -172,7 +173,7 @@ CONTROLLERS: Mapping[str, Callable[..., Controller]] = MappingProxyType(
             exported
             for exported in (getattr(control, name) for name in control.__all__)
             if isinstance(exported, type) and issubclass(exported, Controller)
-            if exported is not Controller
+            if exported not in (Controller, LinearController)  # a file holds no matrices
         )
     )
 )

@@ -13,6 +13,7 @@ import numpy as np
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, IntArray, frozen
 from tenscontrol.fields import Array, Field, OptionalArray, converted
+from tenscontrol.short_repr import short_repr
 from tenscontrol.structure.blocks import node_mass
 from tenscontrol.structure.structure import Structure
 from tenscontrol.structure.supports import left_by_supports, rigid_basis, rigid_motions
@@ -45,6 +46,9 @@ class Demand(ABC):
     _dimension: int | None = None  # of the structures that it fits, None for any
     _node_lists: ClassVar[tuple[str, ...]]  # the fields that name nodes
     _numbers: ClassVar[str]  # the field that holds the demanded numbers
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}()"
 
     def __post_init__(self) -> None:
         put = object.__setattr__  # the dataclasses are frozen for everyone else
@@ -145,6 +149,8 @@ class NodesAt(Demand):
     _node_lists = ("nodes",)
     _numbers = "positions"
 
+    __repr__ = short_repr
+
     def _checked(self) -> dict[str, object]:
         positions = validation.float_array("positions", self.positions)
         directions, dimension = _directions(self.directions, positions)
@@ -205,6 +211,8 @@ class PointAt(Demand):
     tolerance: float = 0.0
     _node_lists = ("nodes",)
     _numbers = "position"
+
+    __repr__ = short_repr
 
     def _checked(self) -> dict[str, object]:
         position = validation.float_array("position", self.position)
@@ -271,6 +279,8 @@ class Height(Demand):
     _node_lists = ("top", "bottom")
     _numbers = "height"
 
+    __repr__ = short_repr
+
     def _checked(self) -> dict[str, object]:
         height = validation.number("height", self.height, "m")
         if self.axis is None:
@@ -331,6 +341,8 @@ class Twist(Demand):
     unit = "rad"
     _node_lists = ("top", "bottom")
     _numbers = "angle"
+
+    __repr__ = short_repr
 
     def _checked(self) -> dict[str, object]:
         if len(self.top) != len(self.bottom) or len(self.top) < 2:

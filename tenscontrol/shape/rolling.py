@@ -20,6 +20,7 @@ from tenscontrol.shape.tipping import (
     TippingPlanner,
     across_edge,
 )
+from tenscontrol.short_repr import short_repr
 from tenscontrol.validation import direction as unit_vector
 
 if TYPE_CHECKING:
@@ -65,6 +66,8 @@ class RollingStep:
     feet: IntArray
     edge: IntArray
     landed: IntArray
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -157,6 +160,10 @@ class RollingGait:
         self._touches, self._still = _TOUCHES * size, _STILL * np.sqrt(gravity * size)
         self._patience = _PATIENCE * np.sqrt(size / gravity)
         self.reset()
+
+    def __repr__(self) -> str:
+        way = ", ".join(f"{entry:.3g}" for entry in self._direction)
+        return f"RollingGait({self._structure!r}, along [{way}], every {self.sample_time:g} s)"
 
     def reset(self) -> None:
         """Forget the steps made and start from the standing shape."""

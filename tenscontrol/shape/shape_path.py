@@ -37,6 +37,7 @@ from tenscontrol.structure.supports import (
     rigid_basis,
     rigid_motions,
 )
+from tenscontrol.tables import percent
 from tenscontrol.viewable import Viewable
 
 
@@ -302,7 +303,7 @@ def shape_path(
         raise PathError(
             f"no continuous path of equilibria leads from start to goal: it ends or jumps where "
             "a node is still "
-            f"{off:.3g} m from its goal, {100 * waypoints[-1].place:.3g} % of the way. Add "
+            f"{off:.3g} m from its goal, {percent(waypoints[-1].place, 3)} of the way. Add "
             "intermediate shapes, or widen the bounds of γ",
             last,
         )
@@ -407,7 +408,7 @@ def _least_margin(problem: ShapeProblem, waypoints: list[Waypoint], require_stab
         if require_stable and now <= STIFF * float(rest.force_density.max()):
             raise PathError(
                 f"the path leads through an unstable shape, "
-                f"{100 * point.place:.3g} % of the way to the goal: its stability margin is "
+                f"{percent(point.place, 3)} of the way to the goal: its stability margin is "
                 f"{now:.3g} N/m. Add intermediate shapes, keep strings taut by "
                 "min_force_density, or accept it by require_stable=False",
                 rest,
@@ -425,7 +426,7 @@ def _least_clearance(problem: ShapeProblem, waypoints: list[Waypoint]) -> float:
     if motion.crossings:
         (i, j), share = motion.crossings[0].bars, motion.crossings[0].time
         raise PathError(
-            f"bars {i} and {j} would pass through each other, {100 * share:.3g} % of the way to "
+            f"bars {i} and {j} would pass through each other, {percent(share, 3)} of the way to "
             "the goal. Add intermediate shapes that lead them past each other's ends",
             rest_at(problem, waypoints[max(0, int(np.searchsorted(places, share)) - 1)]),
         )

@@ -11,6 +11,7 @@ from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, IntArray, frozen
 from tenscontrol.fields import Array, Field, converted
 from tenscontrol.shape.demands import MOST_NODES, node_list
+from tenscontrol.short_repr import short_repr
 from tenscontrol.structure.structure import Structure
 
 if TYPE_CHECKING:
@@ -56,6 +57,8 @@ class RotationalSymmetry:
     axis: Array = converted((0.0, 0.0, 1.0))
     centre: Array = converted((0.0, 0.0, 0.0))
     turns: int = 1
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         put = object.__setattr__

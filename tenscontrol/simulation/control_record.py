@@ -10,9 +10,12 @@ import numpy as np
 from tenscontrol.actuation.motors import MotorRecord
 from tenscontrol.arrays import FloatArray
 from tenscontrol.control.command import Fallback
+from tenscontrol.properties import cached_property
 from tenscontrol.simulation.arguments import Arguments
+from tenscontrol.simulation.error_growth import ErrorGrowth, error_growth
 from tenscontrol.simulation.observation import EstimateRecord
 from tenscontrol.status import UNSOLVED, Status
+from tenscontrol.tables import percent
 
 # A run ends away from its reference: by this part of the size, with errors in the last third above
 # this part of those before, if it lasts so many radians of the slowest vibration. Or
@@ -100,10 +103,26 @@ class ControlRecord:
     statistics: object = None
     settings: Arguments = field(default_factory=Arguments)
 
+    def __repr__(self) -> str:
+        counts = ", ".join(f"{count} {status}" for status, count in self.status_count.items())
+        return f"ControlRecord({self.controller}, {len(self.time)} samples: {counts})"
+
     @property
     def unsolved(self) -> float:
         """Fraction of the samples whose program was not solved."""
         return sum(status in UNSOLVED for status in self.status) / len(self.status)
+
+    @cached_property
+    def growth(self) -> ErrorGrowth | None:
+        """When the tracking error begins to grow exponentially, and how fast; None if it does not.
+
+        It is seen after seven windows of three samples or more, long before the end is far off.
+        """
+        error = self.tracking_error
+        if error is None or self.size is None or len(self.time) < 2:
+            return None
+        times = np.append(self.time, 2 * self.time[-1] - self.time[-2])
+        return error_growth(times, error, self.size)
 
     @property
     def problems(self) -> list[str]:
@@ -112,7 +131,8 @@ class ControlRecord:
         The run ends away from the reference: by more than 2 % of the size in its last tenth, with
         errors in the last third of more than 0.9 of the largest of those in the second, after two
         turns of the slowest vibration of the plant. Or by more than a fifth of the size, and 1.2
-        times as far as it began. Programs were not solved: more than one in twenty.
+        times as far as it began. Its error grows from sample to sample: see :attr:`growth`.
+        Programs were not solved: more than one in twenty.
         """
         reasons, error = [], self.tracking_error
         if error is not None and self.size is not None and self.slowest_vibration is not None:
@@ -123,13 +143,18 @@ class ControlRecord:
             stays = long and off[-third:].max() > _FALLING * off[-2 * third :].max()
             if (end > _AWAY and stays) or end > max(_LOST, _WORSE * float(off[0])):
                 reasons.append(
-                    f"it ends up to {end * self.size:.2g} m from its reference, {100 * end:.2g} % "
+                    f"it ends up to {end * self.size:.2g} m from its reference, {percent(end)} "
                     "of the size, and comes no nearer"
                 )
+        if (growth := self.growth) is not None:
+            reasons.append(
+                f"from {growth.begin:.3g} s on its error grows by a factor e in "
+                f"{growth.time_constant:.2g} s: the closed loop is unstable"
+            )
         if self.unsolved > _UNSOLVED_SHARE:
             worst = Counter(status for status in self.status if status in UNSOLVED).most_common(1)
             reasons.append(
-                f"{100 * self.unsolved:.2g} % of the programs were not solved, most of them "
+                f"{percent(self.unsolved)} of the programs were not solved, most of them "
                 f"{worst[0][0]}"
             )
         return reasons
@@ -170,19 +195,19 @@ class ControlRecord:
                 f"samples           {len(self.time)} of {self.sample_time:g} s: {counts}",
             ]
         if self.unsolved:
-            lines.append(f"not solved        {100 * self.unsolved:.2g} % of the samples")
+            lines.append(f"not solved        {percent(self.unsolved)} of the samples")
         if self.tracking_error is not None and self.size is not None:
             end, rms = float(self.tracking_error[-1]), _rms(self.tracking_error)
             lines.append(
                 f"tracking error    {end:.2g} m at the end, {rms:.2g} m rms "
-                f"({100 * end / self.size:.2g} % and {100 * rms / self.size:.2g} % of the size)"
+                f"({percent(end / self.size)} and {percent(rms / self.size)} of the size)"
             )
         if self.prediction_error is not None and np.isfinite(self.prediction_error).any():
             off = self.prediction_error[np.isfinite(self.prediction_error)]
             lines.append(f"prediction error  {_rms(off):.2g} m rms, {off.max():.2g} m at most")
         if self.at_bound is not None:
             share = np.count_nonzero(self.at_bound) / len(self.at_bound)
-            lines.append(f"at a bound        {100 * share:.2g} % of the samples")
+            lines.append(f"at a bound        {percent(share)} of the samples")
         slow, out = (int((counts > 0).sum()) for counts in (self.rate_limited, self.range_limited))
         if slow or out:
             lines.append(f"winches           too slow in {slow} samples, out of range in {out}")
@@ -197,7 +222,7 @@ class ControlRecord:
         )
         lines[-1] += " at most"
         if self.sample_time is not None:
-            lines[-1] += f": {100 * worst / self.sample_time:.2g} % of a sample"
+            lines[-1] += f": {percent(worst / self.sample_time)} of a sample"
         return "\n".join(lines)
 
     @property

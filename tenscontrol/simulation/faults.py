@@ -22,6 +22,9 @@ class Fault(ABC):
     time: float
     until: float | None = None
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}()"
+
     def __post_init__(self) -> None:
         if hasattr(self, "string"):
             object.__setattr__(

@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields
 
 from tenscontrol import validation
 from tenscontrol.integrate.integrator import Work
+from tenscontrol.short_repr import short_repr
 from tenscontrol.sizing.sections import Sections
 from tenscontrol.structure.bar_clearance import BarClearance, BarCrossing
 
@@ -101,6 +102,8 @@ class Health:
     clearance: BarClearance | None = None
     unresolved_intervals: int = 0
 
+    __repr__ = short_repr
+
 
 @dataclass(frozen=True)
 class HealthLimits:
@@ -164,6 +167,8 @@ class HealthLimits:
     crossings: int | None = 0
     sections: Sections | None = None
     margin: float = 1.0
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         validation.choice("action", self.action, ("warn", "raise"))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
-
 from tenscontrol.integrate.methods import Choice
 from tenscontrol.simulation.health import (
     AccuracyWarning,
@@ -13,6 +11,7 @@ from tenscontrol.simulation.health import (
 )
 from tenscontrol.simulation.strength import strength
 from tenscontrol.simulation.trajectory import Trajectory
+from tenscontrol.warn import warn
 
 
 class SimulationError(ArithmeticError):
@@ -29,7 +28,7 @@ class SimulationError(ArithmeticError):
         self.trajectory = trajectory
 
 
-def check_health(run: Trajectory, limits: HealthLimits, stacklevel: int = 3) -> None:
+def check_health(run: Trajectory, limits: HealthLimits) -> None:
     """Warn or raise where the motion passes a limit."""
     health = run.health_of(limits.names)
     passed = limits.passed(health)
@@ -44,7 +43,7 @@ def check_health(run: Trajectory, limits: HealthLimits, stacklevel: int = 3) -> 
         if sentence and limits.action == "raise":
             raise SimulationError(sentence, run)
         if sentence:
-            warnings.warn(sentence, category, stacklevel=stacklevel)
+            warn(sentence, category)
     if not passed:
         return
     text = "; ".join(passed.values())
@@ -55,7 +54,7 @@ def check_health(run: Trajectory, limits: HealthLimits, stacklevel: int = 3) -> 
         text += "; a motion that magnifies errors can only be foretold for a time, see run.error"
     if limits.action == "raise":
         raise SimulationError(text, run)
-    warnings.warn(text, AccuracyWarning, stacklevel=stacklevel)
+    warn(text, AccuracyWarning)
 
 
 def finer(used: Choice) -> str:

@@ -9,6 +9,9 @@ from tenscontrol.fields import check_fields, checked, optional
 from tenscontrol.integrate.methods import METHODS, Method, method_of
 from tenscontrol.simulation.health import HealthLimits
 
+# Where none is given.
+_TOLERANCE = 1e-6
+
 
 @dataclass(frozen=True)
 class Integration:
@@ -20,7 +23,7 @@ class Integration:
         ``"auto"``, one of :data:`METHODS`, or a :class:`Method` of your own; see :func:`simulate`.
     tolerance : float
         Error allowed a step of a method that chooses its own steps, as part of
-        the size of the structure and of its characteristic speed.
+        the size of the structure and of its characteristic speed. It does not go with ``step``.
     step : float, optional
         Step of a method with a fixed step, s.
     output_step : float, optional
@@ -48,7 +51,7 @@ class Integration:
 
     method: str | Method = "auto"
     tolerance: float = field(
-        default=1e-6, metadata=checked(validation.positive_number, "of size and speed")
+        default=_TOLERANCE, metadata=checked(validation.positive_number, "of size and speed")
     )
     step: float | None = field(default=None, metadata=optional(validation.positive_number, "s"))
     output_step: float | None = field(
@@ -70,6 +73,12 @@ class Integration:
 
     def __post_init__(self) -> None:
         check_fields(self)
+        if self.step is not None and self.tolerance != _TOLERANCE:
+            raise ValueError(
+                f"step is {self.step:g} s and tolerance is {self.tolerance:g}, expected one of "
+                "them: steps of a fixed size have no tolerance. Leave step out for a method that "
+                "chooses its own, or tolerance"
+            )
         method = method_of(self.method)
         if method is None:
             return

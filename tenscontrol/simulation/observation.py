@@ -16,6 +16,7 @@ from tenscontrol.dynamics.evaluator import Evaluator
 from tenscontrol.dynamics.model import Model
 from tenscontrol.estimation.kalman_filter import Estimate, FilterStatistics, KalmanFilter
 from tenscontrol.estimation.sensors import Sensors
+from tenscontrol.short_repr import short_repr
 from tenscontrol.status import Status
 from tenscontrol.structure.segments import to_strings
 from tenscontrol.structure.structure import different_members
@@ -63,6 +64,8 @@ class EstimateRecord:
     under_way: FloatArray
     status: tuple[Status, ...]
     statistics: FilterStatistics
+
+    __repr__ = short_repr
 
     @property
     def status_count(self) -> dict[Status, int]:

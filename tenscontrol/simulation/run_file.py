@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import struct
 import zipfile
@@ -11,7 +10,7 @@ from collections.abc import Iterator, Mapping, Set
 from dataclasses import dataclass, fields
 from enum import StrEnum
 from functools import partial
-from io import BufferedReader, StringIO
+from io import BufferedReader
 from math import isfinite, prod
 from pathlib import Path
 from types import NoneType
@@ -24,7 +23,6 @@ from tenscontrol import validation
 from tenscontrol._version import __version__
 from tenscontrol.actuation.motors import Motor, MotorRecord
 from tenscontrol.actuation.winches import Winches
-from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.control.command import Fallback
 from tenscontrol.control.feedback_linearization import FeedbackLinearizationStatistics
 from tenscontrol.control.mpc.constraints import OutputLimit
@@ -545,75 +543,3 @@ def _model(structure: Structure, ground: Any, parts: Any) -> Model | Unsaved:
 
 
 # ---- for other programs ----
-
-
-def _commanding(control: ControlRecord, time: FloatArray) -> IntArray:
-    """Return the sample whose command acted in the step to each time."""
-    slack = 1e-9 * (control.sample_time or 0.0)
-    return np.maximum(np.searchsorted(control.time, time - slack, side="left") - 1, 0)
-
-
-def write_table(run: Any, path: object) -> Path:
-    """Write time, nodes, strings and commands of a run as CSV; see :meth:`Trajectory.to_csv`."""
-    file, (d, n, count) = validation.file_path("path", path), run.nodes.shape
-    head, columns = ["time [s]"], [run.time[None]]
-    head += [f"node {i} {axis} [m]" for i in range(n) for axis in "xyz"[:d]]
-    columns.append(run.nodes.swapaxes(0, 1).reshape(-1, count))
-    strings = [("force density [N/m]", run.force_density), ("tension [N]", run.tension)]
-    if run.rest_length is not None:
-        strings.append(("rest length [m]", run.rest_length))
-    for what, values in strings:
-        head += [f"string {i} {what}" for i in range(len(values))]
-        columns.append(values)
-    if run.control is not None:
-        what = "command [N/m]" if run.rest_length is None else "command [m]"
-        head += [f"winch {i} {what}" for i in range(len(run.control.command))]
-        columns.append(run.control.command[:, _commanding(run.control, run.time)])
-    text = StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(head)
-    writer.writerows(np.vstack(columns).T.tolist())
-    return write_file(file, text.getvalue())
-
-
-def dataset(run: Any) -> Any:
-    """Return a run as an xarray.Dataset; see :meth:`Trajectory.to_xarray`."""
-    try:
-        import xarray
-    except ImportError as error:
-        raise ImportError(
-            "to_xarray needs the package xarray, which is not installed: "
-            "pip install 'tenscontrol[xarray]'"
-        ) from error
-    d = run.structure.dimension
-    turns = ("axis",) if d == 3 else ()
-    angular = run.angular_momentum if turns else run.angular_momentum[0]
-    entries = {
-        "nodes": (("axis", "node", "time"), run.nodes, "m"),
-        "velocities": (("axis", "node", "time"), run.velocities, "m/s"),
-        "force_density": (("string", "time"), run.force_density, "N/m"),
-        "tension": (("string", "time"), run.tension, "N"),
-        "kinetic_energy": (("time",), run.kinetic_energy, "J"),
-        "potential_energy": (("time",), run.potential_energy, "J"),
-        "momentum": (("axis", "time"), run.momentum, "kg m/s"),
-        "angular_momentum": ((*turns, "time"), angular, "kg m2/s"),
-        "bar_length_error": (("bar", "time"), run.bar_length_error, "m"),
-    }
-    if run.rest_length is not None:
-        entries["rest_length"] = ("string", "time"), run.rest_length, "m"
-    coordinates = {
-        "time": ("time", run.time, {"units": "s"}),
-        "axis": list("xyz"[:d]),
-        "string_group": ("string", list(run.structure.string_groups)),
-    }
-    if run.control is not None:
-        unit = "N/m" if run.rest_length is None else "m"
-        entries["command"] = ("winch", "sample"), run.control.command, unit
-        entries["applied"] = ("winch", "sample"), run.control.applied, unit
-        coordinates["sample_time"] = ("sample", run.control.time, {"units": "s"})
-        coordinates["status"] = ("sample", [str(each) for each in run.control.status])
-    about = {"method": run.method, "tenscontrol": __version__}
-    variables = {
-        name: (dims, values, {"units": unit}) for name, (dims, values, unit) in entries.items()
-    }
-    return xarray.Dataset(variables, coordinates, about)

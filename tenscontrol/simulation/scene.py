@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import KW_ONLY, dataclass, field, replace
@@ -47,6 +46,7 @@ from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.statics.prestress import prestress
 from tenscontrol.structure.segments import to_segments
 from tenscontrol.structure.structure import Structure, same_members
+from tenscontrol.warn import warn
 
 # States kept of an adaptive run, unless the user says otherwise, and numbers in them at most.
 _OUTPUTS, _NUMBERS = 1000, 50_000_000
@@ -274,7 +274,8 @@ class Scene:
         for name in (*names, "support_motion"):
             value = getattr(self, name)
             if value is not None and not changes_in_time(value):
-                object.__setattr__(self, name, frozen(np.asarray(value, dtype=float)))
+                array = np.asarray(validation.array_of(name, value), dtype=float)
+                object.__setattr__(self, name, frozen(array))
 
     # ---- what follows from it ----
 
@@ -652,16 +653,15 @@ def run_scene(scene: Scene, progress: bool) -> Trajectory:
             trajectory = _trajectory(scene, run, loop, stopped, report_of_error)
     if stopped is not None or interruption.signal is not None:
         outcome = stopped or "was interrupted at its end, and is complete"
-        warnings.warn(f"the simulation {outcome}", InterruptionWarning, stacklevel=3)
+        warn(f"the simulation {outcome}", InterruptionWarning)
     if stopped is None:
-        check_health(trajectory, how.limits, stacklevel=4)
+        check_health(trajectory, how.limits)
         problems = [] if trajectory.control is None else trajectory.control.problems
         if problems:
-            warnings.warn(
+            warn(
                 f"under {type(scene.controller).__name__} the run did not reach its goal: "
                 f"{'; '.join(problems)}. run.control.summary() says more",
                 ControlWarning,
-                stacklevel=3,
             )
     return trajectory
 

@@ -26,6 +26,7 @@ from tenscontrol.integrate.core_run import settings_of
 from tenscontrol.integrate.core_scene import CoreMotion, core_scene
 from tenscontrol.integrate.integrator import IntegrationError
 from tenscontrol.integrate.methods import METHODS
+from tenscontrol.short_repr import short_repr
 from tenscontrol.simulation.integration import Integration
 from tenscontrol.simulation.scene import Scene
 
@@ -56,6 +57,8 @@ class StepperState:
     states: FloatArray
     held: FloatArray
     lost: np.ndarray
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         freeze_arrays(self)

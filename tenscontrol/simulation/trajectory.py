@@ -31,18 +31,18 @@ from tenscontrol.simulation.motion_functions import (
 from tenscontrol.simulation.run_file import (
     EVALUATED,
     OF_BARS,
-    dataset,
     model_parts,
     read_run,
     write_run,
-    write_table,
 )
+from tenscontrol.simulation.run_table import data_frame, write_table
 from tenscontrol.structure.bar_clearance import BarClearance, BarCrossing, BarMotion
 from tenscontrol.structure.structure import Structure
 from tenscontrol.structure.supports import moving_mass
 from tenscontrol.viewable import Viewable
 
 if TYPE_CHECKING:
+    from pandas import DataFrame
     from xarray import Dataset
 
 
@@ -228,6 +228,15 @@ class Trajectory(Viewable):
         return read_only(
             evaluate_columns(function, motion, velocities, self.force_density, *more)[0]
         )
+
+    @cached_property
+    def bar_force(self) -> FloatArray:
+        """Force along each bar, N, shape (β, T), positive in compression: λ times the length.
+
+        Raises as :attr:`bar_force_density` does.
+        """
+        length = self.structure.bar_length[:, None]  # not the drifted one: bars are rigid
+        return read_only(self.bar_force_density * length)
 
     @cached_property
     def kinetic_energy(self) -> FloatArray:
@@ -566,11 +575,35 @@ class Trajectory(Viewable):
         """
         return write_table(self, path)
 
+    def to_pandas(self) -> DataFrame:
+        """Return the motion as a frame of pandas: one row a time, the columns of :meth:`to_csv`.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Its index is the time, s. Each column has its unit in its name.
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed: ``pip install 'tenscontrol[pandas]'``.
+
+        Examples
+        --------
+        >>> import tenscontrol as tc
+        >>> run = tc.simulate(tc.Model(tc.prism()), 0.1, force_density=10.0, step=1e-2)
+        >>> frame = run.to_pandas()
+        >>> frame.shape, frame.columns[0], frame.index.name
+        ((11, 36), 'node 0 x [m]', 'time [s]')
+        """
+        return data_frame(self)
+
     def to_xarray(self) -> Dataset:
         """Return the motion as a dataset of xarray, which labels axes and units.
 
         Dimensions are ``time``, ``axis``, ``node``, ``string`` and ``bar``; of a controller
-        ``sample`` and ``winch``. Each variable has its unit as the attribute ``units``.
+        ``sample`` and ``winch``. Each variable has its unit as the attribute ``units``. Its
+        ``to_dataframe`` refuses a table of more than 20 million rows: see :meth:`to_pandas`.
 
         Returns
         -------
@@ -581,8 +614,14 @@ class Trajectory(Viewable):
         ImportError
             If xarray is not installed: ``pip install 'tenscontrol[xarray]'``.
         """
-        made: Dataset = dataset(self)
-        return made
+        try:
+            from tenscontrol.simulation.run_dataset import dataset
+        except ImportError as error:
+            raise ImportError(
+                "to_xarray needs the package xarray, which is not installed: "
+                "pip install 'tenscontrol[xarray]'"
+            ) from error
+        return dataset(self)
 
     def __repr__(self) -> str:
         return f"Trajectory({self.time[-1]:g} s, {len(self.time)} states, {self.method})"

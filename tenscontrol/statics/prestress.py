@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tenscontrol import validation
-from tenscontrol.arrays import FloatArray, IntArray, frozen
+from tenscontrol.arrays import ArrayRecord, FloatArray, IntArray, frozen
 from tenscontrol.properties import cached_property
 from tenscontrol.statics.equilibrium_matrix import (
     MemberForces,
@@ -44,13 +45,18 @@ _CLOSE = 1e-7
 # Force densities below this fraction of the largest are zero.
 _ROUND_OFF = 1e-12
 
+# Entries of γ that a message lists.
+_LISTED = 12
+
 # Unbalanced force above this fraction of the largest member force is not round-off.
 _RESIDUAL_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Prestress:
+class Prestress(ArrayRecord):
     """A structure at rest: nodes, force densities and load in balance. Made by :func:`prestress`.
+
+    It can be given wherever its ``force_density``, ``external_force`` or nodes can.
 
     Attributes
     ----------
@@ -76,6 +82,31 @@ class Prestress:
     external_force: FloatArray
     residual: float
     crossings: tuple[BarCrossing, ...] = field(default=(), kw_only=True)
+
+    stands_for = MappingProxyType(
+        {
+            "force_density": "force_density",
+            "prestress": "force_density",
+            "nodes": "nodes",
+            "external_force": "external_force",
+            "bar_force_density": "bar_force_density",
+        }
+    )
+
+    @property
+    def nodes(self) -> FloatArray:
+        """The shape at rest, m, shape (d, n)."""
+        return self.structure.nodes
+
+    @property
+    def tension(self) -> FloatArray:
+        """Tension of each string, N, shape (α,): γ times its length."""
+        return frozen(self.force_density * self.structure.string_length())
+
+    @property
+    def bar_force(self) -> FloatArray:
+        """Force along each bar, N, shape (β,), positive in compression: λ times its length."""
+        return frozen(self.bar_force_density * self.structure.bar_length)
 
     @property
     def clearance(self) -> float:
@@ -308,7 +339,10 @@ def prestress(
         validation.non_negative("force_density", gamma, "a string can only pull")
         forces = member_forces(structure, free_coordinates(structure, load))
         hint = "prestress(structure, force_density=<one number>) finds force densities that balance"
-        return balanced(structure, forces, gamma, load, "force_density does not balance", hint)
+        try:
+            return balanced(structure, forces, gamma, load, "force_density does not balance", hint)
+        except ValueError as error:
+            raise ValueError(f"{error}{_nearest_balance(structure, forces, gamma)}") from None
     level = (
         None if given is None else validation.positive_number("force_density", float(given), "N/m")
     )
@@ -410,6 +444,41 @@ def balanced(
     densities = np.concatenate([gamma[pulls], _least_bars(forces, gamma[pulls], w)])
     _refuse_unbalanced(structure, E, densities, w, failure, hint, least)
     return _at_rest(structure, forces, gamma, densities, load)
+
+
+def _nearest_balance(structure: Structure, forces: MemberForces, gamma: FloatArray) -> str:
+    """Say which γ near given ones balance; nothing of large structures, or if none do."""
+    strings = np.flatnonzero(forces.live[: len(gamma)])
+    if not (is_small(forces.matrix) and len(strings)):
+        return ""
+    target, unbounded = gamma[strings], np.full(len(strings), np.inf)
+    every = BalancedForces.of(forces)
+    first = np.flatnonzero(np.isin(strings, structure.strings_in(structure.string_groups[0])))
+    if len(first):  # the first group keeps its mean, where it can
+        every = every.at_level(first, float(target[first].mean())) or every
+    densities = every.nearest(target, np.zeros(len(strings)), unbounded)
+    if densities is None or not densities.any():
+        return ""
+    missed = np.abs(forces.matrix @ densities - forces.load).max()
+    if missed > _RESIDUAL_TOLERANCE * abs(forces.matrix * densities).max():
+        return ""
+    nearest = gamma.copy()
+    nearest[strings] = densities[: len(strings)]
+    off, size = np.abs(nearest - gamma), np.abs(nearest).max()
+    digits = [f"{entry:.12g}" for entry in np.where(nearest < _ROUND_OFF * size, 0.0, nearest)]
+    by_group = {
+        group: {digits[i] for i in structure.strings_in(group)}
+        for group in dict.fromkeys(structure.string_groups)
+    }
+    if all(len(entries) == 1 for entries in by_group.values()):
+        values = ", ".join(f"{entries.pop()} in {group}" for group, entries in by_group.items())
+    else:
+        values = ", ".join(digits[:_LISTED]) + ", …" * (len(digits) > _LISTED)
+    worst = int(off.argmax())
+    return (
+        f". The nearest that balance, N/m: {values}; string {worst} is farthest from it, by "
+        f"{off[worst]:.2g} N/m"
+    )
 
 
 def _least_bars(forces: MemberForces, gamma: FloatArray, w: FloatArray) -> FloatArray:

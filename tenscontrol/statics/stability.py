@@ -9,6 +9,7 @@ import numpy as np
 
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, IntArray, frozen
+from tenscontrol.short_repr import short_repr
 from tenscontrol.statics.equilibrium_matrix import (
     affine_picture,
     is_small,
@@ -96,6 +97,8 @@ class Stability:
     mechanism_stiffness: FloatArray
     stress_matrix_rank_defect: int
 
+    __repr__ = short_repr
+
 
 @dataclass(frozen=True, eq=False)
 class TangentStiffness:
@@ -127,6 +130,8 @@ class TangentStiffness:
     is_stable: bool
     eigenvalues: FloatArray
     modes: FloatArray
+
+    __repr__ = short_repr
 
 
 def stability(

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
-
 import numpy as np
 
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray
 from tenscontrol.structure.blocks import restore_block
 from tenscontrol.structure.structure import Structure
+from tenscontrol.warn import warn
 
 # How far, relative to its length, a bar may be off in a shape given by the user, or measured.
 _TOLERANCE = 1e-8
@@ -86,13 +85,8 @@ def restore_bar_lengths(structure: Structure, nodes: object) -> FloatArray:
     return moved
 
 
-def rigid_shape(
-    name: str, structure: Structure, nodes: FloatArray, stacklevel: int = 2
-) -> FloatArray:
-    """Return a shape as it is, or one that was measured with bars of their lengths; warn of that.
-
-    ``stacklevel`` is that of the user's call, counted from the caller.
-    """
+def rigid_shape(name: str, structure: Structure, nodes: FloatArray) -> FloatArray:
+    """Return a shape; of one that was measured, give bars their lengths, and warn of that."""
     length = np.linalg.norm(structure.bar_vectors(nodes), axis=0)
     off = float(np.abs(length / structure.bar_length - 1).max(initial=0.0))
     if off <= _TOLERANCE:
@@ -100,11 +94,10 @@ def rigid_shape(
     refuse_wrong_bar_lengths(name, structure, nodes, MEASURED)
     moved = restore_bar_lengths(structure, nodes)
     most = float(np.linalg.norm(moved - nodes, axis=0).max())
-    warnings.warn(
+    warn(
         f"in {name}, bars are off by up to {off:.2g} of their length: nodes are moved by up to "
         f"{most:.3g} m, so that each bar has its own",
         RuntimeWarning,
-        stacklevel=stacklevel + 1,
     )
     return moved
 
@@ -120,7 +113,7 @@ def refuse_wrong_bar_lengths(
         raise ValueError(
             f"in {name}, bar {worst} has length {length[worst]:.9g} m, expected "
             f"{structure.bar_length[worst]:.9g} m as in the structure; bars are rigid. "
-            "restore_bar_lengths(structure, nodes) corrects a shape"
+            "tenscontrol.structure.restore_bar_lengths(structure, nodes) corrects a shape"
         )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, IntArray
+from tenscontrol.warn import warn
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -37,6 +38,26 @@ def checked_members(name: str, pairs: Any, count: int) -> IntArray:
     if len(loops):
         raise ValueError(f"{name}[{loops[0]}] joins node {ends[0][loops[0]]} to itself")
     return np.column_stack(ends)
+
+
+def members_of(name: str, matrix: Any, count: int) -> IntArray:
+    """Return start and end node of each member, shape (·, 2), from its connectivity matrix."""
+    C = validation.float_array(name, matrix.toarray() if hasattr(matrix, "toarray") else matrix)
+    if C.size == 0:
+        return np.zeros((0, 2), dtype=np.int64)
+    if C.ndim != 2 or C.shape[1] != count:
+        raise ValueError(
+            f"{name} has shape {C.shape}, expected (members, {count}): a column for each of nodes"
+        )
+    wrong = np.flatnonzero(
+        ((C == -1).sum(axis=1) != 1) | ((C == 1).sum(axis=1) != 1) | ((C != 0).sum(axis=1) != 2)
+    )
+    if len(wrong):
+        raise ValueError(
+            f"{name}[{wrong[0]}] is {C[wrong[0]].tolist()}, expected one -1, at the start node, "
+            "and one 1, at the end node"
+        )
+    return np.column_stack([C.argmin(axis=1), C.argmax(axis=1)])
 
 
 def checked_strings(strings: Any, paths: Any, count: int) -> tuple[IntArray, Paths]:
@@ -101,6 +122,26 @@ def refuse_repeats(bars: IntArray) -> None:
         f"bars[{again}] joins nodes {one} and {other}, as bars[{first[which.ravel()[again]]}] "
         "does; remove one"
     )
+
+
+def warn_of_useless_strings(bars: IntArray, strings: IntArray, groups: tuple[str, ...]) -> None:
+    """Warn of straight strings that repeat another of their group, or that run along a bar."""
+    along = {tuple(sorted(ends)): i for i, ends in enumerate(bars.tolist())}
+    first: dict[tuple[object, ...], int] = {}
+    for i, (ends, group) in enumerate(zip(strings.tolist(), groups, strict=True)):
+        low, high = sorted(ends)
+        if (bar := along.get((low, high))) is not None:
+            warn(
+                f"strings[{i}] joins nodes {low} and {high}, as bars[{bar}] does: it never changes "
+                "its length, so that it does not act on the motion",
+                UserWarning,
+            )
+        if (other := first.setdefault((low, high, group), i)) != i:
+            warn(
+                f"strings[{i}] joins nodes {low} and {high}, as strings[{other}] does: both pull. "
+                "Remove one; if two strings are meant, give them different string_groups",
+                UserWarning,
+            )
 
 
 def refuse_untouched_nodes(bars: IntArray, segments: IntArray, held: IntArray, count: int) -> None:

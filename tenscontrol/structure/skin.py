@@ -198,8 +198,8 @@ def skin_rest_length(
     validation.instance("structure", structure, Structure, "make one by skin(...)")
     if structure.string_parent is not None:
         raise ValueError(
-            "structure is subdivided: give its parent, and spread_rest_length(...) spreads the "
-            "answer over segments"
+            "structure is subdivided: give its parent, and "
+            "tenscontrol.structure.spread_rest_length(...) spreads the answer over segments"
         )
     count = len((structure.parent or structure).strings)
     given = validation.per_member("rest_length", rest_length, count, "string of the parent")

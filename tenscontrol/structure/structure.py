@@ -16,11 +16,13 @@ from tenscontrol.structure.connectivity import (
     checked_members,
     checked_strings,
     checked_supports,
+    members_of,
     refuse_bars_without_length,
     refuse_repeats,
     refuse_untouched_nodes,
     selection,
     signed_incidence,
+    warn_of_useless_strings,
 )
 from tenscontrol.structure.structure_file import read_structure, write_structure
 from tenscontrol.viewable import Viewable
@@ -90,6 +92,11 @@ class Structure(Viewable):
         repeats another, a clustered string passes a node twice, a free node has no member, a bar
         has no length, a mass is missing or not positive, or ``string_parent`` does not fit
         ``parent``. The message names what is wrong.
+
+    Warns
+    -----
+    UserWarning
+        If a straight string joins the same nodes as another of its group, or as a bar.
 
     Notes
     -----
@@ -171,6 +178,9 @@ class Structure(Viewable):
         put(self, "bar_mass", frozen(validation.positive("bar_mass", mass, "mass in kg")))
         put(self, "point_mass", frozen(self._checked_point_mass(point_mass, string_node_mass)))
         put(self, "string_groups", self._checked_groups(string_groups))
+        # Strings of another structure, which are read-only, were looked at when it was made.
+        if not ((isinstance(strings, np.ndarray) and not strings.flags.writeable) or self.paths):
+            warn_of_useless_strings(self.bars, self.strings, self.string_groups)
         if parent is not None:
             validation.instance(
                 "parent", parent, Structure, "the structure that this one was made from"
@@ -295,6 +305,55 @@ class Structure(Viewable):
             is a later one. The message names the file and the key.
         """
         return read_structure(path, cls)
+
+    @classmethod
+    def from_matrices(
+        cls,
+        nodes: ArrayLike,
+        C_b: object,
+        C_s: object,
+        bar_mass: ArrayLike | None,
+        string_node_mass: ArrayLike | None = None,
+        string_groups: Sequence[str] | None = None,
+        fixed: ArrayLike | Collection[int | tuple[int, str]] | None = (),
+        point_mass: ArrayLike | None = None,
+    ) -> Self:
+        """Return the structure of connectivity matrices: ``B = N C_bᵀ``, ``S = N C_sᵀ``.
+
+        Parameters
+        ----------
+        nodes : array_like, shape (d, n)
+            Node positions N, m.
+        C_b, C_s : array_like or sparse array, shape (β, n) and (α, n)
+            Connectivity of bars and strings over all nodes: in each row −1 at the start and 1 at
+            the end, as MATLAB toolboxes have it. ``C_b C_nb`` of a structure is its first one.
+        bar_mass : float or array_like, shape (β,)
+            Mass of each bar, kg.
+        string_node_mass, string_groups, fixed, point_mass : optional
+            As of :class:`Structure`.
+
+        Returns
+        -------
+        Structure
+
+        Raises
+        ------
+        TypeError, ValueError
+            If a row has not one −1 and one 1, or as :class:`Structure` does.
+
+        Examples
+        --------
+        >>> import tenscontrol as tc
+        >>> prism = tc.prism()
+        >>> tc.Structure.from_matrices(prism.nodes, prism.C_b @ prism.C_nb, prism.C_s, 1.0)
+        Structure(6 nodes, 3 bars, 9 strings)
+        """
+        count = (validation.float_array("nodes", nodes).shape or (0,))[-1]
+        bars, strings = (members_of(*named, count) for named in (("C_b", C_b), ("C_s", C_s)))
+        return cls(
+            nodes, bars, strings, bar_mass, string_node_mass, string_groups, fixed,
+            point_mass=point_mass,
+        )  # fmt: skip
 
     @cached_property
     def dimension(self) -> int:
@@ -422,8 +481,9 @@ class Structure(Viewable):
 
         Parameters
         ----------
-        nodes : array_like, shape (d, n)
-            Node positions, m, or velocities, m/s; the result has the same unit.
+        nodes : array_like, shape (d, n) or (d, n, T)
+            Node positions, m, or velocities, m/s, of one shape or of a motion; the result has the
+            same unit, and of a motion shape (d, β, T).
         """
         return self._vectors(self.bars, nodes)
 
@@ -432,42 +492,51 @@ class Structure(Viewable):
 
         Parameters
         ----------
-        nodes : array_like, shape (d, n)
-            Node positions, m, or velocities, m/s; the result has the same unit.
+        nodes : array_like, shape (d, n) or (d, n, T)
+            Node positions, m, or velocities, m/s, of one shape or of a motion; the result has the
+            same unit.
 
         Returns
         -------
-        ndarray, shape (d, s)
+        ndarray, shape (d, s) or (d, s, T)
             A column for each of the ``segments``: for each string, where none is clustered.
         """
         return self._vectors(self.segments, nodes)
 
     def _vectors(self, pairs: IntArray, nodes: object) -> FloatArray:
-        N = self.checked_nodes("nodes", nodes)
+        N = validation.float_array("nodes", nodes)
+        if N.shape[:2] != self.nodes.shape or N.ndim != 3:
+            N = self.checked_nodes("nodes", N)
         return np.asarray(N[:, pairs[:, 1]] - N[:, pairs[:, 0]])
 
     def string_length(self, nodes: object = None) -> FloatArray:
         """Return the string lengths, m, shape (α,), of the reference shape or of ``nodes``.
 
+        Those of a motion have shape (α, T).
+
         A clustered string is as long as its segments together.
 
         Parameters
         ----------
-        nodes : array_like, shape (d, n), optional
-            Node positions, m.
+        nodes : array_like, shape (d, n) or (d, n, T), optional
+            Node positions, m, of one shape or of a motion.
 
         Examples
         --------
         >>> import tenscontrol as tc
         >>> tc.prism().string_length().round(4)
         array([0.866, 0.866, 0.866, 0.866, 0.866, 0.866, 1.033, 1.033, 1.033])
+        >>> run = tc.simulate(tc.Model(tc.prism()), 0.01, force_density=10.0, step=1e-3)
+        >>> run.structure.string_length(run.nodes).shape
+        (9, 11)
         """
         vectors = self.string_vectors(self.nodes if nodes is None else nodes)
         length = np.asarray(np.linalg.norm(vectors, axis=0))
         if not self.has_clusters:
             return length
-        total = np.bincount(self.segment_string, length, minlength=len(self.strings))
-        return np.asarray(total, dtype=float)
+        total = np.zeros((len(self.strings), *length.shape[1:]))
+        np.add.at(total, self.segment_string, length)
+        return total
 
     def strings_in(self, group: str) -> IntArray:
         """Return the indices of the strings of one group, or raise and list the groups.
@@ -488,6 +557,7 @@ class Structure(Viewable):
         name : str
             What the message calls them.
         nodes : array_like, shape (d, n)
+            m or m/s.
         """
         axes = ", ".join("xyz"[: self.dimension])
         meaning = f"one column of {axes} per node of the structure"

@@ -101,6 +101,7 @@ RESULTS = {
     "deploy.MemoryUse",
     "dynamics.Contacts",
     "dynamics.Coordinates",
+    "dynamics.SymbolicModel",
     "dynamics.Equation",
     "estimation.Estimate",
     "estimation.FilterStatistics",
@@ -254,6 +255,8 @@ WITHIN = {
     "dynamics.Equation.ahead",
     "dynamics.Equation.of_strings",
     "LQR.reference_nodes",
+    "control.LinearController.reset",
+    "control.LinearController.reference_nodes",
     "MPC.reference_nodes",
     "NMPC.reference_nodes",
     "FeedbackLinearization.reference_nodes",
@@ -610,6 +613,19 @@ for _name in tc.library.__all__:
         _defaults = {each.name: each.default for each in _parameters}
         call(f"library.{_name}", partial(dict, _defaults))
 call("Structure.bar_vectors", lambda: {"nodes": nodes()}, prism)
+call(
+    "Structure.from_matrices",
+    lambda: {
+        "nodes": nodes(),
+        "C_b": (prism().C_b @ prism().C_nb).toarray(),
+        "C_s": prism().C_s.toarray(),
+        "bar_mass": 1.0,
+        "string_groups": ["top"] * 9,
+        "fixed": [0],
+        "point_mass": np.zeros(6),
+    },
+    lambda: tc.Structure,
+)
 call("Structure.string_vectors", lambda: {"nodes": nodes()}, prism)
 call("Structure.string_length", lambda: {"nodes": nodes()}, prism)
 call("Structure.save", lambda: {"path": scratch("prism.toml")}, prism)
@@ -928,6 +944,7 @@ call(
     },
 )
 call("Model.mass_matrix", on=elastic)
+call("Model.symbolic", lambda: {"input": "rest_length", "parameters": ["damping"]}, elastic)
 call("Model.replace", lambda: {"gravity": 9.81}, elastic)
 call("Model.of_all_nodes", lambda: {"name": "kinetic_energy"}, elastic)
 call("Model.state_equation", lambda: {"input": "rest_length"}, elastic)
@@ -1146,7 +1163,7 @@ call("plant.LinearPlant.measure", lambda: {"nodes": nodes(), "velocities": STILL
 call("plant.LinearPlant.to_nodes", lambda: {"q": np.zeros(9)}, plant)
 call("plant.LinearPlant.to_velocities", lambda: {"q": np.zeros(9), "rates": np.zeros(9)}, plant)
 call("plant.LinearPlant.discretize", lambda: {"sample_time": 0.01}, plant)
-call("plant.LinearPlant.to_statespace", on=plant)
+call("plant.LinearPlant.to_statespace", lambda: {"dt": 0.01, "outputs": "state"}, plant)
 call(
     "Reference",
     lambda: {
@@ -1178,6 +1195,18 @@ call(
         "plant": held_plant(),
         "sample_time": 0.01,
         "winches": tc.Winches(rate=0.5, shortest=0.1),
+    },
+    share=0.5,
+)
+call("LQR.to_statespace", on=regulator)
+call(
+    "control.LinearController",
+    lambda: {
+        "plant": plant(),
+        "system": tc.LQR(plant(), sample_time=0.01).to_statespace(),
+        "sees": "state",
+        "max_force_density": np.full(9, 50.0),
+        "max_change": 1.0,
     },
     share=0.5,
 )
@@ -1697,6 +1726,7 @@ call("simulation.Trajectory.summary", on=run)
 call("simulation.Trajectory.save", lambda: {"path": scratch("run.npz")}, run, 0.3)
 call("simulation.Trajectory.to_csv", lambda: {"path": scratch("run.csv")}, run, 0.3)
 call("simulation.Trajectory.to_xarray", on=run, share=0.1)
+call("simulation.Trajectory.to_pandas", on=run, share=0.1)
 call("load_run", lambda: {"path": str(run().save(scratch("saved.npz")))}, share=0.3)
 call("show_config", share=0.3)
 call("simulation.ControlRecord.summary", on=lambda: closed_run().control)
@@ -2113,7 +2143,9 @@ call(
 )
 call("plot.poles", lambda: {"poles": np.array([-1.0, -1 + 1j, -1 - 1j]), "ax": flat()}, share=0.2)
 call(
-    "plot.save_figure", lambda: {"figure": flat().figure, "path": scratch("figure.png")}, share=0.1
+    "plot.save_figure",
+    lambda: {"figure": flat().figure, "path": scratch("figure.png"), "width": 89.0},
+    share=0.1,
 )
 call("plot.stability_map", lambda: {"result": stable(), "ax": flat()}, share=0.2)
 call(

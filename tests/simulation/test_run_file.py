@@ -689,6 +689,7 @@ def test_xarray_has_dimensions_and_units(runs):
 
 def test_a_missing_xarray_is_named(runs, monkeypatch):
     monkeypatch.setitem(sys.modules, "xarray", None)
+    monkeypatch.delitem(sys.modules, "tenscontrol.simulation.run_dataset", raising=False)
     with pytest.raises(ImportError, match=r"pip install 'tenscontrol\[xarray\]'"):
         runs("cross").to_xarray()
 

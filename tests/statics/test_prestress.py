@@ -1,5 +1,6 @@
 """Self-stress and prestress: the prism in closed form, refusals, several states, loads."""
 
+import re
 from itertools import combinations
 
 import numpy as np
@@ -334,3 +335,17 @@ def test_the_proportions_that_showed_three_states():
 def test_a_line_of_two_nodes_has_the_rank_of_its_one_member():
     bar = tc.Structure([[0.0, 1.0], [0.0, 0.0], [0.0, 0.0]], [[0, 1]], [], bar_mass=1.0)
     assert member_forces(bar, np.zeros(6)).rank == 1
+
+
+def test_a_refusal_gives_the_nearest_forces_that_balance():
+    """√3 rounded to four digits: the message has the digits that balance, which are accepted."""
+    structure = tc.prism()
+    rounded = np.repeat([10.0, 10.0, 17.3205], 3)
+    with pytest.raises(ValueError, match="The nearest that balance") as refused:
+        tc.prestress(structure, force_density=rounded)
+    top, bottom, vertical = re.search(
+        r"N/m: (\S+) in top, (\S+) in bottom, (\S+) in vertical", str(refused.value)
+    ).groups()
+    assert float(vertical) == pytest.approx(np.sqrt(3) * float(top), rel=1e-11)
+    assert (top, bottom) == ("10", "10")
+    tc.prestress(structure, np.repeat([float(top), float(bottom), float(vertical)], 3))

@@ -1,5 +1,8 @@
 """Input of structure that must be refused by name."""
 
+import warnings
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -211,3 +214,18 @@ CASES = [*STRUCTURE, *PRISM, *FOUND_IN_REVIEW]
 @pytest.mark.parametrize(("call", "exception", "message"), CASES)
 def test_bad_input_is_refused_by_name(call, exception, message):
     assert_refused(call, exception, message)
+
+
+def test_strings_that_cannot_be_meant_are_told_once():
+    known = tc.prism()
+    doubled = np.vstack([known.strings, known.strings[:1, ::-1]])
+    with pytest.warns(UserWarning, match=r"strings\[9\] joins nodes .*, as strings\[0\]") as told:
+        structure = tc.Structure(known.nodes, known.bars, doubled, 1.0)
+    assert len(told) == 1
+    along = np.vstack([known.strings, known.bars[:1]])
+    with pytest.warns(UserWarning, match=r"strings\[9\] joins nodes 0 and 4, as bars\[0\] does"):
+        tc.Structure(known.nodes, known.bars, along, 1.0)
+    with warnings.catch_warnings(action="error"):
+        replace(structure, nodes=2 * structure.nodes)
+        groups = [*known.string_groups, "spare"]
+        tc.Structure(known.nodes, known.bars, doubled, 1.0, string_groups=groups)

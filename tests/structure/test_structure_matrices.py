@@ -122,3 +122,47 @@ def test_restored_bars_keep_centre_and_direction_and_get_their_length(seed):
 def test_a_shape_with_true_bar_lengths_is_left_alone(prism):
     restored = tc.structure.restore_bar_lengths(prism, prism.nodes)
     np.testing.assert_allclose(restored, prism.nodes, rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_structures_come_back_from_their_matrices(seed):
+    structure = random_structure(seed)
+    again = tc.Structure.from_matrices(
+        structure.nodes, structure.C_b @ structure.C_nb, structure.C_s.toarray(),
+        structure.bar_mass, structure.string_node_mass,
+    )  # fmt: skip
+    np.testing.assert_array_equal(again.bars, structure.bars)
+    np.testing.assert_array_equal(again.strings, structure.strings)
+    np.testing.assert_array_equal(again.point_mass, structure.point_mass)
+
+
+@pytest.mark.parametrize(
+    ("C", "message"),
+    [
+        (np.eye(6), r"C_b\[0\] is \[1\.0, .*expected one -1, at the start node, and one 1"),
+        (np.zeros((2, 6)), r"C_b\[0\] is"),
+        (
+            [[-1.0, 1.0]],
+            r"C_b has shape \(1, 2\), expected \(members, 6\): a column for each of nodes",
+        ),
+    ],
+)
+def test_matrices_that_are_no_connectivity_are_refused(C, message):
+    prism = tc.prism()
+    with pytest.raises(ValueError, match=message):
+        tc.Structure.from_matrices(prism.nodes, C, prism.C_s, 1.0)
+
+
+def test_geometry_of_a_motion_is_that_of_its_shapes():
+    cable = tc.Structure(
+        [[0, 1, 2, 3], [0, 1, 0, 0], [0, 0, 0, 1]], [(0, 3)], [(0, 1, 2), (2, 3)], 1.0,
+        point_mass=1.0,
+    )  # fmt: skip
+    random = np.random.default_rng(0)
+    for structure in (tc.prism(), cable):
+        motion = structure.nodes[..., None] + random.normal(size=(*structure.nodes.shape, 5))
+        for of in (structure.bar_vectors, structure.string_vectors, structure.string_length):
+            each = np.stack([of(motion[..., i]) for i in range(5)], axis=-1)
+            np.testing.assert_allclose(of(motion), each, rtol=1e-15)
+        with pytest.raises(ValueError, match="expected"):
+            structure.string_length(motion[..., None])

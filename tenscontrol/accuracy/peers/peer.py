@@ -11,6 +11,7 @@ import numpy as np
 
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray
+from tenscontrol.short_repr import short_repr
 from tenscontrol.simulation.scene import Scene
 
 
@@ -32,6 +33,8 @@ class Solution:
     velocities: FloatArray | None
     evaluations: int
 
+    __repr__ = short_repr
+
 
 class Peer(ABC):
     """An integrator of another package.
@@ -45,6 +48,9 @@ class Peer(ABC):
 
     #: Steps, s, or tolerances, from coarse to fine: one run for each.
     settings: tuple[float, ...]
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.name!r})"
 
     def refuse(self, case: Scene) -> str | None:
         """Return why this case is beyond the peer, or None.

@@ -16,6 +16,7 @@ from tenscontrol.plant.bar_outputs import bar_map
 from tenscontrol.plant.linear_plant import LinearPlant
 from tenscontrol.plant.reference import ReferencePreview
 from tenscontrol.plant.string_outputs import string_map
+from tenscontrol.short_repr import short_repr
 from tenscontrol.sizing.sections import Sections
 from tenscontrol.structure.bar_clearance import bar_distances
 
@@ -86,6 +87,8 @@ class OutputLimit:
     high: Field[ArrayLike | None, FloatArray] = converted(None)
     penalty: float | None = None
     of: str = "nodes"
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         validation.choice("of", self.of, ("nodes", "bars"))

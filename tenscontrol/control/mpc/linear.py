@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import warnings
 from dataclasses import dataclass
 from typing import final
 
@@ -32,7 +31,10 @@ from tenscontrol.control.mpc.stages import StagesProgram
 from tenscontrol.docstrings import with_parameters_of
 from tenscontrol.plant.linear_plant import LinearPlant
 from tenscontrol.plant.reference import Preview, ReferencePreview
+from tenscontrol.short_repr import short_repr
 from tenscontrol.status import Status
+from tenscontrol.tables import percent
+from tenscontrol.warn import warn
 
 # A reference is farther than the linear plant holds where its loop comes to rest off by more than
 # this part of the size, or errors grow faster, 1/s. Those nearer than the third part of the size
@@ -57,6 +59,8 @@ class MPCStatistics:
     status_count: dict[Status, int]
     fallback_count: dict[Fallback, int]
     iterations: np.ndarray
+
+    __repr__ = short_repr
 
     @property
     def fallbacks(self) -> int:
@@ -199,7 +203,7 @@ class MPC(PredictiveController):
             path=ReferencePreview(plant, settings.reference, designed.sampled),
         )
         for text in self._concerns(self._law.path):
-            warnings.warn(text, ControlWarning, stacklevel=3)
+            warn(text, ControlWarning)
         self._program = self._law.program()
         self._sparse: Sparse | None = None  # for other solvers, once it is asked for
         # The data of a reference that rests, which no sample changes.
@@ -222,7 +226,7 @@ class MPC(PredictiveController):
         growth, off = law_in_shape(plant, self._law.design, path, end)
         if growth <= _GROWS and off <= _OFF * size:
             return concerns
-        failure = f"comes to rest {off:.2g} m off, {100 * off / size:.2g} % of the size"
+        failure = f"comes to rest {off:.2g} m off, {percent(off / size)} of the size"
         if growth > _GROWS:
             failure = f"lets errors grow by a factor e in {1 / growth:.2g} s"
         concerns.append(

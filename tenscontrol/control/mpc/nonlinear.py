@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import final
@@ -32,7 +31,9 @@ from tenscontrol.fields import checked
 from tenscontrol.plant.linear_plant import LinearPlant
 from tenscontrol.plant.reference import ReferencePreview
 from tenscontrol.properties import cached_property
+from tenscontrol.short_repr import short_repr
 from tenscontrol.status import Status
+from tenscontrol.warn import warn
 
 # Sequential quadratic programming has converged when no input changes by more, in its unit.
 CONVERGED = 1e-5
@@ -75,6 +76,8 @@ class NMPCStatistics:
     last_change: FloatArray
     preparation_time: FloatArray
     feedback_time: FloatArray
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -179,6 +182,8 @@ class NonlinearSettings(MPCSettings):
         default=False, metadata=checked(validation.truth, "whether to compile the derivatives")
     )
 
+    __repr__ = short_repr
+
 
 @final
 @with_parameters_of(NonlinearSettings)
@@ -265,7 +270,7 @@ class NMPC(PredictiveController):
         super().__init__(plant, settings, designed)
         path = ReferencePreview(plant, settings.reference, designed.sampled)
         for text in self._concerns(path):
-            warnings.warn(text, ControlWarning, stacklevel=3)
+            warn(text, ControlWarning)
         # After all checks: it may be compiled.
         model = TrajectoryModel(plant, settings, designed.constraints, settings.machine_code)
         if tolerance is None:

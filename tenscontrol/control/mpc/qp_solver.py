@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tenscontrol.arrays import FloatArray
+from tenscontrol.short_repr import short_repr
 from tenscontrol.status import Status
 
 if TYPE_CHECKING:
@@ -36,6 +37,8 @@ class QPSolution:
     y: FloatArray | None
     iterations: int
 
+    __repr__ = short_repr
+
 
 class QPSolver(ABC):
     """Interface of solvers of ``min ½ xᵀ P x + qᵀ x  subject to  l ≤ A x ≤ u``.
@@ -53,6 +56,9 @@ class QPSolver(ABC):
     equations : bool
         Whether many rows of A are equations, and all are in units of their own already.
     """
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}()"
 
     @abstractmethod
     def __init__(

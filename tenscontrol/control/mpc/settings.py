@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
 from functools import wraps
-from inspect import signature
+from inspect import Parameter, signature
 from typing import Any, ClassVar, Concatenate, ParamSpec, Self, TypeVar
 
 import numpy as np
@@ -41,7 +41,9 @@ from tenscontrol.plant.string_outputs import (
     to_commanded_strings,
     to_model_strings,
 )
+from tenscontrol.short_repr import short_repr
 from tenscontrol.string_bounds import string_bounds
+from tenscontrol.warn import warn
 
 # Price of a violation by one level, against the cost of an input one level off.
 _PENALTY = 1e2
@@ -209,6 +211,8 @@ class MPCSettings:
     time_limit: float | None = field(default=None, metadata=checked(_time))
     solver: str | type[QPSolver] = field(default="auto", metadata=checked(_solver))
 
+    __repr__ = short_repr
+
     def __post_init__(self) -> None:
         check_fields(self)
         if self.tracked is not None and self.load_gain is None:
@@ -240,14 +244,26 @@ def from_settings(
     def decorate(
         init: Callable[[_C, LinearPlant, _S], None],
     ) -> Callable[Concatenate[_C, LinearPlant, _P], None]:
-        @wraps(init)
-        def from_keywords(self: Any, plant: LinearPlant, **settings: Any) -> None:
-            init(self, plant, record(**settings))  # type: ignore[call-arg]
-
         shown = signature(init)
         itself, plant, _ = shown.parameters.values()
-        parameters = [itself, plant, *signature(record).parameters.values()]
-        from_keywords.__signature__ = shown.replace(parameters=parameters)  # type: ignore[attr-defined]
+        options = signature(record).parameters
+        required = [name for name, option in options.items() if option.default is Parameter.empty]
+
+        @wraps(init)
+        def from_keywords(self: Any, plant: LinearPlant, **settings: Any) -> None:
+            name = type(self).__name__
+            for given in settings.keys() - options.keys():
+                near = get_close_matches(given, options, n=1)
+                meant = f"did you mean {near[0]!r}?" if near else f"expected {', '.join(options)}"
+                raise TypeError(f"{name} has no argument {given!r}; {meant}")
+            if missing := [option for option in required if option not in settings]:
+                example = ", ".join(f"{option}=..." for option in missing)
+                raise TypeError(f"{name} needs {' and '.join(missing)}: {name}(plant, {example})")
+            init(self, plant, record(**settings))  # type: ignore[call-arg]
+
+        from_keywords.__signature__ = shown.replace(  # type: ignore[attr-defined]
+            parameters=[itself, plant, *options.values()]
+        )
         return from_keywords  # type: ignore[return-value]
 
     return decorate
@@ -469,7 +485,7 @@ class PredictiveController(Controller):
             plant, settings.sample_time, designed.low, designed.high, designed.problem.change
         )
         if not (self._nonlinear and plant.model.contacts is not None):
-            warn_of_unreached(self, stacklevel=5)
+            warn_of_unreached(self)
         self._longest_time = settings.longest_time
         self._settings = vars(settings)
         self._limits = designed.constraints.blocks
@@ -507,7 +523,7 @@ class PredictiveController(Controller):
         """
         law = self._law.following(reference)
         for text in self._concerns(law.path):
-            warnings.warn(text, ControlWarning, stacklevel=3)  # that of the lock is between
+            warn(text, ControlWarning)  # that of the lock is between
         self._law, self._settings = law, vars(law.settings)
 
     def reference_nodes(self, times: FloatArray) -> FloatArray:

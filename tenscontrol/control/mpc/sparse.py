@@ -34,6 +34,7 @@ from tenscontrol.control.mpc.problem import (
     applied,
 )
 from tenscontrol.control.mpc.qp_solver import QPSolver
+from tenscontrol.short_repr import short_repr
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array
@@ -439,6 +440,8 @@ class QuadraticProgram:
     first: int
     unit: float
     origin: FloatArray
+
+    __repr__ = short_repr
 
     def inputs(self, x: object) -> FloatArray:
         """Return the inputs that a solution plans, shape (α, N), N/m or m: the command first.

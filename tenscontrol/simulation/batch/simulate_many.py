@@ -8,7 +8,6 @@ single runs, to the last bit.
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -21,6 +20,7 @@ from tenscontrol.integrate.methods import Choice
 from tenscontrol.interrupt import keeping
 from tenscontrol.progress import progress_bar
 from tenscontrol.properties import cached_property
+from tenscontrol.short_repr import short_repr
 from tenscontrol.simulation.batch.batch_inputs import BatchInputs, checked_variation, refusal
 from tenscontrol.simulation.batch.compiled_loop import checked_controller
 from tenscontrol.simulation.batch.runner import Runner
@@ -29,6 +29,7 @@ from tenscontrol.simulation.health_check import check_health, finer
 from tenscontrol.simulation.scene import Scene
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.structure.structure import Structure
+from tenscontrol.warn import warn
 
 _INTERRUPTED = "interrupted"
 
@@ -53,6 +54,8 @@ class BatchCrossings:
     count: IntArray
     first_time: FloatArray
     unresolved_intervals: IntArray
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -306,9 +309,8 @@ def _warn_of_errors(errors: FloatArray, used: Choice) -> None:
     wrong = np.flatnonzero((errors > ERROR_LIMIT).any(axis=1))
     if len(wrong):
         named = ", ".join(map(str, wrong[:_NAMED].tolist())) + ", …" * (len(wrong) > _NAMED)
-        warnings.warn(
+        warn(
             f"the error of {len(wrong)} of the {looked_at.sum()} runs that were looked at passes "
             f"{ERROR_LIMIT:g} of the size: of {named}. batch.error says when. Try {finer(used)}",
             AccuracyWarning,
-            stacklevel=3,
         )

@@ -146,3 +146,14 @@ def test_held_lengths_are_found_once_for_a_plant(cut, monkeypatch):
         else:
             tc.MPC(plant, **GIVEN)
     assert len(built) == 1 + cut
+
+
+@pytest.mark.parametrize("law", [tc.MPC, tc.NMPC])
+def test_wrong_arguments_are_named_with_the_controller(law):
+    name = law.__name__
+    with pytest.raises(TypeError, match=rf"^{name} needs horizon and sample_time: {name}\("):
+        law(None)
+    with pytest.raises(TypeError, match=rf"^{name} has no argument 'horizn'; did you mean 'hori"):
+        law(None, horizn=5, sample_time=0.1)
+    with pytest.raises(TypeError, match=rf"^{name} has no argument 'x'; expected horizon, sample_"):
+        law(None, x=5, horizon=3, sample_time=0.1)
