@@ -190,12 +190,14 @@ def _report_run(run: Trajectory, options: argparse.Namespace, files: list[Path])
         _print_json(options, of_run(run), files)
 
 
-def _print_json(options: argparse.Namespace, found: dict[str, Any], files: Sequence[Path]) -> None:
+def _print_json(
+    options: argparse.Namespace, summary: dict[str, Any], files: Sequence[Path]
+) -> None:
     """Print a summary to the standard output; all else is on stderr then."""
     from tenscontrol.summaries import json_text
 
     head = {"command": options.command, "version": __version__, "scene": options.scene}
-    print(json_text(head | found | {"files": files}), file=options.summary, flush=True)
+    print(json_text(head | summary | {"files": files}), file=options.summary, flush=True)
 
 
 def _draw(run: Trajectory, folder: Path) -> list[Path]:
@@ -320,8 +322,8 @@ def _peers() -> list[Peer]:
     ]
 
 
-def _save(figure: Any, path: Path, told: TextIO | None = None) -> Path:
+def _save(figure: Any, path: Path, stream: TextIO | None = None) -> Path:
     from tenscontrol import plot
 
-    print(plot.save_figure(figure, path), file=told)
+    print(plot.save_figure(figure, path), file=stream)
     return path

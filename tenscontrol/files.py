@@ -96,10 +96,10 @@ def opened_file(path: Path, most: int) -> Iterator[BufferedReader]:
         yield stream
 
 
-def _refuse_irregular(found: os.stat_result) -> None:
-    if stat.S_ISDIR(found.st_mode):
+def _refuse_irregular(status: os.stat_result) -> None:
+    if stat.S_ISDIR(status.st_mode):
         raise IsADirectoryError(errno.EISDIR, "it is a folder, expected a file")
-    if not stat.S_ISREG(found.st_mode):
+    if not stat.S_ISREG(status.st_mode):
         raise OSError(errno.EINVAL, "it is a pipe or a device, expected a regular file")
 
 
@@ -130,11 +130,11 @@ def make_folder(path: Path) -> Path:
 
 
 @contextmanager
-def _explained(path: Path, said: str = "cannot write: {}; {}") -> Iterator[None]:
+def _explained(path: Path, template: str = "cannot write: {}; {}") -> Iterator[None]:
     """Put the path and what to do into an error of the file system."""
     try:
         yield
     except OSError as error:
         number = error.errno or errno.EIO
-        message = said.format(error.strerror or error, _REMEDY.get(number, "write elsewhere"))
+        message = template.format(error.strerror or error, _REMEDY.get(number, "write elsewhere"))
         raise OSError(number, message, str(path)) from None

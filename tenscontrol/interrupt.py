@@ -119,7 +119,7 @@ def interruptible(whole: bool = False) -> Iterator[Interruption]:
 
 
 @contextmanager
-def keeping(what: str, count: Callable[[], int]) -> Iterator[None]:
+def keeping(result: str, count: Callable[[], int]) -> Iterator[None]:
     """Run a loop whose finished parts are its result; if it is ended, warn how many there are.
 
     KeyboardInterrupt goes on if there are none, or a loop around this one wants all of them.
@@ -133,7 +133,7 @@ def keeping(what: str, count: Callable[[], int]) -> Iterator[None]:
     except KeyboardInterrupt:
         if passed_on or not count():
             raise
-    warn(f"interrupted: {count()} {what}", InterruptionWarning)
+    warn(f"interrupted: {count()} {result}", InterruptionWarning)
 
 
 def check() -> None:

@@ -45,10 +45,10 @@ def _command(
 
 
 def _add_scene(
-    parser: argparse.ArgumentParser, name: str = "SCENE", what: str = "scene file (TOML)"
+    parser: argparse.ArgumentParser, name: str = "SCENE", meaning: str = "scene file (TOML)"
 ) -> None:
     """Add what all commands that read a scene have."""
-    parser.add_argument("scene", metavar=name, type=Path, help=what)
+    parser.add_argument("scene", metavar=name, type=Path, help=meaning)
     parser.add_argument(
         "--output",
         metavar="FOLDER",

@@ -87,7 +87,7 @@ def headings(name: str, text: str, limits: TomlLimits) -> list[tuple[int, str]]:
 
     Before tomllib reads it: raise where there are more keys or levels than it reads at once.
     """
-    found: list[tuple[int, str]] = []
+    lines: list[tuple[int, str]] = []
     line, depth, begin, end, in_value, keys, lists, dots = 1, 0, 0, 0, False, 0, 0, 0
     for token in _TOKEN.finditer(text + "\n"):
         sign, start = token.group(), token.start()
@@ -99,7 +99,7 @@ def headings(name: str, text: str, limits: TomlLimits) -> list[tuple[int, str]]:
         if sign == "=":
             keys += 1
             if depth == 0 and not in_value:
-                found.append((line, text[begin:start].strip()))
+                lines.append((line, text[begin:start].strip()))
                 in_value = True
         elif sign in "[{":
             depth += 1
@@ -109,10 +109,10 @@ def headings(name: str, text: str, limits: TomlLimits) -> list[tuple[int, str]]:
             depth -= 1
             if depth == 0 and not in_value:
                 keys += 1
-                found.append((line, text[begin:end].strip()))
+                lines.append((line, text[begin:end].strip()))
         elif sign == "\n" and depth == 0:
             begin, in_value = end, False
         if sign in "=[]{}\n":
             dots = 0
         line += sign.count("\n")
-    return found
+    return lines

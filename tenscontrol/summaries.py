@@ -71,23 +71,23 @@ def _of_control(record: ControlRecord) -> dict[str, Any]:
     }
 
 
-def of_modes(plant: LinearPlant, found: Modes) -> dict[str, Any]:
+def of_modes(plant: LinearPlant, modes: Modes) -> dict[str, Any]:
     """Return the modes of a plant."""
-    each = zip(found.frequency, found.damping, found.pole, found.label, strict=True)
+    rows = zip(modes.frequency, modes.damping, modes.pole, modes.label, strict=True)
     names = ("frequency", "damping", "pole", "kind")
     return {
         "input": plant.input,
         "coordinates": plant.coordinates.kind,
-        "modes": [dict(zip(names, row, strict=True)) for row in each],
+        "modes": [dict(zip(names, row, strict=True)) for row in rows],
     }
 
 
-def of_comparison(found: WorkPrecision) -> dict[str, Any]:
+def of_comparison(comparison: WorkPrecision) -> dict[str, Any]:
     """Return the rows of a comparison of methods."""
     return {
-        "case": found.case.name,
-        "duration": found.case.duration,
-        "reference_error": found.reference.error,
-        "rows": [asdict(row) for row in found.rows],
-        "refused": dict(found.refused),
+        "case": comparison.case.name,
+        "duration": comparison.case.duration,
+        "reference_error": comparison.reference.error,
+        "rows": [asdict(row) for row in comparison.rows],
+        "refused": dict(comparison.refused),
     }

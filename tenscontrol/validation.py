@@ -239,7 +239,7 @@ def _is_mask(value: object) -> bool:
     if isinstance(value, np.ndarray):
         return value.dtype == bool and value.ndim == 1
     listed = isinstance(value, list | tuple) and len(value) > 0
-    return listed and all(isinstance(each, bool | np.bool_) for each in value)  # type: ignore[attr-defined]
+    return listed and all(isinstance(entry, bool | np.bool_) for entry in value)  # type: ignore[attr-defined]
 
 
 def direction(name: str, value: object, dimension: int = 3) -> FloatArray:
@@ -252,13 +252,13 @@ def direction(name: str, value: object, dimension: int = 3) -> FloatArray:
     return np.asarray(vector / np.linalg.norm(vector))
 
 
-def positive(name: str, array: FloatArray, what: str) -> FloatArray:
+def positive(name: str, array: FloatArray, quantity: str) -> FloatArray:
     """Refuse an array with an entry that is not greater than zero."""
     if (array < 1 / LARGEST).any():
         bad = np.flatnonzero(array < 1 / LARGEST)
         entry = array.flat[bad[0]]
         least = f" of at least {1 / LARGEST:g}" if entry > 0 else ""
-        raise ValueError(f"{name}[{bad[0]}] is {entry:g}, expected a positive {what}{least}")
+        raise ValueError(f"{name}[{bad[0]}] is {entry:g}, expected a positive {quantity}{least}")
     return array
 
 
@@ -430,23 +430,23 @@ def weight(name: str, value: object, size: int, definite: bool) -> FloatArray:
 
 def weight_matrix(name: str, value: object, size: int, definite: bool) -> FloatArray:
     """Return a symmetric weight, shape (size, size), of a number, a diagonal or a matrix."""
-    found = weight(name, value, size, definite)
-    return np.diag(found) if found.ndim == 1 else found
+    matrix = weight(name, value, size, definite)
+    return np.diag(matrix) if matrix.ndim == 1 else matrix
 
 
-def refuse_memory(asked: str, count: float, things: str, each: float, hint: str = "") -> None:
-    """Raise if ``count`` things of ``each`` bytes do not fit; ``asked``: "sides is 9"."""
-    if not count * each <= _MOST_BYTES:
+def refuse_memory(asked: str, count: float, things: str, size: float, hint: str = "") -> None:
+    """Raise if ``count`` things of ``size`` bytes do not fit; ``asked``: "sides is 9"."""
+    if not count * size <= _MOST_BYTES:
         raise ValueError(
-            f"{asked}, which makes {count:.3g} {things}, about {count * each / 1e9:.3g} GB of "
-            f"memory; expected at most {_MOST_BYTES / each:.2g}, {_MOST_BYTES / 1e9:g} GB{hint}"
+            f"{asked}, which makes {count:.3g} {things}, about {count * size / 1e9:.3g} GB of "
+            f"memory; expected at most {_MOST_BYTES / size:.2g}, {_MOST_BYTES / 1e9:g} GB{hint}"
         )
 
 
-def refuse_time(asked: str, count: float, things: str, each: float, hint: str = "") -> None:
-    """Raise if ``count`` things of ``each`` seconds are not done in a day."""
-    if not count * each <= LONGEST_WAIT:
+def refuse_time(asked: str, count: float, things: str, time: float, hint: str = "") -> None:
+    """Raise if ``count`` things of ``time`` seconds are not done in a day."""
+    if not count * time <= LONGEST_WAIT:
         raise ValueError(
-            f"{asked}, which makes {count:.3g} {things}, about {count * each / 86_400:.3g} days; "
-            f"expected at most {LONGEST_WAIT / each:.2g}, a day{hint}"
+            f"{asked}, which makes {count:.3g} {things}, about {count * time / 86_400:.3g} days; "
+            f"expected at most {LONGEST_WAIT / time:.2g}, a day{hint}"
         )

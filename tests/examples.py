@@ -70,6 +70,30 @@ def ground_rolling(names):
 
 
 @checks
+def sizing_ball(names):
+    for sized, found in names["designs"].values():
+        margins = found.bar_margin.min(), found.string_margin.min()
+        np.testing.assert_allclose(margins, names["SAFETY"], rtol=0.01)
+        assert 0.3 < sized.mass < 1.0
+    masses = list(names["mass"].values())
+    assert masses == sorted(masses)
+    assert "the margin of buckling of bar " in names["failure"]
+    assert names["off"] < 1e-3
+
+
+@checks
+def sizing_mast(names):
+    assert 6 < names["best"] < 16
+    assert names["mass"][names["best"]] < 0.7 * names["mass"][4]
+    changes = [each.change[1] for each in names["rigid"].values()]
+    assert changes == sorted(changes, reverse=True)
+    late = {name: np.abs(each[-50:]).max() for name, each in names["top"].items()}
+    assert late["MPC"] < 0.02 * late["strings held"]
+    assert names["strong"]["MPC"].margin > 1.5
+    assert set(names["mpc"].statistics.status_count) == {tc.control.Status.OK}
+
+
+@checks
 def modes(names):
     held, free = names["held"], names["free"]
     assert names["rest"].mechanisms == 9

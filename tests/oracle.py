@@ -515,3 +515,20 @@ def _incidence(pairs, count):
     every = np.arange(len(pairs))
     incidence[every, pairs[:, 0]], incidence[every, pairs[:, 1]] = -1.0, 1.0
     return incidence
+
+
+def truss_stiffness(structure, gamma, bar_gamma, string_stiffness, axial_rigidity):
+    """Stiffness, shape (d n, d n), of bars and strings as elastic elements with their forces."""
+    d, n = structure.nodes.shape
+    K = np.zeros((d * n, d * n))
+    axial = np.concatenate([string_stiffness, axial_rigidity / structure.bar_length])
+    density = np.concatenate([gamma, -bar_gamma])
+    for (i, j), k, g in zip(
+        np.vstack([structure.strings, structure.bars]), axial, density, strict=True
+    ):
+        u = structure.nodes[:, j] - structure.nodes[:, i]
+        u = u / np.linalg.norm(u)
+        block = g * (np.eye(d) - np.outer(u, u)) + k * np.outer(u, u)
+        for a, b, sign in ((i, i, 1), (j, j, 1), (i, j, -1), (j, i, -1)):
+            K[d * a : d * a + d, d * b : d * b + d] += sign * block
+    return K

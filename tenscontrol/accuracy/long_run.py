@@ -205,8 +205,10 @@ def long_run(
     case = replace(case, duration=duration)
     recorder = _Recorder(case)
     state, spacing, failure, work = case.state, duration / outputs, "", Work()
-    kept = keeping("states are judged", lambda: recorder.count * (recorder.count >= _BLOCKS))
-    with kept, progress_bar(duration, progress, f"running {chosen.name}") as report:
+    interruptible = keeping(
+        "states are judged", lambda: recorder.count * (recorder.count >= _BLOCKS)
+    )
+    with interruptible, progress_bar(duration, progress, f"running {chosen.name}") as report:
         equation = case.equation(chosen.differentiates)
         integrator = chosen.integrator(equation, setting)
         for first in range(0, outputs, _PART):

@@ -143,7 +143,7 @@ def conserves_momentum(case: Scene) -> bool:
 
 
 def deviations(
-    case: Scene, found: Invariants, reference: Invariants, start: Invariants
+    case: Scene, measured: Invariants, reference: Invariants, start: Invariants
 ) -> dict[str, Any]:
     """Return how far a motion is from what it should conserve, as fields of :class:`Measurement`.
 
@@ -156,14 +156,14 @@ def deviations(
     linear, angular = reference.momentum, reference.angular_momentum
     if conserves_momentum(case):
         linear, angular = start.momentum, start.angular_momentum
-    off = float(np.abs(found.energy - energy).max())
+    off = float(np.abs(measured.energy - energy).max())
     return {
         "energy_error": off / size if size > 0 else NOT_KNOWN,
-        "momentum_drift": float(np.linalg.norm(found.momentum - linear, axis=0).max()),
+        "momentum_drift": float(np.linalg.norm(measured.momentum - linear, axis=0).max()),
         "angular_momentum_drift": float(
-            np.linalg.norm(found.angular_momentum - angular, axis=0).max()
+            np.linalg.norm(measured.angular_momentum - angular, axis=0).max()
         ),
-        "bar_length_drift": float(found.stretch.max()),
+        "bar_length_drift": float(measured.stretch.max()),
     }
 
 

@@ -153,15 +153,18 @@ def stability_map(
     limit = theoretical_limit(method)
     shape = (len(stiff), len(ratios))
     step, rate = np.full((2, *shape), np.nan)
-    kept = keeping("cases are done, the others NaN", lambda: int(np.isfinite(rate).sum()))
-    with kept, progress_bar(step.size, progress, f"stability of {method}", "cases") as report:
+    interruptible = keeping("cases are done, the others NaN", lambda: int(np.isfinite(rate).sum()))
+    with (
+        interruptible,
+        progress_bar(step.size, progress, f"stability of {method}", "cases") as report,
+    ):
         for i, j in np.ndindex(shape):
-            each = make(stiff[i], ratios[j])
+            scene = make(stiff[i], ratios[j])
             validation.instance(
-                "what case(stiffness, mass_ratio) returns", each, Scene, "make one by Scene()"
+                "what case(stiffness, mass_ratio) returns", scene, Scene, "make one by Scene()"
             )
-            fastest = fastest_rate(each)
-            step[i, j] = _Probe(each, chosen, fastest, count).largest_step(limit)
+            fastest = fastest_rate(scene)
+            step[i, j] = _Probe(scene, chosen, fastest, count).largest_step(limit)
             rate[i, j] = fastest
             report(i * shape[1] + j + 1)
     return StabilityMap(

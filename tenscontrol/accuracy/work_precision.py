@@ -204,7 +204,7 @@ class WorkPrecision:
         known = {name: time for name, time in times.items() if np.isfinite(time)}
         if not known:
             return "", NOT_KNOWN
-        name = min(known, key=lambda each: known[each])
+        name = min(known, key=lambda method: known[method])
         return name, known[name]
 
     def ratios(
@@ -268,16 +268,18 @@ class WorkPrecision:
         kg m²/s; ``bars m`` is how far a bar is off its length.
         """
         failed = [f"{row.method} at {row.setting:g} failed: {row.failure}" for row in self.failures]
-        parts = [self.summary(), aligned(_HEAD, [self._cells(row) for row in self.rows])]
-        return "\n\n".join([*parts, *(["\n".join(failed)] if failed else [])])
+        paragraphs = [self.summary(), aligned(_HEAD, [self._cells(row) for row in self.rows])]
+        return "\n\n".join([*paragraphs, *(["\n".join(failed)] if failed else [])])
 
     def to_markdown(self) -> str:
         """Return the same as :meth:`table` in Markdown."""
         failed = [f"- {row.method} at {row.setting:g}: {row.failure}" for row in self.failures]
         above = "\n".join(f"- {line}" for line in self.summary().splitlines())
         title = self.case.name or "Accuracy"
-        parts = [f"# {title}", above, markdown(_HEAD, [self._cells(row) for row in self.rows])]
-        return "\n\n".join([*parts, *(["Failed:", "\n".join(failed)] if failed else [])]) + "\n"
+        paragraphs = [f"# {title}", above, markdown(_HEAD, [self._cells(row) for row in self.rows])]
+        return (
+            "\n\n".join([*paragraphs, *(["Failed:", "\n".join(failed)] if failed else [])]) + "\n"
+        )
 
     def to_csv(self, path: str | Path) -> Path:
         """Write all runs with all figures in full precision.
@@ -441,14 +443,14 @@ def _checked_settings(
 ) -> dict[str, tuple[float, ...]]:
     units = {method.name: "s" if method.setting == "step" else "1" for method in methods}
     units |= {peer.name: "s or 1" for peer in peers}
-    found: dict[str, tuple[float, ...]] = {}
+    checked: dict[str, tuple[float, ...]] = {}
     if settings is None:
-        return found
+        return checked
     validation.instance("settings", settings, Mapping, "settings by the name of a method or peer")
     for name, values in settings.items():
         validation.choice("a key of settings", name, units)
-        found[name] = checked_settings(f"settings[{name!r}]", values, units[name])
-    return found
+        checked[name] = checked_settings(f"settings[{name!r}]", values, units[name])
+    return checked
 
 
 def _refuse_other_times(reference: ConvergedMotion, case: Scene) -> None:

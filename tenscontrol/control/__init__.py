@@ -20,6 +20,7 @@ from tenscontrol.control.mpc import (
     QPSolution,
     QPSolver,
     QuadraticProgram,
+    buckling,
     clearance,
 )
 from tenscontrol.status import Status
@@ -46,6 +47,7 @@ __all__ = [
     "QPSolver",
     "QuadraticProgram",
     "Status",
+    "buckling",
     "clearance",
     "held_loop",
 ]

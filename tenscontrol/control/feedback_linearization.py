@@ -399,5 +399,5 @@ def _combinations(plant: LinearPlant, tracked: object) -> FloatArray:
 def rounded_up(value: float) -> str:
     """Return a number rounded up to 1, 2 or 5 times a power of ten, so that few texts differ."""
     power = 10.0 ** floor(log10(value))
-    digit = next(each for each in (1, 2, 5, 10) if ceil(value / power * 1e6) <= each * 10**6)
+    digit = next(one for one in (1, 2, 5, 10) if ceil(value / power * 1e6) <= one * 10**6)
     return f"{digit * power:g}"

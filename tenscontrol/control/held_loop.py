@@ -201,9 +201,9 @@ def warn_of_slow_errors(
     )
 
 
-def _warn(sample_time: float, what: str) -> None:
+def _warn(sample_time: float, effect: str) -> None:
     warn(
         f"where winches hold rest lengths between samples of {sample_time:g} s, strings this "
-        f"stiff {what}; if the actuators hold forces, build the model without a string law",
+        f"stiff {effect}; if the actuators hold forces, build the model without a string law",
         RuntimeWarning,
     )

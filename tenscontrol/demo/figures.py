@@ -17,13 +17,13 @@ from tenscontrol.plot.structure_drawing import new_space
 from tenscontrol.plot.style import save_figure
 
 
-def save_figures(output: Path, found: Found) -> Iterator[Path]:
+def save_figures(output: Path, results: Found) -> Iterator[Path]:
     """Draw and save what is found, one figure after the other, and yield where each is."""
-    rest, regulator, morph = found.rest, found.regulator, found.morph
+    rest, regulator, morph = results.rest, results.regulator, results.morph
     if rest is not None:
         prism = plot.structure(rest.structure, force_density=rest.force_density)
         yield save_figure(_figure(prism.ax), output / "prism.png")
-    for name, (plant, shapes) in found.plants.items():
+    for name, (plant, shapes) in results.plants.items():
         drawn = plot.mode_shapes(plant, shapes)
         yield save_figure(_figure(drawn[0].ax), output / f"modes_{name}.png")
     if regulator is not None:

@@ -95,11 +95,11 @@ def status_and_fallback(number: int) -> tuple[Status, Fallback | None]:
 
 def _named(functions: dict[str, ca.Function], name: str) -> list[ca.Function]:
     """Return functions under the names that they have in C."""
-    found = []
-    for what, function in functions.items():
+    renamed = []
+    for role, function in functions.items():
         symbols = [ca.MX.sym(f"x{i}", *function.size_in(i)) for i in range(function.n_in())]
-        found.append(Function(f"{name}_{what}", symbols, function.call(symbols)))
-    return found
+        renamed.append(Function(f"{name}_{role}", symbols, function.call(symbols)))
+    return renamed
 
 
 def _data(controller: Controller, law: LawCode, functions: list[ca.Function]) -> str:
@@ -107,8 +107,10 @@ def _data(controller: Controller, law: LawCode, functions: list[ca.Function]) ->
     low, high = controller.bounds
     # Work space for the largest function by CasADi.
     work = {
-        f"CASADI_{what.upper()}": max(1, *(getattr(each, f"sz_{what}")() for each in functions))
-        for what in ("arg", "res", "iw", "w")
+        f"CASADI_{space.upper()}": max(
+            1, *(getattr(function, f"sz_{space}")() for function in functions)
+        )
+        for space in ("arg", "res", "iw", "w")
     }
     change, check = controller.largest_change, controller.measurement_check
     structure, d = controller.plant.model.structure, controller.plant.nodes.shape[0]
@@ -169,7 +171,7 @@ def _casadi(functions: list[ca.Function], name: str) -> dict[str, str]:
 
     # CasADi does not say that a disk is full: a file then does not end as it should.
     with TemporaryDirectory(prefix="tenscontrol-") as above:
-        folder, number, said = Path(above) / "code", errno.EIO, "a file of it is cut short"
+        folder, number, reason = Path(above) / "code", errno.EIO, "a file of it is cut short"
         try:
             os.mkdir(folder)
             code.generate(str(folder) + os.sep)
@@ -180,9 +182,9 @@ def _casadi(functions: list[ca.Function], name: str) -> dict[str, str]:
                 return texts
         except OSError as error:
             number = error.errno or number
-            said = error.strerror or shorten(str(error), 300)
+            reason = error.strerror or shorten(str(error), 300)
     advice = "make TMPDIR a folder that can be written and has space"
-    raise OSError(number, f"cannot write C code: {said}; {advice}", str(folder))
+    raise OSError(number, f"cannot write C code: {reason}; {advice}", str(folder))
 
 
 def _constants(values: Mapping[str, float | int]) -> str:
@@ -206,13 +208,13 @@ def _matrix(name: str, values: FloatArray) -> str:
     from scipy.sparse import csr_array
 
     rows = csr_array(values)
-    parts = {
+    arrays = {
         f"{name}_start": rows.indptr.astype(np.int64),
         f"{name}_column": rows.indices.astype(np.int64),
         f"{name}_value": rows.data.astype(float),
     }
-    record = f"static const Matrix {name} = {{{values.shape[0]}, {', '.join(parts)}}};"
-    return "\n".join([*(_array(*part) for part in parts.items()), record])
+    record = f"static const Matrix {name} = {{{values.shape[0]}, {', '.join(arrays)}}};"
+    return "\n".join([*(_array(*array) for array in arrays.items()), record])
 
 
 def _template(file: str, name: str, words: Mapping[str, str]) -> str:

@@ -57,12 +57,13 @@ class CompiledController(Controller):
                     "for another machine: see CC"
                 ) from None
         self._reset, self._run, self._set_applied, self._count = (
-            getattr(loaded, f"{name}_{what}")
-            for what in ("reset", "command", "applied", "iterations")
+            getattr(loaded, f"{name}_{function}")
+            for function in ("reset", "command", "applied", "iterations")
         )
         #: Addresses of the functions ``reset`` and ``command`` in C, for loops of compiled code.
         self.entry_points = tuple(
-            ctypes.cast(each, ctypes.c_void_p).value or 0 for each in (self._reset, self._run)
+            ctypes.cast(function, ctypes.c_void_p).value or 0
+            for function in (self._reset, self._run)
         )
         self._run.argtypes = [ctypes.c_double, _VECTOR, _VECTOR, _VECTOR]
         self._set_applied.argtypes = [_VECTOR]

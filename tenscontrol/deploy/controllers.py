@@ -92,11 +92,11 @@ def _program(
 def mpc_code(controller: MPC) -> LawCode:
     """Return the code of a linear MPC, which solves its program along the stages."""
     law = controller.law
-    settings, made = law.settings, law.design
+    settings, designed = law.settings, law.design
     _refuse_time_limit(settings.longest_time)
-    problem, limits = made.problem, made.constraints.limits
+    problem, limits = designed.problem, designed.constraints.limits
     sizes, data = stages_data(
-        problem, limits, settings.max_iterations, (made.low, made.high), alike=True
+        problem, limits, settings.max_iterations, (designed.low, designed.high), alike=True
     )
     constants, arrays = _program(sizes, data, problem)
     rows, none = problem.rows, np.zeros(0)
@@ -108,13 +108,13 @@ def mpc_code(controller: MPC) -> LawCode:
         "motion_by_state", "motion_by_input", "limited_by_state", "limited_by_input",
         "limited_by_next_state",
     )  # fmt: skip
-    arrays |= {name: part.T.ravel() for name, part in zip(names, slopes, strict=True)}
+    arrays |= {name: slope.T.ravel() for name, slope in zip(names, slopes, strict=True)}
     loads, matrices = 0, {}
     if law.load is not None:
         loads = len(law.load.gain)
         matrices = {
             "transition": problem.transition[: 2 * law.plant.degrees_of_freedom],
-            "by_input": made.sampled.by_input,
+            "by_input": designed.sampled.by_input,
             "load_gain": law.load.gain,
             "load_response": law.load.response,
             "load_shift": law.load.shift,
@@ -123,15 +123,15 @@ def mpc_code(controller: MPC) -> LawCode:
 
     def row(time: float) -> FloatArray:
         moved = law.stage_data(law.preview(time), np.zeros(loads) if loads else None)
-        parts = [
+        arrays = [
             moved.reference, moved.previous_origin, moved.origin,
             moved.origin + moved.input_reference, moved.drift,
             values_from(limits, moved) / data["scale"],
         ]  # fmt: skip
         if loads:
             still = np.zeros(2 * law.plant.degrees_of_freedom)
-            parts.append(law.free_response(moved, still, moved.previous_origin))
-        return np.concatenate([part.ravel() for part in parts])
+            arrays.append(law.free_response(moved, still, moved.previous_origin))
+        return np.concatenate([array.ravel() for array in arrays])
 
     return LawCode(
         templates=("time_table.c", "program.c", "mpc.c"),
@@ -158,7 +158,7 @@ def nmpc_code(controller: NMPC) -> LawCode:
     constants, arrays = _program(sizes, data, problem)
 
     def row(time: float) -> FloatArray:
-        return np.concatenate([part.ravel() for part in law.targets(time)])
+        return np.concatenate([target.ravel() for target in law.targets(time)])
 
     functions = {
         "advance": model.discretization.sampled,

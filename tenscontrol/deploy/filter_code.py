@@ -96,5 +96,5 @@ def _shape(design: FilterDesign) -> ca.Function:
     plant = design.plant
     z, near = ca.SX.sym("z", len(design.start)), near_symbol(plant)
     N, V = reduced_motion(plant, z[: design.extra.states], near)
-    parts = [ca.densify(ca.vec(part)) for part in (N, V)]
-    return Function("shape", [z], settled(plant, z, near, parts))
+    outputs = [ca.densify(ca.vec(motion)) for motion in (N, V)]
+    return Function("shape", [z], settled(plant, z, near, outputs))

@@ -216,25 +216,25 @@ def generate_c(
             f"controller has {controller.actuation!r}, but generated C code does not know passive "
             "or ganged strings yet: design it on a plant with all strings driven"
         )
-    place = validation.file_path("folder", folder).absolute()
+    path = validation.file_path("folder", folder).absolute()
     if estimator is not None:
         law = with_filter(law, controller, estimator)
     texts = code_files(controller, law, name, estimator)
     sums = [f"{_checksum(text.encode())}  {file}" for file, text in texts.items()]
     texts[_LIST] = "\n".join([_HEAD, *sums, ""])
     overwrite = validation.truth("overwrite", overwrite, "whether to replace changed files")
-    for file in _replaced(place, set(texts), overwrite):
-        (place / file).unlink()
-    _write_folder(place, texts, last=f"{name}.h")
+    for file in _replaced(path, set(texts), overwrite):
+        (path / file).unlink()
+    _write_folder(path, texts, last=f"{name}.h")
     assert controller.sample_time is not None  # checked with the law
     low, high = controller.bounds
     listed = sorted(texts)
     return GeneratedController(
-        folder=place,
+        folder=path,
         name=name,
         kind=type(controller).__name__,
         files=tuple(listed),
-        sizes=tuple((place / file).stat().st_size for file in listed),
+        sizes=tuple((path / file).stat().st_size for file in listed),
         plant=controller.plant,
         sample_time=controller.sample_time,
         low=frozen(low),
@@ -276,18 +276,18 @@ def _checksum(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-def _replaced(place: Path, files: set[str], overwrite: bool) -> list[str]:
+def _replaced(path: Path, files: set[str], overwrite: bool) -> list[str]:
     """Return the files in a folder that make way; raise if others are in the way."""
-    present = {each.name for each in place.iterdir()} if os.path.isdir(place) else set()
+    present = {entry.name for entry in path.iterdir()} if os.path.isdir(path) else set()
     known: dict[str, str] = {}
     if _LIST in present:
-        text = read_file(place / _LIST, _MOST_BYTES).decode(errors="replace")
+        text = read_file(path / _LIST, _MOST_BYTES).decode(errors="replace")
         head, *lines = text.splitlines() or [""]
         if head == _HEAD:
-            known = {each[2]: each[1] for each in map(_LINE.fullmatch, lines) if each}
+            known = {match[2]: match[1] for match in map(_LINE.fullmatch, lines) if match}
     if present and not known and not overwrite:
         raise FileExistsError(
-            f"folder {str(place)!r} is not empty, and other C files in it would be compiled too: "
+            f"folder {str(path)!r} is not empty, and other C files in it would be compiled too: "
             "give a new one, or overwrite=True"
         )
     ours = present & known.keys()
@@ -296,28 +296,28 @@ def _replaced(place: Path, files: set[str], overwrite: bool) -> list[str]:
         changed = []
     else:
         changed = sorted(
-            file for file in ours if _checksum(read_file(place / file, _MOST_BYTES)) != known[file]
+            file for file in ours if _checksum(read_file(path / file, _MOST_BYTES)) != known[file]
         )
     others = present - ours - {_LIST}
     changed += sorted(file for file in others if file in files or file.endswith((".c", ".h")))
     if changed:
         advice = "" if overwrite or changed[0] in others else ", give overwrite=True"
         raise FileExistsError(
-            f"folder {str(place)!r} has {changed[0]!r}, which is not as an earlier call wrote it, "
+            f"folder {str(path)!r} has {changed[0]!r}, which is not as an earlier call wrote it, "
             f"and would be replaced or compiled too: move it away{advice}, or give a new folder"
         )
     return sorted(ours | (present & {_LIST}))
 
 
-def _write_folder(place: Path, texts: dict[str, str], last: str) -> None:
+def _write_folder(path: Path, texts: dict[str, str], last: str) -> None:
     """Write files, or none; without the last one, which all need, no part of them compiles."""
-    missing = [each for each in (place, *place.parents) if not os.path.exists(each)]
+    missing = [above for above in (path, *path.parents) if not os.path.exists(above)]
     try:
-        make_folder(place)
-        for file in sorted(texts, key=lambda each: each == last):
-            write_file(place / file, texts[file], flush=file == last)
+        make_folder(path)
+        for file in sorted(texts, key=lambda file: file == last):
+            write_file(path / file, texts[file], flush=file == last)
     except BaseException:  # Ctrl-C too
-        written = [(place / file).unlink for file in texts]
+        written = [(path / file).unlink for file in texts]
         for remove in (*written, *(folder.rmdir for folder in missing)):
             with suppress(OSError):
                 remove()

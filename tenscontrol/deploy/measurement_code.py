@@ -37,7 +37,7 @@ def measurement(plant: LinearPlant) -> ca.Function:
     """
     structure, (d, count) = plant.model.structure, plant.nodes.shape
     positions, rates = ca.MX.sym("N", d * count), ca.MX.sym("V", d * count)
-    N, V = (ca.reshape(part, d, count) for part in (positions, rates))
+    N, V = (ca.reshape(array, d, count) for array in (positions, rates))
     is_internal = plant.coordinates.kind == "internal"
     by_coordinate = len(structure.rollers) > 0 or len(structure.fixed) > 1
     if is_internal and by_coordinate and rigid_basis(structure).shape[1]:
@@ -98,8 +98,8 @@ def _along_supports(plant: LinearPlant, nearest: bool) -> ca.Function:
     move = ca.solve(matrix, right)[: len(fields)]
     by_turn = _rotation(move[d:])
     back = ca.mtimes(by_turn, arms) + ca.repmat(centre + move[:d], 1, count)
-    found = ca.horzcat(back, ca.mtimes(by_turn, turn))
-    return Function("along_supports", [both], [ca.densify(found)])
+    moved_shape = ca.horzcat(back, ca.mtimes(by_turn, turn))
+    return Function("along_supports", [both], [ca.densify(moved_shape)])
 
 
 def _independent_rows(plant: LinearPlant) -> list[int]:
@@ -108,18 +108,18 @@ def _independent_rows(plant: LinearPlant) -> list[int]:
 
     nodes, held = plant.nodes, plant.model.structure.fixed_rows
     aside = _ASIDE * np.ptp(nodes, axis=1).max() * np.random.default_rng(0).normal(size=nodes.shape)
-    found = []
+    rows = []
     for shape in (nodes, nodes + aside):
         R, order = qr(rigid_motions(shape)[held].T, mode="r", pivoting=True)
         sizes = np.abs(np.diagonal(R))
-        found.append(sorted(order[: np.count_nonzero(sizes > _RANK * sizes[0])]))
-    if len(found[0]) < len(found[1]):
+        rows.append(sorted(order[: np.count_nonzero(sizes > _RANK * sizes[0])]))
+    if len(rows[0]) < len(rows[1]):
         raise ValueError(
             "controller is for a structure whose supports allow other rigid-body motions at its "
             "operating point than in neighbouring shapes, so that its measurement cannot be "
             "written as C code: move a roller, or fix another coordinate"
         )
-    return found[0]
+    return rows[0]
 
 
 def _rotation(turn: Any) -> Any:

@@ -45,13 +45,13 @@ def memory_use(
     compiler: str, sources: Sequence[Path], options: Sequence[str], timeout: float
 ) -> MemoryUse:
     """Return what some C files take; see :meth:`GeneratedController.memory`."""
-    place = _tool(compiler, compiler)
+    program = _tool(compiler, compiler)
     size, nm = (_tool(compiler, _beside(compiler, tool)) for tool in ("size", "nm"))
     with TemporaryDirectory(prefix="tenscontrol-") as folder:
         objects = []
         for source in sources:
             target = os.path.join(folder, f"{source.stem}.o")
-            _output([place, *_STRICT, *options, str(source), "-o", target], timeout)
+            _output([program, *_STRICT, *options, str(source), "-o", target], timeout)
             objects.append(target)
         rows = [line.split() for line in _output([size, *objects], timeout).splitlines()[1:]]
         symbols = [line.split() for line in _output([nm, *objects], timeout).splitlines()]
@@ -70,13 +70,13 @@ def _beside(compiler: str, tool: str) -> str:
 
 
 def _tool(compiler: str, name: str) -> str:
-    place = which(name) or which(os.path.basename(name))
-    if place is None:
+    program = which(name) or which(os.path.basename(name))
+    if program is None:
         raise FileNotFoundError(
             f"compiler is {compiler!r}, but {name!r} is not on the path: install it, or name "
             "another, like 'cc'"
         )
-    return place
+    return program
 
 
 def _output(command: Sequence[str], timeout: float) -> str:

@@ -168,9 +168,9 @@ class ContactLaw(ABC):
         for foot, end in pairwise((*self.kinks, np.inf)):
             inside = ca.fmin(ca.fmax(depth, foot), end) - foot
             for node, weight in zip(*_QUADRATURE, strict=True):
-                part = (1 + node) / 2  # of the root of the way from the foot
-                at = self._pressing(foot + inside * part**2, 0 * depth)
-                energy += weight * part * at * inside
+                fraction = (1 + node) / 2  # of the root of the way from the foot
+                pressure = self._pressing(foot + inside * fraction**2, 0 * depth)
+                energy += weight * fraction * pressure * inside
         return energy
 
     def __post_init__(self) -> None:
@@ -259,7 +259,7 @@ class ContactLaw(ABC):
         """
         way = after - before
         velocities = way / h
-        starts, ends = (self.sinking(part, velocities)[0] for part in (before, after))
+        starts, ends = (self.sinking(positions, velocities)[0] for positions in (before, after))
         _, _, away = self.sinking((before + after) / 2, velocities)
         rate = (ends - starts) / h
         if isinstance(self.height, ca.Function):
@@ -268,15 +268,15 @@ class ContactLaw(ABC):
             away -= kernel.scale_columns(way, beside)
         force: Any = 0
         for foot, end in pairwise((*self.kinks, np.inf)):
-            low, high = (ca.fmin(ca.fmax(part, foot), end) for part in (starts, ends))
+            low, high = (ca.fmin(ca.fmax(depth, foot), end) for depth in (starts, ends))
             inside = ca.logic_and(*(ca.logic_and(p > foot, p <= end) for p in (starts, ends)))
             moved = ca.if_else(starts == ends, 1, ends - starts)
             share = ca.if_else(inside, 1, (high - low) / moved)
             first, last = ca.sqrt(low - foot + _ROOTED), ca.sqrt(high - foot + _ROOTED)
             for node, weight in zip(*_QUADRATURE, strict=True):
                 root = first + (1 + node) / 2 * (last - first)
-                at = self._pressing(foot + root**2, rate)
-                force += weight * share * root / (first + last) * at
+                pressure = self._pressing(foot + root**2, rate)
+                force += weight * share * root / (first + last) * pressure
         return self.resultant(force, away, velocities)
 
     def resultant(self, normal_force: Any, away: Any, velocities: Any) -> Any:
@@ -451,7 +451,7 @@ def _surface(height: ca.Function, dimension: int) -> ca.Function:
     x = ca.SX.sym("x", dimension)
     across = ca.vertsplit(x)[:-1]
     h = height(*across)
-    slopes = [ca.jacobian(h, each) for each in across]
+    slopes = [ca.jacobian(h, coordinate) for coordinate in across]
     depth = (h - x[-1]) / ca.sqrt(1 + sum(slope**2 for slope in slopes))
     return Function("surface", [x], [depth, -ca.gradient(depth, x)])
 
@@ -541,7 +541,7 @@ class Contacts(Force):
     @property
     def switches(self) -> int:
         """Number of switches."""
-        return max((each.stop for each in self.switch if each is not None), default=0)
+        return max((switch.stop for switch in self.switch if switch is not None), default=0)
 
     @property
     def is_velocity_dependent(self) -> bool:
@@ -575,8 +575,8 @@ class Contacts(Force):
                     return law.gap(depth, rate), rate
 
                 reads = {"p": Read("p", nodes), "v": Read("v", nodes)}
-                at = np.arange(switch.start, switch.stop)
-                writes = (Write("gap", 0, at), Write("rate", 1, at))
+                rows = np.arange(switch.start, switch.stop)
+                writes = (Write("gap", 0, rows), Write("rate", 1, rows))
                 passes.append(Pass(f"ground_gaps_{i}", len(nodes), gap, reads, writes, {}))
         return passes
 
@@ -584,14 +584,16 @@ class Contacts(Force):
         """Return the mean forces on all nodes over a step; see :meth:`Force.mean_force`."""
         forces = type(before)(*before.shape)
         for law, nodes, _ in self:
-            at = nodes.tolist()
-            forces[:, at] = forces[:, at] + law.mean_force(before[:, at], after[:, at], h)
+            columns = nodes.tolist()
+            forces[:, columns] = forces[:, columns] + law.mean_force(
+                before[:, columns], after[:, columns], h
+            )
         return forces
 
     def stored_energy(self, N: Any, u: Any = None) -> Any:
         """Return what the ground stores under nodes, J; see :meth:`Force.stored_energy`."""
         energy = type(N)(1, 1)
         for law, nodes, _ in self:
-            at = N[:, nodes.tolist()]
-            energy += ca.sum2(law.stored_energy(law.sinking(at, 0 * at)[0]))
+            positions = N[:, nodes.tolist()]
+            energy += ca.sum2(law.stored_energy(law.sinking(positions, 0 * positions)[0]))
         return energy

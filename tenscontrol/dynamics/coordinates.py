@@ -95,12 +95,12 @@ class Coordinates:
     def projection(self) -> FloatArray:
         """Shape (r, d n): ``q = projection @ vec(δN)``."""
         refuse_large("the projection", (self.count, self.nodes.size))
-        found = self.from_sparse(self._momenta)
+        projection = self.from_sparse(self._momenta)
         if self._feet is not None:
             fields, from_feet, rows = self._feet
-            found[:, rows] = 0.0
-            found[:, rows] -= (found @ fields) @ from_feet
-        return frozen(found)
+            projection[:, rows] = 0.0
+            projection[:, rows] -= (projection @ fields) @ from_feet
+        return frozen(projection)
 
     def from_sparse(self, values: Any) -> FloatArray:
         """Return q = Hᵀ y, shape (r,) or (r, k), of coordinates y of the sparse basis.
@@ -137,11 +137,11 @@ class Coordinates:
     @cached_property
     def rigid(self) -> FloatArray:
         """Orthonormal basis, in y, of the rigid-body motions that supports leave, shape (m, k)."""
-        found = self._inside
-        if not isinstance(found, Complement):
+        complement = self._inside
+        if not isinstance(complement, Complement):
             left = left_by_supports(self.structure, rigid_motions(self.nodes))
-            found = Complement(self._momenta @ left)
-        return frozen(found.outside)
+            complement = Complement(self._momenta @ left)
+        return frozen(complement.outside)
 
     def to_sparse(self, q: FloatArray) -> FloatArray:
         """Return y = H q, shape (m,) or (m, k).
@@ -350,7 +350,7 @@ class Coordinates:
         """
         structure = self.structure
         shape = structure.nodes.shape
-        N, V = (ca.SX(ca.reshape(part, *shape)) for part in (places, rates))
+        N, V = (ca.SX(ca.reshape(entries, *shape)) for entries in (places, rates))
         share = structure.end_share
         for bar, column in zip(*self._alone[:1], self._alone[1].T, strict=True):
             start, end = structure.bars[bar].tolist()
@@ -361,16 +361,16 @@ class Coordinates:
             reach = ca.sqrt(structure.bar_length[bar] ** 2 - ca.dot(across, across))
             whole = across + reach * axis
             stretch, rate = reach - along, -ca.dot(whole, change) / reach
-            for node, part in ((start, -share[bar, 0]), (end, share[bar, 1])):
-                N[:, node] += part * stretch * axis
-                V[:, node] += part * rate * axis
+            for node, weight in ((start, -share[bar, 0]), (end, share[bar, 1])):
+                N[:, node] += weight * stretch * axis
+                V[:, node] += weight * rate * axis
         if not self._joined:
             return N, V
         hidden = self.hidden(places, rates) if near is None else near
         for block in self._joined:
             rows, count = block.rows.tolist(), len(block.rows)
             whole, speeds = ca.vec(N), ca.vec(V)
-            there, displaced, faster = (hidden[k * count : (k + 1) * count] for k in range(3))
+            corrected, displaced, faster = (hidden[k * count : (k + 1) * count] for k in range(3))
             hidden = hidden[3 * count :]
             whole[rows] += displaced
             speeds[rows] += faster
@@ -378,9 +378,9 @@ class Coordinates:
                 # Nothing is left of lengths to correct, but of their derivatives.
                 step = self._normal_step(block)
                 _, excess, _ = self._lengths(ca.reshape(whole, *shape), block)
-                whole[rows] -= step(there, excess)
+                whole[rows] -= step(corrected, excess)
                 J, _, _ = self._lengths(ca.reshape(whole, *shape), block)
-                speeds[rows] -= step(there, ca.mtimes(J, speeds[rows]))
+                speeds[rows] -= step(corrected, ca.mtimes(J, speeds[rows]))
             N, V = ca.reshape(whole, *shape), ca.reshape(speeds, *shape)
         return N, V
 
@@ -394,7 +394,7 @@ class Coordinates:
         ----------
         places, rates : casadi.SX, shape (d n, 1)
         """
-        shape, moved, found = self.structure.nodes.shape, places, [ca.SX(0, 1)]
+        shape, moved, columns = self.structure.nodes.shape, places, [ca.SX(0, 1)]
         for block in self._joined:
             places, rows, step = ca.SX(moved), block.rows.tolist(), self._normal_step(block)
             for _ in range(_STEPS):
@@ -402,9 +402,9 @@ class Coordinates:
                 places[rows] -= step(places[rows], excess)
             J, _, worst = self._lengths(ca.reshape(places, *shape), block)
             speeds = -step(places[rows], ca.mtimes(J, rates[rows]))
-            there = ca.if_else(worst <= _EXACT, places[rows], np.nan)
-            found += [there, there - moved[rows], speeds]
-        return ca.vertcat(*found)
+            corrected = ca.if_else(worst <= _EXACT, places[rows], np.nan)
+            columns += [corrected, corrected - moved[rows], speeds]
+        return ca.vertcat(*columns)
 
     @property
     def hidden_size(self) -> int:
@@ -429,18 +429,18 @@ class Coordinates:
         bars, rows, shape = block.independent, block.rows, self.structure.nodes.shape
         places, change = ca.SX.sym("places", len(rows)), ca.SX.sym("change", len(bars))
         reference = ca.SX(ca.DM(self.nodes))
-        at = ca.vec(reference)
-        at[rows.tolist()] = places
+        entries = ca.vec(reference)
+        entries[rows.tolist()] = places
         J, J_0 = (
             kernel.block_rows(self.structure, bars, rows, N)
-            for N in (ca.reshape(at, *shape), reference)
+            for N in (ca.reshape(entries, *shape), reference)
         )
         mass = ca.SX(ca.sparsify(ca.DM(block_mass(self.structure, block).toarray())))
         matrix = ca.blockcat([[mass, -J_0.T], [J, ca.SX(len(bars), len(bars))]])
         right = ca.vertcat(ca.SX.zeros(len(rows)), change)
         order, back = block.order.tolist(), np.argsort(block.order).tolist()
-        found = kernel.eliminated(matrix[order, order], right[order])[back]
-        return Function("normal_step", [places, change], [found[: len(rows)]])
+        solution = kernel.eliminated(matrix[order, order], right[order])[back]
+        return Function("normal_step", [places, change], [solution[: len(rows)]])
 
     def _with_lengths(self, nodes: FloatArray, normal: NormalEquations) -> FloatArray:
         """Return nodes displaced along the normal space until the bars of a block are exact."""
@@ -555,8 +555,8 @@ class NormalEquations:
         order = block.order  # in which nothing has to be sought while it is factorized
         # Which entries of the matrix are those of J, in their order there.
         numbered, self._matrix = (
-            block_array(parts, format="csc")[order][:, order]
-            for parts in ([[0 * mass, 0 * J.T], [pattern, None]], [[mass, -J.T], [J, None]])
+            block_array(blocks, format="csc")[order][:, order]
+            for blocks in ([[0 * mass, 0 * J.T], [pattern, None]], [[mass, -J.T], [J, None]])
         )
         for matrix in (numbered, self._matrix):
             matrix.sort_indices()

@@ -74,11 +74,11 @@ class InputLayout:
 
     def columns(self, u: Any) -> dict[str, Any]:
         """Return the expressions of the parameters that are inputs, by name."""
-        found, start = {}, self.strings + self.load
+        columns, start = {}, self.strings + self.load
         for name, size in self.parameters:
-            found[name] = self.values(u)[start : start + size]
+            columns[name] = self.values(u)[start : start + size]
             start += size
-        return found
+        return columns
 
     def later(self, u: FloatArray, time: float) -> FloatArray:
         """Return u that begins a time later, in numbers."""
@@ -240,7 +240,7 @@ class Equation:
 
 def pack_state(structure: Structure, nodes: FloatArray, velocities: FloatArray) -> FloatArray:
     """Return ``x = [vec(N); vec(Ṅ)]`` of what is free, from two arrays of shape (d, n)."""
-    return np.concatenate([free_coordinates(structure, part) for part in (nodes, velocities)])
+    return np.concatenate([free_coordinates(structure, array) for array in (nodes, velocities)])
 
 
 def unpack_states(structure: Structure, states: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -204,14 +204,14 @@ class Exclusive:
 
     Parameters
     ----------
-    what : str
+    name : str
         The object that has a memory, for the message.
     size : int
         Rows or columns of its largest matrix: if they are many, the BLAS has one thread meanwhile.
     """
 
-    def __init__(self, what: str, size: int = 0) -> None:
-        self._what, self._user, self._depth = what, 0, 0
+    def __init__(self, name: str, size: int = 0) -> None:
+        self._what, self._user, self._depth = name, 0, 0
         self._size, self._limits = size, size > _SMALL
 
     def __enter__(self) -> None:
@@ -283,17 +283,17 @@ class Prepared:
         return value
 
     def _find(self, key: Hashable) -> Any:
-        found = self._kept.get(key)
-        if found is None:
+        entry = self._kept.get(key)
+        if entry is None:
             return None
-        found[1] = next(self._uses)
-        return found[0]
+        entry[1] = next(self._uses)
+        return entry[0]
 
     def _keep(self, key: Hashable, value: _Value) -> _Value:
         """Keep a value, by the thread that holds the lock."""
         self._kept[key] = [value, next(self._uses)]
         while len(self._kept) > _MOST:
-            del self._kept[min(self._kept, key=lambda each: self._kept[each][1])]
+            del self._kept[min(self._kept, key=lambda stored: self._kept[stored][1])]
         return value
 
     def __reduce__(self) -> tuple[type[Prepared], tuple[()]]:
@@ -386,14 +386,16 @@ class ColumnEvaluator:
             end = min(start + _CHUNK, count)
             width = 1 if start + 1 == count else _CHUNK
             if width == 1:
-                parts = self._one(*(column[:, start] for column in columns))
+                outputs = self._one(*(column[:, start] for column in columns))
             else:
                 some: Any = slice(start, end)
                 if end - start < width:
                     some = np.minimum(np.arange(start, start + width), count - 1)
-                parts = self._chunk(*(column[:, some] for column in columns))
-            for result, part in zip(results, parts, strict=True):
-                result[:, start:end] = part.reshape(len(result), width, order="F")[:, : end - start]
+                outputs = self._chunk(*(column[:, some] for column in columns))
+            for result, output in zip(results, outputs, strict=True):
+                result[:, start:end] = output.reshape(len(result), width, order="F")[
+                    :, : end - start
+                ]
         return results
 
 

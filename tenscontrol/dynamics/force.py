@@ -66,7 +66,7 @@ class Pass:
             columns[name] = array
         for name, value in self.parameters.items():
             columns[name] = value.T if isinstance(value, ca.SX) else ca.DM(value).T
-        return [ca.densify(part) for part in self.kernel(columns)]
+        return [ca.densify(output) for output in self.kernel(columns)]
 
     def for_one(self, dimension: int) -> tuple[Columns, Columns, tuple[Any, ...]]:
         """Return symbols of what one member reads and of parameters of its own, and its outputs."""
@@ -86,8 +86,8 @@ class Pass:
         def moved(access: Any) -> Any:
             if access.array not in ("taut", "gap", "rate"):
                 return access
-            at = np.arange(self.count) if access.at is None else access.at
-            return replace(access, at=first + at)
+            members = np.arange(self.count) if access.at is None else access.at
+            return replace(access, at=first + members)
 
         reads = {name: moved(read) for name, read in self.reads.items()}
         return replace(self, reads=reads, writes=tuple(map(moved, self.writes)))

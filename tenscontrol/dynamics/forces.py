@@ -22,8 +22,8 @@ TERMS: Mapping[str, type[Any]] = MappingProxyType({term.argument: term for term 
 
 def terms_of(structure: Structure, arguments: dict[str, Any]) -> tuple[Force, ...]:
     """Return the forces that arguments of a model make, without those that are not there."""
-    made = (TERMS[name].of_argument(structure, value) for name, value in arguments.items())
-    return tuple(term for term in made if term is not None)
+    terms = (TERMS[name].of_argument(structure, value) for name, value in arguments.items())
+    return tuple(term for term in terms if term is not None)
 
 
 class Forces:
@@ -119,7 +119,7 @@ class Forces:
             return type(N)(0, 1), type(N)(0, 1)
         arrays = {"p": N, "v": Nd, "u": u.T}
         outputs = [over.outputs(arrays) for over in passes]
-        gap, rate = (ca.horzcat(*parts) for parts in zip(*outputs, strict=True))
+        gap, rate = (ca.horzcat(*rows) for rows in zip(*outputs, strict=True))
         switch = [range(p.count) if p.writes[0].at is None else p.writes[0].at for p in passes]
         order = np.argsort(np.concatenate(switch))
         if (np.diff(order) == 1).all():

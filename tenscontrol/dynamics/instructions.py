@@ -39,12 +39,12 @@ def instructions(function: ca.Function) -> list[Instruction] | None:
     """
     if not function.is_a("SXFunction"):
         return None
-    found = []
+    listed = []
     for k in range(function.n_instructions()):
         code = function.instruction_id(k)
         if code not in _NAMES:
             return None
         constant = function.instruction_constant(k) if code == ca.OP_CONST else 0.0
         results, operands = function.instruction_output(k), function.instruction_input(k)
-        found.append(Instruction(_NAMES[code], results, operands, constant))
-    return found
+        listed.append(Instruction(_NAMES[code], results, operands, constant))
+    return listed

@@ -136,25 +136,25 @@ def segment_force_density(structure: Structure, S: Symbolic, gamma: Symbolic) ->
     """
     if not structure.has_clusters:
         return gamma
-    each = string_length(structure, S)
-    tension = gamma * string_sums(structure, each)
-    return tension[:, structure.segment_string.tolist()] / each
+    lengths = string_length(structure, S)
+    tension = gamma * string_sums(structure, lengths)
+    return tension[:, structure.segment_string.tolist()] / lengths
 
 
 def string_motion(structure: Structure, N: Symbolic, Nd: Symbolic) -> tuple[Symbolic, Symbolic]:
     """Return length and rate of each string, m and m/s, shape (1, α)."""
     S, Sd = differences(N, structure.segments), differences(Nd, structure.segments)
-    each = string_length(structure, S)
-    rate = length_rate(S, Sd, each)
+    lengths = string_length(structure, S)
+    rate = length_rate(S, Sd, lengths)
     if not structure.has_clusters:
-        return each, rate
-    return string_sums(structure, each), string_sums(structure, rate)
+        return lengths, rate
+    return string_sums(structure, lengths), string_sums(structure, rate)
 
 
 def string_lengths(structure: Structure, N: Symbolic) -> Symbolic:
     """Return the length of each string, m, shape (1, α)."""
-    each = string_length(structure, differences(N, structure.segments))
-    return string_sums(structure, each) if structure.has_clusters else each
+    lengths = string_length(structure, differences(N, structure.segments))
+    return string_sums(structure, lengths) if structure.has_clusters else lengths
 
 
 def bar_force_density(
@@ -172,12 +172,14 @@ def bar_force_density(
         _, lam[:, structure.swinging_bars.tolist()] = _swinging_bars(structure, N, Nd, F, masses)
     if structure.blocks:
         every = coupled_block(structure)
-        _, found = block_motion(structure, every, N, Nd, F)
-        lam[:, every.independent.tolist()] = found.T
+        _, force_density = block_motion(structure, every, N, Nd, F)
+        lam[:, every.independent.tolist()] = force_density.T
     for block in structure.blocks:
         if block.is_redundant:
-            bars, found = _least_norm(structure, block, N, lam[:, block.independent.tolist()].T)
-            lam[:, bars.tolist()] = found.T
+            bars, force_density = _least_norm(
+                structure, block, N, lam[:, block.independent.tolist()].T
+            )
+            lam[:, bars.tolist()] = force_density.T
     return lam
 
 
@@ -237,19 +239,19 @@ def block_motion(
     J = block_rows(structure, block.independent, block.rows, N)
     Bd = differences(Nd, structure.bars[block.independent])
     force = ca.vec(F)[block.rows.tolist()]
-    found = SaddlePoint(structure, block, J).solve(force, -dots(Bd, Bd).T)
+    solution = SaddlePoint(structure, block, J).solve(force, -dots(Bd, Bd).T)
     rows = len(block.rows)
-    return found[:rows, :], -found[rows:, :]
+    return solution[:rows, :], -solution[rows:, :]
 
 
 def block_rows(structure: Structure, bars: IntArray, rows: IntArray, N: Symbolic) -> Symbolic:
     """Return J, shape (b, r), m: half the derivatives of the squared lengths of bars by rows."""
     d, count = structure.nodes.shape
-    place = np.full(d * count, -1)
-    place[rows] = np.arange(len(rows))
+    index = np.full(d * count, -1)
+    index[rows] = np.arange(len(rows))
     B = ca.vec(differences(N, structure.bars[bars]))
     ends = structure.bars[bars][:, ::-1].T  # b goes from the start to the end
-    columns = place[d * ends[:, :, None] + np.arange(d)].ravel()
+    columns = index[d * ends[:, :, None] + np.arange(d)].ravel()
     moves = np.flatnonzero(columns >= 0).tolist()
     lines = np.tile(np.repeat(np.arange(len(bars)), d), 2)
     sparsity, order = ca.Sparsity.triplet(
@@ -295,26 +297,26 @@ class SaddlePoint:
         """
         if isinstance(upper, ca.MX):
             right = ca.vertcat(upper, lower - ca.mtimes(self._J, self._share * upper))
-            found = ca.solve(self._matrix, right, "ldl")
+            solution = ca.solve(self._matrix, right, "ldl")
             rows = upper.shape[0]
-            below = found[rows:]
-            return ca.vertcat(found[:rows] - self._share * ca.mtimes(self._J.T, below), below)
+            below = solution[rows:]
+            return ca.vertcat(solution[:rows] - self._share * ca.mtimes(self._J.T, below), below)
         D, LT, permutation = self._factors
         if values is not None:
-            parts = ca.vertsplit(values, [0, D.nnz(), D.nnz() + LT.nnz()])
-            D, LT = (ca.SX(old.sparsity(), new) for old, new in zip((D, LT), parts, strict=True))
+            factors = ca.vertsplit(values, [0, D.nnz(), D.nnz() + LT.nnz()])
+            D, LT = (ca.SX(old.sparsity(), new) for old, new in zip((D, LT), factors, strict=True))
         right = ca.vertcat(upper, lower)[self._order, :]
         return ca.ldl_solve(right, D, LT, permutation)[self._back, :]
 
 
 def _symmetric(upper: Symbolic, left: Symbolic, lower: Symbolic) -> Symbolic:
     """Return ``[[upper, leftᵀ], [left, lower]]`` in MX: its entries are put in place at once."""
-    parts = (upper, left, lower)
-    ends = np.cumsum([0, *(part.nnz() for part in parts)])
-    number = [ca.DM(part.sparsity(), np.arange(start, start + part.nnz(), dtype=float))
-              for part, start in zip(parts, ends[:-1], strict=True)]  # fmt: skip
+    blocks = (upper, left, lower)
+    ends = np.cumsum([0, *(block.nnz() for block in blocks)])
+    number = [ca.DM(block.sparsity(), np.arange(start, start + block.nnz(), dtype=float))
+              for block, start in zip(blocks, ends[:-1], strict=True)]  # fmt: skip
     places = ca.blockcat([[number[0], number[1].T], [number[1], number[2]]])
-    entries = ca.vertcat(*(ca.reshape(part.nz[:], part.nnz(), 1) for part in parts))
+    entries = ca.vertcat(*(ca.reshape(block.nz[:], block.nnz(), 1) for block in blocks))
     return ca.MX(places.sparsity(), entries[np.array(places.nonzeros(), dtype=int).tolist()])
 
 
@@ -343,7 +345,7 @@ def eliminated(matrix: Symbolic, right: Symbolic) -> Symbolic:
             rows[i][j] = value
             below[j].add(i)
     for k, pivot in enumerate(rows):
-        for i in sorted(each for each in below[k] if each > k):
+        for i in sorted(row for row in below[k] if row > k):
             factor = rows[i].pop(k) / pivot[k]
             for j, value in pivot.items():
                 if j > k:
@@ -522,19 +524,19 @@ def _row(values: FloatArray) -> ca.DM:
 
 def _sparse(matrix: Any) -> ca.DM:
     """Return a SciPy matrix as one of CasADi's."""
-    found = matrix.tocoo()
-    found.sum_duplicates()
-    rows, columns = found.row.tolist(), found.col.tolist()
-    return ca.DM.triplet(rows, columns, ca.DM(found.data), *found.shape)
+    entries = matrix.tocoo()
+    entries.sum_duplicates()
+    rows, columns = entries.row.tolist(), entries.col.tolist()
+    return ca.DM.triplet(rows, columns, ca.DM(entries.data), *entries.shape)
 
 
-def string_sums(structure: Structure, each: Symbolic) -> Symbolic:
+def string_sums(structure: Structure, values: Symbolic) -> Symbolic:
     """Return sums over the segments of each string, shape (1, α)."""
     of = structure.segment_string.tolist()
     ones = ca.DM.triplet(
         list(range(len(of))), of, ca.DM.ones(len(of)), len(of), len(structure.strings)
     )
-    return ca.mtimes(each, ones)
+    return ca.mtimes(values, ones)
 
 
 def _gather(pairs: IntArray, n: int) -> ca.DM:

@@ -163,11 +163,11 @@ def compiled(function: ca.Function, timeout: float = 600.0) -> ca.Function | Non
     """
     validation.instance("function", function, ca.Function, "make one by casadi.Function(...)")
     timeout = validation.positive_number("timeout", timeout, "s", validation.LONGEST_WAIT)
-    for part in (function, *function.find_functions()):
-        if part.class_name() == "External":
+    for called in (function, *function.find_functions()):
+        if called.class_name() == "External":
             raise ValueError(
-                f"function calls {part.name()!r}, which is compiled already; compile a function "
-                f"of what {part.name()!r} was made of instead"
+                f"function calls {called.name()!r}, which is compiled already; compile a function "
+                f"of what {called.name()!r} was made of instead"
             )
     if compiler() is None:
         return None
@@ -262,9 +262,9 @@ def link(
         raise CompilerError(f"{command[0]} was stopped after {timeout:g} s. {_ADVICE}") from None
     status = done.returncode
     if status != 0 or not library.is_file():
-        what = f"failed with exit status {status}" if status else "wrote no library"
+        failure = f"failed with exit status {status}" if status else "wrote no library"
         lines = "\n".join(f"  {line}" for line in done.stdout.splitlines()[:_SAID])
-        raise CompilerError(f"{command[0]} {what}. {_ADVICE}. It said:\n{lines}")
+        raise CompilerError(f"{command[0]} {failure}. {_ADVICE}. It said:\n{lines}")
 
 
 @cache

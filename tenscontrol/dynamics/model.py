@@ -497,7 +497,7 @@ class Model:
         structure = self._structure
         known = {"bar_mass": len(structure.bars), "point_mass": structure.nodes.shape[1]}
         known = {} if structure.blocks else known
-        known |= {each.name: len(structure.strings) for each in (fields(law) if law else ())}
+        known |= {field.name: len(structure.strings) for field in (fields(law) if law else ())}
         given = validation.items("parameters", names, "names")
         return tuple((validation.choice("parameters", name, known), known[name]) for name in given)
 
@@ -528,7 +528,7 @@ class Model:
         on_free = ca.densify(on_nodes[:, structure.free.tolist()])
         q, v = (kernel.free_entries(structure, s[name]) for name in ("N", "Nd"))
         on_free = kernel.free_entries(structure, on_free)
-        gaps = [ca.densify(part) for part in forces.gaps(*ends, u)]
+        gaps = [ca.densify(column) for column in forces.gaps(*ends, u)]
         return (
             Function("slope", [s["x"], given, taut], [self._xdot(s, on_nodes)]),
             Function("gap", [s["x"], given], gaps),
@@ -584,7 +584,7 @@ class Model:
         name : {"string_force_density", "elastic_energy"}
         names : sequence of str
         """
-        own = {each: ca.SX.sym(each, len(self._structure.strings)) for each in names}
+        own = {parameter: ca.SX.sym(parameter, len(self._structure.strings)) for parameter in names}
         law = self._needed_strings().with_parameters(own)
         s = self._symbols() | own | {"law": law, "parameters": names}
         return getattr(self, f"_{name}")(s)
@@ -613,8 +613,8 @@ class Model:
     def _string_motion(self, s: dict[str, Any]) -> ca.Function:
         """``(x) -> (length, rate)``: of each string, m and m/s, shape (α,)."""
         length, rate = kernel.string_motion(self._structure, s["nodes"], s["velocities"])
-        parts = {"length": ca.densify(length.T), "rate": ca.densify(rate.T)}
-        return self._function("string_motion", s, "x", **parts)
+        outputs = {"length": ca.densify(length.T), "rate": ca.densify(rate.T)}
+        return self._function("string_motion", s, "x", **outputs)
 
     def _winding(self, s: dict[str, Any]) -> ca.Function:
         """``(x, rest_length, rate) -> (stored, force, force_rate, slope, length)`` of each string.
@@ -633,9 +633,12 @@ class Model:
         half = x.shape[0] // 2
         moved = ca.vertcat(x[half:], ca.DM.zeros(half))
         change = ca.jtimes(force, x, moved) + ca.jtimes(force, rest, s["rate"])
-        parts = {"stored": stored, "force": force, "force_rate": change, "slope": slope}
-        parts = {name: ca.densify(part) for name, part in (parts | {"length": length}).items()}
-        return self._function("winding", s, "x rest_length rate", **parts)
+        outputs = {"stored": stored, "force": force, "force_rate": change, "slope": slope}
+        outputs = {
+            name: ca.densify(expression)
+            for name, expression in (outputs | {"length": length}).items()
+        }
+        return self._function("winding", s, "x rest_length rate", **outputs)
 
     def _momentum(self, s: dict[str, Any]) -> ca.Function:
         momenta, nodes = kernel.mass_product(self._structure, s["velocities"]), s["nodes"]
@@ -671,7 +674,7 @@ class Model:
             "N": N,
             "Nd": Nd,
             "W": W,
-            "x": ca.vertcat(*(kernel.free_entries(structure, part) for part in (N, Nd))),
+            "x": ca.vertcat(*(kernel.free_entries(structure, columns) for columns in (N, Nd))),
             "gamma": ca.SX.sym("gamma", alpha),
             "rest_length": ca.SX.sym("rest_length", alpha),
             "nodes": nodes,
@@ -681,9 +684,9 @@ class Model:
 
     def _function(self, name: str, s: dict[str, Any], inputs: str, **outputs: Any) -> ca.Function:
         """Return a function of symbols by name; W is an input only if the model takes a load."""
-        names = [each for each in inputs.split() if each != "W" or self._external_force]
+        names = [symbol for symbol in inputs.split() if symbol != "W" or self._external_force]
         names += s.get("parameters", ())
-        given = [s[each] for each in names]
+        given = [s[symbol] for symbol in names]
         return Function(name, given, list(outputs.values()), names, list(outputs))
 
     def _on_nodes(self, s: dict[str, Any], input: str) -> Any:
@@ -698,7 +701,7 @@ class Model:
 
     def _xdot(self, s: dict[str, Any], forces: Any) -> Any:
         rates = s["Nd"], self._accelerations(s, forces)
-        return ca.vertcat(*(kernel.free_entries(self._structure, part) for part in rates))
+        return ca.vertcat(*(kernel.free_entries(self._structure, columns) for columns in rates))
 
     def _lambda(self, s: dict[str, Any]) -> Any:
         forces = self._on_nodes(s, "force_density")

@@ -63,20 +63,20 @@ def with_parameters(model: Model, values: Mapping[str, FloatArray]) -> Model:
     TypeError, ValueError
         If a value does not fit, as what is made of it raises.
     """
-    parts: dict[str, Any] = {}
+    changes: dict[str, Any] = {}
     masses: dict[str, Any] = {name: values[name] for name in MASSES if name in values}
     if masses:
-        parts["structure"] = replace(model.structure, **masses)
+        changes["structure"] = replace(model.structure, **masses)
     of_law: dict[str, Any] = {
         name: values[name] for name in law_parameters(model) if name in values
     }
     if of_law and model.strings is not None:
-        parts["strings"] = replace(model.strings, **of_law)
+        changes["strings"] = replace(model.strings, **of_law)
     if "gravity" in values:
-        parts["gravity"] = values["gravity"]
+        changes["gravity"] = values["gravity"]
     laws = list(model.ground)
     for name, (i, number) in ground_numbers(model).items():
         if name in values:
             laws[i] = replace(laws[i], **{number: float(values[name][0])})
-            parts["ground"] = laws
-    return model.replace(**parts) if parts else model
+            changes["ground"] = laws
+    return model.replace(**changes) if changes else model

@@ -124,9 +124,9 @@ class Profile:
         return self._evaluated(time, 1)
 
     def _evaluated(self, time: object, order: int) -> FloatArray:
-        at = validation.float_array("time", time)
-        found = self.pieces.derivative(order).at(at.ravel())
-        return found.reshape(self.values.shape[:-1] + at.shape)
+        times = validation.float_array("time", time)
+        values = self.pieces.derivative(order).at(times.ravel())
+        return values.reshape(self.values.shape[:-1] + times.shape)
 
     @cached_property
     def pieces(self) -> Pieces:
@@ -209,10 +209,10 @@ class Pieces:
         if len(self.start) == 1:
             return self
         first, last = self.index(np.array([start, end]))
-        kept = slice(first, last + 1)
-        begin = self.start[kept].copy()
+        inside = slice(first, last + 1)
+        begin = self.start[inside].copy()
         begin[0] = -np.inf
-        return Pieces(begin, self.origin[kept], self.coefficients[kept])
+        return Pieces(begin, self.origin[inside], self.coefficients[inside])
 
     def piece(self, time: float) -> tuple[float, FloatArray]:
         """Return origin and coefficients, shape (rows, degree + 1), that hold from a time on."""
@@ -250,7 +250,7 @@ class Pieces:
 
     def least(self, start: float, end: float) -> tuple[float, float]:
         """Return the least value between two times, as looked at often, and when that is."""
-        found = [(np.inf, start)]
+        minima = [(np.inf, start)]
         some = self.within(start, end)
         looks = np.linspace(0.0, 1.0, 2 if self.degree < 2 else _LOOKS)
         ends = np.append(some.start[1:], end)
@@ -259,30 +259,30 @@ class Pieces:
         ):
             times = a + (b - a) * looks
             values = polynomial_at(c, times - origin).min(axis=0, initial=np.inf)
-            found.append((float(values.min()), float(times[values.argmin()])))
-        return min(found)
+            minima.append((float(values.min()), float(times[values.argmin()])))
+        return min(minima)
 
     @staticmethod
-    def added(parts: Sequence[Pieces]) -> Pieces:
+    def added(terms: Sequence[Pieces]) -> Pieces:
         """Return the sum of several of as many rows."""
-        stacked = Pieces.stacked(parts)
+        stacked = Pieces.stacked(terms)
         pieces, rows, powers = stacked.coefficients.shape
-        each = stacked.coefficients.reshape(pieces, len(parts), rows // len(parts), powers)
-        return Pieces(stacked.start, stacked.origin, each.sum(axis=1))
+        rows_of_terms = stacked.coefficients.reshape(pieces, len(terms), rows // len(terms), powers)
+        return Pieces(stacked.start, stacked.origin, rows_of_terms.sum(axis=1))
 
     @staticmethod
-    def stacked(parts: Sequence[Pieces]) -> Pieces:
+    def stacked(blocks: Sequence[Pieces]) -> Pieces:
         """Return the rows of several one below the other, their pieces cut where any begins."""
-        if len(parts) == 1:
-            return parts[0]
-        degree = max(part.degree for part in parts)
-        start = np.unique(np.concatenate([part.start for part in parts]))
-        first = min(float(part.origin[0]) for part in parts)
+        if len(blocks) == 1:
+            return blocks[0]
+        degree = max(block.degree for block in blocks)
+        start = np.unique(np.concatenate([block.start for block in blocks]))
+        first = min(float(block.origin[0]) for block in blocks)
         origin = np.concatenate([[first], start[1:]])
         rows = []
-        for part in parts:
-            i = part.index(start)
-            rows.append(_moved(part.with_degree(degree).coefficients[i], origin - part.origin[i]))
+        for block in blocks:
+            i = block.index(start)
+            rows.append(_moved(block.with_degree(degree).coefficients[i], origin - block.origin[i]))
         return Pieces(start, origin, np.concatenate(rows, axis=1))
 
 
@@ -454,13 +454,13 @@ def as_pieces(
     """
     fitting = (shape, ()) if len(shape) == 1 else (shape,)
     if isinstance(value, Profile):
-        found = value.values.shape[:-1]
-        if found not in fitting:
+        own = value.values.shape[:-1]
+        if own not in fitting:
             raise ValueError(
-                f"{name} is a profile of values of shape {found}, expected {shape}: {meaning}"
+                f"{name} is a profile of values of shape {own}, expected {shape}: {meaning}"
             )
         rows = int(np.prod(shape))
-        order = np.arange(rows).reshape(shape).ravel(order="F") if found else np.zeros(rows, int)
+        order = np.arange(rows).reshape(shape).ravel(order="F") if own else np.zeros(rows, int)
         pieces = value.pieces
         return Pieces(pieces.start, pieces.origin, pieces.coefficients[:, order])
     if callable(value):

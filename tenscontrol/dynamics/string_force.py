@@ -91,7 +91,7 @@ class StringForce(Force):
             if len(S) == 1:
                 return (kernel.string_pull(S[0], gamma),)
             tension = gamma * length  # one along the whole string
-            return tuple(map(kernel.string_pull, S, (tension / part for part in own)))
+            return tuple(map(kernel.string_pull, S, (tension / segment for segment in own)))
 
         passes = []
         for strings, nodes in _by_segments(structure):
@@ -189,14 +189,14 @@ def _by_segments(structure: Structure) -> list[tuple[IntArray | None, IntArray]]
 
 def _along(nodes: IntArray, velocities: bool = True) -> dict[str, Read]:
     """Return the reads of the nodes that strings run over."""
-    parts = "pv" if velocities else "p"
-    return {f"{part}_{k}": Read(part, at) for part in parts for k, at in enumerate(nodes)}
+    arrays = "pv" if velocities else "p"
+    return {f"{array}_{k}": Read(array, node) for array in arrays for k, node in enumerate(nodes)}
 
 
-def _segments(columns: Columns, part: str) -> list[Any]:
+def _segments(columns: Columns, array: str) -> list[Any]:
     """Return the vectors of the segments, or their rates."""
-    count = sum(name.startswith(f"{part}_") for name in columns)
-    return [columns[f"{part}_{k + 1}"] - columns[f"{part}_{k}"] for k in range(count - 1)]
+    count = sum(name.startswith(f"{array}_") for name in columns)
+    return [columns[f"{array}_{k + 1}"] - columns[f"{array}_{k}"] for k in range(count - 1)]
 
 
 def _motion(
@@ -209,7 +209,7 @@ def _motion(
     if guarded and not structure.has_clusters:
         own = [kernel.pulling_length(S[0], columns["u"])]
     else:
-        own = [kernel.string_length(structure, part) for part in S]
+        own = [kernel.string_length(structure, segment) for segment in S]
     rates = map(kernel.length_rate, S, _segments(columns, "v"), own)
     first = next(rates, None)
     return own, sum(own[1:], own[0]), None if first is None else sum(rates, first)

@@ -143,9 +143,9 @@ class StringLaw(ABC):
         if not self.is_damped:
             return stretch
         law = self.as_expressions()
-        at = type(length).sym("at", length.shape)
-        stiffness = ca.jtimes(law.tension(at, rest_length), at, ca.DM.ones(length.shape))
-        stiffness = ca.substitute(stiffness, at, length)
+        symbol = type(length).sym("at", length.shape)
+        stiffness = ca.jtimes(law.tension(symbol, rest_length), symbol, ca.DM.ones(length.shape))
+        stiffness = ca.substitute(stiffness, symbol, length)
         tension = law.tension(length, rest_length) + law.damping * rate
         return ca.fmin(stretch, tension / stiffness)
 
@@ -285,7 +285,7 @@ class StringLaw(ABC):
             return np.zeros(arguments[0].shape)
 
         def build() -> SharedEvaluator:  # of one string, where all have the same parameters
-            own = max(np.size(getattr(self, each)) for each in self._names())
+            own = max(np.size(getattr(self, parameter)) for parameter in self._names())
             function = getattr(self, f"_{name}_function")(own)
             return SharedEvaluator(function if own == count else function.map(count))
 
@@ -410,11 +410,11 @@ class ElasticStrings(StringLaw):
         return np.full(np.shape(self.axial_rigidity), np.inf)
 
 
-def _representable(what: str, values: FloatArray, fine: bool) -> FloatArray:
+def _representable(quantity: str, values: FloatArray, fine: bool) -> FloatArray:
     """Refuse a result that left the range of double precision."""
     if not fine:
         raise ValueError(
-            f"the {what} {values} is out of the range of double precision: "
+            f"the {quantity} {values} is out of the range of double precision: "
             "lengths, force densities and stiffness differ by too many powers of ten"
         )
     return values

@@ -83,33 +83,33 @@ def bar_basis(structure: Structure, nodes: FloatArray) -> csr_array:
 
     d = structure.dimension
     # Rows of the basis, shape (k, a), with columns of a part each, shape (k, a, b).
-    parts: list[tuple[IntArray, FloatArray]] = []
+    blocks: list[tuple[IntArray, FloatArray]] = []
     mass, ends = structure.bar_mass[structure.free_bars], structure.bars[structure.free_bars]
     across = _across(nodes[:, ends[:, 1]] - nodes[:, ends[:, 0]])
     across = across * np.sqrt(3 / mass)[:, None, None]
     shift = np.eye(d) / np.sqrt(mass)[:, None, None]
-    both = [np.concatenate([shift, part], axis=2) for part in (-across, across)]
-    parts.append((_rows(ends, d), np.concatenate(both, axis=1)))
+    both = [np.concatenate([shift, turn], axis=2) for turn in (-across, across)]
+    blocks.append((_rows(ends, d), np.concatenate(both, axis=1)))
     mass, (hinge, tip) = structure.bar_mass[structure.swinging_bars], structure.hinged_pairs.T
     across = _across(nodes[:, tip] - nodes[:, hinge]) * np.sqrt(3 / mass)[:, None, None]
-    parts.append((_rows(tip[:, None], d), across))
+    blocks.append((_rows(tip[:, None], d), across))
     rows = _rows(structure.string_nodes[:, None], d)
     alone = np.isin(rows, structure.free_rows)
     by_row = np.repeat(1 / np.sqrt(structure.string_node_mass), d).reshape(-1, d)
-    parts.append((rows[alone][:, None], by_row[alone][:, None, None]))
+    blocks.append((rows[alone][:, None], by_row[alone][:, None, None]))
     for block in structure.blocks:
         for start, own in _block_basis(structure, block, nodes):
-            parts.append((block.rows[None, start : start + len(own)], own[None]))
+            blocks.append((block.rows[None, start : start + len(own)], own[None]))
     row, column, value, count = [], [], [], 0
-    for places, values in parts:
+    for places, values in blocks:
         k, _, b = values.shape
         columns = count + np.arange(k * b).reshape(k, 1, b)
         row.append(np.broadcast_to(places[:, :, None], values.shape).ravel())
         column.append(np.broadcast_to(columns, values.shape).ravel())
         value.append(values.ravel())
         count += k * b
-    found = (np.concatenate(part) for part in (row, column))
-    basis = csr_array((np.concatenate(value), tuple(found)), shape=(nodes.size, count))
+    indices = (np.concatenate(entries) for entries in (row, column))
+    basis = csr_array((np.concatenate(value), tuple(indices)), shape=(nodes.size, count))
     basis.eliminate_zeros()
     return basis
 
@@ -128,7 +128,7 @@ def _block_basis(
     length = max(_SEGMENT, _bandwidth(J.tocsr()), _bandwidth(mass))
     if 2 * length <= count and is_independent(J):
         groups = _by_segments(J, mass, [*range(0, count - length + 1, length), count])
-        if sum(part.shape[1] for _, part in groups) == count - J.shape[0]:
+        if sum(basis.shape[1] for _, basis in groups) == count - J.shape[0]:
             return groups
     L = np.linalg.cholesky(mass.toarray())
     _scaled_rows(structure, block, nodes, L)  # no dead centre
@@ -160,10 +160,10 @@ def _by_segments(J: csc_array, mass: csr_array, edges: list[int]) -> list[tuple[
 
 def _null(J: csc_array, mass: csr_array, start: int, end: int) -> FloatArray:
     """Return mass-orthonormal motions of a segment of rows, all others at rest, that J keeps."""
-    part = J[:, start:end]
+    rows = J[:, start:end]
     # y = Lᵀ δ has the identity for a mass, where M = L Lᵀ.
     L = np.linalg.cholesky(mass[start:end, start:end].toarray())
-    constraints = np.linalg.solve(L, part[np.unique(part.indices)].toarray().T)
+    constraints = np.linalg.solve(L, rows[np.unique(rows.indices)].toarray().T)
     constraints /= np.maximum(np.linalg.norm(constraints, axis=0), np.finfo(float).tiny)
     directions, sizes, _ = np.linalg.svd(constraints)
     rank = np.count_nonzero(sizes > _RANK_TOLERANCE * sizes.max(initial=0.0))
@@ -183,8 +183,8 @@ def _orthonormal(
     squares = motions.T @ (mass[first:end, first:end] @ motions)
     motions = np.asarray(np.linalg.solve(np.linalg.cholesky(squares), motions.T).T)
     sizes = np.abs(motions).max(axis=1)
-    kept = int(np.flatnonzero(sizes > _NEGLIGIBLE * sizes.max())[0])
-    return first + kept, motions[kept:]
+    leading = int(np.flatnonzero(sizes > _NEGLIGIBLE * sizes.max())[0])
+    return first + leading, motions[leading:]
 
 
 def _bandwidth(matrix: csr_array) -> int:
@@ -246,11 +246,11 @@ def momenta(mass: object, basis: FloatArray) -> FloatArray:
     return np.asarray(mass @ basis.reshape(n, -1)).reshape(basis.shape)  # type: ignore[operator]
 
 
-def refuse_large(what: str, shape: tuple[int, int]) -> None:
+def refuse_large(name: str, shape: tuple[int, int]) -> None:
     """Raise where a dense matrix would take more memory than a computer is asked for lightly."""
     if shape[0] * shape[1] > _MOST_ENTRIES:
         raise ValueError(
-            f"{what} is a dense matrix of shape {shape} here, {shape[0] * shape[1] * 8e-9:.1f} GB; "
+            f"{name} is a dense matrix of shape {shape} here, {shape[0] * shape[1] * 8e-9:.1f} GB; "
             f"expected at most {_MOST_ENTRIES * 8e-9:.1f} GB. Large structures have sparse "
             "matrices, plant.sparse, their lowest modes(plant, count=20), and "
             "reduce(plant, modes=20) for controllers"
@@ -340,8 +340,15 @@ class Tangent:
         bent : ndarray, shape (c, k)
             ``−J(a) δN``.
         """
-        free = self.structure.free_rows
-        return np.asarray(self._factors.solve(np.vstack([forces[free], bent]))[: len(free)])
+        return self._solved(forces, bent)[: len(self.structure.free_rows)]
+
+    def bar_force_densities(self, forces: FloatArray, bent: FloatArray) -> FloatArray:
+        """Return δλ of the bars that are kept, N/m, shape (c, k); arguments as above."""
+        return -self._solved(forces, bent)[len(self.structure.free_rows) :]
+
+    def _solved(self, forces: FloatArray, bent: FloatArray) -> FloatArray:
+        right = np.vstack([forces[self.structure.free_rows], bent])
+        return np.asarray(self._factors.solve(right))
 
 
 def tangent(
@@ -368,17 +375,17 @@ def tangent(
     push, stiffness, damping, by_input = _of_forces(model, nodes, input, held)
     force = load.ravel(order="F") + push
     mass = kron(node_mass(structure), eye_array(d), format="csr")
-    free, kept = structure.free_rows, structure.kept_bars
-    J = bar_rows(structure, kept, nodes)[:, free]
+    free, bars = structure.free_rows, structure.kept_bars
+    J = bar_rows(structure, bars, nodes)[:, free]
     saddle = block_array([[mass[free][:, free], J.T], [J, None]], format="csc")
     factors = splu(saddle, permc_spec="MMD_AT_PLUS_A")
-    found = factors.solve(np.r_[force[free], np.zeros(len(kept))])
+    solution = factors.solve(np.r_[force[free], np.zeros(len(bars))])
     acceleration = np.zeros(d * n)
-    acceleration[free] = found[: len(free)]
+    acceleration[free] = solution[: len(free)]
     # What pushes the ends of a bar apart by λ b turns with the bar.
-    C = _ends(structure.bars[kept], n)
-    pushed = C.T @ diags_array(found[len(free) :]) @ C
-    bent = bar_rows(structure, kept, acceleration.reshape(d, n, order="F"))
+    C = _ends(structure.bars[bars], n)
+    pushed = C.T @ diags_array(solution[len(free) :]) @ C
+    bent = bar_rows(structure, bars, acceleration.reshape(d, n, order="F"))
     stiffness = stiffness + kron(pushed, eye_array(d), format="csr")
     return Tangent(
         structure, load, structure.string_length(nodes), force, acceleration, mass, stiffness,
@@ -403,8 +410,10 @@ def _of_forces(
     taut = np.zeros(sum(over.count for over, _ in gaps))
     still = {"p": nodes, "v": np.zeros_like(nodes), "u": np.reshape(held, (1, -1))}
     for over, function in gaps:
-        at = over.writes[0].at
-        taut[slice(None, over.count) if at is None else at] = _at(over, function, still)[0][0] > 0
+        switches = over.writes[0].at
+        taut[slice(None, over.count) if switches is None else switches] = (
+            _at(over, function, still)[0][0] > 0
+        )
     push = np.zeros(size)
     # Rows, columns and values of the derivatives by each array.
     entries: dict[str, list[IntArray | FloatArray]] = {array: [] for array in "pvu"}
@@ -426,12 +435,12 @@ def _of_forces(
                 places = np.broadcast_arrays(rows, columns[:, None])
                 entries[read.array].append(np.stack([*places, block]).reshape(3, -1))
                 first += len(columns)
-    found = []
-    for array, parts in entries.items():
-        rows, columns, slopes = np.hstack([np.zeros((3, 0)), *parts])
+    matrices = []
+    for array, blocks in entries.items():
+        rows, columns, slopes = np.hstack([np.zeros((3, 0)), *blocks])
         shape = (size, count if array == "u" else size)
-        found.append(csr_array((slopes, (rows.astype(int), columns.astype(int))), shape=shape))
-    return push, -found[0], -found[1], found[2]
+        matrices.append(csr_array((slopes, (rows.astype(int), columns.astype(int))), shape=shape))
+    return push, -matrices[0], -matrices[1], matrices[2]
 
 
 def _of_member(over: Pass, dimension: int) -> ca.Function:

@@ -92,9 +92,9 @@ class Gate:
         distance[self._single[single]] = vector[one] ** 2 / S[one, one]
         for which, rows in self._vectors:
             axes = rows[used[which]]
-            parts, blocks = vector[axes], S[axes[:, :, None], axes[:, None, :]]
-            weighed = np.linalg.solve(blocks, parts[..., None])[..., 0]
-            distance[which[used[which]]] = (parts * weighed).sum(axis=1)
+            entries, blocks = vector[axes], S[axes[:, :, None], axes[:, None, :]]
+            weighed = np.linalg.solve(blocks, entries[..., None])[..., 0]
+            distance[which[used[which]]] = (entries * weighed).sum(axis=1)
         return distance
 
 

@@ -53,11 +53,11 @@ class ExtraStates:
 
     def acceleration(self, z: Any) -> Any:
         """Return the expression of the unknown accelerations q̈, shape (r,), of all states."""
-        found = type(z).zeros(self.states // 2)
+        acceleration = type(z).zeros(self.states // 2)
         for rows in (self.of_load, self.of_disturbance):
             if rows.stop > rows.start:
-                found = found + z[rows]
-        return found
+                acceleration = acceleration + z[rows]
+        return acceleration
 
     def input(self, z: Any, u: Any) -> Any:
         """Return the expression of the input that acts, of all states and that which is told."""
@@ -106,9 +106,9 @@ class ExtraStates:
         ]
         stays = np.eye(self.size)[self.states :]
         stays[:, self.of_disturbance] = 0.0
-        parts = [
+        outputs = [
             ca.vertcat(end, ca.mtimes(ca.DM(stays), z)),
             ca.vertcat(ca.horzcat(*columns), ca.DM(stays)),
             ca.vertcat(of_input, ca.DM(self.size - self.states, inputs)),
         ]
-        return Function("with_extra_states", [z, u], [ca.densify(part) for part in parts])
+        return Function("with_extra_states", [z, u], [ca.densify(output) for output in outputs])

@@ -600,11 +600,11 @@ class KalmanFilter:
                     f"readings lead to a smoothed state at sample {k} that is no shape of the "
                     "structure: give prediction='nonlinear', or the shape at the start"
                 )
-        found = [forward._estimate(z, P) for z, P in states]
-        filtered = [forward._estimate(each.z, each.P) for each in passes]
+        estimates_by_all = [forward._estimate(z, P) for z, P in states]
+        filtered = [forward._estimate(sample.z, sample.P) for sample in passes]
 
         def series(name: str, estimates: list[Estimate]) -> FloatArray:
-            return frozen(np.stack([getattr(each, name) for each in estimates], axis=-1))
+            return frozen(np.stack([getattr(estimate, name) for estimate in estimates], axis=-1))
 
         names = (
             "nodes", "velocities", "node_deviation", "bias", "bias_deviation", "rest_length_error",
@@ -613,11 +613,11 @@ class KalmanFilter:
         return SmoothedMotion(
             time=frozen(self.sample_time * np.arange(samples)),
             filtered_node_deviation=series("node_deviation", filtered),
-            load=series("load", found) if self._design.settings.load else None,
+            load=series("load", estimates_by_all) if self._design.settings.load else None,
             filtered_state=series("state", filtered),
             covariance=frozen(np.stack([P for _, P in states])),
-            filtered_covariance=frozen(np.stack([each.P for each in passes])),
-            **{name: series(name, found) for name in names},
+            filtered_covariance=frozen(np.stack([sample.P for sample in passes])),
+            **{name: series(name, estimates_by_all) for name in names},
         )
 
     def _pass(self, y: FloatArray, held: FloatArray) -> Pass:
@@ -711,8 +711,8 @@ class KalmanFilter:
         along = strings / np.maximum(np.linalg.norm(strings, axis=0), np.finfo(float).tiny)
         stretch = (along[:, :, None] * self._string_rows).sum(axis=0)
         if structure.has_clusters:
-            each, stretch = stretch, np.zeros((len(structure.strings), r))
-            np.add.at(stretch, structure.segment_string, each)
+            by_segment, stretch = stretch, np.zeros((len(structure.strings), r))
+            np.add.at(stretch, structure.segment_string, by_segment)
         by_node, by_length = (((D @ P[:r, :r]) * D).sum(axis=1) for D in (T, stretch))
         extra, variance = self._design.extra, np.diag(P)
         bias, wound = np.zeros((2, len(self.sensors.noise))), np.zeros((2, self.plant.B.shape[1]))
@@ -741,8 +741,8 @@ class KalmanFilter:
         steady = self.gain, self.covariance, self.poles, self.riccati_residual
         return self._design, self.C, steady
 
-    def __setstate__(self, parts: tuple[Any, ...]) -> None:
-        self._begin(*parts)
+    def __setstate__(self, state: tuple[Any, ...]) -> None:
+        self._begin(*state)
 
     def __repr__(self) -> str:
         kind = "linear" if self._motion is None else "nonlinear"

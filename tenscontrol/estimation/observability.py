@@ -309,8 +309,8 @@ def refuse_unseen_constants(
     names += [f"the bias of {sensors.readings[sensors.reading_of[i]]}" for i in extra.biased]
     hidden = [
         name
-        for name, place in zip(names, range(len(states) - len(own), len(states)), strict=True)
-        if _rank(np.delete(rows, place, axis=1)) == _rank(rows)
+        for name, column in zip(names, range(len(states) - len(own), len(states)), strict=True)
+        if _rank(np.delete(rows, column, axis=1)) == _rank(rows)
     ]
     raise ValueError(
         f"{lost} of {len(own)} biases and errors of rest lengths cannot be told from each other or "

@@ -120,21 +120,23 @@ def observability(
     kinds = [kind.name for kind in sensors.kinds]
     names_read = [sensors.readings[i].split()[0] for i in sensors.reading_of]
     of_kind = np.array([kinds.index(name) for name in names_read])
-    told = np.zeros((len(kinds), states.shape[1]))
+    information = np.zeros((len(kinds), states.shape[1]))
     moved = states
     for _ in range(samples):
         seen = C @ moved / sensors.noise[:, None]
-        np.add.at(told, of_kind, seen**2)
+        np.add.at(information, of_kind, seen**2)
         moved = design.sampled.transition @ moved
     lost = design.unseen
     alone = np.linalg.norm(lost.T @ states, axis=0) > _PART * np.linalg.norm(states, axis=0)
     # Round-off of readings that do not change.
-    told[told <= _PART**2 * told.max(axis=1, initial=0.0, keepdims=True) * _WHOLE] = 0.0
-    told[:, alone] = 0.0
+    information[
+        information <= _PART**2 * information.max(axis=1, initial=0.0, keepdims=True) * _WHOLE
+    ] = 0.0
+    information[:, alone] = 0.0
     along = states / (states**2).sum(axis=0)
     own = np.sqrt(np.maximum(((covariance @ along) * along).sum(axis=0), 0.0))
     with np.errstate(divide="ignore"):
-        deviation = 1 / np.sqrt(told.T)
+        deviation = 1 / np.sqrt(information.T)
     return Observability(
         direction=tuple(names),
         unit=tuple(units),

@@ -73,80 +73,80 @@ class SensorKind:
         return not {"tension", "acceleration", "rest_length"}.isdisjoint(self.needs)
 
 
-def _node_position(sensors: Sensors, at: Moment, which: IntArray) -> Any:
-    return at.nodes[:, which.tolist()]
+def _node_position(sensors: Sensors, moment: Moment, which: IntArray) -> Any:
+    return moment.nodes[:, which.tolist()]
 
 
-def _string_length(sensors: Sensors, at: Moment, which: IntArray) -> Any:
-    return kernel.string_lengths(sensors.structure, at.nodes)[which.tolist()]
+def _string_length(sensors: Sensors, moment: Moment, which: IntArray) -> Any:
+    return kernel.string_lengths(sensors.structure, moment.nodes)[which.tolist()]
 
 
-def _bar_direction(sensors: Sensors, at: Moment, which: IntArray) -> Any:
-    b = kernel.differences(at.nodes, sensors.structure.bars[which])
+def _bar_direction(sensors: Sensors, moment: Moment, which: IntArray) -> Any:
+    b = kernel.differences(moment.nodes, sensors.structure.bars[which])
     return kernel.scale_columns(b, 1 / kernel.length(b))
 
 
-def _string_tension(sensors: Sensors, at: Moment, which: IntArray) -> Any:
-    return at.tension[which.tolist()]
+def _string_tension(sensors: Sensors, moment: Moment, which: IntArray) -> Any:
+    return moment.tension[which.tolist()]
 
 
-def _bar_rate(sensors: Sensors, at: Moment, which: IntArray) -> Any:
+def _bar_rate(sensors: Sensors, moment: Moment, which: IntArray) -> Any:
     pairs = sensors.structure.bars[which]
-    b, moved = (kernel.differences(motion, pairs) for motion in (at.nodes, at.velocities))
+    b, moved = (kernel.differences(motion, pairs) for motion in (moment.nodes, moment.velocities))
     planes = [(1, 2), (2, 0), (0, 1)][-1 if sensors.structure.dimension == 2 else 0 :]
     turned = [b[i, :] * moved[j, :] - b[j, :] * moved[i, :] for i, j in planes]
     return kernel.scale_columns(ca.vertcat(*turned), 1 / kernel.dots(b, b))
 
 
-def _bar_inclination(sensors: Sensors, at: Moment, which: IntArray) -> Any:
-    b, up = kernel.differences(at.nodes, sensors.structure.bars[which]), ca.DM(sensors.up)
+def _bar_inclination(sensors: Sensors, moment: Moment, which: IntArray) -> Any:
+    b, up = kernel.differences(moment.nodes, sensors.structure.bars[which]), ca.DM(sensors.up)
     rise = ca.mtimes(up.T, b)
     level = b - ca.mtimes(up, rise)
     return ca.atan2(rise, ca.sqrt(kernel.dots(level, level) + _UPRIGHT**2 * kernel.dots(b, b)))
 
 
-def _gyroscope(sensors: Sensors, at: Moment, which: IntArray) -> Any:
+def _gyroscope(sensors: Sensors, moment: Moment, which: IntArray) -> Any:
     if sensors.structure.dimension == 2:
-        return _bar_rate(sensors, at, which)
+        return _bar_rate(sensors, moment, which)
     pairs = sensors.structure.bars[which]
-    moved = kernel.differences(at.velocities, pairs)
-    size = kernel.length(kernel.differences(at.nodes, pairs))
-    _, first, second = _axes(sensors, at, which)
+    moved = kernel.differences(moment.velocities, pairs)
+    size = kernel.length(kernel.differences(moment.nodes, pairs))
+    _, first, second = _axes(sensors, moment, which)
     # (d × ḋ)·e, with e₂ = d × e₁.
     turned = ca.vertcat(-kernel.dots(moved, second), kernel.dots(moved, first))
     return kernel.scale_columns(turned, 1 / size)
 
 
-def _accelerometer(sensors: Sensors, at: Moment, which: IntArray) -> Any:
+def _accelerometer(sensors: Sensors, moment: Moment, which: IntArray) -> Any:
     gravity = ca.DM(np.tile(sensors.free_fall[:, None], len(which)))
-    felt = at.acceleration[:, which.tolist()] - gravity
-    axes = _axes(sensors, at, sensors.bar_at[which])
+    felt = moment.acceleration[:, which.tolist()] - gravity
+    axes = _axes(sensors, moment, sensors.bar_at[which])
     return ca.vertcat(*(kernel.dots(felt, axis) for axis in axes))
 
 
-def _node_range(sensors: Sensors, at: Moment, which: IntArray) -> Any:
+def _node_range(sensors: Sensors, moment: Moment, which: IntArray) -> Any:
     assert sensors.anchors is not None  # ranges need them
     ranges = []
     for anchor in sensors.anchors.T:
-        away = at.nodes[:, which.tolist()] - ca.DM(np.tile(anchor[:, None], len(which)))
+        away = moment.nodes[:, which.tolist()] - ca.DM(np.tile(anchor[:, None], len(which)))
         ranges.append(ca.sqrt(kernel.dots(away, away) + _AT_ANCHOR**2))
     return ca.vertcat(*ranges)
 
 
-def _encoder(sensors: Sensors, at: Moment, which: IntArray) -> Any:
+def _encoder(sensors: Sensors, moment: Moment, which: IntArray) -> Any:
     assert sensors.motor is not None  # encoders need it
     motor = each_motor(sensors.motor, len(sensors.structure.strings))
-    wound = ca.DM(motor.zero[which]) - at.rest_length[which.tolist()]
+    wound = ca.DM(motor.zero[which]) - moment.rest_length[which.tolist()]
     return wound / ca.DM(motor.lever[which])
 
 
-def _axes(sensors: Sensors, at: Moment, which: IntArray) -> list[Any]:
+def _axes(sensors: Sensors, moment: Moment, which: IntArray) -> list[Any]:
     """Return the axes of bars, (d, bars) each: along the bar, and those across it.
 
     They are those of the structure's own shape, turned with the bar the shortest way, by
     ``e − (e·d)/(1 + d₀·d) (d₀ + d)``.
     """
-    d = _bar_direction(sensors, at, which)
+    d = _bar_direction(sensors, moment, which)
     if sensors.structure.dimension == 2:
         return [d, ca.vertcat(-d[1, :], d[0, :])]
     along, *across = (ca.DM(axis) for axis in sensors.bar_axes[:, :, which])
@@ -514,14 +514,14 @@ class Sensors:
     @cached_property
     def noise(self) -> FloatArray:
         """Standard deviation of each entry of y, shape (m,), in its unit."""
-        parts = [np.repeat(taken.noise, taken.each * taken.size) for taken in self._taken]
-        return frozen(np.concatenate([np.zeros(0), *parts]))
+        deviations = [np.repeat(taken.noise, taken.each * taken.size) for taken in self._taken]
+        return frozen(np.concatenate([np.zeros(0), *deviations]))
 
     @cached_property
     def needs_input(self) -> np.ndarray:
         """Which readings depend on what actuators hold, shape (readings,)."""
-        parts = [np.full(len(t.which) * t.each, t.kind.needs_input) for t in self._taken]
-        return frozen(np.concatenate(parts))
+        needed = [np.full(len(t.which) * t.each, t.kind.needs_input) for t in self._taken]
+        return frozen(np.concatenate(needed))
 
     @cached_property
     def bias_deviation(self) -> FloatArray:
@@ -536,11 +536,11 @@ class Sensors:
     def _bias_of(self, number: int) -> FloatArray:
         sizes = dict(self.bias)
         none = (0.0, 0.0)
-        parts = [
+        biases = [
             np.full(len(t.which) * t.each * t.size, sizes.get(t.kind.name, none)[number])
             for t in self._taken
         ]
-        return np.concatenate(parts)
+        return np.concatenate(biases)
 
     @property
     def measured(self) -> tuple[object, ...]:
@@ -550,7 +550,7 @@ class Sensors:
         if self.motor is not None and self.encoder is not None:
             numbers += [self.motor.lever, self.motor.zero]
         return (
-            tuple(None if each is None else np.asarray(each).tobytes() for each in numbers),
+            tuple(None if number is None else np.asarray(number).tobytes() for number in numbers),
             tuple(kind for kind, _ in self.bias),
         )
 
@@ -618,9 +618,9 @@ class Sensors:
         """Function of the parts of a :class:`Moment`, ``-> y``."""
         shape, strings = self.structure.nodes.shape, (len(self.structure.strings), 1)
         sizes = Moment(shape, shape, shape, strings, strings)
-        at = Moment(*(ca.SX.sym(name, *sizes[i]) for i, name in enumerate(Moment._fields)))
-        y = ca.densify(symbolic_readings(self, at))
-        return SharedEvaluator(Function("readings", list(at), [ca.cse(y)]))
+        moment = Moment(*(ca.SX.sym(name, *sizes[i]) for i, name in enumerate(Moment._fields)))
+        y = ca.densify(symbolic_readings(self, moment))
+        return SharedEvaluator(Function("readings", list(moment), [ca.cse(y)]))
 
     def draw_bias(
         self,
@@ -700,10 +700,12 @@ class Sensors:
         return f"Sensors({kinds}; {len(self.readings)} readings, delay {self.delay})"
 
 
-def symbolic_readings(sensors: Sensors, at: Moment) -> Any:
+def symbolic_readings(sensors: Sensors, moment: Moment) -> Any:
     """Return the expression of y, shape (m,), without bias."""
-    parts = [kind.read(sensors, at, getattr(sensors, kind.chooser)) for kind in sensors.kinds]
-    return ca.vertcat(*map(ca.vec, parts))
+    readings = [
+        kind.read(sensors, moment, getattr(sensors, kind.chooser)) for kind in sensors.kinds
+    ]
+    return ca.vertcat(*map(ca.vec, readings))
 
 
 def _checked_bias(
@@ -718,7 +720,7 @@ def _checked_bias(
         raise validation.wrong_kind(
             "bias", value, 'a mapping, like {"gyroscope": (0.05, 1e-3)}'
         ) from None
-    names = [each.kind.name for each in taken]
+    names = [of_kind.kind.name for of_kind in taken]
     for name, sizes in given.items():
         validation.choice("a key of bias", name, names)
         pair = validation.shaped(

@@ -72,7 +72,7 @@ class Pass:
 def smoothed(passes: Sequence[Pass]) -> list[tuple[FloatArray, FloatArray]]:
     """Return state and covariance at each sample, by all readings."""
     z, P = passes[-1].z, passes[-1].P
-    found = [(z, P)]
+    states = [(z, P)]
     for sample in reversed(passes[:-1]):
         later_z, later_P = z, P
         z, P = sample.z, sample.P
@@ -81,8 +81,8 @@ def smoothed(passes: Sequence[Pass]) -> list[tuple[FloatArray, FloatArray]]:
             z = z + gain @ (later_z - sample.next_state)
             P = P + gain @ (later_P - sample.next_covariance) @ gain.T
             P = 0.5 * (P + P.T)
-        found.append((z, P))
-    return found[::-1]
+        states.append((z, P))
+    return states[::-1]
 
 
 def _gain(cross: FloatArray, P: FloatArray) -> FloatArray:

@@ -380,12 +380,12 @@ class _Document:
 
     def _keyframe(self, velocities: FloatArray) -> None:
         keyframe = SubElement(self.root, "keyframe")
-        parts: dict[str, Sequence[float] | FloatArray] = {
+        arrays: dict[str, Sequence[float] | FloatArray] = {
             "qpos": self.tree.start_coordinates(),
             "qvel": self.tree.joint_velocities(velocities),
             "ctrl": self.controls,
         }
-        values = {name: _numbers(part) for name, part in parts.items() if len(part)}
+        values = {name: _numbers(array) for name, array in arrays.items() if len(array)}
         SubElement(keyframe, "key", {"name": "start"} | values)
 
 

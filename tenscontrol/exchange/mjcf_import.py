@@ -253,12 +253,12 @@ class _Assembly:
             if self.group[i] == 0:
                 continue
             own = any(geom.ends is not None for geom in body.geoms)
-            parts: list[tuple[float, FloatArray, str]] = []
+            masses: list[tuple[float, FloatArray, str]] = []
             if body.inertial is None:
-                parts = [(g.mass, g.position, g.name) for g in body.geoms if g.ends is None]
+                masses = [(g.mass, g.position, g.name) for g in body.geoms if g.ends is None]
             elif not own:
-                parts = [(body.inertial[0], body.inertial[1], body.name)]
-            for mass, position, name in parts:
+                masses = [(body.inertial[0], body.inertial[1], body.name)]
+            for mass, position, name in masses:
                 if mass > 0:
                     spot = self._spot(i, position, f"the mass of {name or body.name!r}")
                     self.mass[spot] = self.mass.get(spot, 0.0) + mass

@@ -89,7 +89,7 @@ class CoreLanes:
         """
         scene, core = self._scene, self._scene.core
         begin, first = np.ascontiguousarray(states), np.ascontiguousarray(held[0])
-        kept = np.full((len(runs), outputs, states.shape[1]), np.nan)
+        reached = np.full((len(runs), outputs, states.shape[1]), np.nan)
         progress = np.zeros(len(runs), dtype=np.dtype(records.Progress))
         settings = settings_of("rk4", duration, outputs, self._project, step=self._step)
         drive = scene.drive(first)
@@ -103,13 +103,13 @@ class CoreLanes:
         work = np.empty(core.tc_runs_work_size(*sizes, ctypes.byref(record)))
         core.tc_advance_runs(
             *sizes, ctypes.byref(scene.lengths), ctypes.byref(settings), ctypes.byref(record),
-            _data(begin), _data(kept), _data(progress), ctypes.byref(stop), _data(work),
+            _data(begin), _data(reached), _data(progress), ctypes.byref(stop), _data(work),
         )  # fmt: skip
         # The last step of a run that is stuck was no good one.
         step = duration / (outputs * self.steps_between(duration, outputs))
         steps = np.round(progress["time"] / step) - progress["stuck"]
         counts = np.stack([steps, *(progress[name] for name in COUNTS[1:])], axis=1)
-        return kept, step * steps, counts
+        return reached, step * steps, counts
 
     def steps_between(self, duration: float, outputs: int) -> int:
         """Return the number of steps from one state that is kept to the next."""
@@ -140,11 +140,11 @@ class RunLane:
     ) -> Span:  # fmt: skip
         """See :meth:`Integrator.advance`; nothing is reported."""
         lanes = self._lanes
-        kept, (time,), counts = lanes.advance(
+        states, (time,), counts = lanes.advance(
             self._run, state[None], held[None], duration, outputs, ctypes.c_int(0)
         )
-        work, is_good = work_of(counts[0]), np.isfinite(kept[0]).all(axis=1)
-        reached = Span(kept[0, is_good].T, work)
+        work, is_good = work_of(counts[0]), np.isfinite(states[0]).all(axis=1)
+        reached = Span(states[0, is_good].T, work)
         if not is_good.all():
             raise IntegrationError(lanes.failure(time, duration, outputs), float(time), reached)
         return reached

@@ -391,7 +391,7 @@ class CoreMotion:
         if self._settings.traces:
             count, self.progress.kept = self.progress.kept, 0
             ends = self._step_times, self._step_states, self._step_taut
-            self._traced.append(tuple(part[:count].copy() for part in ends))
+            self._traced.append(tuple(array[:count].copy() for array in ends))
 
 
 def times_in_rows(motion: FloatArray) -> FloatArray:

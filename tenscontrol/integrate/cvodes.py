@@ -313,8 +313,8 @@ class _Motion:
             return
         if time - start <= 4 * np.spacing(end):
             # Past the border already, by less than the interpolation of the last window saw.
-            at = room(window.times[:1])[:, 0]
-            self._crossed = (at <= max(0.5, float(at.min()))).astype(float)
+            room_at_start = room(window.times[:1])[:, 0]
+            self._crossed = (room_at_start <= max(0.5, float(room_at_start.min()))).astype(float)
             self.now, self.state = start, window.nodes[:, 0]
             self.work += Work(missed=int(self._crossed.sum()))
             return
@@ -406,14 +406,14 @@ class _Window:
         """Return the states at some times, one a column."""
         last = len(self.times) - 1
         spacing = (self.times[-1] - self.times[0]) / last
-        place = (times - self.times[0]) / spacing
-        nearest = np.clip(np.rint(place), 0, last).astype(int)
+        index = (times - self.times[0]) / spacing
+        nearest = np.clip(np.rint(index), 0, last).astype(int)
         if (np.abs(times - self.times[nearest]) <= 4 * np.spacing(self.times[-1])).all():
             return self.nodes[:, nearest]
         if self._slopes is None:
             self._slopes = self._slopes_at(self.nodes, self.times)
-        i = np.clip(place.astype(int), 0, last - 1)
-        s = place - i
+        i = np.clip(index.astype(int), 0, last - 1)
+        s = index - i
         x0, x1 = self.nodes[:, i], self.nodes[:, i + 1]
         v0, v1 = spacing * self._slopes[:, i], spacing * self._slopes[:, i + 1]
         cubic = 2 * (x0 - x1) + v0 + v1

@@ -225,14 +225,14 @@ class DOP853(Integrator):
         # A step may reach a time but for round-off, as one to a switch may.
         done = min(int(after * (1 + 2e-14) / span.spacing), len(span.states) - 1)
         if done > now.done:
-            made, reach = end.made, h
-            if made is None:
+            interpolant, reach = end.made, h
+            if interpolant is None:
                 reach, ends = end.taken, (x, end.x, f, f1)
-                made = self._interpolant(*ends, K, u, taut, reach)[0]
+                interpolant = self._interpolant(*ends, K, u, taut, reach)[0]
                 now.interpolants += 1
             times = span.spacing * np.arange(now.done + 1, done + 1)
             factors = _factors((times - now.time) / reach)
-            span.states[now.done : done] = x + factors.T @ made.T
+            span.states[now.done : done] = x + factors.T @ interpolant.T
         now.x, now.taut, now.time, now.done = end.x.copy(), end.taut, after, done
         if span.trace is not None:
             span.trace.append(after, now.x, taut)
@@ -260,31 +260,31 @@ class DOP853(Integrator):
         cut = self._switches.first(step, allowed, 0.0)
         if cut is None:
             return _End(step.x1, step.h, step.taut)
-        made: FloatArray | None = None
+        interpolant: FloatArray | None = None
         off = error * abs(np.polynomial.polynomial.polyval(cut.part, _interpolant_error()))
         if off < _SMOOTH and not exact:
             ends = step.x, step.x1, step.slope, step.slope1
-            made = self._interpolant(*ends, K, step.u, step.taut, step.h)[0]
+            interpolant = self._interpolant(*ends, K, step.u, step.taut, step.h)[0]
             now.interpolants += 1
-            place = partial(self._inside, step.x, made)
+            state_at = partial(self._inside, step.x, interpolant)
         else:
-            place = partial(self._by_step, step, span.allowed)
-        x, part, places = self._switches.approach(step, cut, place)
-        now.approaches += places if made is None else 0
-        taken = part * step.h
+            state_at = partial(self._by_step, step, span.allowed)
+        x, fraction, places = self._switches.approach(step, cut, state_at)
+        now.approaches += places if interpolant is None else 0
+        taken = fraction * step.h
         later = self._equation.layout.later(step.u, taken)
         taut, switches = self._switches.switched(x, later, step.taut, cut)
         now.switches += switches
-        return _End(x, taken, taut, made)
+        return _End(x, taken, taut, interpolant)
 
-    def _inside(self, x: FloatArray, made: FloatArray, part: float) -> FloatArray:
+    def _inside(self, x: FloatArray, interpolant: FloatArray, fraction: float) -> FloatArray:
         """Return the state at a part of the step from x, by its interpolant."""
-        end = np.asarray(x + made @ _factors(part))
+        end = np.asarray(x + interpolant @ _factors(fraction))
         return end if self._exact is None else self._exact(end)[0]
 
-    def _by_step(self, step: Step, allowed: FloatArray, part: float) -> FloatArray:
+    def _by_step(self, step: Step, allowed: FloatArray, fraction: float) -> FloatArray:
         """Return the state after a part of a step."""
-        given = step.x, step.slope, step.u, step.taut, part * step.h, allowed
+        given = step.x, step.slope, step.u, step.taut, fraction * step.h, allowed
         return self._tried(*given)[0]
 
 
@@ -379,13 +379,15 @@ def _factor(error: float) -> float:
     return min(max(wanted, _LEAST), _MOST)
 
 
-def _factors(part: Any) -> FloatArray:
+def _factors(fraction: Any) -> FloatArray:
     """Return what the coefficients of the interpolant count by at a part of the step, or several.
 
     Coefficient k counts by k factors: the part, what is left of the step, and so on in turns.
     """
-    rest = 1 - part
-    return np.multiply.accumulate(np.array([part, rest, part, rest, part, rest, part]))
+    rest = 1 - fraction
+    return np.multiply.accumulate(
+        np.array([fraction, rest, fraction, rest, fraction, rest, fraction])
+    )
 
 
 def _coefficients() -> Any:
@@ -409,14 +411,14 @@ def _interpolant_error() -> tuple[float, ...]:
     slopes = [np.linalg.matrix_power(A, order) @ np.ones(count) for order in range(_ORDER)]
     last, s = slopes[-1], np.polynomial.Polynomial([0.0, 1.0])
     step = method.B @ last[:_STAGES]
-    found = np.polynomial.Polynomial([0.0])
-    made = [step, last[0] - step, 2 * step - last[0] - last[_STAGES], *(method.D @ last)]
+    polynomial = np.polynomial.Polynomial([0.0])
+    coefficients = [step, last[0] - step, 2 * step - last[0] - last[_STAGES], *(method.D @ last)]
     for k in reversed(range(_POWERS)):
-        found = (found + made[k]) * (1 - s if k % 2 else s)
+        polynomial = (polynomial + coefficients[k]) * (1 - s if k % 2 else s)
     third, fifth = (e @ slopes[k][: _STAGES + 1] for e, k in ((method.E3, 3), (method.E5, 5)))
     true = s**_ORDER / factorial(_ORDER)
     # The estimate is the fifth by the root of its square and of a hundredth of that of the third.
-    return tuple(((true - found) * 0.1 * abs(third) / fifth**2).coef.tolist())
+    return tuple(((true - polynomial) * 0.1 * abs(third) / fifth**2).coef.tolist())
 
 
 def _first_step(slope: FloatArray, scale: FloatArray, duration: float) -> float:
@@ -444,10 +446,10 @@ class _DormandPrince:
         x1 = x + h * _combined(slopes, self._method.B)
         return x1 if self._project is None else self._project(x1), slopes
 
-    def _at(self, part: float) -> Any:
+    def _at(self, fraction: float) -> Any:
         """Return the input that begins after a part of the step."""
         _, _, u, _, h = self._inputs
-        return self._equation.ahead(u, part * h)
+        return self._equation.ahead(u, fraction * h)
 
     def tried(self) -> ca.Function:
         """Return ``(x, f, u, taut, h, scale) -> (x1, f1, error, K)``.

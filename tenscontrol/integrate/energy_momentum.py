@@ -136,8 +136,8 @@ class EnergyMomentum(Integrator):
     ) -> None:
         super().__init__(equation)
         if (step is None) == (tolerance is None):
-            found = "neither" if step is None else "both"
-            raise ValueError(f"expected step or tolerance, found {found}; give one of the two")
+            given = "neither" if step is None else "both"
+            raise ValueError(f"expected step or tolerance, found {given}; give one of the two")
         if equation.structure is None:
             raise ValueError(
                 "the equation is not of a structure, whose bars and strings this method needs; "
@@ -178,11 +178,11 @@ class EnergyMomentum(Integrator):
         interval = duration / outputs
         largest = duration if self.step is None else self.step
         tolerance = 0.0 if self.tolerance is None else self.tolerance
-        part = _SMALLEST_BY_TOLERANCE if self.step is None else _SMALLEST
+        least = _SMALLEST_BY_TOLERANCE if self.step is None else _SMALLEST
         progress = np.zeros(len(_PROGRESS))
         progress[1] = largest if self.step is not None else self._first_step(state, held, interval)
         evaluations = 0 if self.step is not None else 1
-        limits = np.array([largest, largest * part, tolerance, self.limit - evaluations])
+        limits = np.array([largest, largest * least, tolerance, self.limit - evaluations])
         states = np.empty((len(state), outputs))
         work = np.concatenate([state, progress])
         left, step, failed = (len(state) + i for i in range(3))
@@ -359,7 +359,9 @@ def step_equations(equation: Equation) -> StepEquations:
         """Return velocities of points, and angular velocities times bar length."""
         ends = [0, d * bars, d * bars + normal * turning, count]
         centres, turn, nodes = ca.vertsplit(y, ends)
-        centres, nodes = (ca.reshape(part, d, part.shape[0] // d) for part in (centres, nodes))
+        centres, nodes = (
+            ca.reshape(entries, d, entries.shape[0] // d) for entries in (centres, nodes)
+        )
         return ca.horzcat(centres, nodes), ca.reshape(turn, normal, turning)
 
     def join(points: Any, turn: Any) -> Any:
@@ -582,20 +584,22 @@ def _searching(step: StepEquations, around: float) -> ca.Function:
     system, residual = step.system, step.residual
     assert residual is not None  # there is ground
     size = system.size1_in(0)
-    z, change, part = ca.MX.sym("z", size + 2), ca.MX.sym("change", size), ca.MX.sym("part", 3)
+    z, change, search = ca.MX.sym("z", size + 2), ca.MX.sym("change", size), ca.MX.sym("part", 3)
     given = [ca.MX.sym(f"a{i}", system.size1_in(i)) for i in range(1, 4)]
     before = ca.MX.sym("before")
     # The part of the change, whether it will do, and how many were tried.
-    left = ca.norm_2(residual(z[:-2] - part[0] * change, *given))
+    left = ca.norm_2(residual(z[:-2] - search[0] * change, *given))
     falls = left < before
-    tried = ca.vertcat(ca.if_else(falls, part[0], part[0] / 2), falls, part[2] + 1)
-    inputs = [part, z, change, before, *given]
+    tried = ca.vertcat(ca.if_else(falls, search[0], search[0] / 2), falls, search[2] + 1)
+    inputs = [search, z, change, before, *given]
     attempt = where_needed(Function("attempt", inputs, [tried]))
-    found, at_start = _change(system, z, *given)
-    far, norm = given[2] * _moved(step, found), ca.norm_2(at_start)
+    newton_step, at_start = _change(system, z, *given)
+    far, norm = given[2] * _moved(step, newton_step), ca.norm_2(at_start)
     searched = far > 1e3 * _SMALL * around  # below, nothing is left to fall but round-off
-    part = ca.vertcat(1, 0, 0)
+    search = ca.vertcat(1, 0, 0)
     for _ in range(_HALVINGS):
-        part = attempt(ca.logic_and(searched, part[1] == 0), part, z, found, norm, *given)
-    new = ca.vertcat(z[:-2] - part[0] * found, far, z[-1] + 1 + part[2] / 2)
+        search = attempt(
+            ca.logic_and(searched, search[1] == 0), search, z, newton_step, norm, *given
+        )
+    new = ca.vertcat(z[:-2] - search[0] * newton_step, far, z[-1] + 1 + search[2] / 2)
     return Function("iteration", [z, *given], [new])

@@ -151,19 +151,19 @@ class Switches:
         aim = max(-max(late, 0.2 * edge), after) / 2
         # The Illinois method: the chord of a string that starts at rest on the border is far from
         # its slope there, and others that start next to it are not to be passed.
-        left, right, over, under, part = low, high, before - aim, after - aim, low
+        left, right, over, under, fraction = low, high, before - aim, after - aim, low
         for _ in range(CHORDS):
             chord = over * (right - left) / (over - under) if over != under else 0.0
-            part = min(max(left + chord, left), right)
-            gap = float(chosen @ room(*within, part)[0]) - edge - aim
+            fraction = min(max(left + chord, left), right)
+            gap = float(chosen @ room(*within, fraction)[0]) - edge - aim
             if gap > 0:
-                left, over, under = part, gap, under / 2
+                left, over, under = fraction, gap, under / 2
             else:
-                right, over, under = part, over / 2, gap
-        return Cut(part, speed, aim, chosen, outside < inside)
+                right, over, under = fraction, over / 2, gap
+        return Cut(fraction, speed, aim, chosen, outside < inside)
 
     def approach(
-        self, step: Step, cut: Cut, place: Callable[[float], FloatArray]
+        self, step: Step, cut: Cut, state_at: Callable[[float], FloatArray]
     ) -> tuple[FloatArray, float, int]:
         """Go to a switch by the secant method.
 
@@ -171,40 +171,40 @@ class Switches:
         ----------
         step : Step
         cut : Cut
-        place : callable
-            ``(part) -> x`` after a part of the step.
+        state_at : callable
+            ``(fraction) -> x`` after a fraction of the step.
 
         Returns
         -------
         x : ndarray, shape (states,)
-            As ``place`` returned it.
-        part : float
+            As ``state_at`` returned it.
+        fraction : float
             Of the step, where x is past the border by twice the aim at most.
         places : int
             Number of places it went to.
         """
         layout, sign = self._equation.layout, (2 * step.taut - 1) * cut.chosen
-        part, wanted, speed, gap_before = 0.0, cut.part, cut.speed, cut.aim
+        fraction, wanted, speed, gap_before = 0.0, cut.part, cut.speed, cut.aim
         x, places = step.x, 0
         while places < POLISHES and (not places or abs(gap_before - cut.aim) > abs(cut.aim)):
-            before = part
+            before = fraction
             # Without a slope, as of a string that grazes, it stays where it is.
-            part = min(max(wanted, 0.0), 1.0) if speed < 0 else 0.0
-            x = place(part)
-            gap = float(sign @ self._gap(x, layout.later(step.u, part * step.h))[0])
+            fraction = min(max(wanted, 0.0), 1.0) if speed < 0 else 0.0
+            x = state_at(fraction)
+            gap = float(sign @ self._gap(x, layout.later(step.u, fraction * step.h))[0])
             # The gap of a damped string has a kink next to the border: the tension falls fast up
             # to it, and beyond it is the stretch that counts. Where it is flat between two places
             # beyond, the next is twice as far back. Closer places differ by round-off.
             is_flat = False
-            if places and abs(part - before) > 1e-6:
-                secant = (gap - gap_before) / (part - before)
+            if places and abs(fraction - before) > 1e-6:
+                secant = (gap - gap_before) / (fraction - before)
                 is_flat = max(gap, gap_before) < 0 and secant > FLAT * speed
                 speed = secant if secant < 0 and not is_flat else speed
             change = (cut.aim - gap) / speed if speed else 0.0
-            wanted = part - 2 * abs(part - before) if is_flat else part + change
+            wanted = fraction - 2 * abs(fraction - before) if is_flat else fraction + change
             gap_before = gap
             places += 1
-        return x, part, places
+        return x, fraction, places
 
     def switched(
         self, x: FloatArray, u: FloatArray, taut: FloatArray, cut: Cut
@@ -389,12 +389,12 @@ def _dips(times: FloatArray, seen: FloatArray) -> FloatArray:
     """Return times between those looked at where a parabola says that room may fall below zero."""
     left, middle, right = seen[:, :-2], seen[:, 1:-1], seen[:, 2:]
     half, bend = (right - left) / 2, right - 2 * middle + left
-    place = -half / np.where(bend > 0, bend, np.inf)
-    lowest = middle + half * place / 2
+    vertex = -half / np.where(bend > 0, bend, np.inf)
+    lowest = middle + half * vertex / 2
     # A little above zero the parabola may be wrong, and it costs little to look.
-    strings, at = np.nonzero((bend > 0) & (np.abs(place) <= 1) & (lowest < 0.2 * middle))
-    found: FloatArray = times[at + 1] + place[strings, at] * (times[1] - times[0])
-    return found
+    strings, index = np.nonzero((bend > 0) & (np.abs(vertex) <= 1) & (lowest < 0.2 * middle))
+    dips: FloatArray = times[index + 1] + vertex[strings, index] * (times[1] - times[0])
+    return dips
 
 
 def refuse_chatter(landings: deque[float], now: float, duration: float) -> None:

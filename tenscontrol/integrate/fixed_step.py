@@ -171,10 +171,10 @@ class FixedStep(Integrator):
         cut = self._switches.first(step, 0.0, 0.0 if self.traces else LATE)
         if cut is None:
             return x1, taut, h
-        x1, part, tries = self._switches.approach(
-            step, cut, lambda part: self._attempt(x, u, taut, part * h)[0]
+        x1, fraction, tries = self._switches.approach(
+            step, cut, lambda fraction: self._attempt(x, u, taut, fraction * h)[0]
         )
-        x1, taken = x1.copy(), part * h
+        x1, taken = x1.copy(), fraction * h
         taut, switches = self._switches.switched(x1, layout.later(u, taken), taut, cut)
         counts[_MORE] += tries
         counts[_SWITCHES] += switches
@@ -281,5 +281,5 @@ def _attempt(step: ca.Function, equation: Equation) -> ca.Function:
     x, u, taut, h = equation.symbols(ca.SX if written else ca.MX)
     x1 = step(x, u, taut, h)
     outputs = [x1, crossings(equation)(x, x1, u, taut, h)]
-    outputs = [ca.densify(each) for each in outputs]
+    outputs = [ca.densify(output) for output in outputs]
     return Function("attempt", [x, u, taut, h], outputs)

@@ -274,18 +274,18 @@ class Integrator(ABC):
         size = self._equation.states
         if report is not None:
             validation.function("report", report, "it is told the time reached, s")
-        found = (
+        checked = (
             validation.measured("state", state, (size,), "positions, then velocities"),
             validation.shaped("held", held, (self._equation.inputs,), "one number per input"),
             validation.positive_number("duration", duration, "s"),
             validation.whole_number("outputs", outputs, 1, int(_MOST_NUMBERS / max(size, 1))),
         )
-        if not (np.abs(found[0]) <= validation.LARGEST).all():
+        if not (np.abs(checked[0]) <= validation.LARGEST).all():
             nothing = Span(np.empty((size, 0)), Work())
             raise IntegrationError(
                 f"the state has run away, beyond {validation.LARGEST:g}", 0.0, nothing
             )
-        return found
+        return checked
 
     def _kept(self, build: Callable[[], _Built], *settings: Hashable) -> _Built:
         """Return what is built once for the equation, this class and these settings."""
@@ -419,7 +419,7 @@ def _power_iteration(equation: Equation) -> ca.Function:
         "again", [vector, x, u, taut, difference], [(ends[0] - ends[1]) / (2 * difference)]
     )
     given = (x, u, taut, difference)
-    columns = [ca.repmat(each, 1, _POWER_ITERATIONS) for each in given]
+    columns = [ca.repmat(symbol, 1, _POWER_ITERATIONS) for symbol in given]
     end = again.fold(_POWER_ITERATIONS)(vector, *columns)
     return Function("frequency", [*given, vector], [ca.norm_2(end)])
 
@@ -442,23 +442,27 @@ def contact_frequency(equation: Equation, state: FloatArray, held: FloatArray) -
     if structure is None or force is None or contacts is None:
         return 0.0
     rows = structure.free_rows
-    nodes, velocities, forces = (structure.nodes.ravel(order="F") * part for part in (1.0, 0, 0))
+    nodes, velocities, forces = (
+        structure.nodes.ravel(order="F") * factor for factor in (1.0, 0, 0)
+    )
     nodes[rows], velocities[rows] = np.split(state, 2)
     forces[rows] = np.array(force(*np.split(state, 2), held, _strings_alone(equation))).ravel()
     d = structure.dimension
-    N, V, F = (part.reshape(-1, d).T for part in (nodes, velocities, forces))
+    N, V, F = (array.reshape(-1, d).T for array in (nodes, velocities, forces))
     load = float(np.linalg.norm(F.sum(axis=1)))
     # The end of a bar in the middle of which nothing holds it has ¾ of its entry in the mass.
     mass = 0.75 * node_mass(structure).diagonal()
     total = float(mass.sum())
     kinetic = 0.5 * total * float((V**2).sum(axis=0).max())
     rates = [0.0]
-    for i, (law, at, _) in enumerate(contacts):
-        if len(at):
+    for i, (law, nodes_of_law, _) in enumerate(contacts):
+        if len(nodes_of_law):
             of_depth = equation.prepared.get(("contact rate", i), partial(_of_depth, law))
-            highest = -float(np.array(law.sinking(ca.DM(N[:, at]), ca.DM(V[:, at]))[0]).max())
+            highest = -float(
+                np.array(law.sinking(ca.DM(N[:, nodes_of_law]), ca.DM(V[:, nodes_of_law]))[0]).max()
+            )
             energy = kinetic + load * max(highest, 0.0)
-            least, size = float(mass[at].min()), float(np.ptp(N))
+            least, size = float(mass[nodes_of_law].min()), float(np.ptp(N))
             rates.append(_contact_rate(law, of_depth, energy, load, least, size))
     return max(rates)
 

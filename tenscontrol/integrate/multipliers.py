@@ -107,9 +107,9 @@ class Coupled:
 
     def pull(self, N: kernel.Symbolic, values: kernel.Symbolic) -> kernel.Symbolic:
         """Return ``Jᵀ`` times values of the bars, J at columns of nodes or of velocities."""
-        parts = self._parts(values, (len(block.independent) for block in self._blocks))
-        both = zip(self._jacobians(N), parts, strict=True)
-        return ca.vertcat(*(ca.mtimes(J.T, part) for J, part in both))
+        blocks = self._parts(values, (len(block.independent) for block in self._blocks))
+        both = zip(self._jacobians(N), blocks, strict=True)
+        return ca.vertcat(*(ca.mtimes(J.T, values_of_block) for J, values_of_block in both))
 
     def momenta(self, rates: kernel.Symbolic) -> kernel.Symbolic:
         """Return ``M ċ``, kg m/s."""
@@ -117,7 +117,7 @@ class Coupled:
 
     def _solve(self, upper: kernel.Symbolic, lower: kernel.Symbolic) -> kernel.Symbolic:
         """Return the changes of the coordinates that solve the systems of all blocks."""
-        parts = zip(
+        blocks = zip(
             self._systems,
             self._parts(upper, (len(block.rows) for block in self._blocks)),
             self._parts(lower, (len(block.independent) for block in self._blocks)),
@@ -125,23 +125,25 @@ class Coupled:
             strict=True,
         )
         return ca.vertcat(
-            *(system.solve(up, low, part)[: up.shape[0]] for system, up, low, part in parts)
+            *(system.solve(up, low, factors)[: up.shape[0]] for system, up, low, factors in blocks)
         )
 
     def _placed(self) -> ca.Function:
         c, size, factors = self._c, len(self.rows), self._factors
         # The change of c so far, the size of the last part of it, and of the one before.
         state = ca.SX.sym("state", size + 2)
-        part = self._solve(ca.SX.zeros(size), -self.excess(c + state[:size]))
-        new = ca.densify(ca.vertcat(state[:size] + part, ca.norm_2(part), state[size]))
+        correction = self._solve(ca.SX.zeros(size), -self.excess(c + state[:size]))
+        new = ca.densify(ca.vertcat(state[:size] + correction, ca.norm_2(correction), state[size]))
         iterate = where_needed(Function("iterate", [state, c, factors], [new]))
         end = ca.SX.sym("end", size)
-        before, after = (kernel.differences(self.nodes(each), self._pairs) for each in (c, end))
+        before, after = (
+            kernel.differences(self.nodes(coordinates), self._pairs) for coordinates in (c, end)
+        )
         near = ca.mmin(kernel.dots(before, after).T - cos(_LARGEST_TURN) * self._square) >= 0
         near = Function("near", [c, end], [near])
         c, start, factors = (
-            ca.MX.sym(name, each.shape[0])
-            for name, each in (("c", self._c), ("start", self._c), ("factors", self._factors))
+            ca.MX.sym(name, symbol.shape[0])
+            for name, symbol in (("c", self._c), ("start", self._c), ("factors", self._factors))
         )
         scale = self._size + ca.norm_inf(start)
 
@@ -203,8 +205,8 @@ class Coupled:
             arms = N1[:, nodes]
             arms -= ca.repmat(ca.sum2(ca.mtimes(arms, M)) / total, 1, len(nodes))
             before, after = (
-                ca.sum2(cross(place[:, nodes], ca.mtimes(rate[:, nodes], M)))
-                for place, rate in ((N, V), (N1, V1))
+                ca.sum2(cross(positions[:, nodes], ca.mtimes(rate[:, nodes], M)))
+                for positions, rate in ((N, V), (N1, V1))
             )
             spread = ca.mtimes([arms, M, arms.T])
             trace = ca.trace(spread)

@@ -33,9 +33,9 @@ def project(structure: Structure, symbol: Any = ca.SX.sym) -> ca.Function:
         return Function("project", [x], [_project_alone(bodies, x)])
     x = ca.MX.sym("x", 2 * len(structure.free_rows))
     alone = ca.SX.sym("x", 2 * len(bodies.alone))
-    parts = Function("project_alone", [alone], [_project_alone(bodies, alone)])
+    project_alone = Function("project_alone", [alone], [_project_alone(bodies, alone)])
     q, v = ca.vertsplit(x, x.shape[0] // 2)
-    moved = parts(ca.vertcat(q[bodies.alone], v[bodies.alone]))
+    moved = project_alone(ca.vertcat(q[bodies.alone], v[bodies.alone]))
     half = len(bodies.alone)
     c, rates = Coupled(structure).restored()(q[bodies.coupled], v[bodies.coupled])
     ends = [bodies.merge(moved[:half], c), bodies.merge(moved[half:], rates)]

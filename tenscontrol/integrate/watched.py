@@ -165,10 +165,10 @@ class Watched(Integrator):
         while ahead.time < span.duration:
             method.limit = max((budget - (self._spent - before)) / cost, 1.0)
             origin = ahead.time
-            told = None if report is None else _later(report, origin)
+            later_report = None if report is None else _later(report, origin)
             rest = span.rest(ahead)
             try:
-                found = method.advance(ahead.state, span.inputs(origin), *rest, told)
+                advanced = method.advance(ahead.state, span.inputs(origin), *rest, later_report)
             except IntegrationPause as pause:
                 self._spent += cost * pause.span.work.evaluations
                 ahead.take(pause.span, span)
@@ -180,8 +180,8 @@ class Watched(Integrator):
                 ahead.take(error.span, span)
                 error.time += origin
                 return ahead, error
-            self._spent += cost * found.work.evaluations
-            ahead.take(found, span)
+            self._spent += cost * advanced.work.evaluations
+            ahead.take(advanced, span)
         return ahead, None
 
     def _review(self, span: _Given, motion: _Motion) -> None:
@@ -204,7 +204,7 @@ class Watched(Integrator):
         budget = max(_LEAST_TRIAL, self._spent * (_TRIAL if failure is None else 1.0))
         rates: dict[str, float] = {}
         trials: dict[str, _Motion] = {}
-        for name in (each for each in WATCHED if each not in self._failed):
+        for name in (method for method in WATCHED if method not in self._failed):
             before = self._spent
             ahead, ended = self._leg(name, span, motion, budget, None)
             trials[name] = ahead
@@ -261,14 +261,14 @@ class _Motion:
     spans: list[Span] = field(default_factory=list)  # with the states at the outputs
     work: Work = field(default_factory=Work)
 
-    def take(self, found: Span, span: _Given) -> None:
+    def take(self, reached: Span, span: _Given) -> None:
         """Append outputs that follow one another."""
-        self.work += found.work
-        if found.states.shape[1]:
+        self.work += reached.work
+        if reached.states.shape[1]:
             from_start = self.time == 0
-            self.spans.append(found if from_start else Span(found.states, found.work))
-            self.done += found.states.shape[1]
-            self.time, self.state = span.time_of(self.done), found.states[:, -1]
+            self.spans.append(reached if from_start else Span(reached.states, reached.work))
+            self.done += reached.states.shape[1]
+            self.time, self.state = span.time_of(self.done), reached.states[:, -1]
 
     def append(self, ahead: _Motion) -> None:
         """Append a motion that goes on from this one."""
@@ -278,9 +278,9 @@ class _Motion:
 
     def give_up(self, trials: Mapping[str, _Motion]) -> None:
         """Count the work of motions that are not gone on with."""
-        for each in trials.values():
-            tried = each.work.steps + each.work.rejections
-            self.work += Work(rejections=tried, evaluations=each.work.evaluations)
+        for trial in trials.values():
+            tried = trial.work.steps + trial.work.rejections
+            self.work += Work(rejections=tried, evaluations=trial.work.evaluations)
 
     def span(self) -> Span:
         """Return the outputs so far, of a motion from the start of the span."""

@@ -2,6 +2,12 @@
 
 from tenscontrol.plant.actuator_choice import ActuatorChoice, actuator_choice
 from tenscontrol.plant.controllability import Controllability, controllability
+from tenscontrol.plant.deflections import (
+    Deflections,
+    DirectionalStiffness,
+    deflections,
+    stiffness_along,
+)
 from tenscontrol.plant.equilibrium import equilibrium
 from tenscontrol.plant.linear_plant import LinearPlant, SparsePlant
 from tenscontrol.plant.linearize import OperatingPoint, command_parents, in_coordinates, linearize
@@ -15,6 +21,8 @@ from tenscontrol.plant.stance import Stance, StanceContacts, Tipping, set_down
 __all__ = [
     "ActuatorChoice",
     "Controllability",
+    "Deflections",
+    "DirectionalStiffness",
     "LinearPlant",
     "Modes",
     "OperatingPoint",
@@ -29,6 +37,7 @@ __all__ = [
     "actuator_choice",
     "command_parents",
     "controllability",
+    "deflections",
     "energy_weights",
     "equilibrium",
     "in_coordinates",
@@ -38,4 +47,5 @@ __all__ = [
     "reduce",
     "rigidity",
     "set_down",
+    "stiffness_along",
 ]

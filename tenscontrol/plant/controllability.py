@@ -138,12 +138,12 @@ def controllability(plant: LinearPlant, count: int | None = None) -> Controllabi
         count = min(validation.whole_number("count", count, 1), plant.degrees_of_freedom)
     if count:
         return _of_lowest(plant, count)
-    found = reached_states(plant)
-    order = np.argsort(np.abs(found.pole), kind="stable")
+    states = reached_states(plant)
+    order = np.argsort(np.abs(states.pole), kind="stable")
     return Controllability(
-        pole=frozen(found.pole[order]),
-        margin=frozen(found.margin[order]),
-        unreachable=len(plant.A) - found.count,
+        pole=frozen(states.pole[order]),
+        margin=frozen(states.margin[order]),
+        unreachable=len(plant.A) - states.count,
         unreached=unreached_modes(plant),
     )
 
@@ -153,15 +153,15 @@ def _of_lowest(plant: LinearPlant, count: int) -> Controllability:
     from scipy.sparse.linalg import svds
 
     small: LinearPlant = reduce(plant, count)
-    found = controllability(small)
-    if plant.sparse is None or found.unreachable == len(small.A):
-        return found
+    reduced = controllability(small)
+    if plant.sparse is None or reduced.unreachable == len(small.A):
+        return reduced
     by_input = plant.sparse.by_input
     start = np.cos(np.arange(1.0, min(by_input.shape) + 1) ** 2)  # any, without symmetry
     # Of many stages alike, the largest are close together.
     largest = svds(by_input, 1, tol=_CLOSE, v0=start, return_singular_vectors=False)[0]
     share = float(np.linalg.norm(small.B, 2)) / float(largest)
-    return replace(found, margin=frozen(share * found.margin))
+    return replace(reduced, margin=frozen(share * reduced.margin))
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,8 +195,8 @@ def reached_states(plant: LinearPlant) -> ReachedStates:
 @kept
 def unreached_modes(plant: LinearPlant) -> Modes:
     """Return the modes that no input reaches."""
-    found = reached_states(plant)
-    return modes_of(plant, found.unreached_pole, found.unreached_shape)
+    states = reached_states(plant)
+    return modes_of(plant, states.unreached_pole, states.unreached_shape)
 
 
 def _by_stiffness(plant: LinearPlant) -> ReachedStates:
@@ -241,23 +241,23 @@ def _by_poles(plant: LinearPlant) -> ReachedStates:
     unit, _ = state_units(plant)
     rate = 1 / unit[0] if r else 1.0
     A = plant.A * unit / unit[:, None] / rate
-    found = left_spaces(A, normalized_input(plant))
-    lost = [each for each in found if each.unreached.shape[1]]
-    spaces = np.hstack([np.zeros((2 * r, 0)), *(each.unreached for each in lost)])
+    spaces_by_pole = left_spaces(A, normalized_input(plant))
+    lost = [space for space in spaces_by_pole if space.unreached.shape[1]]
+    spaces = np.hstack([np.zeros((2 * r, 0)), *(space.unreached for space in lost)])
     count = 2 * r - spaces.shape[1]
-    lost_poles, lost_shapes = own_modes(A, rate, [each.unreached for each in lost])
+    lost_poles, lost_shapes = own_modes(A, rate, [space.unreached for space in lost])
     away = np.linalg.qr(spaces, mode="complete")[0]
-    growing = [each for each in lost if each.grows]
+    growing = [space for space in lost if space.grows]
     return ReachedStates(
-        pole=rate * np.array([each.pole for each in found], dtype=complex),
-        margin=np.array([each.margin for each in found], dtype=float),
+        pole=rate * np.array([space.pole for space in spaces_by_pole], dtype=complex),
+        margin=np.array([space.margin for space in spaces_by_pole], dtype=float),
         unit=unit,
         basis=np.hstack([away[:, 2 * r - count :], away[:, : 2 * r - count]]),
         count=count,
         unreached_pole=lost_poles,
         unreached_shape=lost_shapes,
-        growing=rate * np.array([each.pole for each in growing], dtype=complex),
-        growing_states=sum(each.unreached.shape[1] for each in growing),
+        growing=rate * np.array([space.pole for space in growing], dtype=complex),
+        growing_states=sum(space.unreached.shape[1] for space in growing),
     )
 
 
@@ -285,8 +285,8 @@ def left_spaces(A: FloatArray, B: FloatArray) -> list[LeftSpace]:
     nothing = np.zeros((len(A), 0))
     sizes_of_one = np.linalg.norm(left.T @ B, axis=1)
     rates = np.linalg.norm(left[len(A) // 2 :], axis=0)
-    for each in range(count):
-        mine = cluster == each
+    for number in range(count):
+        mine = cluster == number
         pole = complex(poles[mine].mean())
         if pole.imag < -_SAME_POLE / 2:  # the conjugate of another
             continue
@@ -302,10 +302,12 @@ def left_spaces(A: FloatArray, B: FloatArray) -> list[LeftSpace]:
         basis = vectors
         if sizes[-1] < _DEPENDENT * sizes[0]:
             reach = np.abs(poles[mine] - pole).max() + _SAME_POLE / 2
-            _, basis, found = linalg.schur(
-                A.T, output="complex", sort=lambda s, at=pole, reach=reach: abs(s - at) <= reach
+            _, basis, multiplicity = linalg.schur(
+                A.T,
+                output="complex",
+                sort=lambda s, centre=pole, reach=reach: abs(s - centre) <= reach,
             )
-            basis = basis[:, :found]
+            basis = basis[:, :multiplicity]
         unreached, grows = _unreached_of(A, B, pole, basis, tolerance)
         vectors = vectors[:, sizes >= _DEPENDENT * sizes[0]]
         spaces.append(LeftSpace(pole, _margin(vectors, B), unreached, grows))
@@ -339,8 +341,8 @@ def _unreached_of(
         sizes = np.linalg.svd(np.linalg.eig(left.conj().T @ T @ left)[1], compute_uv=False)
         grows = bool(sizes[-1] < _DEPENDENT * sizes[0])
     vectors, is_pair = basis @ left, pole.imag > _SAME_POLE / 2
-    parts = np.hstack([vectors.real, vectors.imag])
-    return np.linalg.svd(parts, full_matrices=False)[0][:, : (1 + is_pair) * left.shape[1]], grows
+    both = np.hstack([vectors.real, vectors.imag])
+    return np.linalg.svd(both, full_matrices=False)[0][:, : (1 + is_pair) * left.shape[1]], grows
 
 
 def _mixed(values: np.ndarray, mine: np.ndarray | slice, noise: float, sizes: FloatArray) -> float:
@@ -436,46 +438,46 @@ def refuse_unreachable(plant: LinearPlant, drifting: bool = True) -> None:
 
     Without ``drifting`` only if one grows.
     """
-    found = reached_states(plant)
-    if not found.count:
+    states = reached_states(plant)
+    if not states.count:
         raise ValueError(
             f"none of the {len(plant.A)} states of the plant can be controlled: at the "
             "operating point strings pull along bars only, or are slack"
         )
-    if not found.growing_states or not (drifting or (found.growing.real > 0).any()):
+    if not states.growing_states or not (drifting or (states.growing.real > 0).any()):
         return
     kind = plant.coordinates.kind
     counts = {
-        each: coordinates(plant.model, plant.nodes, each).count
-        for each in ("nodes", "minimal", "internal")
+        name: coordinates(plant.model, plant.nodes, name).count
+        for name in ("nodes", "minimal", "internal")
     }
-    what = []
+    motions = []
     if kind == "nodes":
-        what.append(
+        motions.append(
             (2 * (counts["nodes"] - counts["minimal"]), "are lengths of bars and their rates")
         )
     if kind != "internal":
         rigid = 2 * (counts["minimal"] - counts["internal"])
-        what.append((rigid, "are rigid-body motions"))
-    inner = found.growing_states - sum(count for count, _ in what)
+        motions.append((rigid, "are rigid-body motions"))
+    inner = states.growing_states - sum(count for count, _ in motions)
     if inner:
-        poles = ", ".join(f"{pole:.4g}" for pole in found.growing)
-        what.append((inner, f"are changes of shape, at the poles {poles} 1/s"))
+        poles = ", ".join(f"{pole:.4g}" for pole in states.growing)
+        motions.append((inner, f"are changes of shape, at the poles {poles} 1/s"))
     advice = (
         "Choose a prestress that makes the shape stable, or add strings whose lengths change in "
         "these modes; controllability(plant).unreached has the mode shapes"
         if inner
         else "Internal forces change neither: linearize with coordinates='internal'"
     )
-    listed = " and ".join(f"{count} {meaning}" for count, meaning in what if count)
+    listed = " and ".join(f"{count} {meaning}" for count, meaning in motions if count)
     raise ValueError(
-        f"{found.growing_states} of the {len(plant.A)} states of the plant in {kind!r} "
+        f"{states.growing_states} of the {len(plant.A)} states of the plant in {kind!r} "
         "coordinates "
         f"are out of reach of the strings, and grow or drift: {listed}. {advice}"
     )
 
 
-def warn_of_left_alone(modes: Modes, what: str, meaning: str) -> None:
+def warn_of_left_alone(modes: Modes, effect: str, meaning: str) -> None:
     """Warn of modes left alone that do not decay: what is so of them, and what that means."""
     swinging = [
         f"{frequency:.4g} Hz ({label})"
@@ -488,7 +490,7 @@ def warn_of_left_alone(modes: Modes, what: str, meaning: str) -> None:
         count = f"{len(swinging)} mode{'s' if len(swinging) > 1 else ''}"
         more = ", …" if len(swinging) > _LISTED else ""
         warn(
-            f"{what} {count} of the plant, at {', '.join(swinging[:_LISTED])}{more}: left "
+            f"{effect} {count} of the plant, at {', '.join(swinging[:_LISTED])}{more}: left "
             f"alone. {meaning} The attribute left_alone has the mode shapes, for plot.mode_shapes",
             RuntimeWarning,
         )

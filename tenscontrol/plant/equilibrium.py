@@ -15,6 +15,7 @@ from tenscontrol.dynamics.evaluator import BUILDING, Function, builds
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.profile import Profile
 from tenscontrol.plant.linear_plant import INPUTS
+from tenscontrol.plant.saddle import least_curvature, least_step
 from tenscontrol.plant.stance import (
     GroundPoints,
     Stance,
@@ -25,7 +26,6 @@ from tenscontrol.plant.stance import (
     refuse_slip,
 )
 from tenscontrol.statics.equilibrium_matrix import member_forces
-from tenscontrol.statics.inertia import factorized
 from tenscontrol.statics.prestress import Prestress, balanced
 from tenscontrol.structure.bar_clearance import BarCrossing, BarMotion
 from tenscontrol.structure.bar_geometry import refuse_strings_without_length, restore_bar_lengths
@@ -64,11 +64,8 @@ _SLACK = 1e-10
 # Iterations of the optimizer at most.
 _ITERATIONS = 500
 
-# Curvature of the energy below this fraction of the stiffest string's is none.
-_FLAT = 1e-9
-
-# Stiffness of bars, parts of the largest stiffness, in whose place rigid ones are.
-_RIGID = 1e4
+# A segment of a clustered string below this part of the size has no length.
+_NO_LENGTH = 1e-9
 
 _HINT = "Start from other nodes"
 
@@ -185,8 +182,8 @@ def equilibrium(
     structure = model.structure
     rest_length, force_density = own_input(model, rest_length, force_density)
     if (rest_length is None) == (force_density is None):
-        found = "neither" if rest_length is None else "both"
-        raise ValueError(f"expected one of rest_length and force_density, found {found}")
+        given = "neither" if rest_length is None else "both"
+        raise ValueError(f"expected one of rest_length and force_density, found {given}")
     start, called = structure.nodes, "the structure"
     if nodes is not None:
         start, called = structure.checked_nodes("nodes", nodes), "nodes"
@@ -217,9 +214,9 @@ def equilibrium(
         )
         np.add.at(load.T, contacts.node, contacts.force.T)
         least = max(least, float(contacts.normal_force.max(initial=0.0)))
-    what = f"no equilibrium found with this {kind}"
+    failure = f"no equilibrium found with this {kind}"
     forces = member_forces(settled, free_coordinates(settled, load))
-    rest = balanced(settled, forces, gamma, load, what, _HINT, least)
+    rest = balanced(settled, forces, gamma, load, failure, _HINT, least)
     if contacts is not None:
         rest = Stance(**vars(rest), contacts=contacts, least_stiffness=softest)
     if kind == "rest_length":
@@ -273,10 +270,10 @@ def _crossings(structure: Structure, start: FloatArray, end: FloatArray) -> tupl
         return ()
     if len(structure.fixed_rows) == 0:  # turned back to where it was
         middle = start.mean(axis=1, keepdims=True)
-        there = end - end.mean(axis=1, keepdims=True)
-        U, _, Vt = np.linalg.svd(there @ (start - middle).T)
+        around_mean = end - end.mean(axis=1, keepdims=True)
+        U, _, Vt = np.linalg.svd(around_mean @ (start - middle).T)
         mirror = np.diag([1.0, 1.0, np.sign(np.linalg.det(Vt.T @ U.T))])
-        end = Vt.T @ mirror @ U.T @ there + middle
+        end = Vt.T @ mirror @ U.T @ around_mean + middle
     return BarMotion(structure, np.array([0.0, 1.0]), np.stack([start, end], axis=-1)).crossings
 
 
@@ -385,19 +382,19 @@ def _pulling(
 
 def _refuse_fall(start: FloatArray, end: FloatArray, resultant: FloatArray, kind: str) -> None:
     """Raise if a shape has tilted from the resultant of its loads, or gone far away."""
-    before, after = (each - each.mean(axis=1, keepdims=True) for each in (start, end))
+    before, after = (nodes - nodes.mean(axis=1, keepdims=True) for nodes in (start, end))
     away = float(np.linalg.norm((end - start).mean(axis=1)))
     U, _, Vt = np.linalg.svd(after @ before.T)
     U[:, -1] *= np.linalg.det(U @ Vt)
     fall = resultant / (np.linalg.norm(resultant) or 1.0)
     angle = float(np.arccos(np.clip(fall @ U @ Vt @ fall, -1.0, 1.0))) if fall.any() else 0.0
     if angle > _FALLEN or away > np.ptp(start, axis=1).max():
-        what = f"tilts by {np.degrees(angle):.0f}°"
+        motion = f"tilts by {np.degrees(angle):.0f}°"
         if angle <= _FALLEN:
-            what = f"moves {away:.3g} m away"
+            motion = f"moves {away:.3g} m away"
         raise ValueError(
             f"no equilibrium with this {kind}: from the shape at the start the structure falls: it "
-            f"{what} before it comes to rest. Start from nodes that stand, as "
+            f"{motion} before it comes to rest. Start from nodes that stand, as "
             "plant.set_down(model, feet) gives them"
         )
 
@@ -416,16 +413,16 @@ def _minimize(
     )
     stage = ca.vertcat(weights, rounding)
     flat = ca.SX(ca.DM(structure.nodes.ravel(order="F")))
-    place = free_coordinates(structure, start)
+    position = free_coordinates(structure, start)
     if sticking is None:
-        flat[rows.tolist()] = at = q
+        flat[rows.tolist()] = coordinates = q
     else:
         motions = ca.sparsify(ca.DM(sticking.motions))
-        flat[rows.tolist()] = at = ca.DM(sticking.origin) + ca.mtimes(motions, q)
-        place = sticking.motions.T @ (place - sticking.origin)
+        flat[rows.tolist()] = coordinates = ca.DM(sticking.origin) + ca.mtimes(motions, q)
+        position = sticking.motions.T @ (position - sticking.origin)
     nodes = ca.reshape(flat, *structure.nodes.shape)
     energies = _string_energies(model, kind, nodes, held, rounding)
-    energy = ca.dot(weights, energies) - ca.dot(free_coordinates(structure, load), at)
+    energy = ca.dot(weights, energies) - ca.dot(free_coordinates(structure, load), coordinates)
     energy += sum(term.stored_energy(nodes) for term in model.forces(kind).terms)
     moving = structure.kept_bars
     B = kernel.differences(nodes, structure.bars[moving])
@@ -446,20 +443,22 @@ def _minimize(
     stiffness = float(strained.max(initial=0.0)) / (_STRAIN * size)
     flat_below = _EXACT * stiffness
     for _ in range(_ESCAPES):
-        point, trouble = _optimized(solver, place, strained, size, structure.has_clusters)
+        point, trouble = _optimized(solver, position, strained, size, structure.has_clusters)
         if structure.has_clusters:
             ends = np.array(whole(point[:count]).full())
             pulling = held > 0 if kind == "force_density" else structure.string_length(ends) > held
-            _refuse_collapsed(structure, ends, pulling, size * (_COLLAPSED if trouble else _FLAT))
+            _refuse_collapsed(
+                structure, ends, pulling, size * (_COLLAPSED if trouble else _NO_LENGTH)
+            )
         point, off = _polished(newton, point, count, size, stiffness)
         if trouble and off > _EXACT * size:
             raise ValueError(trouble)
-        place = point[:count]
+        position = point[:count]
         least, downhill = _softest(newton, point, count, flat_below)
         if least >= 0:
-            return np.array(whole(place).full()), least
+            return np.array(whole(position).full()), least
         # An unstable equilibrium, such as a pendulum upside down: pushed off, it falls.
-        place = place + 0.01 * size * downhill
+        position = position + 0.01 * size * downhill
     raise ValueError(f"no stable equilibrium found: the equilibrium found is unstable. {_HINT}")
 
 
@@ -487,15 +486,15 @@ def _string_energies(model: Model, kind: str, nodes: Any, held: FloatArray, roun
     S = kernel.differences(nodes, structure.segments)
     if structure.has_clusters:
         size = float(np.ptp(structure.nodes, axis=1).max())
-        each = ca.sqrt(ca.fmax(kernel.dots(S, S), (_EXACT * size) ** 2) + rounding**2)
-        length = kernel.string_sums(structure, each).T
+        lengths = ca.sqrt(ca.fmax(kernel.dots(S, S), (_EXACT * size) ** 2) + rounding**2)
+        length = kernel.string_sums(structure, lengths).T
     elif kind == "rest_length":
         length = kernel.pulling_length(S, ca.DM(held).T).T
     return model.forces(kind).strings.stored_energy(nodes, ca.DM(held), length)
 
 
 def _optimized(
-    solver: ca.Function, place: FloatArray, strained: FloatArray, size: float, is_rounded: bool
+    solver: ca.Function, position: FloatArray, strained: FloatArray, size: float, is_rounded: bool
 ) -> tuple[FloatArray, str]:
     """Return positions and multipliers from the optimizer, and what it says if it did not end.
 
@@ -509,18 +508,18 @@ def _optimized(
     stages = [plain]
     for most in 10.0 ** np.arange(decades):
         stages.append(np.append(most / np.maximum(ratio, most), widest))
-    for part in 0.1 ** np.arange(_ROUNDINGS if is_rounded else 0):
-        stages.append(np.append(np.ones(len(ratio)), part * widest))
+    for share in 0.1 ** np.arange(_ROUNDINGS if is_rounded else 0):
+        stages.append(np.append(np.ones(len(ratio)), share * widest))
     stages += [plain] if len(stages) > 1 else []
     for stage in stages:
         with BUILDING:
-            answer = solver(x0=place, p=stage, lbg=0.0, ubg=0.0)
+            answer = solver(x0=position, p=stage, lbg=0.0, ubg=0.0)
         status = solver.stats()
-        found = [np.array(answer[part]).ravel() for part in ("x", "lam_g")]
+        vectors = [np.array(answer[name]).ravel() for name in ("x", "lam_g")]
         if status["success"] and stage is plain:
-            return np.concatenate(found), ""
-        place = found[0] if status["success"] else place
-    return np.concatenate([place, found[1]]), (
+            return np.concatenate(vectors), ""
+        position = vectors[0] if status["success"] else position
+    return np.concatenate([position, vectors[1]]), (
         f"no equilibrium found: the optimizer ended with {status['return_status']!r} after "
         f"{status['iter_count']} iterations. {_HINT}, or check that strings and supports can carry "
         "the load"
@@ -553,7 +552,7 @@ def _polished(
             best, least = point, largest
         if worse == _WORSE or least < _ROUND_OFF * size:
             break
-        point = point - columns * _least_step(system, off, count)
+        point = point - columns * least_step(system, off, count)
     return best, least
 
 
@@ -565,54 +564,9 @@ def _evaluated(newton: ca.Function, point: FloatArray) -> tuple[FloatArray, csc_
     return np.array(residual.full()).ravel(), csc_array(jacobian.sparse())
 
 
-def _least_step(system: csc_array, off: FloatArray, count: int) -> FloatArray:
-    """Return the least step that takes away what is off.
-
-    Motions that nothing resists, as one body or of slack strings, make the system singular. It is
-    shifted, and applied between two solutions: what it leaves without an answer goes to zero.
-    """
-    from scipy.sparse import diags_array
-    from scipy.sparse.linalg import splu
-
-    shift = np.full(len(off), -_EXACT)
-    shift[:count] = _EXACT
-    factors = splu((system + diags_array(shift)).tocsc())
-    return np.asarray(factors.solve(system @ factors.solve(off)))
-
-
 def _softest(
     newton: ca.Function, point: FloatArray, count: int, flat: float
 ) -> tuple[float, FloatArray]:
-    """Return the least curvature of the energy with bar lengths kept, N/m, and its direction.
-
-    It is sought from just below: from where all pivots are positive with stiff bars in place of
-    rigid ones.
-    """
-    from scipy.sparse import block_array, diags_array, eye_array
-    from scipy.sparse.linalg import LinearOperator, eigsh, splu
-
+    """Return the least curvature of the energy with bar lengths kept, N/m, and its direction."""
     _, jacobian = _evaluated(newton, point)
-    hessian, J = jacobian[:count, :count], jacobian[count:, :count].tocsr()
-    bars = J.shape[0]
-    if bars >= count:
-        return np.inf, np.zeros(count)
-    length = np.sqrt(J.multiply(J).sum(axis=1))
-    J = diags_array(1 / np.where(length > 0, length, 1.0)) @ J
-    size = float(abs(hessian).max()) or 1.0
-    shift = flat = max(flat, _FLAT * size)
-    stiffened = (hessian + _RIGID * size * (J.T @ J)).tocsc()
-    while factorized((stiffened + shift * eye_array(count)).tocsc()).pivots.min() <= 0:
-        shift *= 4.0
-    held = [[hessian + shift * eye_array(count), J.T], [J, -_EXACT * eye_array(bars) / size]]
-    factors = splu(block_array(held, format="csc"))
-
-    def inverse(force: FloatArray) -> FloatArray:
-        return np.asarray(factors.solve(np.append(force.ravel(), np.zeros(bars)))[:count])
-
-    direction = inverse(np.cos(np.arange(1.0, count + 1) ** 2))  # any
-    if count > 1:
-        operator = LinearOperator((count, count), matvec=inverse, dtype=float)
-        direction = eigsh(operator, 1, which="LA", v0=direction)[1][:, 0]
-    direction /= np.linalg.norm(direction)
-    least = float(direction @ (hessian @ direction))
-    return (0.0 if abs(least) <= flat else least), direction
+    return least_curvature(jacobian[:count, :count], jacobian[count:, :count].tocsr(), flat)

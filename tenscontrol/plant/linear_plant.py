@@ -71,10 +71,10 @@ class _Made:
     def __get__(self, plant: LinearPlant | None, owner: type) -> FloatArray | None:
         if plant is None:
             return None  # the default
-        found: FloatArray | None = plant.__dict__[self._name]
-        if found is None:
-            found = plant.__dict__[self._name] = frozen(self._make(plant))
-        return found
+        array: FloatArray | None = plant.__dict__[self._name]
+        if array is None:
+            array = plant.__dict__[self._name] = frozen(self._make(plant))
+        return array
 
 
 @dataclass(frozen=True, eq=False)

@@ -276,10 +276,10 @@ def in_coordinates(plant: LinearPlant, kind: str) -> LinearPlant:
         rest_length = plant.rest_length
         if rest_length is not None:
             rest_length = to_model_strings(plant, "rest_length", rest_length)
-        at = OperatingPoint(plant.nodes, gamma, plant.external_force)
+        operating_point = OperatingPoint(plant.nodes, gamma, plant.external_force)
         own = plant.commanded is plant.model.structure
         other = linearize(
-            plant.model, at, plant.input, kind, False, rest_length,
+            plant.model, operating_point, plant.input, kind, False, rest_length,
             plant.actuation if own else None,
         )  # fmt: skip
         other = _on_feet(other, plant.feet) if len(plant.feet) else other
@@ -353,10 +353,10 @@ def command_parents(plant: LinearPlant, actuated: object = None) -> LinearPlant:
     given = plant.equilibrium_input
     whole = to_segments(structure, plant.input, to_strings(structure, plant.input, given))
     if not np.allclose(whole, given, rtol=1e-9):
-        what = plant.input.replace("_", " ")
+        quantity = plant.input.replace("_", " ")
         raise ValueError(
-            f"the segments of a string differ in their {what}, so that no {what} of the whole "
-            "string gives the operating point. Weight makes force densities differ along a "
+            f"the segments of a string differ in their {quantity}, so that no {quantity} of the "
+            "whole string gives the operating point. Weight makes force densities differ along a "
             "string: linearize with input='rest_length'"
         )
     values = gamma if plant.input == "force_density" else rest_length
@@ -398,7 +398,7 @@ def _reduced(
     model: Model,
     input: str,
     kind: str,
-    at: Tangent,
+    here: Tangent,
     nodes: FloatArray,
     gamma: FloatArray,
     rest_length: FloatArray | None,
@@ -411,20 +411,22 @@ def _reduced(
     frame, free = frame_of(model, nodes, kind), model.structure.free_rows
     if kind == "nodes":  # bars need not keep their lengths
         refuse_large("the stiffness of all nodes", (len(free), len(free)))
-        bent, inputs = at.curvature[:, free].toarray(), at.by_input.toarray()
+        bent, inputs = here.curvature[:, free].toarray(), here.by_input.toarray()
         stiffness, damping, by_input = (
-            csr_array(at.accelerations(forces, turned))
+            csr_array(here.accelerations(forces, turned))
             for forces, turned in (
-                (at.stiffness[:, free].toarray(), bent),
-                (at.damping[:, free].toarray(), 0 * bent),
+                (here.stiffness[:, free].toarray(), bent),
+                (here.damping[:, free].toarray(), 0 * bent),
                 (inputs, np.zeros((len(bent), inputs.shape[1]))),
             )
         )
-        drift = at.acceleration[free]
+        drift = here.acceleration[free]
     else:
         T = frame.sparse_basis
-        stiffness, damping = (csr_array(T.T @ part @ T) for part in (at.stiffness, at.damping))
-        by_input, drift = csr_array(T.T @ at.by_input), T.T @ at.force
+        stiffness, damping = (
+            csr_array(T.T @ matrix @ T) for matrix in (here.stiffness, here.damping)
+        )
+        by_input, drift = csr_array(T.T @ here.by_input), T.T @ here.force
     # Where force densities are held, shapes may meet no stiffness at all but round-off.
     held = norm(by_input) * float(np.linalg.norm(gamma)) / float(np.ptp(nodes))
     if norm(stiffness) <= _NO_STIFFNESS * held:
@@ -454,42 +456,42 @@ def _left_out(frame: Coordinates, stiffness: csr_array, damping: csr_array, leas
     """Return what rigid-body motions, which internal coordinates leave out, meet and are given."""
     if frame.kind != "internal":
         return 0.0
-    R, found = frame.rigid, [0.0]
+    R, residuals = frame.rigid, [0.0]
     for matrix, size in ((stiffness, least), (damping, 0.0)):
         size = max(norm(matrix), size, 1e-300)
         # Of accelerations by changes of shape, and by the motions themselves: as loads may give.
         given = (matrix.T @ R).T
         given = given - (given @ R) @ R.T
-        found.append(float(np.linalg.norm(given)) / size)
-        found.append(float(np.linalg.norm(matrix @ R)) / size if matrix is stiffness else 0.0)
-    return max(found)
+        residuals.append(float(np.linalg.norm(given)) / size)
+        residuals.append(float(np.linalg.norm(matrix @ R)) / size if matrix is stiffness else 0.0)
+    return max(residuals)
 
 
 def _checked_point(
-    model: Model, at: Prestress | OperatingPoint
+    model: Model, point: Prestress | OperatingPoint
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return nodes, γ and load, checked against the structure of the model."""
     structure = model.structure
-    if isinstance(at, Prestress):
-        _refuse_other_structure(structure, at.structure)
-        nodes: object = at.structure.nodes
-    elif isinstance(at, OperatingPoint):
-        nodes = at.nodes
+    if isinstance(point, Prestress):
+        _refuse_other_structure(structure, point.structure)
+        nodes: object = point.structure.nodes
+    elif isinstance(point, OperatingPoint):
+        nodes = point.nodes
     else:
         raise TypeError(
-            f"at is a {type(at).__name__}, expected the result of prestress(...), "
+            f"at is a {type(point).__name__}, expected the result of prestress(...), "
             "or an OperatingPoint(nodes, force_density)"
         )
     N = structure.checked_nodes("at.nodes", nodes)
     refuse_moved_supports("at.nodes", structure, N)
     N = rigid_shape("at.nodes", structure, N)
     count = len(structure.strings)
-    gamma = validation.shaped("at.force_density", at.force_density, (count,), "one per string")
+    gamma = validation.shaped("at.force_density", point.force_density, (count,), "one per string")
     validation.non_negative("at.force_density", gamma, "a string can only pull")
     load = np.zeros(N.shape)
-    if at.external_force is not None:
+    if point.external_force is not None:
         load = validation.shaped(
-            "at.external_force", at.external_force, N.shape, "one force per node"
+            "at.external_force", point.external_force, N.shape, "one force per node"
         )
     return N, gamma, load
 
@@ -497,22 +499,24 @@ def _checked_point(
 def _refuse_other_structure(ours: Structure, theirs: Structure) -> None:
     names = ("bars", "strings", "segments", "bar_mass", "string_node_mass", "point_mass", "fixed",
              "fixed_rows")  # fmt: skip
-    for what in names:
-        if not np.array_equal(getattr(ours, what), getattr(theirs, what)):
+    for name in names:
+        if not np.array_equal(getattr(ours, name), getattr(theirs, name)):
             raise ValueError(
-                f"the prestress and the model differ in their {what}; "
+                f"the prestress and the model differ in their {name}; "
                 "compute the prestress of the structure that the model was built for"
             )
 
 
-def _refuse_unbalanced(at: Tangent, gamma: FloatArray) -> None:
-    structure = at.structure
+def _refuse_unbalanced(here: Tangent, gamma: FloatArray) -> None:
+    structure = here.structure
     d = structure.dimension
     # What a roller holds is in balance.
-    left = np.zeros(at.force.size)
-    left[structure.free_rows] = (at.mass @ at.acceleration)[structure.free_rows]
+    left = np.zeros(here.force.size)
+    left[structure.free_rows] = (here.mass @ here.acceleration)[structure.free_rows]
     unbalanced = np.linalg.norm(left.reshape(-1, d), axis=1)
-    scale = max(float((gamma * at.string_length).max(initial=0.0)), float(np.abs(at.load).max()))
+    scale = max(
+        float((gamma * here.string_length).max(initial=0.0)), float(np.abs(here.load).max())
+    )
     if unbalanced.max() > _EQUILIBRIUM_TOLERANCE * scale:
         worst = int(unbalanced.argmax())
         raise ValueError(
@@ -543,9 +547,9 @@ def _rest_length(
     law: StringLaw, length: FloatArray, gamma: FloatArray, given: object
 ) -> FloatArray:
     """Return the rest lengths at an operating point, those of slack strings as they are given."""
-    found = law.rest_length(length, gamma)
+    taut = law.rest_length(length, gamma)
     if given is None:
-        return found
+        return taut
     known = validation.per_member("rest_length", given, len(gamma), "string")
     validation.positive("rest_length", known, "length in m")
     off = np.abs(law.force_density(length, known) - gamma)
@@ -554,9 +558,9 @@ def _rest_length(
         raise ValueError(
             f"rest_length[{i}] is {known[i]:g} m, at which string {i} of {length[i]:g} m has "
             f"another force density than the {gamma[i]:g} N/m of the operating point; expected "
-            f"{found[i]:g} m" + ("" if gamma[i] else " or more")
+            f"{taut[i]:g} m" + ("" if gamma[i] else " or more")
         )
-    return np.where(gamma > 0, found, known)
+    return np.where(gamma > 0, taut, known)
 
 
 def _refuse_kink(model: Model, gamma: FloatArray, share: FloatArray) -> None:

@@ -159,8 +159,8 @@ def modes(plant: LinearPlant, count: int | None = None) -> Modes:
     r = plant.degrees_of_freedom
     if count is not None:
         count = min(validation.whole_number("count", count, 1), r)
-        found = lowest(plant, count)
-        return _cut(modes(plant) if found is None else _in_order(plant, *found), count)
+        slowest = lowest(plant, count)
+        return _cut(modes(plant) if slowest is None else _in_order(plant, *slowest), count)
     stiffness, friction = -plant.A[r:, :r], -plant.A[r:, r:]
     if plant.coordinates.kind == "nodes":
         poles, vectors, labels = _node_modes(plant)
@@ -180,7 +180,7 @@ def modes_of(plant: LinearPlant, poles: np.ndarray, vectors: np.ndarray) -> Mode
 def _cut(whole: Modes, count: int) -> Modes:
     """Return the first modes."""
     arrays = (whole.frequency, whole.damping, whole.pole, whole.shape)
-    frequency, damping, pole, shape = (frozen(np.array(each[..., :count])) for each in arrays)
+    frequency, damping, pole, shape = (frozen(np.array(array[..., :count])) for array in arrays)
     return Modes(frequency, damping, pole, shape, whole.label[:count], whole.structure, whole.nodes)
 
 
@@ -199,23 +199,25 @@ def lowest(plant: LinearPlant, count: int) -> tuple[np.ndarray, np.ndarray, list
     top = float(abs(K).sum(axis=0).max())
     # What moves the structure as one body is known, unless the ground or a load resists it.
     rigid = frame.rigid
-    parts = (part for part in (K, D) if part.nnz)
-    if any(np.abs(part @ rigid).max(initial=0.0) > _ZERO * abs(part).max() for part in parts):
+    matrices = (matrix for matrix in (K, D) if matrix.nnz)
+    if any(
+        np.abs(matrix @ rigid).max(initial=0.0) > _ZERO * abs(matrix).max() for matrix in matrices
+    ):
         rigid = rigid[:, :0]
     still = rigid if frame.kind == "minimal" else rigid[:, :0]
     undamped = not D.nnz and norm(K - K.T) <= _ROUND * norm(K)
     if undamped:
         values, vectors = _slowest(K, rigid, more, top)
         vectors = np.hstack([still, vectors])
-        found = frame.from_sparse(vectors)
+        shapes = frame.from_sparse(vectors)
         values = np.concatenate([np.zeros(still.shape[1]), values])
         order = np.argsort(values, kind="stable")
-        return _undamped(values[order], found[:, order], _kinds(plant, found))
+        return _undamped(values[order], shapes[:, order], _kinds(plant, shapes))
     poles, vectors = _slowest_damped(K, D, rigid, more, top)
-    found = frame.from_sparse(np.hstack([still, vectors]))
-    kinds = _kinds(plant, found)
+    shapes = frame.from_sparse(np.hstack([still, vectors]))
+    kinds = _kinds(plant, shapes)
     poles = np.concatenate([np.zeros(still.shape[1]), poles])
-    return poles, found, [_label(shape, kinds) for shape in found.T]
+    return poles, shapes, [_label(shape, kinds) for shape in shapes.T]
 
 
 def _slowest(
@@ -266,8 +268,8 @@ def _slowest_damped(
     poles[np.abs(poles) ** 2 < _LOST * top] = 0.0
     still, keep = poles == 0, (poles != 0) & (poles.imag >= 0)
     # What meets neither stiffness nor damping has one shape, but two poles.
-    parts = np.hstack([vectors[:m, still].real, vectors[:m, still].imag])
-    U, sizes, _ = np.linalg.svd(parts, full_matrices=False)
+    both = np.hstack([vectors[:m, still].real, vectors[:m, still].imag])
+    U, sizes, _ = np.linalg.svd(both, full_matrices=False)
     zero = U[:, sizes > _KEPT**0.5 * sizes.max(initial=0.0)]
     shapes = vectors[:m, keep] / np.linalg.norm(vectors[:m, keep], axis=0)
     return np.concatenate([np.zeros(zero.shape[1]), poles[keep]]), np.hstack([zero, shapes])
@@ -302,7 +304,7 @@ def _rank(labels: list[str]) -> IntArray:
     return np.array([names.index(label) for label in labels], dtype=np.int64)
 
 
-def _kinds(plant: LinearPlant, found: np.ndarray | None = None) -> dict[str, FloatArray]:
+def _kinds(plant: LinearPlant, shapes: np.ndarray | None = None) -> dict[str, FloatArray]:
     """Return orthonormal bases of the rigid, affine and mechanism motions in q.
 
     Of mechanisms, if shapes q are given, as many as these have a part in.
@@ -311,11 +313,11 @@ def _kinds(plant: LinearPlant, found: np.ndarray | None = None) -> dict[str, Flo
     bar_axes = structure.bar_vectors(nodes) / structure.bar_length
     rigid, affine = rigid_motions(nodes), affine_motions(nodes)
     # Affine motions count only as far as they keep supports and bar lengths, and loads in balance.
-    kept = [affine[structure.fixed_rows], _stretch(structure.bars, bar_axes, affine)]
-    unhurt = affine @ _null(np.vstack([*kept, _turned_loads(plant)]), _KEPT)
+    constraints = [affine[structure.fixed_rows], _stretch(structure.bars, bar_axes, affine)]
+    unhurt = affine @ _null(np.vstack([*constraints, _turned_loads(plant)]), _KEPT)
     stretch = string_stretch(structure, nodes)
-    if found is not None and plant.coordinates.is_sparse:
-        mechanism = _in_mechanisms(plant, stretch, found)
+    if shapes is not None and plant.coordinates.is_sparse:
+        mechanism = _in_mechanisms(plant, stretch, shapes)
     else:
         bar_stretch = _stretch(structure.bars, bar_axes, plant.basis)
         mechanism = _null(np.vstack([stretch @ plant.basis, bar_stretch]))
@@ -326,7 +328,7 @@ def _kinds(plant: LinearPlant, found: np.ndarray | None = None) -> dict[str, Flo
     }
 
 
-def _in_mechanisms(plant: LinearPlant, stretch: csr_array, found: np.ndarray) -> FloatArray:
+def _in_mechanisms(plant: LinearPlant, stretch: csr_array, vectors: np.ndarray) -> FloatArray:
     """Return an orthonormal basis, in q, of the mechanisms that shapes q have a part in.
 
     What strings resist but weakly is left by the projection, and then told apart by its stretch.
@@ -341,12 +343,12 @@ def _in_mechanisms(plant: LinearPlant, stretch: csr_array, found: np.ndarray) ->
         return np.eye(plant.degrees_of_freedom)
     squared = (S.T @ S) / (_WEAK * largest) ** 2
     factors = splu((eye_array(S.shape[1]) + squared).tocsc(), permc_spec="MMD_AT_PLUS_A")
-    shapes = np.hstack([found.real, found.imag]) if np.iscomplexobj(found) else found
-    parts = factors.solve(frame.to_sparse(shapes))
-    sizes = np.linalg.norm(parts, axis=0)
-    parts = parts[:, sizes > _PART]
-    parts = parts[:, np.linalg.norm(S @ parts, axis=0) <= _KEPT * largest]
-    U, sizes, _ = np.linalg.svd(frame.from_sparse(parts), full_matrices=False)
+    shapes = np.hstack([vectors.real, vectors.imag]) if np.iscomplexobj(vectors) else vectors
+    mechanisms = factors.solve(frame.to_sparse(shapes))
+    sizes = np.linalg.norm(mechanisms, axis=0)
+    mechanisms = mechanisms[:, sizes > _PART]
+    mechanisms = mechanisms[:, np.linalg.norm(S @ mechanisms, axis=0) <= _KEPT * largest]
+    U, sizes, _ = np.linalg.svd(frame.from_sparse(mechanisms), full_matrices=False)
     return np.asarray(U[:, sizes > _PART])
 
 
@@ -379,8 +381,8 @@ def _undamped(
     """Modes of q̈ + K q = 0 of ω², ascending: real shapes, sorted within equal frequencies."""
     labels: list[str] = []
     for first, last in clusters(values):
-        vectors[:, first:last], found = _unmixed(vectors[:, first:last], kinds)
-        labels += found
+        vectors[:, first:last], own_labels = _unmixed(vectors[:, first:last], kinds)
+        labels += own_labels
     return np.sqrt((-values).astype(complex)), vectors, labels
 
 
@@ -389,8 +391,8 @@ def _general(
     stiffness: FloatArray, friction: FloatArray, kinds: dict[str, FloatArray]
 ) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """Modes of q̈ + D q̇ + K q = 0, the motions free of both set apart."""
-    sizes = (max(float(np.abs(part).max()), 1e-300) for part in (stiffness, friction))
-    scaled = [part / size for part, size in zip((stiffness, friction), sizes, strict=True)]
+    sizes = (max(float(np.abs(matrix).max()), 1e-300) for matrix in (stiffness, friction))
+    scaled = [matrix / size for matrix, size in zip((stiffness, friction), sizes, strict=True)]
     free = _null(np.vstack(scaled))
     held = _null(free.T) if free.shape[1] else np.eye(len(stiffness))
     size = held.shape[1]
@@ -418,11 +420,11 @@ def _node_modes(plant: LinearPlant) -> tuple[np.ndarray, np.ndarray, list[str]]:
     stretched[bars[:, 0], :, np.arange(len(bars))] = -half
     stretched[bars[:, 1], :, np.arange(len(bars))] = half
     stretched[structure.fixed] = 0.0
-    parts = [stretched.reshape(d * count, -1)]
+    normals = [stretched.reshape(d * count, -1)]
     for block in structure.blocks:
-        parts.append(np.zeros((d * count, len(block.independent))))
-        parts[-1][block.rows] = normal_basis(structure, block, plant.nodes)
-    constraints = np.hstack(parts)
+        normals.append(np.zeros((d * count, len(block.independent))))
+        normals[-1][block.rows] = normal_basis(structure, block, plant.nodes)
+    constraints = np.hstack(normals)
     lengths = constraints.shape[1]
     return (
         np.r_[np.zeros(lengths, complex), inner.pole],

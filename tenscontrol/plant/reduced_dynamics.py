@@ -67,8 +67,8 @@ class ReducedPlant(LinearPlant):
         if np.linalg.cond(stiffness) > 1 / _SINGULAR:
             return 1.0
         full = whole.basis @ np.linalg.solve(stiffness, whole.B[r:])
-        kept = small.basis @ np.linalg.solve(-small.A[own:, :own], small.B[own:])
-        return float(np.linalg.norm(full - kept) / max(float(np.linalg.norm(full)), 1e-300))
+        seen = small.basis @ np.linalg.solve(-small.A[own:, :own], small.B[own:])
+        return float(np.linalg.norm(full - seen) / max(float(np.linalg.norm(full)), 1e-300))
 
     @property
     @on_one_thread
@@ -159,8 +159,8 @@ def reduce(plant: LinearPlant, modes: object = 20) -> ReducedPlant:
     q, turn = np.linalg.qr(q)
     within = plant.coordinates.within(q * np.sign(np.diag(turn)))
     small = replace(plant, coordinates=within, A=None, B=None, drift=None)
-    kept = {each.name: getattr(small, each.name) for each in fields(small)}
-    return ReducedPlant(**kept, whole=plant)
+    values = {attribute.name: getattr(small, attribute.name) for attribute in fields(small)}
+    return ReducedPlant(**values, whole=plant)
 
 
 @kept
@@ -201,7 +201,7 @@ def _tracked_motion(plant: LinearPlant, matrix: FloatArray) -> ca.Function:
         ca.substitute(acceleration, gamma, ca.SX.zeros(gamma.shape)),
         ca.jacobian(acceleration, gamma),
     ]
-    return Function("tracked", [z], ca.cse([ca.densify(each) for each in outputs]))
+    return Function("tracked", [z], ca.cse([ca.densify(output) for output in outputs]))
 
 
 def checked_tracked(plant: LinearPlant, tracked: object) -> FloatArray:
@@ -233,7 +233,7 @@ def _free_acceleration(plant: LinearPlant, N: Any, V: Any, held: Any, kind: str)
     refuse_lost_place(plant)
     structure, equation = plant.model.structure, plant.model.state_equation(kind)
     free = structure.free.tolist()
-    x = ca.vertcat(*(kernel.free_entries(structure, part[:, free]) for part in (N, V)))
+    x = ca.vertcat(*(kernel.free_entries(structure, array[:, free]) for array in (N, V)))
     slope = equation(x, held, *map(ca.DM, plant.load_input))
     return slope[slope.shape[0] // 2 :]
 
@@ -348,14 +348,14 @@ def _slopes_under(law: ContactLaw, load: float) -> tuple[float, float]:
     """Return the slopes of the normal force by depth, N/m, and by its rate, N s/m, at a force."""
     depth, rate = ca.SX.sym("depth"), ca.SX.sym("rate")
     force = law.normal_force(depth, rate)
-    parts = [force, ca.gradient(force, depth), ca.gradient(force, rate)]
-    function = Function("pressed", [depth, rate], [ca.densify(part) for part in parts])
-    at = 1.0
-    while float(function(at, 0.0)[0]) > load and at > _SHALLOWEST:
-        at /= 2
-    while float(function(at, 0.0)[0]) < load and at < _DEEPEST:
-        at *= 2
-    _, by_depth, by_rate = function(at, 0.0)
+    outputs = [force, ca.gradient(force, depth), ca.gradient(force, rate)]
+    function = Function("pressed", [depth, rate], [ca.densify(output) for output in outputs])
+    trial = 1.0
+    while float(function(trial, 0.0)[0]) > load and trial > _SHALLOWEST:
+        trial /= 2
+    while float(function(trial, 0.0)[0]) < load and trial < _DEEPEST:
+        trial *= 2
+    _, by_depth, by_rate = function(trial, 0.0)
     return float(by_depth), float(by_rate)
 
 
@@ -370,8 +370,8 @@ def _rk4_step(plant: LinearPlant, h: float) -> ca.Function:
     z, u = ca.MX.sym("z", s), ca.MX.sym("u", a)
     slope, end = ca.DM.zeros(s), z
     for weight, ahead in _rk4_stages(h):
-        at = z + ahead * slope
-        slope = ca.vertcat(at[r:], acceleration(at, u))
+        stage = z + ahead * slope
+        slope = ca.vertcat(stage[r:], acceleration(stage, u))
         end += h / 6 * weight * slope
     return Function("motion", [z, u], [end])
 
@@ -390,8 +390,8 @@ def _linearized_rk4_step(plant: LinearPlant, h: float) -> ca.Function:
     slope, end, total, rates = ca.DM.zeros(s), z, ca.horzcat(one, ca.DM.zeros(r, r + a)), start
     speeds, accelerations = start, None
     for weight, ahead in _rk4_stages(h):
-        at = z + ahead * slope
-        qdd, by_q, by_v, by_u = derivatives(at, u)
+        stage = z + ahead * slope
+        qdd, by_q, by_v, by_u = derivatives(stage, u)
         by_all = ca.horzcat(by_q, by_v, by_u)
         if accelerations is not None:
             # Positions at this stage went ahead at the speeds of the stage before.
@@ -403,13 +403,13 @@ def _linearized_rk4_step(plant: LinearPlant, h: float) -> ca.Function:
             by_all += ahead * (moved + ca.mtimes(by_v, accelerations))
             speeds = start + ahead * accelerations
         accelerations = by_all
-        slope = ca.vertcat(at[r:], qdd)
+        slope = ca.vertcat(stage[r:], qdd)
         end += h / 6 * weight * slope
         total += h / 6 * weight * speeds
         rates += h / 6 * weight * accelerations
     whole = ca.vertcat(total, rates)
-    parts = [end, ca.densify(whole[:, :s]), ca.densify(whole[:, s:])]
-    return Function("linearized", [z, u], parts)
+    outputs = [end, ca.densify(whole[:, :s]), ca.densify(whole[:, s:])]
+    return Function("linearized", [z, u], outputs)
 
 
 def _chained(linearized: ca.Function) -> ca.Function:
@@ -430,8 +430,8 @@ def acceleration_slopes(plant: LinearPlant, *, taut: bool) -> ca.Function:
     if near.numel() == 0:  # among the many operations of blocks, the search takes too long
         qdd = ca.cse(qdd)  # before its derivatives: they then have little in common but that
     by_z, by_u = (ca.densify(ca.jacobian(qdd, by)) for by in (z, u))
-    parts = settled(plant, z, near, [ca.densify(qdd), by_z[:, :r], by_z[:, r:], by_u])
-    return Function("derivatives", [z, u], parts)
+    outputs = settled(plant, z, near, [ca.densify(qdd), by_z[:, :r], by_z[:, r:], by_u])
+    return Function("derivatives", [z, u], outputs)
 
 
 @kept
@@ -453,24 +453,24 @@ def linked_accelerations(
     moved = ca.vec(kernel.accelerations(structure, N, V, F))[structure.free_rows.tolist()]
     accelerated = with_jacobian(moved, N, V, F)
     forced = with_jacobian(ca.vec(_forces(plant, N, V, u, taut)), N, V, u)
-    there, velocities, by_n = exact_motion(plant, n, rates)
-    force, by_N = forced(there, velocities, u)
-    moved, by_F = accelerated(there, velocities, ca.reshape(force, *N.shape))
+    positions, velocities, by_n = exact_motion(plant, n, rates)
+    force, by_N = forced(positions, velocities, u)
+    moved, by_F = accelerated(positions, velocities, ca.reshape(force, *N.shape))
     jacobians = by_F, by_N, by_n
-    entries = [ca.densify(part.nz[:]) for part in jacobians]
+    entries = [ca.densify(jacobian.nz[:]) for jacobian in jacobians]
     function = Function("linked", [n, rates, u], [ca.densify(moved), *entries])
-    return function, tuple(part.sparsity() for part in jacobians)
+    return function, tuple(jacobian.sparsity() for jacobian in jacobians)
 
 
 def exact_motion(plant: LinearPlant, n: Any, rates: Any) -> tuple[Any, Any, Any]:
     """Return N, Ṅ and ∂(N, Ṅ)/∂(n, ṅ), sparse, of what the basis displaces, columns, SX."""
     frame, near = plant.coordinates, near_symbol(plant)
-    at, moving = (ca.SX.sym("at", *part.shape) for part in (n, rates))
-    value = ca.vertcat(*map(ca.vec, frame.kept_lengths(at, moving, near)))
-    parts = ca.cse([value, ca.jacobian(value, ca.vertcat(at, moving))])
-    exact = Function("exact", [at, moving, near], parts)
+    displaced, moving = (ca.SX.sym("at", *symbol.shape) for symbol in (n, rates))
+    value = ca.vertcat(*map(ca.vec, frame.kept_lengths(displaced, moving, near)))
+    outputs = ca.cse([value, ca.jacobian(value, ca.vertcat(displaced, moving))])
+    exact = Function("exact", [displaced, moving, near], outputs)
     motion, jacobian = exact(n, rates, frame.hidden(n, rates))
-    N, V = (ca.reshape(part, *plant.nodes.shape) for part in ca.vertsplit(motion, n.numel()))
+    N, V = (ca.reshape(column, *plant.nodes.shape) for column in ca.vertsplit(motion, n.numel()))
     return N, V, jacobian
 
 
@@ -495,13 +495,13 @@ def near_symbol(plant: LinearPlant) -> Any:
     return ca.SX.sym("near", plant.coordinates.hidden_size)
 
 
-def settled(plant: LinearPlant, z: Any, near: Any, parts: list[Any]) -> list[Any]:
+def settled(plant: LinearPlant, z: Any, near: Any, expressions: list[Any]) -> list[Any]:
     """Return expressions, or their first derivatives, in z alone: the symbol near put in."""
     if near.numel() == 0:
-        return parts
+        return expressions
     frame = plant.coordinates
-    there = frame.hidden(*frame.displaced(z[: len(plant.A)]))
-    return list(ca.substitute(parts, [near], [there]))
+    corrected = frame.hidden(*frame.displaced(z[: len(plant.A)]))
+    return list(ca.substitute(expressions, [near], [corrected]))
 
 
 def reduced_motion(plant: LinearPlant, z: Any, near: Any = None) -> tuple[Any, Any]:

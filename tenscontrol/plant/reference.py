@@ -170,14 +170,14 @@ class Reference:
         """
         validation.instance("other", other, Reference, "make one by Reference(time, nodes)")
         pause = validation.positive_number("pause", pause, "s")
-        for what in ("nodes", "force_density"):
+        for name in ("nodes", "force_density"):
             ours, theirs = (
                 None if value is None else value.shape[:-1]
-                for value in (getattr(self, what), getattr(other, what))
+                for value in (getattr(self, name), getattr(other, name))
             )
             if ours != theirs:
                 raise ValueError(
-                    f"other.{what} has the shape {theirs} at each time, expected {ours}, as here"
+                    f"other.{name} has the shape {theirs} at each time, expected {ours}, as here"
                 )
         begin = self.time[-1] + pause - other.time[0]
         time = np.concatenate([self.time, begin + other.time])
@@ -253,8 +253,8 @@ class ReferencePreview:
         if plant.input == "force_density":
             gamma = to_model_strings(plant, "force_density", plant.force_density)
             tension = gamma * plant.model.structure.string_length(plant.nodes)
-            parts = np.zeros(2 * r), plant.equilibrium_input, gamma, tension, sampled.drift
-            self._table = np.concatenate(parts)[None]
+            entries = np.zeros(2 * r), plant.equilibrium_input, gamma, tension, sampled.drift
+            self._table = np.concatenate(entries)[None]
         else:
             self._held_time = _refined(reference.time, sampled.sample_time)
             rests = self.wanted(self._held_time)[:, :r]
@@ -326,8 +326,8 @@ class ReferencePreview:
             return self._over_horizon(time, length)
         if length not in self._constant:
             preview = self._over_horizon(0.0, length)
-            for part in vars(preview).values():
-                part.setflags(write=False)
+            for array in vars(preview).values():
+                array.setflags(write=False)
             self._constant[length] = preview
         return self._constant[length]
 
@@ -403,17 +403,17 @@ def _reached(plant: LinearPlant, reference: Reference, name: str) -> FloatArray:
     """Return q of each shape, shape (K, r), or raise where the plant cannot come to it."""
     structure, shapes = plant.model.structure, np.moveaxis(reference.nodes, 2, 0)
     names = [f"{name} at {time:g} s" for time in reference.time]
-    for each, N in zip(names, shapes, strict=True):
-        refuse_wrong_bar_lengths(each, structure, N, _OFF)
-        refuse_moved_supports(each, structure, N, _OFF)
+    for shape_name, N in zip(names, shapes, strict=True):
+        refuse_wrong_bar_lengths(shape_name, structure, N, _OFF)
+        refuse_moved_supports(shape_name, structure, N, _OFF)
     q = np.array(
-        [reduced_shape(plant, *each, 2 * _OFF) for each in zip(names, shapes, strict=True)]
+        [reduced_shape(plant, *pair, 2 * _OFF) for pair in zip(names, shapes, strict=True)]
     )
     # A mirror image keeps all lengths, but bars would have to pass through one another on the way:
     # from the operating point to the nearest shape, and from each shape to the next.
     apart = [bar_distances(structure, N) for N in (plant.nodes, *shapes)]
     touching = _TOUCHING * float(np.ptp(plant.nodes, axis=1).max())
-    sides = np.array([each.side * (each.distance > touching) for each in apart])
+    sides = np.array([between.side * (between.distance > touching) for between in apart])
     near = int(np.linalg.norm(q, axis=1).argmin())
     before, after = sides[:-1], np.vstack([sides[near + 1], sides[2:]])
     passed = np.argwhere(before * after < 0)
@@ -455,11 +455,11 @@ def reduced_shape(plant: LinearPlant, name: str, nodes: FloatArray, off: float) 
     """
     q = plant.measure(nodes, np.zeros_like(nodes))[: plant.degrees_of_freedom]
     try:
-        found = plant.to_nodes(q)
+        reached = plant.to_nodes(q)
     except ValueError as cause:
         raise ValueError(f"{name} is out of reach of the operating point: {cause}") from cause
     length = plant.model.structure.string_length
-    error = float(np.abs(length(found) - length(nodes)).max(initial=0.0))
+    error = float(np.abs(length(reached) - length(nodes)).max(initial=0.0))
     if error > off * float(np.ptp(plant.nodes, axis=1).max()):
         raise ValueError(
             f"{name} is too far from the operating point for these coordinates: strings are "
@@ -470,11 +470,11 @@ def reduced_shape(plant: LinearPlant, name: str, nodes: FloatArray, off: float) 
 
 def _refined(time: FloatArray, sample_time: float) -> FloatArray:
     """Return times with no gap above a sample."""
-    parts = [
+    blocks = [
         np.linspace(start, end, max(1, int(np.ceil((end - start) / sample_time))), endpoint=False)
         for start, end in pairwise(time)
     ]
-    return np.concatenate([*parts, time[-1:]])
+    return np.concatenate([*blocks, time[-1:]])
 
 
 def _held(
@@ -483,7 +483,7 @@ def _held(
     """Return rest, input, γ nearest the wanted, tension and drift of each shape, (K, ·)."""
     structure, law = plant.model.structure, plant.model.strings
     assert law is not None  # the rest length is the input
-    shapes = np.array([plant.to_nodes(each) for each in q])
+    shapes = np.array([plant.to_nodes(row) for row in q])
     offset, slope = _accelerations(plant, shapes)
     chosen = to_model_strings(plant, "force_density", wanted.T)
     chosen[:, plant.slack], slope[:, :, plant.slack] = 0.0, 0.0  # what is slack stays so
@@ -500,7 +500,10 @@ def _held(
     gamma = np.clip(gamma, 0.0, _STRONGEST * law.largest_force_density)
     left = offset + (slope @ gamma[..., None])[..., 0]
     rest_length = np.array(
-        [law.rest_length(length, each) for length, each in zip(lengths, gamma, strict=True)]
+        [
+            law.rest_length(length, densities)
+            for length, densities in zip(lengths, gamma, strict=True)
+        ]
     )
     if len(plant.slack):
         given = to_model_strings(plant, "rest_length", plant.string_values)
@@ -528,7 +531,10 @@ def _held_by_some(
     assert law is not None  # the rest length is the input
     # The inputs nearest to the chosen γ.
     wanted = np.array(
-        [law.rest_length(length, each) for length, each in zip(lengths, chosen, strict=True)]
+        [
+            law.rest_length(length, densities)
+            for length, densities in zip(lengths, chosen, strict=True)
+        ]
     )
     wanted[:, plant.slack] = to_model_strings(plant, "rest_length", plant.string_values)[
         plant.slack
@@ -544,8 +550,8 @@ def _held_by_some(
         if number == _NEWTON - 1:
             break
         by_input = np.array(
-            [part * each @ input_matrix(plant, "rest_length")
-             for part, each in zip(slope, by_length, strict=True)]
+            [by_density * row @ input_matrix(plant, "rest_length")
+             for by_density, row in zip(slope, by_length, strict=True)]
         )  # fmt: skip
         # Of the inputs that balance the shape linearized here, those nearest to the chosen.
         U, sizes, Vt = np.linalg.svd(by_input, full_matrices=False)

@@ -363,11 +363,11 @@ def regulator(
     What no string reaches is left alone: :func:`reached_states` says what that is.
     """
     units, level = state_units(plant)
-    found, s, added = reached_states(plant), len(Q), len(A) - len(Q)
+    reached, s, added = reached_states(plant), len(Q), len(A) - len(Q)
     weight, units = np.pad(Q, (0, added)), np.concatenate([units, np.full(added, level)])
-    count = found.count + added
+    count = reached.count + added
     basis = np.zeros((len(A), len(A)))
-    basis[:s, : found.count], basis[:s, count:] = np.split(found.basis, [found.count], axis=1)
-    basis[s:, found.count : count] = np.eye(added)
+    basis[:s, : reached.count], basis[:s, count:] = np.split(reached.basis, [reached.count], axis=1)
+    basis[s:, reached.count : count] = np.eye(added)
     solution = regulator_riccati(A, B, weight, R, units, level, (basis, count), discrete=discrete)
     return weight, solution

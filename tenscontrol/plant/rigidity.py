@@ -137,14 +137,14 @@ def rigidity(plant: LinearPlant, axial_rigidity: object, count: int | None = Non
     order = np.argsort(squares[vibrates], kind="stable")[:count]
     squares, vectors = squares[vibrates][order], vectors[:, vibrates][:, order]
     lengthened = _lengthened(plant, squares, vectors, stiffness)
-    found = Rigidity(
+    result = Rigidity(
         frozen(_axial_frequencies(structure, stiffness)),
         frozen(np.sqrt(squares) / (2 * np.pi)),
         frozen(-0.5 * lengthened.sum(axis=0) / squares),
         frozen(lengthened.argmax(axis=0)),
     )
-    _warn(found)
-    return found
+    _warn(result)
+    return result
 
 
 def _lengthened(
@@ -158,17 +158,17 @@ def _lengthened(
     assert held is not None  # it is the input
     held = to_model_strings(plant, plant.input, held)
     here = tangent(model, nodes, plant.input, held, plant.external_force)
-    free, kept = structure.free_rows, structure.kept_bars
+    free, bars = structure.free_rows, structure.kept_bars
     moved = np.asarray(plant.coordinates.displacements(vectors))
     mass = here.mass @ moved
     moved = moved / np.sqrt((moved * mass).sum(axis=0))
     unbalanced = (here.stiffness @ moved - squares * (here.mass @ moved))[free]
-    J = bar_rows(structure, kept, nodes)[:, free].tocsc()
+    J = bar_rows(structure, bars, nodes)[:, free].tocsc()
     density = splu((J @ J.T).tocsc()).solve(np.asarray(J @ unbalanced))
     length = structure.bar_length
-    found = np.zeros((len(structure.bars), len(squares)))
-    found[kept] = (density * length[kept, None]) ** 2
-    return found * (length / stiffness)[:, None]
+    squared = np.zeros((len(structure.bars), len(squares)))
+    squared[bars] = (density * length[bars, None]) ** 2
+    return squared * (length / stiffness)[:, None]
 
 
 def _axial_frequencies(structure: Structure, stiffness: FloatArray) -> FloatArray:
@@ -186,14 +186,14 @@ def _axial_frequencies(structure: Structure, stiffness: FloatArray) -> FloatArra
     return np.asarray(np.sqrt(squares) / (2 * np.pi))
 
 
-def _warn(found: Rigidity) -> None:
-    lowest = float(found.axial_frequency.min())
-    near = np.flatnonzero((found.change < -_MATTERS) | (found.frequency > _NEAR * lowest))
+def _warn(result: Rigidity) -> None:
+    lowest = float(result.axial_frequency.min())
+    near = np.flatnonzero((result.change < -_MATTERS) | (result.frequency > _NEAR * lowest))
     if len(near):
         i = int(near[0])
         warn(
-            f"elastic bars change mode {i}, at {found.frequency[i]:.4g} Hz, by "
-            f"{percent(found.change[i])}; bars vibrate along themselves from {lowest:.4g} Hz. "
+            f"elastic bars change mode {i}, at {result.frequency[i]:.4g} Hz, by "
+            f"{percent(result.change[i])}; bars vibrate along themselves from {lowest:.4g} Hz. "
             "Rigid bars are right below that mode",
             RigidityWarning,
         )

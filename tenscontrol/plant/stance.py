@@ -167,7 +167,7 @@ def _tipping(feet: FloatArray, nodes: IntArray, fall: FloatArray) -> Tipping:
     axis = feet[:, end] - feet[:, start]
     norm = float(np.linalg.norm(axis))
     axis = axis / norm if norm > 0 else axis
-    up, arm = (part - axis * (axis @ part) for part in (-fall, -feet[:, start]))
+    up, arm = (vector - axis * (axis @ vector) for vector in (-fall, -feet[:, start]))
     height = float(up @ arm) / float(np.linalg.norm(up))
     return Tipping(margin, (int(nodes[start]), int(nodes[end])), float(np.arctan2(margin, height)))
 
@@ -183,15 +183,15 @@ def convex_hull(points: FloatArray) -> IntArray:
     size = float(np.ptp(points, axis=1).max(initial=0.0)) ** 2
 
     def chain(indices: list[int]) -> list[int]:
-        found: list[int] = []
+        corners: list[int] = []
         for i in indices:
-            while len(found) > 1:
-                a, b = np.diff(points[:, [*found[-2:], i]]).T
+            while len(corners) > 1:
+                a, b = np.diff(points[:, [*corners[-2:], i]]).T
                 if a[0] * b[1] - a[1] * b[0] > _LANDED * size:
                     break
-                found.pop()
-            found.append(i)
-        return found[:-1]
+                corners.pop()
+            corners.append(i)
+        return corners[:-1]
 
     return np.array(chain(order) + chain(order[::-1]) or order[:1])
 
@@ -213,14 +213,14 @@ class GroundPoints:
         contacts = model.contacts
         assert contacts is not None  # asked for where there is ground
         function = model.prepared.get("ground points", lambda: _ground_function(model, contacts))
-        found = np.array(function(nodes).full())
-        normal, force = found[2:], found[1]
+        outputs = np.array(function(nodes).full())
+        normal, force = outputs[2:], outputs[1]
         size = np.linalg.norm(normal, axis=0)
-        count = [len(each) for each in contacts.nodes]
+        count = [len(node) for node in contacts.nodes]
         return cls(
             np.concatenate(contacts.nodes),
             np.repeat(np.arange(len(count)), count),
-            found[0],
+            outputs[0],
             normal / size,
             force * size,
             np.repeat([law.friction for law in contacts.laws], count),
@@ -228,8 +228,8 @@ class GroundPoints:
 
     def at(self, which: np.ndarray) -> GroundPoints:
         """Return some of the points."""
-        parts = {field.name: getattr(self, field.name) for field in fields(self)}
-        return GroundPoints(**{name: part[..., which] for name, part in parts.items()})
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return GroundPoints(**{name: value[..., which] for name, value in values.items()})
 
     @property
     def pressing(self) -> GroundPoints:
@@ -241,8 +241,8 @@ class GroundPoints:
 
         They have some force already, or are almost at the ground, of a structure of this size, m.
         """
-        found = self.at((self.force > 0) | (self.depth >= -_TOUCHING * size))
-        return replace(found, force=np.ones(len(found.node)))
+        touching = self.at((self.force > 0) | (self.depth >= -_TOUCHING * size))
+        return replace(touching, force=np.ones(len(touching.node)))
 
     @property
     def grip(self) -> FloatArray:
@@ -268,14 +268,14 @@ class GroundPoints:
 
 def _ground_function(model: Model, contacts: Contacts) -> ca.Function:
     """Return ``N -> [depth; factor of the normal force; direction]``, one column a point."""
-    N, parts = ca.SX.sym("N", *model.structure.nodes.shape), []
+    N, columns = ca.SX.sym("N", *model.structure.nodes.shape), []
     for law, nodes, _ in contacts:
-        at = N[:, nodes.tolist()]
-        depth, rate, away = law.sinking(at, 0 * at)
+        positions = N[:, nodes.tolist()]
+        depth, rate, away = law.sinking(positions, 0 * positions)
         gap = law.gap(depth, 0 * rate)
         pressing = 1 if gap is None else gap > 0
-        parts.append(ca.vertcat(depth, pressing * law.normal_force(depth, 0 * rate), away))
-    return Function("ground_points", [N], [ca.densify(ca.horzcat(*parts))])
+        columns.append(ca.vertcat(depth, pressing * law.normal_force(depth, 0 * rate), away))
+    return Function("ground_points", [N], [ca.densify(ca.horzcat(*columns))])
 
 
 def let_down(model: Model, start: FloatArray, load: FloatArray) -> FloatArray:
@@ -335,9 +335,9 @@ class Sticking:
         """
         d, rows = structure.dimension, structure.free_rows
         origin, along, across = nodes.copy(), [], [np.zeros((len(rows), 0))]
-        kept, weight = np.ones(len(rows), bool), np.zeros(len(rows))
-        for node, place in places.items():
-            origin[:, node] = nodes[:, node] if settling else place
+        alone, weight = np.ones(len(rows), bool), np.zeros(len(rows))
+        for node, position in places.items():
+            origin[:, node] = nodes[:, node] if settling else position
             own, mine = np.flatnonzero(rows // d == node), points.node == node
             U, sizes, _ = np.linalg.svd(points.normal[:, mine][rows[own] % d])
             rank = int((sizes > _TOUCHING).sum())
@@ -345,8 +345,8 @@ class Sticking:
             columns[own] = U
             along.append(columns[:, :rank])
             across.append(columns[:, rank:])
-            kept[own], weight[own] = False, points.grip[mine].sum()
-        motions, held = np.hstack([np.eye(len(rows))[:, kept], *along]), np.hstack(across)
+            alone[own], weight[own] = False, points.grip[mine].sum()
+        motions, held = np.hstack([np.eye(len(rows))[:, alone], *along]), np.hstack(across)
         loose = np.zeros((len(rows), 0))
         if settling:
             fields, turns = np.hsplit(rigid_motions(nodes), [d])
@@ -388,11 +388,11 @@ def contact_forces(
     for node in np.unique(points.node):
         which = np.flatnonzero(points.node == node)
         normals = points.normal[:, which]
-        found = np.linalg.lstsq(normals, asked[:, node], rcond=None)[0]
-        normal_force[which] = found
-        grip = np.maximum(points.friction[which] * found, 0.0)
+        normal_forces = np.linalg.lstsq(normals, asked[:, node], rcond=None)[0]
+        normal_force[which] = normal_forces
+        grip = np.maximum(points.friction[which] * normal_forces, 0.0)
         if node in sticking.nodes and grip.sum() > 0:
-            rest = asked[:, node] - normals @ found
+            rest = asked[:, node] - normals @ normal_forces
             tangential[:, which] = np.outer(rest, grip / grip.sum())
     cone = points.friction * normal_force
     size = np.linalg.norm(tangential, axis=0)
@@ -548,6 +548,6 @@ def _with_feet(structure: Structure, nodes: FloatArray, feet: IntArray) -> Struc
     if parent is not None:
         count = parent.nodes.shape[1]
         parent = _with_feet(parent, nodes[:, :count], feet[feet < count])
-    rollers = tuple(each for each in structure.rollers if each[0] not in feet)
+    rollers = tuple(roller for roller in structure.rollers if roller[0] not in feet)
     fixed = np.union1d(structure.fixed, feet)
     return replace(structure, nodes=nodes, fixed=fixed, rollers=rollers, parent=parent)

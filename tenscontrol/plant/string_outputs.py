@@ -18,16 +18,16 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 
-def to_model_strings(plant: LinearPlant, what: str, values: FloatArray) -> FloatArray:
+def to_model_strings(plant: LinearPlant, quantity: str, values: FloatArray) -> FloatArray:
     """Return values of the model's strings from those of the commanded ones, on the last axis."""
     structure = plant.model.structure
-    return values if plant.commanded is structure else to_segments(structure, what, values)
+    return values if plant.commanded is structure else to_segments(structure, quantity, values)
 
 
-def to_commanded_strings(plant: LinearPlant, what: str, values: FloatArray) -> FloatArray:
+def to_commanded_strings(plant: LinearPlant, quantity: str, values: FloatArray) -> FloatArray:
     """Return values of the commanded strings from those of the model's, on the last axis."""
     structure = plant.model.structure
-    return values if plant.commanded is structure else to_strings(structure, what, values)
+    return values if plant.commanded is structure else to_strings(structure, quantity, values)
 
 
 def model_input(plant: LinearPlant, u: Any) -> Any:
@@ -39,9 +39,9 @@ def model_input(plant: LinearPlant, u: Any) -> Any:
     return moved + ca.sparsify(ca.DM(offset))
 
 
-def input_matrix(plant: LinearPlant, what: str) -> FloatArray:
+def input_matrix(plant: LinearPlant, quantity: str) -> FloatArray:
     """Return the change of the model's strings by the inputs of a plant, shape (α', m)."""
-    return to_model_strings(plant, what, plant.actuation.matrix.toarray().T).T
+    return to_model_strings(plant, quantity, plant.actuation.matrix.toarray().T).T
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,20 +62,20 @@ def string_map(plant: LinearPlant, input: str) -> StringMap:
     from scipy.sparse import csc_array, csr_array
 
     shape, count = plant.nodes.shape, len(plant.model.structure.strings)
-    at = plant.rest_length if input == "rest_length" else plant.force_density
-    assert at is not None  # there is a law
+    held = plant.rest_length if input == "rest_length" else plant.force_density
+    assert held is not None  # there is a law
     given = [ca.SX.sym("N", *shape), ca.SX.sym("Nd", *shape), ca.SX.sym("u", count)]
-    outputs = [ca.densify(part) for part in string_forces(plant, input, *given)]
+    outputs = [ca.densify(output) for output in string_forces(plant, input, *given)]
     # By nodes these derivatives are sparse: the basis comes in as numbers.
     slopes = [ca.jacobian(y, ca.vec(x)) for y in outputs for x in given]
     function = Function("strings", given, outputs + slopes)
-    found = function(plant.nodes, np.zeros(shape), to_model_strings(plant, input, at))
-    values = [value.sparse() for value in found]
-    by_state = [np.hstack([part @ plant.basis for part in values[k : k + 2]]) for k in (2, 5)]
+    derivatives = function(plant.nodes, np.zeros(shape), to_model_strings(plant, input, held))
+    values = [value.sparse() for value in derivatives]
+    by_state = [np.hstack([slope @ plant.basis for slope in values[k : k + 2]]) for k in (2, 5)]
     by_input = [values[k] for k in (4, 7)]
     if not (plant.commanded is plant.model.structure and plant.actuation.is_whole):
         spread = csc_array(input_matrix(plant, input))
-        by_input = [part @ spread for part in by_input]
+        by_input = [slope @ spread for slope in by_input]
     return StringMap(
         force_density=values[0].toarray().ravel(),
         tension=values[1].toarray().ravel(),

@@ -11,6 +11,7 @@ from tenscontrol.plot.accuracy_figures import (
     work_precision,
 )
 from tenscontrol.plot.animation import animate
+from tenscontrol.plot.deflected_shape import deflections
 from tenscontrol.plot.estimation_error import estimate
 from tenscontrol.plot.fit_figures import FitDrawing, intervals, residuals
 from tenscontrol.plot.ground_drawing import contacts
@@ -19,7 +20,7 @@ from tenscontrol.plot.interactive_view import view
 from tenscontrol.plot.mode_shapes import ModeShape, mode_shapes
 from tenscontrol.plot.motion_histories import health, motors, tracking, trajectory
 from tenscontrol.plot.pole_map import PoleMap, poles
-from tenscontrol.plot.strength_margins import strength
+from tenscontrol.plot.strength_margins import strength, utilization
 from tenscontrol.plot.structure_drawing import Drawing, structure
 from tenscontrol.plot.style import save_figure
 from tenscontrol.plot.sweep_figures import SweepDrawing, sweep
@@ -36,6 +37,7 @@ __all__ = [
     "animate",
     "contacts",
     "convergence_order",
+    "deflections",
     "estimate",
     "health",
     "history",
@@ -52,6 +54,7 @@ __all__ = [
     "sweep",
     "tracking",
     "trajectory",
+    "utilization",
     "view",
     "work_precision",
 ]

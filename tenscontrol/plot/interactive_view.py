@@ -14,13 +14,14 @@ from tenscontrol.plot.structure_drawing import checked_force_density
 from tenscontrol.plot.web_page import View
 from tenscontrol.shape.shape_path import ShapePath
 from tenscontrol.shape.target import ShapeTarget
+from tenscontrol.simulation.strength import Strength
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.statics.prestress import Prestress
 from tenscontrol.structure.structure import Structure
 
 
 def view(
-    shown: Structure | Prestress | ShapeTarget | Trajectory | Modes | ShapePath,
+    shown: Structure | Prestress | ShapeTarget | Trajectory | Strength | Modes | ShapePath,
     *,
     force_density: object = None,
 ) -> View:
@@ -33,9 +34,10 @@ def view(
 
     Parameters
     ----------
-    shown : Structure, Prestress, ShapeTarget, Trajectory, Modes or ShapePath
-        A run or path is played and scrubbed. Of modes, one is chosen, with an amplitude. A
-        prestress and a target have the colours of their force densities.
+    shown : Structure, Prestress, ShapeTarget, Trajectory, Strength, Modes or ShapePath
+        A run or path is played and scrubbed; of its strength, with strings and bars coloured by
+        force over strength. Of modes, one is chosen, with an amplitude. A prestress and a target
+        have the colours of their force densities.
     force_density : float or array_like, shape (α,), optional
         γ, N/m, by which the strings of a structure are coloured; a run and a path have their own.
 
@@ -78,7 +80,8 @@ def _view_of(shown: object) -> View:
     raise validation.wrong_kind(
         "shown",
         shown,
-        "a Structure, a Trajectory of simulate, a Prestress, a ShapeTarget, Modes or a ShapePath",
+        "a Structure, a Trajectory of simulate, a Strength, a Prestress, a ShapeTarget, Modes or a "
+        "ShapePath",
     )
 
 
@@ -115,6 +118,12 @@ def _of_run(shown: Trajectory) -> View:
         ground=tuple(grid for grid in surfaces if grid is not None),
         pressed=pressed,
     )
+
+
+@_view_of.register
+def _of_strength(shown: Strength) -> View:
+    margins = np.vstack([shown.string_margin, shown.bar_margin])
+    return replace(_of_run(shown.run), share=1 / margins)
 
 
 @_view_of.register

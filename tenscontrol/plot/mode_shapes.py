@@ -14,9 +14,8 @@ from tenscontrol import validation
 from tenscontrol.arrays import FloatArray
 from tenscontrol.plant.linear_plant import LinearPlant
 from tenscontrol.plant.modes import Modes
-from tenscontrol.plot.structure_drawing import Drawing, draw, frame, new_view
+from tenscontrol.plot.structure_drawing import Drawing, draw, draw_arrows, frame, new_view
 from tenscontrol.plot.style import (
-    PALETTE,
     SMALL,
     SMALL_FAINT,
     checked_indices,
@@ -32,10 +31,8 @@ _NARROWEST = 0.6  # the smaller one, as part of it
 _GAP = 0.12  # between a drawing and its title, inches
 _TITLE = 0.45 + _GAP  # above a panel, inches
 
-# Nodes that move less than this part of the largest displacement have no arrow; of many that move,
-# so many have one.
-_STILL, _MOST_ARROWS = 0.15, 24
-_ARROW = PALETTE[1]
+# Nodes that move less than this part of the largest displacement have no arrow.
+_STILL = 0.15
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +144,7 @@ def mode_shapes(
             mode,
             reference=draw(ax, structure, nodes, SMALL_FAINT),
             displaced=draw(ax, structure, displaced, SMALL),
-            arrows=_arrows(ax, nodes, displaced - nodes, _STILL * size),
+            arrows=draw_arrows(ax, nodes, displaced - nodes, _STILL * size),
         )
         frame(ax, [nodes, *moved], grow=False, fill=0.8)
         ax.set_axis_off()
@@ -156,19 +153,6 @@ def mode_shapes(
         ax.set_title(title, fontsize="small", y=top)
         drawn.append(shape)
     return tuple(drawn)
-
-
-def _arrows(ax: Any, nodes: FloatArray, moved: FloatArray, least: float) -> Any:
-    """Draw arrows of nodes that move by more than ``least``, m: of all, or of some of many."""
-    seen = np.flatnonzero(np.linalg.norm(moved, axis=0) > least)
-    seen = seen[np.linspace(0, len(seen) - 1, min(len(seen), _MOST_ARROWS)).round().astype(int)]
-    ends = (*nodes[:, seen], *moved[:, seen])
-    if len(nodes) == 3:
-        return ax.quiver(
-            *ends, color=_ARROW, linewidth=1.1, arrow_length_ratio=0.3, zorder=SMALL.layer + 1
-        )
-    look = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "units": "inches", "width": 0.02}
-    return ax.quiver(*ends, color=_ARROW, zorder=SMALL.layer + 1, **look)
 
 
 def _panels(axes: Sequence[Any] | None, count: int, nodes: FloatArray) -> tuple[list[Any], float]:

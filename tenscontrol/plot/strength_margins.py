@@ -1,13 +1,23 @@
-"""Figure of the margins of strength along a run."""
+"""Figures of the margins of strength along a run."""
 
 from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 
 from tenscontrol import validation
 from tenscontrol.plot.histories import Curves, draw_curves
-from tenscontrol.plot.style import closes_on_error, flat_axes, legend_above
+from tenscontrol.plot.structure_drawing import (
+    Drawing,
+    add_scale,
+    color_by,
+    string_dashes,
+    structure,
+)
+from tenscontrol.plot.style import FORCE_WIDTH, closes_on_error, flat_axes, legend_above
 from tenscontrol.simulation.strength import Strength
 
 # Margins beyond are drawn there: members that bear nothing have infinite ones. The axis ends at so
@@ -68,3 +78,62 @@ def strength(found: Strength, *, members: int = 4, ax: Axes | None = None) -> Cu
     ax.set_ylim(0, _SHOWN * max(1.0, found.margin))
     legend_above(ax)
     return curves
+
+
+@closes_on_error
+def utilization(found: Strength, *, time: float | None = None, ax: Any = None) -> Drawing:
+    """Draw a structure with its members coloured by force over strength: 1 where they just fail.
+
+    Parameters
+    ----------
+    found : Strength
+        Made by :func:`tenscontrol.strength`.
+    time : float, optional
+        When, s: the state kept nearest to it is drawn; that of the least margin if not given.
+    ax : Axes3D or Axes, optional
+        Where to draw, flat for a structure in the plane; a new figure if not given.
+
+    Returns
+    -------
+    Drawing
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is of the wrong kind, ``time`` is not within the run, or there is no member.
+
+    Examples
+    --------
+    >>> import matplotlib.pyplot as plt, tenscontrol as tc
+    >>> metal = tc.sizing.materials["aluminium"]
+    >>> sized = tc.sections(tc.prism(), bars=metal, bar_radius=0.02, strings=metal,
+    ...                     string_radius=0.002)
+    >>> rest = tc.prestress(sized.structure, force_density=1000.0)
+    >>> run = tc.simulate(tc.Model(sized.structure), 0.1, force_density=rest.force_density)
+    >>> drawing = tc.plot.utilization(tc.strength(run, sized))
+    >>> drawing.colorbar.ax.get_ylabel(), drawing.ax.get_title()
+    ('force over strength', '0 s')
+    >>> plt.close(drawing.ax.figure)
+    """
+    validation.instance("found", found, Strength, "make one by strength(run, sections)")
+    run = found.run
+    if not len(found.least):
+        raise ValueError("found has no members, so there is nothing to draw")
+    moment = float(found.when[found.least.argmin()])
+    if time is not None:
+        moment = validation.number("time", time, "s")
+        if not run.time[0] <= moment <= run.time[-1]:
+            raise ValueError(
+                f"time is {moment:g} s, expected {run.time[0]:g} to {run.time[-1]:g} s, as the run"
+            )
+    k = int(np.abs(run.time - moment).argmin())
+    pull, push = 1 / found.string_margin, 1 / found.bar_margin
+    most = max(1.0, float(pull.max(initial=0.0)), float(push.max(initial=0.0)))
+    drawing = structure(run.structure, run.nodes[:, :, k], ax=ax, legend=False)
+    strings = drawing.strings
+    strings.set_linewidth(FORCE_WIDTH * np.asarray(strings.get_linewidth()))
+    strings.set_linestyle(string_dashes(run.force_density[:, k]))
+    for members, shares in ((strings, pull), (drawing.bars, push)):
+        color_by(members, shares[:, k], most)
+    drawing.ax.set_title(f"{run.time[k]:.4g} s", fontsize="medium")
+    return replace(drawing, colorbar=add_scale(drawing, ax is None, "force over strength"))

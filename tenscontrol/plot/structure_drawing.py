@@ -28,6 +28,8 @@ from tenscontrol.plot.style import (
     FORCE_MAP,
     FORCE_WIDTH,
     NORMAL,
+    PALETTE,
+    SMALL,
     MemberStyle,
     checked_axes,
     closes_on_error,
@@ -58,6 +60,9 @@ _FLAT_MARGIN = 0.12  # in the plane, where supports are drawn beside their nodes
 _THINNEST = 0.25  # least extent of the box in a direction, relative to the largest
 _TICKS = 4  # along the longest edge
 _CORNER = 0.04  # of an edge, without ticks
+
+# Of many arrows, so many are drawn.
+_ARROW, _MOST_ARROWS = PALETTE[1], 24
 
 # Points; the offsets are what Matplotlib adds itself.
 _LABEL_PAD = {"x": 5.0, "y": 7.0, "z": 10.0}
@@ -294,6 +299,19 @@ def draw(ax: Any, structure: Structure, nodes: FloatArray, style: MemberStyle) -
     return Drawing(structure, ax, bars, strings, dots, (), (), (), None, tuple(marks), supports)
 
 
+def draw_arrows(ax: Any, nodes: FloatArray, moved: FloatArray, least: float) -> Any:
+    """Draw arrows at nodes, those longer than ``least``, m: all, or some of many."""
+    seen = np.flatnonzero(np.linalg.norm(moved, axis=0) > least)
+    seen = seen[np.linspace(0, len(seen) - 1, min(len(seen), _MOST_ARROWS)).round().astype(int)]
+    ends = (*nodes[:, seen], *moved[:, seen])
+    if len(nodes) == 3:
+        return ax.quiver(
+            *ends, color=_ARROW, linewidth=1.1, arrow_length_ratio=0.3, zorder=SMALL.layer + 1
+        )
+    look = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "units": "inches", "width": 0.02}
+    return ax.quiver(*ends, color=_ARROW, zorder=SMALL.layer + 1, **look)
+
+
 def marked_nodes(structure: Structure) -> dict[str, IntArray]:
     """Return the nodes of each mark that there is: joints, pulleys, point masses, rollers."""
     bars_at = np.bincount(structure.bars.ravel(), minlength=structure.nodes.shape[1])
@@ -329,12 +347,17 @@ def _mark_style(name: str, style: MemberStyle) -> tuple[dict[str, Any], float]:
 
 def color_by_force(strings: Any, gamma: FloatArray) -> None:
     """Colour the strings by force density, from 0 to the largest. Slack ones are dotted."""
-    strings.set_edgecolor(None)  # the colour given before would win over the map
     strings.set_linewidth(FORCE_WIDTH * np.asarray(strings.get_linewidth()))
-    strings.set_cmap(FORCE_MAP)
-    strings.set_array(gamma)
-    strings.set_clim(0.0, float(gamma.max(initial=0.0)) or 1.0)
+    color_by(strings, gamma, float(gamma.max(initial=0.0)) or 1.0)
     strings.set_linestyle(string_dashes(gamma))
+
+
+def color_by(members: Any, values: FloatArray, most: float) -> None:
+    """Colour members by values, from 0 to ``most``."""
+    members.set_edgecolor(None)  # the colour given before would win over the map
+    members.set_cmap(FORCE_MAP)
+    members.set_array(values)
+    members.set_clim(0.0, most)
 
 
 def checked_force_density(structure: Structure, force_density: object) -> FloatArray:
@@ -504,7 +527,7 @@ def structure(
         )  # fmt: skip
     if gamma is not None:
         color_by_force(drawing.strings, gamma)
-        drawing = replace(drawing, colorbar=_scale(drawing, own))
+        drawing = replace(drawing, colorbar=add_scale(drawing, own, "γ, N/m"))
     if legend and not faint:
         slack = gamma is not None and bool(is_slack(gamma).any())
         samples = legend_samples(structure, slack, colored=gamma is not None)
@@ -513,7 +536,7 @@ def structure(
     return drawing
 
 
-def _scale(drawing: Drawing, own: bool) -> Any:
+def add_scale(drawing: Drawing, own: bool, label: str) -> Any:
     """Draw the colour scale beside the axes; in a figure of our own in room that is added."""
     figure = drawing.ax.figure
     axes: dict[str, Any] = {"ax": drawing.ax, "shrink": 0.6, "pad": 0.22, "aspect": 18}
@@ -527,7 +550,7 @@ def _scale(drawing: Drawing, own: bool) -> Any:
         )
         left, low = (width + 0.05) / wider, (1 - _SCALE_SHARE) / 2
         axes = {"cax": figure.add_axes((left, low, _SCALE_WIDTH / wider, _SCALE_SHARE))}
-    return figure.colorbar(drawing.strings, label="γ, N/m", **axes)
+    return figure.colorbar(drawing.strings, label=label, **axes)
 
 
 def _in_a_shape(

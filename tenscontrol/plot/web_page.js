@@ -15,6 +15,7 @@
   }
   const nodes = unpacked(spec.nodes);
   const gamma = unpacked(spec.gamma);
+  const share = unpacked(spec.share);
   const real = unpacked(spec.real);
   const imaginary = unpacked(spec.imaginary);
   const size = d * spec.index.nodes.length;
@@ -55,6 +56,11 @@
     return own.map((value, i) => value * length[i]);
   }
 
+  // Force over strength, of strings, then of bars.
+  const byShare = () => share !== null && byId("color").value === spec.shareName;
+  const members = share === null ? 0 : share.length / frames;
+  const shares = () => share.subarray(now.frame * members, (now.frame + 1) * members);
+
   // Three points a segment: start, end, and the break after them.
   const stringOf = (point) => spec.segmentString[Math.floor(point / 3)];
 
@@ -70,12 +76,16 @@
       index = index.map((node, i) => (slack[i] ? -1 : node));
       const chosen = byId("color").value;
       if (chosen) {
-        const values = chosen.startsWith("tension") ? tensions(at, own) : own;
+        const values = byShare() ? shares() : chosen.startsWith("tension") ? tensions(at, own) : own;
         color = { color: Float32Array.from(index, (node, i) => values[stringOf(i)]) };
       }
     }
     change.strings = { ...gathered(at, index), ...color };
     for (const name of ["bars", "nodes", "supports"]) change[name] = gathered(at, spec.index[name]);
+    if (byShare()) {
+      const values = shares().subarray(strings);
+      change.bars.color = Float32Array.from(spec.index.bars, (node, i) => values[Math.floor(i / 3)]);
+    }
     if (spec.pressed !== null) change["on the ground"] = gathered(at, spec.pressed[now.frame]);
     return change;
   }
@@ -86,8 +96,10 @@
     const moved = Object.keys(change);
     const wanted = { x: [], y: [], z: [] };
     moved.forEach((name) => ["x", "y", "z"].forEach((axis) => wanted[axis].push(change[name][axis])));
-    const color = change.strings.color;
-    if (color !== undefined) plot.data[names.indexOf("strings")].line.color = color;
+    for (const name of ["strings", "bars"]) {
+      const color = change[name].color;
+      if (color !== undefined) plot.data[names.indexOf(name)].line.color = color;
+    }
     tell();
     return Plotly.restyle(plot, wanted, moved.map((name) => names.indexOf(name)));
   }
@@ -182,7 +194,9 @@
     Plotly.restyle(plot, { mode }, [names.indexOf("nodes")]);
   });
 
-  const plain = spec.figure.data[names.indexOf("strings")].line;
+  const plain = Object.fromEntries(
+    ["strings", "bars"].map((name) => [name, spec.figure.data[names.indexOf(name)].line]),
+  );
 
   // Our own legend and colour bar: plotly would draw its own anew in every state.
   const gradient = `linear-gradient(to right, ${spec.scale.map((step) => step[1]).join(", ")})`;
@@ -191,11 +205,11 @@
     byId("keys").replaceChildren(
       ...rows.map((trace) => {
         const row = document.createElement("div");
-        const line = trace.name === "strings" ? plain : trace.line;
+        const line = plain[trace.name] ?? trace.line;
         const sample = document.createElement(line ? "i" : "b");
         if (line) {
           sample.style.borderTop = `${Math.max(line.width / 2, 2)}px ${line.dash ? "dotted" : "solid"} ${line.color}`;
-          if (colored && trace.name === "strings") {
+          if (colored.includes(trace.name)) {
             sample.style.height = sample.style.borderTopWidth;
             sample.style.borderTop = "none";
             sample.style.background = gradient;
@@ -213,9 +227,12 @@
   function choose() {
     const name = byId("color").value;
     const most = spec.colors[name] || 1;
-    plot.data[names.indexOf("strings")].line = name
-      ? { width: plain.width, colorscale: spec.scale, cmin: 0, cmax: most }
-      : { ...plain };
+    const colored = !name ? [] : byShare() ? ["strings", "bars"] : ["strings"];
+    for (const each of ["strings", "bars"]) {
+      plot.data[names.indexOf(each)].line = colored.includes(each)
+        ? { width: plain[each].width, colorscale: spec.scale, cmin: 0, cmax: most }
+        : { ...plain[each] };
+    }
     byId("scale").hidden = !name;
     byId("scale").firstChild.textContent = name;
     const ticks = [0, 0.25, 0.5, 0.75, 1].map((part) => {
@@ -225,7 +242,7 @@
       return mark;
     });
     byId("marks").replaceChildren(...ticks);
-    explain(Boolean(name));
+    explain(colored);
     return draw();
   }
 

@@ -46,6 +46,9 @@ _AMPLITUDE, _MOST_AMPLITUDE = 0.1, 0.2
 # Much is dark, in grey print too: cividis without its lightest colours.
 _COLORS = ["#d3c164", "#b3a772", "#948e77", "#7c7b78", "#666970", "#4e576c", "#2a406c", "#00224e"]
 
+# The colours of both strings and bars.
+_SHARE = "force over strength"
+
 _INK, _STRING, _SLACK_COLOR, _FAINT = "#262626", "#0072b2", "#8c8c8c", "#cfcfcf"
 _PRESSED = "#d55e00"
 
@@ -83,6 +86,8 @@ class View:
         Points of each ground, on a grid; of a line in the plane, b = 1.
     pressed : ndarray of bool, shape (n, T), or None
         Whether the ground presses on a node.
+    share : ndarray, shape (α + β, T), or None
+        Force over strength, which strings and bars are coloured by.
     """
 
     what: str
@@ -94,12 +99,15 @@ class View:
     labels: tuple[str, ...] = ()
     ground: tuple[FloatArray, ...] = ()
     pressed: np.ndarray | None = None
+    share: FloatArray | None = None
 
     def __post_init__(self) -> None:
         """Refuse what is not finite: a motion that ran away."""
         validation.float_array("nodes", self.nodes)
         if self.force_density is not None:
             validation.float_array("force_density", self.force_density)
+        if self.share is not None:
+            validation.float_array("share", self.share)
 
     # ---- what users call ----
 
@@ -185,6 +193,7 @@ class View:
     def _kept(self) -> IntArray:
         """The states of the page: all, or as many as it may hold, evenly."""
         each = self.nodes[:, :, 0].size + len(self.members.strings)
+        each += 0 if self.share is None else len(self.share)
         return self._thinned(min(_MOST_FRAMES, _MOST_NUMBERS // each))
 
     def _thinned(self, most: int) -> IntArray:
@@ -224,7 +233,9 @@ class View:
         """Return all that the page is made of, as JSON has it."""
         gamma, tension = self.force_density, self._tension
         modes = max(1, _MOST_NUMBERS // (2 * self.nodes[:, :, 0].size))
-        colors = {}
+        colors, share = {}, self.share
+        if share is not None and share.size:
+            colors[_SHARE] = max(1.0, float(share[:, self._kept].max()))
         if gamma is not None and tension is not None and gamma.size:
             colors["tension, N"] = float(tension.max())
             colors["force density γ, N/m"] = float(gamma[:, self._kept].max())
@@ -237,6 +248,8 @@ class View:
             "nodes": _packed(self.nodes[:, :, self._kept].transpose(2, 1, 0)),
             "time": None if self.time is None else self.time[self._kept].tolist(),
             "gamma": None if gamma is None else _packed(gamma[:, self._kept].T),
+            "share": None if share is None else _packed(share[:, self._kept].T),
+            "shareName": _SHARE,
             "slack": self._least,
             "segments": self.members.segments.tolist(),
             "segmentString": self.members.segment_string.tolist(),

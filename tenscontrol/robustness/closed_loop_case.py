@@ -34,6 +34,7 @@ from tenscontrol.simulation.batch.batch_inputs import refusal
 from tenscontrol.simulation.batch.simulate_many import simulate_many
 from tenscontrol.simulation.health import HealthLimits
 from tenscontrol.simulation.scene import Scene
+from tenscontrol.simulation.strength import strength
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.status import Status
 from tenscontrol.structure.bar_geometry import refuse_wrong_bar_lengths
@@ -136,8 +137,9 @@ class ClosedLoopCase:
     the last tenth of the run, without rigid-body motion; ``least_force_density`` and
     ``largest_force_density`` of all strings, N/m; ``largest_command``, N/m or m; and
     ``commands_not_ok``, the number of commands with a status other than ``Status.OK``. Structures
-    without strings have no force densities, and open loops no commands. A motion that is not
-    accurate counts as a failure.
+    without strings have no force densities, and open loops no commands. Where the limits of the
+    scene have ``sections``, ``utilization`` is the largest force of a member over its strength, and
+    a margin below their limit counts as a failure. So does a motion that is not accurate.
 
     Parameters
     ----------
@@ -328,8 +330,9 @@ class ClosedLoopCase:
 
     @property
     def _limits(self) -> HealthLimits:
-        """What a run must keep to count; where bars cross is not asked."""
-        return replace(self.scene.integration.limits, crossings=None, action="raise")
+        """What a run must keep to count; where bars cross is not asked, strength is a figure."""
+        limits = self.scene.integration.limits
+        return replace(limits, crossings=None, sections=None, action="raise")
 
     def _model(self, drawn: Mapping[str, object]) -> Model:
         """Return the model with the factors that are drawn."""
@@ -400,7 +403,12 @@ class ClosedLoopCase:
         if commands is not None:
             figures["largest_command"] = float(commands.max())
             figures["commands_not_ok"] = float(not_ok)
-        return Outcome(success=error <= self.tolerance, figures=figures)
+        limits, holds = self.scene.integration.limits, True
+        if limits.sections is not None:
+            margin = strength(run, limits.sections).margin
+            figures["utilization"] = 1 / margin
+            holds = margin >= limits.margin
+        return Outcome(success=error <= self.tolerance and holds, figures=figures)
 
 
 def _varied_sensors(sensors: Sensors | None, parameters: Mapping[str, object]) -> Sensors | None:

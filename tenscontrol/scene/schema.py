@@ -304,7 +304,9 @@ TRACKED = MappingProxyType(
         "axis": _choice("axis of the coordinate", "x", "y", "z"),
     }
 )
-OUTPUT = MappingProxyType(TRACKED | keys_of(OutputLimit, without="matrix", low=NUMBER, high=NUMBER))
+OUTPUT = MappingProxyType(
+    TRACKED | keys_of(OutputLimit, without="matrix of", low=NUMBER, high=NUMBER)
+)
 WAYPOINT = MappingProxyType(
     {
         "start": Key(NUMBER, "s", "when the move begins; at the end of the last one if not given"),

@@ -71,8 +71,8 @@ class Continuation:
         slope = ca.gradient(cost + ca.dot(mu, problem.equations), v)
         conditions = ca.vertcat(slope, problem.equations)
         unknowns = ca.vertcat(v, mu)
-        parts = [conditions, ca.jacobian(conditions, unknowns), ca.jacobian(conditions, s)]
-        dense = [ca.densify(expression) for expression in parts]
+        outputs = [conditions, ca.jacobian(conditions, unknowns), ca.jacobian(conditions, s)]
+        dense = [ca.densify(expression) for expression in outputs]
         self._newton = Evaluator(Function("conditions", [unknowns, s], dense))
 
     def first(self) -> Waypoint:
@@ -83,7 +83,7 @@ class Continuation:
             raise ArithmeticError("the start does not solve the equations of equilibrium")
         return waypoint
 
-    def at(self, place: float, values: FloatArray, multipliers: FloatArray) -> Waypoint | None:
+    def at(self, share: float, values: FloatArray, multipliers: FloatArray) -> Waypoint | None:
         """Return the waypoint at s from a guess, or None if Newton does not get there."""
         size = len(values)
         point = np.concatenate([values, multipliers])
@@ -93,7 +93,7 @@ class Continuation:
         for _ in range(_CHANGES):
             pinned = self._rows[at_low | at_high]
             bound = np.where(at_low, self._low, self._high)[at_low | at_high]
-            reached = self._converged(point, place, pinned, bound)
+            reached = self._converged(point, share, pinned, bound)
             if reached is None:
                 return None
             point, jacobian, along, forces = reached
@@ -105,19 +105,19 @@ class Continuation:
             wrong &= self._low < self._high
             if not (below | above | wrong).any():
                 change = np.asarray(np.linalg.solve(jacobian, -along), dtype=float)
-                return Waypoint(place, point[:size], change[:size], point[size:])
+                return Waypoint(share, point[:size], change[:size], point[size:])
             at_low, at_high = (at_low & ~wrong) | below, (at_high & ~wrong) | above
         return None
 
     def _converged(
-        self, point: FloatArray, place: float, pinned: np.ndarray, bound: FloatArray
+        self, point: FloatArray, share: float, pinned: np.ndarray, bound: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None:
         """Newton with some γ on their bounds; return point, Jacobian, d/ds, and all conditions."""
         point = point.copy()
         point[pinned] = bound
         last = np.inf
         for _ in range(_STEPS):
-            residual, jacobian, along = (part.copy() for part in self._newton(point, place))
+            residual, jacobian, along = (output.copy() for output in self._newton(point, share))
             forces = residual.copy()
             residual[pinned], along[pinned] = 0.0, 0.0
             jacobian[pinned] = 0.0
@@ -139,9 +139,9 @@ class Continuation:
         here = self.first()
         way, step = [here], _LONGEST
         while here.place < 1:
-            place = 1.0 if here.place + step > 1 - 1e-12 else here.place + step
-            guess = here.values + (place - here.place) * here.slope
-            reached = self.at(place, guess, here.multipliers)
+            share = 1.0 if here.place + step > 1 - 1e-12 else here.place + step
+            guess = here.values + (share - here.place) * here.slope
+            reached = self.at(share, guess, here.multipliers)
             count = self._rows[0]
             off = np.inf if reached is None else np.abs(reached.values - guess)[:count].max()
             if reached is not None and off <= _OFF:
@@ -192,8 +192,8 @@ class TimedPath:
         scaling = TimeScaling(places, pace, ramp)
         total = scaling.shortest if duration is None else duration
         # A little more than needed: the path is slowed down below.
-        each = 400 * continuation.problem.nodes.shape[1]
-        validation.refuse_memory(f"step is {step:g} s", _SPARE * total / step, "shapes", each)
+        size = 400 * continuation.problem.nodes.shape[1]
+        validation.refuse_memory(f"step is {step:g} s", _SPARE * total / step, "shapes", size)
         count = max(3, ceil(_SPARE * total / step) + 1)
         share = np.linspace(0.0, 1.0, count)
         targets, speed = scaling.at(share)
@@ -224,15 +224,15 @@ class TimedPath:
         self.velocities = moves / total
         self.residual = max(motion_of.unbalanced(point) for point in points)
 
-    def _solved(self, places: FloatArray, at: FloatArray) -> list[Waypoint]:
+    def _solved(self, places: FloatArray, targets: FloatArray) -> list[Waypoint]:
         """Return equilibria at these places, from guesses between the waypoints."""
         from scipy.interpolate import CubicHermiteSpline
 
         values = np.array([point.values for point in self._waypoints])
         slopes = np.array([point.slope for point in self._waypoints])
-        guesses = CubicHermiteSpline(places, values, slopes)(at)
+        guesses = CubicHermiteSpline(places, values, slopes)(targets)
         points = []
-        for s, guess in zip(at.tolist(), guesses, strict=True):
+        for s, guess in zip(targets.tolist(), guesses, strict=True):
             before = self._waypoints[int(np.searchsorted(places, s, side="right")) - 1]
             waypoint = self._continuation.at(s, guess, before.multipliers)
             if waypoint is None:
@@ -256,8 +256,8 @@ class TimeScaling:
     def __init__(self, places: FloatArray, pace: FloatArray, ramp: float) -> None:
         self._places = places
         self._pace = np.maximum(pace, _LEAST_PACE * pace.max())
-        parts = np.diff(places) * (self._pace[1:] + self._pace[:-1]) / 2
-        self._passed = np.concatenate([[0.0], np.cumsum(parts)])
+        durations = np.diff(places) * (self._pace[1:] + self._pace[:-1]) / 2
+        self._passed = np.concatenate([[0.0], np.cumsum(durations)])
         self._ramp = ramp
 
     @property
@@ -310,15 +310,15 @@ class PathMotion:
 
     def motion(self, point: Waypoint, speed: float) -> list[FloatArray]:
         """Return nodes, velocities, γ, and rest lengths with their rates, at ds/dt."""
-        parts = [
+        outputs = [
             np.array(output.full()).ravel() for output in self._read(point.values, point.slope)
         ]
-        half = len(parts) // 2
+        half = len(outputs) // 2
         shape = self._problem.model.structure.nodes.shape
-        nodes, moves = (flat.reshape(shape, order="F") for flat in (parts[0], parts[half]))
-        quantities = [nodes, speed * moves, parts[1]]
+        nodes, moves = (flat.reshape(shape, order="F") for flat in (outputs[0], outputs[half]))
+        quantities = [nodes, speed * moves, outputs[1]]
         if half == 3:
-            quantities += [parts[2], speed * parts[5]]
+            quantities += [outputs[2], speed * outputs[5]]
         return quantities
 
     def pace(self, point: Waypoint, rate: FloatArray | None) -> float:

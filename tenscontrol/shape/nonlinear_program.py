@@ -316,14 +316,14 @@ def _turned(turn: Any, arm: Any) -> Any:
     return ca.vertcat(-turn * arm[1], turn * arm[0])
 
 
-def _bar_push(bars: Any, at: Any, lam: Any) -> Any:
+def _bar_push(bars: Any, nodes: Any, lam: Any) -> Any:
     """Return the forces of the bars on the nodes: each pushes its ends apart."""
-    F = ca.SX(*at.shape)
+    F = ca.SX(*nodes.shape)
     if len(bars):
-        push = kernel.scale_columns(kernel.differences(at, bars), lam.T)
-        for (start, end), each in zip(bars.tolist(), ca.horzsplit(push), strict=True):
-            F[:, end] += each
-            F[:, start] -= each
+        push = kernel.scale_columns(kernel.differences(nodes, bars), lam.T)
+        for (start, end), force in zip(bars.tolist(), ca.horzsplit(push), strict=True):
+            F[:, end] += force
+            F[:, start] -= force
     return F
 
 

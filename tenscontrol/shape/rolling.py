@@ -237,7 +237,9 @@ class RollingGait:
         back = -_BACK * float(np.linalg.norm(self._moved))
         ahead = {edge for edge, over in edges.items() if over @ self._moved >= back}
         left = ahead - self._vain or edges.keys() - self._vain or edges.keys()
-        edge = min(left, key=lambda each: self._distance(nodes, feet, each, goal, _FORESEEN))
+        edge = min(
+            left, key=lambda candidate: self._distance(nodes, feet, candidate, goal, _FORESEEN)
+        )
         try:
             self._planner.start(nodes, feet, edge)
         except StuckError:

@@ -424,11 +424,11 @@ def _least_clearance(problem: ShapeProblem, waypoints: list[Waypoint]) -> float:
     places = np.array([point.place for point in waypoints])
     motion = BarMotion(structure, places, np.stack(shapes, axis=-1))
     if motion.crossings:
-        (i, j), place = motion.crossings[0].bars, motion.crossings[0].time
+        (i, j), share = motion.crossings[0].bars, motion.crossings[0].time
         raise PathError(
-            f"bars {i} and {j} would pass through each other, {percent(place, 3)} of the way to "
+            f"bars {i} and {j} would pass through each other, {percent(share, 3)} of the way to "
             "the goal. Add intermediate shapes that lead them past each other's ends",
-            rest_at(problem, waypoints[max(0, int(np.searchsorted(places, place)) - 1)]),
+            rest_at(problem, waypoints[max(0, int(np.searchsorted(places, share)) - 1)]),
         )
     least = [bar_distances(structure, nodes).least for nodes in shapes]
     return min(least) if motion.clearance is None else motion.clearance.distance

@@ -89,30 +89,30 @@ class _DemandRows:
         counts = [miss.numel() for miss in misses]
         hard = np.repeat([isinstance(demand, CentreKept) for demand in demands], counts)
         self.scales = np.repeat(units, counts)
-        parts: list[Rows] = [(ca.SX(0, 1), np.zeros(0), np.zeros(0))]
+        blocks: list[Rows] = [(ca.SX(0, 1), np.zeros(0), np.zeros(0))]
         for demand, miss, unit in zip(demands, misses, units, strict=True):
             off = np.full(miss.numel(), demand.tolerance / unit)
-            parts.append((miss / unit, -off, off))
+            blocks.append((miss / unit, -off, off))
         capped = np.flatnonzero(np.isfinite(bounds.high))
         if len(capped):
             gamma = problem.gamma[capped.tolist()] / problem.level
             most = bounds.high[capped] / problem.level
-            parts.append((gamma, np.full(len(capped), -np.inf), most))
+            blocks.append((gamma, np.full(len(capped), -np.inf), most))
         if bounds.rest_length is not None:
             assert model.strings is not None  # checked with the winches
             length = kernel.string_lengths(model.structure, problem.nodes).T
             rest_length = model.strings.taut_rest_length(length, problem.gamma)
             shortest, longest = bounds.rest_length
-            parts.append((rest_length / size, shortest / size, longest / size))
+            blocks.append((rest_length / size, shortest / size, longest / size))
         if limits.clearance:
             apart = _signed_distances(model.structure, start, problem.nodes)
             least = np.full(apart.numel(), limits.clearance / size)
-            parts.append((apart / size, least, np.full(apart.numel(), np.inf)))
-        self.rows = ca.vertcat(*(rows for rows, _, _ in parts))
+            blocks.append((apart / size, least, np.full(apart.numel(), np.inf)))
+        self.rows = ca.vertcat(*(rows for rows, _, _ in blocks))
         #: Rows that may be missed, at a cost.
         self.soft = np.setdiff1d(np.arange(self.rows.numel()), np.flatnonzero(hard))
-        self.low = np.concatenate([low for _, low, _ in parts])
-        self.high = np.concatenate([high for _, _, high in parts])
+        self.low = np.concatenate([low for _, low, _ in blocks])
+        self.high = np.concatenate([high for _, _, high in blocks])
         self._evaluate = Function("rows", [problem.unknowns], [ca.densify(self.rows)])
         every = ca.densify(ca.vertcat(ca.SX(0, 1), *misses))
         self._misses = Function("misses", [problem.unknowns], [every])

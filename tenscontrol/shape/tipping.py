@@ -203,7 +203,7 @@ def tipping_path(
             f"step is {most:g} m, expected at least {_SHORTEST_STEP * planner.size:.3g} m"
         )
     edges = planner.edges(shape, standing)
-    edge = max(edges, key=lambda each: float(edges[each] @ heading))
+    edge = max(edges, key=lambda candidate: float(edges[candidate] @ heading))
     try:
         planner.start(shape, standing, edge)
     except StuckError as error:
@@ -374,8 +374,8 @@ class TippingPlanner:
         entries, bars = n * d, len(unknowns) - n * d - len(self._rows)
         for _ in range(steps):
             positions = unknowns[:entries]
-            parts = self._conditions(positions, rest_length, unknowns[entries : entries + bars])
-            force, stretch, directions, hessian, pushes = parts
+            outputs = self._conditions(positions, rest_length, unknowns[entries : entries + bars])
+            force, stretch, directions, hessian, pushes = outputs
             held = np.vstack([directions, self._rows])
             matrix = np.block([[hessian, held.T], [held, np.zeros((len(held), len(held)))]])
             left = force + held.T @ unknowns[entries:]

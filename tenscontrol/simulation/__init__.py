@@ -5,7 +5,13 @@ from tenscontrol.simulation.batch import Batch, BatchCrossings, simulate_many
 from tenscontrol.simulation.contacts import ContactRecord
 from tenscontrol.simulation.control_record import ControlRecord
 from tenscontrol.simulation.faults import CutString, Fault, LostMeasurement, StuckWinch
-from tenscontrol.simulation.health import AccuracyWarning, BarCrossingWarning, Health, HealthLimits
+from tenscontrol.simulation.health import (
+    AccuracyWarning,
+    BarCrossingWarning,
+    Health,
+    HealthLimits,
+    StrengthWarning,
+)
 from tenscontrol.simulation.health_check import SimulationError
 from tenscontrol.simulation.integration import Integration
 from tenscontrol.simulation.observation import EstimateRecord
@@ -35,6 +41,7 @@ __all__ = [
     "Stepper",
     "StepperState",
     "Strength",
+    "StrengthWarning",
     "StuckWinch",
     "Trajectory",
     "load_run",

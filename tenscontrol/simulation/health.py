@@ -7,10 +7,14 @@ from dataclasses import dataclass, fields
 from tenscontrol import validation
 from tenscontrol.integrate.integrator import Work
 from tenscontrol.short_repr import short_repr
+from tenscontrol.sizing.sections import Sections
 from tenscontrol.structure.bar_clearance import BarClearance, BarCrossing
 
 # The error, as part of the size, up to which a motion is trusted unless the user says otherwise.
 ERROR_LIMIT = 0.01
+
+# What goes with the limits, and is none on a figure of `Health`.
+_BESIDE = ("action", "sections", "margin")
 
 # Limits on what is no error of the integration, and what to do.
 _PHYSICAL = {
@@ -27,6 +31,10 @@ class AccuracyWarning(RuntimeWarning):
 
 class BarCrossingWarning(RuntimeWarning):
     """Bars pass through each other, which the model lets them do and real ones cannot."""
+
+
+class StrengthWarning(RuntimeWarning):
+    """A member that yields or buckles, which the model lets it bear and a real one cannot."""
 
 
 @dataclass(frozen=True)
@@ -101,6 +109,8 @@ class Health:
 class HealthLimits:
     """Limits on the accuracy figures of a run (:class:`Health`); None or inf for no limit.
 
+    With ``sections``, members have a limit too: they are to bear their forces.
+
     Parameters
     ----------
     energy_error : float, optional
@@ -118,7 +128,13 @@ class HealthLimits:
         at the end of a run, and from its outputs alone when :attr:`Trajectory.health` is asked.
     action : {"warn", "raise"}
         What happens where a limit is passed: an :class:`AccuracyWarning`, of crossings a
-        :class:`BarCrossingWarning`, or a :class:`SimulationError` that carries the motion.
+        :class:`BarCrossingWarning`, of members a :class:`StrengthWarning`, or a
+        :class:`SimulationError` that carries the motion.
+    sections : Sections, optional
+        What the members of the run are made of: their margins of yield and buckling are looked
+        at, see :func:`strength`. Not with supports that move.
+    margin : float
+        Least margin of a member, with ``sections``: 1 where it would just fail.
 
     Raises
     ------
@@ -149,17 +165,24 @@ class HealthLimits:
     impulse_error: float | None = None
     rest_length_error: float | None = 2e-3
     crossings: int | None = 0
+    sections: Sections | None = None
+    margin: float = 1.0
 
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
         validation.choice("action", self.action, ("warn", "raise"))
+        if self.sections is not None:
+            how = "make them by sections(...) or design(...)"
+            validation.instance("sections", self.sections, Sections, how)
+        put = object.__setattr__  # the dataclass is frozen for everyone else
+        put(self, "margin", validation.positive_number("margin", self.margin, "times the force"))
         for each in fields(self):
             value = getattr(self, each.name)
-            if each.name == "action":
+            if each.name in _BESIDE:
                 continue
             if validation.is_unlimited(value):
-                object.__setattr__(self, each.name, None)
+                put(self, each.name, None)
             elif each.name == "crossings":
                 validation.whole_number(each.name, value, 0)
             else:
@@ -169,7 +192,7 @@ class HealthLimits:
     def names(self) -> list[str]:
         """Names of the figures that have a limit."""
         values = vars(self)
-        return [name for name in values if name != "action" and values[name] is not None]
+        return [name for name in values if name not in _BESIDE and values[name] is not None]
 
     def passed(self, health: Health) -> dict[str, str]:
         """Return a sentence for each limit that is passed, by its name.

@@ -3,7 +3,13 @@
 from __future__ import annotations
 
 from tenscontrol.integrate.methods import Choice
-from tenscontrol.simulation.health import AccuracyWarning, BarCrossingWarning, HealthLimits
+from tenscontrol.simulation.health import (
+    AccuracyWarning,
+    BarCrossingWarning,
+    HealthLimits,
+    StrengthWarning,
+)
+from tenscontrol.simulation.strength import strength
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.warn import warn
 
@@ -26,11 +32,18 @@ def check_health(run: Trajectory, limits: HealthLimits) -> None:
     """Warn or raise where the motion passes a limit."""
     health = run.health_of(limits.names)
     passed = limits.passed(health)
-    crossed = passed.pop("crossings", None)
-    if crossed and limits.action == "raise":
-        raise SimulationError(crossed, run)
-    if crossed:
-        warn(crossed, BarCrossingWarning)
+    # What real members do not do, though the motion of the model is right.
+    impossible: list[tuple[str | None, type[Warning]]] = [
+        (passed.pop("crossings", None), BarCrossingWarning)
+    ]
+    if limits.sections is not None:
+        failure = strength(run, limits.sections).failure(limits.margin)
+        impossible.append((failure, StrengthWarning))
+    for sentence, category in impossible:
+        if sentence and limits.action == "raise":
+            raise SimulationError(sentence, run)
+        if sentence:
+            warn(sentence, category)
     if not passed:
         return
     text = "; ".join(passed.values())

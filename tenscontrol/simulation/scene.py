@@ -41,6 +41,7 @@ from tenscontrol.simulation.integration import Integration
 from tenscontrol.simulation.moving_supports import MovingSupports, support_offset
 from tenscontrol.simulation.plant_run import PlantRun, StoppedError
 from tenscontrol.simulation.start import Start, initial_state, start_beside_supports
+from tenscontrol.simulation.strength import refuse_other_members
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.statics.prestress import prestress
 from tenscontrol.structure.segments import to_segments
@@ -177,10 +178,23 @@ class Scene:
         of_loop = self.winches, self.sample_time, self.estimator
         if self.controller is None and any(setting is not None for setting in of_loop):
             raise ValueError("estimator, winches and sample_time go with a controller")
+        self._check_strength()
         self._take_over_start()
         self._check_inputs()
         _ = self.loads, self.initial
         self._keep_arrays()
+
+    def _check_strength(self) -> None:
+        """Refuse limits on members of another structure, or whose forces will not be found."""
+        sections = self.integration.limits.sections
+        if sections is None:
+            return
+        refuse_other_members(self.model.structure, sections)
+        if self.support_motion is not None:
+            raise ValueError(
+                "limits have sections, but forces of bars are not found where supports move: leave "
+                "sections out of HealthLimits, or support_motion"
+            )
 
     def _take_over_start(self) -> None:
         """Check the run to go on from, and take its faults and inputs where none are given."""

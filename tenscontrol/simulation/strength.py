@@ -12,6 +12,7 @@ from tenscontrol.properties import cached_property
 from tenscontrol.simulation.motion_functions import distances
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.sizing.sections import Sections
+from tenscontrol.structure.structure import Structure
 from tenscontrol.tables import aligned
 
 # Margins that differ by less than this part are the same.
@@ -62,13 +63,40 @@ class Strength:
         buckles = (force > 0) & is_weak
         return ("yield",) * alpha + tuple("buckling" if each else "yield" for each in buckles)
 
+    def failure(self, margin: float = 1.0) -> str | None:
+        """Return the sentence on the first member whose margin falls below one; None if none does.
+
+        Parameters
+        ----------
+        margin : float
+            Times its force that each member is to carry.
+        """
+        margin = validation.positive_number("margin", margin, "times the force")
+        below = self._all < margin * (1 - _SAME)
+        weak = np.flatnonzero(below.any(axis=1))
+        if not len(weak):
+            return None
+        first = below[weak].argmax(axis=1)
+        soonest = np.flatnonzero(first == first.min())
+        i = int(weak[soonest[self.least[weak[soonest]].argmin()]])
+        time, least = self.run.time[first.min()], self.least[i]
+        more = len(weak) - 1
+        others = f", and {more} more member{'s' * (more > 1)} fall{'s' * (more == 1)} below" * (
+            more > 0
+        )
+        return (
+            f"the margin of {self.limit[i]} of {self._name(i)} falls below {margin:g} at "
+            f"{time:.4g} s, to {least:.3g} at {self.when[i]:.4g} s{others}. Give larger sections, "
+            "or hold other inputs; strength(run, sections) says more"
+        )
+
     def table(self) -> str:
         """Return the members as text, those of the least margin first."""
-        alpha = len(self.string_margin)
         rows = []
         for i in np.argsort(self.least, kind="stable"):
-            member = f"string {i}" if i < alpha else f"bar {i - alpha}"
-            rows.append([member, f"{self.least[i]:.4g}", f"{self.when[i]:.4g}", self.limit[i]])
+            rows.append(
+                [self._name(i), f"{self.least[i]:.4g}", f"{self.when[i]:.4g}", self.limit[i]]
+            )
         return aligned(["member", "margin", "time s", "limit"], rows)
 
     @property
@@ -84,9 +112,12 @@ class Strength:
         if not len(self.least):
             return "Strength(no members)"
         i = int(self.least.argmin())
+        when, limit = self.when[i], self.limit[i]
+        return f"Strength({self.margin:.4g} at {when:.4g} s, {limit} of {self._name(i)})"
+
+    def _name(self, i: int) -> str:
         alpha = len(self.string_margin)
-        member = f"string {i}" if i < alpha else f"bar {i - alpha}"
-        return f"Strength({self.margin:.4g} at {self.when[i]:.4g} s, {self.limit[i]} of {member})"
+        return f"string {i}" if i < alpha else f"bar {i - alpha}"
 
 
 def strength(run: Trajectory, sections: Sections) -> Strength:
@@ -129,16 +160,21 @@ def strength(run: Trajectory, sections: Sections) -> Strength:
     """
     validation.instance("run", run, Trajectory, "make one by simulate(model, ...)")
     validation.instance("sections", sections, Sections, "make one by sections(...) or design(...)")
-    for name in ("strings", "bars"):
-        of_run, given = (_pairs(each, name) for each in (run.structure, sections.structure))
-        if not np.array_equal(of_run, given):
-            raise ValueError(
-                f"sections are of other {name} than the run: {len(given)} against {len(of_run)}; "
-                "simulate sections.structure, or make sections of run.structure"
-            )
+    refuse_other_members(run.structure, sections)
     length = distances(run.nodes, run.structure.bars)
     margins = sections.margins(run.tension, run.bar_force_density * length)
     return Strength(run, sections, *(frozen(each) for each in margins))
+
+
+def refuse_other_members(structure: Structure, sections: Sections) -> None:
+    """Raise where sections are not of the members of a structure."""
+    for name in ("strings", "bars"):
+        own, given = (_pairs(each, name) for each in (structure, sections.structure))
+        if not np.array_equal(own, given):
+            raise ValueError(
+                f"sections are of other {name} than the run: {len(given)} against {len(own)}; "
+                "simulate sections.structure, or make sections of run.structure"
+            )
 
 
 def _pairs(structure: object, name: str) -> IntArray:

@@ -155,9 +155,9 @@ def affine_picture(structure: Structure) -> csr_array:
 
     axes, sizes = picture_axes(structure)
     d, rows = structure.dimension, structure.free_rows
-    place = np.full(structure.nodes.size, -1)
-    place[rows] = np.arange(len(rows))
-    columns = place[(rows - rows % d)[:, None] + np.arange(d)]
+    index = np.full(structure.nodes.size, -1)
+    index[rows] = np.arange(len(rows))
+    columns = index[(rows - rows % d)[:, None] + np.arange(d)]
     kept = columns >= 0
     values = (axes / sizes[:, None])[rows % d]
     ends = np.concatenate([[0], np.cumsum(kept.sum(axis=1))])
@@ -222,22 +222,22 @@ def kept_lengths(structure: Structure, picture: csr_array, E: csc_array) -> Kept
     if is_small(E):
         U, sizes, _ = np.linalg.svd(pictured.toarray())
         rank = matrix_rank(sizes)
-        part = sizes / sizes.max(initial=np.finfo(float).tiny)
-        least = float(part[:rank].min(initial=1.0))
-        return KeptLengths(U[:, rank:], least, float(part[rank:].max(initial=0.0)))
+        relative = sizes / sizes.max(initial=np.finfo(float).tiny)
+        least = float(relative[:rank].min(initial=1.0))
+        return KeptLengths(U[:, rank:], least, float(relative[rank:].max(initial=0.0)))
     body = rigid_picture(structure, picture)
-    found = nearly_null(possible_mechanisms(structure, picture, E))
-    found, part = _by_lengths(pictured, body, found)
-    near = part < _NEAR
+    motions = nearly_null(possible_mechanisms(structure, picture, E))
+    motions, relative = _by_lengths(pictured, body, motions)
+    near = relative < _NEAR
     if near.any():
-        again, exact = _by_lengths(pictured, body, _fitted(pictured, found[:, near]))
-        found, part = again, np.concatenate([exact, part[~near]])
-    count = np.count_nonzero(part <= _RANK_TOLERANCE)
-    part.sort()
+        again, exact = _by_lengths(pictured, body, _fitted(pictured, motions[:, near]))
+        motions, relative = again, np.concatenate([exact, relative[~near]])
+    count = np.count_nonzero(relative <= _RANK_TOLERANCE)
+    relative.sort()
     return KeptLengths(
-        np.hstack([body, found[:, :count]]),
-        float(part[count:].min(initial=1.0)),
-        float(part[:count].max(initial=0.0)),
+        np.hstack([body, motions[:, :count]]),
+        float(relative[count:].min(initial=1.0)),
+        float(relative[:count].max(initial=0.0)),
     )
 
 
@@ -255,8 +255,8 @@ def clear_motions(structure: Structure, picture: csr_array, E: csc_array) -> int
     start[doubtful] = np.random.default_rng(0).normal(size=(len(doubtful), _PROBES))
     motions = factors.scale[:, None] * factors.lu.solve(start)
     rates = pictured_members(picture, E)[0].T @ motions
-    part = np.linalg.norm(rates, axis=0) * np.sqrt(len(doubtful))
-    if (part > _RANK_TOLERANCE * np.linalg.norm(motions, axis=0)).any():
+    changes = np.linalg.norm(rates, axis=0) * np.sqrt(len(doubtful))
+    if (changes > _RANK_TOLERANCE * np.linalg.norm(motions, axis=0)).any():
         return None
     return len(doubtful) + int(rigid_picture(structure, picture).shape[1])
 
@@ -279,9 +279,9 @@ def _by_lengths(
     for _ in range(2):
         motions = np.linalg.qr(motions - body @ (body.T @ motions))[0]
     rates = pictured.T @ motions
-    _, found, Vt = np.linalg.svd(rates, full_matrices=len(rates) < rates.shape[1])
+    _, singular, Vt = np.linalg.svd(rates, full_matrices=len(rates) < rates.shape[1])
     sizes = np.zeros(len(Vt))
-    sizes[: len(found)] = found
+    sizes[: len(singular)] = singular
     vector = np.cos(np.arange(1.0, len(motions) + 1) ** 2)  # any
     for _ in range(_POWERS):
         vector = pictured @ (pictured.T @ (vector / np.linalg.norm(vector)))

@@ -130,9 +130,9 @@ def nearly_null(factors: Factors, more: int = _MORE) -> FloatArray:
             "which are computed as a dense matrix; expected at most "
             f"{_MOST_ENTRIES // n}. Give it more strings, or fewer members"
         )
-    found = np.cos(np.outer(np.arange(1.0, n + 1) ** 2, np.arange(1.0, count + 1)))  # any
-    found[:, : min(len(doubtful), count)] = 0.0
-    found[doubtful[:count], np.arange(min(len(doubtful), count))] = 1.0
+    vectors = np.cos(np.outer(np.arange(1.0, n + 1) ** 2, np.arange(1.0, count + 1)))  # any
+    vectors[:, : min(len(doubtful), count)] = 0.0
+    vectors[doubtful[:count], np.arange(min(len(doubtful), count))] = 1.0
     for _ in range(_ITERATIONS):
-        found = np.linalg.qr(factors.lu.solve(found))[0]
-    return np.asarray(np.linalg.qr(factors.scale[:, None] * found)[0])
+        vectors = np.linalg.qr(factors.lu.solve(vectors))[0]
+    return np.asarray(np.linalg.qr(factors.scale[:, None] * vectors)[0])

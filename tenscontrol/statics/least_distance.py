@@ -64,7 +64,7 @@ def nearest_between(
 
     ``D x`` is unique, so that a symmetric structure gets a symmetric answer. None if there is none.
     """
-    scale = max(float(np.abs(part).max(initial=0.0)) for part in (offset, target, lower)) or 1.0
+    scale = max(float(np.abs(array).max(initial=0.0)) for array in (offset, target, lower)) or 1.0
     off, rows, limits = (offset - target) / scale, directions, (offset - lower) / scale
     capped = np.zeros(len(offset), bool)
     while True:
@@ -85,7 +85,7 @@ def nearest_between(
 def _nearest(D: FloatArray, off: FloatArray, C: FloatArray, c: FloatArray) -> FloatArray | None:
     """Minimize ``‖D x + off‖`` subject to ``C x + c ≥ 0``, scaled to order one; C has rows ±D."""
     # Round-off must not look like an equation.
-    D, off, C, c = (np.where(np.abs(part) > _ROUND_OFF, part, 0.0) for part in (D, off, C, c))
+    D, off, C, c = (np.where(np.abs(array) > _ROUND_OFF, array, 0.0) for array in (D, off, C, c))
     best = _least_squares(D, -off)
     if (c + C @ best >= -_TOLERANCE).all():
         return best
@@ -151,7 +151,7 @@ def largest_share(
     from scipy.sparse import csr_array, hstack, vstack
 
     # Unknowns are x and t lower, in one unit.
-    sizes = [float(np.abs(part).max(initial=0.0)) for part in (offset, lower, upper)]
+    sizes = [float(np.abs(array).max(initial=0.0)) for array in (offset, lower, upper)]
     scale = max(sizes[:2] if most is not None else sizes[::2]) or 1.0
     unit = sizes[1] or 1.0
     capped = upper < _NO_BOUND * scale
@@ -209,13 +209,13 @@ class Balance:
             x, y = inside
         before = np.inf
         for _ in range(_REPETITIONS):
-            found = program.polished(x, y)
-            if found is None:
+            better = program.polished(x, y)
+            if better is None:
                 return program.scale * x
-            missed = program.missed(found[0])
+            missed = program.missed(better[0])
             if missed >= before / 2:
                 break
-            (x, y), before = found, missed
+            (x, y), before = better, missed
         return program.scale * x
 
 
@@ -309,8 +309,8 @@ class _Program:
         size = np.sqrt(balance.rows.multiply(balance.rows).sum(axis=1))
         size = np.where(size > 0, size, 1.0)
         b = balance.values / size
-        parts = (b, target, np.where(np.isfinite(lower), lower, 0.0))
-        scale = max(float(np.abs(part).max(initial=0.0)) for part in parts) or 1.0
+        arrays = (b, target, np.where(np.isfinite(lower), lower, 0.0))
+        scale = max(float(np.abs(array).max(initial=0.0)) for array in arrays) or 1.0
         A = (diags_array(1 / size) @ balance.rows).tocsc()
         bounds = lower / scale, upper / scale
         return cls(A, b / scale, target / scale, bounds, scale, balance.dense)
@@ -337,26 +337,26 @@ class _Program:
         (lower, upper), k, count = self.bounds, self.A.shape[1], len(self.target)
         # Gaps to the bounds that there are, G γ − h = s ≥ 0, with forces z ≥ 0.
         below, above = np.flatnonzero(np.isfinite(lower)), np.flatnonzero(np.isfinite(upper))
-        at, sign = np.append(below, above), np.repeat([1.0, -1.0], [len(below), len(above)])
+        bounded, sign = np.append(below, above), np.repeat([1.0, -1.0], [len(below), len(above)])
         h = sign * np.append(lower[below], upper[above])
         x, y = np.zeros(k), np.zeros(len(self.b))
         x[:count] = self.target
-        s, z = np.maximum(sign * x[at] - h, 1.0), np.ones(len(at))
+        s, z = np.maximum(sign * x[bounded] - h, 1.0), np.ones(len(bounded))
         weight = np.where(np.arange(k) < count, 1.0, _GIVE)
         for _ in range(_ITERATIONS):
             slope = np.zeros(k)
             slope[:count] = x[:count] - self.target
-            slope += self.A.T @ y - np.bincount(at, sign * z, minlength=k)
-            short, gap = self.b - self.A @ x, sign * x[at] - h - s
-            mean = float(s @ z / max(len(at), 1))
+            slope += self.A.T @ y - np.bincount(bounded, sign * z, minlength=k)
+            short, gap = self.b - self.A @ x, sign * x[bounded] - h - s
+            mean = float(s @ z / max(len(bounded), 1))
             size = max(1.0, float(np.abs(x[:count]).max()))
             if not np.isfinite(mean) or np.abs(y).max(initial=0.0) > 1 / _ROUND_OFF:
                 return None
             if mean < _GAP * size and max(np.abs(short).max(), np.abs(gap).max()) < _EXACT * size:
                 self.side[:] = 0
-                np.add.at(self.side, at, np.where(z > s, -sign, 0).astype(np.int8))
+                np.add.at(self.side, bounded, np.where(z > s, -sign, 0).astype(np.int8))
                 return x, y
-            factors = self._factored(weight + np.bincount(at, z / s, minlength=k), self.A)
+            factors = self._factored(weight + np.bincount(bounded, z / s, minlength=k), self.A)
 
             def step(
                 wanted: FloatArray, slope: FloatArray = slope, short: FloatArray = short,
@@ -365,14 +365,14 @@ class _Program:
             ) -> tuple[FloatArray, ...]:  # fmt: skip
                 """Return the changes that make s z what is wanted."""
                 push = (wanted - z * gap) / s - z
-                right = np.bincount(at, sign * push, minlength=k) - slope
-                found = factors.solve(np.append(right, short))
-                ds = sign * found[at] + gap
-                return found[:k], found[k:], ds, (wanted - z * ds) / s - z
+                right = np.bincount(bounded, sign * push, minlength=k) - slope
+                change = factors.solve(np.append(right, short))
+                ds = sign * change[bounded] + gap
+                return change[:k], change[k:], ds, (wanted - z * ds) / s - z
 
-            _, _, ds, dz = step(np.zeros(len(at)))
+            _, _, ds, dz = step(np.zeros(len(bounded)))
             way, push = _way(s, ds), _way(z, dz)
-            centre = float((s + way * ds) @ (z + push * dz) / max(len(at), 1)) / (mean or 1.0)
+            centre = float((s + way * ds) @ (z + push * dz) / max(len(bounded), 1)) / (mean or 1.0)
             dx, dy, ds, dz = step(centre**3 * mean - ds * dz)
             way = min(1.0, _WAY * min(_way(s, ds), _way(z, dz)))
             x, y, s, z = x + way * dx, y + way * dy, s + way * ds, z + way * dz
@@ -387,14 +387,14 @@ class _Program:
         """
         count, (lower, upper) = len(self.target), self.bounds
         for _ in range(sets):
-            found, multipliers = self._at(x, y)
-            gamma, size = found[:count], max(1.0, float(np.abs(found[:count]).max()))
+            solution, multipliers = self._at(x, y)
+            gamma, size = solution[:count], max(1.0, float(np.abs(solution[:count]).max()))
             slope = gamma - self.target + (self.A.T @ multipliers)[:count]
             released = -self.side * slope < -_TOLERANCE * max(size, float(np.abs(slope).max()))
             over = (gamma > upper + _EXACT * size).astype(np.int8)
             over -= gamma < lower - _EXACT * size
             if not released.any() and not over.any():
-                return found, multipliers
+                return solution, multipliers
             self.side = np.where(released, np.int8(0), self.side + over)
         return None
 
@@ -414,9 +414,9 @@ class _Program:
         wanted[:count] = self.target
         right = self.b - self.A @ np.where(free, 0.0, at_bound) - _GIVE * y
         answer = self._factors[1].solve(np.concatenate([wanted[free], right]))
-        found = np.where(free, 0.0, at_bound)
-        found[free] = answer[: A.shape[1]]
-        return found, answer[A.shape[1] :]
+        solution = np.where(free, 0.0, at_bound)
+        solution[free] = answer[: A.shape[1]]
+        return solution, answer[A.shape[1] :]
 
 
 def _way(values: FloatArray, change: FloatArray) -> float:

@@ -221,13 +221,13 @@ class Prestress(ArrayRecord):
         )  # fmt: skip
 
     def __repr__(self) -> str:
-        said = [repr(self.structure), f"residual {self.residual:.1e} N"]
+        items = [repr(self.structure), f"residual {self.residual:.1e} N"]
         if is_small(self._forces.matrix):  # else they take long
-            said += [f"{self.self_stress_states} self-stress states"]
-            said += [f"{self.mechanisms} mechanisms"]
+            items += [f"{self.self_stress_states} self-stress states"]
+            items += [f"{self.mechanisms} mechanisms"]
         if slack := len(self.slack_strings):
-            said += [f"{slack} slack strings"]
-        return f"Prestress({', '.join(said)})"
+            items += [f"{slack} slack strings"]
+        return f"Prestress({', '.join(items)})"
 
 
 def prestress(
@@ -397,18 +397,18 @@ def _found(
             "answer would be γ = 0; give a positive number, or a force_density"
         )
     if level is not None:
-        kept = every.at_level(_reference(structure, strings, reference), level)
-        if kept is None:
+        at_level = every.at_level(_reference(structure, strings, reference), level)
+        if at_level is None:
             raise ValueError(_infeasible(forces, strings, low, high, bool(w.any())))
-        every = kept
+        every = at_level
     densities = every.nearest(np.full(count, goal), low, high)
     if densities is None:
         raise ValueError(_infeasible(forces, strings, low, high, bool(w.any()), every))
     # What round-off leaves below zero is zero; the residual is checked afterwards.
-    found = densities[:count]
-    found[found < _ROUND_OFF * np.abs(densities).max()] = 0.0
+    on_strings = densities[:count]
+    on_strings[on_strings < _ROUND_OFF * np.abs(densities).max()] = 0.0
     if any(block.is_redundant for block in structure.blocks):
-        densities[count:] = _least_bars(forces, found, w)
+        densities[count:] = _least_bars(forces, on_strings, w)
     _refuse_unbalanced(
         structure, forces.matrix, densities, w, "no force_density balances", "Change the shape"
     )
@@ -434,7 +434,7 @@ def _reference(structure: Structure, strings: IntArray, reference: str | None) -
 
 def balanced(
     structure: Structure, forces: MemberForces, gamma: FloatArray, load: FloatArray,
-    what: str, hint: str, least: float = 0.0,
+    failure: str, hint: str, least: float = 0.0,
 ) -> Prestress:  # fmt: skip
     """Return γ of every string with the bars that balance it best, or raise saying what and hint.
 
@@ -442,7 +442,7 @@ def balanced(
     """
     pulls, E, w = forces.live[: len(gamma)], forces.matrix, free_coordinates(structure, load)
     densities = np.concatenate([gamma[pulls], _least_bars(forces, gamma[pulls], w)])
-    _refuse_unbalanced(structure, E, densities, w, what, hint, least)
+    _refuse_unbalanced(structure, E, densities, w, failure, hint, least)
     return _at_rest(structure, forces, gamma, densities, load)
 
 
@@ -589,7 +589,7 @@ def _infeasible(
     )
     can = can_be_positive(every.directions[:count], np.zeros(count), free)
     stuck = strings[~can & (low > 0)] if can is not None else strings
-    what = "external_force with" if loaded else "the structure with"
+    subject = "external_force with" if loaded else "the structure with"
     if not loaded and len(stuck):
         return (
             f"strings {listed(stuck)} cannot be taut while no other is in compression: in this "
@@ -612,7 +612,7 @@ def _infeasible(
     slack = strings[~can] if can is not None else strings
     which = f" (strings {listed(slack)} cannot be taut)" if len(slack) else ""
     return (
-        f"no force densities γ ≥ 0 balance {what} the reference strings at the wanted level, "
+        f"no force densities γ ≥ 0 balance {subject} the reference strings at the wanted level, "
         f"within the bounds: each of the {states} states of self-stress needs a string in "
         f"compression, or leaves the reference strings slack{which}. Change the shape, the "
         "strings, the reference or the bounds"
@@ -627,7 +627,7 @@ def listed(members: IntArray) -> str:
 
 def _refuse_unbalanced(
     structure: Structure, E: csc_array, densities: FloatArray, w: FloatArray,
-    what: str, hint: str, least: float = 0.0,
+    failure: str, hint: str, least: float = 0.0,
 ) -> None:  # fmt: skip
     d, n = structure.nodes.shape
     size = np.sqrt(np.bincount(structure.free_rows // d, (E @ densities - w) ** 2, minlength=n))
@@ -635,6 +635,6 @@ def _refuse_unbalanced(
     if size.max() > _RESIDUAL_TOLERANCE * scale:
         worst = int(size.argmax())
         raise ValueError(
-            f"{what}: node {worst} is left with an unbalanced force of "
+            f"{failure}: node {worst} is left with an unbalanced force of "
             f"{size[worst]:.3g} N, expected less than {_RESIDUAL_TOLERANCE * scale:.1e} N. {hint}"
         )

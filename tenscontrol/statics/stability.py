@@ -336,10 +336,10 @@ def _taut(structure: Structure, force_density: FloatArray) -> np.ndarray:
     """
     axes, sizes = picture_axes(structure)
     vectors = (axes / sizes[:, None]) @ structure.string_vectors(structure.nodes)
-    each = np.linalg.norm(vectors, axis=0)
-    length = np.bincount(structure.segment_string, each, minlength=len(structure.strings))
-    parts = (force_density, force_density * length)
-    pulls = [part > _TOLERANCE * part.max(initial=0.0) for part in parts]
+    segment_length = np.linalg.norm(vectors, axis=0)
+    length = np.bincount(structure.segment_string, segment_length, minlength=len(structure.strings))
+    measures = (force_density, force_density * length)
+    pulls = [measure > _TOLERANCE * measure.max(initial=0.0) for measure in measures]
     return np.asarray(np.any(pulls, axis=0))
 
 
@@ -364,8 +364,10 @@ def _geometric_stiffness(
 
     rows, eye = structure.free_rows, eye_array(structure.dimension)
     matrix, gross = (
-        csc_array(kron(_sparse_stress(structure, gamma, each), eye, format="csr")[rows][:, rows])
-        for each in (lam, -np.abs(lam))
+        csc_array(
+            kron(_sparse_stress(structure, gamma, bar_density), eye, format="csr")[rows][:, rows]
+        )
+        for bar_density in (lam, -np.abs(lam))
     )
     if every or structure.has_clusters:
         # A segment that keeps its direction takes no part in ∇²L.
@@ -395,14 +397,14 @@ def _left_free(
     """
     E = sparse_equilibrium_matrix(structure, structure.nodes).tocsr()[structure.free_rows]
     picture = affine_picture(structure)
-    kept = kept_lengths(structure, picture, E.tocsc()[:, members])
+    keeping = kept_lengths(structure, picture, E.tocsc()[:, members])
     pictured = _unresisted(structure, picture, stiffness, gross, loaded)
-    free = kept.motions
+    free = keeping.motions
     free = free @ null_space(pictured.T @ free)
     # Orthonormal in the shape, and across the motions that are left out.
-    basis, out = (np.linalg.qr(picture.T @ part)[0] for part in (free, pictured))
+    basis, out = (np.linalg.qr(picture.T @ motions)[0] for motions in (free, pictured))
     basis = np.linalg.qr(basis - out @ (out.T @ basis))[0]
-    return basis, max(_STIFF, _DIGITS * kept.lost)
+    return basis, max(_STIFF, _DIGITS * keeping.lost)
 
 
 def _unresisted(
@@ -430,16 +432,16 @@ def _stress_defects(
     scale = np.where(scale > _ROUND_OFF * gross, scale, gross)
     scale = np.sqrt(np.where(scale > 0, scale, 1.0))
     scaled = (diags_array(1 / scale) @ stress @ diags_array(1 / scale)).tocsr()
-    found = []
+    defects = []
     for free in _free_by_axis(structure):
-        part = scaled[free][:, free].tocsc()
-        if is_small(part):
-            values = np.linalg.eigvalsh(part.toarray())
+        block = scaled[free][:, free].tocsc()
+        if is_small(block):
+            values = np.linalg.eigvalsh(block.toarray())
             defect = int(np.count_nonzero(np.abs(values) <= _TOLERANCE))
-            found.append((defect, bool(values.min(initial=0.0) > -_TOLERANCE)))
+            defects.append((defect, bool(values.min(initial=0.0) > -_TOLERANCE)))
         else:
-            found.append(_sparse_defect(part, _affine_fields(structure, free, scale)))
-    return [defect for defect, _ in found], all(is_definite for _, is_definite in found)
+            defects.append(_sparse_defect(block, _affine_fields(structure, free, scale)))
+    return [defect for defect, _ in defects], all(is_definite for _, is_definite in defects)
 
 
 def _affine_fields(structure: Structure, free: IntArray, scale: FloatArray) -> FloatArray:
@@ -469,9 +471,9 @@ def _sparse_defect(matrix: csc_array, fields: FloatArray) -> tuple[int, bool]:
         if all(side.is_symmetric for side in sides):
             negative, upto_zero = (int(np.count_nonzero(side.pivots < 0)) for side in sides)
             return upto_zero - negative, negative == 0
-    found = nearly_null(factors, 0)
-    found = np.linalg.qr(found - fields @ (fields.T @ found))[0]
-    values = np.linalg.eigvalsh(found.T @ (matrix @ found))
+    vectors = nearly_null(factors, 0)
+    vectors = np.linalg.qr(vectors - fields @ (fields.T @ vectors))[0]
+    values = np.linalg.eigvalsh(vectors.T @ (matrix @ vectors))
     if factors.is_semidefinite and values.min(initial=0.0) > -_TOLERANCE:
         return fields.shape[1] + int(np.count_nonzero(values <= _TOLERANCE)), True
     return _near_zero(matrix, fields.shape[1]), False

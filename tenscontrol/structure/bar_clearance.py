@@ -191,14 +191,21 @@ class _Intervals:
         return cls(time[:-1], np.diff(time), moves, rates, follows, origin)
 
     @classmethod
-    def joined(cls, parts: list[_Intervals]) -> _Intervals:
+    def joined(cls, motions: list[_Intervals]) -> _Intervals:
         """Return the intervals of several motions."""
         flat = [
-            (each.begin, each.length, *each.nodes, *(each.rates or ()), each.follows, each.origin)
-            for each in parts
+            (
+                motion.begin,
+                motion.length,
+                *motion.nodes,
+                *(motion.rates or ()),
+                motion.follows,
+                motion.origin,
+            )
+            for motion in motions
         ]
         begin, length, x0, x1, *rates, follows, origin = (
-            np.concatenate(each, axis=-1) for each in zip(*flat, strict=True)
+            np.concatenate(arrays, axis=-1) for arrays in zip(*flat, strict=True)
         )
         ends = (rates[0], rates[1]) if rates else None
         return cls(begin, length, (x0, x1), ends, follows, origin)
@@ -209,12 +216,12 @@ class _Intervals:
 
     def cubics(self, bars: IntArray, pairs: IntArray, k: IntArray) -> FloatArray:
         """Return control points of the motion of corners in intervals, (4, 3, d, m)."""
-        first, last = (_corners(bars, each, pairs, k) for each in self.nodes)
+        first, last = (_corners(bars, nodes, pairs, k) for nodes in self.nodes)
         if self.rates is None:
             third = (last - first) / 3
             return np.stack([first, first + third, last - third, last])
         h = self.length[k] / 3
-        out, into = (h * _corners(bars, each, pairs, k) for each in self.rates)
+        out, into = (h * _corners(bars, rates, pairs, k) for rates in self.rates)
         return np.stack([first, first + out, last - into, last])
 
     def strays(self, nodes: IntArray | None = None) -> FloatArray:
@@ -222,9 +229,9 @@ class _Intervals:
 
         Of some nodes, beside what all of them do alike.
         """
-        found = np.zeros(self.nodes[0].shape[1])
+        strays = np.zeros(self.nodes[0].shape[1])
         if self.rates is None:
-            return found
+            return strays
         some, first, end = slice(None) if nodes is None else nodes, *self.rates
         if nodes is not None and library() is not None:
             speed = np.linalg.norm(self._largest_rates(nodes), axis=1)
@@ -234,8 +241,8 @@ class _Intervals:
                 first, end = _beside_mean(first[:, nodes]), _beside_mean(end[:, nodes])
             low, high = _bounds(first, end)
             speed = np.linalg.norm(np.maximum(-low, high), axis=0)
-        found[some] = _FASTER / 2 * float(self.length.max()) * speed
-        return found
+        strays[some] = _FASTER / 2 * float(self.length.max()) * speed
+        return strays
 
     def _largest_rates(self, nodes: IntArray) -> FloatArray:
         """Return the largest rates of nodes beside what all of them do alike, (count, 3), m/s."""
@@ -244,9 +251,9 @@ class _Intervals:
         assert rates is not None  # and the nodes have some
         nodes = nodes.astype(np.int32)
         largest, work = np.zeros((len(nodes), 3)), np.empty(3 * len(nodes))
-        for each in (rates[0], rates[1][:, :, -1:]):
+        for motion in (rates[0], rates[1][:, :, -1:]):
             core.tc_largest_rates(
-                ctypes.byref(records.Motion.of(each)), each.shape[2], len(nodes),
+                ctypes.byref(records.Motion.of(motion)), motion.shape[2], len(nodes),
                 *(ctypes.c_void_p(array.ctypes.data) for array in (nodes, largest, work)),
             )  # fmt: skip
         return largest
@@ -261,18 +268,18 @@ class _Intervals:
         core, ends = library(), np.ascontiguousarray(bars[pairs].reshape(-1, 4), dtype=np.int32)
         assert core is not None  # it was asked for
         speed = 2 / self.length.max() * strays[bars[pairs]].max(axis=2).sum(axis=1)
-        begin, length = (np.ascontiguousarray(each) for each in (self.begin, self.length))
+        begin, length = (np.ascontiguousarray(array) for array in (self.begin, self.length))
         motion, room = records.Motion.of(self.nodes[0]), 2 * len(pairs) + 1000
         while True:
-            found = np.empty((room, 2), dtype=np.int32)
+            near = np.empty((room, 2), dtype=np.int32)
             count = core.tc_near_bars(
                 ctypes.byref(motion), self.count,
-                *(ctypes.c_void_p(each.ctypes.data) for each in (begin, length)), len(pairs),
-                *(ctypes.c_void_p(each.ctypes.data) for each in (ends, speed)),
-                ctypes.c_int64(room), ctypes.c_void_p(found.ctypes.data),
+                *(ctypes.c_void_p(array.ctypes.data) for array in (begin, length)), len(pairs),
+                *(ctypes.c_void_p(array.ctypes.data) for array in (ends, speed)),
+                ctypes.c_int64(room), ctypes.c_void_p(near.ctypes.data),
             )  # fmt: skip
             if count <= room:
-                p, k = found[:count].T.astype(int)
+                p, k = near[:count].T.astype(int)
                 return p, k
             room = count
 
@@ -285,22 +292,22 @@ class _Intervals:
             return np.zeros(len(k))
         worst = np.full(len(k), -1.0)
         for second in (k, k + 1):
-            there = np.flatnonzero((second > 0) & (second < self.count))
-            there = there[self.follows[second[there]]]
-            after, before, some = second[there], second[there] - 1, pairs[there]
+            inner = np.flatnonzero((second > 0) & (second < self.count))
+            inner = inner[self.follows[second[inner]]]
+            after, before, some = second[inner], second[inner] - 1, pairs[inner]
             h = self.length[before], self.length[after]
             whole, share = h[0] + h[1], h[0] / (h[0] + h[1])
             ends = [
-                _corners(bars, each[i], some, at)
-                for each in (self.nodes, self.rates)
-                for i, at in ((0, before), (1, after))
+                _corners(bars, states[i], some, index)
+                for states in (self.nodes, self.rates)
+                for i, index in ((0, before), (1, after))
             ]
-            out, into = (whole / 3 * each for each in ends[2:])
+            out, into = (whole / 3 * rate for rate in ends[2:])
             cubic = np.stack([ends[0], ends[0] + out, ends[1] - into, ends[1]])
             off = _largest(_at(cubic, share) - _corners(bars, self.nodes[0], some, after))
             turned = _rate(cubic, share) / whole - _corners(bars, self.rates[0], some, after)
             off = np.maximum(off, np.minimum(*h) / 4 * _largest(turned))
-            worst[there] = np.maximum(worst[there], off / _OFF_BY)
+            worst[inner] = np.maximum(worst[inner], off / _OFF_BY)
         return np.where(worst < 0, np.inf, worst)
 
 
@@ -330,7 +337,7 @@ def _rate(cubic: FloatArray, s: FloatArray) -> FloatArray:
 def _largest(corners: FloatArray) -> FloatArray:
     """Return the largest of the lengths of all four corners."""
     fourth = corners[1] + corners[2] - corners[0]
-    lengths = [np.linalg.norm(each, axis=-2) for each in (*corners, fourth)]
+    lengths = [np.linalg.norm(vectors, axis=-2) for vectors in (*corners, fourth)]
     return np.asarray(np.max(lengths, axis=0))
 
 
@@ -431,41 +438,43 @@ class BarMotion:
     def _least(self) -> _Least:
         least, base = _Least(), self._base
         if not base.count:
-            found = bar_distances(self._structure, self._nodes[:, :, 0])
-            least.see(found.distance, self._time[:1].repeat(len(found.pairs)), found.pairs)
+            distances = bar_distances(self._structure, self._nodes[:, :, 0])
+            least.see(
+                distances.distance, self._time[:1].repeat(len(distances.pairs)), distances.pairs
+            )
             return least
         pairs, k, _ = self._close(base, least)
         coarse = ~np.isin(self._key(base, pairs, k), self._made_finer)
-        for motion, some, at in [(base, pairs[coarse], k[coarse]), *self._finer]:
-            self._see_between(motion, some, at, least)
+        for motion, some, index in [(base, pairs[coarse], k[coarse]), *self._finer]:
+            self._see_between(motion, some, index, least)
         return least
 
     @cached_property
     def _base(self) -> _Intervals:
         """The motion, integrated again if it has too few states to bound it."""
-        kept, parts = self._kept, self._parts
+        intervals, parts = self._kept, self._parts
         if self._again is None or not self._is_short:
-            return kept
-        parts = max(parts, ceil(_FEWEST / kept.count))
+            return intervals
+        parts = max(parts, ceil(_FEWEST / intervals.count))
         # In one go where intervals are equally long, under one input.
-        if np.ptp(kept.length) < 1e-6 * kept.length[0]:
-            whole = self._integrated(0, kept.count - 1, parts)
+        if np.ptp(intervals.length) < 1e-6 * intervals.length[0]:
+            whole = self._integrated(0, intervals.count - 1, parts)
             if whole is not None:
                 return whole
-        pieces = [self._integrated(k, k, parts) for k in range(kept.count)]
-        found = [piece for piece in pieces if piece is not None]
-        return _Intervals.joined(found) if len(found) == len(pieces) else kept
+        pieces = [self._integrated(k, k, parts) for k in range(intervals.count)]
+        integrated = [piece for piece in pieces if piece is not None]
+        return _Intervals.joined(integrated) if len(integrated) == len(pieces) else intervals
 
     def _integrated(self, first: int, last: int, parts: int) -> _Intervals | None:
         """Return intervals, each in parts, or None if they are not integrated again."""
         count = parts * (last - first + 1)
         if self._again is None or count > self._left:
             return None
-        found = self._again(first, last, count)
-        if found is None:
+        states = self._again(first, last, count)
+        if states is None:
             return None
         self._left -= count
-        return _Intervals.between(*found, np.repeat(np.arange(first, last + 1), parts))
+        return _Intervals.between(*states, np.repeat(np.arange(first, last + 1), parts))
 
     # ---- which pairs, and when ----
 
@@ -488,8 +497,8 @@ class BarMotion:
             blocks = [motion.near(self._bars, pairs, strays)]
         else:
             blocks = self._close_blocks(motion, pairs, strays, least)
-        found = [self._close_within(motion, pairs[p], k, strays, least) for p, k in blocks]
-        some, k, error = (np.concatenate(each) for each in zip(*found, strict=True))
+        candidates = [self._close_within(motion, pairs[p], k, strays, least) for p, k in blocks]
+        some, k, error = (np.concatenate(arrays) for arrays in zip(*candidates, strict=True))
         return some, k, error
 
     def _reachable(self, motion: _Intervals, least: _Least | None) -> IntArray:
@@ -546,25 +555,25 @@ class BarMotion:
         # By size, so that a large bar does not make all others neighbours.
         kinds = np.floor(np.log2(radius / radius.min())).astype(int)
         members = [np.flatnonzero(kinds == kind) for kind in np.unique(kinds)]
-        trees, found = [cKDTree(middles[each]) for each in members], []
+        trees, close = [cKDTree(middles[kind]) for kind in members], []
         for a, (mine, tree) in enumerate(zip(members, trees, strict=True)):
             within = 2 * radius[mine].max() + extra
-            found.append(mine[tree.query_pairs(within, output_type="ndarray")])
+            close.append(mine[tree.query_pairs(within, output_type="ndarray")])
             for others, other in zip(members[a + 1 :], trees[a + 1 :], strict=True):
                 within = radius[mine].max() + radius[others].max() + extra
                 pairs = tree.sparse_distance_matrix(other, within, output_type="ndarray")
-                found.append(np.column_stack([mine[pairs["i"]], others[pairs["j"]]]))
-        pairs = np.sort(np.concatenate(found), axis=1)
+                close.append(np.column_stack([mine[pairs["i"]], others[pairs["j"]]]))
+        pairs = np.sort(np.concatenate(close), axis=1)
         i, j = pairs.T
         apart = np.linalg.norm(middles[i] - middles[j], axis=1) - radius[i] - radius[j]
         return self._separate(_without_joined(bars, pairs[apart <= extra]))
 
     def _every(self) -> IntArray:
         """Return all pairs that do not touch in the shape of the structure, made once for it."""
-        found = _PAIRS.get(self._structure)
-        if found is None:
-            found = _PAIRS[self._structure] = self._separate(_all_pairs(self._bars))
-        return found
+        pairs = _PAIRS.get(self._structure)
+        if pairs is None:
+            pairs = _PAIRS[self._structure] = self._separate(_all_pairs(self._bars))
+        return pairs
 
     def _separate(self, pairs: IntArray) -> IntArray:
         """Return pairs without those that touch in the shape of the structure."""
@@ -582,17 +591,17 @@ class BarMotion:
         starts = np.arange(0, count, _BLOCK)
         stops = np.minimum(starts + _BLOCK, count)
         middle = np.minimum(starts + _BLOCK // 2, count - 1)
-        there = x[:, :, middle]
+        nodes_at_middle = x[:, :, middle]
         low = np.minimum(np.minimum.reduceat(x, starts, axis=2), x[:, :, stops])
         high = np.maximum(np.maximum.reduceat(x, starts, axis=2), x[:, :, stops])
-        moved = np.linalg.norm(np.maximum(high - there, there - low), axis=0)
+        moved = np.linalg.norm(np.maximum(high - nodes_at_middle, nodes_at_middle - low), axis=0)
         moved += strays[nodes][:, None]
         places = np.searchsorted(nodes, self._bars[pairs])
         reach = moved[places].max(axis=2)
         step = max(1, _TOGETHER // len(starts))
         for first in range(0, len(pairs), step):
             some = slice(first, first + step)
-            a, b = (there[:, places[some, :, end]] for end in (0, 1))
+            a, b = (nodes_at_middle[:, places[some, :, end]] for end in (0, 1))
             centre, half = (a + b) / 2, np.linalg.norm(b - a, axis=0) / 2 + reach[some]
             gap = np.linalg.norm(centre[:, :, 0] - centre[:, :, 1], axis=0) - half.sum(axis=1)
             p, block = np.nonzero(gap <= _limit(least))
@@ -611,37 +620,37 @@ class BarMotion:
         """Return pairs, intervals and errors in which bars may be close, of some intervals."""
         if not len(k):
             return pairs, k, np.zeros(0)
-        found = []
+        candidates = []
         for first in range(0, len(k), _TOGETHER):
-            some, at = pairs[first : first + _TOGETHER], k[first : first + _TOGETHER]
-            apart = self._apart_at(motion, some, at, least)
+            some, index = pairs[first : first + _TOGETHER], k[first : first + _TOGETHER]
+            apart = self._apart_at(motion, some, index, least)
             if motion.rates is not None:
                 within = 2 * strays[self._bars[some]].max(axis=2).sum(axis=1)
                 close = apart - within <= _limit(least)
-                some, at, apart = some[close], at[close], apart[close]
-            way = _largest(np.diff(motion.cubics(self._bars, some, at), axis=0).swapaxes(0, 1))
-            error = np.zeros(len(at))
+                some, index, apart = some[close], index[close], apart[close]
+            way = _largest(np.diff(motion.cubics(self._bars, some, index), axis=0).swapaxes(0, 1))
+            error = np.zeros(len(index))
             if least is None:
-                error = motion.error(self._bars, some, at)
+                error = motion.error(self._bars, some, index)
             close = apart - way.sum(axis=0) - error <= _limit(least)
-            found.append((some[close], at[close], error[close]))
-        some, at, error = (np.concatenate(each) for each in zip(*found, strict=True))
-        return some, at, error
+            candidates.append((some[close], index[close], error[close]))
+        some, index, error = (np.concatenate(arrays) for arrays in zip(*candidates, strict=True))
+        return some, index, error
 
     def _see_between(self, motion: _Intervals, pairs: IntArray, k: IntArray, least: _Least) -> None:
         """Look for the least distance within intervals."""
         for first in range(0, len(k), _TOGETHER // 8):
-            some, at = pairs[first : first + _TOGETHER // 8], k[first : first + _TOGETHER // 8]
-            cubic = motion.cubics(self._bars, some, at)
+            some, index = pairs[first : first + _TOGETHER // 8], k[first : first + _TOGETHER // 8]
+            cubic = motion.cubics(self._bars, some, index)
             distance = _apart(_at(cubic, _PLACES[None]))[0]
-            item, place = np.unravel_index(distance.argmin(), distance.shape)
-            one, s, step = slice(item, item + 1), float(_PLACES[place]), _PLACES[1]
+            item, sample = np.unravel_index(distance.argmin(), distance.shape)
+            one, s, step = slice(item, item + 1), float(_PLACES[sample]), _PLACES[1]
             for _ in range(_ROUNDS):
                 near = np.clip(s + step * (2 * _PLACES - 1), 0, 1)
                 step *= 2 * _PLACES[1]
                 distance = _apart(_at(cubic[..., one], near[None]))[0][0]
                 s = float(near[distance.argmin()])
-            time = motion.begin[at[item]] + s * motion.length[at[item]]
+            time = motion.begin[index[item]] + s * motion.length[index[item]]
             least.see(distance.min()[None], np.array([time]), some[one])
 
     # ---- crossings ----
@@ -660,9 +669,9 @@ class BarMotion:
     def _found(self) -> tuple[tuple[BarCrossing, ...], int]:
         """Crossings, and the number of intervals that could not be resolved."""
         with np.errstate(over="ignore", invalid="ignore"):  # of motions that run away
-            found = self._searched() if self.has_pairs and self._kept.count else ((), 0)
+            crossings = self._searched() if self.has_pairs and self._kept.count else ((), 0)
         self._again = None  # which holds all that was integrated with
-        return found
+        return crossings
 
     def _searched(self) -> tuple[tuple[BarCrossing, ...], int]:
         motion, events, unresolved = self._base, list[BarCrossing](), set[int]()
@@ -699,14 +708,14 @@ class BarMotion:
             self._made_finer = np.concatenate([self._made_finer, again])
             origins, some = motion.origin[k[finer]][first], pairs[finer][first]
             motion = _Intervals.joined(list(pieces.values()))
-            place = np.searchsorted(list(pieces), origins) * parts
-            k = (place[:, None] + np.arange(parts)).ravel()
+            start = np.searchsorted(list(pieces), origins) * parts
+            k = (start[:, None] + np.arange(parts)).ravel()
             pairs = np.repeat(some, parts, axis=0)
             error = motion.error(self._bars, pairs, k)
             parts *= _PARTS
         # Those that are together, up to round-off, by the numbers of their bars.
         tick = _ROUND_OFF * float(self._kept.length.sum())
-        events.sort(key=lambda each: (round(each.time / tick), each.bars))
+        events.sort(key=lambda crossing: (round(crossing.time / tick), crossing.bars))
         return tuple(events), len(unresolved)
 
     def _crossed(
@@ -723,14 +732,14 @@ class BarMotion:
             area = np.linalg.norm(u, axis=0) * np.linalg.norm(v, axis=0)
             apart = (np.abs(volume) > _ROUND_OFF * self._size * area).any(axis=1)
             item, low, high = _sign_changes(cubic, volume)
-            item, low, high = (each[apart[item]] for each in (item, low, high))
+            item, low, high = (array[apart[item]] for array in (item, low, high))
             here = cubic[..., item]
             after = _volume(_at(here, high)) >= 0
             for _ in range(_HALVINGS if len(item) else 0):
                 middle = (low + high) / 2
                 late = (_volume(_at(here, middle)) >= 0) == after
                 low, high = np.where(late, low, middle), np.where(late, middle, high)
-            left, right = (np.abs(_volume(_at(here, each))) for each in (low, high))
+            left, right = (np.abs(_volume(_at(here, share_at))) for share_at in (low, high))
             share = low + (high - low) * left / np.where(left > 0, left + right, 1.0)
             inside = _apart(_at(here, share))[3]
             item, share = item[inside], share[inside]
@@ -753,19 +762,19 @@ def _limit(least: _Least | None) -> float:
 def _sign_changes(cubic: FloatArray, volume: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
     """Return items and the shares between which their volumes, (m, places), change sign."""
     positive, step = volume >= 0, _PLACES[1]
-    item, place = np.nonzero(positive[:, 1:] != positive[:, :-1])
-    brackets = [(item, _PLACES[place], _PLACES[place + 1])]
+    item, sample = np.nonzero(positive[:, 1:] != positive[:, :-1])
+    brackets = [(item, _PLACES[sample], _PLACES[sample + 1])]
     # Twice between two places: where the volume is least between two that are alike.
     size = np.abs(volume)
     before, here, after = size[:, :-2], size[:, 1:-1], size[:, 2:]
     alike = (positive[:, :-2] == positive[:, 1:-1]) & (positive[:, 1:-1] == positive[:, 2:])
     bend = before - 2 * here + after
-    item, place = np.nonzero(alike & (here <= before) & (here <= after) & (bend > 0))
-    change = (before - after)[item, place] / (2 * bend[item, place])
-    least = _PLACES[place + 1] + step * change
+    item, sample = np.nonzero(alike & (here <= before) & (here <= after) & (bend > 0))
+    change = (before - after)[item, sample] / (2 * bend[item, sample])
+    least = _PLACES[sample + 1] + step * change
     if len(item):
-        other = (_volume(_at(cubic[..., item], least)) >= 0) != positive[item, place + 1]
-        item, place, least = item[other], place[other], least[other]
-        brackets += [(item, _PLACES[place], least), (item, least, _PLACES[place + 2])]
-    items, low, high = (np.concatenate(each) for each in zip(*brackets, strict=True))
+        other = (_volume(_at(cubic[..., item], least)) >= 0) != positive[item, sample + 1]
+        item, sample, least = item[other], sample[other], least[other]
+        brackets += [(item, _PLACES[sample], least), (item, least, _PLACES[sample + 2])]
+    items, low, high = (np.concatenate(arrays) for arrays in zip(*brackets, strict=True))
     return items, low, high

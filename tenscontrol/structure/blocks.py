@@ -139,11 +139,11 @@ def node_mass(structure: Jointed, block: Block | None = None) -> csr_array:
     count = structure.nodes.shape[1]
     bars = np.arange(len(structure.bars)) if block is None else block.bars
     nodes = np.arange(count) if block is None else block.nodes
-    place = np.full(count, -1)
-    place[nodes] = np.arange(len(nodes))
-    start, end = place[structure.bars[bars]].T
-    rows = np.concatenate([start, end, start, end, place[nodes]])
-    columns = np.concatenate([start, end, end, start, place[nodes]])
+    index = np.full(count, -1)
+    index[nodes] = np.arange(len(nodes))
+    start, end = index[structure.bars[bars]].T
+    rows = np.concatenate([start, end, start, end, index[nodes]])
+    columns = np.concatenate([start, end, end, start, index[nodes]])
     m = structure.bar_mass[bars]
     values = np.concatenate([m / 3, m / 3, m / 6, m / 6, structure.point_mass[nodes]])
     kept = (rows >= 0) & (columns >= 0) & (values > 0)
@@ -157,33 +157,33 @@ def _block(
     from scipy.sparse.csgraph import reverse_cuthill_mckee
 
     count, d = structure.nodes.shape[1], structure.dimension
-    place = np.full(count, -1)
-    place[nodes] = np.arange(len(nodes))
-    ends = place[structure.bars[bars]]
+    index = np.full(count, -1)
+    index[nodes] = np.arange(len(nodes))
+    ends = index[structure.bars[bars]]
     inner = ends[(ends >= 0).all(axis=1)]
     graph = csr_array((np.ones(2 * len(inner)), np.vstack([inner, inner[:, ::-1]]).T),
                       shape=(len(nodes), len(nodes)))  # fmt: skip
     nodes = nodes[reverse_cuthill_mckee(graph, symmetric_mode=True)]
-    place[nodes] = np.arange(len(nodes))
+    index[nodes] = np.arange(len(nodes))
     rows = (d * nodes[:, None] + np.arange(d)).ravel()
     rows = rows[is_free_row[rows]]
-    found = _ordered(structure, place, nodes, rows, bars, bars)
-    independent = _independent(structure, found)
+    block = _ordered(structure, index, nodes, rows, bars, bars)
+    independent = _independent(structure, block)
     if len(independent) < len(bars):
-        found = _ordered(structure, place, nodes, rows, bars, independent)
-        _refuse_dead_centre(structure, found)
-    return found
+        block = _ordered(structure, index, nodes, rows, bars, independent)
+        _refuse_dead_centre(structure, block)
+    return block
 
 
 def _ordered(
-    structure: Jointed, place: IntArray, nodes: IntArray, rows: IntArray, bars: IntArray,
+    structure: Jointed, index: IntArray, nodes: IntArray, rows: IntArray, bars: IntArray,
     independent: IntArray,
 ) -> Block:  # fmt: skip
-    later = place[structure.bars[independent]].max(axis=1)
+    later = index[structure.bars[independent]].max(axis=1)
     independent = independent[np.argsort(later, kind="stable")]
-    steps = np.concatenate([place[rows // structure.dimension], np.sort(later)])
+    steps = np.concatenate([index[rows // structure.dimension], np.sort(later)])
     order = np.argsort(steps, kind="stable")  # rows come before the bars of the same step
-    return Block(*(frozen(part) for part in (nodes, rows, bars, independent, order)))
+    return Block(*(frozen(array) for array in (nodes, rows, bars, independent, order)))
 
 
 def _independent(structure: Jointed, block: Block) -> IntArray:
@@ -300,8 +300,8 @@ def _saddle(
     row = np.concatenate([row, J.row + r, J.col, diagonal[r:]])
     column = np.concatenate([column, J.col, J.row + r, diagonal[r:]])
     if order is not None:
-        place = np.argsort(order)
-        row, column = place[row], place[column]
+        index = np.argsort(order)
+        row, column = index[row], index[column]
     values = np.concatenate([values, J.data, J.data, np.full(c, -shift)])
     return csc_array((values, (row, column)), shape=(r + c, r + c))
 

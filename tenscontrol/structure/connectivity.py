@@ -66,18 +66,18 @@ def checked_strings(strings: Any, paths: Any, count: int) -> tuple[IntArray, Pat
     if not given:
         if not (isinstance(strings, list | tuple) and any(map(_is_path, strings))):
             return checked_members("strings", strings, count), ()
-        found = tuple(_path(f"strings[{i}]", path, count) for i, path in enumerate(strings))
+        checked = tuple(_path(f"strings[{i}]", path, count) for i, path in enumerate(strings))
     else:
-        found = tuple(_path(f"paths[{i}]", path, count) for i, path in enumerate(given))
-    ends = np.array([(path[0], path[-1]) for path in found])
+        checked = tuple(_path(f"paths[{i}]", path, count) for i, path in enumerate(given))
+    ends = np.array([(path[0], path[-1]) for path in checked])
     if given and not np.array_equal(ends, validation.float_array("strings", strings)):
         raise ValueError(
             "strings and paths differ, expected in strings the first and the last node of each "
             "path. With new strings give paths=(): strings may hold paths themselves"
         )
-    if all(len(path) == 2 for path in found):
+    if all(len(path) == 2 for path in checked):
         return ends, ()
-    return ends, found
+    return ends, checked
 
 
 def checked_supports(fixed: Any, rollers: Any, shape: tuple[int, ...]) -> tuple[IntArray, Rollers]:
@@ -88,9 +88,9 @@ def checked_supports(fixed: Any, rollers: Any, shape: tuple[int, ...]) -> tuple[
     d, count = shape
     nodes, pairs = () if fixed is None else fixed, []
     if isinstance(fixed, list | tuple | set | frozenset):
-        pairs = [each for each in fixed if isinstance(each, list | tuple)]
-        nodes = [each for each in fixed if not isinstance(each, list | tuple)]
-        if any(isinstance(each, str) for each in nodes):
+        pairs = [entry for entry in fixed if isinstance(entry, list | tuple)]
+        nodes = [entry for entry in fixed if not isinstance(entry, list | tuple)]
+        if any(isinstance(node, str) for node in nodes):
             raise TypeError(
                 f"fixed is {fixed!r}, expected node indices; a node and an axis are a pair of "
                 'their own, as in [0, (4, "z")]'

@@ -252,13 +252,13 @@ def prism_tower(
     # 1 where the bottom is ahead of the top, in the sense of the node numbers.
     screw = 1 - 2 * (np.arange(count) % 2)
     ends, groups = _tower_strings(top, bottom, screw)
-    kept = (len(groups) * count - 4) * q  # the last stage has no joint above
+    count_of_strings = (len(groups) * count - 4) * q  # the last stage has no joint above
     return Structure(
         nodes=_tower_nodes(q, screw, radius, height, overlap, mirror),
         bars=np.column_stack([top.ravel(), _shifted(bottom, screw).ravel()]),
-        strings=ends.reshape(-1, 2)[:kept],
+        strings=ends.reshape(-1, 2)[:count_of_strings],
         bar_mass=bar_mass,  # type: ignore[arg-type]  # checked by Structure
-        string_groups=(tuple(np.repeat(groups, q).tolist()) * count)[:kept],
+        string_groups=(tuple(np.repeat(groups, q).tolist()) * count)[:count_of_strings],
     )
 
 
@@ -282,8 +282,8 @@ def _tower_strings(
             (bottom, _shifted(next_bottom, back - 1 - behind)),
         ],
     }
-    ends = [np.stack(pair, axis=-1) for each in pairs.values() for pair in each]
-    groups = tuple(group for group, each in pairs.items() for _ in each)
+    ends = [np.stack(pair, axis=-1) for ends_of_group in pairs.values() for pair in ends_of_group]
+    groups = tuple(group for group, ends_of_group in pairs.items() for _ in ends_of_group)
     return np.stack(ends, axis=1), groups
 
 

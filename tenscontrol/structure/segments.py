@@ -122,13 +122,13 @@ def subdivide(
 
     # A chain: start, new nodes, end. Its segments are the pairs of neighbours.
     string_parent = np.repeat(np.arange(len(counts)), counts)
-    place = np.arange(counts.sum()) - (np.cumsum(counts) - counts)[string_parent]
-    inner = known + first[string_parent] + place
+    step = np.arange(counts.sum()) - (np.cumsum(counts) - counts)[string_parent]
+    inner = known + first[string_parent] + step
     ends = structure.strings[string_parent]
     pairs = np.column_stack(
         [
-            np.where(place == 0, ends[:, 0], inner - 1),
-            np.where(place == counts[string_parent] - 1, ends[:, 1], inner),
+            np.where(step == 0, ends[:, 0], inner - 1),
+            np.where(step == counts[string_parent] - 1, ends[:, 1], inner),
         ]
     )
     return Structure(
@@ -161,9 +161,9 @@ def _point_masses(counts: IntArray, node_mass: object, string_mass: object) -> F
     if node_mass is None and string_mass is None and not (counts > 1).any():
         return np.zeros(0)
     if (node_mass is None) == (string_mass is None):
-        found = "no mass" if node_mass is None else "node_mass and string_mass"
+        given = "no mass" if node_mass is None else "node_mass and string_mass"
         raise ValueError(
-            f"found {found}, expected exactly one of node_mass (kg, of each new node) and "
+            f"found {given}, expected exactly one of node_mass (kg, of each new node) and "
             "string_mass (kg, of each whole string)"
         )
     new = counts - 1
@@ -309,11 +309,11 @@ def spread_rest_length(structure: Structure, rest_length: object) -> FloatArray:
     return _spread(structure, "rest_length", rest_length, "it is a length")
 
 
-def _spread(structure: Structure, what: str, value: object, why: str) -> FloatArray:
+def _spread(structure: Structure, name: str, value: object, why: str) -> FloatArray:
     values = validation.per_member(
-        what, value, len(_checked_whole(structure).strings), "whole string"
+        name, value, len(_checked_whole(structure).strings), "whole string"
     )
-    return to_segments(structure, what, validation.non_negative(what, values, why))
+    return to_segments(structure, name, validation.non_negative(name, values, why))
 
 
 def _checked_whole(structure: Structure) -> Structure:
@@ -324,8 +324,8 @@ def _checked_whole(structure: Structure) -> Structure:
 def _map(structure: Structure) -> tuple[IntArray, IntArray]:
     """Return the string that each segment belongs to, and how many segments each string has."""
     if structure.string_parent is None:
-        each = np.arange(len(structure.strings))
-        return each, np.ones_like(each)
+        own = np.arange(len(structure.strings))
+        return own, np.ones_like(own)
     return structure.string_parent, np.bincount(structure.string_parent)
 
 
@@ -336,9 +336,9 @@ def _sums(of: IntArray, values: FloatArray, count: int) -> FloatArray:
     return total
 
 
-def _refuse_misfit(what: str, values: FloatArray, count: int, member: str) -> None:
+def _refuse_misfit(name: str, values: FloatArray, count: int, member: str) -> None:
     if values.ndim == 0 or values.shape[-1] != count:
         raise ValueError(
-            f"{what} has shape {values.shape}, expected (..., {count}): one per {member} along the "
+            f"{name} has shape {values.shape}, expected (..., {count}): one per {member} along the "
             "last axis"
         )

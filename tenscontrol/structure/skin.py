@@ -116,7 +116,7 @@ def skin(
     loops = _loops(structure, panels)
     is_bare = count == 0 or not loops
     masses = {"node_mass": node_mass, "panel_mass": panel_mass, "areal_density": areal_density}
-    if is_bare and all(each is None for each in masses.values()):
+    if is_bare and all(mass_given is None for mass_given in masses.values()):
         return structure
     density = _density(loops, structure.nodes, masses)
     if is_bare:
@@ -256,7 +256,7 @@ def _loops(structure: Structure, panels: object) -> dict[str, Loop]:
     if isinstance(panels, str):
         panels = (panels,)
     named = _named_panels(structure)
-    found: dict[str, Loop] = {}
+    checked: dict[str, Loop] = {}
     known: set[frozenset[int]] = set()
     entries = validation.items("panels", panels, "panel names and node loops")
     for i, entry in enumerate(entries):
@@ -279,8 +279,8 @@ def _loops(structure: Structure, panels: object) -> dict[str, Loop]:
             _refuse_bad_shape(name, loop, structure.nodes)
             if key not in known:  # else it is the same panel
                 known.add(key)
-                found[name] = loop
-    return found
+                checked[name] = loop
+    return checked
 
 
 def _given_loop(name: str, entry: object, count: int) -> Loop:

@@ -166,9 +166,9 @@ class Structure(Viewable):
         put(self, "bars", frozen(checked_members("bars", bars, count)))
         refuse_repeats(self.bars)
         refuse_bars_without_length(N, self.bars)
-        ends, found = checked_strings(strings, paths, count)
+        ends, checked_paths = checked_strings(strings, paths, count)
         put(self, "strings", frozen(ends))
-        put(self, "paths", found)
+        put(self, "paths", checked_paths)
         held, rolling = checked_supports(fixed, rollers, N.shape)
         refuse_untouched_nodes(self.bars, self.segments, held, count)
         put(self, "fixed", frozen(held))
@@ -623,21 +623,22 @@ def different_members(one: Structure, other: Structure, feet: IntArray | tuple[(
     if one.nodes.shape != other.nodes.shape:
         (d, n), (k, m) = one.nodes.shape, other.nodes.shape
         return f"{n} and {m} nodes" if d == k else f"nodes of {d} and {k} coordinates"
-    found = []
+    differences = []
     if not np.array_equal(one.bars, other.bars):
-        found.append("other bars")
+        differences.append("other bars")
     if not all(
         np.array_equal(getattr(one, name), getattr(other, name))
         for name in ("segments", "segment_string")
     ):
-        found.append("other strings")
+        differences.append("other strings")
     ours, theirs = (
-        each.fixed_rows[~np.isin(each.fixed_rows // each.dimension, feet)] for each in (one, other)
+        structure.fixed_rows[~np.isin(structure.fixed_rows // structure.dimension, feet)]
+        for structure in (one, other)
     )
     if not np.array_equal(ours, theirs):
-        found.append(
+        differences.append(
             "other supports, at the nodes {} and {}".format(
                 *(np.unique(rows // one.dimension).tolist() for rows in (ours, theirs))
             )
         )
-    return " and ".join(found)
+    return " and ".join(differences)

@@ -122,12 +122,12 @@ def read_structure(path: object, make: Callable[..., _Made]) -> _Made:
     """Return the structure of a TOML or JSON file, or raise a ValueError that names the file."""
     file = validation.file_path("path", path, _ENDINGS)
     text, name = read_text(file, _MOST_BYTES), str(file)
-    found: Any
+    content: Any
     if file.suffix.lower() == ".json":
-        found = parse_json(name, text)
+        content = parse_json(name, text)
     else:
-        found, _ = parse_toml(name, text, _LIMITS)
-    table = found.get("structure") if isinstance(found, dict) else None
+        content, _ = parse_toml(name, text, _LIMITS)
+    table = content.get("structure") if isinstance(content, dict) else None
     if not isinstance(table, dict):
         raise ValueError(f"{file}: no structure: the table [structure] is missing")
     try:

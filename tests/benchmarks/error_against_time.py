@@ -95,6 +95,7 @@ def drop(duration: float, height: float = 0.3) -> tc.Scene:
 
 
 ERRORS = (1e-3, 1e-5, 1e-7)  # m
+DIFFRAX = ("Dopri5", "Tsit5", "Dopri8")
 
 MOTIONS = {
     "switching": Motion(lambda t: thrown(t, 3.0, 500.0, 0.5), 5.0, 0.02, 1e-5),
@@ -131,10 +132,7 @@ def others(motion: Motion, case: tc.Scene, times: np.ndarray) -> list[Program]:
     if motion.is_class_1 and not rk4_peers.is_missing("jax"):
         programs.append(rk4_peers.jax_rk4(case, times, steps))
     if motion.is_class_1 and not rk4_peers.is_missing("diffrax"):
-        programs += [
-            rk4_peers.diffrax(method, case, times, tolerances())
-            for method in ("Dopri5", "Tsit5", "Dopri8")
-        ]
+        programs += [rk4_peers.diffrax(method, case, times, tolerances()) for method in DIFFRAX]
     rivals = [SciPy("DOP853", tolerances()), CasADiCVODES(tolerances(finest=1e-11))]
     rivals += [MuJoCo(kind, steps) for kind in ("rk4", "euler", "implicitfast")]
     programs += [peer(rival, case, times) for rival in rivals]

@@ -37,7 +37,7 @@ PARAMETERS = {
 def main(arguments: Sequence[str] | None = None) -> None:
     given = options(
         __doc__, arguments, count=COUNT, steps=STEPS, slopes=SLOPES, driven=24, payload=0.0,
-        processes=1, file="",
+        processes=1, file="", plans=10,
     )  # fmt: skip
     for slope in given.slopes:
         file = f"{given.file}.{slope:g}" if given.file else None
@@ -46,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             case, PARAMETERS, given.count, seed=SEED, processes=given.processes, file=file
         )
         print(f"slope of {slope:g}°: {report.summary()}\n")
-    report_time(given.slopes, given.steps)
+    report_time(given.slopes, given.steps, given.plans)
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ def turn(axis, angle):
     return np.eye(3) + np.sin(angle) * across + (1 - np.cos(angle)) * across @ across
 
 
-def report_time(slopes, steps):
+def report_time(slopes, steps, plans):
     """Print the time of commands, and of a plan at once, over the sample time."""
     for slope in slopes:
         _, runs = rolled(slope, steps)
@@ -147,7 +147,7 @@ def report_time(slopes, steps):
         )
     model = modelled(slopes[-1])
     nodes, took = tc.plant.set_down(model, FACE), []
-    for _ in range(10):
+    for _ in range(plans):
         began = process_time()
         path = tc.shape.tipping_path(
             model, REST_LENGTH, FACE, [1.0, 0.0, 0.0], nodes=nodes, winches=WINCHES

@@ -21,7 +21,9 @@ SCENES = {
 }
 
 
+@cache
 def plant_of(name, ground, height=0.1):
+    """Return the plant of a scene above a ground of :data:`GROUNDS`."""
     structure, force = SCENES[name][0](), SCENES[name][1]
     model = tc.Model(structure, STRINGS, gravity=9.81, ground=ground)
     rest = tc.prestress(structure, force_density=force)

@@ -128,6 +128,8 @@ RESULTS = {
     "plant.LinearPlant",
     "plant.Modes",
     "plant.ReducedPlant",
+    "plant.Deflections",
+    "plant.DirectionalStiffness",
     "plant.Rigidity",
     "plant.RigidityWarning",
     "plant.SparsePlant",
@@ -157,6 +159,7 @@ RESULTS = {
     "control.ControlWarning",
     "simulation.AccuracyWarning",
     "simulation.BarCrossingWarning",
+    "simulation.StrengthWarning",
     "simulation.Batch",
     "simulation.BatchCrossings",
     "simulation.ContactRecord",
@@ -204,6 +207,9 @@ WITHIN = {
     "learning.Track.seen",
     "Model.of_parameters",
     "plot.View.open",
+    "plant.Deflections.force_table",
+    "plant.Deflections.table",
+    "plant.DirectionalStiffness.table",
     "plant.Rigidity.table",
     "optimize.Fit.table",
     "optimize.Identifiability.table",
@@ -744,11 +750,41 @@ call(
 )
 
 
+def stretched():
+    pull = np.zeros((3, 6))
+    pull[2] = [1.0, 1.0, 1.0, -1.0, -1.0, -1.0]
+    return pull
+
+
+call(
+    "deflections",
+    lambda: {"model": elastic(), "at": rest(), "loads": [stretched()], "rest_length": None},
+    share=0.2,
+)
+call(
+    "stiffness_along",
+    lambda: {"model": elastic(), "at": rest(), "directions": [stretched()], "rest_length": None},
+    share=0.3,
+)
+call(
+    "plot.deflections",
+    lambda: {
+        "found": tc.deflections(elastic(), rest(), [stretched()]),
+        "load": 0,
+        "magnify": 5.0,
+        "ax": space(),
+    },
+    share=0.1,
+)
+
+
 def strong():
     return tc.strength(run(), sized())
 
 
 call("strength", lambda: {"run": run(), "sections": sized()}, share=0.3)
+call("plot.utilization", lambda: {"found": strong(), "time": 0.0, "ax": space()}, share=0.1)
+call("simulation.Strength.failure", lambda: {"margin": 1.5}, strong, share=0.3)
 call("plot.strength", lambda: {"found": strong(), "members": 3, "ax": flat()}, share=0.2)
 
 # ---- derivatives of runs ----
@@ -1280,8 +1316,10 @@ call(
         "low": np.full(2, -2.0),
         "high": np.full(2, 2.0),
         "penalty": 10.0,
+        "of": "nodes",
     },
 )
+call("control.buckling", lambda: {"sections": sized(), "safety": 2.0, "penalty": 10.0})
 call("clearance", lambda: {"plant": plant(), "clearance": 0.05, "penalty": 10.0})
 
 

@@ -9,23 +9,13 @@ from scipy.linalg import eigh
 
 import tenscontrol as tc
 from tenscontrol.plant import RigidityWarning
-from tests.oracle import consistent_mass
+from tests.oracle import consistent_mass, truss_stiffness
 
 
 def elastic_frequencies(structure, gamma, bar_gamma, string_stiffness, axial_rigidity):
     """Frequencies, Hz, of bars and strings as elements with axial and geometric stiffness."""
-    d, n = structure.nodes.shape
-    K = np.zeros((d * n, d * n))
-    axial = np.concatenate([string_stiffness, axial_rigidity / structure.bar_length])
-    density = np.concatenate([gamma, -bar_gamma])
-    for (i, j), k, g in zip(
-        np.vstack([structure.strings, structure.bars]), axial, density, strict=True
-    ):
-        u = structure.nodes[:, j] - structure.nodes[:, i]
-        u = u / np.linalg.norm(u)
-        block = g * (np.eye(d) - np.outer(u, u)) + k * np.outer(u, u)
-        for a, b, sign in ((i, i, 1), (j, j, 1), (i, j, -1), (j, i, -1)):
-            K[d * a : d * a + d, d * b : d * b + d] += sign * block
+    d = structure.dimension
+    K = truss_stiffness(structure, gamma, bar_gamma, string_stiffness, axial_rigidity)
     free = structure.free_rows
     M = np.kron(consistent_mass(structure), np.eye(d))[np.ix_(free, free)]
     squares = eigh(K[np.ix_(free, free)], M, eigvals_only=True)

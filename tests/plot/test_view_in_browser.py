@@ -247,6 +247,23 @@ def test_a_run_is_played_scrubbed_turned_and_coloured(browser, tmp_path):
     assert browser.problems == []
 
 
+def test_bars_of_a_strength_are_coloured_too(browser, tmp_path):
+    steel = tc.sizing.materials["steel"]
+    ball = tc.library.six_bar_ball()
+    sized = tc.sections(ball, bars=steel, strings=steel, bar_radius=0.01, string_radius=0.001)
+    gamma = tc.prestress(ball, 100.0).force_density * np.linspace(0.9, 1.1, 24)
+    run = tc.simulate(tc.Model(sized.structure), 0.1, force_density=gamma, output_step=0.01)
+    found = tc.strength(run, sized)
+    browser.open(tc.plot.view(found).save(tmp_path / "strength.html"))
+    choose(browser, "scrub", 5)
+    for trace, margin in ((0, found.string_margin), (2, found.bar_margin)):
+        drawn = browser.run(f"Array.from(plot.data[{trace}].line.color)")[::3]
+        np.testing.assert_allclose(drawn, 1 / margin[:, 5], rtol=1e-4)
+    choose(browser, "color", "tension, N")
+    assert browser.run("plot.data[2].line.color") == "#262626"
+    assert browser.problems == []
+
+
 def test_modes_of_a_planar_structure_are_flat_and_follow_the_sliders(browser, tmp_path):
     bar = tc.library.d_bar()
     plant = tc.linearize(tc.Model(bar), tc.prestress(bar, 20.0), coordinates="minimal")

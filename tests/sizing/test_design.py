@@ -2,13 +2,11 @@
 
 import numpy as np
 import pytest
-from scipy.optimize import linprog
 
 import tenscontrol as tc
-from tests.random_structures import any_structure
+from tests.benchmarks import least_mass
+from tests.benchmarks.least_mass import ROPE, SOFT
 
-SOFT = tc.Material(modulus=60e9, density=2700.0, yield_stress=110e6)
-ROPE = tc.Material(modulus=2e9, density=1100.0, yield_stress=300e6)
 FORCE, SPAN = 1e4, 2.0
 
 
@@ -65,105 +63,16 @@ def test_d_bar_in_space_has_the_mass_of_the_closed_form(angle):
     assert found.mass == pytest.approx(bars + strings, rel=1e-9)
 
 
-def random_case(seed):
-    """A random structure, and two loads that it carries with every string at 10 N/m or more."""
-    structure, random = any_structure(seed), np.random.default_rng(seed)
-    alpha = len(structure.strings)
-    E = tc.statics.equilibrium_matrix(structure)
-    loads = []
-    for _ in range(2):
-        density = np.r_[
-            random.uniform(10, 500, alpha), random.uniform(-300, 900, E.shape[1] - alpha)
-        ]
-        load = (E @ density).reshape(-1, structure.dimension).T
-        load[:, structure.fixed] = 0
-        loads.append(load)
-    return structure, loads
-
-
-def needed(structure, forces):
-    """The mass of all members under forces (K, α + β), written again."""
-    alpha = len(structure.strings)
-    pull = np.maximum(forces[:, :alpha], 0) / ROPE.yield_stress
-    push = forces[:, alpha:]
-    column = 2 * structure.bar_length * np.sqrt(np.maximum(push, 0) / (np.pi * SOFT.modulus))
-    area = np.maximum(np.abs(push) / SOFT.yield_stress, column)
-    strings = ROPE.density * pull.max(axis=0) @ structure.string_length()
-    return strings + SOFT.density * area.max(axis=0) @ structure.bar_length
-
-
-@pytest.mark.parametrize("seed", range(50))
+# Among them those in which a program of wrong weights ends elsewhere.
+@pytest.mark.parametrize("seed", [0, 4, 8, 14, 15, 24])
 def test_least_mass_of_random_structures(seed):
-    structure, loads = random_case(seed)
-    low = 10.0
-    found = tc.design(structure, bars=SOFT, strings=ROPE, loads=loads, min_force_density=low,
-                      least_radius=1e-6, restarts=8)  # fmt: skip
-    E = tc.statics.equilibrium_matrix(structure)[structure.free_rows]
-    densities = np.hstack([found.force_density, found.bar_force_density])
-    assert (found.force_density >= low * (1 - 1e-7)).all()
-    for load, density in zip(loads, densities, strict=True):
-        w = load.T.ravel()[structure.free_rows]
-        np.testing.assert_allclose(E @ density, w, atol=1e-6 * np.abs(w).max())
-    length = np.r_[structure.string_length(), structure.bar_length]
-    assert found.mass == pytest.approx(needed(structure, densities * length), rel=1e-4)
-    pulls, pushes = found.margins(*np.split((densities * length).T, [len(structure.strings)]))
-    assert min(pulls.min(), pushes.min()) > 1 - 1e-9
-    # The least of a concave mass is at a corner: none of many random ones is lighter.
-    assert found.mass <= least_of_many_corners(structure, E, loads, low, seed) * (1 + 1e-6)
+    """The least of a concave mass is at a corner: none of many random ones is lighter."""
+    assert least_mass.over_corners(seed, corners=25) <= 1 + 1e-6  # of 50: the benchmark
 
 
-def least_of_many_corners(structure, E, loads, low, seed):
-    """The least mass at 50 corners of the balanced forces of each load, met by random costs."""
-    random, alpha, beta = np.random.default_rng(seed), len(structure.strings), len(structure.bars)
-    length = np.r_[structure.string_length(), structure.bar_length]
-    if np.linalg.matrix_rank(E) == E.shape[1]:
-        return np.inf  # one set of forces alone
-    unit = np.hstack([E / length, -E[:, alpha:] / length[alpha:]])  # bars push or pull
-    bounds = [(low * size, None) for size in length[:alpha]] + [(0.0, None)] * (2 * beta)
-    corners = np.zeros((50, len(loads), alpha + beta))
-    for start in range(50):
-        cost = 10 ** random.uniform(-2, 2, alpha + 2 * beta)
-        for k, load in enumerate(loads):
-            w = load.T.ravel()[structure.free_rows]
-            x = linprog(cost, A_eq=unit, b_eq=w, bounds=bounds).x
-            corners[start, k] = x[: alpha + beta]
-            corners[start, k, alpha:] -= x[alpha + beta :]
-    return min(needed(structure, forces) for forces in corners)
-
-
-def test_yield_alone_is_the_linear_program_of_another_statement():
-    hard = tc.Material(modulus=1e20, density=2700.0, yield_stress=110e6)
-    for seed in range(10):
-        structure, loads = random_case(seed)
-        found = tc.design(structure, bars=hard, strings=ROPE, loads=loads[:1],
-                          min_force_density=10.0, least_radius=1e-6)  # fmt: skip
-        assert found.restarts_agree
-        E = tc.statics.equilibrium_matrix(structure)[structure.free_rows]
-        least = least_by_interior_point(structure, E, loads[0].T.ravel()[structure.free_rows])
-        assert found.mass == pytest.approx(least, rel=1e-4)
-
-
-def least_by_interior_point(structure, E, w):
-    """Least mass by yield with bars as a push less a pull, by CasADi's IPOPT."""
-    import casadi as ca
-
-    length = np.r_[structure.string_length(), structure.bar_length]
-    alpha, beta = len(structure.strings), len(structure.bars)
-    unit, size = E / length, np.abs(w).max()
-    per = np.r_[
-        ROPE.density / ROPE.yield_stress * length[:alpha], 2700 / 110e6 * length[alpha:]
-    ]  # fmt: skip
-    x = ca.SX.sym("x", alpha + 2 * beta)
-    force = ca.vertcat(x[: alpha + beta])
-    force[alpha:] -= x[alpha + beta :]
-    cost = np.r_[per, per[alpha:]]
-    solver = ca.nlpsol(
-        "s", "ipopt", {"x": x, "f": ca.dot(cost / cost.max(), x), "g": unit @ force},
-        {"print_time": 0, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-10},
-    )  # fmt: skip
-    low = np.r_[10.0 * length[:alpha] / size, np.zeros(2 * beta)]
-    answer = solver(x0=low + 1, lbx=low, ubx=np.inf, lbg=w / size, ubg=w / size)
-    return float(answer["f"]) * cost.max() * size
+@pytest.mark.parametrize("seed", range(4))
+def test_yield_alone_is_the_linear_program_of_another_statement(seed):
+    assert least_mass.over_interior_point(seed) == pytest.approx(1, rel=1e-4)
 
 
 def test_a_tube_is_lighter_by_its_ratio():

@@ -251,7 +251,7 @@ def test_bars_that_touch_in_the_structure_have_no_sides():
 def test_bars_that_fly_about_are_not_told_apart():
     """Every pair may meet in every interval: the intervals count as unresolved, at once."""
     tower = tc.library.prism_tower(20)
-    rng, count = np.random.default_rng(0), 400
+    rng, count = np.random.default_rng(0), 100
     nodes = tower.nodes[:, :, None] + rng.uniform(-50, 50, (*tower.nodes.shape, count))
     velocities = rng.uniform(-1e4, 1e4, nodes.shape)
     motion = BarMotion(tower, np.arange(count) / count, nodes, velocities)

@@ -84,7 +84,7 @@ class MuJoCo(Peer):
         setting, times = checked_run(case, setting, times)
         import mujoco
 
-        each, name = _METHODS[self.method]
+        evaluations, name = _METHODS[self.method]
         spacing, inner = spaced(times, setting)
         model = mujoco.MjModel.from_xml_string(_description(case, spacing / inner))
         model.opt.integrator = getattr(mujoco.mjtIntegrator, name)
@@ -105,7 +105,7 @@ class MuJoCo(Peer):
             if warnings or not np.isfinite(rates).all():
                 raise ArithmeticError(f"the state is no longer finite: {' '.join(warnings)}")
             _refuse_damped_slack(case, nodes, rates)
-            return Solution(nodes, rates, evaluations=each * inner * len(times))
+            return Solution(nodes, rates, evaluations=evaluations * inner * len(times))
 
         return run
 

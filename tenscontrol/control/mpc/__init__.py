@@ -1,6 +1,6 @@
 """Model predictive control, linear and nonlinear."""
 
-from tenscontrol.control.mpc.constraints import OutputLimit, clearance
+from tenscontrol.control.mpc.constraints import OutputLimit, buckling, clearance
 from tenscontrol.control.mpc.linear import MPC, MPCStatistics
 from tenscontrol.control.mpc.nonlinear import NMPC, NMPCStatistics
 from tenscontrol.control.mpc.qp_solver import QPSolution, QPSolver
@@ -17,5 +17,6 @@ __all__ = [
     "QPSolution",
     "QPSolver",
     "QuadraticProgram",
+    "buckling",
     "clearance",
 ]

@@ -77,11 +77,11 @@ class MPCLaw(PredictiveLaw):
 
     def program(self) -> LinearProgram:
         """Return the program with its solver, as it is before the first solve."""
-        settings, made = self.settings, self.design
+        settings, designed = self.settings, self.design
         if uses_stages(settings):
-            limits, bounds = made.constraints.limits, (made.low, made.high)
-            return StagesProgram(made.problem, limits, settings.max_iterations, bounds)
-        form = Sparse(made.problem)
+            limits, bounds = designed.constraints.limits, (designed.low, designed.high)
+            return StagesProgram(designed.problem, limits, settings.max_iterations, bounds)
+        form = Sparse(designed.problem)
         return SparseProgram(form, make_solver(settings, form))
 
     def preview(self, time: float) -> Preview:
@@ -193,14 +193,14 @@ class MPC(PredictiveController):
     @from_settings(MPCSettings)
     def __init__(self, plant: LinearPlant, settings: MPCSettings) -> None:
         validation.instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
-        made = design(plant, settings)
-        super().__init__(plant, settings, made)
+        designed = design(plant, settings)
+        super().__init__(plant, settings, designed)
         self._law = MPCLaw(
             plant=plant,
             settings=settings,
-            design=made,
+            design=designed,
             load=None if self._observer is None else self._observer.model,
-            path=ReferencePreview(plant, settings.reference, made.sampled),
+            path=ReferencePreview(plant, settings.reference, designed.sampled),
         )
         for text in self._concerns(self._law.path):
             warn(text, ControlWarning)
@@ -211,30 +211,30 @@ class MPC(PredictiveController):
         self.reset()
         converts = plant.input == "force_density" and plant.model.strings is not None
         if converts and plant.actuation.is_whole:
-            warn_of_held_lengths(plant, made.problem.feedback, settings.sample_time)
+            warn_of_held_lengths(plant, designed.problem.feedback, settings.sample_time)
 
     def _concerns(self, path: ReferencePreview) -> list[str]:
-        found = super()._concerns(path)
+        concerns = super()._concerns(path)
         # What slack strings do where they are taut is not known.
         if not path.given or len(self.plant.slack):
-            return found
+            return concerns
         plant, size = self.plant, float(np.ptp(self.plant.nodes, axis=1).max())
         end = path.span[1]
         way = path.nodes_at(np.array([end]))[:, :, 0] - plant.nodes
         if np.linalg.norm(way, axis=0).max() < _NEAR * size:
-            return found
+            return concerns
         growth, off = law_in_shape(plant, self._law.design, path, end)
         if growth <= _GROWS and off <= _OFF * size:
-            return found
-        what = f"comes to rest {off:.2g} m off, {percent(off / size)} of the size"
+            return concerns
+        failure = f"comes to rest {off:.2g} m off, {percent(off / size)} of the size"
         if growth > _GROWS:
-            what = f"lets errors grow by a factor e in {1 / growth:.2g} s"
-        found.append(
+            failure = f"lets errors grow by a factor e in {1 / growth:.2g} s"
+        concerns.append(
             f"the reference at {end:g} s is outside the range of the linear plant: there the "
             "closed loop "
-            f"{what}. Linearize nearer to it, or use NMPC"
+            f"{failure}. Linearize nearer to it, or use NMPC"
         )
-        return found
+        return concerns
 
     @property
     def law(self) -> MPCLaw:

@@ -260,13 +260,19 @@ class NMPC(PredictiveController):
                 f"linearization_tolerance is {tolerance:g}, and plant has ground, which changes "
                 "derivatives within far less: expected 0 or None"
             )
-        made = design(plant, settings, nonlinear=True)
-        super().__init__(plant, settings, made)
-        path = ReferencePreview(plant, settings.reference, made.sampled)
+        for i, limit in enumerate(settings.outputs):
+            if limit.of == "bars":
+                raise ValueError(
+                    f"outputs[{i}] limits forces of bars, which NMPC does not predict: take MPC, "
+                    "or max_force_density"
+                )
+        designed = design(plant, settings, nonlinear=True)
+        super().__init__(plant, settings, designed)
+        path = ReferencePreview(plant, settings.reference, designed.sampled)
         for text in self._concerns(path):
             warn(text, ControlWarning)
         # After all checks: it may be compiled.
-        model = TrajectoryModel(plant, settings, made.constraints, settings.machine_code)
+        model = TrajectoryModel(plant, settings, designed.constraints, settings.machine_code)
         if tolerance is None:
             tolerance = (
                 LINEARIZATION_TOLERANCE if model.implicit and settings.iterations == 1 else 0.0
@@ -274,10 +280,10 @@ class NMPC(PredictiveController):
         self._law = NMPCLaw(
             settings=settings,
             model=model,
-            problem=replace(made.plant_problem, rows=model.with_pattern(made.problem.rows)),
+            problem=replace(designed.plant_problem, rows=model.with_pattern(designed.problem.rows)),
             bounds=self.bounds,
-            row_bounds=made.constraints.limits,
-            units=model.units(made.problem.level),
+            row_bounds=designed.constraints.limits,
+            units=model.units(designed.problem.level),
             load=None if self._observer is None else self._observer.model,
             rounds=settings.iterations,
             linearization_tolerance=tolerance,

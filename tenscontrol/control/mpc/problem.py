@@ -67,10 +67,22 @@ class RowBlock:
     penalty: FloatArray
     quantity: str  # of the path, that bounds are measured from; "" for node positions
     offset: FloatArray  # (p,), of node positions: value at the operating point
-    on_nodes: FloatArray  # (p, d n), of node positions: C
+    on_nodes: FloatArray  # (p, d n), of node positions, or (p, β) of forces of bars: C
+    at_rest: tuple[FloatArray, FloatArray, FloatArray] | None = None  # of bars, see `along`
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
+
+    def along(self, preview: Preview) -> FloatArray:
+        """Return the values where a reference rests, shape (K, p), of strings or bars.
+
+        Those of bars follow from the shape and from γ, which is known better than its slopes say.
+        """
+        if self.at_rest is None:
+            return np.asarray(getattr(preview, self.quantity))
+        gamma, by_force_density, by_state = self.at_rest
+        moved = preview.rest[:, : by_state.shape[1]] @ by_state.T
+        return self.offset + (preview.force_density - gamma) @ by_force_density.T + moved
 
     def at_sample_ends(self, inputs: int) -> RowBlock:
         """Return the rows where ``[z; v_before]`` is the state: ramps reach v at the end."""
@@ -114,7 +126,7 @@ class Constraints:
     def key(self) -> tuple[tuple[str, int, bytes], ...]:
         """What the values of the rows depend on, bounds aside."""
         return tuple(
-            (each.quantity, len(each.low), each.on_nodes.tobytes()) for each in self.blocks
+            (block.quantity, len(block.low), block.on_nodes.tobytes()) for block in self.blocks
         )
 
     def rows(self) -> Rows | None:
@@ -151,10 +163,9 @@ class Constraints:
         for block in self.blocks:
             base = np.tile(block.offset, (length, 1))
             if block.quantity:
-                # What the strings have where the path rests, less what the rows make of that rest.
+                # What members have where the path rests, less what the rows make of that rest.
                 by_state = (block.by_state + block.by_next_state)[:, : self._states]
-                base = getattr(preview, block.quantity)[:length]
-                base = base - preview.rest[:length] @ by_state.T
+                base = block.along(preview)[:length] - preview.rest[:length] @ by_state.T
             low.append(block.low - base)
             high.append(block.high - base)
         return np.hstack(low), np.hstack(high)
@@ -229,7 +240,7 @@ class StageJacobians:
         """Return the same with slopes in the order of samples."""
         if self.slots is None:
             return self
-        return StageJacobians(self.values, tuple(part[self.slots] for part in self.slopes))
+        return StageJacobians(self.values, tuple(slope[self.slots] for slope in self.slopes))
 
     def from_zero(self, *arguments: FloatArray) -> StageJacobians:
         """Return the same in order, with values where all of these arguments are zero."""

@@ -112,7 +112,7 @@ class TrajectoryModel:
         def build() -> ca.Function:
             rows = limited_rows(self._plant, self._constraints, at_end)
             given = rows.sx_in()
-            return Function(rows.name(), given, [ca.densify(part) for part in rows(*given)])
+            return Function(rows.name(), given, [ca.densify(output) for output in rows(*given)])
 
         key = "limited rows", self._constraints.key, at_end
         return self._plant.prepared.get(key, build)
@@ -153,7 +153,7 @@ class TrajectoryModel:
             if isinstance(self._balance, AccelerationSlopes):
                 values, by_z, by_u = self._balance(states, inputs)
                 left = values + observer.acceleration
-                by_q, by_u = (part.swapaxes(1, 2) for part in (by_z[:, :r], by_u))
+                by_q, by_u = (slope.swapaxes(1, 2) for slope in (by_z[:, :r], by_u))
                 shift, effort = observer.model.rest_of(left, by_q, by_u)
             else:
                 columns = (x.T if len(x) > 1 else x[0] for x in (states, inputs))
@@ -174,10 +174,10 @@ class TrajectoryModel:
         plant = self._plant
         r, a = plant.degrees_of_freedom, plant.B.shape[1]
         size = float(np.ptp(plant.nodes, axis=1).max())
-        place = min(size, level) if plant.input == "rest_length" else size
+        length = min(size, level) if plant.input == "rest_length" else size
         speed = size / self._sample_time
         acting = 2 if self.discretization.ramp else 1
-        return np.repeat([place, speed, level], [r, r, acting * a])
+        return np.repeat([length, speed, level], [r, r, acting * a])
 
     def linearize(
         self, states: FloatArray, inputs: FloatArray, stages: FloatArray,
@@ -213,11 +213,11 @@ def limited_rows(plant: LinearPlant, constraints: Constraints, at_end: bool = Fa
     s, a = plant.B.shape
     z, u, later = ca.SX.sym("z", s), ca.SX.sym("u", a), ca.SX.sym("later", s)
     near, ahead = near_symbol(plant), near_symbol(plant)
-    at = reduced_motion(plant, later, ahead) if at_end else reduced_motion(plant, z, near)
-    y = _row_values(plant, constraints, at, u, reduced_motion(plant, later, ahead)[0])
-    parts = [y, *(ca.jacobian(y, by) for by in (z, u, later))]
-    parts = settled(plant, later, ahead, settled(plant, z, near, parts))
-    return Function("rows", [z, u, later], ca.cse(parts))
+    motion = reduced_motion(plant, later, ahead) if at_end else reduced_motion(plant, z, near)
+    y = _row_values(plant, constraints, motion, u, reduced_motion(plant, later, ahead)[0])
+    outputs = [y, *(ca.jacobian(y, by) for by in (z, u, later))]
+    outputs = settled(plant, later, ahead, settled(plant, z, near, outputs))
+    return Function("rows", [z, u, later], ca.cse(outputs))
 
 
 def linked_rows(
@@ -234,25 +234,25 @@ def linked_rows(
     N, V, L = (ca.SX.sym(name, *plant.nodes.shape) for name in "NVL")
     values = _row_values(plant, constraints, (N, V), u, L)
     end = exact_motion(plant, later, faster)
-    at = end if at_end else exact_motion(plant, n, rates)
-    y, by_all = with_jacobian(values, N, V, u, L)(*at[:2], u, end[0])
-    by_motion = ca.mtimes(by_all[:, : 2 * m], at[2])
+    motion = end if at_end else exact_motion(plant, n, rates)
+    y, by_all = with_jacobian(values, N, V, u, L)(*motion[:2], u, end[0])
+    by_motion = ca.mtimes(by_all[:, : 2 * m], motion[2])
     by_end = ca.mtimes(by_all[:, 2 * m + a :], end[2][:m, :])
     none = ca.SX(*by_motion.shape)
     start, end_part = (none, by_motion + by_end) if at_end else (by_motion, by_end)
     by_u = by_all[:, 2 * m : 2 * m + a]
     jacobians = [start[:, :m], start[:, m:], by_u, end_part[:, :m], end_part[:, m:]]
-    transposed = [part.T for part in jacobians]
-    entries = [ca.densify(part.nz[:]) for part in transposed]
+    transposed = [jacobian.T for jacobian in jacobians]
+    entries = [ca.densify(jacobian.nz[:]) for jacobian in transposed]
     function = Function("rows", given, ca.cse([y, *entries]))
-    return function, tuple(part.sparsity() for part in transposed)
+    return function, tuple(jacobian.sparsity() for jacobian in transposed)
 
 
 def _row_values(
-    plant: LinearPlant, constraints: Constraints, at: tuple[ca.SX, ca.SX], u: ca.SX, end: ca.SX
+    plant: LinearPlant, constraints: Constraints, motion: tuple[ca.SX, ca.SX], u: ca.SX, end: ca.SX
 ) -> ca.SX:
     """Return the limited rows: of strings at a motion, of nodes at the end of a sample."""
-    forces = string_forces(plant, plant.input, *at, model_input(plant, u))
+    forces = string_forces(plant, plant.input, *motion, model_input(plant, u))
     kinds = {"force_density": forces[0], "tension": forces[1]}
     return ca.vertcat(*(
         kinds[block.quantity] if block.quantity
@@ -291,12 +291,12 @@ class RowSlopes:
             jacobian[: self._rows].toarray() for jacobian in self._jacobians
         )
         reached = np.abs(self._basis).T > 0
-        found = (
+        reached_slopes = (
             np.hstack([by_n @ reached, by_rates @ reached]),
             by_u,
             np.hstack([by_later @ reached, by_faster @ reached]),
         )
-        return tuple((part > 0).astype(float) for part in found)
+        return tuple((pattern > 0).astype(float) for pattern in reached_slopes)
 
     def __call__(self, states: FloatArray, inputs: FloatArray, later: FloatArray) -> StageJacobians:
         """Return rows to first order in z_k, u_k and z_{k+1}."""
@@ -309,11 +309,11 @@ class RowSlopes:
         for jacobian, data in zip(self._jacobians, entries, strict=True):
             jacobian.data = data.ravel(order="K")
         self._slopes[1][self._by_input] = self._jacobians[2].data
-        for i, (at, half) in zip((0, 1, 3, 4), ((0, 0), (0, r), (2, 0), (2, r)), strict=True):
+        for i, (index, half) in zip((0, 1, 3, 4), ((0, 0), (0, r), (2, 0), (2, r)), strict=True):
             jacobian = self._jacobians[i]
             if jacobian.nnz:
                 by_q = (jacobian @ self._basis.T).reshape(N, p, r)
-                self._slopes[at][:, half : half + r] = by_q.swapaxes(1, 2)
+                self._slopes[index][:, half : half + r] = by_q.swapaxes(1, 2)
         return StageJacobians(values.reshape(-1, N, order="F").T, self._slopes)
 
 
@@ -418,11 +418,11 @@ class RealTimeIterate:
         if not self._tolerance:
             return np.ones(N, bool)
         before = inputs[:-1] if self._discretization.ramp else inputs[:-1, :0]
-        parts = np.hstack([self._states[:-1], inputs[1:], before]) / self._reach
-        own = np.abs(parts - self._at[self._slots]).max(axis=1) <= self._tolerance
+        points = np.hstack([self._states[:-1], inputs[1:], before]) / self._reach
+        own = np.abs(points - self._at[self._slots]).max(axis=1) <= self._tolerance
         if own.all():
             return np.zeros(N, bool)
-        off = np.abs(parts[:, None] - self._at).max(axis=2)  # of samples from slots
+        off = np.abs(points[:, None] - self._at).max(axis=2)  # of samples from slots
         off[np.isnan(off)] = np.inf
         self._slots = np.where(own, self._slots, off.argmin(axis=1))
         fresh = np.zeros(N, bool)
@@ -430,7 +430,7 @@ class RealTimeIterate:
         while (far := np.where(own, 0.0, off.min(axis=1))).max() > self._tolerance:
             k = int(far.argmax())
             slot = np.setdiff1d(np.arange(N), self._slots[far <= self._tolerance])[0]
-            self._at[slot], off[:, slot] = parts[k], np.abs(parts - parts[k]).max(axis=1)
+            self._at[slot], off[:, slot] = points[k], np.abs(points - points[k]).max(axis=1)
             self._slots[k], own[k], fresh[k] = slot, True, True
             self._slots[~own] = off[~own].argmin(axis=1)
         return fresh

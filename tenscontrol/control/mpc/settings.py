@@ -429,7 +429,7 @@ def _row_blocks(plant: LinearPlant, settings: MPCSettings, penalty: float) -> li
 
 
 def law_in_shape(
-    plant: LinearPlant, made: Design, path: ReferencePreview, time: float
+    plant: LinearPlant, designed: Design, path: ReferencePreview, time: float
 ) -> tuple[float, float]:
     """Return how the LQR of the program does in a shape of the reference, on the plant there.
 
@@ -446,17 +446,17 @@ def law_in_shape(
         v = np.asarray(np.linalg.lstsq(plant.B[r:], -plant.A[r:, :r] @ q, rcond=None)[0])
         gamma = gamma + input_matrix(plant, "force_density") @ v
     gamma = np.maximum(gamma, _TAUT * gamma.max())
-    at = OperatingPoint(plant.to_nodes(q), gamma, plant.external_force)
-    there = linearize(plant.model, at, input=plant.input, require_equilibrium=False)
+    operating_point = OperatingPoint(plant.to_nodes(q), gamma, plant.external_force)
+    nearby = linearize(plant.model, operating_point, input=plant.input, require_equilibrium=False)
     spread = input_matrix(plant, plant.input)
-    found = sampled(replace(there, B=there.B @ spread), path.sample_time, made.sampled.ramp)
-    transition, by_input = found.augmented
-    turn, added = plant.coordinates.project(there.basis), len(transition) - 2 * r
-    feedback = made.problem.feedback @ block_diag(turn, turn, np.eye(added))
+    model = sampled(replace(nearby, B=nearby.B @ spread), path.sample_time, designed.sampled.ramp)
+    transition, by_input = model.augmented
+    turn, added = plant.coordinates.project(nearby.basis), len(transition) - 2 * r
+    feedback = designed.problem.feedback @ block_diag(turn, turn, np.eye(added))
     closed = transition - by_input @ feedback
     growth = float(np.log(np.abs(np.linalg.eigvals(closed)).max())) / path.sample_time
-    drift = np.r_[found.drift, np.zeros(added)]
-    off = there.basis @ np.linalg.lstsq(np.eye(len(closed)) - closed, drift, rcond=None)[0][:r]
+    drift = np.r_[model.drift, np.zeros(added)]
+    off = nearby.basis @ np.linalg.lstsq(np.eye(len(closed)) - closed, drift, rcond=None)[0][:r]
     return growth, float(np.linalg.norm(off.reshape(-1, len(plant.nodes)), axis=1).max())
 
 
@@ -480,13 +480,15 @@ class PredictiveController(Controller):
     _law: PredictiveLaw
     _nonlinear: ClassVar[bool] = False
 
-    def __init__(self, plant: LinearPlant, settings: MPCSettings, made: Design) -> None:
-        super().__init__(plant, settings.sample_time, made.low, made.high, made.problem.change)
+    def __init__(self, plant: LinearPlant, settings: MPCSettings, designed: Design) -> None:
+        super().__init__(
+            plant, settings.sample_time, designed.low, designed.high, designed.problem.change
+        )
         if not (self._nonlinear and plant.model.contacts is not None):
             warn_of_unreached(self)
         self._longest_time = settings.longest_time
         self._settings = vars(settings)
-        self._limits = made.constraints.blocks
+        self._limits = designed.constraints.blocks
         self._observer: LoadObserver | None = None
         if settings.load_gain is not None:
             response = acceleration_response(plant, settings.sample_time)

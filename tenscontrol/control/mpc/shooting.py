@@ -111,11 +111,11 @@ class AccelerationSlopes:
     def values(self, states: FloatArray, inputs: FloatArray) -> tuple[FloatArray, list[FloatArray]]:
         """Return q̈, (K, r), and entries of Jacobians, (K, ·) each, which the next call changes."""
         r, K = len(self._basis), self._count
-        places, rates = (part @ self._basis for part in (states[:, :r], states[:, r:]))
+        places, rates = (half @ self._basis for half in (states[:, :r], states[:, r:]))
         given = places + self._places, rates, inputs
         moved, *entries = (
-            part.ravel(order="K").reshape(K, part.size // K)
-            for part in self._evaluate(*(part.T if K > 1 else part[0] for part in given))
+            array.ravel(order="K").reshape(K, array.size // K)
+            for array in self._evaluate(*(array.T if K > 1 else array[0] for array in given))
         )
         return moved @ self._project, entries
 
@@ -149,7 +149,7 @@ def transposed_jacobians(pattern: ca.Sparsity, count: int, apart: int) -> Any:
     """Return transposed Jacobians of a number of points in a column, or ``apart`` on a diagonal."""
     from scipy.sparse import csr_array
 
-    starts, rows = (np.array(part, np.int32) for part in (pattern.colind(), pattern.row()))
+    starts, rows = (np.array(indices, np.int32) for indices in (pattern.colind(), pattern.row()))
     points = np.arange(count, dtype=np.int32)[:, None]
     indices = (rows + apart * pattern.size1() * points).ravel()
     indptr = np.append(starts[:-1] + len(rows) * points, count * len(rows)).astype(np.int32)
@@ -285,10 +285,10 @@ class RK4(Discretization):
         for _ in range(self._count):
             z, slope = end, np.zeros_like(end)
             for weight, ahead in self._weights:
-                at = z + ahead * slope
-                values, found = self._slopes.values(at, held)
-                entries.append([part[samples] for part in found])
-                slope = np.hstack([at[:, r:], values])
+                stage = z + ahead * slope
+                values, by_stage = self._slopes.values(stage, held)
+                entries.append([slope[samples] for slope in by_stage])
+                slope = np.hstack([stage[:, r:], values])
                 end = end + h / 6 * weight * slope
         for first in range(0, len(samples), self._slopes.together):
             points = np.arange(first, min(first + self._slopes.together, len(samples)))
@@ -298,7 +298,7 @@ class RK4(Discretization):
 
     def _chained(self, entries: list[list[FloatArray]], points: IntArray) -> FloatArray:
         """Return derivatives of z⁺ by z and u, by columns, from entries at stages of all steps."""
-        s, w = (sum(part.shape[1] for part in self._by_all[:count]) for count in (1, 2))
+        s, w = (sum(block.shape[1] for block in self._by_all[:count]) for count in (1, 2))
         r, h, stages = self._r, self._step, iter(entries)
         by_all = np.zeros((len(points), w, s))
         by_all[:, np.arange(s), np.arange(s)] = 1.0
@@ -306,9 +306,9 @@ class RK4(Discretization):
             start, slope = by_all.copy(), np.zeros_like(by_all)
             for weight, ahead in self._weights:
                 by_z, by_u = self._slopes.slopes(next(stages), points)
-                there = start + ahead * slope if ahead else start
-                slope[:, :, :r] = there[:, :, r:]
-                np.matmul(there, by_z, out=slope[:, :, r:])
+                moved = start + ahead * slope if ahead else start
+                slope[:, :, :r] = moved[:, :, r:]
+                np.matmul(moved, by_z, out=slope[:, :, r:])
                 slope[:, s:, r:] += by_u
                 by_all += h / 6 * weight * slope
         return by_all
@@ -431,25 +431,25 @@ class RadauIIA(Discretization):
         where less is to be solved the first ones.
         """
         states, inputs = state[None], np.array([previous, held])
-        found = np.zeros((1, 3, self._r)) if stages is None else stages[None]
+        iterate = np.zeros((1, 3, self._r)) if stages is None else stages[None]
         equations, slot = near or (self._single, 0)
         quick, moved, keep = stages is not None, np.inf, solved > _SOLVED
         at_stages = np.tile(load, 3)
         for _ in range(_MOST_ROUNDS):
-            left, entries = self._left(self._once, states, inputs, found)
+            left, entries = self._left(self._once, states, inputs, iterate)
             if not quick:
                 equations, slot = self._single, 0
                 self._differentiate(self._once, entries, np.arange(1), equations, np.arange(1))
-            change = equations.solved(slot, at_stages - left[0]).reshape(found.shape)
+            change = equations.solved(slot, at_stages - left[0]).reshape(iterate.shape)
             last, moved = moved, np.abs(self._to_place @ change).max()
             if quick and not moved < max(_QUICK * last, solved * self._size):
-                quick, keep, found = False, False, np.zeros_like(found)
+                quick, keep, iterate = False, False, np.zeros_like(iterate)
                 continue
-            found, quick = found + change, quick or keep
+            iterate, quick = iterate + change, quick or keep
             if moved <= solved * self._size:
-                return self._ends(states, found)[0], found[0]
-        found = np.full_like(found, np.nan)
-        return self._ends(states, found)[0], found[0]
+                return self._ends(states, iterate)[0], iterate[0]
+        iterate = np.full_like(iterate, np.nan)
+        return self._ends(states, iterate)[0], iterate[0]
 
     def linearize(
         self, states: FloatArray, inputs: FloatArray, stages: FloatArray,
@@ -460,10 +460,10 @@ class RadauIIA(Discretization):
         slots = self._slots = np.arange(len(states)) if slots is None else slots
         fresh = np.ones(len(states), bool) if fresh is None else fresh
         self._remaining, entries = self._left(self._along, states, inputs, stages)
-        found = slots[fresh]
-        self._differentiate(self._along, entries, np.flatnonzero(fresh), plan, found)
+        filled = slots[fresh]
+        self._differentiate(self._along, entries, np.flatnonzero(fresh), plan, filled)
         share = self._share[None, :, :]
-        for slot in found.tolist():
+        for slot in filled.tolist():
             plan.find_ends(slot)
             by_stages, by_input = plan.to_end[slot].T, plan.by_input[slot]
             np.matmul(plan.by_state[slot], by_stages, out=self._slopes[0][slot])
@@ -472,8 +472,8 @@ class RadauIIA(Discretization):
                 by_before = ((1 - share) * by_input).reshape(-1, 3 * r)
                 np.matmul(by_before, by_stages, out=self._slopes[2][slot])
         places = np.arange(r)
-        for part, row, size in ((0, 0, 1.0), (0, r, h), (r, r, 1.0)):
-            self._slopes[0][found[:, None], row + places, part + places] += size
+        for half, row, size in ((0, 0, 1.0), (0, r, h), (r, r, 1.0)):
+            self._slopes[0][filled[:, None], row + places, half + places] += size
         ends = self._ends(states, stages)
         for slot, mine in by_slot(slots):
             ends[mine] -= self._remaining[mine] @ plan.to_end[slot].T
@@ -488,15 +488,15 @@ class RadauIIA(Discretization):
         """See :meth:`Discretization.corrected`."""
         (states, inputs), plan = changes, self._plan
         at_stages = inputs[:-1] + self._share[:, None] * np.diff(inputs, axis=0)  # (3, N, α)
-        sides, found = -self._remaining, np.empty_like(self._remaining)
+        sides, moves = -self._remaining, np.empty_like(self._remaining)
         if load is not None:
             sides += np.tile(load, 3)
         for slot, mine in by_slot(self._slots):
             by_input = at_stages[:, mine] @ plan.by_input[slot].swapaxes(0, 1)
             side = sides[mine] + states[mine] @ plan.by_state[slot]
             side += by_input.swapaxes(0, 1).reshape(side.shape)
-            found[mine] = plan.solved(slot, side.T).T
-        return stages + found.reshape(stages.shape)
+            moves[mine] = plan.solved(slot, side.T).T
+        return stages + moves.reshape(stages.shape)
 
     def _ends(self, states: FloatArray, stages: FloatArray) -> FloatArray:
         """Return the states at the ends of samples, shape (N, s)."""
@@ -525,10 +525,10 @@ class RadauIIA(Discretization):
         """Put the derivatives of samples into slots of the equations, and factorize them."""
         r, together = self._r, max(1, slopes.together // 3)
         for first in range(0, len(samples), together):
-            at = slots[first : first + together]
+            block = slots[first : first + together]
             points = 3 * samples[first : first + together, None] + np.arange(3)
             by_z, by_u = slopes.slopes(entries, points.ravel())
-            by_z = by_z.reshape(len(at), 3, 2 * r, r)
+            by_z = by_z.reshape(len(block), 3, 2 * r, r)
             # Unknown [j, row] by equation [i, column].
             by_q, by_v = by_z[:, :, :r].swapaxes(1, 2), by_z[:, :, r:].swapaxes(1, 2)
             system = by_q[:, None] * -self._to_place.T[:, None, :, None]
@@ -536,10 +536,10 @@ class RadauIIA(Discretization):
             system = system.reshape(-1, 3 * r, 3 * r)
             system[:, np.arange(3 * r), np.arange(3 * r)] += 1.0
             by_state = equations.by_state.reshape(-1, 2, r, 3, r)
-            by_state[at, 0] = by_q
-            by_state[at, 1] = by_v + self._sample_time * _NODES[:, None] * by_q
-            equations.by_input[at] = by_u.reshape(len(at), 3, -1, r).swapaxes(1, 2)
-            for slot, matrix in zip(at.tolist(), system, strict=True):
+            by_state[block, 0] = by_q
+            by_state[block, 1] = by_v + self._sample_time * _NODES[:, None] * by_q
+            equations.by_input[block] = by_u.reshape(len(block), 3, -1, r).swapaxes(1, 2)
+            for slot, matrix in zip(block.tolist(), system, strict=True):
                 equations.factorize(slot, matrix)
 
 

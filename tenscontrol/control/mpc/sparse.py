@@ -75,14 +75,14 @@ class LimitRows:
         N, count = problem.length, len(problem.low)
         # The rows of the first change, which the previous input moves.
         self.first_change = None if problem.change is None else slice(N * count, (N + 1) * count)
-        each, earlier = identity(N), eye(N, k=-1)
+        now, earlier = identity(N), eye(N, k=-1)
         first = csc_array(([1.0], ([0], [0])), shape=(N, 1))
         soft = np.zeros(0, dtype=int) if problem.rows is None else problem.rows.soft
         # One block a row: what multiplies v, z_1 …, z_0 and the violations.
         blocks: list[tuple[csc_array, csc_array, csc_array, csc_array | None]]
-        blocks = [self._block(kron(each, identity(count)) / problem.level)]
+        blocks = [self._block(kron(now, identity(count)) / problem.level)]
         if problem.change is not None:
-            differences = kron(each - earlier, identity(count)) / problem.level
+            differences = kron(now - earlier, identity(count)) / problem.level
             blocks.append(self._block(differences))
         self._parts: list[tuple[IntArray, bool, bool]] = []
         if problem.rows is not None:
@@ -97,12 +97,12 @@ class LimitRows:
                 if not len(taken) or (sign < 0 and not above) or (sign > 0 and not below):
                     continue
                 E, F, G = (
-                    csc_array(part[taken] / rows.scale[taken, None])
-                    for part in (rows.by_state, rows.by_next_state, rows.by_input)
+                    csc_array(matrix[taken] / rows.scale[taken, None])
+                    for matrix in (rows.by_state, rows.by_next_state, rows.by_input)
                 )
                 blocks.append((
-                    kron(each, G),
-                    kron(earlier, E) + kron(each, F),
+                    kron(now, G),
+                    kron(earlier, E) + kron(now, F),
                     kron(first, E),
                     sign * identity(N * len(soft)) if sign else None,
                 ))  # fmt: skip
@@ -115,8 +115,8 @@ class LimitRows:
         self.on_inputs, self.on_states, self.on_first = (
             csc_array(vstack(column)) for column in columns[:3]
         )
-        for part in (self.on_inputs, self.on_states):
-            part.eliminate_zeros()  # kron fills blocks up
+        for matrix in (self.on_inputs, self.on_states):
+            matrix.eliminate_zeros()  # kron fills blocks up
         self.on_violations = csc_array(vstack([
             csc_array((block[0].shape[0], self._slacks)) if block[3] is None else block[3]
             for block in blocks
@@ -132,7 +132,7 @@ class LimitRows:
         """Indices of the limited rows in each block of them, and the first row of the block."""
         before = len(self.widths) - len(self._parts) - (1 if len(self.price) else 0)
         starts = self._problem.length * np.cumsum([0, *self.widths])[before:]
-        return [(part[0], int(start)) for part, start in zip(self._parts, starts, strict=False)]
+        return [(block[0], int(start)) for block, start in zip(self._parts, starts, strict=False)]
 
     def _block(self, on_inputs: csc_array) -> tuple[csc_array, csc_array, csc_array, None]:
         """Return a block of rows that sees inputs alone."""
@@ -165,12 +165,12 @@ class LimitRows:
 
 def shifted(vector: FloatArray, length: int, widths: list[int], repeat: bool) -> FloatArray:
     """Drop the first step of each block of (length, width), and repeat the last or append zeros."""
-    parts, at = [], 0
+    pieces, first = [], 0
     for width in widths:
-        block = vector[at : at + length * width].reshape(length, width)
-        parts += [block[1:].ravel(), block[-1] if repeat else np.zeros(width)]
-        at += length * width
-    return np.concatenate(parts)
+        block = vector[first : first + length * width].reshape(length, width)
+        pieces += [block[1:].ravel(), block[-1] if repeat else np.zeros(width)]
+        first += length * width
+    return np.concatenate(pieces)
 
 
 @final
@@ -256,7 +256,7 @@ class Sparse:
 
         limits, N, (s, _) = self.limits, self._problem.length, by_input.shape
         earlier = eye(N, k=-1)
-        ones = [csc_array((part != 0).astype(float)) for part in (by_state, by_input)]
+        ones = [csc_array((slope != 0).astype(float)) for slope in (by_state, by_input)]
         dynamics = hstack([
             identity(N * s) + csc_array(kron(earlier, ones[0])),
             kron(identity(N) + earlier if self._ramp else identity(N), ones[1]),
@@ -306,8 +306,8 @@ class Sparse:
         for indices, slope in zip(self.motion_indices, motion.slopes, strict=True):
             indices.fill(values, slope)
         if rows is not None:
-            for part in self.row_indices:
-                for indices, slope in zip(part, rows.slopes, strict=True):
+            for block in self.row_indices:
+                for indices, slope in zip(block, rows.slopes, strict=True):
                     indices.fill(values, slope)
             known = rows.values
             if about is not None:
@@ -368,7 +368,7 @@ class Sparse:
         equal = motion.ravel()
         return (
             np.concatenate([
-                -(self._weights @ np.concatenate([part.ravel() for part in wanted])),
+                -(self._weights @ np.concatenate([array.ravel() for array in wanted])),
                 self.limits.price,
             ]),
             np.concatenate([equal, low]),
@@ -385,8 +385,8 @@ class Sparse:
     def trajectory(self, x: FloatArray) -> Pair:
         """Return z_1 … z_N (N, s) and u_0 … u_{N−1} (N, α) of a solution."""
         N, count = self._problem.length, self._count
-        found, rest = np.split(x, [self._states])
-        states, planned = found.reshape(N, -1) * self.units, rest[:count].reshape(N, -1)
+        scaled, rest = np.split(x, [self._states])
+        states, planned = scaled.reshape(N, -1) * self.units, rest[:count].reshape(N, -1)
         planned = planned * self._problem.level
         if self._about is None:
             return states, planned
@@ -533,8 +533,13 @@ class SparseSubproblem(Subproblem):
         motion = motion.from_zero(*arguments[: len(motion.slopes)])
         if rows is not None:
             rows = rows.from_zero(states[:-1], inputs[1:], states[1:])
-        parts = [part for each in (motion, rows) if each for part in (each.values, *each.slopes)]
-        if not all(np.isfinite(part).all() for part in parts):
+        arrays = [
+            array
+            for jacobians in (motion, rows)
+            if jacobians
+            for array in (jacobians.values, *jacobians.slopes)
+        ]
+        if not all(np.isfinite(array).all() for array in arrays):
             return False
         self.form.linearize(motion, rows, (states[1:], inputs[1:]) if self._relative else None)
         self.solver.update(self.form.A.data)

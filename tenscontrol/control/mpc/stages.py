@@ -140,7 +140,7 @@ def stages_data(
         R = none
     elif R.ndim == 1:
         R = np.diag(R)
-    parts = (
+    arrays = (
         Q, R, P, scale, none if change is None else change, *bounds, *row_bounds, price, price,
         *(thin or (none,) * 4),
     )  # fmt: skip
@@ -158,8 +158,8 @@ def stages_data(
         "alike": int(alike),
         "thin": int(thin is not None),
     }
-    data = [np.ascontiguousarray(part, dtype=float) for part in parts]
-    data += [np.ascontiguousarray(part, dtype=np.intc) for part in pattern]
+    data = [np.ascontiguousarray(array, dtype=float) for array in arrays]
+    data += [np.ascontiguousarray(array, dtype=np.intc) for array in pattern]
     return sizes, dict(zip(_DATA, data, strict=True))
 
 
@@ -167,8 +167,8 @@ def values_from(row_bounds: Pair, data: StageData) -> FloatArray:
     """Return the limited values, (N, p), whose whole bounds these are, where rows have data's."""
     values = np.zeros_like(data.row_low)
     for whole, moved in zip(row_bounds, (data.row_low, data.row_high), strict=True):
-        there = np.isfinite(whole)
-        values[:, there] = whole[there] - moved[:, there]
+        bounded = np.isfinite(whole)
+        values[:, bounded] = whole[bounded] - moved[:, bounded]
     return values
 
 
@@ -187,20 +187,20 @@ class _CoreProgram:
         given = (
             self.program, ctypes.byref(_Sizes(**sizes)), ctypes.c_double(problem.level),
             ctypes.c_double(STAGES_TOLERANCE), _multiply(),
-            ctypes.byref(_Data(**{name: _address(part) for name, part in data.items()})),
+            ctypes.byref(_Data(**{name: _address(array) for name, array in data.items()})),
         )  # fmt: skip
         core.stages_program_place(*given, None, None, None, counts, views)
         numbers = np.zeros(counts[0])
         self._memory = numbers, np.zeros(counts[1], np.intc), np.zeros(counts[2], np.intp)
-        places = (ctypes.c_void_p(_address(part)) for part in self._memory)
+        places = (ctypes.c_void_p(_address(array)) for array in self._memory)
         core.stages_program_place(*given, *places, counts, views)
         shapes = [(N + 1, m), (N + 1, a), (rows,), (N + 1, n), (N, a), (N, n), (N, p)]
         (
             self.states, self.inputs, self.multipliers, moves, self.input_moves, self.gap,
             self.values,
         ) = (
-            numbers[(place - _address(numbers)) // 8 :][: math.prod(shape)].reshape(shape)
-            for place, shape in zip(views, shapes, strict=True)
+            numbers[(address - _address(numbers)) // 8 :][: math.prod(shape)].reshape(shape)
+            for address, shape in zip(views, shapes, strict=True)
         )  # fmt: skip
         self.moves = moves[:, :m]
         self.shift, self._prepare, self.aim, self._solve, self.plan, self.iterations = (
@@ -212,15 +212,18 @@ class _CoreProgram:
         self, motion: StageJacobians, rows: StageJacobians | None, tolerance: float = 0.0
     ) -> bool:
         """Prepare along the plan in z and u; return whether data are finite."""
-        parts = [motion.values, *motion.slopes, *[None] * (3 - len(motion.slopes))]
-        parts += [None] * 4 if rows is None else [rows.values, *rows.slopes]
-        kept = [None if part is None else np.ascontiguousarray(part, float) for part in parts]
-        self._limited = kept[4:]  # which the program reads until it is solved
+        arrays = [motion.values, *motion.slopes, *[None] * (3 - len(motion.slopes))]
+        arrays += [None] * 4 if rows is None else [rows.values, *rows.slopes]
+        contiguous = [
+            None if array is None else np.ascontiguousarray(array, float) for array in arrays
+        ]
+        self._limited = contiguous[4:]  # which the program reads until it is solved
         which = [
-            part if part is None else part.astype(np.intc) for part in (motion.slots, motion.fresh)
+            array if array is None else array.astype(np.intc)
+            for array in (motion.slots, motion.fresh)
         ]
         slots, fresh, *addresses = (
-            part if part is None else _address(part) for part in which + kept
+            array if array is None else _address(array) for array in which + contiguous
         )
         return bool(self._prepare(self.program, slots, fresh, tolerance, *addresses))
 
@@ -280,9 +283,9 @@ class StagesSubproblem(Subproblem):
         """See :meth:`Subproblem.solve`."""
         core = self._core
         given = data.reference, data.input_reference, data.drift, state, acting, previous
-        kept = [np.ascontiguousarray(part, float) for part in given]
-        core.aim(core.program, *map(_address, kept[:3]))
-        status = core.solve(map(_address, kept[3:]), deadline)
+        contiguous = [np.ascontiguousarray(array, float) for array in given]
+        core.aim(core.program, *map(_address, contiguous[:3]))
+        status = core.solve(map(_address, contiguous[3:]), deadline)
         if status is Status.OUT_OF_TIME:
             return SubproblemSolution(status, 0, None)
         plan = None
@@ -313,8 +316,8 @@ class StagesProgram(LinearProgram):
         if rows is not None:
             by_all = rows.by_state.T, rows.by_input.data[:, None], rows.by_next_state.T
             values = np.zeros((N, len(rows.scale)))
-            limited = StageJacobians(values, tuple(part[None] for part in by_all))
-        slopes = tuple(part.T[None] for part in (problem.transition, problem.input_matrix))
+            limited = StageJacobians(values, tuple(slope[None] for slope in by_all))
+        slopes = tuple(matrix.T[None] for matrix in (problem.transition, problem.input_matrix))
         core.prepare(StageJacobians(np.zeros((N, s)), slopes), limited)
         # What is measured, where the core reads it.
         self._state, self._previous = np.zeros(s), np.zeros(a)
@@ -327,9 +330,9 @@ class StagesProgram(LinearProgram):
         """Pickle what it is made of, which limits are active, and the plan."""
         return StagesProgram, self._made_of, (self._core.multipliers.copy(), self.plan)
 
-    def __setstate__(self, kept: Pair) -> None:
+    def __setstate__(self, state: Pair) -> None:
         """Take the active limits and the plan of another one."""
-        self._core.multipliers[:], self._plan = kept
+        self._core.multipliers[:], self._plan = state
 
     def forget(self) -> None:
         """See :meth:`LinearProgram.forget`."""
@@ -355,8 +358,8 @@ class StagesProgram(LinearProgram):
         core.inputs[0], core.inputs[1:] = data.previous_origin, data.origin
         core.values[:], core.gap[:] = values_from(self._row_bounds, data) / core.scale, 0.0
         given = data.reference, data.origin + data.input_reference, data.drift
-        kept = [np.ascontiguousarray(part, float) for part in given]
-        core.aim(core.program, *map(_address, kept))
+        contiguous = [np.ascontiguousarray(array, float) for array in given]
+        core.aim(core.program, *map(_address, contiguous))
         self._data = data
 
     def solve(

@@ -22,9 +22,9 @@ def body_passes(structure: Structure) -> list[Pass]:
 
 def _free_bars(start: IntArray, end: IntArray, mass: FloatArray) -> Pass:
     def accelerate(columns: Columns) -> tuple[Any, ...]:
-        B, Bd = (columns[f"{part}_end"] - columns[f"{part}_start"] for part in "pv")
-        at = columns["f_start"], columns["f_end"]
-        return kernel.free_bar(B, Bd, *at, columns["mass"])[:2]
+        B, Bd = (columns[f"{array}_end"] - columns[f"{array}_start"] for array in "pv")
+        forces = columns["f_start"], columns["f_end"]
+        return kernel.free_bar(B, Bd, *forces, columns["mass"])[:2]
 
     reads = _ends(start, end) | {"f_start": Read("f", start), "f_end": Read("f", end)}
     writes = (Write("a", 0, start), Write("a", 1, end))
@@ -33,7 +33,7 @@ def _free_bars(start: IntArray, end: IntArray, mass: FloatArray) -> Pass:
 
 def _swinging_bars(hinge: IntArray, tip: IntArray, mass: FloatArray) -> Pass:
     def accelerate(columns: Columns) -> tuple[Any, ...]:
-        B, Bd = (columns[f"{part}_end"] - columns[f"{part}_start"] for part in "pv")
+        B, Bd = (columns[f"{array}_end"] - columns[f"{array}_start"] for array in "pv")
         return kernel.swinging_bar(B, Bd, columns["f_end"], columns["mass"])[:1]
 
     reads = _ends(hinge, tip) | {"f_end": Read("f", tip)}
@@ -52,7 +52,7 @@ def _points(nodes: IntArray, mass: FloatArray) -> Pass:
 
 def _ends(start: IntArray, end: IntArray) -> dict[str, Read]:
     return {
-        f"{part}_{name}": Read(part, nodes)
-        for part in "pv"
+        f"{array}_{name}": Read(array, nodes)
+        for array in "pv"
         for name, nodes in (("start", start), ("end", end))
     }

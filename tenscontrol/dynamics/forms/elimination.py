@@ -56,12 +56,12 @@ class Elimination:
         row_of = np.full(structure.nodes.size, -1)
         row_of[block.rows] = position[:rows]
         starts, ends = structure.bars[block.independent].T
-        at = row_of[d * np.stack([starts, ends])[:, :, None] + np.arange(d)]  # (2, bars, d)
-        bars = np.broadcast_to(position[rows:, None], at.shape)
+        end_rows = row_of[d * np.stack([starts, ends])[:, :, None] + np.arange(d)]  # (2, bars, d)
+        bars = np.broadcast_to(position[rows:, None], end_rows.shape)
         below = one < other
         down, first = _factor(
-            np.concatenate([other[below], bars[at >= 0]]),
-            np.concatenate([one[below], at[at >= 0]]),
+            np.concatenate([other[below], bars[end_rows >= 0]]),
+            np.concatenate([one[below], end_rows[end_rows >= 0]]),
             unknowns,
         )
         factors = len(down)
@@ -70,8 +70,8 @@ class Elimination:
 
         def entry(column: IntArray, row: IntArray) -> IntArray:
             """Return where entries on or below the diagonal are kept."""
-            found = np.searchsorted(keys, column * unknowns + row)
-            return np.where(row == column, factors + row, found)
+            index = np.searchsorted(keys, column * unknowns + row)
+            return np.where(row == column, factors + row, index)
 
         # Each column changes the entries at all pairs of its rows.
         pairs = np.arange(factors) - first[across] + 1
@@ -80,7 +80,7 @@ class Elimination:
         start = np.zeros(factors + unknowns + 1)
         on = one <= other
         np.add.at(start, entry(one[on], other[on]), mass.data[on])
-        from_start, from_end = np.where(at >= 0, entry(at, bars), factors + unknowns)
+        from_start, from_end = np.where(end_rows >= 0, entry(end_rows, bars), factors + unknowns)
         self.tables: dict[str, Any] = {
             "block_mass": start,
             "factor_row": down,
@@ -96,8 +96,8 @@ class Elimination:
             len(starts),
             _assemble,
             {
-                f"{part}_{name}": Read(part, nodes)
-                for part in "pv"
+                f"{array}_{name}": Read(array, nodes)
+                for array in "pv"
                 for name, nodes in (("start", starts), ("end", ends))
             },
             (
@@ -110,7 +110,7 @@ class Elimination:
 
 
 def _assemble(columns: dict[str, Any]) -> tuple[Any, ...]:
-    B, Bd = (columns[f"{part}_end"] - columns[f"{part}_start"] for part in "pv")
+    B, Bd = (columns[f"{array}_end"] - columns[f"{array}_start"] for array in "pv")
     return B, -kernel.dots(Bd, Bd)
 
 
@@ -118,7 +118,7 @@ def _factor(rows: IntArray, columns: IntArray, size: int) -> tuple[IntArray, Int
     """Return the rows of the factor's entries below the diagonal, and where columns begin."""
     every = np.arange(size)
     both = np.concatenate([rows, columns, every]), np.concatenate([columns, rows, every])
-    pattern = ca.Sparsity.triplet(size, size, *(part.tolist() for part in both))
+    pattern = ca.Sparsity.triplet(size, size, *(indices.tolist() for indices in both))
     lower = pattern.ldl(False)[0].T
     return np.array(lower.row(), dtype=int), np.array(lower.colind(), dtype=int)
 

@@ -44,7 +44,7 @@ def loops_source(forces: Forces, load: FloatArray, layout: InputLayout | None = 
     solver = Elimination(structure) if structure.blocks else None
     passes = [*acting, *bodies, *gaps, *([] if solver is None else [solver.assembly])]
     slots = _slots(structure)
-    loops = [_Loop(each, structure.dimension, slots) for each in passes]
+    loops = [_Loop(over, structure.dimension, slots) for over in passes]
     calls = {loop.over.name: loop.call for loop in loops}
     d, states, alpha = structure.dimension, 2 * len(structure.free_rows), len(structure.strings)
     supported = len(structure.fixed_rows) > 0
@@ -87,7 +87,7 @@ def loops_source(forces: Forces, load: FloatArray, layout: InputLayout | None = 
         tables |= loop.tables
 
     def called(some: list[Pass]) -> str:
-        return "\n".join(f"  {calls[each.name]}" for each in some)
+        return "\n".join(f"  {calls[over.name]}" for over in some)
 
     slope = called(bodies)
     if solver is not None:
@@ -154,19 +154,19 @@ class _Loop:
         lines = []
         for name, read in over.reads.items():
             width = self._width(read)
-            at = self._at(read)
-            entries = ", ".join(f"{read.array}[{at} + {k}]" for k in range(width))
+            first = self._at(read)
+            entries = ", ".join(f"{read.array}[{first} + {k}]" for k in range(width))
             lines.append(f"const double in_{name}[{width}] = {{{entries}}};")
         for k, (_, values) in enumerate(constants):
             table = self._add_table(f"constant_{k}", values)
             lines.append(f"const double in_constant_{k}[1] = {{{table}[i]}};")
-        lines += [f"double out_{k}[{part.numel()}];" for k, part in enumerate(outputs)]
+        lines += [f"double out_{k}[{output.numel()}];" for k, output in enumerate(outputs)]
         names = [*inputs, *(f"constant_{k}" for k in range(len(constants)))]
         lines.append(f"const double *arg[] = {{{', '.join(f'in_{name}' for name in names)}}};")
         lines.append(f"double *res[] = {{{', '.join(f'out_{k}' for k in range(len(outputs)))}}};")
         lines.append(f"kernel_{over.name}(arg, res, 0, 0, 0);")
         symbols = [*inputs.values(), *(symbol for symbol, _ in constants)]
-        dense = [ca.densify(part) for part in outputs]
+        dense = [ca.densify(output) for output in outputs]
         self.function = Function(f"kernel_{over.name}", symbols, dense)
         return lines
 
@@ -178,9 +178,9 @@ class _Loop:
             table = self._add_table("at", write.at.ravel())
             places = [f"{table}[{width} * i + {k}]" for k in range(width)]
         else:
-            at = self._at(write)
-            places = [f"{at} + {k}" for k in range(self._width(write))]
-        return [f"{write.array}[{place}] {how} {out}[{k}];" for k, place in enumerate(places)]
+            first = self._at(write)
+            places = [f"{first} + {k}" for k in range(self._width(write))]
+        return [f"{write.array}[{entry}] {how} {out}[{k}];" for k, entry in enumerate(places)]
 
     def _width(self, access: Read | Write) -> int:
         return self._dimension if access.array in VECTORS else 1
@@ -209,17 +209,17 @@ def _constants(
     """Return the outputs with symbols for what depends on parameters only, and their values."""
     if not own:
         return outputs, []
-    stacked, found, expressions = ca.extract_parametric(
-        ca.vertcat(*(ca.vec(part) for part in outputs)), ca.vertcat(*own.values())
+    stacked, symbols, expressions = ca.extract_parametric(
+        ca.vertcat(*(ca.vec(output) for output in outputs)), ca.vertcat(*own.values())
     )
     # A parameter that stands by itself in the outputs is a constant as it is.
     alone = [symbol for symbol in own.values() if ca.depends_on(stacked, symbol)]
     evaluate = Function("constants", list(own.values()), [*expressions, *alone])
     columns = [np.asarray(parameters[name])[None, :] for name in own]
     values = [row.ravel().copy() for row in evaluate_columns(evaluate, *columns)]
-    ends = np.cumsum([0, *(part.numel() for part in outputs)]).tolist()
+    ends = np.cumsum([0, *(output.numel() for output in outputs)]).tolist()
     split = ca.vertsplit(stacked, ends)
-    return tuple(split), list(zip([*found, *alone], values, strict=True))
+    return tuple(split), list(zip([*symbols, *alone], values, strict=True))
 
 
 def _table(name: str, values: Any) -> str:

@@ -30,8 +30,8 @@ def mapped_functions(
     structure = forces.structure
     free, alpha = structure.free.tolist(), len(structure.strings)
     (N, p), (Nd, v) = (
-        _symbols(structure, name, at)
-        for name, at in (("N", structure.nodes), ("Nd", np.zeros_like(structure.nodes)))
+        _symbols(structure, name, values)
+        for name, values in (("N", structure.nodes), ("Nd", np.zeros_like(structure.nodes)))
     )
     u, taut = ca.MX.sym("u", alpha), ca.MX.sym("taut", forces.switches)
     ends, given, varying = (p, v), u, None
@@ -72,16 +72,16 @@ def _accelerations(structure: Structure, arrays: dict[str, Any]) -> Any:
     """Return the accelerations of what supports leave free, m/s², a column."""
     d = structure.dimension
     passes = body_passes(structure)
-    columns = [part for over in passes for part in over.outputs(arrays)]
+    columns = [output for over in passes for output in over.outputs(arrays)]
     ends = [write.at for over in passes for write in over.writes]
     nodes = np.concatenate([np.arange(0), *ends])
     if not structure.blocks:
         return kernel.free_entries(structure, ca.horzcat(*columns)[:, np.argsort(nodes).tolist()])
     block = kernel.coupled_block(structure)
     p, v, f = (arrays[name] for name in "pvf")
-    found, _ = kernel.block_motion(structure, block, p, v, f)
+    accelerations, _ = kernel.block_motion(structure, block, p, v, f)
     rows = np.concatenate([(d * nodes[:, None] + np.arange(d)).ravel(), block.rows])
-    place = np.full(structure.nodes.size, -1)
-    place[rows] = np.arange(len(rows))
+    index = np.full(structure.nodes.size, -1)
+    index[rows] = np.arange(len(rows))
     alone = ca.vec(ca.horzcat(ca.MX(d, 0), *columns))
-    return ca.vertcat(alone, found)[place[structure.free_rows].tolist()]
+    return ca.vertcat(alone, accelerations)[index[structure.free_rows].tolist()]

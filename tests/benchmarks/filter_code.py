@@ -1,0 +1,162 @@
+"""A Kalman filter and an LQR as C code, in one closed loop with those of Python.
+
+Run: ``python -m tests.benchmarks.filter_code``. Needs a C compiler. Readings are lost, infinite,
+far off, or all wrong for so long that the filter starts anew. Printed are the largest difference
+of nodes, m, of velocities, relative where they are beyond 1 m/s, and of commands, m, and the
+statuses, which are equal. ``--samples 100`` shortens all loops, ``--only linear`` runs one.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import tempfile
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+import tenscontrol as tc
+from tenscontrol.deploy.compiled_controller import compiled
+from tenscontrol.status import Status
+from tests.benchmarks.command_line import options
+
+VECTOR = np.ctypeslib.ndpointer(np.float64, flags="C")
+STEP = 0.02
+
+# Arguments of the filter, and samples.
+LOOPS = {
+    "linear": ({}, 5000),
+    "nonlinear": ({"prediction": "nonlinear"}, 1000),
+    "nonlinear, late, ramps": ({"prediction": "nonlinear", "delay": 2, "substeps": 4}, 600),
+    "linear, late, ramps": ({"delay": 3, "substeps": 4}, 600),
+}
+
+
+@cache
+def plant_of():
+    model = tc.Model(tc.prism(), strings=tc.LinearStrings(100.0, damping=0.5))
+    rest = tc.prestress(model.structure, force_density=17.320508)
+    return tc.linearize(model, rest, input="rest_length")
+
+
+def filter_of(plant, prediction="linear", delay=0, substeps=1, strings=(0, 4)):
+    motor = tc.Motor(drum_radius=0.01, gear_ratio=20.0, zero=1.0)
+    sensors = tc.Sensors(
+        structure=plant.model.structure, bar_inclination=0.01, gyroscope=0.02, encoder=0.2,
+        motor=motor, string_length=1e-3, strings=strings, bar_direction=0.01, bars=[1],
+        bias={"gyroscope": (0.02, 1e-3)}, delay=delay,
+    )  # fmt: skip
+    winches = tc.Winches(rate=0.5, shortest=0.1, substeps=substeps) if substeps > 1 else None
+    return tc.KalmanFilter(
+        plant, sensors, sample_time=STEP, prediction=prediction, winches=winches,
+        rest_length_error=(1e-3, 1e-4),
+    )  # fmt: skip
+
+
+@cache
+def simulated():
+    """The nonlinear motion of the prism and its readings."""
+    return filter_of(plant_of(), "nonlinear").design
+
+
+def regulator_of(plant):
+    Q, R = tc.energy_weights(plant, by_mode=True)
+    return tc.LQR(plant, Q, 10 * R, sample_time=STEP)
+
+
+class Code:
+    """Filter and controller in C."""
+
+    def __init__(self, made):
+        sources = [made.folder / f for f in made.files if f.endswith(".c") and f != "main.c"]
+        path = made.folder / "loaded.so"
+        path.write_bytes(compiled(made.name, sources, 100.0))
+        self.library = ctypes.CDLL(str(path))
+        self.library.controller_estimate.argtypes = [VECTOR] * 3
+        self.library.controller_predict.argtypes = [VECTOR]
+        self.library.controller_command.argtypes = [ctypes.c_double, *[VECTOR] * 3]
+        self.shape, self.commands = made.plant.nodes.shape, len(made.low)
+
+    def estimate(self, y):
+        nodes, velocities = np.zeros((2, self.shape[0] * self.shape[1]))
+        number = self.library.controller_estimate(np.ascontiguousarray(y), nodes, velocities)
+        N, V = (part.reshape(self.shape, order="F") for part in (nodes, velocities))
+        return N, V, tuple(Status)[number]
+
+    def command(self, N, V):
+        command = np.zeros(self.commands)
+        parts = (np.ascontiguousarray(part.ravel(order="F")) for part in (N, V))
+        self.library.controller_command(0.0, *parts, command)
+        return command
+
+    def predict(self, held):
+        assert self.library.controller_predict(held) == 0
+
+
+def spoilt(y, noise, k, rng):
+    """Readings of which some are lost, infinite or far off; at times all."""
+    y = y.copy()
+    if k % 97 == 13:
+        y[rng.integers(len(y))] = np.nan
+    if k % 101 == 17:
+        y[rng.integers(len(y))] = np.inf
+    if k % 103 == 19:
+        y[rng.integers(len(y))] += 1e3
+    if k % 499 == 50:
+        y[:] = np.nan
+    if 60 <= k % 1013 < 65:  # as long as the patience of the filter
+        y += 1e2
+    if k % 9 == 5 and k % 1013 < 125:  # some pass alone, but not beside the others
+        off = rng.choice(len(y), 8, replace=False)
+        y[off] += noise[off] * rng.uniform(3, 8, size=8) * rng.choice([-1, 1], size=8)
+    return y
+
+
+def compare(name, samples, folder):
+    """Return the largest difference of nodes, velocities and commands, and the statuses."""
+    plant = plant_of()
+    estimator, law = filter_of(plant, **LOOPS[name][0]), regulator_of(plant)
+    code = Code(tc.generate_c(law, folder, estimator=estimator))
+    design, rng = estimator.design, np.random.default_rng(3)
+    truth = simulated()
+    assert truth.extra == design.extra
+    z, late = np.zeros(len(design.start)), []
+    z[:9] = 5e-3 * rng.normal(size=9)
+    kick = 1e-2 * np.linalg.cholesky(design.process_covariance + 1e-18 * np.eye(len(z)))
+    worst, statuses, noise = np.zeros(3), set(), estimator.sensors.noise
+    held = plant.rest_length
+    for k in range(samples):
+        y = np.array(truth.outputs(z, held)[0]).ravel()
+        late.append(spoilt(y + noise * rng.normal(size=len(y)), noise, k, rng))
+        read = late[max(0, k - estimator.sensors.delay)]
+        estimate = estimator.update(read)
+        N, V, status = code.estimate(read)
+        assert status is estimate.status, k
+        statuses.add(status)
+        expected = law.command(0.0, estimate.nodes, estimate.velocities).value
+        held = code.command(N, V)
+        off = np.abs(N - estimate.nodes), np.abs(V - estimate.velocities), np.abs(held - expected)
+        sizes = 1.0, max(1.0, np.abs(V).max()), 1.0
+        off = [part.max() / size for part, size in zip(off, sizes, strict=True)]
+        worst = np.maximum(worst, off)
+        estimator.predict(held)
+        code.predict(held)
+        z = np.array(truth.motion(z, held)[0]).ravel() + kick @ rng.normal(size=len(z))
+    return worst, statuses
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    given = options(__doc__, arguments, samples=5000, only="")
+    print("filter                  samples    nodes  velocities  commands  statuses")
+    for name in [given.only] if given.only else LOOPS:
+        samples = min(given.samples, LOOPS[name][1])
+        with tempfile.TemporaryDirectory() as folder:
+            worst, statuses = compare(name, samples, Path(folder))
+        seen = ", ".join(sorted(map(str, statuses)))
+        numbers = "{:9.1e} {:11.1e} {:9.1e}".format(*worst)
+        print(f"{name:23} {samples:7d} {numbers}  {seen}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,133 @@
+"""Least masses of random structures beside corners met by random costs, and beside IPOPT's.
+
+Run: ``python -m tests.benchmarks.least_mass``, about a minute. Structures of class 1 to 6 carry two
+loads. The forces of a design balance them, its margins hold, and its mass is written again. Printed
+for each is the mass over the least one at ``--corners 50`` corners of the balanced forces (0
+where one set of forces alone balances a load), and, where members yield but do not buckle, over the
+optimum of an interior-point method.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import casadi as ca
+import numpy as np
+from scipy.optimize import linprog
+
+import tenscontrol as tc
+from tests.benchmarks.command_line import options
+from tests.random_structures import any_structure
+
+SOFT = tc.Material(modulus=60e9, density=2700.0, yield_stress=110e6)
+ROPE = tc.Material(modulus=2e9, density=1100.0, yield_stress=300e6)
+HARD = tc.Material(modulus=1e20, density=2700.0, yield_stress=110e6)
+LOW = 10.0  # N/m
+
+
+def random_case(seed):
+    """A random structure, and two loads that it carries with every string at 10 N/m or more."""
+    structure, random = any_structure(seed), np.random.default_rng(seed)
+    alpha = len(structure.strings)
+    E = tc.statics.equilibrium_matrix(structure)
+    loads = []
+    for _ in range(2):
+        density = np.r_[
+            random.uniform(10, 500, alpha), random.uniform(-300, 900, E.shape[1] - alpha)
+        ]
+        load = (E @ density).reshape(-1, structure.dimension).T
+        load[:, structure.fixed] = 0
+        loads.append(load)
+    return structure, loads
+
+
+def needed(structure, forces):
+    """The mass of all members under forces (K, α + β), written again."""
+    alpha = len(structure.strings)
+    pull = np.maximum(forces[:, :alpha], 0) / ROPE.yield_stress
+    push = forces[:, alpha:]
+    column = 2 * structure.bar_length * np.sqrt(np.maximum(push, 0) / (np.pi * SOFT.modulus))
+    area = np.maximum(np.abs(push) / SOFT.yield_stress, column)
+    strings = ROPE.density * pull.max(axis=0) @ structure.string_length()
+    return strings + SOFT.density * area.max(axis=0) @ structure.bar_length
+
+
+def over_corners(seed, corners):
+    """Check a design of a random structure; return its mass over the least of many corners."""
+    structure, loads = random_case(seed)
+    found = tc.design(structure, bars=SOFT, strings=ROPE, loads=loads, min_force_density=LOW,
+                      least_radius=1e-6, restarts=8)  # fmt: skip
+    E = tc.statics.equilibrium_matrix(structure)[structure.free_rows]
+    densities = np.hstack([found.force_density, found.bar_force_density])
+    assert (found.force_density >= LOW * (1 - 1e-7)).all()
+    for load, density in zip(loads, densities, strict=True):
+        w = load.T.ravel()[structure.free_rows]
+        np.testing.assert_allclose(E @ density, w, atol=1e-6 * np.abs(w).max())
+    length = np.r_[structure.string_length(), structure.bar_length]
+    np.testing.assert_allclose(found.mass, needed(structure, densities * length), rtol=1e-4)
+    pulls, pushes = found.margins(*np.split((densities * length).T, [len(structure.strings)]))
+    assert min(pulls.min(), pushes.min()) > 1 - 1e-9
+    return found.mass / least_of_corners(structure, E, loads, seed, corners)
+
+
+def least_of_corners(structure, E, loads, seed, count):
+    """The least mass at corners of the balanced forces of each load, met by random costs."""
+    random, alpha, beta = np.random.default_rng(seed), len(structure.strings), len(structure.bars)
+    length = np.r_[structure.string_length(), structure.bar_length]
+    if np.linalg.matrix_rank(E) == E.shape[1]:
+        return np.inf  # one set of forces alone
+    unit = np.hstack([E / length, -E[:, alpha:] / length[alpha:]])  # bars push or pull
+    bounds = [(LOW * size, None) for size in length[:alpha]] + [(0.0, None)] * (2 * beta)
+    corners = np.zeros((count, len(loads), alpha + beta))
+    for start in range(count):
+        cost = 10 ** random.uniform(-2, 2, alpha + 2 * beta)
+        for k, load in enumerate(loads):
+            w = load.T.ravel()[structure.free_rows]
+            x = linprog(cost, A_eq=unit, b_eq=w, bounds=bounds).x
+            corners[start, k] = x[: alpha + beta]
+            corners[start, k, alpha:] -= x[alpha + beta :]
+    return min(needed(structure, forces) for forces in corners)
+
+
+def over_interior_point(seed):
+    """Return the mass by yield alone, under one load, over that of IPOPT."""
+    structure, loads = random_case(seed)
+    found = tc.design(structure, bars=HARD, strings=ROPE, loads=loads[:1], min_force_density=LOW,
+                      least_radius=1e-6)  # fmt: skip
+    assert found.restarts_agree
+    E = tc.statics.equilibrium_matrix(structure)[structure.free_rows]
+    w = loads[0].T.ravel()[structure.free_rows]
+    return found.mass / least_by_interior_point(structure, E, w)
+
+
+def least_by_interior_point(structure, E, w):
+    """Least mass by yield with bars as a push less a pull, by CasADi's IPOPT."""
+    length = np.r_[structure.string_length(), structure.bar_length]
+    alpha, beta = len(structure.strings), len(structure.bars)
+    unit, size = E / length, np.abs(w).max()
+    per = np.r_[
+        ROPE.density / ROPE.yield_stress * length[:alpha], 2700 / 110e6 * length[alpha:]
+    ]  # fmt: skip
+    x = ca.SX.sym("x", alpha + 2 * beta)
+    force = ca.vertcat(x[: alpha + beta])
+    force[alpha:] -= x[alpha + beta :]
+    cost = np.r_[per, per[alpha:]]
+    solver = ca.nlpsol(
+        "s", "ipopt", {"x": x, "f": ca.dot(cost / cost.max(), x), "g": unit @ force},
+        {"print_time": 0, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-10},
+    )  # fmt: skip
+    low = np.r_[LOW * length[:alpha] / size, np.zeros(2 * beta)]
+    answer = solver(x0=low + 1, lbx=low, ubx=np.inf, lbg=w / size, ubg=w / size)
+    return float(answer["f"]) * cost.max() * size
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    given = options(__doc__, arguments, count=50, corners=50, yields=10)
+    print("seed  over the least corner  over IPOPT, by yield")
+    for seed in range(given.count):
+        by_yield = f"{over_interior_point(seed):21.6f}" if seed < given.yields else ""
+        print(f"{seed:4d} {over_corners(seed, given.corners):22.6f} {by_yield}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
