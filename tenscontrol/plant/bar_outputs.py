@@ -74,6 +74,6 @@ def _by_input(plant: LinearPlant, here: Tangent) -> FloatArray:
 def _forces(plant: LinearPlant, here: Tangent, forces: FloatArray, bent: FloatArray) -> FloatArray:
     """Return the forces of all bars from the right sides of the equations, N, shape (β, k)."""
     structure = plant.model.structure
-    found = np.zeros((len(structure.bars), forces.shape[1]))
-    found[structure.kept_bars] = here.bar_force_densities(forces, bent)
-    return found * structure.bar_length[:, None]
+    forces_of_bars = np.zeros((len(structure.bars), forces.shape[1]))
+    forces_of_bars[structure.kept_bars] = here.bar_force_densities(forces, bent)
+    return forces_of_bars * structure.bar_length[:, None]

@@ -390,14 +390,14 @@ class _LinearResponse:
         off = np.vstack([right / unit, np.zeros((bars, right.shape[1]))])
         step = least_step(system, off, len(free), _REFINEMENTS)
         self._refuse_untaken(name, right, unit * (off - system @ step)[: len(free)])
-        found = np.zeros((structure.nodes.size, loads.shape[2]))
-        found[free] = step[: len(free)]
+        moved = np.zeros((structure.nodes.size, loads.shape[2]))
+        moved[free] = step[: len(free)]
         if not _floats(self.plant):
-            return found.reshape(loads.shape, order="F")
+            return moved.reshape(loads.shape, order="F")
         fields = left_by_supports(structure, rigid_motions(self.plant.nodes))
         own = momenta(node_mass(structure), fields).T
-        found -= fields @ np.linalg.solve(own @ fields, own @ found)
-        return found.reshape(loads.shape, order="F")
+        moved -= fields @ np.linalg.solve(own @ fields, own @ moved)
+        return moved.reshape(loads.shape, order="F")
 
     def _refuse_untaken(self, name: str, loads: FloatArray, left: FloatArray) -> None:
         """Raise if a part of a load, shape (f, k), is left that no stiffness takes."""
@@ -449,7 +449,7 @@ def _moved(name: str, plant: LinearPlant, state: Prestress) -> FloatArray:
 
 def _turned(before: FloatArray, after: FloatArray) -> float:
     """Return the angle by which a shape has turned, rad, of the rotation that fits best."""
-    before, after = (each - each.mean(axis=1, keepdims=True) for each in (before, after))
+    before, after = (nodes - nodes.mean(axis=1, keepdims=True) for nodes in (before, after))
     U, _, Vt = np.linalg.svd(after @ before.T)
     U[:, -1] *= np.linalg.det(U @ Vt)
     trace = float(np.trace(U @ Vt))
@@ -461,10 +461,10 @@ def _reaction(state: Prestress) -> FloatArray:
     structure = state.structure
     densities = np.concatenate([state.force_density, state.bar_force_density])
     members = sparse_equilibrium_matrix(structure, structure.nodes) @ densities
-    found = np.zeros(structure.nodes.size)
+    reaction = np.zeros(structure.nodes.size)
     held = structure.fixed_rows
-    found[held] = (members - state.external_force.ravel(order="F"))[held]
-    return found.reshape(structure.nodes.shape, order="F")
+    reaction[held] = (members - state.external_force.ravel(order="F"))[held]
+    return reaction.reshape(structure.nodes.shape, order="F")
 
 
 def _warn_of_snap(is_elastic: np.ndarray) -> None:
