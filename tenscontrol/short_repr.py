@@ -18,14 +18,14 @@ def short_repr(record: Any) -> str:
     What is None or empty is left out, and so are private fields.
     """
     parts: list[str] = []
-    for each in fields(record):
-        value = getattr(record, each.name)
-        if each.name.startswith("_") or value is None or _is_empty(value):
+    for field in fields(record):
+        value = getattr(record, field.name)
+        if field.name.startswith("_") or value is None or _is_empty(value):
             continue
         if sum(map(len, parts)) > _LONG:
             parts.append("…")
             break
-        parts.append(f"{each.name}={_short(value)}")
+        parts.append(f"{field.name}={_short(value)}")
     return f"{type(record).__name__}({', '.join(parts)})"
 
 

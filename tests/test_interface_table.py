@@ -26,7 +26,7 @@ METHODS = {
     "deploy.CompiledController.another", "dynamics.Contacts.gap_passes", "plot.View.html",
     "plot.View.figure", "robustness.Distribution.settings",
 }  # fmt: skip
-ACTIONS = r"(reset|prepare|open|shorten|table|summary|to_\w+|as_\w+)$"
+ACTIONS = r"(reset|prepare|open|shorten|\w*table|summary|to_\w+|as_\w+)$"
 
 
 def rows():

@@ -127,11 +127,11 @@ def _matrices(system: Any) -> tuple[FloatArray, ...]:
         raise ValueError(f"system.D has shape {D.shape}, expected (outputs, inputs)")
     count = len(A) if A.ndim else 0
     shapes = {"A": (count, count), "B": (count, D.shape[1]), "C": (len(D), count)}
-    found = dict(zip("ABC", (A, B, C), strict=True))
+    by_name = dict(zip("ABC", (A, B, C), strict=True))
     for name, shape in shapes.items():
-        if found[name].size != np.prod(shape):
-            raise ValueError(f"system.{name} has shape {found[name].shape}, expected {shape}")
-    return (*(frozen(found[name].reshape(shape)) for name, shape in shapes.items()), frozen(D))
+        if by_name[name].size != np.prod(shape):
+            raise ValueError(f"system.{name} has shape {by_name[name].shape}, expected {shape}")
+    return (*(frozen(by_name[name].reshape(shape)) for name, shape in shapes.items()), frozen(D))
 
 
 def _sample_time(dt: object, states: int) -> float | None:
