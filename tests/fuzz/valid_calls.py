@@ -707,6 +707,8 @@ call(
     lambda: {"string_force": np.full(9, 10.0), "bar_force": np.full(3, 10.0)},
     sized,
 )
+call("sizing.symmetry_groups", lambda: {"structure": prism()})
+call("sizing.length_groups", lambda: {"structure": prism()})
 call(
     "design",
     lambda: {
@@ -718,6 +720,7 @@ call(
         "min_force_density": 10.0,
         "tube": tc.sizing.Tube(0.8),
         "least_radius": 1e-3,
+        "groups": {"strings": [[0, 1, 2], [3, 4]], "bars": [[0, 1, 2]]},
         "restarts": 1,
         "seed": 1,
     },
