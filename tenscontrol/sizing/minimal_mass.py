@@ -10,7 +10,7 @@ import numpy as np
 
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, IntArray, frozen
-from tenscontrol.sizing.area_program import AreaProgram
+from tenscontrol.sizing.area_program import BUCKLING_OR_LEAST, AreaProgram
 from tenscontrol.sizing.materials import Material
 from tenscontrol.sizing.member_groups import area_of_member
 from tenscontrol.sizing.sections import Sections, with_areas
@@ -179,9 +179,10 @@ def design(
         their own. :func:`tenscontrol.sizing.symmetry_groups` and
         :func:`tenscontrol.sizing.length_groups` find them.
     restarts : int, optional
-        How many starts: one from the forces of yield alone, the others from random ones. Least
-        mass with buckling is no convex problem, so that each may end in another minimum. By
-        default 4, and 1 above 3,000 members.
+        How many starts: from the forces of yield alone, near the best so far, and anywhere. Least
+        mass with buckling is no convex problem, so that each may end in another minimum, and many
+        bars have many: where ``restarts_agree`` is False, more starts may find less. By default 8,
+        and 1 above 3,000 members.
     seed : int, optional
         Of the random starts.
 
@@ -231,7 +232,7 @@ def design(
     if validation.number("least_radius", least_radius, "m") < 0:
         raise ValueError(f"least_radius is {least_radius:g} m, expected at least 0")
     if restarts is None:
-        restarts = 4 if len(structure.strings) + len(structure.bars) <= _LARGE else 1
+        restarts = 8 if len(structure.strings) + len(structure.bars) <= _LARGE else 1
     validation.whole_number("restarts", restarts, least=1)
     validation.whole_number("seed", seed, least=0)
     given = validation.items("loads", loads, "loads, one array of shape (d, n) each")
@@ -312,35 +313,55 @@ def _improved(
     largest = np.abs(x[:, alpha:]).max(initial=1.0)
     for floor in floors:
         before = program.mass(x)
+        # Where a pull sizes a bar, a tangent at its area lets pushes rise to what that bears; one
+        # at its pushes lets the area fall. Both hold: one after the other.
+        limits = [BUCKLING_OR_LEAST, slice(None)]
+        tried = 0
         for _ in range(_MOST_PROGRAMS):
-            # At the area that all loads share: a load below may rise to it.
-            area = np.maximum(
-                program.shared(x)[alpha:], program.per_root * np.sqrt(floor * largest)
-            )
-            trial = program.solve(0.5 * program.per_root**2 / area, 0.5 * area)
+            area = program.shared(x, limits[tried])[alpha:]
+            area = np.maximum(area, program.per_root * np.sqrt(floor * largest))
+            trial = program.solve(0.5 * program.per_root**2 / area, 0.5 * area, x)
             if trial is None:
                 raise ArithmeticError("the linear program of least mass lost its solution")
-            mass, x = program.mass(trial), trial
-            if mass < least:
-                best, least = trial, mass
-            if mass >= before * (1 - _GAIN):
+            mass = program.mass(trial)
+            if mass < before * (1 - _GAIN):
+                x, before, tried = trial, mass, 0
+                continue
+            tried += 1
+            if tried == len(limits):
                 break
-            before = mass
+        if before < least:
+            best, least = x, before
     return least, best
 
 
 def _least(
     program: AreaProgram, by_yield: FloatArray, restarts: int, seed: int
 ) -> list[tuple[float, FloatArray]]:
-    """Return mass and forces from each start."""
-    beta, random = len(program.per_push), np.random.default_rng(seed)
+    """Return mass and forces from each start.
+
+    The first two start from the forces of yield alone, with tangents at the forces and with those
+    from high floors. Others start near the best, with tangents that are changed at random, or
+    anywhere, in turns.
+    """
+    alpha, beta = len(program.least_pull), len(program.per_push)
+    random = np.random.default_rng(seed)
     results = [_improved(program, by_yield, _FLOORS[-1:])]
-    for _ in range(restarts - 1 if beta else 0):
-        weight = program.per_push * 10 ** random.uniform(-2, 2, beta)
-        start = program.solve(weight, np.zeros(beta))
-        if start is None:
-            raise ArithmeticError("the linear program of least mass lost its solution")
-        results.append(_improved(program, start, _FLOORS))
+    for k in range(1, restarts if beta else 1):
+        x = by_yield
+        if k > 1:
+            x = min(results, key=lambda result: result[0])[1]
+            largest = np.abs(x[:, alpha:]).max(initial=1.0)
+            area = program.per_root * np.sqrt(largest)
+            if k % 2 == 0:
+                pushed = program.per_root * np.sqrt(_FLOORS[0] * largest)
+                area = np.maximum(program.shared(x)[alpha:], pushed)
+            area = area * 10 ** random.uniform(-1, 1, beta)
+            start = program.solve(0.5 * program.per_root**2 / area, np.zeros(beta))
+            if start is None:
+                raise ArithmeticError("the linear program of least mass lost its solution")
+            x = start
+        results.append(_improved(program, x, _FLOORS))
     return results
 
 
