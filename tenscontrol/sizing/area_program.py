@@ -20,6 +20,12 @@ BUCKLING_OR_LEAST = slice(2, None)
 # Unknowns and slacks below this part of the largest are zero.
 _ROUND_OFF = 1e-11
 
+# Regularization of the multipliers, part of the largest singular value squared.
+_REGULAR = 1e-12
+
+# Members above which an interior point takes less time than the simplex.
+_LARGE = 3_000
+
 # A reduced cost of the wrong sign up to this part of the largest cost is round-off.
 _OPTIMAL = 1e-9
 
@@ -61,7 +67,7 @@ class _LinearProgram(NamedTuple):
         rows = csc_array(vstack([self.equal, self.above[tight]]))
         is_low, is_high = z < _ROUND_OFF * scale, self.most - z < _ROUND_OFF * scale
         between = ~(is_low | is_high)
-        y = least_norm(csc_array(rows[:, between].T), self.cost[between])
+        y = least_norm(csc_array(rows[:, between].T), self.cost[between], _REGULAR)
         reduced = self.cost - rows.T @ y
         return bool(
             np.abs(reduced[between]).max(initial=0.0) < _OPTIMAL
@@ -124,11 +130,11 @@ class AreaProgram:
         if start is not None and program.is_least(self._filled(program, start)):
             return start
         cases, pieces = len(self.loads), len(program.segments.member)
-        # Without tangents an interior point takes less time, with them the simplex.
+        is_large = len(self.group) > _LARGE
         answer = linprog(
             program.cost, program.above, program.most_above, program.equal, program.load,
             np.c_[np.zeros(len(program.cost)), program.most],
-            method="highs-ds" if slope.any() else "highs-ipm",
+            method="highs-ipm" if is_large or not slope.any() else "highs-ds",
         )  # fmt: skip
         if answer.status == 2:
             return None
@@ -162,7 +168,7 @@ class AreaProgram:
         pulls = csr_array((segments.sign, (member, np.arange(pieces))), shape=(count, pieces))
         each = eye_array(cases)
         equal = [[kron(each, self.balance @ pulls), csr_array((self.loads.size, len(groups)))]]
-        above = [[kron(each, needs), kron(np.ones((cases, 1)), -served)]]
+        above = [[kron(each, needs), kron(np.ones((cases, 1)), -served, format="csr")]]
         of_groups = unit * np.bincount(owner, self.per_area[shares], len(groups))
         alone = np.where(own, 0.0, segments.slope * self.per_area[member])
         cost = np.r_[np.tile(alone, cases), of_groups]
@@ -189,9 +195,10 @@ class AreaProgram:
         unknowns = np.r_[filled.ravel(), np.zeros(groups)]
         if groups:
             needed = program.above @ unknowns - program.most_above
-            owner = program.above[:, filled.size :].indices
-            np.maximum.at(unknowns[filled.size :], owner, needed)
-        return unknowns
+            of_groups = program.above[:, filled.size :]
+            of_groups.eliminate_zeros()
+            np.maximum.at(unknowns[filled.size :], of_groups.indices, needed)
+        return np.asarray(unknowns)
 
     def _segments(self, slope: FloatArray, offset: FloatArray) -> _Segments:
         """Return the forces of members in segments, cheap ones first, from where areas are least.

@@ -11,6 +11,7 @@ import numpy as np
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, IntArray, frozen
 from tenscontrol.sizing.area_program import BUCKLING_OR_LEAST, AreaProgram
+from tenscontrol.sizing.common_prestress import Wound, wound_once
 from tenscontrol.sizing.materials import Material
 from tenscontrol.sizing.member_groups import area_of_member
 from tenscontrol.sizing.sections import Sections, with_areas
@@ -27,6 +28,9 @@ _MOST_PROGRAMS, _GAIN = 50, 1e-10
 
 # Forces that are left over in the program without a solution, part of the largest load.
 _UNBALANCED = 1e-7
+
+# Starts of designs with one prestress.
+_MOST_WOUND = 4
 
 # Members above which one start is enough by default: a program takes seconds.
 _LARGE = 3_000
@@ -97,14 +101,17 @@ class Design(Sections):
     bar_force_density : ndarray, shape (K, β)
         λ of each bar under each load, N/m, positive in compression.
     string_limit, bar_limit : tuple of str
-        What gives each member its area: "yield", "buckling" or "least".
+        What gives each member its area: "yield", "buckling" or "least"; "stiffness" where a common
+        prestress asks for more than limits do.
     string_load, bar_load : ndarray of int, shape (α,), (β,)
-        The load that does.
+        The load that does; -1 for the common prestress without load.
     string_sized_by, bar_sized_by : ndarray of int, shape (α,), (β,)
         The member whose force does: each itself, or another one of its group.
     restarts : ndarray, shape (r,)
         The mass that was found from each start, kg. The first is that of yield alone; others are
         random. The mass is the least of them.
+    prestress, bar_prestress : ndarray, shape (α,), (β,), or None
+        γ and λ without load, N/m, of a common prestress; ``force_density`` has them in it.
     """
 
     force_density: FloatArray
@@ -116,6 +123,8 @@ class Design(Sections):
     string_sized_by: IntArray
     bar_sized_by: IntArray
     restarts: FloatArray
+    prestress: FloatArray | None = None
+    bar_prestress: FloatArray | None = None
 
     @property
     def restarts_agree(self) -> bool:
@@ -150,6 +159,7 @@ def design(
     tube: Tube | None = None,
     least_radius: float = 0.0,
     groups: Mapping[str, Sequence[object]] | None = None,
+    common_prestress: bool = False,
     restarts: int | None = None,
     seed: int = 0,
 ) -> Design:
@@ -178,6 +188,9 @@ def design(
         each a list of indices, or the name of a group of strings. Members that are in none have
         their own. :func:`tenscontrol.sizing.symmetry_groups` and
         :func:`tenscontrol.sizing.length_groups` find them.
+    common_prestress : bool, optional
+        Whether strings are wound once, before loads come, and left; see Notes. Without, they are
+        wound for each load.
     restarts : int, optional
         How many starts: from the forces of yield alone, near the best so far, and anywhere. Least
         mass with buckling is no convex problem, so that each may end in another minimum, and many
@@ -202,10 +215,17 @@ def design(
     ``2 l √(S F/(π E))``, where Euler's load ``π² E I/l²`` is reached. Yield is a linear program in
     forces and areas. Buckling is concave in the force: the root is replaced by its tangent, which
     is above it, so that each program gives areas that hold and a mass that falls (Skelton &
-    de Oliveira, Tensegrity Systems, 2009, ch. 4). Each load has forces of its own, in balance in
-    the given shape: those of a structure whose strings are wound for it. A structure that is left
-    to stretch takes others, which :meth:`Sections.margins` can judge. The weight of the members is
-    no load.
+    de Oliveira, Tensegrity Systems, 2009, ch. 4). The weight of the members is no load.
+
+    Each load has forces of its own, in balance in the given shape: those of a structure whose
+    strings are wound for it. With ``common_prestress`` there is one self-stress ``x₀``, and load
+    ``w`` adds the response ``Δx`` of elastic members to it, to first order in displacements and
+    with all strings taut: ``E Δx = w``, and ``Sᵀ (l/EA) Δx = 0`` for the states of self-stress S,
+    so that elongations fit together (the force method; Pellegrino 1993,
+    doi:10.1016/0020-7683(93)90014-X). Bars stretch as well. Areas, self-stress and responses are
+    the unknowns of one nonlinear program (IPOPT), from the designs without it. Limits and
+    ``min_force_density`` then hold without any load too. Where stiffness, and no limit, gives a
+    member its area, its limit is "stiffness".
 
     Examples
     --------
@@ -235,6 +255,7 @@ def design(
         restarts = 8 if len(structure.strings) + len(structure.bars) <= _LARGE else 1
     validation.whole_number("restarts", restarts, least=1)
     validation.whole_number("seed", seed, least=0)
+    validation.truth("common_prestress", common_prestress, "whether strings are wound once")
     given = validation.items("loads", loads, "loads, one array of shape (d, n) each")
     forces = [
         validation.node_forces(f"loads[{k}]", load, structure.nodes.shape)
@@ -261,9 +282,17 @@ def design(
     if by_yield is None:
         _refuse(structure, program, unit)
     results = _least(program, by_yield, restarts, seed)
-    x = min(results, key=lambda result: result[0])[1]
     masses = np.array([result[0] for result in results])
-    return _designed(structure, bars, strings, program, x, unit, tube, masses)
+    results.sort(key=lambda result: result[0])
+    x = results[0][1]
+    if not common_prestress:
+        plan = Wound(masses[0], None, x, program.shared(x))
+    else:
+        modulus = np.where(np.arange(x.shape[1]) < alpha, strings.modulus, bars.modulus)
+        starts = [program.shared(result[1]) for result in results[:_MOST_WOUND]]
+        found = wound_once(program, lengths / modulus, starts)
+        plan, masses = found[0], np.array([wound.mass for wound in found])
+    return _designed(structure, bars, strings, program, plan, unit, tube, masses)
 
 
 def _program(
@@ -366,13 +395,16 @@ def _least(
 
 
 def _designed(
-    structure: Structure, bars: Material, strings: Material, program: AreaProgram, x: FloatArray,
+    structure: Structure, bars: Material, strings: Material, program: AreaProgram, plan: Wound,
     unit: float, tube: Tube | None, masses: FloatArray,
 ) -> Design:  # fmt: skip
     """Return the design of these forces, shape (K, m), in the unit."""
+    x = plan.forces
+    if plan.prestress is not None:
+        x = np.vstack([x, plan.prestress])
     cases, count = x.shape
     alpha, beta = len(structure.strings), len(structure.bars)
-    needs, area = program.areas(x), program.shared(x)
+    needs, area = program.areas(x), plan.area
     if not area.all():
         i = int(np.flatnonzero(area == 0)[0])
         member = f"string {i}" if i < alpha else f"bar {i - alpha}"
@@ -388,8 +420,12 @@ def _designed(
     last = np.r_[np.flatnonzero(np.diff(program.group[order])), count - 1]
     by = order[last][program.group]
     by = np.where(largest >= area, np.arange(count), by)
+    is_stiff = largest[by] < area * (1 - _AGREE)
     governs = needs.transpose(2, 0, 1).reshape(count, -1).argmax(axis=1)[by]
     limit = np.array(["yield", "yield", "buckling", "least"])[governs // cases]
+    limit = np.where(is_stiff, "stiffness", limit)
+    load = governs % cases
+    load[load == len(plan.forces)] = -1
     hollow = tube.inertia_ratio if tube else 1.0
     stress = np.full(beta, tube.stress(bars) if tube else bars.yield_stress)
     A_s, A_b = area[:alpha], area[alpha:]
@@ -397,12 +433,14 @@ def _designed(
         structure, bars, strings, A_b, A_s, hollow * A_b**2 / (4 * np.pi), stress, is_lumped=False
     )
     density = x * unit / np.concatenate([structure.string_length(), structure.bar_length])
+    loaded, rest = density[: len(plan.forces)], density[len(plan.forces) :]
     return Design(
         plain.structure, bars, strings, plain.bar_area, plain.string_area, plain.bar_inertia,
-        plain.bar_stress, frozen(density[:, :alpha]), frozen(density[:, alpha:]),
+        plain.bar_stress, frozen(loaded[:, :alpha]), frozen(loaded[:, alpha:]),
         tuple(limit[:alpha].tolist()), tuple(limit[alpha:].tolist()),
-        frozen(governs[:alpha] % cases), frozen(governs[alpha:] % cases),
+        frozen(load[:alpha]), frozen(load[alpha:]),
         frozen(by[:alpha]), frozen(by[alpha:] - alpha), frozen(masses),
+        *(frozen(part[0]) if len(rest) else None for part in (rest[:, :alpha], rest[:, alpha:])),
     )  # fmt: skip
 
 

@@ -721,6 +721,7 @@ call(
         "tube": tc.sizing.Tube(0.8),
         "least_radius": 1e-3,
         "groups": {"strings": [[0, 1, 2], [3, 4]], "bars": [[0, 1, 2]]},
+        "common_prestress": True,
         "restarts": 1,
         "seed": 1,
     },
