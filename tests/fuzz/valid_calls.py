@@ -169,6 +169,7 @@ RESULTS = {
     "simulation.SimulationError",
     "simulation.StepperState",
     "simulation.Trajectory",
+    "sizing.Complexity",
     "sizing.Design",
     "sizing.Sections",
     "statics.Prestress",
@@ -214,6 +215,7 @@ WITHIN = {
     "optimize.Identifiability.table",
     "optimize.Sensitivity.table",
     "simulation.Strength.table",
+    "sizing.Complexity.table",
     "sizing.Design.table",
     "sizing.Tube.stress",
     *(f"integrate.RK4.{name}" for name in ("smooth_step", "steps_between", "work_of")),
@@ -706,6 +708,30 @@ call(
     "sizing.Sections.margins",
     lambda: {"string_force": np.full(9, 10.0), "bar_force": np.full(3, 10.0)},
     sized,
+)
+
+
+def family():
+    return tc.sizing.complexity(
+        {1: prism()}, bars=soft(), strings=soft(), loads=lambda _: [], min_force_density=10.0,
+        restarts=1,
+    )  # fmt: skip
+
+
+call(
+    "sizing.complexity",
+    lambda: {
+        "family": {1: prism()},
+        "bars": soft(),
+        "strings": soft(),
+        "loads": lambda _: [STILL],
+        "min_force_density": 10.0,
+    },
+)
+call(
+    "plot.least_mass",
+    lambda: {"found": family(), "xlabel": "stages", "ax": flat()},
+    share=0.2,
 )
 call("sizing.symmetry_groups", lambda: {"structure": prism()})
 call("sizing.length_groups", lambda: {"structure": prism()})
