@@ -138,6 +138,7 @@ RESULTS = {
     "plot.Curves",
     "plot.Drawing",
     "plot.FitDrawing",
+    "plot.MassDrawing",
     "plot.ModeShape",
     "plot.PoleMap",
     "plot.SweepDrawing",
