@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import minimize
 
 import tenscontrol as tc
-from tests.sizing.test_design import ROPE, SOFT, random_case
+from tests.benchmarks.least_mass import ROPE, SOFT, random_case
 
 GIVEN = {"bars": SOFT, "strings": ROPE, "common_prestress": True}
 

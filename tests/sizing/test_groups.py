@@ -8,8 +8,9 @@ import pytest
 from scipy.optimize import linprog
 
 import tenscontrol as tc
+from tests.benchmarks.least_mass import ROPE, SOFT, random_case
 from tests.random_structures import any_structure
-from tests.sizing.test_design import ANGLES, ROPE, SOFT, d_bar, pressed, random_case
+from tests.sizing.test_design import ANGLES, d_bar, pressed
 
 HARD = tc.Material(modulus=1e20, density=2700.0, yield_stress=110e6)
 
