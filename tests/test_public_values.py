@@ -70,6 +70,9 @@ def values(tmp_path_factory):
         tc.sizing.Tube(0.8),
         stout,
         tc.design(prism, bars=steel, strings=steel, min_force_density=10.0, restarts=1),
+        tc.sizing.complexity(
+            {1: prism}, bars=steel, strings=steel, loads=lambda _: [], min_force_density=10.0
+        ),
         tc.sensitivity(moving, ["stiffness"]),
         tc.strength(moving, stout),
         model.symbolic("rest_length", ["stiffness"]),

@@ -17,6 +17,7 @@ from tenscontrol.plot.fit_figures import FitDrawing, intervals, residuals
 from tenscontrol.plot.ground_drawing import contacts
 from tenscontrol.plot.histories import Curves, history
 from tenscontrol.plot.interactive_view import view
+from tenscontrol.plot.least_mass import MassDrawing, least_mass
 from tenscontrol.plot.mode_shapes import ModeShape, mode_shapes
 from tenscontrol.plot.motion_histories import health, motors, tracking, trajectory
 from tenscontrol.plot.pole_map import PoleMap, poles
@@ -30,6 +31,7 @@ __all__ = [
     "Curves",
     "Drawing",
     "FitDrawing",
+    "MassDrawing",
     "ModeShape",
     "PoleMap",
     "SweepDrawing",
@@ -42,6 +44,7 @@ __all__ = [
     "health",
     "history",
     "intervals",
+    "least_mass",
     "long_run",
     "mode_shapes",
     "motors",

@@ -85,10 +85,14 @@ def load_scene(file: str | Path, allow_code: bool = False) -> Scene:
     ``[skin]``, ``[subdivide]``
         The arguments of :func:`skin` and :func:`subdivide`. A skin comes first; its strings are
         cut too.
+    ``[sections]``
+        ``bars`` and ``strings``, names of :data:`tenscontrol.sizing.materials`, and the radii or
+        areas of :func:`sections`: bars, and strings if asked for, get the masses of these. They
+        serve the whole strings; a skin comes before.
     ``[strings]``
-        ``law = "linear"`` with ``stiffness`` or ``law = "elastic"`` with ``axial_rigidity``;
-        ``damping``. ``per = "string"``: values of a whole string, which its segments in series
-        keep. ``per = "segment"``: values of each segment.
+        ``law = "linear"`` with ``stiffness`` or ``law = "elastic"`` with ``axial_rigidity``, that
+        of the ``[sections]`` if not given; ``damping``. ``per = "string"``: values of a whole
+        string, which its segments in series keep. ``per = "segment"``: values of each segment.
     ``[loads]``
         ``gravity``; ``forces = [{node = 0, force = [0.0, 0.0, 1.0]}]``.
     ``[ground]``, or ``[[ground]]`` for several

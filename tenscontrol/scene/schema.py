@@ -44,6 +44,8 @@ from tenscontrol.scene.kinds import (
 )
 from tenscontrol.simulation.faults import CutString, LostMeasurement, StuckWinch
 from tenscontrol.simulation.simulate import simulate
+from tenscontrol.sizing.materials import materials
+from tenscontrol.sizing.sections import sections
 from tenscontrol.statics.prestress import prestress
 from tenscontrol.structure.segments import subdivide
 from tenscontrol.structure.skin import skin
@@ -236,6 +238,14 @@ TABLES: Mapping[str, TableKeys] = MappingProxyType(
             "nodes, bars and strings: from a generator, or listed",
         ),
         "skin": TableKeys(keys_of(skin), "panels of elastic skin between the strings"),
+        "sections": TableKeys(
+            {
+                "bars": _choice("material of the bars", *materials)._replace(required=True),
+                "strings": _choice("material of the strings", *materials)._replace(required=True),
+            }
+            | keys_of(sections),
+            "materials and cross sections: masses, and axial rigidity of elastic strings",
+        ),
         "subdivide": TableKeys(keys_of(subdivide), "strings cut into segments with mass"),
         "strings": TableKeys(_together(LAW_KEYS), "the law of the strings"),
         "loads": TableKeys(

@@ -12,7 +12,7 @@ from tenscontrol import validation
 from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics.contact_laws import ContactLaw
 from tenscontrol.dynamics.model import Model
-from tenscontrol.dynamics.string_laws import StringLaw
+from tenscontrol.dynamics.string_laws import ElasticStrings, StringLaw
 from tenscontrol.scene.document import Document, Table
 from tenscontrol.scene.schema import (
     FORCE,
@@ -25,6 +25,8 @@ from tenscontrol.scene.schema import (
     MEMBERS,
 )
 from tenscontrol.simulation.start import initial_state
+from tenscontrol.sizing.materials import materials
+from tenscontrol.sizing.sections import Sections, sections
 from tenscontrol.statics.prestress import Prestress, prestress
 from tenscontrol.structure.bar_geometry import restore_bar_lengths
 from tenscontrol.structure.segments import (
@@ -43,13 +45,15 @@ _PER = ("string", "segment")
 
 
 def build_structure(document: Document) -> Structure:
-    """Return the structure: generated or given, then skinned, then cut."""
+    """Return the structure: generated or given, then skinned, then with sections, then cut."""
     structure = _uncut(document)
     if document.has("skin"):
         table = document.table("skin")
         table.need_required()
         with table.checked():
             structure = skin(structure, **table.values)
+    if document.has("sections"):
+        structure = _sized(document.table("sections"), structure).structure
     if document.has("subdivide"):
         table = document.table("subdivide")
         table.need_required()
@@ -60,6 +64,18 @@ def build_structure(document: Document) -> Structure:
         with table.checked():
             structure = subdivide(structure, **values)
     return structure
+
+
+def _sized(table: Table, structure: Structure) -> Sections:
+    """Return the sections of the members."""
+    table.need_required()
+    values: dict[str, Any] = {
+        key: per_string(table, key, structure) if isinstance(value, dict) else value
+        for key, value in table.without("bars", "strings").items()
+    }
+    of = {key: materials[table.choice(key, tuple(materials))] for key in ("bars", "strings")}
+    with table.checked():
+        return sections(structure, bars=of["bars"], strings=of["strings"], **values)
 
 
 def _uncut(document: Document) -> Structure:
@@ -115,15 +131,25 @@ def per_string(table: Table, key: str, structure: Structure) -> FloatArray:
 
 
 def build_law(document: Document, structure: Structure) -> tuple[StringLaw, StringLaw] | None:
-    """Return the law of the strings and that of the whole strings, or None if there is no table."""
+    """Return the law of the strings and that of the whole strings, or None if there is no table.
+
+    Elastic strings without axial rigidity have that of their sections, of each whole string.
+    """
     if not document.has("strings"):
         return None
     kind, table = document.table("strings").chosen("law", LAW_KEYS)
     make = LAWS[kind]
     by_string = table.choice("per", _PER, "string") == "string"
     given = whole_strings(structure) if by_string else structure
-    table.need_required()
     values = {key: per_string(table, key, given) for key in table.without("law", "per")}
+    has_sections = document.has("sections") and make is ElasticStrings
+    if has_sections and "axial_rigidity" not in values:
+        rigidity = _sized(document.table("sections"), whole_strings(structure)).axial_rigidity
+        values["axial_rigidity"] = (
+            rigidity if by_string else to_segments(structure, "axial_rigidity", rigidity)
+        )
+    else:
+        table.need_required()
     with table.checked():
         law = make(**values)
         if whole_strings(structure) is structure:

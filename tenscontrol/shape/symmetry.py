@@ -12,6 +12,7 @@ from tenscontrol.arrays import FloatArray, IntArray, frozen
 from tenscontrol.fields import Array, Field, converted
 from tenscontrol.shape.demands import MOST_NODES, node_list
 from tenscontrol.short_repr import short_repr
+from tenscontrol.structure.connectivity import member_images
 from tenscontrol.structure.structure import Structure
 
 if TYPE_CHECKING:
@@ -190,38 +191,20 @@ def _refuse_other_supports(
             raise ValueError(f"symmetry does not take the {one} {node} to a {other}")
 
 
-def _ends(path: Sequence[int]) -> tuple[int, ...]:
-    """Return the nodes of a member, the same whichever way it is run through."""
-    nodes = list(path)
-    if nodes[0] == nodes[-1]:
-        first = nodes.index(min(nodes))
-        around = nodes[first:-1] + nodes[:first]
-        return min(tuple(around), (around[0], *around[:0:-1]))
-    return min(tuple(nodes), tuple(nodes[::-1]))
-
-
 def _orbits(
     kind: str, paths: Sequence[Sequence[int]], to: IntArray, length: FloatArray | None
 ) -> FloatArray:
     """Return which members are mapped onto one another, a column for each orbit."""
-    # Members between the same nodes are taken to one another in their order.
-    places: dict[tuple[int, ...], list[int]] = {}
-    for i, path in enumerate(paths):
-        places.setdefault(_ends(path), []).append(i)
-    image = []
-    for i, path in enumerate(paths):
-        alike = places[_ends(path)]
-        taken = to[list(path)].tolist()
-        candidates = places.get(_ends(taken), [])
-        if len(candidates) != len(alike):
+    image = member_images(paths, to)
+    for i, partner in enumerate(image):
+        if partner < 0:
+            path = list(paths[i])
             raise ValueError(
-                f"symmetry takes {kind} {i}, nodes {list(path)}, to nodes {taken}, where "
+                f"symmetry takes {kind} {i}, nodes {path}, to nodes {to[path].tolist()}, where "
                 f"there is no {kind}"
             )
-        partner = candidates[alike.index(i)]
         if length is not None and abs(length[partner] / length[i] - 1) > _TOLERANCE:
             raise ValueError(f"symmetry takes bar {i} to bar {partner}, which has another length")
-        image.append(partner)
     columns, seen = [], np.zeros(len(paths), bool)
     for i in range(len(paths)):
         if not seen[i]:

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NoReturn
+from typing import NoReturn
 
 import numpy as np
 
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, IntArray, frozen
+from tenscontrol.sizing.area_program import BUCKLING_OR_LEAST, AreaProgram
+from tenscontrol.sizing.common_prestress import Wound, wound_once
 from tenscontrol.sizing.materials import Material
+from tenscontrol.sizing.member_groups import area_of_member
 from tenscontrol.sizing.sections import Sections, with_areas
 from tenscontrol.statics.equilibrium_matrix import movable_members, sparse_equilibrium_matrix
 from tenscontrol.structure.structure import Structure
 from tenscontrol.tables import aligned
-
-if TYPE_CHECKING:
-    from scipy.sparse import csr_array
 
 # Tangents of the root of a force begin at these parts of the largest force of a bar, one after the
 # other. The error of the mass is the root of the last.
@@ -28,6 +28,9 @@ _MOST_PROGRAMS, _GAIN = 50, 1e-10
 
 # Forces that are left over in the program without a solution, part of the largest load.
 _UNBALANCED = 1e-7
+
+# Starts of designs with one prestress.
+_MOST_WOUND = 4
 
 # Members above which one start is enough by default: a program takes seconds.
 _LARGE = 3_000
@@ -98,12 +101,17 @@ class Design(Sections):
     bar_force_density : ndarray, shape (K, β)
         λ of each bar under each load, N/m, positive in compression.
     string_limit, bar_limit : tuple of str
-        What gives each member its area: "yield", "buckling" or "least".
+        What gives each member its area: "yield", "buckling" or "least"; "stiffness" where a common
+        prestress asks for more than limits do.
     string_load, bar_load : ndarray of int, shape (α,), (β,)
-        The load that does.
+        The load that does; -1 for the common prestress without load.
+    string_sized_by, bar_sized_by : ndarray of int, shape (α,), (β,)
+        The member whose force does: each itself, or another one of its group.
     restarts : ndarray, shape (r,)
         The mass that was found from each start, kg. The first is that of yield alone; others are
         random. The mass is the least of them.
+    prestress, bar_prestress : ndarray, shape (α,), (β,), or None
+        γ and λ without load, N/m, of a common prestress; ``force_density`` has them in it.
     """
 
     force_density: FloatArray
@@ -112,7 +120,11 @@ class Design(Sections):
     bar_limit: tuple[str, ...]
     string_load: IntArray
     bar_load: IntArray
+    string_sized_by: IntArray
+    bar_sized_by: IntArray
     restarts: FloatArray
+    prestress: FloatArray | None = None
+    bar_prestress: FloatArray | None = None
 
     @property
     def restarts_agree(self) -> bool:
@@ -120,17 +132,20 @@ class Design(Sections):
         return bool(self.restarts.max() <= self.restarts.min() * (1 + _AGREE))
 
     def table(self) -> str:
-        """Return members with area, mass, and the limit and the load that govern them."""
+        """Return members with area, mass, and the limit, load and member that govern them."""
         rows = []
-        for kind, area, mass, limits, loads in (
-            ("string", self.string_area, self.string_mass, self.string_limit, self.string_load),
-            ("bar", self.bar_area, self.bar_mass, self.bar_limit, self.bar_load),
-        ):
+        for kind, area, mass, limits, loads, members in (
+            ("string", self.string_area, self.string_mass, self.string_limit, self.string_load,
+             self.string_sized_by),
+            ("bar", self.bar_area, self.bar_mass, self.bar_limit, self.bar_load,
+             self.bar_sized_by),
+        ):  # fmt: skip
             rows += [
-                [f"{kind} {i}", f"{1e6 * a:.4g}", f"{m:.4g}", limit, str(load)]
-                for i, (a, m, limit, load) in enumerate(zip(area, mass, limits, loads, strict=True))
-            ]
-        return aligned(["member", "area mm^2", "mass kg", "limit", "load"], rows)
+                [f"{kind} {i}", f"{1e6 * area[i]:.4g}", f"{mass[i]:.4g}", limit, str(loads[i]),
+                 f"{kind} {members[i]}"]
+                for i, limit in enumerate(limits)
+            ]  # fmt: skip
+        return aligned(["member", "area mm^2", "mass kg", "limit", "load", "sized by"], rows)
 
 
 def design(
@@ -143,6 +158,8 @@ def design(
     min_force_density: object = None,
     tube: Tube | None = None,
     least_radius: float = 0.0,
+    groups: Mapping[str, Sequence[object]] | None = None,
+    common_prestress: bool = False,
     restarts: int | None = None,
     seed: int = 0,
 ) -> Design:
@@ -166,10 +183,19 @@ def design(
         Makes bars tubes; solid round bars without.
     least_radius : float, optional
         Least radius of a solid member, m, the outer one of a tube.
+    groups : mapping, optional
+        Members that share one cross section: ``{"strings": […], "bars": […]}``, lists of groups,
+        each a list of indices, or the name of a group of strings. Members that are in none have
+        their own. :func:`tenscontrol.sizing.symmetry_groups` and
+        :func:`tenscontrol.sizing.length_groups` find them.
+    common_prestress : bool, optional
+        Whether strings are wound once, before loads come, and left; see Notes. Without, they are
+        wound for each load.
     restarts : int, optional
-        How many starts: one from the forces of yield alone, the others from random ones. Least
-        mass with buckling is no convex problem, so that each may end in another minimum. By
-        default 4, and 1 above 3,000 members.
+        How many starts: from the forces of yield alone, near the best so far, and anywhere. Least
+        mass with buckling is no convex problem, so that each may end in another minimum, and many
+        bars have many: where ``restarts_agree`` is False, more starts may find less. By default 8,
+        and 1 above 3,000 members.
     seed : int, optional
         Of the random starts.
 
@@ -189,10 +215,17 @@ def design(
     ``2 l √(S F/(π E))``, where Euler's load ``π² E I/l²`` is reached. Yield is a linear program in
     forces and areas. Buckling is concave in the force: the root is replaced by its tangent, which
     is above it, so that each program gives areas that hold and a mass that falls (Skelton &
-    de Oliveira, Tensegrity Systems, 2009, ch. 4). Each load has forces of its own, in balance in
-    the given shape: those of a structure whose strings are wound for it. A structure that is left
-    to stretch takes others, which :meth:`Sections.margins` can judge. The weight of the members is
-    no load.
+    de Oliveira, Tensegrity Systems, 2009, ch. 4). The weight of the members is no load.
+
+    Each load has forces of its own, in balance in the given shape: those of a structure whose
+    strings are wound for it. With ``common_prestress`` there is one self-stress ``x₀``, and load
+    ``w`` adds the response ``Δx`` of elastic members to it, to first order in displacements and
+    with all strings taut: ``E Δx = w``, and ``Sᵀ (l/EA) Δx = 0`` for the states of self-stress S,
+    so that elongations fit together (the force method; Pellegrino 1993,
+    doi:10.1016/0020-7683(93)90014-X). Bars stretch as well. Areas, self-stress and responses are
+    the unknowns of one nonlinear program (IPOPT), from the designs without it. Limits and
+    ``min_force_density`` then hold without any load too. Where stiffness, and no limit, gives a
+    member its area, its limit is "stiffness".
 
     Examples
     --------
@@ -219,9 +252,10 @@ def design(
     if validation.number("least_radius", least_radius, "m") < 0:
         raise ValueError(f"least_radius is {least_radius:g} m, expected at least 0")
     if restarts is None:
-        restarts = 4 if len(structure.strings) + len(structure.bars) <= _LARGE else 1
+        restarts = 8 if len(structure.strings) + len(structure.bars) <= _LARGE else 1
     validation.whole_number("restarts", restarts, least=1)
     validation.whole_number("seed", seed, least=0)
+    validation.truth("common_prestress", common_prestress, "whether strings are wound once")
     given = validation.items("loads", loads, "loads, one array of shape (d, n) each")
     forces = [
         validation.node_forces(f"loads[{k}]", load, structure.nodes.shape)
@@ -239,232 +273,201 @@ def design(
     alpha = len(structure.strings)
     least = validation.per_member("min_force_density", min_force_density, alpha, "string")
     validation.non_negative("min_force_density", least, "a string can only pull")
-    shape = _Shape.of(structure, bars, strings, np.array(forces), least, safety, tube, least_radius)
-    return shape.designed(structure, tube, restarts, seed)
+    group = area_of_member(structure, groups)
+    program, unit = _program(
+        structure, bars, strings, np.array(forces), least, safety, tube, least_radius, group
+    )
+    none = np.zeros(len(structure.bars))
+    by_yield = program.solve(none, none)
+    if by_yield is None:
+        _refuse(structure, program, unit)
+    results = _least(program, by_yield, restarts, seed)
+    masses = np.array([result[0] for result in results])
+    results.sort(key=lambda result: result[0])
+    x = results[0][1]
+    if not common_prestress:
+        plan = Wound(masses[0], None, x, program.shared(x))
+    else:
+        modulus = np.where(np.arange(x.shape[1]) < alpha, strings.modulus, bars.modulus)
+        starts = [program.shared(result[1]) for result in results[:_MOST_WOUND]]
+        found = wound_once(program, lengths / modulus, starts)
+        plan, masses = found[0], np.array([wound.mass for wound in found])
+    return _designed(structure, bars, strings, program, plan, unit, tube, masses)
 
 
-@dataclass(frozen=True, eq=False)
-class _Shape:
-    """The least mass of a shape: member forces x in units of one force, strings first."""
+def _program(
+    structure: Structure, bars: Material, strings: Material, loads: FloatArray,
+    least: FloatArray, safety: float, tube: Tube | None, least_radius: float, group: IntArray,
+) -> tuple[AreaProgram, float]:  # fmt: skip
+    """Return the program of a shape, and the force in N that is its unit."""
+    from scipy.sparse import csr_array, diags_array
 
-    balance: csr_array  # (f, α + β), unit forces of members on free coordinates
-    loads: FloatArray  # (K, f), in the unit
-    least_pull: FloatArray  # (α,), in the unit
-    unit: float  # N
-    length: FloatArray  # (α + β,)
-    materials: tuple[Material, Material]  # of strings and of bars
-    per_pull: FloatArray  # (α + β,), area per unit force in tension, m²
-    per_push: FloatArray  # (β,), area per unit force in compression by stress, m²
-    per_root: FloatArray  # (β,), area per root of the unit force by buckling, m²
-    least_area: FloatArray  # (α + β,)
-    stress: float  # of bars in compression, Pa
-
-    @classmethod
-    def of(
-        cls, structure: Structure, bars: Material, strings: Material, loads: FloatArray,
-        least: FloatArray, safety: float, tube: Tube | None, least_radius: float,
-    ) -> _Shape:  # fmt: skip
-        from scipy.sparse import csr_array, diags_array
-
-        pulls, l = structure.string_length(), structure.bar_length  # noqa: E741
-        alpha, beta, length = len(pulls), len(l), np.concatenate([pulls, l])
-        E = sparse_equilibrium_matrix(structure, structure.nodes).tocsr()[structure.free_rows]
-        unit_forces = csr_array(E @ diags_array(1 / length))
-        w = loads.transpose(0, 2, 1).reshape(len(loads), -1)[:, structure.free_rows]
-        unit = max(float(np.abs(w).max(initial=0.0)), float((least * pulls).max(initial=0.0)))
-        if unit == 0:
-            raise ValueError(
-                "loads pulls on supports alone and min_force_density is 0, so that nothing is to "
-                "be carried; give min_force_density in N/m"
-            )
-        hollow = tube.inertia_ratio if tube else 1.0
-        stress = tube.stress(bars) if tube else bars.yield_stress
-        solid = np.pi * least_radius**2
-        ring = solid * (1 - tube.ratio**2) if tube else solid
-        if tube:
-            wall = tube.least_wall / (1 - tube.ratio)
-            ring = max(ring, np.pi * wall**2 * (1 - tube.ratio**2))
-        pull = np.r_[np.full(alpha, strings.yield_stress), np.full(beta, bars.yield_stress)]
-        return cls(
-            unit_forces, w / unit, least * pulls / unit, unit, length, (strings, bars),
-            safety * unit / pull, np.full(beta, safety * unit / stress),
-            2 * l * np.sqrt(safety * unit / (np.pi * bars.modulus * hollow)),
-            np.r_[np.full(alpha, solid), np.full(beta, ring)], stress,
-        )  # fmt: skip
-
-    @property
-    def per_area(self) -> FloatArray:
-        """Mass of each member for an area of 1 m², kg."""
-        alpha = len(self.least_pull)
-        strings, bars = self.materials
-        density = np.full(len(self.length), bars.density)
-        density[:alpha] = strings.density
-        return density * self.length
-
-    def areas(self, x: FloatArray) -> FloatArray:
-        """Return what each limit asks for, shape (4, K, α + β): pull, push, buckling, least."""
-        alpha = len(self.least_pull)
-        area = np.zeros((4, *x.shape))
-        area[0] = self.per_pull * np.abs(x)
-        push = np.maximum(x[:, alpha:], 0.0)
-        area[0, :, alpha:] = self.per_pull[alpha:] * np.maximum(-x[:, alpha:], 0.0)
-        area[1, :, alpha:] = self.per_push * push
-        area[2, :, alpha:] = self.per_root * np.sqrt(push)
-        area[3] = self.least_area
-        return area
-
-    def program(self, slope: FloatArray, offset: FloatArray) -> FloatArray | None:
-        """Return forces, shape (K, α + β), of least mass where bars ask for offset + slope x."""
-        from scipy.optimize import linprog
-        from scipy.sparse import block_array, block_diag, csr_array, diags_array, eye_array, vstack
-
-        cases, count = len(self.loads), len(self.length)
-        alpha = len(self.least_pull)
-        beta, scale = count - alpha, self.per_area * self.per_pull
-        # Unknowns: for each load pulls of strings, pushes of bars and pulls of bars, all positive.
-        # Then the areas over per_pull, of bars and of those strings whose area is more than one
-        # pull: the fewer rows, the faster.
-        sized = np.arange(count)
-        if cases == 1 and not self.least_area[:alpha].any():
-            sized = sized[alpha:]
-        unit = eye_array(count, format="csr")
-        of_bars = unit[alpha:]
-        of_stress = diags_array(np.r_[np.ones(alpha), self.per_push / self.per_pull[alpha:]])
-        stress = block_array([[of_stress, of_bars.T]], format="csr")[sized]
-        steep = diags_array(slope / self.per_pull[alpha:]) @ of_bars
-        buckling = block_array([[steep, csr_array((beta, beta))]])
-        rows = block_array(
-            [
-                [block_diag([stress] * cases), vstack([-unit[sized][:, sized]] * cases)],
-                [block_diag([buckling] * cases), vstack([-of_bars[:, sized]] * cases)],
-            ],
-            format="csr",
+    pulls, l = structure.string_length(), structure.bar_length  # noqa: E741
+    alpha, beta, length = len(pulls), len(l), np.concatenate([pulls, l])
+    E = sparse_equilibrium_matrix(structure, structure.nodes).tocsr()[structure.free_rows]
+    w = loads.transpose(0, 2, 1).reshape(len(loads), -1)[:, structure.free_rows]
+    unit = max(float(np.abs(w).max(initial=0.0)), float((least * pulls).max(initial=0.0)))
+    if unit == 0:
+        raise ValueError(
+            "loads pulls on supports alone and min_force_density is 0, so that nothing is to "
+            "be carried; give min_force_density in N/m"
         )
-        split = block_diag([block_array([[self.balance, -self.balance[:, alpha:]]])] * cases)
-        equal = block_array([[split, csr_array((split.shape[0], len(sized)))]], format="csr")
-        weight = np.zeros((cases, count + beta))
-        if len(sized) == beta:
-            weight[:, :alpha] = scale[:alpha]
-        low = np.zeros((cases, count + beta))
-        low[:, :alpha] = self.least_pull
-        low = np.r_[low.ravel(), (self.least_area / self.per_pull)[sized]]
-        beyond = np.tile(-offset / self.per_pull[alpha:], cases)
-        right = np.r_[np.zeros(len(sized) * cases), beyond]
-        # On 24,000 members the first program takes an interior point a third of the simplex's time,
-        # those with tangents the simplex without presolve half of either.
-        first = not slope.any()
-        answer = linprog(
-            np.r_[weight.ravel(), scale[sized]] / scale.max(),
-            rows, right, equal, self.loads.ravel(), np.c_[low, np.full(len(low), np.inf)],
-            method="highs-ipm" if first else "highs-ds", options={"presolve": first},
-        )  # fmt: skip
-        if answer.status == 2:
-            return None
-        if answer.status != 0:
-            raise ArithmeticError(f"the linear program of least mass ended early: {answer.message}")
-        found = answer.x[: weight.size].reshape(weight.shape)
-        return np.hstack([found[:, :alpha], found[:, alpha:count] - found[:, count:]])
+    hollow = tube.inertia_ratio if tube else 1.0
+    stress = tube.stress(bars) if tube else bars.yield_stress
+    solid = np.pi * least_radius**2
+    ring = solid * (1 - tube.ratio**2) if tube else solid
+    if tube:
+        wall = tube.least_wall / (1 - tube.ratio)
+        ring = max(ring, np.pi * wall**2 * (1 - tube.ratio**2))
+    pull = np.r_[np.full(alpha, strings.yield_stress), np.full(beta, bars.yield_stress)]
+    density = np.r_[np.full(alpha, strings.density), np.full(beta, bars.density)]
+    return AreaProgram(
+        csr_array(E @ diags_array(1 / length)), w / unit, least * pulls / unit,
+        safety * unit / pull, np.full(beta, safety * unit / stress),
+        2 * l * np.sqrt(safety * unit / (np.pi * bars.modulus * hollow)),
+        np.r_[np.full(alpha, solid), np.full(beta, ring)], density * length, group,
+    ), unit  # fmt: skip
 
-    def improved(self, x: FloatArray, floors: tuple[float, ...]) -> tuple[float, FloatArray]:
-        """Return mass and forces where programs with tangents at the last forces end.
 
-        A bar without force has a steep tangent, so that it stays without. Tangents begin at
-        a floor, part of the largest force: from high to low, more bars come and go.
-        """
-        alpha = len(self.least_pull)
-        best, least = x, self.mass(x)
-        largest = np.abs(x[:, alpha:]).max(initial=1.0)
-        for floor in floors:
-            before = self.mass(x)
-            for _ in range(_MOST_PROGRAMS):
-                # At the area that all loads share: a load below may rise to it.
-                area = self.areas(x).max(axis=(0, 1))[alpha:]
-                area = np.maximum(area, self.per_root * np.sqrt(floor * largest))
-                trial = self.program(0.5 * self.per_root**2 / area, 0.5 * area)
-                if trial is None:
-                    raise ArithmeticError("the linear program of least mass lost its solution")
-                mass, x = self.mass(trial), trial
-                if mass < least:
-                    best, least = trial, mass
-                if mass >= before * (1 - _GAIN):
-                    break
-                before = mass
-        return least, best
+def _improved(
+    program: AreaProgram, x: FloatArray, floors: tuple[float, ...]
+) -> tuple[float, FloatArray]:
+    """Return mass and forces where programs with tangents at the last forces end.
 
-    def mass(self, x: FloatArray) -> float:
-        """Return the mass of all members under these forces, kg."""
-        return float(self.per_area @ self.areas(x).max(axis=(0, 1)))
+    A bar without force has a steep tangent, so that it stays without. Tangents begin at
+    a floor, part of the largest force: from high to low, more bars come and go.
+    """
+    alpha = len(program.least_pull)
+    best, least = x, program.mass(x)
+    largest = np.abs(x[:, alpha:]).max(initial=1.0)
+    for floor in floors:
+        before = program.mass(x)
+        # Where a pull sizes a bar, a tangent at its area lets pushes rise to what that bears; one
+        # at its pushes lets the area fall. Both hold: one after the other.
+        limits = [BUCKLING_OR_LEAST, slice(None)]
+        tried = 0
+        for _ in range(_MOST_PROGRAMS):
+            area = program.shared(x, limits[tried])[alpha:]
+            area = np.maximum(area, program.per_root * np.sqrt(floor * largest))
+            trial = program.solve(0.5 * program.per_root**2 / area, 0.5 * area, x)
+            if trial is None:
+                raise ArithmeticError("the linear program of least mass lost its solution")
+            mass = program.mass(trial)
+            if mass < before * (1 - _GAIN):
+                x, before, tried = trial, mass, 0
+                continue
+            tried += 1
+            if tried == len(limits):
+                break
+        if before < least:
+            best, least = x, before
+    return least, best
 
-    def designed(self, structure: Structure, tube: Tube | None, restarts: int, seed: int) -> Design:
-        """Return the best design of all starts."""
-        cases, count = len(self.loads), len(self.length)
-        alpha = len(self.least_pull)
-        beta, random = count - alpha, np.random.default_rng(seed)
-        none = np.zeros(beta)
-        by_yield = self.program(none, none)
-        if by_yield is None:
-            self._refuse(structure)
-        results = [self.improved(by_yield, _FLOORS[-1:])]
-        for _ in range(restarts - 1 if beta else 0):
-            weight = self.per_push * 10 ** random.uniform(-2, 2, beta)
-            start = self.program(weight, none)
+
+def _least(
+    program: AreaProgram, by_yield: FloatArray, restarts: int, seed: int
+) -> list[tuple[float, FloatArray]]:
+    """Return mass and forces from each start.
+
+    The first two start from the forces of yield alone, with tangents at the forces and with those
+    from high floors. Others start near the best, with tangents that are changed at random, or
+    anywhere, in turns.
+    """
+    alpha, beta = len(program.least_pull), len(program.per_push)
+    random = np.random.default_rng(seed)
+    results = [_improved(program, by_yield, _FLOORS[-1:])]
+    for k in range(1, restarts if beta else 1):
+        x = by_yield
+        if k > 1:
+            x = min(results, key=lambda result: result[0])[1]
+            largest = np.abs(x[:, alpha:]).max(initial=1.0)
+            area = program.per_root * np.sqrt(largest)
+            if k % 2 == 0:
+                pushed = program.per_root * np.sqrt(_FLOORS[0] * largest)
+                area = np.maximum(program.shared(x)[alpha:], pushed)
+            area = area * 10 ** random.uniform(-1, 1, beta)
+            start = program.solve(0.5 * program.per_root**2 / area, np.zeros(beta))
             if start is None:
                 raise ArithmeticError("the linear program of least mass lost its solution")
-            results.append(self.improved(start, _FLOORS))
-        x = min(results, key=lambda result: result[0])[1]
-        area = self.areas(x)
-        least = area.max(axis=(0, 1))
-        moves = movable_members(structure)
-        if not least.all():
-            i = int(np.flatnonzero(least == 0)[0])
-            member = f"string {i}" if i < alpha else f"bar {i - alpha}"
-            why = "no force under any load" if moves[i] else "no load, as both ends are fixed"
+            x = start
+        results.append(_improved(program, x, _FLOORS))
+    return results
+
+
+def _designed(
+    structure: Structure, bars: Material, strings: Material, program: AreaProgram, plan: Wound,
+    unit: float, tube: Tube | None, masses: FloatArray,
+) -> Design:  # fmt: skip
+    """Return the design of these forces, shape (K, m), in the unit."""
+    x = plan.forces
+    if plan.prestress is not None:
+        x = np.vstack([x, plan.prestress])
+    cases, count = x.shape
+    alpha, beta = len(structure.strings), len(structure.bars)
+    needs, area = program.areas(x), plan.area
+    if not area.all():
+        i = int(np.flatnonzero(area == 0)[0])
+        member = f"string {i}" if i < alpha else f"bar {i - alpha}"
+        is_held = not movable_members(structure)[i]
+        why = "no load, as both ends are fixed" if is_held else "no force under any load"
+        raise ValueError(
+            f"{member} carries {why}, so that it would have no section; give least_radius in m"
+            + (", or a positive min_force_density" if i < alpha else "")
+        )
+    # Of each group, the member, limit and load that ask for the largest area.
+    largest = needs.max(axis=(0, 1))
+    order = np.lexsort((largest, program.group))
+    last = np.r_[np.flatnonzero(np.diff(program.group[order])), count - 1]
+    by = order[last][program.group]
+    by = np.where(largest >= area, np.arange(count), by)
+    is_stiff = largest[by] < area * (1 - _AGREE)
+    governs = needs.transpose(2, 0, 1).reshape(count, -1).argmax(axis=1)[by]
+    limit = np.array(["yield", "yield", "buckling", "least"])[governs // cases]
+    limit = np.where(is_stiff, "stiffness", limit)
+    load = governs % cases
+    load[load == len(plan.forces)] = -1
+    hollow = tube.inertia_ratio if tube else 1.0
+    stress = np.full(beta, tube.stress(bars) if tube else bars.yield_stress)
+    A_s, A_b = area[:alpha], area[alpha:]
+    plain = with_areas(
+        structure, bars, strings, A_b, A_s, hollow * A_b**2 / (4 * np.pi), stress, is_lumped=False
+    )
+    density = x * unit / np.concatenate([structure.string_length(), structure.bar_length])
+    loaded, rest = density[: len(plan.forces)], density[len(plan.forces) :]
+    return Design(
+        plain.structure, bars, strings, plain.bar_area, plain.string_area, plain.bar_inertia,
+        plain.bar_stress, frozen(loaded[:, :alpha]), frozen(loaded[:, alpha:]),
+        tuple(limit[:alpha].tolist()), tuple(limit[alpha:].tolist()),
+        frozen(load[:alpha]), frozen(load[alpha:]),
+        frozen(by[:alpha]), frozen(by[alpha:] - alpha), frozen(masses),
+        *(frozen(part[0]) if len(rest) else None for part in (rest[:, :alpha], rest[:, alpha:])),
+    )  # fmt: skip
+
+
+def _refuse(structure: Structure, program: AreaProgram, unit: float) -> NoReturn:
+    """Raise, naming the load and the nodes that no forces of members hold."""
+    from scipy.optimize import linprog
+    from scipy.sparse import eye_array, hstack
+
+    rows, count = program.balance.shape
+    low = np.r_[program.least_pull, np.full(count - len(program.least_pull), -np.inf)]
+    bounds = np.c_[low, np.full(count, np.inf)]
+    bounds = np.vstack([bounds, np.tile([0.0, np.inf], (2 * rows, 1))])
+    equal = hstack([program.balance, eye_array(rows), -eye_array(rows)], format="csr")
+    for k, load in enumerate(program.loads):
+        cost = np.r_[np.zeros(count), np.ones(2 * rows)]
+        answer = linprog(cost, A_eq=equal, b_eq=load, bounds=bounds, method="highs")
+        if answer.status != 0:
+            raise ArithmeticError(f"the program that looks for balance ended: {answer.message}")
+        left = np.abs(answer.x[count : count + rows] - answer.x[count + rows :])
+        if left.max(initial=0.0) > _UNBALANCED:
+            nodes = np.unique(structure.free_rows[left > _UNBALANCED] // structure.dimension)
+            named = ", ".join(str(node) for node in nodes[:5])
+            more = f" and {len(nodes) - 5} more" if len(nodes) > 5 else ""
             raise ValueError(
-                f"{member} carries {why}, so that it would have no section; give least_radius in m"
-                + (", or a positive min_force_density" if i < alpha else "")
+                f"loads[{k}] cannot be carried in this shape with min_force_density in every "
+                f"string: no forces of the members hold nodes {named}{more} (at least "
+                f"{left.max() * unit:.3g} N are left). Add members or supports there, "
+                "change the shape, or let strings go slack by min_force_density=0"
             )
-        governs = area.transpose(2, 0, 1).reshape(count, -1).argmax(axis=1)
-        limit = np.array(["yield", "yield", "buckling", "least"])[governs // cases]
-        strings, bars = self.materials
-        hollow = tube.inertia_ratio if tube else 1.0
-        A_s, A_b = least[:alpha], least[alpha:]
-        plain = with_areas(
-            structure, bars, strings, A_b, A_s, hollow * A_b**2 / (4 * np.pi),
-            np.full(beta, self.stress), is_lumped=False,
-        )  # fmt: skip
-        density = x * self.unit / self.length
-        return Design(
-            plain.structure, bars, strings, plain.bar_area, plain.string_area, plain.bar_inertia,
-            plain.bar_stress, frozen(density[:, :alpha]), frozen(density[:, alpha:]),
-            tuple(limit[:alpha].tolist()), tuple(limit[alpha:].tolist()),
-            frozen(governs[:alpha] % cases), frozen(governs[alpha:] % cases),
-            frozen(np.array([result[0] for result in results])),
-        )  # fmt: skip
-
-    def _refuse(self, structure: Structure) -> NoReturn:
-        """Raise, naming the load and the nodes that no forces of members hold."""
-        from scipy.optimize import linprog
-        from scipy.sparse import eye_array, hstack
-
-        rows, count = self.balance.shape
-        low = np.r_[self.least_pull, np.full(count - len(self.least_pull), -np.inf)]
-        bounds = np.c_[low, np.full(count, np.inf)]
-        bounds = np.vstack([bounds, np.tile([0.0, np.inf], (2 * rows, 1))])
-        equal = hstack([self.balance, eye_array(rows), -eye_array(rows)], format="csr")
-        for k, load in enumerate(self.loads):
-            cost = np.r_[np.zeros(count), np.ones(2 * rows)]
-            answer = linprog(cost, A_eq=equal, b_eq=load, bounds=bounds, method="highs")
-            if answer.status != 0:
-                raise ArithmeticError(f"the program that looks for balance ended: {answer.message}")
-            left = np.abs(answer.x[count : count + rows] - answer.x[count + rows :])
-            if left.max(initial=0.0) > _UNBALANCED:
-                nodes = np.unique(structure.free_rows[left > _UNBALANCED] // structure.dimension)
-                named = ", ".join(str(node) for node in nodes[:5])
-                more = f" and {len(nodes) - 5} more" if len(nodes) > 5 else ""
-                raise ValueError(
-                    f"loads[{k}] cannot be carried in this shape with min_force_density in every "
-                    f"string: no forces of the members hold nodes {named}{more} (at least "
-                    f"{left.max() * self.unit:.3g} N are left). Add members or supports there, "
-                    "change the shape, or let strings go slack by min_force_density=0"
-                )
-        raise ArithmeticError("the linear program of least mass found no forces, yet some balance")
+    raise ArithmeticError("the linear program of least mass found no forces, yet some balance")

@@ -12,6 +12,8 @@ from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.warn import warn
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from scipy.sparse import csr_array
 
 # A bar shorter than this fraction of the structure's size has no direction in double precision.
@@ -227,3 +229,29 @@ def _roller(name: str, pair: Any, d: int, count: int) -> tuple[int, str]:
         name, number[None], count, f"there are {count} nodes", "node "
     ).tolist()
     return node, validation.choice(f"{name} axis of node {node}", pair[1], tuple("xyz"[:d]))
+
+
+def member_images(paths: Sequence[Sequence[int]], to: IntArray) -> list[int]:
+    """Return the member that each is taken to where node i is taken to ``to[i]``, or -1 for none.
+
+    Members between the same nodes are taken to one another in their order.
+    """
+    places: dict[tuple[int, ...], list[int]] = {}
+    for i, path in enumerate(paths):
+        places.setdefault(_undirected(path), []).append(i)
+    images = []
+    for i, path in enumerate(paths):
+        alike = places[_undirected(path)]
+        candidates = places.get(_undirected(to[list(path)].tolist()), [])
+        images.append(candidates[alike.index(i)] if len(candidates) == len(alike) else -1)
+    return images
+
+
+def _undirected(path: Sequence[int]) -> tuple[int, ...]:
+    """Return the nodes of a member, the same whichever way it is run through."""
+    nodes = list(path)
+    if nodes[0] == nodes[-1]:
+        first = nodes.index(min(nodes))
+        around = nodes[first:-1] + nodes[:first]
+        return min(tuple(around), (around[0], *around[:0:-1]))
+    return min(tuple(nodes), tuple(nodes[::-1]))

@@ -139,6 +139,7 @@ RESULTS = {
     "plot.Curves",
     "plot.Drawing",
     "plot.FitDrawing",
+    "plot.MassDrawing",
     "plot.ModeShape",
     "plot.PoleMap",
     "plot.SweepDrawing",
@@ -170,6 +171,7 @@ RESULTS = {
     "simulation.SimulationError",
     "simulation.StepperState",
     "simulation.Trajectory",
+    "sizing.Complexity",
     "sizing.Design",
     "sizing.Sections",
     "statics.Prestress",
@@ -215,6 +217,7 @@ WITHIN = {
     "optimize.Identifiability.table",
     "optimize.Sensitivity.table",
     "simulation.Strength.table",
+    "sizing.Complexity.table",
     "sizing.Design.table",
     "sizing.Tube.stress",
     *(f"integrate.RK4.{name}" for name in ("smooth_step", "steps_between", "work_of")),
@@ -723,6 +726,32 @@ call(
     lambda: {"string_force": np.full(9, 10.0), "bar_force": np.full(3, 10.0)},
     sized,
 )
+
+
+def family():
+    return tc.sizing.complexity(
+        {1: prism()}, bars=soft(), strings=soft(), loads=lambda _: [], min_force_density=10.0,
+        restarts=1,
+    )  # fmt: skip
+
+
+call(
+    "sizing.complexity",
+    lambda: {
+        "family": {1: prism()},
+        "bars": soft(),
+        "strings": soft(),
+        "loads": lambda _: [STILL],
+        "min_force_density": 10.0,
+    },
+)
+call(
+    "plot.least_mass",
+    lambda: {"found": family(), "xlabel": "stages", "ax": flat()},
+    share=0.2,
+)
+call("sizing.symmetry_groups", lambda: {"structure": prism()})
+call("sizing.length_groups", lambda: {"structure": prism()})
 call(
     "design",
     lambda: {
@@ -734,6 +763,8 @@ call(
         "min_force_density": 10.0,
         "tube": tc.sizing.Tube(0.8),
         "least_radius": 1e-3,
+        "groups": {"strings": [[0, 1, 2], [3, 4]], "bars": [[0, 1, 2]]},
+        "common_prestress": True,
         "restarts": 1,
         "seed": 1,
     },

@@ -123,3 +123,46 @@ def test_a_member_without_force_needs_a_least_radius():
     )  # fmt: skip
     with pytest.raises(ValueError, match="bar 4 carries no force under any load"):
         tc.design(bridge, bars=SOFT, strings=ROPE, loads=[pressed(bridge, 0, 2)])
+
+
+@pytest.mark.parametrize(
+    ("structure", "load", "message"),
+    [
+        # A pendulum turns about its support.
+        (tc.Structure([[0, 1], [0, 0]], [[0, 1]], [], bar_mass=1.0, fixed=[0]),
+         [[0, 0], [0, -10.0]], r"hold nodes 1 \(at least 10 N"),
+        # A roller does not hold along its track.
+        (tc.Structure([[0, 1], [0, 0]], [[0, 1]], [], bar_mass=1.0, fixed=[(0, "y"), (1, "y")]),
+         [[0, 5.0], [0, 0]], "hold nodes"),
+        # A bar that floats is pushed by what nothing balances.
+        (tc.Structure([[0, 1], [0, 0]], [[0, 1]], [], bar_mass=1.0),
+         [[3.0, 0], [0, 0]], "Add members or supports"),
+    ],
+)  # fmt: skip
+def test_loads_on_mechanisms_name_the_nodes(structure, load, message):
+    with pytest.raises(ValueError, match=message):
+        tc.design(structure, bars=SOFT, strings=ROPE, loads=[load])
+
+
+def test_a_load_on_supports_alone_needs_a_prestress():
+    structure = tc.Structure([[0, 1], [0, 0]], [[0, 1]], [], bar_mass=1.0, fixed=[0])
+    with pytest.raises(ValueError, match="loads pulls on supports alone"):
+        tc.design(structure, bars=SOFT, strings=ROPE, loads=[[[0, 0], [-10.0, 0]]])
+
+
+def test_a_bar_that_pulls_has_the_area_of_yield_alone():
+    hung = tc.Structure([[0, 0], [0, -3.0]], [[0, 1]], [], bar_mass=1.0, fixed=[0])
+    found = tc.design(hung, bars=SOFT, strings=ROPE, loads=[[[0, 0], [0, -1e4]]], safety=2.0)
+    assert found.bar_area[0] == pytest.approx(2e4 / 110e6, rel=1e-12)
+    assert found.bar_limit == ("yield",)
+    assert found.bar_force_density[0, 0] == pytest.approx(-1e4 / 3)
+
+
+def test_a_cluster_has_one_tension_and_the_mass_of_all_its_segments():
+    # Two strings that go up from a node, over one path: each bears F / (2 cos 45°).
+    nodes = [[-1, 0, 1], [1, 0, 1]]
+    hung = tc.Structure(nodes, [], [(0, 1, 2)], None, string_node_mass=1.0, fixed=[0, 2])
+    found = tc.design(hung, bars=SOFT, strings=ROPE, loads=[[[0, 0, 0], [0, -900.0, 0]]])
+    area = 900 / np.sqrt(2) / 300e6
+    assert found.string_area[0] == pytest.approx(area, rel=1e-9)
+    assert found.mass == pytest.approx(1100 * area * 2 * np.sqrt(2), rel=1e-9)

@@ -1,0 +1,126 @@
+"""Least mass over a family of structures that carry the same load."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray, frozen
+from tenscontrol.interrupt import check, interruptible
+from tenscontrol.sizing.materials import Material
+from tenscontrol.sizing.minimal_mass import Design, design
+from tenscontrol.structure.structure import Structure
+from tenscontrol.tables import aligned
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Complexity:
+    """Designs of a family of structures. Made by :func:`complexity`.
+
+    Attributes
+    ----------
+    labels : tuple
+        What tells the structures apart, such as the number of stages, in the order given.
+    designs : tuple of Design
+        The design of each.
+    """
+
+    labels: tuple[object, ...]
+    designs: tuple[Design, ...]
+
+    @property
+    def mass(self) -> FloatArray:
+        """Mass of each design, kg, shape (k,)."""
+        return frozen(np.array([sized.mass for sized in self.designs]))
+
+    @property
+    def lightest(self) -> object:
+        """The label of the lightest design."""
+        return self.labels[int(self.mass.argmin())]
+
+    def table(self) -> str:
+        """Return structures with their members, masses, and how many bars buckling sizes."""
+        rows = [
+            [str(label), str(len(sized.structure.bars)), str(len(sized.structure.strings)),
+             f"{sized.bar_mass.sum():.4g}", f"{sized.string_mass.sum():.4g}", f"{sized.mass:.4g}",
+             str(sized.bar_limit.count("buckling")), "yes" if sized.restarts_agree else "no"]
+            for label, sized in zip(self.labels, self.designs, strict=True)
+        ]  # fmt: skip
+        names = ["structure", "bars", "strings", "bars kg", "strings kg", "mass kg", "buckling"]
+        return aligned([*names, "restarts agree"], rows)
+
+    def __repr__(self) -> str:
+        return (
+            f"Complexity({len(self.designs)} designs, {self.mass.min():.4g} to "
+            f"{self.mass.max():.4g} kg, lightest {self.lightest!r})"
+        )
+
+
+def complexity(
+    family: Mapping[Any, Structure],
+    *,
+    bars: Material,
+    strings: Material,
+    loads: Callable[[Structure], Sequence[object]],
+    **options: Any,
+) -> Complexity:
+    """Return the design of least mass of each structure of a family.
+
+    Parameters
+    ----------
+    family : mapping of a label to Structure
+        Structures that do the same: towers of one height by their number of stages.
+    bars, strings : Material
+        As of :func:`design`.
+    loads : callable
+        Takes a structure and returns its loads, as of :func:`design`.
+    **options
+        Further arguments of :func:`design`, such as ``safety``.
+
+    Returns
+    -------
+    Complexity
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument does not fit, or a structure cannot carry its loads: the message names it.
+
+    Examples
+    --------
+    A column of more stages weighs less:
+
+    >>> import numpy as np, tenscontrol as tc
+    >>> def column(stages):
+    ...     return tc.prism_tower(stages, height=10 / (0.75 * stages + 0.25))
+    >>> def pressed(tower):
+    ...     height = tower.nodes[2]
+    ...     load = np.zeros(tower.nodes.shape)
+    ...     load[2, np.argsort(height)[-3:]], load[2, np.argsort(height)[:3]] = -300.0, 300.0
+    ...     return [load]
+    >>> found = tc.sizing.complexity(
+    ...     {q: column(q) for q in (2, 4)}, bars=tc.sizing.materials["aluminium"],
+    ...     strings=tc.sizing.materials["dyneema"], loads=pressed, restarts=1)
+    >>> found.lightest, [len(sized.structure.bars) for sized in found.designs]
+    (4, [6, 12])
+    """
+    if not isinstance(family, Mapping) or not family:
+        raise validation.wrong_kind("family", family, "a mapping of labels to structures")
+    validation.function("loads", loads, "takes a structure and returns its loads")
+    designs = []
+    with interruptible():
+        for label, structure in family.items():
+            check()
+            name = f"family[{label!r}]"
+            validation.instance(name, structure, Structure, "make one by Structure(...)")
+            try:
+                designs.append(
+                    design(structure, bars=bars, strings=strings, loads=loads(structure), **options)
+                )
+            except ValueError as error:
+                raise ValueError(f"{name}: {error}") from error
+    return Complexity(tuple(family), tuple(designs))
