@@ -488,8 +488,10 @@ class Scene:
             ) from error
         kind, law = self.input if input is None else input, self.law
         actuated = None
-        if law is not None and law.input == kind and len(law.commanded.strings) == len(
-            self.structure.strings
+        if (
+            law is not None
+            and law.input == kind
+            and len(law.commanded.strings) == len(self.structure.strings)
         ):
             actuated = law.actuation
         return linearize(self.model, rest, kind, coordinates, actuated=actuated)

@@ -1965,6 +1965,7 @@ call(
         ),
         "tolerance": 0.01,
         "target": nodes(),
+        "success": lambda run: True,
     },
     share=0.5,
 )
