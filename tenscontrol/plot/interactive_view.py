@@ -8,9 +8,15 @@ from functools import singledispatch
 import numpy as np
 
 from tenscontrol import validation
+from tenscontrol.plant.linear_plant import LinearPlant
 from tenscontrol.plant.modes import Modes
+from tenscontrol.plant.string_outputs import to_model_strings
 from tenscontrol.plot.ground_drawing import ground_surface
-from tenscontrol.plot.structure_drawing import checked_force_density
+from tenscontrol.plot.structure_drawing import (
+    checked_force_density,
+    known_actuation,
+    passive_strings,
+)
 from tenscontrol.plot.web_page import View
 from tenscontrol.shape.shape_path import ShapePath
 from tenscontrol.simulation.strength import Strength
@@ -19,18 +25,21 @@ from tenscontrol.structure.structure import Structure
 
 
 def view(
-    shown: Structure | Trajectory | Strength | Modes | ShapePath, *, force_density: object = None
+    shown: Structure | Trajectory | Strength | Modes | ShapePath | LinearPlant,
+    *,
+    force_density: object = None,
 ) -> View:
-    """Return a view of a structure, a run, modes or a path, to be turned in a browser.
+    """Return a view of a structure, a plant, a run, modes or a path, to be turned in a browser.
 
     Nothing is written or opened yet: ``view(run).save("run.html")`` writes the page, one file that
     needs no network, ``view(run).open()`` shows it in the browser, and Jupyter shows what a cell
-    ends with. Bars are dark and wide, strings thin and coloured, slack strings dotted. Nodes show
-    their number under the mouse.
+    ends with. Bars are dark and wide, strings thin and coloured, slack strings dotted, and dashed
+    those that no winch of a plant or a controlled run drives. Nodes show their number under the
+    mouse.
 
     Parameters
     ----------
-    shown : Structure, Trajectory, Strength, Modes or ShapePath
+    shown : Structure, Trajectory, Strength, Modes, ShapePath or LinearPlant
         A run or path is played and scrubbed; of its strength, with strings and bars coloured by
         force over strength. Of modes, one is chosen, with an amplitude.
     force_density : float or array_like, shape (α,), optional
@@ -71,7 +80,9 @@ def view(
 @singledispatch
 def _view_of(shown: object) -> View:
     raise validation.wrong_kind(
-        "shown", shown, "a Structure, a Trajectory of simulate, a Strength, Modes or a ShapePath"
+        "shown",
+        shown,
+        "a Structure, a Trajectory of simulate, a Strength, Modes, a ShapePath or a plant",
     )
 
 
@@ -96,6 +107,20 @@ def _of_run(shown: Trajectory) -> View:
         shown.force_density,
         ground=tuple(grid for grid in surfaces if grid is not None),
         pressed=pressed,
+        passive=passive_strings(shown.structure, known_actuation(shown)),
+    )
+
+
+@_view_of.register
+def _of_plant(shown: LinearPlant) -> View:
+    structure = shown.model.structure
+    gamma = to_model_strings(shown, "force_density", shown.force_density)
+    return View(
+        "plant",
+        structure,
+        shown.nodes[:, :, None],
+        force_density=gamma[:, None],
+        passive=passive_strings(structure, shown.actuation),
     )
 
 

@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray
 from tenscontrol.plot.histories import Curves, checked_references, draw_curves, mark_statuses
+from tenscontrol.plot.structure_drawing import known_actuation, passive_strings
 from tenscontrol.plot.style import (
     REFERENCE_COLOR,
     REFERENCE_WIDTH,
@@ -106,7 +107,8 @@ def trajectory(
     """Draw the time histories of a motion, one panel for each kind of quantity.
 
     The panels are ``"coordinates"``; ``"force_density"``, with one style for each string group, if
-    there are strings; and ``"rest_length"`` if rest lengths were held. The first shows how far the
+    there are strings; and ``"rest_length"`` if rest lengths were held. Driven and passive strings
+    of a group have styles of their own. The first shows how far the
     nodes that move most are from where they started, with all others in grey, and under a
     controller with a reference how far the farthest node is from that; the time in which the
     motion is not to be trusted is shaded. What was held is drawn in steps. Samples at which a
@@ -172,11 +174,12 @@ def trajectory(
     content: dict[str, tuple[dict[str, FloatArray], str, bool]] = {
         "coordinates": (coordinates, of, False)
     }
+    passive = passive_strings(run.structure, known_actuation(run))
     if len(run.structure.strings):
-        by_group = _by_group(run.structure, run.force_density)
+        by_group = _by_group(run.structure, run.force_density, passive)
         content["force_density"] = (by_group, "γ, N/m", run.rest_length is None)
     if run.rest_length is not None and len(run.structure.strings):
-        wound = _by_group(run.structure, _rest_lengths(run))
+        wound = _by_group(run.structure, _rest_lengths(run), passive)
         content["rest_length"] = (wound, "rest length, m", True)
     panels = {}
     for ax, name, xlabel in timed_panels(axes, list(content)):
@@ -271,9 +274,21 @@ def _with_distances(panel: Curves, run: Trajectory, others: FloatArray, tracked:
     return replace(panel, lines=lines, references=references)
 
 
-def _by_group(structure: Structure, values: FloatArray) -> dict[str, FloatArray]:
+def _by_group(
+    structure: Structure, values: FloatArray, passive: np.ndarray | None = None
+) -> dict[str, FloatArray]:
+    """Return the rows of each string group, of driven and of passive strings apart."""
     groups = dict.fromkeys(structure.string_groups)
-    return {group: values[structure.strings_in(group)] for group in groups}
+    rows = {group: structure.strings_in(group) for group in groups}
+    if passive is None:
+        return {group: values[strings] for group, strings in rows.items()}
+    kinds = {"driven": ~passive, "passive": passive}
+    chosen = {
+        f"{group}, {kind}": strings[which[strings]]
+        for group, strings in rows.items()
+        for kind, which in kinds.items()
+    }
+    return {name: values[strings] for name, strings in chosen.items() if len(strings)}
 
 
 def _with_statuses(panel: Curves, control: ControlRecord) -> Curves:
@@ -334,9 +349,7 @@ def motors(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, 
     record = None if run.control is None else run.control.motors
     if record is None:
         raise ValueError("run has no motors: simulate it with winches=Winches(motor=Motor(...))")
-    structure = run.structure
-    if structure.parent is not None and len(structure.strings) != len(record.zero):
-        structure = structure.parent
+    groups = np.array(_wound_groups(run, len(record.zero)))
     units = {"angle": "rad", "speed": "rad/s", "torque": "N m", "power": "W", "energy": "J"}
     panels = {}
     for ax, name, xlabel in timed_panels(axes, list(units)):
@@ -345,13 +358,26 @@ def motors(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, 
         panels[name] = draw_curves(
             ax,
             record.time,
-            total if name == "energy" else _by_group(structure, values),
+            total
+            if name == "energy"
+            else {group: values[groups == group] for group in dict.fromkeys(groups.tolist())},
             f"motor {name}, {units[name]}",
             held=name == "speed",
             xlabel=xlabel,
         )
         panels[name] = _with_faults(panels[name], run)
     return panels
+
+
+def _wound_groups(run: Trajectory, motors: int) -> list[str]:
+    """Return the string group of each motor: that of its string, or of the lead of several."""
+    structure, actuation = run.structure, known_actuation(run)
+    winches = motors if actuation is None else len(actuation.input)
+    if structure.parent is not None and len(structure.strings) != winches:
+        structure = structure.parent
+    if actuation is None:
+        return list(structure.string_groups)
+    return [structure.string_groups[lead] for lead in actuation.lead.tolist()]
 
 
 @closes_on_error

@@ -10,6 +10,7 @@ import numpy as np
 
 from tenscontrol import validation
 from tenscontrol.actuation.driven_strings import (
+    Actuation,
     bounds_of_inputs,
     changes_of_inputs,
     inputs_of,
@@ -186,6 +187,11 @@ class Actuators:
             self.start = self._current = validation.per_member(
                 "rest_length", self._current, self._count, where
             )
+
+    @property
+    def actuation(self) -> Actuation:
+        """Which strings are driven, where passive ones keep what they had at the start."""
+        return self._actuation
 
     @property
     def known(self) -> bool:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from tenscontrol.actuation.driven_strings import Actuation
 from tenscontrol.actuation.motors import MotorRecord
 from tenscontrol.arrays import FloatArray
 from tenscontrol.control.command import Fallback
@@ -76,6 +77,9 @@ class ControlRecord:
         Of the controller at the end of the run; None for other controllers.
     settings : Arguments
         Kind and settings of the controller by name.
+    actuation : Actuation or None
+        Which strings of the controller are driven, and by which of its inputs; None in files of
+        earlier versions.
     """
 
     time: FloatArray
@@ -99,6 +103,7 @@ class ControlRecord:
     slowest_vibration: float | None = None
     statistics: object = None
     settings: Arguments = field(default_factory=Arguments)
+    actuation: Actuation | None = None
 
     @property
     def unsolved(self) -> float:

@@ -1928,6 +1928,7 @@ call(
         "actuators": "rest_length",
         "step": 1e-3,
         "integrator": "rk4",
+        "actuated": [0, 8],
     },
 )
 call(
@@ -2042,6 +2043,7 @@ call(
         "member_labels": False,
         "faint": False,
         "legend": True,
+        "actuated": [0, "vertical"],
     },
     share=0.2,
 )
