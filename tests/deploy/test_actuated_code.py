@@ -70,7 +70,9 @@ def test_many_loops_of_compiled_code_move_the_winches_of_one(plant, tmp_path):
     law = tc.LQR(plant, sample_time=0.02)
     code = tc.generate_c(law, tmp_path).compile()
     starts = np.array([plant.to_nodes(q * np.ones(9)) for q in (0.004, 0.01)])
-    batch = tc.simulate_many(plant.model, 0.2, starts, controller=code, method="rk4", step=4e-3)
+    how = tc.Integration(method="rk4", step=4e-3)
+    scene = tc.Scene(plant.model, 0.2, controller=code, integration=how)
+    batch = tc.simulate_many(scene, {"nodes": starts})
     for k, start in enumerate(starts):
         run = tc.simulate(plant.model, 0.2, start, controller=law, method="rk4", step=4e-3)
         np.testing.assert_allclose(batch.command[k], run.control.command, rtol=0, atol=1e-12)
