@@ -80,6 +80,13 @@ def test_reference_distance(printed):
     ]  # fmt: skip
 
 
+def test_driven_choices(printed):
+    text = printed("driven_choices", "--start 25 --count 5 --each")
+    assert "silent: 0" in text
+    assert " stable" in text
+    assert "one way" in text
+
+
 def test_motor_substeps(printed, monkeypatch):
     module = import_module("tests.benchmarks.motor_substeps")
     monkeypatch.delitem(module.MOTORS, "inertia 1e-5 kg m²")
