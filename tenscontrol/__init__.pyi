@@ -91,6 +91,8 @@ from .robustness import (
     Normal as Normal,
     OneOf as OneOf,
     Uniform as Uniform,
+    draws as draws,
+    grid as grid,
     sweep as sweep,
 )
 from .scene import (
@@ -177,11 +179,13 @@ __all__ = [
     "convergence_order",
     "deflections",
     "design",
+    "draws",
     "energy_weights",
     "equilibrium",
     "fit",
     "generate_c",
     "gradient",
+    "grid",
     "identifiable",
     "linearize",
     "load_run",

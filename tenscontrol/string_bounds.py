@@ -49,9 +49,7 @@ class StringBounds:
         out = np.flatnonzero((gamma < self.low - slack) | (gamma > self.high + slack))
         if len(out):
             i = out[0]
-            wanted = f"{self.low[i]:g} to {self.high[i]:g} N/m"
-            if np.isinf(self.high[i]):
-                wanted = f"at least {self.low[i]:g} N/m"
+            wanted = validation.span(self.low[i], self.high[i], "N/m")
             raise ValueError(
                 f"{name} has γ = {gamma[i]:g} N/m in string {i}, expected {wanted}: "
                 "min_force_density and max_force_density bound the ends too"
@@ -68,7 +66,7 @@ class StringBounds:
             i, k = out[out[:, 1].argmin()]
             raise ValueError(
                 f"on the way, at {time[k]:.4g} s, string {i} needs a rest length of "
-                f"{rest_length[i, k]:.6g} m, expected {low[i]:g} to {high[i]:g} m: "
+                f"{rest_length[i, k]:.6g} m, expected {validation.span(low[i], high[i], 'm')}: "
                 "the range of the winches"
             )
 

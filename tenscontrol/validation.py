@@ -366,6 +366,11 @@ def number(name: str, value: object, unit: str) -> float:
     return float(shaped(name, value, (), f"one number, {unit}"))
 
 
+def span(low: float, high: float, unit: str) -> str:
+    """Return bounds as text: ``"2 to 5 N/m"``, or ``"at least 2 N/m"`` where none is above."""
+    return f"at least {low:g} {unit}" if np.isposinf(high) else f"{low:g} to {high:g} {unit}"
+
+
 def function(name: str, value: object, meaning: str) -> None:
     """Refuse what cannot be called."""
     if not callable(value):

@@ -80,6 +80,22 @@ def test_reference_distance(printed):
     ]  # fmt: skip
 
 
+def test_driven_choices(printed):
+    text = printed("driven_choices", "--start 25 --count 5 --each")
+    assert "silent: 0" in text
+    assert " stable" in text
+    assert "one way" in text
+
+
+@needs("mujoco", "test")
+def test_stepping(printed):
+    text = printed("stepping", "--counts 1 2 --parts 5 20 --rounds 1 --seconds 0.01")
+    for name in ("Stepper", "MuJoCo rk4", "MuJoCo implicitfast"):
+        (_, coarse, *rates), (_, fine, *_) = (row(text, name + " " * 4, k) for k in (0, 1))
+        assert 0 < fine < coarse < 0.05
+        assert min(rates) > 0
+
+
 def test_motor_substeps(printed, monkeypatch):
     module = import_module("tests.benchmarks.motor_substeps")
     monkeypatch.delitem(module.MOTORS, "inertia 1e-5 kg m²")

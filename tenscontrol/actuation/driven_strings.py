@@ -173,6 +173,25 @@ def moved_by(actuation: Actuation, inputs: FloatArray) -> FloatArray:
     return values
 
 
+def forces_on_inputs(actuation: Actuation, tensions: FloatArray) -> FloatArray:
+    """Return Gᵀ T, the forces that strings exert on the inputs, (m, K), of their tensions, (α, K).
+
+    An input gives the power that its strings take: a string counts by its ratio.
+    """
+    if not actuation.is_ganged:
+        return np.asarray(tensions[actuation.lead])
+    return np.asarray(actuation.matrix.T @ tensions)
+
+
+def sums_by_input(actuation: Actuation, values: FloatArray) -> FloatArray:
+    """Return the sum over the strings of each input, (m, K), of values of strings, (α, K)."""
+    if not actuation.is_ganged:
+        return np.asarray(values[actuation.lead])
+    sums = np.zeros((len(actuation.lead), *values.shape[1:]))
+    np.add.at(sums, actuation.input[actuation.driven], values[actuation.driven])
+    return sums
+
+
 def bounds_of_inputs(
     actuation: Actuation, low: FloatArray, high: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
@@ -214,6 +233,16 @@ def follows(actuation: Actuation, other: Actuation) -> bool:
     moves = other.matrix.toarray()
     return bool(
         np.allclose(moved_by(actuation, inputs_of(actuation, moves).T), moves.T, atol=1e-12)
+    )
+
+
+def moves_alike(actuation: Actuation, other: Actuation) -> bool:
+    """Whether equal inputs of two actuations give strings equal values."""
+    return bool(
+        np.array_equal(actuation.input, other.input)
+        and np.array_equal(actuation.ratio, other.ratio)
+        and np.allclose(actuation.offset, other.offset, rtol=1e-9, atol=0)
+        and np.array_equal(actuation.lead, other.lead)
     )
 
 

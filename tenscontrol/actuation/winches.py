@@ -237,8 +237,8 @@ class Winches:
         if len(out):
             i = out[0]
             raise ValueError(
-                f"{name}[{i}] is {rest_length[i]:g} m, expected {low[i]:g} to {high[i]:g} m: "
-                "the range of the winches"
+                f"{name}[{i}] is {rest_length[i]:g} m, expected "
+                f"{validation.span(low[i], high[i], 'm')}: the range of the winches"
             )
 
     def move(self, current: object, wanted: object, sample_time: float) -> WinchMove:

@@ -19,6 +19,10 @@ from tenscontrol.plant.input_bounds import input_bounds, largest_change
 from tenscontrol.plant.linear_plant import LinearPlant, named_system, sampled
 from tenscontrol.plant.riccati import natural_weights, regulator
 from tenscontrol.status import Status
+from tenscontrol.warn import warn
+
+# Room of an input from its bound over the largest input, below which it has none; names listed.
+_AT_BOUND, _LISTED = 1e-9, 3
 
 
 @final
@@ -82,7 +86,9 @@ class LQR(Controller):
     Warns
     -----
     RuntimeWarning
-        If no string reaches a mode that does not decay, naming it.
+        If no string reaches a mode that does not decay, naming it. If an input is at a bound at the
+        operating point, as a driven string with γ = 0: the poles are those of inputs that go both
+        ways, and this one cannot.
 
     Notes
     -----
@@ -149,6 +155,26 @@ class LQR(Controller):
         self.poles = frozen(poles)
         self.cost = frozen(cost)
         self.riccati_residual = residual
+        self._warn_of_bounds()
+
+    def _warn_of_bounds(self) -> None:
+        """Warn of inputs that the law uses, and that can go one way only."""
+        u, (low, high) = self.plant.equilibrium_input, self.bounds
+        room = np.minimum(u - low, high - u)
+        at_bound = room <= _AT_BOUND * np.abs(u).max(initial=0.0)
+        names = [
+            self.plant.input_names[i] for i in np.flatnonzero(at_bound & self.gain.any(axis=1))
+        ]
+        if not names:
+            return
+        more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
+        warn(
+            f"{', '.join(names[:_LISTED])}{more} {'are' if len(names) > 1 else 'is'} at a bound at "
+            "the operating point, and can go one way only: the poles of this LQR are those of "
+            "inputs that go both ways, and the loop can be unstable. Leave such strings out by "
+            "linearize(..., actuated=[...]), tighten them, or take MPC, which knows bounds",
+            RuntimeWarning,
+        )
 
     def to_statespace(self) -> Any:
         """Return the law as a ``control.StateSpace`` from z to v, in a loop with the sign of +.

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from textwrap import shorten
+from textwrap import shorten, wrap
 
 import casadi as ca
 import numpy as np
@@ -47,6 +47,7 @@ def code_files(
     sizes = _constants({f"{prefix}_COORDINATES": plant.nodes.size, f"{prefix}_COMMANDS": count})
     words = {
         "UNIT": _UNIT[controller.input],
+        "INPUTS": _inputs(controller),
         "SIZES": f"{sizes}\n#define {prefix}_STEP {controller.sample_time!r} /* sample time, s */",
         "STATUSES": "\n".join(
             f"#define {prefix}_{status.name} {number} /* {status} */"
@@ -85,6 +86,25 @@ def code_files(
     }
     core = files("tenscontrol") / "core"
     return texts | {file: (core / file).read_text(encoding="utf-8") for file in law.sources}
+
+
+def _inputs(controller: Controller) -> str:
+    """Return which number of a command is which input, as a comment; nothing for all strings."""
+    actuation, plant = controller.actuation, controller.plant
+    if actuation.is_whole:
+        return ""
+    lines = []
+    for number, name in enumerate(plant.input_names):
+        moved = ", ".join(
+            f"string {k}" + (f" by {actuation.ratio[k]:g}" if actuation.ratio[k] != 1 else "")
+            for k in np.flatnonzero(actuation.input == number)
+        )
+        lines += wrap(f"{number}: {name}: {moved}", 96, subsequent_indent="      ")
+    text = "\n".join([f" *   {line}" for line in lines])
+    return (
+        "\n/*\n * What the numbers of a command set, and which strings move, by which ratio.\n"
+        f" * Other strings are passive.\n *\n{text}\n */\n"
+    )
 
 
 def status_and_fallback(number: int) -> tuple[Status, Fallback | None]:

@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol import validation
+from tenscontrol.actuation.driven_strings import moves_alike
 from tenscontrol.control.controller import Controller
 from tenscontrol.deploy.controllers import LawCode
 from tenscontrol.dynamics.evaluator import Function
@@ -36,10 +37,15 @@ def with_filter(law: LawCode, controller: Controller, estimator: object) -> LawC
             f"estimator has a sample time of {estimator.sample_time:g} s, but the controller one "
             f"of {controller.sample_time:g} s: give both the same"
         )
-    if not plant.actuation.is_whole:
+    both = plant.actuation, controller.actuation
+    alike = np.array_equal(both[0].lead, both[1].lead)
+    if plant.input == controller.input:
+        alike = moves_alike(*both)
+    if not alike:
         raise ValueError(
-            f"estimator has {plant.actuation!r}, but generated C code does not know passive or "
-            "ganged strings yet: design it on a plant with all strings driven"
+            f"estimator has {both[0]!r}, but the controller {both[1]!r}, or other strings at other "
+            "values: in C the filter takes the commands. Design both on plants of one operating "
+            "point with the same actuated"
         )
     sensors, settings, s = estimator.sensors, design.settings, len(design.start)
     gate, sizes = Gate(sensors, settings.gate), np.bincount(sensors.reading_of)

@@ -58,8 +58,8 @@ class GeneratedController:
         What the controller was designed on.
     sample_time : float
         Sample time, s.
-    low, high : ndarray, shape (α,)
-        Bounds of the commands.
+    low, high : ndarray, shape (m,)
+        Bounds of the commands, one for each input of the plant.
     """
 
     folder: Path
@@ -195,6 +195,8 @@ def generate_c(
     1983, doi:10.1007/BF02591962) along the stages of the horizon, with the C sources of the
     compiled core. Commands are equal to round-off to those of ``solver="stages"``, and to the
     tolerance to those of another solver. ``max_iterations`` limits changes of the active set.
+    A command has a number an input of the plant: of strings that share a winch one, of passive
+    strings none. The header lists them.
     The reduced state is found by code that CasADi generates. A reference that moves is put into
     a table, a row a sample, and time is rounded to a whole sample.
 
@@ -211,11 +213,6 @@ def generate_c(
     """
     law = _law_code(controller)
     name = _checked_name(name)
-    if not controller.actuation.is_whole:
-        raise ValueError(
-            f"controller has {controller.actuation!r}, but generated C code does not know passive "
-            "or ganged strings yet: design it on a plant with all strings driven"
-        )
     path = validation.file_path("folder", folder).absolute()
     if estimator is not None:
         law = with_filter(law, controller, estimator)

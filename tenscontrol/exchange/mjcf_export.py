@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol import validation
+from tenscontrol.actuation.driven_strings import actuation_of
 from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics.contact_laws import Contacts, Ground
 from tenscontrol.dynamics.model import Model
@@ -19,6 +20,7 @@ from tenscontrol.exchange.kinematic_tree import WORLD, KinematicTree, in_space
 from tenscontrol.plant.equilibrium import held_value
 from tenscontrol.simulation.inputs import checked_load
 from tenscontrol.simulation.start import initial_state
+from tenscontrol.structure.structure import Structure
 
 # MuJoCo's contacts are springs and dashpots where their impedance is its least: its default takes
 # most of what other forces do from the bodies in contact, too.
@@ -56,6 +58,7 @@ def to_mujoco(
     actuators: str = "none",
     step: float = 1e-3,
     integrator: str = "rk4",
+    actuated: object = None,
 ) -> str:
     """Return a model as MJCF, the text that MuJoCo reads.
 
@@ -86,6 +89,11 @@ def to_mujoco(
     step : float
         Step of MuJoCo, s.
     integrator : {"rk4", "euler", "implicit", "implicitfast"}
+    actuated : sequence of int or str, array_like or Actuation, optional
+        The strings that have an actuator, as for :func:`linearize`, and the order of their numbers
+        in ``data.ctrl``; all if not given. The others are springs as with ``"none"``. An actuator
+        of MuJoCo pulls at one tendon: of strings that share a winch, give each one, and set
+        ``data.ctrl`` to ``actuation.strings(inputs)`` of these strings.
 
     Returns
     -------
@@ -111,6 +119,10 @@ def to_mujoco(
     >>> text = tc.exchange.to_mujoco(model, rest_length=0.8, actuators="rest_length")
     >>> text.count("<spatial"), text.count("<general")
     (9, 9)
+    >>> text = tc.exchange.to_mujoco(
+    ...     model, rest_length=0.8, actuators="rest_length", actuated=["vertical"])
+    >>> text.count("<spatial"), text.count("<general"), text.count("stiffness")
+    (9, 3, 6)
     """
     validation.instance("model", model, Model, "make one by Model(structure, strings=...)")
     validation.choice("actuators", actuators, _ACTUATORS)
@@ -131,7 +143,28 @@ def to_mujoco(
     kind = "force_density" if rest_length is None else "rest_length"
     initial_state(model, nodes, velocities, kind, held, measured=False)
     load = checked_load(model, external_force)
-    return _Document(model, N, V, held, kind, actuators, load, timestep, integrator).text()
+    driven = _driven(structure, actuated, actuators, held)
+    return _Document(model, N, V, held, kind, actuators, driven, load, timestep, integrator).text()
+
+
+def _driven(structure: Structure, actuated: object, actuators: str, held: FloatArray) -> list[int]:
+    """Return the strings that have an actuator, in the order of their controls."""
+    if actuators == "none":
+        if actuated is not None:
+            raise ValueError(
+                "actuated is given, but actuators is 'none': say what data.ctrl sets, for example "
+                "actuators='rest_length'"
+            )
+        return []
+    actuation = actuation_of(structure, actuated, held)
+    if actuation.is_ganged:
+        raise ValueError(
+            f"actuated is {actuation!r}, with winches of several strings or a ratio, but an "
+            "actuator of MuJoCo pulls at one tendon: give the strings, "
+            f"actuated={actuation.driven.tolist()}, and set data.ctrl to "
+            "actuation.strings(inputs)[actuation.driven]"
+        )
+    return [int(string) for string in actuation.lead]
 
 
 def _held(model: Model, rest_length: object, force_density: object, actuators: str) -> FloatArray:
@@ -166,10 +199,11 @@ class _Document:
 
     def __init__(
         self, model: Model, nodes: FloatArray, velocities: FloatArray, held: FloatArray,
-        kind: str, actuators: str, load: FloatArray, step: float, integrator: str,
+        kind: str, actuators: str, driven: list[int], load: FloatArray, step: float,
+        integrator: str,
     ) -> None:  # fmt: skip
         self.model, self.structure, self.held = model, model.structure, held
-        self.kind, self.actuators = kind, actuators
+        self.kind, self.actuators, self.driven = kind, actuators, driven
         self.tree = KinematicTree.of(self.structure, nodes)
         self.length = self.structure.string_length(nodes)
         self.force_density = held
@@ -324,17 +358,16 @@ class _Document:
             tendon = SubElement(tendons, "spatial", named | self._spring(k))
             for node in path:
                 SubElement(tendon, "site", site=f"n{node}")
-            if self.actuators != "none":
-                start, force = self._actuation(k)
-                self._actuator({"name": f"s{k}", "tendon": f"s{k}"} | force, start)
+        for k in self.driven:
+            start, force = self._actuation(k)
+            self._actuator({"name": f"s{k}", "tendon": f"s{k}"} | force, start)
 
     def _spring(self, k: int) -> dict[str, str]:
         """Return the spring of the tendon of a string."""
         law, held = self.model.strings, float(self.held[k])
-        if self.actuators == "rest_length":
-            return {"springlength": _numbers([0.0, held])}
-        if self.actuators != "none":
-            return {}
+        if k in self.driven:
+            is_wound = self.actuators == "rest_length"
+            return {"springlength": _numbers([0.0, held])} if is_wound else {}
         if self.kind == "force_density":  # T = γ l is a spring without rest length
             return {"stiffness": _number(held), "springlength": _numbers([0.0, 0.0])}
         if isinstance(law, ElasticStrings):

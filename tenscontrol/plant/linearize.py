@@ -141,11 +141,11 @@ def linearize(
         Rest lengths, m, that give the γ of the operating point. They say how slack a string with
         γ = 0 is; without them it is just not taut.
     actuated : sequence of int or str, dict, array_like or Actuation, optional
-        The strings that are driven, by index or group: each is an input. The others are passive:
-        they keep their rest lengths, or their γ where γ is the input. Strings that share a winch
-        are ganged: ``{name: strings}``, one input a name, with ``{string: ratio}`` in place of
-        the strings where pulleys or signs differ; or a matrix, shape (α, m), of the change of each
-        string by each input, with at most one entry a row. All strings if not given.
+        The strings that are driven, by index or group; all if not given. Each is an input. The
+        others are passive: they keep their rest lengths, or their γ where γ is the input. Strings
+        that share a winch are ganged: ``{name: strings}``, one input a name, with
+        ``{string: ratio}`` in place of the strings where pulleys or signs differ; or a matrix,
+        shape (α, m), of the change of each string by each input, with at most one entry a row.
 
     Returns
     -------

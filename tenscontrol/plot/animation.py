@@ -29,9 +29,11 @@ from tenscontrol.plot.structure_drawing import (
     fill_figure,
     frame,
     is_slack,
+    known_actuation,
     label_view,
     legend_samples,
     new_view,
+    passive_strings,
     sample,
 )
 from tenscontrol.plot.style import FAINT, NORMAL
@@ -274,12 +276,14 @@ class _Scene:
         self.canvas = canvas
         fill_figure(figure, d)
         ax = self._ax = new_view(figure, d)
-        samples = legend_samples(run.structure, any(is_slack(gamma).any() for gamma in gammas.T))
+        passive = passive_strings(run.structure, known_actuation(run))
+        slack = any(is_slack(gamma).any() for gamma in gammas.T)
+        samples = legend_samples(run.structure, slack, passive=passive)
         samples += ground_samples(run.ground)
         if goal is not None:
             draw(ax, run.structure, goal, FAINT)
             samples.append(sample("target", color=FAINT.bar_color, linewidth=FAINT.bar_width))
-        drawing = draw(ax, run.structure, shapes[:, :, 0], NORMAL)
+        drawing = draw(ax, run.structure, shapes[:, :, 0], NORMAL, passive)
         everywhere = [shapes.reshape(d, -1)]
         everywhere += [near_ground(run.ground, everywhere[0])]
         frame(ax, everywhere if goal is None else [*everywhere, goal], grow=False)

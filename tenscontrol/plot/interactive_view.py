@@ -8,9 +8,15 @@ from functools import singledispatch
 import numpy as np
 
 from tenscontrol import validation
+from tenscontrol.plant.linear_plant import LinearPlant
 from tenscontrol.plant.modes import Modes
+from tenscontrol.plant.string_outputs import to_model_strings
 from tenscontrol.plot.ground_drawing import ground_surface
-from tenscontrol.plot.structure_drawing import checked_force_density
+from tenscontrol.plot.structure_drawing import (
+    checked_force_density,
+    known_actuation,
+    passive_strings,
+)
 from tenscontrol.plot.web_page import View
 from tenscontrol.shape.shape_path import ShapePath
 from tenscontrol.shape.target import ShapeTarget
@@ -21,20 +27,28 @@ from tenscontrol.structure.structure import Structure
 
 
 def view(
-    shown: Structure | Prestress | ShapeTarget | Trajectory | Strength | Modes | ShapePath,
+    shown: Structure
+    | Prestress
+    | ShapeTarget
+    | LinearPlant
+    | Trajectory
+    | Strength
+    | Modes
+    | ShapePath,
     *,
     force_density: object = None,
 ) -> View:
-    """Return a view of a structure, a run, modes or a path, to be turned in a browser.
+    """Return a view of a structure, a plant, a run, modes or a path, to be turned in a browser.
 
     Nothing is written or opened yet: ``view(run).save("run.html")`` writes the page, one file that
     needs no network, ``view(run).open()`` shows it in the browser, and Jupyter shows what a cell
-    ends with. Bars are dark and wide, strings thin and coloured, slack strings dotted. Nodes show
-    their number under the mouse.
+    ends with. Bars are dark and wide, strings thin and coloured, slack strings dotted, and dashed
+    those that no winch of a plant or a controlled run drives. Nodes show their number under the
+    mouse.
 
     Parameters
     ----------
-    shown : Structure, Prestress, ShapeTarget, Trajectory, Strength, Modes or ShapePath
+    shown : Structure, Prestress, ShapeTarget, LinearPlant, Trajectory, Strength, Modes or ShapePath
         A run or path is played and scrubbed; of its strength, with strings and bars coloured by
         force over strength. Of modes, one is chosen, with an amplitude. A prestress and a target
         have the colours of their force densities.
@@ -80,8 +94,8 @@ def _view_of(shown: object) -> View:
     raise validation.wrong_kind(
         "shown",
         shown,
-        "a Structure, a Trajectory of simulate, a Strength, a Prestress, a ShapeTarget, Modes or "
-        "a ShapePath",
+        "a Structure, a Trajectory of simulate, a Strength, a Prestress, a ShapeTarget, a plant, "
+        "Modes or a ShapePath",
     )
 
 
@@ -117,6 +131,20 @@ def _of_run(shown: Trajectory) -> View:
         shown.force_density,
         ground=tuple(grid for grid in surfaces if grid is not None),
         pressed=pressed,
+        passive=passive_strings(shown.structure, known_actuation(shown)),
+    )
+
+
+@_view_of.register
+def _of_plant(shown: LinearPlant) -> View:
+    structure = shown.model.structure
+    gamma = to_model_strings(shown, "force_density", shown.force_density)
+    return View(
+        "plant",
+        structure,
+        shown.nodes[:, :, None],
+        force_density=gamma[:, None],
+        passive=passive_strings(structure, shown.actuation),
     )
 
 

@@ -14,7 +14,14 @@ from tenscontrol import validation
 from tenscontrol.arrays import FloatArray
 from tenscontrol.plant.linear_plant import LinearPlant
 from tenscontrol.plant.modes import Modes
-from tenscontrol.plot.structure_drawing import Drawing, draw, draw_arrows, frame, new_view
+from tenscontrol.plot.structure_drawing import (
+    Drawing,
+    draw,
+    draw_arrows,
+    frame,
+    new_view,
+    passive_strings,
+)
 from tenscontrol.plot.style import (
     SMALL,
     SMALL_FAINT,
@@ -123,6 +130,7 @@ def mode_shapes(
     validation.instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
     validation.instance("modes", modes, Modes, "make them by modes(plant)")
     structure, nodes = plant.model.structure, plant.nodes
+    passive = passive_strings(structure, plant.actuation)
     if modes.shape.shape[:2] != nodes.shape:
         raise ValueError(
             f"modes.shape has shape {modes.shape.shape}, expected {nodes.shape} and one more: "
@@ -143,7 +151,7 @@ def mode_shapes(
         shape = ModeShape(
             mode,
             reference=draw(ax, structure, nodes, SMALL_FAINT),
-            displaced=draw(ax, structure, displaced, SMALL),
+            displaced=draw(ax, structure, displaced, SMALL, passive),
             arrows=draw_arrows(ax, nodes, displaced - nodes, _STILL * size),
         )
         frame(ax, [nodes, *moved], grow=False, fill=0.8)

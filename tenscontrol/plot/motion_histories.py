@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray
 from tenscontrol.plot.histories import Curves, checked_references, draw_curves, mark_statuses
+from tenscontrol.plot.structure_drawing import known_actuation, passive_strings
 from tenscontrol.plot.style import (
     REFERENCE_COLOR,
     REFERENCE_WIDTH,
@@ -112,7 +113,7 @@ def trajectory(
     how far the farthest node is from that; the time in which the motion is not to be trusted is
     shaded. What was held is drawn in steps. Samples at which a controller's status was not ``"ok"``
     are marked on the lowest time axis, faults in the panels of force densities and rest lengths; a
-    cut string has no rest length.
+    cut string has no rest length. Driven and passive strings of a group have styles of their own.
 
     Parameters
     ----------
@@ -173,11 +174,13 @@ def trajectory(
     content: dict[str, tuple[dict[str, FloatArray], str, bool]] = {
         "coordinates": (coordinates, of, False)
     }
+    passive = passive_strings(run.structure, known_actuation(run))
     if len(run.structure.strings):
-        by_group = _by_group(run.structure, run.force_density, run.force_density)
+        labels = _string_labels(run.structure, passive)
+        by_group = _by_group(labels, run.force_density, run.force_density)
         content["force_density"] = (by_group, "γ, N/m", run.rest_length is None)
     if run.rest_length is not None and len(run.structure.strings):
-        wound = _by_group(run.structure, _rest_lengths(run), run.force_density)
+        wound = _by_group(labels, _rest_lengths(run), run.force_density)
         content["rest_length"] = (wound, "rest length, m", True)
     panels = {}
     for ax, name, xlabel in timed_panels(axes, list(content)):
@@ -275,15 +278,15 @@ def _with_distances(panel: Curves, run: Trajectory, others: FloatArray, tracked:
 
 
 def _by_group(
-    structure: Structure, values: FloatArray, first: FloatArray
+    groups: Sequence[str], values: FloatArray, first: FloatArray
 ) -> dict[str, FloatArray]:  # fmt: skip
-    """Return curves by string group; of one group, of the strings that change most and others.
+    """Return curves by the group of each; of one group, of those that change most and others.
 
     Which change most, ``first`` says, the values of the first panel.
     """
-    groups, count = dict.fromkeys(structure.string_groups), len(values)
-    if len(groups) > 1 or count == 1:
-        return {group: values[structure.strings_in(group)] for group in groups}
+    group_of, names, count = np.array(groups), list(dict.fromkeys(groups)), len(values)
+    if len(names) > 1 or count == 1:
+        return {name: values[group_of == name] for name in names}
     known = np.where(np.isfinite(first), first, 0.0)
     change = np.ptp(known, axis=1) / max(float(np.abs(known).max(initial=0.0)), 1e-300)
     # Strings of a symmetric structure change alike: round-off does not choose between them.
@@ -314,6 +317,15 @@ def _drop_repeated_legends(panels: Mapping[str, Curves]) -> None:
         if names in seen and legend is not None:
             legend.remove()
         seen.append(names)
+
+
+def _string_labels(structure: Structure, passive: np.ndarray | None) -> list[str]:
+    """Return the group of each string, driven and passive ones apart."""
+    groups = list(structure.string_groups)
+    if passive is None:
+        return groups
+    kinds = np.where(passive, "passive", "driven")
+    return [f"{group}, {kind}" for group, kind in zip(groups, kinds, strict=True)]
 
 
 def _with_statuses(panel: Curves, control: ControlRecord) -> Curves:
@@ -374,9 +386,7 @@ def motors(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, 
     record = None if run.control is None else run.control.motors
     if record is None:
         raise ValueError("run has no motors: simulate it with winches=Winches(motor=Motor(...))")
-    structure = run.structure
-    if structure.parent is not None and len(structure.strings) != len(record.zero):
-        structure = structure.parent
+    groups = _wound_groups(run, len(record.zero))
     units = {"angle": "rad", "speed": "rad/s", "torque": "N m", "power": "W", "energy": "J"}
     panels = {}
     for ax, name, xlabel in timed_panels(axes, list(units)):
@@ -385,7 +395,7 @@ def motors(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, 
         panels[name] = draw_curves(
             ax,
             record.time,
-            total if name == "energy" else _by_group(structure, values, record.angle),
+            total if name == "energy" else _by_group(groups, values, record.angle),
             f"motor {name}, {units[name]}",
             held=name == "speed",
             xlabel=xlabel,
@@ -394,6 +404,17 @@ def motors(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, 
     if axes is None:
         _drop_repeated_legends(panels)
     return panels
+
+
+def _wound_groups(run: Trajectory, motors: int) -> list[str]:
+    """Return the string group of each motor: that of its string, or of the lead of several."""
+    structure, actuation = run.structure, known_actuation(run)
+    winches = motors if actuation is None else len(actuation.input)
+    if structure.parent is not None and len(structure.strings) != winches:
+        structure = structure.parent
+    if actuation is None:
+        return list(structure.string_groups)
+    return [structure.string_groups[lead] for lead in actuation.lead.tolist()]
 
 
 @closes_on_error

@@ -18,7 +18,10 @@ from matplotlib.path import Path as Outline
 from matplotlib.ticker import MaxNLocator
 
 from tenscontrol import validation
+from tenscontrol.actuation.driven_strings import Actuation, actuation_of
 from tenscontrol.arrays import FloatArray, IntArray
+from tenscontrol.plant.linear_plant import LinearPlant
+from tenscontrol.plant.string_outputs import to_model_strings
 from tenscontrol.plot.depth_cue import DepthLines
 from tenscontrol.plot.ground_drawing import add_ground, ground_samples, near_ground, touching
 from tenscontrol.plot.number_labels import NumberPlaces, write_numbers
@@ -29,6 +32,9 @@ from tenscontrol.plot.style import (
     FORCE_WIDTH,
     NORMAL,
     PALETTE,
+    PASSIVE_COLOR,
+    PASSIVE_DASHES,
+    PASSIVE_WIDTH,
     SMALL,
     MemberStyle,
     checked_axes,
@@ -192,6 +198,8 @@ class Drawing:
         What was drawn of the ground of a run.
     touching : Line3D, Line2D or None
         The marks of nodes that press on the ground; None where there is none.
+    passive : ndarray of bool, shape (α,), or None
+        Whether a string is drawn as one that no winch drives; None where all look alike.
     """
 
     structure: Structure
@@ -207,6 +215,7 @@ class Drawing:
     supports: Any = None
     ground: tuple[Any, ...] = ()
     touching: Any = None
+    passive: np.ndarray | None = None
     _places: NumberPlaces | None = field(default=None, repr=False)
 
     __repr__ = short_repr
@@ -232,7 +241,7 @@ class Drawing:
         positions = self.structure.checked_nodes("nodes", nodes)
         if force_density is not None:
             gamma = checked_force_density(self.structure, force_density)
-            self.strings.set_linestyle(string_dashes(gamma))
+            self.strings.set_linestyle(string_dashes(gamma, self.passive))
             if self.colorbar is not None:
                 self.strings.set_array(gamma)
         self.bars.set_segments(segments(positions, self.structure.bars))
@@ -260,20 +269,31 @@ class Drawing:
                     text.set_position(point)
 
 
-def draw(ax: Any, structure: Structure, nodes: FloatArray, style: MemberStyle) -> Drawing:
-    """Draw bars, strings and nodes in one style, without numbers or colour scale."""
+def draw(
+    ax: Any,
+    structure: Structure,
+    nodes: FloatArray,
+    style: MemberStyle,
+    passive: np.ndarray | None = None,
+) -> Drawing:
+    """Draw bars, strings and nodes in one style, without numbers or colour scale.
+
+    Strings that are ``passive``, bool, shape (α,), are dashed; all look alike if it is None.
+    """
     style = style.fitted(len(structure.bars) + len(structure.strings))
     lines: Any = LineCollection
     if structure.dimension == 3:
         lines = partial(DepthLines, fade=style.fade)
         ax.computed_zorder = False  # a faint shape stays behind, also in axes that a user made
     paths = _paths(structure)
-    strings = lines(
-        segments(nodes, paths),
-        colors=style.string_color,
-        linewidths=style.string_width,
-        zorder=style.layer,
-    )
+    look: dict[str, Any] = {"colors": style.string_color, "linewidths": style.string_width}
+    if passive is not None:
+        look = {
+            "colors": [PASSIVE_COLOR if each else style.string_color for each in passive],
+            "linewidths": style.string_width * np.where(passive, PASSIVE_WIDTH, 1.0),
+            "linestyles": [PASSIVE_DASHES if each else "solid" for each in passive],
+        }
+    strings = lines(segments(nodes, paths), zorder=style.layer, **look)
     bars = lines(
         segments(nodes, structure.bars),
         colors=style.bar_color,
@@ -296,7 +316,10 @@ def draw(ax: Any, structure: Structure, nodes: FloatArray, style: MemberStyle) -
         look, above = _mark_style(name, style)
         (line,) = ax.plot(*nodes[:, which], zorder=style.layer + above, **look)
         marks.append((name, line, which))
-    return Drawing(structure, ax, bars, strings, dots, (), (), (), None, tuple(marks), supports)
+    return Drawing(
+        structure, ax, bars, strings, dots, (), (), (), None, tuple(marks), supports,
+        passive=passive,
+    )  # fmt: skip
 
 
 def draw_arrows(ax: Any, nodes: FloatArray, moved: FloatArray, least: float) -> Any:
@@ -345,11 +368,11 @@ def _mark_style(name: str, style: MemberStyle) -> tuple[dict[str, Any], float]:
     return look, above
 
 
-def color_by_force(strings: Any, gamma: FloatArray) -> None:
+def color_by_force(strings: Any, gamma: FloatArray, passive: np.ndarray | None = None) -> None:
     """Colour the strings by force density, from 0 to the largest. Slack ones are dotted."""
     strings.set_linewidth(FORCE_WIDTH * np.asarray(strings.get_linewidth()))
     color_by(strings, gamma, float(gamma.max(initial=0.0)) or 1.0)
-    strings.set_linestyle(string_dashes(gamma))
+    strings.set_linestyle(string_dashes(gamma, passive))
 
 
 def color_by(members: Any, values: FloatArray, most: float) -> None:
@@ -371,9 +394,29 @@ def is_slack(gamma: FloatArray) -> np.ndarray:
     return np.asarray(gamma <= _SLACK * gamma.max(initial=0.0))
 
 
-def string_dashes(gamma: FloatArray) -> list[Any]:
-    """Return the dashes of each string: solid where it is taut, dotted where it is slack."""
-    return [DOTTED if slack else "solid" for slack in is_slack(gamma)] or ["solid"]
+def string_dashes(gamma: FloatArray, passive: np.ndarray | None = None) -> list[Any]:
+    """Return the dashes of each string: dotted where it is slack, else solid, or those of springs.
+
+    ``passive`` is bool, shape (α,), or None.
+    """
+    springs = np.zeros(len(gamma), dtype=bool) if passive is None else passive
+    taut = [PASSIVE_DASHES if spring else "solid" for spring in springs]
+    return [
+        DOTTED if slack else dashes for slack, dashes in zip(is_slack(gamma), taut, strict=True)
+    ] or ["solid"]
+
+
+def passive_strings(structure: Structure, actuation: Actuation | None) -> np.ndarray | None:
+    """Return which strings no input drives, bool, shape (α,); None where there are none.
+
+    An actuation of whole strings counts for the segments of each.
+    """
+    if actuation is None or not len(actuation.passive):
+        return None
+    passive = np.asarray(actuation.input < 0)
+    if len(passive) != len(structure.strings) and structure.string_parent is not None:
+        passive = passive[structure.string_parent]
+    return passive
 
 
 def segments(nodes: FloatArray, members: IntArray) -> FloatArray:
@@ -389,15 +432,25 @@ def _paths(structure: Structure) -> IntArray:
     return np.array([[*path, *[path[-1]] * (longest - len(path))] for path in structure.paths])
 
 
-def legend_samples(structure: Structure, slack: bool, colored: bool = False) -> list[Line2D]:
+def legend_samples(
+    structure: Structure, slack: bool, colored: bool = False, passive: np.ndarray | None = None
+) -> list[Line2D]:
     """Return the samples of members that a legend shows, of those kinds that there are."""
     bar = {"color": NORMAL.bar_color, "linewidth": NORMAL.bar_width, "solid_capstyle": "round"}
     # Where the colours of strings have a scale of their own, the sample has none of them.
     color = "0.4" if colored else NORMAL.string_color
     string = {"color": color, "linewidth": NORMAL.string_width}
+    spring = {
+        "linestyle": PASSIVE_DASHES,
+        **string,
+        "linewidth": PASSIVE_WIDTH * NORMAL.string_width,
+    }
+    spring["color"] = color if colored else PASSIVE_COLOR
+    driven = len(structure.strings) > 0 if passive is None else not passive.all()
     samples = {
         "bar": (bar, len(structure.bars) > 0),
-        "string": (string, len(structure.strings) > 0),
+        "string" if passive is None else "driven string": (string, driven),
+        "passive string": (spring, passive is not None),
         "slack string": ({"linestyle": DOTTED, **string}, slack),
     }
     handles = [sample(label, **style) for label, (style, shown) in samples.items() if shown]
@@ -425,7 +478,7 @@ def sample(label: str, **style: Any) -> Line2D:
 
 @closes_on_error
 def structure(
-    structure: Structure | Prestress | ShapeTarget | Trajectory | ShapePath,
+    structure: Structure | Prestress | ShapeTarget | LinearPlant | Trajectory | ShapePath,
     nodes: object = None,
     *,
     time: float | None = None,
@@ -435,6 +488,7 @@ def structure(
     member_labels: bool = False,
     faint: bool = False,
     legend: bool = True,
+    actuated: object = None,
 ) -> Drawing:
     """Draw a structure: thick dark bars, thin strings, one scale in all directions.
 
@@ -447,10 +501,12 @@ def structure(
 
     Parameters
     ----------
-    structure : Structure, Prestress, ShapeTarget, Trajectory or ShapePath
-        A prestress, an equilibrium or a shape that was found are drawn with the colours of their
-        force densities unless they are faint, and so is a run, in its last shape; with its ground,
-        if there is one, and marks of the nodes that press on it. So is a path, in its last shape.
+    structure : Structure, Prestress, ShapeTarget, LinearPlant, Trajectory or ShapePath
+        A prestress, an equilibrium, a plant or a shape that was found are drawn with the colours of
+        their force densities unless they are faint, and so is a run, in its last shape; with its
+        ground, if there is one, and marks of the nodes that press on it. So is a path, in its last
+        shape. The strings that no winch of a plant or of a controlled run drives are dashed and
+        thinner.
     nodes : array_like, shape (d, n), optional
         Node positions, m; if not given, the reference shape, or that of the result.
     time : float, optional
@@ -469,6 +525,9 @@ def structure(
         shape behind another drawing.
     legend : bool
         Whether to show a legend.
+    actuated : sequence of int or str, dict, array_like or Actuation, optional
+        The strings that are driven, as for :func:`linearize`; those of the plant or run if not
+        given, else no difference is drawn.
 
     Returns
     -------
@@ -497,6 +556,7 @@ def structure(
     """
     run = structure if isinstance(structure, Trajectory) and not faint else None
     laws = () if run is None else run.ground
+    actuation = known_actuation(structure)
     structure, nodes, colours, state = _in_a_shape(structure, nodes, force_density, time)
     for name, flag in {"labels": labels, "member_labels": member_labels, "faint": faint}.items():
         validation.truth(name, flag, "whether to draw so")
@@ -505,6 +565,9 @@ def structure(
     gamma = None
     if force_density is not None or (colours is not None and not faint):
         gamma = checked_force_density(structure, colours)
+    if actuated is not None:
+        actuation = actuation_of(structure, actuated, np.zeros(len(structure.strings)))
+    passive = None if faint else passive_strings(structure, actuation)
     own = ax is None
     if own:
         figure = plt.figure(figsize=SIZE)
@@ -512,7 +575,7 @@ def structure(
         ax = new_view(figure, structure.dimension)
     checked_axes("ax", ax, "three-dimensional" if structure.dimension == 3 else "flat")
     grow = ax.has_data()
-    drawing = draw(ax, structure, shape, FAINT if faint else NORMAL)
+    drawing = draw(ax, structure, shape, FAINT if faint else NORMAL, passive)
     frame(ax, [shape, near_ground(laws, shape)], grow=grow)
     label_view(ax)
     if run is not None and laws:
@@ -526,11 +589,11 @@ def structure(
             _places=places,
         )  # fmt: skip
     if gamma is not None:
-        color_by_force(drawing.strings, gamma)
+        color_by_force(drawing.strings, gamma, passive)
         drawing = replace(drawing, colorbar=add_scale(drawing, own, "γ, N/m"))
     if legend and not faint:
         slack = gamma is not None and bool(is_slack(gamma).any())
-        samples = legend_samples(structure, slack, colored=gamma is not None)
+        samples = legend_samples(structure, slack, gamma is not None, passive)
         samples += ground_samples(laws)
         ax.legend(handles=samples, **legend_place(structure))
     return drawing
@@ -553,6 +616,15 @@ def add_scale(drawing: Drawing, own: bool, label: str) -> Any:
     return figure.colorbar(drawing.strings, label=label, **axes)
 
 
+def known_actuation(drawn: object) -> Actuation | None:
+    """Return which strings a plant drives, or the controller of a run; None of all else."""
+    if isinstance(drawn, LinearPlant):
+        return drawn.actuation
+    if isinstance(drawn, Trajectory) and drawn.control is not None:
+        return drawn.control.actuation
+    return None
+
+
 def _in_a_shape(
     drawn: object, nodes: object, force_density: object, time: object
 ) -> tuple[Structure, object, object, int]:
@@ -564,6 +636,9 @@ def _in_a_shape(
     source = drawn.prestress if isinstance(drawn, ShapeTarget) else drawn
     if isinstance(source, Prestress):
         gamma, source = source.force_density, source.structure
+    elif isinstance(source, LinearPlant):
+        gamma = to_model_strings(source, "force_density", source.force_density)
+        shape, source = source.nodes, source.model.structure
     elif isinstance(source, Trajectory | ShapePath):
         moment = float(source.time[-1]) if time is None else validation.number("time", time, "s")
         if not source.time[0] <= moment <= source.time[-1]:
@@ -575,8 +650,8 @@ def _in_a_shape(
         members = source.model.structure if isinstance(source, ShapePath) else source.structure
         shape, gamma, source = source.nodes[:, :, k], source.force_density[:, k], members
     how = (
-        "or a Prestress, a ShapeTarget, a Trajectory, a ShapePath; make one by Structure(...) or "
-        "prism(...)"
+        "or a Prestress, a ShapeTarget, a plant, a Trajectory, a ShapePath; make one by "
+        "Structure(...) or prism(...)"
     )
     validation.instance("structure", source, Structure, how)
     assert isinstance(source, Structure)  # just checked

@@ -45,6 +45,10 @@ DASHES: tuple[Any, ...] = (
 )
 DOTTED: Any = (0, (1.0, 2.2))
 
+# Strings that no winch drives: dashed, thinner and of another colour.
+PASSIVE_DASHES: Any = (0, (4.0, 1.5))
+PASSIVE_COLOR, PASSIVE_WIDTH = PALETTE[2], 0.8  # of the usual width of strings
+
 CURVE_WIDTH = 1.3
 GROUND = "0.75"
 REFERENCE_COLOR = "0.35"

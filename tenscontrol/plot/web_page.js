@@ -5,6 +5,8 @@
   const plot = byId("plot");
   const d = spec.dimension;
   const names = spec.figure.data.map((trace) => trace.name);
+  const driven = names[0]; // "strings" where none is passive
+  const colorable = [driven, "passive strings", "bars"].filter((name) => names.includes(name));
 
   function unpacked(text) {
     if (text === null) return null;
@@ -80,7 +82,12 @@
         color = { color: Float32Array.from(index, (node, i) => values[stringOf(i)]) };
       }
     }
-    change.strings = { ...gathered(at, index), ...color };
+    if (spec.passive !== null) {
+      const springs = index.map((node, i) => (spec.passive[stringOf(i)] ? node : -1));
+      change["passive strings"] = { ...gathered(at, springs), ...color };
+      index = index.map((node, i) => (spec.passive[stringOf(i)] ? -1 : node));
+    }
+    change[driven] = { ...gathered(at, index), ...color };
     for (const name of ["bars", "nodes", "supports"]) change[name] = gathered(at, spec.index[name]);
     if (byShare()) {
       const values = shares().subarray(strings);
@@ -96,7 +103,7 @@
     const moved = Object.keys(change);
     const wanted = { x: [], y: [], z: [] };
     moved.forEach((name) => ["x", "y", "z"].forEach((axis) => wanted[axis].push(change[name][axis])));
-    for (const name of ["strings", "bars"]) {
+    for (const name of colorable) {
       const color = change[name].color;
       if (color !== undefined) plot.data[names.indexOf(name)].line.color = color;
     }
@@ -195,7 +202,7 @@
   });
 
   const plain = Object.fromEntries(
-    ["strings", "bars"].map((name) => [name, spec.figure.data[names.indexOf(name)].line]),
+    colorable.map((name) => [name, spec.figure.data[names.indexOf(name)].line]),
   );
 
   // Our own legend and colour bar: plotly would draw its own anew in every state.
@@ -208,8 +215,9 @@
         const line = plain[trace.name] ?? trace.line;
         const sample = document.createElement(line ? "i" : "b");
         if (line) {
-          sample.style.borderTop = `${Math.max(line.width / 2, 2)}px ${line.dash ? "dotted" : "solid"} ${line.color}`;
-          if (colored.includes(trace.name)) {
+          const style = { dot: "dotted", dash: "dashed" }[line.dash] ?? "solid";
+          sample.style.borderTop = `${Math.max(line.width / 2, 2)}px ${style} ${line.color}`;
+          if (colored.includes(trace.name) && !line.dash) {
             sample.style.height = sample.style.borderTopWidth;
             sample.style.borderTop = "none";
             sample.style.background = gradient;
@@ -227,10 +235,11 @@
   function choose() {
     const name = byId("color").value;
     const most = spec.colors[name] || 1;
-    const colored = !name ? [] : byShare() ? ["strings", "bars"] : ["strings"];
-    for (const each of ["strings", "bars"]) {
+    const colored = !name ? [] : colorable.filter((each) => byShare() || each !== "bars");
+    for (const each of colorable) {
+      const { color, ...look } = plain[each];
       plot.data[names.indexOf(each)].line = colored.includes(each)
-        ? { width: plain[each].width, colorscale: spec.scale, cmin: 0, cmax: most }
+        ? { ...look, colorscale: spec.scale, cmin: 0, cmax: most }
         : { ...plain[each] };
     }
     byId("scale").hidden = !name;

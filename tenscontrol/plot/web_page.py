@@ -50,7 +50,7 @@ _COLORS = ["#d3c164", "#b3a772", "#948e77", "#7c7b78", "#666970", "#4e576c", "#2
 _SHARE = "force over strength"
 
 _INK, _STRING, _SLACK_COLOR, _FAINT = "#262626", "#0072b2", "#8c8c8c", "#cfcfcf"
-_PRESSED = "#d55e00"
+_PASSIVE, _PRESSED = "#009e73", "#d55e00"
 
 # Bars are wide and dark, strings thin, pixels; both thinner where there are many.
 _BAR_WIDTH, _STRING_WIDTH, _NODE_SIZE, _FEW, _LEAST_SHARE = 10.0, 4.0, 5.0, 60, 0.35
@@ -88,6 +88,8 @@ class View:
         Whether the ground presses on a node.
     share : ndarray, shape (α + β, T), or None
         Force over strength, which strings and bars are coloured by.
+    passive : ndarray of bool, shape (α,), or None
+        Whether a string is one that no winch drives: dashed.
     """
 
     what: str
@@ -100,6 +102,7 @@ class View:
     ground: tuple[FloatArray, ...] = ()
     pressed: np.ndarray | None = None
     share: FloatArray | None = None
+    passive: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         """Refuse what is not finite: a motion that ran away."""
@@ -253,6 +256,7 @@ class View:
             "slack": self._least,
             "segments": self.members.segments.tolist(),
             "segmentString": self.members.segment_string.tolist(),
+            "passive": None if self.passive is None else self.passive.tolist(),
             "colors": colors,
             "pressed": self._pressed_nodes,
             "labels": list(self.labels[:modes]),
@@ -300,13 +304,19 @@ class View:
         count = len(self.members.bars) + len(self.members.segments)
         share = min(1.0, max(_LEAST_SHARE, (_FEW / count) ** 0.5))
         width, nodes = share * _STRING_WIDTH, self._shape(0)
-        taut, slack = self._strings(0)
+        taut, slack, *passive = self._strings(0)
         base: dict[str, Any] = {"type": "scatter3d", "mode": "lines", "hoverinfo": "skip"}
         dots: dict[str, Any] = {"type": "scatter3d", "mode": "markers"}
         axes = "xyz"[: self._dimension]
         coordinates = "<br>".join(f"{axis} %{{{axis}:.4g}} m" for axis in axes)
         traces = [
-            base | {"name": "strings", **taut, "line": {"color": _STRING, "width": width}},
+            base
+            | {
+                "name": "strings" if self.passive is None else "driven strings",
+                **taut,
+                "line": {"color": _STRING, "width": width},
+                "showlegend": self.passive is None or not self.passive.all(),
+            },
             base
             | {
                 "name": "slack strings",
@@ -314,6 +324,15 @@ class View:
                 "line": {"color": _SLACK_COLOR, "width": width, "dash": "dot"},
                 "showlegend": bool(self._is_slack.any()),
             },
+            *(
+                base
+                | {
+                    "name": "passive strings",
+                    **springs,
+                    "line": {"color": _PASSIVE, "width": width, "dash": "dash"},
+                }
+                for springs in passive
+            ),
             base
             | {
                 "name": "bars",
@@ -359,12 +378,16 @@ class View:
             traces.append(base | {"name": "at rest", **_at(nodes, at_rest), "line": line})
         return traces + [self._ground_trace(grid) for grid in self.ground]
 
-    def _strings(self, state: int) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Return the points of the taut and of the slack strings in a state."""
+    def _strings(self, state: int) -> list[dict[str, Any]]:
+        """Return the points of taut and of slack strings in a state, and of passive ones if any."""
         index = np.array(self._index["strings"], dtype=np.int64)
         slack = np.repeat(self._is_slack[self.members.segment_string, state], 3)
+        kinds = [~slack, slack]
+        if self.passive is not None:
+            passive = np.repeat(self.passive[self.members.segment_string], 3)
+            kinds = [~slack & ~passive, slack, ~slack & passive]
         nodes = self._shape(state)
-        return _at(nodes, np.where(slack, -1, index)), _at(nodes, np.where(slack, index, -1))
+        return [_at(nodes, np.where(kind, index, -1)) for kind in kinds]
 
     def _ground_trace(self, grid: FloatArray) -> dict[str, Any]:
         if self._dimension == 2:

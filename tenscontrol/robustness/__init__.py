@@ -2,6 +2,7 @@
 
 from tenscontrol.robustness.closed_loop_case import ClosedLoopCase, Outcome, farthest_node
 from tenscontrol.robustness.distributions import Distribution, Normal, OneOf, Uniform
+from tenscontrol.robustness.experiment_design import draws, grid
 from tenscontrol.robustness.monte_carlo import sweep
 from tenscontrol.robustness.sweep_report import SweepError, SweepFailure, SweepReport
 
@@ -15,6 +16,8 @@ __all__ = [
     "SweepFailure",
     "SweepReport",
     "Uniform",
+    "draws",
     "farthest_node",
+    "grid",
     "sweep",
 ]

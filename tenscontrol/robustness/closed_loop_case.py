@@ -146,11 +146,15 @@ class ClosedLoopCase:
     scene : Scene
         Nominal. Its controller was designed on its structure, or on the parent of that. Workers get
         it pickled: a function at the top of a module, not a lambda.
-    tolerance : float
-        Largest ``final_error`` of a success, m.
+    tolerance : float, optional
+        Largest ``final_error`` of a success, m. Needed if ``success`` is not given.
     target : array_like, shape (d, n), optional
         Where the nodes are to be, m. If not given: for a controller the shape of its plant, for a
         function and in open loop that of the structure.
+    success : callable, optional
+        ``success(run) -> bool`` of the :class:`Trajectory`: whether a place was reached, or how far
+        it rolled. It may return an :class:`Outcome`, whose figures are added to those above. With
+        ``tolerance`` too, both must hold. A function at the top of a module, as above.
 
     Raises
     ------
@@ -172,11 +176,24 @@ class ClosedLoopCase:
     >>> outcome = case({"stiffness": np.linspace(0.7, 1.3, 9)}, np.random.default_rng(0))
     >>> outcome.success, round(outcome.figures["final_error"], 4)
     (False, 0.0453)
+
+    How far does a prism fly that is thrown? A run is a success beyond a metre:
+
+    >>> def flew(run):
+    ...     way = run.nodes[:, :, -1].mean(axis=1) - run.nodes[:, :, 0].mean(axis=1)
+    ...     return tc.robustness.Outcome(way[0] > 1.0, {"way": way[0]})
+    >>> thrown = tc.Scene(
+    ...     model, 0.5, velocities=np.tile([[2.1], [0.0], [0.0]], 6), rest_length=plant.rest_length)
+    >>> case = tc.ClosedLoopCase(thrown, success=flew)
+    >>> outcome = case({"bar_mass": 1.2}, np.random.default_rng(0))
+    >>> outcome.success, round(outcome.figures["way"], 4)
+    (True, 1.05)
     """
 
     scene: Scene
-    tolerance: float
+    tolerance: float | None = None
     target: Any = None  # given as anything array-like, held as an array
+    success: Callable[[Trajectory], Any] | None = None
     # In which the nodes are to be at their place.
     _coordinates: Coordinates = field(init=False, repr=False)
 
@@ -187,7 +204,15 @@ class ClosedLoopCase:
             "scene", self.scene, Scene, "make one by Scene(model, duration, controller=...)"
         )
         put = object.__setattr__  # the dataclass is frozen for everyone else
-        put(self, "tolerance", validation.positive_number("tolerance", self.tolerance, "m"))
+        if self.tolerance is None and self.success is None:
+            raise ValueError(
+                "there is neither tolerance nor success: give tolerance, m, or success, a function "
+                "of the run"
+            )
+        if self.tolerance is not None:
+            put(self, "tolerance", validation.positive_number("tolerance", self.tolerance, "m"))
+        if self.success is not None:
+            validation.function("success", self.success, "it takes a run to True or False")
         law = self.scene.law
         if isinstance(law, Controller):
             put(self, "_coordinates", law.plant.coordinates)
@@ -266,6 +291,8 @@ class ClosedLoopCase:
     def _runs_alone(self) -> str | None:
         """Return why runs of the scene go one by one, whatever varies."""
         scene = self.scene
+        if scene.controller is not None and self.success is not None:
+            return "success is asked of runs with their record of the control"
         why = refusal(scene)
         if why is not None:
             return why
@@ -408,7 +435,17 @@ class ClosedLoopCase:
             margin = strength(run, limits.sections).margin
             figures["utilization"] = 1 / margin
             holds = margin >= limits.margin
-        return Outcome(success=error <= self.tolerance and holds, figures=figures)
+        holds = holds and (self.tolerance is None or error <= self.tolerance)
+        if self.success is None:
+            return Outcome(holds, figures)
+        verdict = self.success(run)
+        if not isinstance(verdict, Outcome):
+            if not isinstance(verdict, bool | np.bool_):
+                raise SweepError(
+                    f"success returned {verdict!r:.60}, expected True or False, or an Outcome"
+                )
+            verdict = Outcome(bool(verdict))
+        return Outcome(holds and verdict.success, figures | verdict.figures)
 
 
 def _varied_sensors(sensors: Sensors | None, parameters: Mapping[str, object]) -> Sensors | None:

@@ -15,6 +15,7 @@ from tenscontrol.progress import progress_bar
 from tenscontrol.robustness import store
 from tenscontrol.robustness.closed_loop_case import ClosedLoopCase, Outcome
 from tenscontrol.robustness.distributions import Distribution
+from tenscontrol.robustness.experiment_design import checked_distributions
 from tenscontrol.robustness.pool import do_runs, spread, workers
 from tenscontrol.robustness.store import Record
 from tenscontrol.robustness.sweep_report import SweepError, SweepReport, collected
@@ -119,7 +120,7 @@ def sweep(
     SweepReport(ClosedLoopCase, 4 of 4 runs, seed 0)
     """
     pickled = _pickled(case)
-    distributions = _checked_parameters(parameters)
+    distributions = checked_distributions(parameters)
     count = validation.whole_number("count", count, 1, validation.MOST_RUNS)
     seed = validation.whole_number("seed", seed, 0, validation.LARGEST_SEED)
     validation.truth("progress", progress, "whether to show a progress bar")
@@ -217,18 +218,6 @@ def _pickled(case: object) -> bytes:
             "function at "
             "the top of a module, or an object of a class there whose attributes can be pickled"
         ) from error
-
-
-def _checked_parameters(parameters: object) -> dict[str, Distribution]:
-    if not isinstance(parameters, Mapping):
-        raise validation.wrong_kind("parameters", parameters, "a dict of distributions")
-    for name, distribution in parameters.items():
-        if not isinstance(name, str) or not name:
-            raise TypeError(f"parameters has the key {name!r}, expected a name")
-        validation.instance(
-            f"parameters[{name!r}]", distribution, Distribution, "use Uniform, Normal or OneOf"
-        )
-    return dict(parameters)
 
 
 def _refuse_other_numbers(now: Record, then: Record) -> None:

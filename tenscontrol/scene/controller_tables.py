@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from tenscontrol import validation
+from tenscontrol.actuation.driven_strings import Actuation, refuse_passive
 from tenscontrol.actuation.motors import Motor
 from tenscontrol.actuation.winches import Winches
 from tenscontrol.arrays import FloatArray
@@ -72,8 +73,10 @@ def build_controller(
     table.need_required()
     arguments: dict[str, Any] = {
         key: per_string(table, key, structure) if isinstance(value, dict) else value
-        for key, value in table.without("kind", "input").items()
+        for key, value in table.without("kind", "input", "actuated").items()
     }
+    with table.checked():
+        plant = linearize(model, rest, input=input, actuated=_actuated(table, structure))
     if "tracked" in table:
         rows = [_row(entry, structure) for entry in _entries(table, "tracked", schema.TRACKED)]
         arguments["tracked"] = np.vstack(rows)
@@ -83,16 +86,31 @@ def build_controller(
         ]
     if "reference" in table:
         bounds = {"min_force_density", "max_force_density"} & arguments.keys()
-        limits = {key: arguments[key] for key in bounds} | {"winches": winches}
+        limits = {key: arguments[key] for key in bounds} | {"winches": winches, "plant": plant}
         arguments["reference"] = _build_reference(table, model, rest, limits)
     # A law in continuous time knows neither speeds in a sample nor ramps through it.
     takes_winches = "winches" in signature(schema.CONTROLLERS[kind]).parameters
     if takes_winches and input == "rest_length" and "sample_time" in table:
         arguments["winches"] = winches
     with table.checked():
-        plant = linearize(model, rest, input=input)
         controller: Controller = schema.CONTROLLERS[kind](plant, **arguments)
     return controller
+
+
+def _actuated(table: Table, structure: Structure) -> Any:
+    """Return the strings that are driven, with ratios by index where the file has their digits."""
+
+    def winch(strings: Any) -> Any:
+        if not isinstance(strings, dict):
+            return strings
+        groups = structure.string_groups
+        return {
+            int(key) if key.isdecimal() and key not in groups else key: ratio
+            for key, ratio in strings.items()
+        }
+
+    given = table.get("actuated")
+    return {k: winch(value) for k, value in given.items()} if isinstance(given, dict) else given
 
 
 def _own_controller(
@@ -112,9 +130,11 @@ def _own_controller(
         raise table.error("settings", f"in {table.title}, settings are arguments of a factory")
     input = table.choice("input", ("force_density", "rest_length"), held)
     imported = _imported(table, given[0], allow_code)
+    actuated = _actuated(table, structure)
     if given == ["factory"]:
         with table.checked("factory"):
-            imported = imported(linearize(*design(), input=input), **table.get("settings", {}))
+            plant = linearize(*design(), input=input, actuated=actuated)
+            imported = imported(plant, **table.get("settings", {}))
     limits: dict[str, Any] = {
         key: per_string(table, key, structure)
         for key in ("low", "high", "max_change")
@@ -122,6 +142,9 @@ def _own_controller(
     }
     settings = limits | table.given("input", "sample_time")
     beside = sorted(settings.keys() - {"input"})
+    if actuated is not None:
+        settings["actuated"] = actuated
+        beside += ["actuated"] if given == ["function"] else []
     if isinstance(imported, BaseController) and beside:
         reason = f"{given[0]} gives {imported!r}, which has limits and a sample time of its own"
         raise table.error(beside[0], f"in {table.title}, {reason}")
@@ -216,8 +239,10 @@ def _build_reference(
         begin, end = _span(entry, now)
         demands = _demands(entry, table, model.structure)
         with entry.checked("time"):
-            gamma = entry.get("force_density", level)
-            goal = shape_target(model, demands, force_density=gamma, start=nodes, **limits)
+            settings: dict[str, Any] = {"force_density": entry.get("force_density", level)}
+            if "force_density" not in entry and not limits["plant"].actuation.is_whole:
+                settings = {"prestress": "least"}  # passive strings say how taut it is
+            goal = shape_target(model, demands, start=nodes, **settings, **limits)
             path = shape_path(model, here, goal, duration=end - begin, step=sample_time, **limits)
         # Before a later start the shape is held: it is there twice.
         first = 0 if begin > now else 1
@@ -332,6 +357,7 @@ def build_estimator(
     input: str,
     sample_time: float,
     winches: Winches | None,
+    controller: BaseController,
 ) -> KalmanFilter:
     """Return the Kalman filter on whole strings, for the input of the actuators."""
     sensors, estimator = document.table("sensors"), document.table("estimator")
@@ -344,25 +370,30 @@ def build_estimator(
         if "encoder" in given and winches is not None:
             given["motor"] = winches.motor
         readings = Sensors(structure=model.structure, **given)
+    actuated = controller.actuation if controller.input == input else None
     with estimator.checked():
-        plant = linearize(model, rest, input=input)
+        plant = linearize(model, rest, input=input, actuated=actuated)
         settings = estimator.without("kind")
         return KalmanFilter(plant, readings, sample_time=sample_time, winches=winches, **settings)
 
 
-def build_faults(document: Document, strings: int, winches: int | None) -> tuple[Fault, ...]:
-    """Return the faults; ``strings`` can be cut; ``winches`` is None without a controller."""
+def build_faults(
+    document: Document, strings: int, actuation: Actuation | None
+) -> tuple[Fault, ...]:
+    """Return the faults; ``strings`` can be cut; ``actuation`` is that of the controller."""
     found: list[Fault] = []
     for table in document.entries("faults"):
         kind, entry = table.chosen("kind", schema.FAULT_KEYS)
-        if kind != "cut_string" and winches is None:
+        if kind != "cut_string" and actuation is None:
             raise entry.error("kind", f"{entry.title} goes with a table [controller]")
         entry.need_required()
         if kind == "cut_string":
             entry.index("string", strings, "strings")
         elif kind == "stuck_winch":
-            assert winches is not None  # refused above
-            entry.index("string", winches, "winches")
+            assert actuation is not None  # refused above
+            string = entry.index("string", len(actuation.input), "winches")
+            with entry.checked("string"):
+                refuse_passive(actuation, "string", np.array([string]))
         with entry.checked():
             found.append(schema.FAULTS[kind](**entry.without("kind")))
     return tuple(found)

@@ -127,6 +127,17 @@ FORCES = Kind(
     Kind("{node = ..., force = [x, y, z]}", _is_table),
 )
 
+_WINCH = Kind(
+    "an index, a string group, a list of them, or a table of their ratios",
+    lambda value: _is_whole(value) or isinstance(value, str | list | dict),
+    Kind("an index, a string group or a ratio", lambda v: _is_number(v) or isinstance(v, str)),
+)
+ACTUATED = Kind(
+    "a list of indices and string groups, or a table of winches with their strings",
+    _a(str, list, dict),
+    _WINCH,
+)
+
 # By the type that a docstring gives, without ", optional": the first that fits.
 _BY_TYPE = (
     (r"float( or None| or casadi\.Function)?", NUMBER),
@@ -180,6 +191,7 @@ _BY_TYPE = (
         ),
     ),
     (r"sequence or set of int and of \(int, str\).*", SUPPORTS),
+    (r"sequence of int or str, dict.*", ACTUATED),
     (
         r"(array_like|sequence)( or set)? of int.*",
         Kind("a list of indices from 0", _is_list, WHOLE),

@@ -118,7 +118,9 @@ def load_scene(file: str | Path, allow_code: bool = False) -> Scene:
         ``kind = "mpc"``, ``"nmpc"``, ``"feedback_linearization"`` or ``"lqr"`` with the arguments
         of :class:`MPC`, :class:`NMPC`, :class:`FeedbackLinearization` or :class:`LQR`. ``input`` as
         for :func:`linearize`; with ``"rest_length"``, MPC and NMPC know the winches of the scene.
-        It is designed about the prestress, on the structure with its strings whole.
+        It is designed about the prestress, on the structure with its strings whole. ``actuated``
+        are the driven strings, ``[0, "top"]``; strings that share a winch are a table by its name,
+        ``{lid = ["top"], seesaw = {6 = 1.0, 7 = -1.0}}``. All others are passive.
         ``kind = "python"`` is a controller of your own, for which loading the scene runs code, if
         ``allow_code`` is true: ``function = "laws.py:damper"``, a file in the folder of the scene
         or below it, or ``"package.module:damper"``, a module that Python imports; or ``factory``,
@@ -131,7 +133,8 @@ def load_scene(file: str | Path, allow_code: bool = False) -> Scene:
         and the limits of the winches: ``height``, m, and ``twist``, rad, between the nodes ``top``
         and ``bottom`` (those of a prism if not given); ``nodes`` with their ``positions``. The move
         begins at ``start``, s; at the end of the one before if not given. ``force_density``: mean γ
-        of the group of the first string in that shape, N/m; that of the prestress if not given.
+        of the group of the first string in that shape, N/m; that of the prestress if not given,
+        and where there are passive strings the least that holds the shape with them.
     ``[[controller.outputs]]``, ``[[controller.tracked]]``
         A node coordinate, ``node`` and ``axis = "x"``, ``"y"`` or ``"z"``, less that of the
         node ``relative_to``. As ``outputs`` with ``low`` and ``high``, m, and ``penalty``.
@@ -242,7 +245,9 @@ class _Reading:
         if document.has("estimator"):
             run = self._settings
             sample = controller.sample_time or run["sample_time"] or run["step"]
-            parts["estimator"] = build_estimator(document, *design(), input, sample, winches)
+            parts["estimator"] = build_estimator(
+                document, *design(), input, sample, winches, controller
+            )
             parts["seed"] = document.table("sensors").get("seed", 0)
         return parts
 
@@ -250,8 +255,8 @@ class _Reading:
         """Return the scene."""
         document, structure, loop = self._document, self._structure, self._loop()
         controller = loop.get("controller")
-        commanded = None if controller is None else len(controller.commanded.strings)
-        faults = build_faults(document, len(structure.strings), commanded)
+        actuation = None if controller is None else controller.actuation
+        faults = build_faults(document, len(structure.strings), actuation)
         nodes, velocities = build_start(document, self._model)
         held: dict[str, Any] = {}
         if self._rest_length is not None:

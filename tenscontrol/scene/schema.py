@@ -27,6 +27,7 @@ from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.string_laws import ElasticStrings, LinearStrings, StringLaw
 from tenscontrol.estimation.kalman_filter import KalmanFilter
 from tenscontrol.estimation.sensors import Sensors
+from tenscontrol.plant.linearize import linearize
 from tenscontrol.scene.kinds import (
     FIXED,
     FORCES,
@@ -182,7 +183,7 @@ CONTROLLERS: Mapping[str, Callable[..., Controller]] = MappingProxyType(
 _OF_CONTROLLERS: dict[str, Key] = {
     "kind": _choice("which one", *CONTROLLERS, "python"),
     "input": _choice("what the controller commands", *_INPUTS),
-}
+} | keys_of(linearize, "actuated")
 CONTROLLER_KEYS: Mapping[str, Keys] = MappingProxyType(
     {
         kind: _OF_CONTROLLERS

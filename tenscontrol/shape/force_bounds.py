@@ -96,9 +96,10 @@ def checked_limits(
     if force_density is not None:
         level = validation.positive_number("force_density", force_density, "N/m")
         if level < low[strings].mean() or level > high[strings].mean():
+            left = validation.span(low[strings].mean(), high[strings].mean(), "N/m")
             raise ValueError(
                 f"force_density is {level:g} N/m, but the bounds leave the {group!r} strings "
-                f"{low[strings].mean():g} to {high[strings].mean():g} N/m in the mean"
+                f"{left} in the mean"
             )
     elif reference is not None:
         raise ValueError(f"reference is {reference!r}, but it goes with force_density")

@@ -62,7 +62,9 @@ class DemandCheck:
 
     def __str__(self) -> str:
         wanted = f"{self.low:.6g}"
-        if self.low != self.high:
+        if np.isposinf(self.high):
+            wanted = f"at least {wanted}"
+        elif self.low != self.high:
             wanted += f" to {self.high:.6g}"
         return (
             f"{self.name} is {self.found:.6g} {self.unit}, wanted {wanted} {self.unit}, "

@@ -10,12 +10,15 @@ import numpy as np
 
 from tenscontrol import validation
 from tenscontrol.actuation.driven_strings import (
+    Actuation,
     bounds_of_inputs,
     changes_of_inputs,
+    forces_on_inputs,
     inputs_of,
     moved_by,
     refuse_passive,
     strings_of,
+    sums_by_input,
     through,
 )
 from tenscontrol.actuation.motors import (
@@ -139,12 +142,8 @@ class Actuators:
                 "strings, of which motors know no limits where γ is held: leave the motor out, or "
                 "hold rest lengths"
             )
-        if motors and self._actuation.is_ganged:
-            raise ValueError(
-                "winches has a motor, but the plant of the controller has ganged strings, which "
-                "motors do not know yet: give the limits by Winches(rate=..., shortest=..., "
-                "longest=...), or one motor a string"
-            )
+        if winches is not None and winches.motor is not None and self._actuation.is_ganged:
+            _refuse_forces(winches.motor)
         listed = self._plant_run.faults.listed
         stuck = [fault.string for fault in listed if isinstance(fault, StuckWinch)]
         refuse_passive(self._actuation, "a stuck winch in faults", np.array(stuck, dtype=np.int64))
@@ -167,10 +166,12 @@ class Actuators:
         each_motor(motor, self._count)  # or they do not fit
         if self._actuation.is_whole:
             return motor
+        lead = self._actuation.lead
         per_string = {name: value for name, value in vars(motor).items() if np.ndim(value)}
-        return replace(
-            motor, **{name: value[self._actuation.lead] for name, value in per_string.items()}
-        )
+        given = {name: value[lead] for name, value in per_string.items()}
+        if motor.zero is not None:  # a rest length of the lead: the input by its ratio
+            given["zero"] = given.get("zero", motor.zero) / self._actuation.ratio[lead]
+        return replace(motor, **given)
 
     def _go_on(self, run: Trajectory) -> None:
         """Begin with what the actuators held at the end of a run."""
@@ -186,6 +187,11 @@ class Actuators:
             self.start = self._current = validation.per_member(
                 "rest_length", self._current, self._count, where
             )
+
+    @property
+    def actuation(self) -> Actuation:
+        """Which strings are driven, where passive ones keep what they had at the start."""
+        return self._actuation
 
     @property
     def known(self) -> bool:
@@ -387,9 +393,10 @@ class Actuators:
                 cut = self._plant_run.faults.without_cut(np.zeros(len(jump)), time + close) != 0
                 jump[cut, j] = 0.0
             work[:, first] += jump
-            lead = self._actuation.lead
-            work = self._to_strings("length", work.T).T[lead]
-            forces = [self._to_strings("tension", force.T).T[lead] for force in forces]
+            act = self._actuation
+            work = sums_by_input(act, self._to_strings("length", work.T).T)
+            tensions = [self._to_strings("tension", force.T).T for force in forces]
+            forces = [forces_on_inputs(act, tension) for tension in tensions]
             turning = [
                 self._drive.turning(before.time, at.time, force)
                 for at, force in zip(ends, forces, strict=True)
@@ -485,6 +492,17 @@ class Actuators:
                 f"stiffness, {limit[i]:g} N/m, whatever its rest length. Give the controller "
                 f"max_force_density below {limit[i] / segments[i]:g} N/m"
             )
+
+
+def _refuse_forces(motor: Motor) -> None:
+    """Raise if a motor that winds several strings has a torque, by which tensions move it."""
+    if motor.torque is not None and np.isfinite(motor.torque).any():
+        raise ValueError(
+            "winches.motor has torque, but winds several strings, or by a ratio, in the plant of "
+            "the controller: such a motor moves them whatever they pull. Leave torque and inertia "
+            "out, and compare run.control.motors.torque with what the motor has; or give one motor "
+            "a string"
+        )
 
 
 def commands_parent(model: Model, controller: BaseController) -> bool:

@@ -11,7 +11,7 @@ from time import perf_counter
 import numpy as np
 
 from tenscontrol import validation
-from tenscontrol.actuation.driven_strings import inputs_of
+from tenscontrol.actuation.driven_strings import Actuation, inputs_of
 from tenscontrol.actuation.motors import MotorRecord
 from tenscontrol.actuation.winches import Winches, WinchMove
 from tenscontrol.arrays import FloatArray, IntArray, frozen
@@ -165,6 +165,7 @@ class ClosedLoop:
         return _control_record(
             self._samples, rest_length, self._sample, self._observation,
             self._actuators.motor_record(), self._controller, self._run.now, end[:, : self._seen],
+            self._actuators.actuation,
         )  # fmt: skip
 
 
@@ -205,6 +206,7 @@ def _control_record(
     controller: BaseController,
     until: float,
     end: FloatArray,
+    actuation: Actuation,
 ) -> ControlRecord:
     """Return the record of samples.
 
@@ -244,6 +246,7 @@ def _control_record(
         slowest_vibration=(
             controller.plant.slowest_vibration if isinstance(controller, Controller) else None
         ),
+        actuation=actuation,
     )
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from tenscontrol.actuation.driven_strings import Actuation
 from tenscontrol.actuation.motors import MotorRecord
 from tenscontrol.arrays import FloatArray
 from tenscontrol.control.command import Fallback
@@ -79,6 +80,9 @@ class ControlRecord:
         Of the controller at the end of the run; None for other controllers.
     settings : Arguments
         Kind and settings of the controller by name.
+    actuation : Actuation or None
+        Which strings of the controller are driven, and by which of its inputs; None in files of
+        earlier versions.
     """
 
     time: FloatArray
@@ -102,6 +106,7 @@ class ControlRecord:
     slowest_vibration: float | None = None
     statistics: object = None
     settings: Arguments = field(default_factory=Arguments)
+    actuation: Actuation | None = None
 
     def __repr__(self) -> str:
         counts = ", ".join(f"{count} {status}" for status, count in self.status_count.items())

@@ -21,6 +21,7 @@ import numpy as np
 
 from tenscontrol import validation
 from tenscontrol._version import __version__
+from tenscontrol.actuation.driven_strings import Actuation
 from tenscontrol.actuation.motors import Motor, MotorRecord
 from tenscontrol.actuation.winches import Winches
 from tenscontrol.control.command import Fallback
@@ -66,11 +67,11 @@ OF_BARS = ("bar_crossings", "bar_clearance", "unresolved_intervals")
 _RECORDS = {
     kind.__name__: kind
     for kind in (
-        BarClearance, BarCrossing, Choice, ContactRecord, ControlRecord, CutString, ElasticStrings,
-        EstimateRecord, FeedbackLinearizationStatistics, FilterStatistics, Ground, HertzGround,
-        LinearStrings, LostMeasurement, MethodChange, Motor, MotorRecord, MPCStatistics,
-        NMPCStatistics, OutputLimit, Profile, Reference, SmoothGround, Structure, StuckWinch,
-        Winches, Work,
+        Actuation, BarClearance, BarCrossing, Choice, ContactRecord, ControlRecord, CutString,
+        ElasticStrings, EstimateRecord, FeedbackLinearizationStatistics, FilterStatistics, Ground,
+        HertzGround, LinearStrings, LostMeasurement, MethodChange, Motor, MotorRecord,
+        MPCStatistics, NMPCStatistics, OutputLimit, Profile, Reference, SmoothGround, Structure,
+        StuckWinch, Winches, Work,
     )
 }  # fmt: skip
 _WORDS: dict[str, type[StrEnum]] = {"Status": Status, "Fallback": Fallback}
@@ -108,10 +109,12 @@ _SHAPES = {
     "control_estimate_bias": "yK", "control_estimate_bias_deviation": "yK",
     "control_estimate_actual_bias": "yK", "control_estimate_measurement": "yK",
     "control_estimate_status": "K",
-    "control_motors_time": "T", "control_motors_angle": "wT",
-    "control_motors_speed": "wT", "control_motors_torque": "wT", "control_motors_power": "wT",
-    "control_motors_energy": "wT", "control_motors_torque_limited": "K",
-    "control_motors_zero": "w", "control_motors_angle_command": "wK",
+    "control_motors_time": "T", "control_motors_angle": "iT",
+    "control_motors_speed": "iT", "control_motors_torque": "iT", "control_motors_power": "iT",
+    "control_motors_energy": "iT", "control_motors_torque_limited": "K",
+    "control_motors_zero": "i", "control_motors_angle_command": "iK",
+    "control_actuation_input": "w", "control_actuation_ratio": "w",
+    "control_actuation_offset": "w", "control_actuation_lead": "i",
     "contacts_node": "c", "contacts_law": "c", "contacts_depth": "cT",
     "contacts_normal_force": "cT", "contacts_tangential_force": "dcT",
     "contacts_stored_energy": "cT", "contacts_damping_work": "cT", "contacts_friction_work": "cT",

@@ -460,6 +460,8 @@ class Scene:
     def linearize(self, input: str | None = None, coordinates: str = "internal") -> LinearPlant:
         """Return the linear plant about the shape of the structure, as :func:`linearize` does.
 
+        Its inputs are those of the controller, where that commands this input.
+
         Parameters
         ----------
         input : {"force_density", "rest_length"}, optional
@@ -485,8 +487,15 @@ class Scene:
             raise ValueError(
                 f"the scene cannot be linearized, as it is not at rest: {error}"
             ) from error
-        kind = self.input if input is None else input
-        return linearize(self.model, rest, kind, coordinates)
+        kind, law = self.input if input is None else input, self.law
+        actuated = None
+        if (
+            law is not None
+            and law.input == kind
+            and len(law.commanded.strings) == len(self.structure.strings)
+        ):
+            actuated = law.actuation
+        return linearize(self.model, rest, kind, coordinates, actuated=actuated)
 
     def _design_force_density(self) -> FloatArray:
         """Return the γ that the scene is linearized about."""

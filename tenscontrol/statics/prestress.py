@@ -580,7 +580,8 @@ def _infeasible(
         return (
             "the structure has no state of self-stress in this shape, so that external_force "
             f"alone determines the forces: string {strings[i]} would get γ = {gamma[i]:.6g} N/m, "
-            f"expected {low[i]:g} to {high[i]:g} N/m. Change the load, the shape or the bounds"
+            f"expected {validation.span(low[i], high[i], 'N/m')}. Change the load, the shape or "
+            "the bounds"
         )
     every = BalancedForces.of(forces)
     share = (at_level or every).largest_share(low, high)

@@ -111,3 +111,49 @@ def test_the_speed_of_a_motor_bounds_the_rate():
     )
     change = largest_change(plant.input, plant.actuation, None, tc.Winches(motor=motor), STEP)
     np.testing.assert_allclose(change, np.full(9, 0.2 * STEP))
+
+
+@pytest.mark.parametrize("more", [{}, {"ramp": True}, {"motor": tc.Motor(0.01), "ramp": True}])
+@pytest.mark.parametrize("kind", [tc.LQR, tc.MPC])
+def test_an_infinite_rate_is_no_limit(prism, rest, kind, more):
+    model = tc.Model(prism, strings=tc.LinearStrings(100.0, damping=0.5))
+    plant = tc.linearize(model, rest, input="rest_length")
+    ends = []
+    for rate in (None, np.inf, np.full(9, np.inf)):
+        winches = tc.Winches(rate=rate, **more)
+        horizon = {"horizon": 4} if kind is tc.MPC else {}
+        run = tc.simulate(
+            model, 0.1, plant.to_nodes(0.02 * np.ones(9)), step=2e-3, winches=winches,
+            controller=kind(plant, sample_time=0.02, winches=winches, **horizon),
+            rest_length=plant.rest_length,
+        )  # fmt: skip
+        assert run.control.rate_limited.max() == 0
+        ends.append(run.nodes[..., -1])
+    np.testing.assert_array_equal(ends[0], ends[1])
+    np.testing.assert_array_equal(ends[0], ends[2])
+
+
+def test_one_winch_without_a_limit_of_rate_jumps(prism):
+    rate = np.full(9, 0.1)
+    rate[4] = np.inf
+    move = tc.Winches(rate=rate).move(np.ones(9), np.full(9, 0.5), 0.02)
+    expected = np.full(9, 0.998)
+    expected[4] = 0.5
+    np.testing.assert_allclose(move.rest_length, expected, rtol=1e-12)
+    assert move.rate_limited.tolist() == [0, 1, 2, 3, 5, 6, 7, 8]
+
+
+def test_no_message_names_a_bound_that_is_not_there(prism, rest):
+    model = tc.Model(prism, strings=tc.LinearStrings(100.0))
+    low = tc.Height(0.85, top=[0, 1, 2], bottom=[3, 4, 5])
+    plant = tc.linearize(model, rest, input="rest_length")
+    with pytest.raises(ValueError, match="leave the 'top' strings at least 17 N/m in the mean"):
+        tc.shape_target(model, low, force_density=5.0, min_force_density=17.0)
+    with pytest.raises(ValueError, match=r"plant.rest_length\[0\] is .* expected at least 2 m: "):
+        tc.LQR(plant, sample_time=0.02, winches=tc.Winches(shortest=2.0))
+    held = tc.Structure(
+        [[0.0, 1.0], [0.0, 0.0], [0.0, 0.0]], [], [[0, 1]], [], point_mass=[0.0, 1.0], fixed=[0]
+    )
+    force = np.array([[0.0, 5.0], [0.0, 0.0], [0.0, 0.0]])
+    with pytest.raises(ValueError, match="get γ = 5 N/m, expected at least 9 N/m"):
+        tc.prestress(held, min_force_density=9.0, external_force=force)

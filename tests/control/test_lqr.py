@@ -210,3 +210,19 @@ def test_mode_without_weight_is_refused(model, rest):
     plant = tc.linearize(model, rest)
     with pytest.raises(ValueError, match="weight"):
         tc.LQR(plant, 0.0, 1.0)
+
+
+def test_a_driven_string_without_force_is_warned_of():
+    """γ of a slack string can only grow: a gain that takes it down as well is none."""
+    cross = tc.Structure(
+        [[0.0, 1.0, 0.0, 1.0], [0.0, 1.0, 1.0, 0.0]], [[0, 1], [2, 3]],
+        [[0, 2], [2, 1], [1, 3], [3, 0], [0, 2]], 1.0,
+    )  # fmt: skip
+    gamma = [20.0, 20.0, 20.0, 20.0, 0.0]
+    model, rest = tc.Model(cross), tc.prestress(cross, gamma)
+    with pytest.warns(RuntimeWarning, match=r"gamma_.*\[4\] is at a bound .* one way only"):
+        tc.LQR(tc.linearize(model, rest), sample_time=0.02)
+    tc.LQR(tc.linearize(model, rest, actuated=[0, 1, 2, 3]), sample_time=0.02)
+    both = tc.linearize(model, rest, actuated={"pair": [0, 4], "b": 1, "c": 2, "d": 3})
+    with pytest.warns(RuntimeWarning, match="gamma_pair is at a bound"):
+        tc.LQR(both, sample_time=0.02)

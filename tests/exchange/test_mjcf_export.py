@@ -230,3 +230,62 @@ def on(ground):
 def test_what_mujoco_has_not_is_refused(model, given, message):
     with pytest.raises(ValueError, match=message):
         tc.exchange.to_mujoco(model, **given)
+
+
+def wound_here(model, plant, lengths, start, sample=0.02):
+    """Nodes after inputs (samples, m), m, each held for a sample."""
+    nodes, rates = start, np.zeros_like(start)
+    for inputs in lengths:
+        held = plant.actuation.strings(inputs)
+        nodes, rates = exact(model, sample, nodes=nodes, velocities=rates, rest_length=held)
+    return nodes
+
+
+@pytest.mark.parametrize("law", [tc.LinearStrings(1e3, 2.0), tc.ElasticStrings(5e2)])
+@pytest.mark.parametrize("ganged", [False, True])
+def test_driven_strings_have_actuators_and_passive_ones_are_springs(law, ganged):
+    """Motions of both under the same rest lengths; a gang is set string by string."""
+    ball = library()["six_bar_ball"]
+    model = tc.Model(ball, strings=law)
+    at = tc.prestress(ball, min_force_density=100.0)  # taut throughout
+    winches = list(range(22, -1, -2))
+    if ganged:
+        winches = {f"motor_{k}": {4 * k: 1.0, 4 * k + 2: -0.5} for k in range(6)}
+    plant = tc.linearize(model, at, input="rest_length", actuated=winches)
+    actuation, driven = plant.actuation, plant.actuation.driven.tolist()
+    given = {"rest_length": plant.rest_length, "actuators": "rest_length", "step": 2.5e-4}
+    if ganged:
+        with pytest.raises(
+            ValueError, match=r"pulls at one tendon: give the strings, actuated=\[0, 2"
+        ):
+            tc.exchange.to_mujoco(model, actuated=actuation, **given)
+    order = driven if ganged else winches
+    text = tc.exchange.to_mujoco(model, actuated=order, **given)
+    run = Run(ball, text)
+    assert run.model.nu == 12
+    change = np.random.default_rng(0).uniform(-0.03, 0.03, (3, len(actuation.lead)))
+    lengths = plant.equilibrium_input + change
+    np.testing.assert_allclose(run.data.ctrl, by_law(law, plant.rest_length[order]))
+    for inputs in lengths:
+        run.data.ctrl[:] = by_law(law, actuation.strings(inputs)[order])
+        nodes, _ = run.go_on(0.02)
+    assert np.abs(nodes - ball.nodes).max() > 1e-3
+    np.testing.assert_allclose(nodes, wound_here(model, plant, lengths, ball.nodes), atol=1e-6)
+
+
+def by_law(law, lengths):
+    """What an actuator takes: rest lengths, or their inverses."""
+    return lengths if isinstance(law, tc.LinearStrings) else 1 / lengths
+
+
+@pytest.mark.parametrize("kind", ["tension", "force_density"])
+def test_passive_strings_keep_what_they_have_under_forces_of_the_driven(kind, prism):
+    model = tc.Model(prism, strings=tc.LinearStrings(100.0))
+    text = tc.exchange.to_mujoco(model, rest_length=0.8, actuators=kind, actuated=["vertical"])
+    root = ElementTree.fromstring(text)
+    names = [each.get("name") for each in root.iter("general")]
+    assert names == ["s6", "s7", "s8"]
+    springs = [each.get("name") for each in root.iter("spatial") if each.get("stiffness")]
+    assert springs == [f"s{k}" for k in range(6)]
+    with pytest.raises(ValueError, match="actuated is given, but actuators is 'none'"):
+        tc.exchange.to_mujoco(model, rest_length=0.8, actuated=[0])

@@ -1989,6 +1989,7 @@ call(
         "actuators": "rest_length",
         "step": 1e-3,
         "integrator": "rk4",
+        "actuated": [0, 8],
     },
 )
 call(
@@ -2013,6 +2014,8 @@ call("exchange.to_vtk, run", lambda: {"source": run(), "path": scratch("run.pvd"
 call("Uniform", lambda: {"low": 0.0, "high": 1.0, "size": 3})
 call("Normal", lambda: {"mean": 0.0, "deviation": 1.0, "size": 3})
 call("OneOf", lambda: {"values": [1.0, 2.0], "size": 3})
+call("draws", lambda: {"parameters": {"a": tc.Uniform(0.0, 1.0)}, "count": 3, "seed": 0})
+call("grid", lambda: {"values": {"a": [1.0, 2.0], "b": [[1.0, 2.0], [3.0, 4.0]]}})
 call("robustness.Outcome", lambda: {"success": True, "figures": {"error": 0.1, "force": 2.0}})
 call(
     "ClosedLoopCase",
@@ -2026,6 +2029,7 @@ call(
         ),
         "tolerance": 0.01,
         "target": nodes(),
+        "success": lambda run: True,
     },
     share=0.5,
 )
@@ -2102,6 +2106,7 @@ call(
         "member_labels": False,
         "faint": False,
         "legend": True,
+        "actuated": [0, "vertical"],
     },
     share=0.2,
 )

@@ -293,7 +293,7 @@ def test_the_range_of_the_winches_is_kept():
 def test_a_range_that_cannot_be_kept_is_named():
     winches = tc.Winches(shortest=1.3)
     with pytest.raises(
-        ShapeError, match=r"rest_length\[\d\] is .* m, wanted 1.3 to inf m"
+        ShapeError, match=r"rest_length\[\d\] is .* m, wanted at least 1.3 m"
     ) as caught:
         shape_target(free(), force_density=LEVEL, winches=winches)
     missed = {check.name: check.missed for check in caught.value.nearest.missed}

@@ -13,7 +13,7 @@ extern "C" {
 #endif
 
 @SIZES@
-
+@INPUTS@
 /* Why a command is not the decision of the controller. */
 @STATUSES@
 #define CONTROLLER_REASON(status) ((status) & @REASON@)

@@ -10,6 +10,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from tenscontrol import validation
+from tenscontrol.actuation.driven_strings import strings_of
 from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.control.controller import Controller
 from tenscontrol.dynamics.model import Model
@@ -67,7 +68,7 @@ class CompiledLoops:
             self._copies = []
         self._free = structure.free_rows
         self._nodes = structure.nodes.ravel(order="F")
-        self._count = len(controller.commanded.strings)
+        self._actuation = controller.actuation
 
     def reset(self, runs: int) -> None:
         """Let the controllers of so many runs forget everything."""
@@ -97,9 +98,10 @@ class CompiledLoops:
         motion = np.zeros((runs, 2, len(self._nodes)))
         motion[:, 0] = self._nodes
         motion[:, 0, self._free], motion[:, 1, self._free] = states[:, :half], states[:, half:]
-        found, failed = np.zeros((runs, self._count)), np.zeros(runs, dtype=bool)
+        found = np.zeros((runs, len(self._actuation.lead)))
+        failed = np.zeros(runs, dtype=bool)
         for i, place in enumerate(places.tolist()):
             at = motion.ctypes.data + i * motion.strides[0]
             to = found.ctypes.data + i * found.strides[0]
             failed[i] = self._commands[place](time, at, at + motion.strides[1], to)
-        return found, failed
+        return np.ascontiguousarray(strings_of(self._actuation, found.T).T), failed

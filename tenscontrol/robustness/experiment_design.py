@@ -1,0 +1,110 @@
+"""Values of parameters for many runs: full grids and random draws."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import prod
+
+import numpy as np
+
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray
+from tenscontrol.robustness.distributions import Distribution, draw_run
+
+
+def grid(values: Mapping[str, object]) -> dict[str, FloatArray]:
+    """Return all combinations of values of some parameters: a run for each.
+
+    Parameters
+    ----------
+    values : mapping of str to array_like, shape (k,) or (k, members)
+        By name, the values that a parameter takes: numbers, or rows of one number a member.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (runs,) or (runs, members)
+        What :func:`simulate_many` takes as ``vary``. The last name changes fastest.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an array does not fit or is not finite, or there are more than 10,000,000 runs.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> vary = tc.grid({"ground.friction": [0.2, 0.5], "bar_mass": [0.9, 1.0, 1.1]})
+    >>> vary["ground.friction"].tolist(), vary["bar_mass"].tolist()
+    ([0.2, 0.2, 0.2, 0.5, 0.5, 0.5], [0.9, 1.0, 1.1, 0.9, 1.0, 1.1])
+    """
+    if not isinstance(values, Mapping) or not values:
+        raise validation.wrong_kind("values", values, "a dict of arrays, by name, at least one")
+    choices = {}
+    for name, given in values.items():
+        if not isinstance(name, str) or not name:
+            raise TypeError(f"values has the key {name!r}, expected a name")
+        array = validation.float_array(f"values[{name!r}]", given)
+        if array.ndim not in (1, 2) or not len(array):
+            raise ValueError(
+                f"values[{name!r}] has shape {array.shape}, expected (k,) or (k, members) with k "
+                "at least 1: what it takes one after the other"
+            )
+        choices[name] = array
+    runs = prod(map(len, choices.values()))
+    validation.whole_number("the number of runs", runs, 1, validation.MOST_RUNS)
+    places = np.unravel_index(np.arange(runs), tuple(map(len, choices.values())))
+    return {
+        name: array[place] for (name, array), place in zip(choices.items(), places, strict=True)
+    }
+
+
+def draws(
+    parameters: Mapping[str, Distribution], count: int, seed: int = 0
+) -> dict[str, FloatArray]:
+    """Return random values of some parameters for many runs: those that :func:`sweep` draws.
+
+    Parameters
+    ----------
+    parameters : mapping of str to Distribution
+        :class:`Uniform`, :class:`Normal` or :class:`OneOf` by name; ``size`` of them for one number
+        a member.
+    count : int
+        Number of runs.
+    seed : int
+        Of the random numbers. A run's numbers hang on the seed, its index and the name alone.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (count,) or (count, size)
+        What :func:`simulate_many` takes as ``vary``.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is of the wrong kind.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> vary = tc.draws({"ground.friction": tc.Uniform(0.3, 0.6)}, count=3)
+    >>> vary["ground.friction"].shape, bool((vary["ground.friction"] < 0.6).all())
+    ((3,), True)
+    """
+    distributions = checked_distributions(parameters)
+    count = validation.whole_number("count", count, 1, validation.MOST_RUNS)
+    seed = validation.whole_number("seed", seed, 0, validation.LARGEST_SEED)
+    runs = [draw_run(distributions, seed, run) for run in range(count)]
+    return {name: np.array([run[name] for run in runs]) for name in distributions}
+
+
+def checked_distributions(parameters: object) -> dict[str, Distribution]:
+    """Return distributions by name, or raise naming what is none."""
+    if not isinstance(parameters, Mapping):
+        raise validation.wrong_kind("parameters", parameters, "a dict of distributions")
+    for name, distribution in parameters.items():
+        if not isinstance(name, str) or not name:
+            raise TypeError(f"parameters has the key {name!r}, expected a name")
+        validation.instance(
+            f"parameters[{name!r}]", distribution, Distribution, "use Uniform, Normal or OneOf"
+        )
+    return dict(parameters)
