@@ -228,7 +228,7 @@ static Number mean_of_chosen(const Span *span, const Number *of) {
    times the stiffness, as a force that does not depend on velocities is continuous there. So it may
    end past the border by at most sqrt(allowed r), or the part `least` of the length of the string
    if that is more, and never before it: the next step would be wrong. Other forces jump. */
-SHARED Cut first_switch(Span *span, const Tried *step, double allowed, double least) {
+SHARED Cut first_switch(Span *span, const Tried *step, Number allowed, double least) {
   const int m = span->switches;
   const Number *scale, h = step->h;
   Number *inside = span->inside, *outside = span->outside, *chosen = span->chosen;

@@ -79,7 +79,7 @@ SHARED const Number *gap_scales(Span *span, Number time);
 SHARED void make_path(Span *span, const Tried *step);
 SHARED void on_path(const Span *span, Number h, Number part, Number *x);
 /* Of a step that `crossings` was asked of last. */
-SHARED Cut first_switch(Span *span, const Tried *step, double allowed, double least);
+SHARED Cut first_switch(Span *span, const Tried *step, Number allowed, double least);
 SHARED Number approach(Span *span, const Tried *step, Cut cut, Place *place, void *by, Number *x,
                        Number *places);
 SHARED Number switch_over(Span *span, Truth meant, const Number *x, Number time, Number *taut);
