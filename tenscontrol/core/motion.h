@@ -48,6 +48,12 @@ SHARED void slope_at(Span *span, const Number *x, Number time, const Number *tau
 SHARED void gap_at(Span *span, const Number *x, Number time, const Number *marked, Number *gap,
                    Number *rate);
 
+/* Of frequency.c: the largest frequency of small motions about a state, rad/s, by power iteration that
+   begins with a vector. */
+SHARED size_t frequency_size(const Scene *scene);
+SHARED Number frequency_of(Span *span, const Number *state, Number difference, const double *vector,
+                           Number *work);
+
 /* Of lengths.c: bars on their lengths, if the span has any. */
 SHARED void restore_bars(Span *span, Number *x);
 
