@@ -35,6 +35,7 @@ from tenscontrol.interrupt import check
 from tenscontrol.simulation.arguments import Arguments
 from tenscontrol.simulation.batch.batch_inputs import BatchInputs, InputSpan
 from tenscontrol.simulation.batch.compiled_loop import MOST_CONTROLLERS, CompiledLoops
+from tenscontrol.simulation.batch.sample import Sample, SampledRun
 from tenscontrol.simulation.error_estimate import Motion, Path, Resolved, Stage
 from tenscontrol.simulation.health import ERROR_LIMIT
 from tenscontrol.simulation.motion_functions import MotionFunctions, by_node
@@ -44,6 +45,9 @@ from tenscontrol.structure.supports import moving_masses
 
 # Runs in a call, and numbers that it may return.
 _BLOCK, _MOST_NUMBERS = 256, 4_000_000
+
+# Runs of which errors are estimated in a call.
+_SAMPLE = 32
 
 _POLL = 0.05  # s until an interrupt is looked for
 
@@ -261,23 +265,48 @@ class Runner:
         found = np.full((self.scene.count, len(self.time)), np.nan)
         looked_at = 0
 
-        def estimate(run: int) -> int:
-            found[run] = self.error(run)
-            return 1
+        def estimate(some: IntArray) -> int:
+            resolved = self._again_at_once(some)
+            for run in some.tolist():
+                if self._stop.value:
+                    return 0
+                if run not in self._errors:
+                    self._errors[run] = self._estimated_error(run, resolved)
+                found[run] = self._errors[run]
+            return len(some)
 
         def told(done: int) -> None:
             nonlocal looked_at
             looked_at += done
             report(looked_at)
 
-        self._in_threads(threads, (partial(estimate, run) for run in runs.tolist()), told)
+        parts = np.array_split(runs, -(-len(runs) // min(_SAMPLE, -(-len(runs) // threads) or 1)))
+        self._in_threads(threads, (partial(estimate, some) for some in parts), told)
         return found
+
+    def _again_at_once(self, runs: IntArray) -> Callable[[int, float], Resolved]:
+        """Return what integrates runs of a sample again: at once what was integrated so."""
+        in_lanes = np.setdiff1d(runs, list(self._work))
+        if self._lanes is None or len(self.spans) > 1 or not len(in_lanes):
+            return self._resolved
+        first, last = int(runs.min()), int(runs.max()) + 1
+        states = self.scene.states(first, last)[0][in_lanes - first]
+        held = _rows(self.scene.held_inputs(first, last, self.spans[0], False), in_lanes - first)
+        sample = Sample(self._lanes, in_lanes, states, held, self._resolved, self._stop)
+
+        def resolved(run: int, value: float) -> Resolved:
+            return (self._resolved if run in self._work else partial(SampledRun, sample))(
+                run, value
+            )
+
+        return resolved
 
     def _in_threads(
         self, threads: int, calls: Iterator[Callable[[], int]], report: Callable[[int], None]
     ) -> None:
         """Call in threads, and report what each call returns; raise if the user interrupts."""
         pending: set[Future[int]] = set()
+        self._stop.value = 0
         with ThreadPoolExecutor(threads) as pool:
             try:
                 while True:
@@ -589,10 +618,12 @@ class Runner:
         At each time kept, of a run that was completed. Commands of a controller are replayed.
         """
         if run not in self._errors:
-            self._errors[run] = self._estimated_error(run)
+            self._errors[run] = self._estimated_error(run, self._resolved)
         return self._errors[run]
 
-    def _estimated_error(self, run: int) -> FloatArray:
+    def _estimated_error(
+        self, run: int, resolved: Callable[[int, float], Resolved]
+    ) -> FloatArray:
         scene, structure = self.scene, self.scene.model.structure
         stages = []
         for number, span in enumerate(self.spans):
@@ -617,7 +648,7 @@ class Runner:
             Path(columns, positions, int(self.switches[run] + self.missed[run])),
             self._from[is_known], self.choice.setting, self.choice.value,
             (self.how.chosen or METHODS[self._methods_of(run)[-1]]).order,
-            partial(self._resolved, run), self._equation(scene.model, "auto", ()).layout.later,
+            partial(resolved, run), self._equation(scene.model, "auto", ()).layout.later,
             starts,
         )  # fmt: skip
         return np.concatenate([[0.0], motion.estimated_error(ERROR_LIMIT)])
