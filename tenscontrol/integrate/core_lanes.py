@@ -27,6 +27,7 @@ from tenscontrol.integrate.integrator import (
 )
 from tenscontrol.structure.structure import Structure
 
+
 def tables_of_runs(structure: Structure, given: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
     """Return the tables of the core that parameters of runs change, one row a run.
 
@@ -93,9 +94,7 @@ class CoreLanes:
     #: What runs count, each.
     counted: tuple[str, ...]
 
-    def __init__(
-        self, scene: CoreScene, project: bool, tables: Mapping[str, FloatArray]
-    ) -> None:
+    def __init__(self, scene: CoreScene, project: bool, tables: Mapping[str, FloatArray]) -> None:
         self._scene, self._project, self._tables = scene, project, tables
 
     def advance(
@@ -148,7 +147,8 @@ class FixedStepLanes(CoreLanes):
         step = duration / (outputs * self._steps_between(duration, outputs))
         steps = np.round(progress["time"] / step) - progress["stuck"]
         counts = np.stack([steps, *(progress[name] for name in self.counted[1:])], axis=1)
-        return LaneSpans(found, step * steps, np.isfinite(found[:, -1]).all(axis=1), counts)
+        reaches_end = np.asarray(np.isfinite(found[:, -1]).all(axis=1))
+        return LaneSpans(found, step * steps, reaches_end, counts)
 
     def work_of(self, counts: FloatArray) -> Work:
         """See :meth:`CoreLanes.work_of`."""

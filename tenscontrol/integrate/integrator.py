@@ -366,7 +366,7 @@ def state_scale(
 
 
 def longest_member(equation: Equation) -> float:
-    """Return the length of the longest bar or straight piece of string of an equation's structure, m."""
+    """Return the length of the longest bar or straight piece of string, m."""
     return equation.prepared.get("longest member", lambda: _longest_member(equation.structure))
 
 

@@ -173,9 +173,7 @@ class Runner:
         if self._method is METHODS["rk4"]:
             return FixedStepLanes(*alike)
         limit = free_evaluations(cost_in_core(core.states)) if self._watches else np.inf
-        bars, points = (
-            scene.given.get(name, getattr(structure, name)[None]) for name in MASSES
-        )
+        bars, points = (scene.given.get(name, getattr(structure, name)[None]) for name in MASSES)
         return AdaptiveLanes(equation, *alike, moving_masses(structure, bars, points), limit)
 
     def _loads_bars(self) -> bool:
@@ -621,9 +619,7 @@ class Runner:
             self._errors[run] = self._estimated_error(run, self._resolved)
         return self._errors[run]
 
-    def _estimated_error(
-        self, run: int, resolved: Callable[[int, float], Resolved]
-    ) -> FloatArray:
+    def _estimated_error(self, run: int, resolved: Callable[[int, float], Resolved]) -> FloatArray:
         scene, structure = self.scene, self.scene.model.structure
         stages = []
         for number, span in enumerate(self.spans):

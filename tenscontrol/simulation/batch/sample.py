@@ -56,9 +56,7 @@ class Sample:
             lanes = lanes.of_tolerance(value, is_shortened)
         elif isinstance(lanes, FixedStepLanes):
             lanes = lanes.of_step(value)
-        found = lanes.advance(
-            self._runs, self._states, self._held, duration, outputs, self._stop
-        )
+        found = lanes.advance(self._runs, self._states, self._held, duration, outputs, self._stop)
         return [
             Span(states.T, lanes.work_of(counts)) if reaches_end else None
             for states, counts, reaches_end in zip(
@@ -90,9 +88,7 @@ class SampledRun:
         """See :meth:`Resolved.advance`; the first span is from the start of the run."""
         if self._first is None:
             self._first = state, held, duration, outputs
-            span = self._sample.span(
-                self._run, self._value, self._is_shortened, duration, outputs
-            )
+            span = self._sample.span(self._run, self._value, self._is_shortened, duration, outputs)
             if span is not None:
                 return span
             self._alone = self._by_itself()
