@@ -142,13 +142,13 @@ class FixedStepLanes(CoreLanes):
     ) -> LaneSpans:  # fmt: skip
         """See :meth:`CoreLanes.advance`."""
         settings = settings_of("rk4", duration, outputs, self._project, step=self._step)
-        found, progress = self._calls(runs, states, held).advance(settings, {}, stop)
+        reached, progress = self._calls(runs, states, held).advance(settings, {}, stop)
         # The last step of a run that is stuck was no good one.
         step = duration / (outputs * self._steps_between(duration, outputs))
         steps = np.round(progress["time"] / step) - progress["stuck"]
         counts = np.stack([steps, *(progress[name] for name in self.counted[1:])], axis=1)
-        reaches_end = np.asarray(np.isfinite(found[:, -1]).all(axis=1))
-        return LaneSpans(found, step * steps, reaches_end, counts)
+        reaches_end = np.asarray(np.isfinite(reached[:, -1]).all(axis=1))
+        return LaneSpans(reached, step * steps, reaches_end, counts)
 
     def work_of(self, counts: FloatArray) -> Work:
         """See :meth:`CoreLanes.work_of`."""
@@ -228,15 +228,15 @@ class AdaptiveLanes(CoreLanes):
             scale *= self._tolerance
         own = {"step": step, "longest": longest, "scale": scale, "slope": slope, "taut": taut}
         settings = settings_of("dop853", duration, outputs, self._project, limit=self._limit)
-        found, progress = calls.advance(settings, own, stop)
+        reached, progress = calls.advance(settings, own, stop)
         reaches_end = (
             (progress["time"] >= duration)
             & (np.abs(states) <= validation.LARGEST).all(axis=1)
-            & np.isfinite(found).all(axis=(1, 2))
+            & np.isfinite(reached).all(axis=(1, 2))
         )
-        found[~reaches_end] = np.nan
+        reached[~reaches_end] = np.nan
         counts = np.stack([progress[name] for name in self.counted], axis=1).astype(float)
-        return LaneSpans(found, progress["time"], reaches_end, counts)
+        return LaneSpans(reached, progress["time"], reaches_end, counts)
 
     def work_of(self, counts: FloatArray) -> Work:
         """See :meth:`CoreLanes.work_of`."""
@@ -270,7 +270,7 @@ class _Calls:
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return largest frequencies and forces, shape (runs,), slopes and what pulls."""
         scene, count = self._scene, len(self._states)
-        found = (
+        arrays = (
             np.empty(count), np.empty(count), np.empty_like(self._states),
             np.empty((count, scene.switches)),
         )  # fmt: skip
@@ -278,25 +278,25 @@ class _Calls:
         work = self._work(settings_of("dop853", 1.0, 1, False), runs)
         scene.core.tc_begin_runs(
             ctypes.byref(scene.scene), ctypes.byref(self._drive), ctypes.byref(runs),
-            *map(_data, (self._states, difference, vector, *found, work)),
+            *map(_data, (self._states, difference, vector, *arrays, work)),
         )  # fmt: skip
-        return found
+        return arrays
 
     def advance(
         self, settings: records.Settings, own: Mapping[str, FloatArray], stop: ctypes.c_int
     ) -> tuple[FloatArray, np.ndarray]:
         """Return the states at outputs, NaN where they are not reached, and progress."""
         scene, (count, size) = self._scene, self._states.shape
-        found = np.full((count, settings.outputs, size), np.nan)
+        reached = np.full((count, settings.outputs, size), np.nan)
         progress = np.zeros(count, dtype=np.dtype(records.Progress))
         runs = self._runs(own)
         work = self._work(settings, runs)
         scene.core.tc_advance_runs(
             ctypes.byref(scene.scene), ctypes.byref(self._drive), ctypes.byref(scene.lengths),
-            ctypes.byref(settings), ctypes.byref(runs), _data(self._states), _data(found),
+            ctypes.byref(settings), ctypes.byref(runs), _data(self._states), _data(reached),
             _data(progress), ctypes.byref(stop), _data(work),
         )  # fmt: skip
-        return found, progress
+        return reached, progress
 
     def _runs(self, own: Mapping[str, FloatArray]) -> records.Runs:
         record = records.Runs(len(self._states))
@@ -325,10 +325,10 @@ class RunLane:
     ) -> Span:  # fmt: skip
         """See :meth:`Integrator.advance`; nothing is reported."""
         lanes = self._lanes
-        found = lanes.advance(
+        spans = lanes.advance(
             self._run, state[None], held[None], duration, outputs, ctypes.c_int(0)
         )
-        (states,), (time,), work = found.states, found.time, lanes.work_of(found.counts[0])
+        (states,), (time,), work = spans.states, spans.time, lanes.work_of(spans.counts[0])
         is_good = np.isfinite(states).all(axis=1)
         reached = Span(states[is_good].T, work)
         if not is_good.all():
