@@ -157,6 +157,8 @@ typedef struct {
   int32_t count;
   const double *inputs; /* (runs, coefficients of a Drive) */
   const double *stiffness, *damping, *bar_constants, *tip_constants, *point_inverse_mass;
+  /* Of dop853: first and longest step, what a step may err, and slopes and what pulls at the start. */
+  const double *step, *longest, *scale, *slope, *taut;
 } Runs;
 
 /* The hash of the sources, as library.py makes it. */
@@ -205,13 +207,24 @@ EXPORTED int32_t tc_advance(const Scene *scene, const Drive *drive, const Length
                             double *slope, double *taut, double *states, double *step_times,
                             double *step_states, double *step_taut, double *work);
 
-/* Integrates many runs by rk4, to the bits of `tc_advance`, from the states of `start`, one a row;
+/* Finds what runs by dop853 begin with, from the states of `start`, one a row: largest frequencies as
+   `tc_frequency` does, (runs), the largest force on an entry that is free, (runs), and slopes and what
+   pulls, one row a run. */
+EXPORTED void tc_begin_runs(const Scene *scene, const Drive *drive, const Runs *runs,
+                            const double *start, const double *difference, const double *vector,
+                            double *frequency, double *force, double *slope, double *taut,
+                            double *work);
+
+/* Integrates many runs, to the bits of `tc_advance`, from the states of `start`, one a row;
    writes the states at outputs, (runs, outputs, states), and the progress of each run. All end
-   after the step they are in once `stop` is not 0. */
+   after the step they are in once `stop` is not 0; by dop853 a run ends, too, where it is stuck or
+   has reached the limit. */
 EXPORTED void tc_advance_runs(const Scene *scene, const Drive *drive, const Lengths *lengths,
                               const Settings *settings, const Runs *runs, const double *start,
                               double *states, Progress *progress, const volatile int32_t *stop,
                               double *work);
-EXPORTED size_t tc_runs_work_size(const Scene *scene, const Drive *drive, const Runs *runs);
+/* Work memory of both. */
+EXPORTED size_t tc_runs_work_size(const Scene *scene, const Drive *drive, const Settings *settings,
+                                  const Runs *runs);
 
 #endif

@@ -1,4 +1,5 @@
-/* Adaptive steps of order 8 by Dormand and Prince, which end at switches.
+/* Adaptive steps of order 8 by Dormand and Prince, which end at switches: of one run, and of those in
+   lanes, each with its own time and step.
 
    E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, 2nd ed., II.5
    (coefficients, error estimate) and II.6 (interpolant). */
@@ -22,7 +23,7 @@ static const double SHORTEST = 10 * DBL_EPSILON;
 static const double STABLE = 4;
 
 /* What ending late at a switch may change of velocities, as part of what a step may err. */
-static const double LATE = 0.003;
+static const double LATE_IMPULSE = 0.003;
 
 /* Steps end at a switch on their interpolant where it errs less than this part of it. */
 static const double SMOOTH = 0.3;
@@ -32,45 +33,83 @@ static const double SMOOTH = 0.3;
 static const double OF_POSITIONS = 1. / 12, OF_VELOCITIES = 1. / 3;
 enum { CARRY_ORDER = 4 };
 
+/* How far a motion is, what it has counted, and the step that it tries: numbers alone, so that runs
+   can go from lane to lane. */
+typedef struct {
+  Number time, step, longest;  /* s: the step to try next, and the longest */
+  Number stuck, stalls, done;  /* whether it can go on, switches in a row, outputs that are reached */
+  Number tries, rejections, landings, approaches, switches, interpolants, carries, carried;
+  Number h, error, factor;     /* length and error of the step, and how much longer the next is */
+  Number crossed, taken;       /* how many strings may switch in it; what of it is taken, s */
+  Number is_inside, is_carried; /* ends on its interpolant; its switches are carried */
+} Adaptive;
+
+enum { ADAPTIVE_NUMBERS = sizeof(Adaptive) / sizeof(Number) };
+
+/* Takes the state at the next output of the runs in which it is due; `done` are before it. */
+typedef void Emit(void *by, Truth due, Number done, const Number *x);
+
 typedef struct {
   Span *span;
-  const double *x, *taut;
-  double time, h; /* of the step */
-  double *K, *y, *interpolant;
-  double reach; /* h of the interpolant */
+  const Settings *settings;
+  Adaptive *now;
+  Number *x, *slope, *taut; /* where the motion is */
+  const Number *scale;      /* what a step may err */
+  Number *x1, *K;           /* end of the step, slopes of its stages */
+  /* What pulls in the stages, what pulled at the start of the step; memory of all runs in turn. */
+  const Number *pulls;
+  Number *started, *y, *interpolant, *end, *pulling, *defect;
+  Number reach; /* h of the interpolant */
+  Emit *emit;
+  void *emitter;
 } Dop853;
 
-#define STAGE(k)                                                              \
-  do {                                                                        \
-    for (int i = 0; i < n; ++i) y[i] = x[i] + h * STAGE_##k;                  \
-    slope_at(m->span, y, m->time + TIME_##k * h, m->taut, K + k * n);         \
-  } while (0)
+/* Memory that is shared by all runs, and the slopes that a step leaves. */
+enum { DOP853_STATES = POWERS + 3, DOP853_TAUTS = 2, STEP_SLOPES = STAGES + 1 };
+
+/* A method without a motion, in memory of DOP853_STATES and DOP853_TAUTS. */
+static Dop853 dop853_of(Span *span, const Settings *settings, Emit *emit, void *emitter,
+                        Number *work) {
+  const int n = span->states, m = span->switches;
+  Dop853 method;
+  memset(&method, 0, sizeof method);
+  method.span = span;
+  method.settings = settings;
+  method.y = work;
+  method.interpolant = method.y + n;
+  method.end = method.interpolant + POWERS * n;
+  method.defect = method.end + n;
+  method.started = method.defect + n;
+  method.pulling = method.started + m;
+  method.emit = emit;
+  method.emitter = emitter;
+  return method;
+}
 
 /* The sums of a stage, in wide registers. */
 #define SUM(k)                                                                                   \
-  WIDE static void sum_##k(const double *restrict x, double h, const double *restrict K,         \
-                           double *restrict y, int n) {                                          \
+  WIDE static void sum_##k(const Number *restrict x, Number h, const Number *restrict K,         \
+                           Number *restrict y, int n) {                                          \
     for (int i = 0; i < n; ++i) y[i] = x[i] + h * STAGE_##k;                                     \
   }
 SUM(1) SUM(2) SUM(3) SUM(4) SUM(5) SUM(6) SUM(7) SUM(8) SUM(9) SUM(10) SUM(11)
 SUM(13) SUM(14) SUM(15)
-#undef STAGE
-#define STAGE(k)                                                      \
-  do {                                                                \
-    sum_##k(x, h, K, y, n);                                           \
-    slope_at(m->span, y, m->time + TIME_##k * h, m->taut, K + k * n); \
+#define STAGE(k)                                                              \
+  do {                                                                        \
+    sum_##k(x, h, K, y, n);                                                   \
+    slope_at(m->span, y, m->now->time + TIME_##k * h, m->pulls, K + k * n);   \
   } while (0)
 
-WIDE static void sum_end(const double *restrict x, double h, const double *restrict K,
-                         double *restrict y, int n) {
+WIDE static void sum_end(const Number *restrict x, Number h, const Number *restrict K,
+                         Number *restrict y, int n) {
   for (int i = 0; i < n; ++i) y[i] = x[i] + h * END;
 }
 
 /* A step of length h, whose first slope is known. */
-static void step_of(Dop853 *m, double h, double *x1) {
+static void step_of(Dop853 *m, Number h, Number *x1) {
   const int n = m->span->states;
-  const double *x = m->x;
-  double *K = m->K, *y = m->y;
+  const Number *x = m->x;
+  Number *K = m->K, *y = m->y;
   STAGE(1); STAGE(2); STAGE(3); STAGE(4); STAGE(5); STAGE(6);
   STAGE(7); STAGE(8); STAGE(9); STAGE(10); STAGE(11);
   sum_end(x, h, K, x1, n);
@@ -78,210 +117,363 @@ static void step_of(Dop853 *m, double h, double *x1) {
 }
 
 /* The root mean square of the error over the state, as part of what it may be. */
-WIDE static double error_of(const double *restrict K, const double *restrict scale, double h,
+WIDE static Number error_of(const Number *restrict K, const Number *restrict scale, Number h,
                             int n) {
-  double fifth = 0, third = 0, below;
+  Number fifth = all(0), third = all(0), below;
   for (int i = 0; i < n; ++i) {
-    const double a = FIFTH / scale[i], b = THIRD / scale[i];
+    const Number a = FIFTH / scale[i], b = THIRD / scale[i];
     fifth += a * a;
     third += b * b;
   }
-  below = sqrt((fifth + 0.01 * third) * n);
+  below = root((fifth + 0.01 * third) * (double)n);
   /* Nothing moves: no error. Squares that overflow: a step far too long. */
-  return below > 0 && below < INFINITY ? h * fifth / below : below;
+  return choice((below > 0) & (below < INFINITY), h * fifth / below, below);
 }
 
-static double factor_of(double error, double order) {
-  return smaller(larger(SAFETY * pow(larger(error, 1e-16), -1 / order), LEAST), MOST);
+static Number factor_of(Number error, double order) {
+  const Number wanted = SAFETY * power(larger(error, all(1e-16)), -1 / order);
+  return smaller(larger(wanted, all(LEAST)), all(MOST));
 }
 
 /* What carried switches err, as error_of a step, by what the next order adds to xdot. */
-static double carry_error(const double *defect, const double *scale, double h, int n) {
-  double sum = 0;
+static Number carry_error(const Number *defect, const Number *scale, Number h, int n) {
+  Number sum = all(0);
   for (int i = 0; i < n / 2; ++i) {
-    const double a = defect[n / 2 + i];
-    const double q = OF_POSITIONS * h * h * a / scale[i], v = OF_VELOCITIES * h * a / scale[n / 2 + i];
+    const Number a = defect[n / 2 + i];
+    const Number q = OF_POSITIONS * h * h * a / scale[i], v = OF_VELOCITIES * h * a / scale[n / 2 + i];
     sum += q * q + v * v;
   }
-  return sqrt(sum / n);
+  return root(sum / (double)n);
 }
 
-WIDE static void dense(const double *restrict x, const double *restrict x1,
-                       const double *restrict K, double h, double *restrict made, int n) {
-  const double *f = K, *f1 = K + STAGES * n;
+WIDE static void dense(const Number *restrict x, const Number *restrict x1,
+                       const Number *restrict K, Number h, Number *restrict to, int n) {
+  const Number *f = K, *f1 = K + STAGES * n;
   for (int i = 0; i < n; ++i) {
-    const double step = x1[i] - x[i];
-    made[i] = step;
-    made[n + i] = h * f[i] - step;
-    made[2 * n + i] = 2 * step - h * (f1[i] + f[i]);
+    const Number step = x1[i] - x[i];
+    to[i] = step;
+    to[n + i] = h * f[i] - step;
+    to[2 * n + i] = 2 * step - h * (f1[i] + f[i]);
   }
-  for (int i = 0; i < n; ++i) made[3 * n + i] = h * DENSE_0;
-  for (int i = 0; i < n; ++i) made[4 * n + i] = h * DENSE_1;
-  for (int i = 0; i < n; ++i) made[5 * n + i] = h * DENSE_2;
-  for (int i = 0; i < n; ++i) made[6 * n + i] = h * DENSE_3;
+  for (int i = 0; i < n; ++i) to[3 * n + i] = h * DENSE_0;
+  for (int i = 0; i < n; ++i) to[4 * n + i] = h * DENSE_1;
+  for (int i = 0; i < n; ++i) to[5 * n + i] = h * DENSE_2;
+  for (int i = 0; i < n; ++i) to[6 * n + i] = h * DENSE_3;
 }
 
 /* The coefficients of the interpolant of a step of length h to x1. */
-static void interpolate(Dop853 *m, double h, const double *x1) {
+static void interpolate(Dop853 *m, Number h) {
   const int n = m->span->states;
-  const double *x = m->x;
-  double *K = m->K, *y = m->y;
+  const Number *x = m->x;
+  Number *K = m->K, *y = m->y;
   STAGE(13); STAGE(14); STAGE(15);
-  dense(x, x1, K, h, m->interpolant, n);
+  dense(x, m->x1, K, h, m->interpolant, n);
   m->reach = h;
 }
 
-/* The state on the interpolant a time after the start of the step. */
-WIDE static void within(const double *restrict x, const double *restrict made, double part,
-                        double *restrict to, int n) {
+/* The state on the interpolant at a part of it. */
+WIDE static void within(const Number *restrict x, const Number *restrict interpolant, Number part,
+                        Number *restrict to, int n) {
   for (int i = 0; i < n; ++i) {
-    double value = 0;
+    Number value = all(0);
     for (int k = POWERS - 1; k >= 0; --k)
-      value = (value + made[k * n + i]) * (k % 2 ? 1 - part : part);
+      value = (value + interpolant[k * n + i]) * (k % 2 ? 1 - part : part);
     to[i] = x[i] + value;
   }
 }
 
-static void place_inside(void *by, double part, double *x1) {
+static void place_inside(void *by, Number part, Number *x1) {
   Dop853 *m = by;
-  within(m->x, m->interpolant, part * m->h / m->reach, x1, m->span->states);
+  within(m->x, m->interpolant, part * m->now->h / m->reach, x1, m->span->states);
   restore_bars(m->span, x1);
 }
 
-static void place_by_step(void *by, double part, double *x1) {
+static void place_by_step(void *by, Number part, Number *x1) {
   Dop853 *m = by;
-  step_of(m, part * m->h, x1);
+  step_of(m, part * m->now->h, x1);
 }
 
 /* What the interpolant errs at a part of the step, as part of the error estimate. */
-static double interpolant_error(double part) {
-  double value = 0;
+static Number interpolant_error(Number part) {
+  Number value = all(0);
   for (int k = sizeof INTERPOLANT_ERROR / sizeof(double) - 1; k >= 0; --k)
     value = INTERPOLANT_ERROR[k] + part * value;
-  return fabs(value);
+  return positive(value);
 }
 
-/* A landing takes a new start; switches that are carried another slope, whether they are or not. */
-double tc_evaluations(const Progress *now) {
-  return 1.0 + STAGES * (double)(now->tries + now->approaches) +
-         (double)(now->landings + now->carries) + MORE_STAGES * (double)now->interpolants;
+/* Evaluations of the equation so far. A landing takes a new start; switches that are carried another
+   slope, whether they are or not. */
+static Number evaluations_of(const Adaptive *now) {
+  return 1.0 + (double)STAGES * (now->tries + now->approaches) + (now->landings + now->carries) +
+         (double)MORE_STAGES * now->interpolants;
+}
+
+static Tried tried_step(const Dop853 *m) {
+  const Tried step = {m->x, m->x1, m->slope, m->K + STAGES * m->span->states, m->taut,
+                      m->now->time, m->now->h};
+  return step;
+}
+
+/* Tries a step. Returns which are good, and how many strings may switch in them; the others are
+   thrown away, and the next is shorter. */
+static Truth try_step(Dop853 *m) {
+  const int n = m->span->states;
+  const double duration = m->settings->duration;
+  Adaptive *now = m->now;
+  const Number h = smaller(smaller(now->step, now->longest), duration - now->time);
+  Truth good, bad;
+  m->pulls = m->taut;
+  memcpy(m->K, m->slope, n * sizeof *m->K);
+  memcpy(m->started, m->taut, m->span->switches * sizeof *m->taut);
+  step_of(m, h, m->x1);
+  now->h = now->taken = h;
+  now->is_inside = now->is_carried = now->crossed = all(0);
+  now->error = error_of(m->K, m->scale, h, n);
+  now->factor = factor_of(now->error, ORDER);
+  now->tries += 1;
+  good = now->error < 1;
+  bad = good == 0;
+  if (any(bad)) {
+    const Number shorter = choice(now->error < INFINITY, smaller(now->factor, all(1)), all(LEAST / 2));
+    now->step = choice(bad, h * shorter, now->step);
+    now->rejections += truth(bad);
+    now->stuck = choice(bad, truth(now->step < SHORTEST * duration), now->stuck);
+  }
+  if (any(good)) {
+    const Tried step = tried_step(m);
+    slope_at(m->span, m->x1, now->time + h, m->taut, m->K + STAGES * n);
+    now->crossed = only(good, crossings(m->span, &step));
+  }
+  return good;
+}
+
+/* Writes the outputs up to a time, on the interpolant or, of steps whose switches are carried, on
+   their path. */
+static void write_outputs_until(Dop853 *m, Truth meant, Number until, int is_on_path) {
+  const double outputs = m->settings->outputs, spacing = m->settings->duration / outputs;
+  Adaptive *now = m->now;
+  for (;;) {
+    const Number next = (now->done + 1) * spacing, past = next - now->time;
+    const Truth due = meant & (now->done + 1 < outputs) & (next <= until);
+    if (!any(due)) return;
+    if (is_on_path) on_path(m->span, now->h, past / now->h, m->y);
+    else within(m->x, m->interpolant, past / m->reach, m->y, m->span->states);
+    restore_bars(m->span, m->y);
+    m->emit(m->emitter, due, now->done, m->y);
+    now->done += truth(due);
+  }
+}
+
+/* Writes the outputs that a step passes. */
+static void write_passed(Dop853 *m, Truth meant, Number after) {
+  const double outputs = m->settings->outputs, spacing = m->settings->duration / outputs;
+  Adaptive *now = m->now;
+  const Number until = after * (1 + 2e-14);
+  const Truth due = meant & (now->done + 1 < outputs) & ((now->done + 1) * spacing <= until) &
+                    (after > now->time);
+  const Truth carried = due & (now->is_carried != 0), inside = due & (now->is_inside != 0);
+  const Truth others = due & (carried == 0) & (inside == 0);
+  if (any(carried)) write_outputs_until(m, carried, until, 1);
+  if (any(inside)) {
+    m->reach = now->h;
+    write_outputs_until(m, inside, until, 0);
+  }
+  if (any(others)) {
+    m->pulls = m->started;
+    if (any(others & (now->crossed > 0)))
+      slope_at(m->span, m->x1, now->time + now->taken, m->started, m->K + STAGES * m->span->states);
+    interpolate(m, now->taken);
+    m->pulls = m->taut;
+    now->interpolants += truth(others);
+    write_outputs_until(m, others, until, 0);
+  }
+}
+
+/* Goes to the ends of steps. */
+static void end_steps(Dop853 *m, Truth meant) {
+  const int n = m->span->states;
+  const double duration = m->settings->duration;
+  Adaptive *now = m->now;
+  const Truth crossed = meant & (now->crossed > 0), carried = meant & (now->is_carried != 0);
+  const Truth landed = crossed & (carried == 0);
+  const Number after = choice(now->taken >= duration - now->time, all(duration),
+                              now->time + now->taken);
+  const Number *slope1 = m->K + STAGES * n;
+  write_passed(m, meant, after);
+  for (int i = 0; i < n; ++i) m->x[i] = choice(meant, m->x1[i], m->x[i]);
+  now->step = choice(meant, now->h * choice(landed, smaller(now->factor, all(1)), now->factor),
+                     now->step);
+  now->landings += truth(crossed);
+  if (any(landed)) {
+    const Number stalls = only(now->taken < SHORTEST * duration, now->stalls + 1);
+    now->stalls = choice(landed, stalls, now->stalls);
+    now->stuck = choice(landed, truth(stalls > (double)MOST_STALLS), now->stuck);
+    slope_at(m->span, m->x, after, m->taut, m->y);
+  }
+  for (int i = 0; i < n; ++i) m->slope[i] = choice(meant, slope1[i], m->slope[i]);
+  if (any(crossed))
+    for (int i = 0; i < n; ++i)
+      m->slope[i] = choice(landed, m->y[i], choice(carried, m->defect[i], m->slope[i]));
+  now->time = choice(meant, after, now->time);
+  if (any(meant & (now->time >= duration))) {
+    const Truth over = meant & (now->time >= duration);
+    const Number outputs = all(m->settings->outputs);
+    m->emit(m->emitter, over, outputs - 1, m->x);
+    now->done = choice(over, outputs, now->done);
+  }
+}
+
+/* Adds to the ends of steps what many switches change. Returns which steps are thrown away: where
+   shorter ones take less than a landing on each switch. */
+static Truth carry_switches(Dop853 *m, Truth meant) {
+  const int n = m->span->states, switches = m->span->switches;
+  Adaptive *now = m->now;
+  const Tried step = tried_step(m);
+  Number count, off, factor;
+  Truth good, thrown;
+  memcpy(m->end, m->x1, n * sizeof *m->end);
+  memcpy(m->pulling, m->taut, switches * sizeof *m->taut);
+  count = carry(m->span, meant, &step, m->end, m->pulling, m->defect);
+  off = carry_error(m->defect, m->scale, now->h, n);
+  factor = factor_of(off, CARRY_ORDER);
+  good = meant & (off < 1);
+  thrown = meant & (good == 0) & (2 < now->crossed * factor);
+  now->carries += truth(meant);
+  now->step = choice(thrown, now->h * smaller(factor, all(SAFETY)), now->step);
+  now->rejections += truth(thrown);
+  if (any(good)) {
+    const Tried carried = {m->x, m->end, m->slope, m->defect, 0, now->time, now->h};
+    for (int i = 0; i < switches; ++i) m->taut[i] = choice(good, m->pulling[i], m->taut[i]);
+    slope_at(m->span, m->end, now->time + now->h, m->taut, m->defect);
+    make_path(m->span, &carried);
+    for (int i = 0; i < n; ++i) m->x1[i] = choice(good, m->end[i], m->x1[i]);
+    now->is_carried = truth(good);
+    now->factor = choice(good, smaller(now->factor, factor), now->factor);
+    now->switches += only(good, count);
+    now->carried += only(good, count);
+  }
+  return thrown;
+}
+
+/* Ends steps where they are cut; returns the number of places that were tried. */
+static Number go_to(Dop853 *m, const Tried *step, Cut cut, Truth meant, Place *place) {
+  Adaptive *now = m->now;
+  Number part, places;
+  cut.found = meant;
+  part = approach(m->span, step, cut, place, m, m->end, &places);
+  now->taken = choice(meant, now->h * part, now->taken);
+  for (int i = 0; i < m->span->states; ++i) m->x1[i] = choice(meant, m->end[i], m->x1[i]);
+  return places;
+}
+
+/* Ends steps at their first switch, if one is found: on the interpolant where that is good enough,
+   else by true steps. */
+static void land_on_first(Dop853 *m, Truth meant) {
+  const int n = m->span->states, traces = m->settings->traces;
+  Adaptive *now = m->now;
+  const Tried step = tried_step(m);
+  const Number reach = now->longest / STABLE;
+  const Number allowed = 2 * LATE_IMPULSE * m->scale[n - 1] * (reach * reach);
+  Cut cut = first_switch(m->span, &step, traces ? all(0) : allowed, 0);
+  const Truth found = cut.found & meant;
+  Truth inside = found & (now->error * interpolant_error(cut.part) < SMOOTH), by_step;
+  if (traces) inside = found & (found == 0);
+  by_step = found & (inside == 0);
+  now->is_inside = truth(inside);
+  if (any(inside)) {
+    interpolate(m, now->h);
+    now->interpolants += truth(inside);
+    go_to(m, &step, cut, inside, place_inside);
+  }
+  if (any(by_step)) now->approaches += go_to(m, &step, cut, by_step, place_by_step);
+  if (any(found))
+    now->switches += switch_over(m->span, found, m->x1, now->time + now->taken, m->taut);
+}
+
+/* Ends steps in which strings may switch, of which `crossings` was asked last; returns those that are
+   not thrown away. */
+static Truth pass_switches(Dop853 *m, Truth meant) {
+  const int may_carry = !velocity_dependent(m->span->scene) && !m->settings->traces;
+  const Truth many = meant & (m->now->crossed > (may_carry ? (double)MANY_SWITCHES : INFINITY));
+  Truth thrown = many & (many == 0), carried = thrown, landing;
+  if (any(many)) {
+    thrown = carry_switches(m, many);
+    carried = m->now->is_carried != 0;
+    if (any(carried)) end_steps(m, carried);
+  }
+  landing = meant & (thrown == 0) & (carried == 0);
+  if (any(landing)) {
+    land_on_first(m, landing);
+    end_steps(m, landing);
+  }
+  return meant & (thrown == 0);
+}
+
+/* The same between two calls, in one lane. */
+static void take_up(const Progress *from, double longest, double done, int i, Adaptive *to) {
+  const double numbers[] = {from->time, from->step, longest, from->stuck, from->stalls, done,
+                            from->tries, from->rejections, from->landings, from->approaches,
+                            from->switches, from->interpolants, from->carries, from->carried};
+  Number *place = (Number *)to;
+  for (int k = 0; k < ADAPTIVE_NUMBERS; ++k) put(0, place + k, i);
+  for (size_t k = 0; k < sizeof numbers / sizeof *numbers; ++k) put(numbers[k], place + k, i);
+}
+
+static void put_down(const Adaptive *from, int i, Progress *to) {
+  to->time = lane(&from->time, i);
+  to->step = lane(&from->step, i);
+  to->stuck = (int32_t)lane(&from->stuck, i);
+  to->stalls = (int32_t)lane(&from->stalls, i);
+  to->tries = (int64_t)lane(&from->tries, i);
+  to->rejections = (int64_t)lane(&from->rejections, i);
+  to->landings = (int64_t)lane(&from->landings, i);
+  to->approaches = (int64_t)lane(&from->approaches, i);
+  to->switches = (int64_t)lane(&from->switches, i);
+  to->interpolants = (int64_t)lane(&from->interpolants, i);
+  to->carries = (int64_t)lane(&from->carries, i);
+  to->carried = (int64_t)lane(&from->carried, i);
+}
+
+#ifndef LANES
+double tc_evaluations(const Progress *progress) {
+  Adaptive now;
+  take_up(progress, 0, 0, 0, &now);
+  return evaluations_of(&now);
+}
+
+static void emit_to_kept(void *by, Truth due, Number done, const Number *x) {
+  Kept *kept = by;
+  (void)due;
+  (void)done;
+  memcpy(next_output(kept), x, kept->n * sizeof *x);
 }
 
 int advance_by_dop853(Span *span, const Settings *settings, Progress *now, Kept *kept, double *x,
                       double *slope, double *taut, double *work) {
-  const int n = span->states, m = span->switches;
-  const double duration = settings->duration, *scale = settings->scale;
-  const double spacing = duration / settings->outputs;
-  const int may_carry = !velocity_dependent(span->scene) && !settings->traces;
-  double *x1 = work, *K = x1 + n, *y = K + SLOPES * n, *made = y + n, *started = made + POWERS * n;
-  double *end = started + m, *pulling = end + n, *defect = pulling + m;
-  Dop853 method = {span, x, taut, 0, 0, K, y, made, 0};
-  /* The first output that is not reached yet. */
-  int done = (int)floor(now->time / spacing * (1 + 1e-14));
-  kept->column = done + 1;
-  for (int tried = 0; tried < settings->budget && now->time < duration && !now->stuck; ++tried) {
-    if (tc_evaluations(now) >= settings->limit) break;
-    const double time = now->time;
-    const double h = smaller(smaller(now->step, settings->longest), duration - time);
-    const Tried step = {x, x1, K, K + STAGES * n, taut, time, h};
-    double taken = h, after, error, factor, until;
-    int crossed = 0, is_inside = 0, is_carried = 0;
-    double places = 0;
-    method.time = time;
-    method.h = h;
-    memcpy(K, slope, n * sizeof *K);
-    step_of(&method, h, x1);
-    error = error_of(K, scale, h, n);
-    now->tries += 1;
-    if (!(error < 1)) {
-      now->step = h * (error < INFINITY ? smaller(factor_of(error, ORDER), 1) : LEAST / 2);
-      now->rejections += 1;
-      now->stuck = now->step < SHORTEST * duration;
-      continue;
-    }
-    slope_at(span, x1, time + h, taut, K + STAGES * n);
-    crossed = (int)crossings(span, &step);
-    memcpy(started, taut, m * sizeof *taut);
-    factor = factor_of(error, ORDER);
-    if (crossed) factor = smaller(factor, 1);
-    if (crossed > MANY_SWITCHES && may_carry) {
-      int count;
-      double off;
-      memcpy(end, x1, n * sizeof *end);
-      count = (int)carry(span, 1, &step, end, pulling, defect);
-      off = carry_error(defect, scale, h, n);
-      now->carries += 1;
-      is_carried = off < 1;
-      if (!is_carried && 2 < crossed * factor_of(off, CARRY_ORDER)) {
-        /* Shorter steps take less than a landing on each. */
-        now->step = h * smaller(factor_of(off, CARRY_ORDER), SAFETY);
-        now->rejections += 1;
-        continue;
-      }
-      if (is_carried) {
-        const Tried carried = {x, end, slope, defect, 0, time, h};
-        memcpy(taut, pulling, m * sizeof *taut);
-        slope_at(span, end, time + h, taut, defect);
-        make_path(span, &carried);
-        memcpy(x1, end, n * sizeof *x1);
-        factor = smaller(factor_of(error, ORDER), factor_of(off, CARRY_ORDER));
-        now->switches += count;
-        now->carried += count;
-      }
-    }
-    if (crossed && !is_carried) {
-      const double reach = settings->longest / STABLE;
-      const double allowed = settings->traces ? 0 : 2 * LATE * scale[n - 1] * (reach * reach);
-      const Cut cut = first_switch(span, &step, allowed, 0);
-      if (cut.found) {
-        is_inside = !settings->traces && error * interpolant_error(cut.part) < SMOOTH;
-        if (is_inside) {
-          interpolate(&method, h, x1);
-          now->interpolants += 1;
-        }
-        taken = h * approach(span, &step, cut, is_inside ? place_inside : place_by_step, &method,
-                             x1, &places);
-        if (!is_inside) now->approaches += (int64_t)places;
-        now->switches += (int64_t)switch_over(span, 1, x1, time + taken, taut);
-      }
-    }
-    after = taken >= duration - time ? duration : time + taken;
-    until = after * (1 + 2e-14);
-    if (done + 1 < settings->outputs && (done + 1) * spacing <= until && after > time) {
-      if (!is_inside && !is_carried) {
-        method.taut = started;
-        if (crossed) slope_at(span, x1, time + taken, started, K + STAGES * n);
-        interpolate(&method, taken, x1);
-        method.taut = taut;
-        now->interpolants += 1;
-      }
-      for (; done + 1 < settings->outputs && (done + 1) * spacing <= until; ++done) {
-        double *to = next_output(kept);
-        const double past = (done + 1) * spacing - time;
-        if (is_carried) on_path(span, h, past / h, to);
-        else within(x, made, past / method.reach, to, n);
-        restore_bars(span, to);
-      }
-    }
-    now->time = after;
-    now->step = h * factor;
-    memcpy(x, x1, n * sizeof *x);
-    keep_step(kept, now, after, x, started);
-    if (is_carried) {
-      memcpy(slope, defect, n * sizeof *slope);
-      now->landings += 1;
-    } else if (crossed) {
-      now->landings += 1;
-      now->stalls = taken < SHORTEST * duration ? now->stalls + 1 : 0;
-      now->stuck = now->stalls > MOST_STALLS;
-      slope_at(span, x, after, taut, slope);
-    } else {
-      memcpy(slope, K + STAGES * n, n * sizeof *slope);
-    }
+  const double spacing = settings->duration / settings->outputs;
+  const double done = floor(now->time / spacing * (1 + 1e-14));
+  Adaptive motion;
+  Dop853 method = dop853_of(span, settings, emit_to_kept, kept,
+                            work + (1 + SLOPES) * (size_t)span->states);
+  take_up(now, settings->longest, done, 0, &motion);
+  method.now = &motion;
+  method.x = x;
+  method.slope = slope;
+  method.taut = taut;
+  method.scale = settings->scale;
+  method.x1 = work;
+  method.K = work + span->states;
+  kept->column = (int)done + 1;
+  for (int tried = 0; tried < settings->budget && motion.time < settings->duration &&
+                      motion.stuck == 0;
+       ++tried) {
+    if (evaluations_of(&motion) >= settings->limit) break;
+    if (!try_step(&method)) continue;
+    if (motion.crossed == 0) end_steps(&method, 1);
+    else if (!pass_switches(&method, 1)) continue;
+    keep_step(kept, now, motion.time, x, method.started);
   }
-  if (now->time >= duration) {
-    memcpy(next_output(kept), x, n * sizeof *x);
-    done = settings->outputs;
-  }
-  return done;
+  put_down(&motion, 0, now);
+  return (int)motion.done;
 }
+#endif

@@ -213,6 +213,18 @@ static Truth zoom(Span *span, const Tried *step, Number *low, Number *high) {
   return least < 0;
 }
 
+/* Marks what is out already where the first of what is marked goes out: the ends of the step did not
+   tell of it. Returns where there is any. */
+static Truth mark_earlier(Span *span, Truth found) {
+  Truth earlier = found & (found == 0);
+  for (int i = 0; i < span->switches; ++i) {
+    const Truth is_new = found & (span->inside[i] < 0) & (span->marked[i] == 0);
+    span->marked[i] = choice(is_new, all(2), span->marked[i]);
+    earlier |= is_new;
+  }
+  return earlier;
+}
+
 static Number mean_of_chosen(const Span *span, const Number *of) {
   Number sum = all(0), count = all(0);
   for (int i = 0; i < span->switches; ++i) {
@@ -228,7 +240,7 @@ static Number mean_of_chosen(const Span *span, const Number *of) {
    times the stiffness, as a force that does not depend on velocities is continuous there. So it may
    end past the border by at most sqrt(allowed r), or the part `least` of the length of the string
    if that is more, and never before it: the next step would be wrong. Other forces jump. */
-SHARED Cut first_switch(Span *span, const Tried *step, double allowed, double least) {
+SHARED Cut first_switch(Span *span, const Tried *step, Number allowed, double least) {
   const int m = span->switches;
   const Number *scale, h = step->h;
   Number *inside = span->inside, *outside = span->outside, *chosen = span->chosen;
@@ -236,9 +248,12 @@ SHARED Cut first_switch(Span *span, const Tried *step, double allowed, double le
   Number late = all(0), lowest, left, right, over, under;
   Cut cut;
   make_path(span, step);
-  for (int i = 0; i < (span->scene->grounds ? ZOOMS_ON_GROUND : ZOOMS); ++i)
-    cut.found = zoom(span, step, &low, &high);
-  rooms_at(span, step, low, 0, inside);
+  do {
+    low = all(0), high = all(1);
+    for (int i = 0; i < (span->scene->grounds ? ZOOMS_ON_GROUND : ZOOMS); ++i)
+      cut.found = zoom(span, step, &low, &high);
+    rooms_at(span, step, low, 0, inside);
+  } while (any(mark_earlier(span, cut.found & (low > 0))));
   rooms_at(span, step, high, 0, outside);
   scale = gap_scales(span, step->time);
   size = least_of(scale, m);

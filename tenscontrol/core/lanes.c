@@ -7,6 +7,7 @@
 #define LANES_NAME(name) LANES_NAME_##name
 #define LANES_NAME_advance advance_by_all
 #define LANES_NAME_size all_size
+#define LANES_NAME_begin begin_by_all
 #include "lanes_body.h"
 
 #ifdef HAS_WIDE_LANES
@@ -19,8 +20,16 @@ static int has_avx512(void) {
 #define WIDEST(by_avx512, by_avx2, by_all) by_all
 #endif
 
-size_t tc_runs_work_size(const Scene *scene, const Drive *drive, const Runs *runs) {
-  return WIDEST(avx512_size, avx2_size, all_size)(scene, drive, runs);
+size_t tc_runs_work_size(const Scene *scene, const Drive *drive, const Settings *settings,
+                         const Runs *runs) {
+  return WIDEST(avx512_size, avx2_size, all_size)(scene, drive, settings, runs);
+}
+
+void tc_begin_runs(const Scene *scene, const Drive *drive, const Runs *runs, const double *start,
+                   const double *difference, const double *vector, double *frequency,
+                   double *force, double *slope, double *taut, double *work) {
+  BeginRuns *begin = WIDEST(begin_by_avx512, begin_by_avx2, begin_by_all);
+  begin(scene, drive, runs, start, difference, vector, frequency, force, slope, taut, work);
 }
 
 void tc_advance_runs(const Scene *scene, const Drive *drive, const Lengths *lengths,

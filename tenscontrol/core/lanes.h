@@ -12,9 +12,14 @@ typedef void AdvanceRuns(const Scene *scene, const Drive *drive, const Lengths *
                          const Settings *settings, const Runs *runs, const double *start,
                          double *states, Progress *progress, const volatile int32_t *stop,
                          double *work);
-typedef size_t RunsSize(const Scene *scene, const Drive *drive, const Runs *runs);
+typedef void BeginRuns(const Scene *scene, const Drive *drive, const Runs *runs,
+                       const double *start, const double *difference, const double *vector,
+                       double *frequency, double *force, double *slope, double *taut, double *work);
+typedef size_t RunsSize(const Scene *scene, const Drive *drive, const Settings *settings,
+                        const Runs *runs);
 
 AdvanceRuns advance_by_all, advance_by_avx2, advance_by_avx512;
+BeginRuns begin_by_all, begin_by_avx2, begin_by_avx512;
 RunsSize all_size, avx2_size, avx512_size;
 
 #endif

@@ -1,7 +1,6 @@
 /* The calls of the core. */
 #include "motion.h"
 
-#include <math.h>
 #include <string.h>
 
 #include "methods.h"
@@ -49,27 +48,9 @@ void tc_restore(const Scene *s, const Drive *drive, const Lengths *lengths, doub
 
 double tc_frequency(const Scene *s, const Drive *drive, const double *state, double difference,
                     const double *vector, double *work) {
-  enum { ITERATIONS = 60 };
   Span span;
-  double *rest = begin(&span, s, drive, 0, work), *x = rest, *there = x + span.states;
-  double *back = there + span.states, *along = back + span.states, *taut = along + span.states;
-  double size = 0;
-  const int half = s->free;
-  for (int i = 0; i < span.switches; ++i) taut[i] = i < s->slacking;
-  memcpy(along, vector, half * sizeof *along);
-  for (int count = 0; count <= ITERATIONS; ++count) {
-    size = 0;
-    for (int i = 0; i < half; ++i) size += along[i] * along[i];
-    size = sqrt(size);
-    if (count == ITERATIONS) break;
-    for (int sign = 1; sign >= -1; sign -= 2) {
-      memcpy(x, state, 2 * half * sizeof *x);
-      for (int i = 0; i < half; ++i) x[i] += sign * (difference * along[i] / (size > 0 ? size : 1));
-      slope_at(&span, x, 0, taut, sign > 0 ? there : back);
-    }
-    for (int i = 0; i < half; ++i) along[i] = (there[half + i] - back[half + i]) / (2 * difference);
-  }
-  return sqrt(size);
+  double *rest = begin(&span, s, drive, 0, work);
+  return frequency_of(&span, state, difference, vector, rest);
 }
 
 double *next_output(Kept *kept) {

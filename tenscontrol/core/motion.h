@@ -48,6 +48,12 @@ SHARED void slope_at(Span *span, const Number *x, Number time, const Number *tau
 SHARED void gap_at(Span *span, const Number *x, Number time, const Number *marked, Number *gap,
                    Number *rate);
 
+/* Of frequency.c: the largest frequency of small motions about a state, rad/s, by power iteration that
+   begins with a vector. */
+SHARED size_t frequency_size(const Scene *scene);
+SHARED Number frequency_of(Span *span, const Number *state, Number difference, const double *vector,
+                           Number *work);
+
 /* Of lengths.c: bars on their lengths, if the span has any. */
 SHARED void restore_bars(Span *span, Number *x);
 
@@ -79,7 +85,7 @@ SHARED const Number *gap_scales(Span *span, Number time);
 SHARED void make_path(Span *span, const Tried *step);
 SHARED void on_path(const Span *span, Number h, Number part, Number *x);
 /* Of a step that `crossings` was asked of last. */
-SHARED Cut first_switch(Span *span, const Tried *step, double allowed, double least);
+SHARED Cut first_switch(Span *span, const Tried *step, Number allowed, double least);
 SHARED Number approach(Span *span, const Tried *step, Cut cut, Place *place, void *by, Number *x,
                        Number *places);
 SHARED Number switch_over(Span *span, Truth meant, const Number *x, Number time, Number *taut);

@@ -116,7 +116,7 @@ class Runs(ctypes.Structure):
         ("count", _COUNT),
         *((name, _POINTER) for name in (
             "inputs", "stiffness", "damping", "bar_constants", "tip_constants",
-            "point_inverse_mass",
+            "point_inverse_mass", "step", "longest", "scale", "slope", "taut",
         )),
     )  # fmt: skip
 

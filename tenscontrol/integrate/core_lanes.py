@@ -4,19 +4,28 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
+from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.core import records
+from tenscontrol.dynamics.equation import Equation
 from tenscontrol.integrate.core_run import settings_of
 from tenscontrol.integrate.core_scene import CoreScene
+from tenscontrol.integrate.dop853 import steps_of, work_of
 from tenscontrol.integrate.fixed_step import not_finite
-from tenscontrol.integrate.integrator import IntegrationError, Span, Work
+from tenscontrol.integrate.integrator import (
+    IntegrationError,
+    Span,
+    Work,
+    differences,
+    first_vector,
+    longest_member,
+    speed_scale,
+)
 from tenscontrol.structure.structure import Structure
-
-# What runs count, each.
-COUNTS = "steps", "tries", "landings", "switches", "missed", "carries", "carried"
 
 
 def tables_of_runs(structure: Structure, given: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
@@ -45,25 +54,35 @@ def tables_of_runs(structure: Structure, given: Mapping[str, FloatArray]) -> dic
     return {name: np.ascontiguousarray(table) for name, table in tables.items()}
 
 
-def work_of(counts: FloatArray) -> Work:
-    """Return the work of a run by what it counted."""
-    steps, tries, landings, switches, missed, carries, carried = (int(c) for c in counts)
-    return Work(
-        steps=steps + landings, evaluations=4 * tries + 2 * landings + carries,
-        switches=switches, missed=missed, carried=carried,
-    )  # fmt: skip
+@dataclass(frozen=True, eq=False)
+class LaneSpans:
+    """Runs over a span.
+
+    Attributes
+    ----------
+    states : ndarray, shape (runs, outputs, states)
+        NaN from where a run did not go on.
+    time : ndarray, shape (runs,)
+        Up to which they are good, s.
+    reaches_end : ndarray of bool, shape (runs,)
+    counts : ndarray, shape (runs, counts)
+        Of what the lanes count.
+    """
+
+    states: FloatArray
+    time: FloatArray
+    reaches_end: np.ndarray
+    counts: FloatArray
 
 
 class CoreLanes:
-    """Runs of a scene by rk4, to the bits of single runs.
+    """Runs of a scene, to the bits of single runs.
 
     Any number of threads may call :meth:`advance`.
 
     Parameters
     ----------
     scene : CoreScene
-    step : float
-        s, at most.
     project : bool
         Whether bars are put on their lengths after each step.
     tables : mapping of str to ndarray
@@ -72,63 +91,229 @@ class CoreLanes:
 
     back_end = "core, runs side by side"
 
-    def __init__(
-        self, scene: CoreScene, step: float, project: bool, tables: Mapping[str, FloatArray]
-    ) -> None:
-        self._scene, self._step, self._project, self._tables = scene, step, project, tables
+    #: What runs count, each.
+    counted: tuple[str, ...]
+
+    def __init__(self, scene: CoreScene, project: bool, tables: Mapping[str, FloatArray]) -> None:
+        self._scene, self._project, self._tables = scene, project, tables
 
     def advance(
         self, runs: IntArray, states: FloatArray, held: FloatArray, duration: float, outputs: int,
         stop: ctypes.c_int,
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
-        """Return states, shape (runs, outputs, states), times up to which they are finite, counts.
+    ) -> LaneSpans:  # fmt: skip
+        """Return runs by their numbers over a span, from states of shape (runs, states).
 
-        Of runs by their numbers, from states of shape (runs, states) over a span; ``held`` has
-        shape (runs, inputs), or (1, inputs) for all. Once ``stop`` is not 0, all runs end after the
-        step they are in. Counts are those of :data:`COUNTS`, shape (runs, 7).
+        ``held`` has shape (runs, inputs), or (1, inputs) for all. Once ``stop`` is not 0, all runs
+        end after the step they are in.
         """
-        scene, core = self._scene, self._scene.core
-        begin, first = np.ascontiguousarray(states), np.ascontiguousarray(held[0])
-        reached = np.full((len(runs), outputs, states.shape[1]), np.nan)
-        progress = np.zeros(len(runs), dtype=np.dtype(records.Progress))
-        settings = settings_of("rk4", duration, outputs, self._project, step=self._step)
-        drive = scene.drive(first)
-        tables = {name: table[runs] for name, table in self._tables.items()}
-        if len(held) > 1:
-            tables["inputs"] = np.ascontiguousarray(held[:, : drive.count * (drive.degree + 1)])
-        record = records.Runs(len(runs))
-        for name, table in tables.items():
-            setattr(record, name, table.ctypes.data)
-        sizes = ctypes.byref(scene.scene), ctypes.byref(drive)
-        work = np.empty(core.tc_runs_work_size(*sizes, ctypes.byref(record)))
-        core.tc_advance_runs(
-            *sizes, ctypes.byref(scene.lengths), ctypes.byref(settings), ctypes.byref(record),
-            _data(begin), _data(reached), _data(progress), ctypes.byref(stop), _data(work),
-        )  # fmt: skip
-        # The last step of a run that is stuck was no good one.
-        step = duration / (outputs * self.steps_between(duration, outputs))
-        steps = np.round(progress["time"] / step) - progress["stuck"]
-        counts = np.stack([steps, *(progress[name] for name in COUNTS[1:])], axis=1)
-        return reached, step * steps, counts
+        raise NotImplementedError
 
-    def steps_between(self, duration: float, outputs: int) -> int:
+    def work_of(self, counts: FloatArray) -> Work:
+        """Return the work of a run by what it counted."""
+        raise NotImplementedError
+
+    def _calls(self, runs: IntArray, states: FloatArray, held: FloatArray) -> _Calls:
+        tables = {name: table[runs] for name, table in self._tables.items()}
+        return _Calls(self._scene, np.ascontiguousarray(states), held, tables)
+
+
+class FixedStepLanes(CoreLanes):
+    """Runs by rk4; see :class:`CoreLanes`.
+
+    Parameters
+    ----------
+    scene, project, tables : optional
+        Of :class:`CoreLanes`.
+    step : float
+        s, at most.
+    """
+
+    counted = "steps", "tries", "landings", "switches", "missed", "carries", "carried"
+
+    def __init__(
+        self, scene: CoreScene, project: bool, tables: Mapping[str, FloatArray], step: float
+    ) -> None:
+        super().__init__(scene, project, tables)
+        self._step = step
+
+    def advance(
+        self, runs: IntArray, states: FloatArray, held: FloatArray, duration: float, outputs: int,
+        stop: ctypes.c_int,
+    ) -> LaneSpans:  # fmt: skip
+        """See :meth:`CoreLanes.advance`."""
+        settings = settings_of("rk4", duration, outputs, self._project, step=self._step)
+        reached, progress = self._calls(runs, states, held).advance(settings, {}, stop)
+        # The last step of a run that is stuck was no good one.
+        step = duration / (outputs * self._steps_between(duration, outputs))
+        steps = np.round(progress["time"] / step) - progress["stuck"]
+        counts = np.stack([steps, *(progress[name] for name in self.counted[1:])], axis=1)
+        reaches_end = np.asarray(np.isfinite(reached[:, -1]).all(axis=1))
+        return LaneSpans(reached, step * steps, reaches_end, counts)
+
+    def work_of(self, counts: FloatArray) -> Work:
+        """See :meth:`CoreLanes.work_of`."""
+        steps, tries, landings, switches, missed, carries, carried = (int(c) for c in counts)
+        return Work(
+            steps=steps + landings, evaluations=4 * tries + 2 * landings + carries,
+            switches=switches, missed=missed, carried=carried,
+        )  # fmt: skip
+
+    def _steps_between(self, duration: float, outputs: int) -> int:
         """Return the number of steps from one state that is kept to the next."""
         return max(1, int(np.ceil(duration / outputs / self._step - 1e-9)))
 
     def failure(self, time: float, duration: float, outputs: int) -> str:
         """Return why a run ended at a time."""
-        step = duration / (outputs * self.steps_between(duration, outputs))
+        step = duration / (outputs * self._steps_between(duration, outputs))
         return not_finite(round(time / step), step)
 
-    def of_run(self, run: int, step: float) -> RunLane:
-        """Return what integrates a single run by its number, with steps of its own."""
-        return RunLane(CoreLanes(self._scene, step, self._project, self._tables), run)
+    def of_step(self, step: float) -> FixedStepLanes:
+        """Return the same in other steps."""
+        return FixedStepLanes(self._scene, self._project, self._tables, step)
+
+    def of_run(self, run: int) -> RunLane:
+        """Return what integrates a single run by its number."""
+        return RunLane(self, run)
+
+
+class AdaptiveLanes(CoreLanes):
+    """Runs by dop853, each in steps of its own; see :class:`CoreLanes`.
+
+    A run that does not reach the end is left to an integrator of its own, from its start.
+
+    Parameters
+    ----------
+    equation : Equation
+        Of any of the runs.
+    scene, project, tables : optional
+        Of :class:`CoreLanes`.
+    tolerance : float
+        As of :class:`DOP853`.
+    mass : ndarray, shape (1,) or (runs,)
+        Of what moves, kg.
+    limit : float
+        Evaluations after which a run goes on no longer.
+    is_shortened : bool
+        Whether they are as after :meth:`DOP853.shorten`.
+    """
+
+    counted = (
+        "tries", "rejections", "landings", "approaches", "switches", "interpolants", "carries",
+        "carried",
+    )  # fmt: skip
+
+    def __init__(
+        self, equation: Equation, scene: CoreScene, project: bool,
+        tables: Mapping[str, FloatArray], tolerance: float, mass: FloatArray, limit: float,
+        is_shortened: bool = False,
+    ) -> None:  # fmt: skip
+        super().__init__(scene, project, tables)
+        self._equation, self._tolerance, self._mass = equation, tolerance, mass
+        self._limit, self._is_shortened = limit, is_shortened
+
+    def advance(
+        self, runs: IntArray, states: FloatArray, held: FloatArray, duration: float, outputs: int,
+        stop: ctypes.c_int,
+    ) -> LaneSpans:  # fmt: skip
+        """See :meth:`CoreLanes.advance`."""
+        half, calls = states.shape[1] // 2, self._calls(runs, states, held)
+        vector, size = first_vector(self._equation), longest_member(self._equation)
+        frequency, force, slope, taut = calls.begin(differences(states), vector)
+        mass = self._mass[runs] if len(self._mass) > 1 else self._mass
+        with np.errstate(over="ignore", invalid="ignore"):  # such runs do not reach the end
+            fastest = np.abs(states[:, half:]).max(axis=1, initial=0.0)
+            speed = speed_scale(size, mass, fastest, force, frequency)
+            scale = np.repeat(np.stack([np.full(len(speed), size), speed], axis=1), half, axis=1)
+            step, longest = steps_of(slope, scale, frequency, duration, self._is_shortened)
+            scale *= self._tolerance
+        own = {"step": step, "longest": longest, "scale": scale, "slope": slope, "taut": taut}
+        settings = settings_of("dop853", duration, outputs, self._project, limit=self._limit)
+        reached, progress = calls.advance(settings, own, stop)
+        reaches_end = (
+            (progress["time"] >= duration)
+            & (np.abs(states) <= validation.LARGEST).all(axis=1)
+            & np.isfinite(reached).all(axis=(1, 2))
+        )
+        reached[~reaches_end] = np.nan
+        counts = np.stack([progress[name] for name in self.counted], axis=1).astype(float)
+        return LaneSpans(reached, progress["time"], reaches_end, counts)
+
+    def work_of(self, counts: FloatArray) -> Work:
+        """See :meth:`CoreLanes.work_of`."""
+        by_name = dict(zip(self.counted, map(int, counts), strict=True))
+        return work_of(records.Progress(**by_name))
+
+    def of_tolerance(self, tolerance: float, is_shortened: bool) -> AdaptiveLanes:
+        """Return the same with another tolerance, and shorter first and longest steps or not."""
+        return AdaptiveLanes(
+            self._equation, self._scene, self._project, self._tables, tolerance, self._mass,
+            self._limit, is_shortened,
+        )  # fmt: skip
+
+
+class _Calls:
+    """Calls of the core for some runs with one row each of states and tables."""
+
+    def __init__(
+        self, scene: CoreScene, states: FloatArray, held: FloatArray,
+        tables: Mapping[str, FloatArray],
+    ) -> None:  # fmt: skip
+        self._scene, self._states, self._tables = scene, states, dict(tables)
+        self._first = np.ascontiguousarray(held[0])
+        drive = self._drive = scene.drive(self._first)
+        if len(held) > 1:
+            inputs = held[:, : drive.count * (drive.degree + 1)]
+            self._tables["inputs"] = np.ascontiguousarray(inputs)
+
+    def begin(
+        self, difference: FloatArray, vector: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return largest frequencies and forces, shape (runs,), slopes and what pulls."""
+        scene, count = self._scene, len(self._states)
+        arrays = (
+            np.empty(count), np.empty(count), np.empty_like(self._states),
+            np.empty((count, scene.switches)),
+        )  # fmt: skip
+        runs = self._runs({})
+        work = self._work(settings_of("dop853", 1.0, 1, False), runs)
+        scene.core.tc_begin_runs(
+            ctypes.byref(scene.scene), ctypes.byref(self._drive), ctypes.byref(runs),
+            *map(_data, (self._states, difference, vector, *arrays, work)),
+        )  # fmt: skip
+        return arrays
+
+    def advance(
+        self, settings: records.Settings, own: Mapping[str, FloatArray], stop: ctypes.c_int
+    ) -> tuple[FloatArray, np.ndarray]:
+        """Return the states at outputs, NaN where they are not reached, and progress."""
+        scene, (count, size) = self._scene, self._states.shape
+        reached = np.full((count, settings.outputs, size), np.nan)
+        progress = np.zeros(count, dtype=np.dtype(records.Progress))
+        runs = self._runs(own)
+        work = self._work(settings, runs)
+        scene.core.tc_advance_runs(
+            ctypes.byref(scene.scene), ctypes.byref(self._drive), ctypes.byref(scene.lengths),
+            ctypes.byref(settings), ctypes.byref(runs), _data(self._states), _data(reached),
+            _data(progress), ctypes.byref(stop), _data(work),
+        )  # fmt: skip
+        return reached, progress
+
+    def _runs(self, own: Mapping[str, FloatArray]) -> records.Runs:
+        record = records.Runs(len(self._states))
+        for name, table in (self._tables | dict(own)).items():
+            setattr(record, name, table.ctypes.data)
+        return record
+
+    def _work(self, settings: records.Settings, runs: records.Runs) -> FloatArray:
+        """Return work memory."""
+        scene, records_of = self._scene, (self._scene.scene, self._drive, settings, runs)
+        return np.empty(scene.core.tc_runs_work_size(*map(ctypes.byref, records_of)))
 
 
 class RunLane:
-    """A single run of :class:`CoreLanes`."""
+    """A single run of :class:`FixedStepLanes`."""
 
-    def __init__(self, lanes: CoreLanes, run: int) -> None:
+    def __init__(self, lanes: FixedStepLanes, run: int) -> None:
         self._lanes, self._run = lanes, np.array([run])
 
     def shorten(self) -> None:
@@ -140,11 +325,12 @@ class RunLane:
     ) -> Span:  # fmt: skip
         """See :meth:`Integrator.advance`; nothing is reported."""
         lanes = self._lanes
-        states, (time,), counts = lanes.advance(
+        spans = lanes.advance(
             self._run, state[None], held[None], duration, outputs, ctypes.c_int(0)
         )
-        work, is_good = work_of(counts[0]), np.isfinite(states[0]).all(axis=1)
-        reached = Span(states[0, is_good].T, work)
+        (states,), (time,), work = spans.states, spans.time, lanes.work_of(spans.counts[0])
+        is_good = np.isfinite(states).all(axis=1)
+        reached = Span(states[is_good].T, work)
         if not is_good.all():
             raise IntegrationError(lanes.failure(time, duration, outputs), float(time), reached)
         return reached

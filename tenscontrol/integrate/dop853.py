@@ -18,6 +18,7 @@ from tenscontrol.integrate.core_run import advance_in_core, reached, room_for, s
 from tenscontrol.integrate.core_scene import CoreMotion, core_scene
 from tenscontrol.integrate.events import Step, Switches, crossings
 from tenscontrol.integrate.integrator import (
+    FloatOrArray,
     IntegrationError,
     IntegrationInterrupt,
     IntegrationPause,
@@ -92,8 +93,7 @@ class DOP853(Integrator):
         self._project = project
         self.tolerance = checked_tolerance(tolerance)
         self._frequency = 0.0  # largest, rad/s
-        # Longest step over the largest frequency and of the span, and the first of the usual.
-        self._shares = _STABLE, 1.0, 1.0
+        self._is_shortened = False
         self._held: FloatArray | None = None  # input for which it was found
         self._core = core_scene(equation)
         if self._core is not None:
@@ -111,7 +111,7 @@ class DOP853(Integrator):
         """See :attr:`Integrator.cost`."""
         states = self._equation.states
         if self.back_end == "core":
-            return 0.02 + 0.005 * states
+            return cost_in_core(states)
         return 5.0 + 0.025 * states if self._equation.form == "loops" else 0.3 + 0.1 * states
 
     def _build(self, project: bool) -> tuple[ca.Function, ...]:
@@ -121,7 +121,7 @@ class DOP853(Integrator):
 
     def shorten(self) -> None:
         """See :meth:`Integrator.shorten`."""
-        self._shares = _SHORTER * _STABLE, 0.5, _SHORTER
+        self._is_shortened = True
 
     def advance(
         self,
@@ -139,15 +139,15 @@ class DOP853(Integrator):
             self._frequency = largest_frequency(self._equation, state, held)
             self._held = of_strings.copy()
         scale = state_scale(self._equation, state, held, self._frequency)
-        core, (stable, whole, first) = self._core, self._shares
+        core = self._core
         if core is None:
             taut = self._switches.taut(state, held)
             slope = self._slope(state, held, taut)[0].copy()
         else:
             taut = core.taut(state, held)
             slope = core.slope(state, held, taut)
-        step = first * _first_step(slope, scale, duration)
-        longest = min(stable / max(self._frequency, 1e-300), whole * duration)
+        steps = steps_of(slope, scale, self._frequency, duration, self._is_shortened)
+        step, longest = map(float, steps)
         allowed = self.tolerance * scale
         if core is not None:
             settings = settings_of(
@@ -155,7 +155,7 @@ class DOP853(Integrator):
                 room_for(len(state)) if self.keeps_steps or self.traces else 0, self.traces,
             )  # fmt: skip
             motion = CoreMotion(core, state, held, settings, taut, slope)
-            span = advance_in_core(motion, _work, _core_failure, report)
+            span = advance_in_core(motion, work_of, _core_failure, report)
             if not np.isfinite(span.states.sum()):
                 good = np.isfinite(span.states).all(axis=0)
                 raise _not_rigid(
@@ -323,7 +323,7 @@ class _Motion:
     @property
     def work(self) -> Work:
         """What the motion cost."""
-        return _work(self)
+        return work_of(self)
 
 
 class _End(NamedTuple):
@@ -335,6 +335,28 @@ class _End(NamedTuple):
     made: FloatArray | None = None  # the interpolant of the whole step, if it was needed
 
 
+def cost_in_core(states: int) -> float:
+    """Return :attr:`Integrator.cost` in the core."""
+    return 0.02 + 0.005 * states
+
+
+def steps_of(
+    slope: FloatArray, scale: FloatArray, frequency: FloatOrArray, duration: float,
+    is_shortened: bool,
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    """Return the first and the longest step, s, of one run or several, slopes (…, states).
+
+    The first moves the state by a hundredth of its scale.
+    """
+    # Longest step over the largest frequency and of the span, and the first of the usual.
+    stable, whole, first = (_SHORTER * _STABLE, 0.5, _SHORTER) if is_shortened else (_STABLE, 1, 1)
+    speed = np.max(np.abs(slope) / scale, axis=-1, initial=0.0)
+    return (
+        first * np.minimum(0.01 / np.fmax(speed, 1e-300), duration),
+        np.minimum(stable / np.maximum(frequency, 1e-300), whole * duration),
+    )
+
+
 def _not_rigid(spacing: float, states: FloatArray, work: Work) -> IntegrationError:
     """Return the error of outputs whose bars cannot be put on their lengths after these states."""
     time = spacing * states.shape[1]
@@ -342,7 +364,7 @@ def _not_rigid(spacing: float, states: FloatArray, work: Work) -> IntegrationErr
     return IntegrationError(stopped, time, Span(states, work))
 
 
-def _work(counts: _Motion | Progress) -> Work:
+def work_of(counts: _Motion | Progress) -> Work:
     """Return the work of a motion by the counts of either loop."""
     carries, carried = (counts.carries, counts.carried) if isinstance(counts, Progress) else (0, 0)
     return Work(
@@ -370,7 +392,7 @@ def _stuck(time: float, step: float, reached: Span) -> IntegrationError:
 
 def _core_failure(motion: CoreMotion) -> IntegrationError:
     progress = motion.progress
-    return _stuck(progress.time, progress.step, reached(motion, _work(progress)))
+    return _stuck(progress.time, progress.step, reached(motion, work_of(progress)))
 
 
 def _factor(error: float) -> float:
@@ -419,12 +441,6 @@ def _interpolant_error() -> tuple[float, ...]:
     true = s**_ORDER / factorial(_ORDER)
     # The estimate is the fifth by the root of its square and of a hundredth of that of the third.
     return tuple(((true - polynomial) * 0.1 * abs(third) / fifth**2).coef.tolist())
-
-
-def _first_step(slope: FloatArray, scale: FloatArray, duration: float) -> float:
-    """Return a step that moves the state by a hundredth of its scale."""
-    speed = float(np.max(np.abs(slope) / scale, initial=0.0))
-    return min(duration, 0.01 / speed) if speed > 0 else duration
 
 
 class _DormandPrince:

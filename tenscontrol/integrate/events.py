@@ -125,15 +125,22 @@ class Switches:
         coefficients = interpolant(step.x, step.slope, step.x1, step.slope1, step.h)[0]
         within = coefficients, step.u, step.taut, step.h
         is_crossed = crossed(step.x, step.x1, step.u, step.taut, step.h)[0].copy()
-        low, high, is_out = 0.0, 1.0, False
-        for _ in range(zooms(self._equation)):
-            width = (high - low) / SAMPLES
-            samples = lowest(*within, low + width * _PLACES, is_crossed)[0].ravel().tolist()
-            first, last, is_out = _bracket(samples)
-            low, high = low + first * width, low + last * width
-        if not is_out:
-            return None
-        inside, outside = room(*within, low)[0].copy(), room(*within, high)[0].copy()
+        while True:
+            low, high, is_out = 0.0, 1.0, False
+            for _ in range(zooms(self._equation)):
+                width = (high - low) / SAMPLES
+                samples = lowest(*within, low + width * _PLACES, is_crossed)[0].ravel().tolist()
+                first, last, is_out = _bracket(samples)
+                low, high = low + first * width, low + last * width
+            if not is_out:
+                return None
+            inside = room(*within, low)[0].copy()
+            # What is out already there went out before: the ends of the step did not tell of it.
+            earlier = (inside < 0) & (is_crossed == 0)
+            if low == 0 or not earlier.any():
+                break
+            is_crossed[earlier] = 1.0
+        outside = room(*within, high)[0].copy()
         edge = BAND * float(scale(step.u)[0].min())
         # The string that is out first, by the secants; several, where they go out together.
         start = np.maximum(inside, 0)

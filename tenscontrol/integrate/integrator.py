@@ -31,6 +31,8 @@ _MOST_NUMBERS = 5e8
 # Time in one call of CasADi, s, from which on the next call is given fewer steps: signals wait.
 _LONGEST_CALL = 0.2
 
+FloatOrArray = float | FloatArray
+
 # Told the time reached within the span, s.
 Report = Callable[[float], None]
 
@@ -363,17 +365,33 @@ def state_scale(
     else:
         on_free = core.forces(state, held, core.taut(state, held))
     forces = np.abs(on_free).max(initial=0.0)
-    size, mass = equation.prepared.get("size and mass", partial(_size_and_mass, structure))
-    speeds = (np.abs(v).max(initial=0.0), np.sqrt(forces * size / mass), 1e-3 * size * frequency)
+    size = longest_member(equation)
+    mass = equation.prepared.get("mass", partial(moving_mass, structure))
+    speed = speed_scale(size, mass, np.abs(v).max(initial=0.0), forces, frequency)
+    return np.repeat([size, float(speed)], len(q))
+
+
+def longest_member(equation: Equation) -> float:
+    """Return the length of the longest bar or straight piece of string, m."""
+    return equation.prepared.get("longest member", lambda: _longest_member(equation.structure))
+
+
+def speed_scale(
+    size: float, mass: FloatOrArray, fastest: FloatOrArray, force: FloatOrArray,
+    frequency: FloatOrArray,
+) -> FloatArray:  # fmt: skip
+    """Return the scale of velocities, m/s, of one run or several; see :func:`state_scale`."""
+    speeds = np.sqrt(force * size / mass), 1e-3 * size * frequency
+    speed = np.fmax(np.fmax(fastest, speeds[0]), speeds[1])
     # Where nothing moves and nothing pulls, any speed will do.
-    return np.repeat([size, max(speeds) or size], len(q))
+    return np.where(speed > 0, speed, size)
 
 
-def _size_and_mass(structure: Structure) -> tuple[float, float]:
-    """Return the length of the longest member, m, and the mass, kg."""
+def _longest_member(structure: Structure | None) -> float:
+    assert structure is not None  # asked of what has members only
     nodes, members = structure.nodes, np.vstack([structure.bars, structure.segments])
-    size = np.linalg.norm(nodes[:, members[:, 1]] - nodes[:, members[:, 0]], axis=0).max()
-    return float(size), moving_mass(structure)
+    ends = nodes[:, members[:, 1]] - nodes[:, members[:, 0]]
+    return float(np.linalg.norm(ends, axis=0).max())
 
 
 def largest_frequency(equation: Equation, state: FloatArray, held: FloatArray) -> float:
@@ -395,15 +413,26 @@ def largest_frequency(equation: Equation, state: FloatArray, held: FloatArray) -
 
 
 def _largest_frequency(equation: Equation, state: FloatArray, held: FloatArray) -> float:
-    n = equation.states // 2
-    size = float(np.abs(state[:n] - state[:n].mean()).max()) or 1.0
-    random = equation.prepared.get("random", lambda: np.random.default_rng(0).standard_normal(n))
+    difference, random = float(differences(state)), first_vector(equation)
     core = core_scene(equation)
     if core is not None:
-        return core.frequency(state, held, _DIFFERENCE * size, random)
+        return core.frequency(state, held, difference, random)
     square = _shared(equation, "frequency", lambda: _power_iteration(equation))
-    given = (state, held, _strings_alone(equation), _DIFFERENCE * size, random)
+    given = (state, held, _strings_alone(equation), difference, random)
     return float(np.sqrt(square(*given)[0][0]))
+
+
+def differences(states: FloatArray) -> FloatArray:
+    """Return the differences, m, by which frequencies are found, of states (…, states)."""
+    positions = states[..., : states.shape[-1] // 2]
+    size = np.abs(positions - positions.mean(axis=-1, keepdims=True)).max(axis=-1)
+    return _DIFFERENCE * np.where(size > 0, size, 1.0)
+
+
+def first_vector(equation: Equation) -> FloatArray:
+    """Return the vector with which the power iteration begins."""
+    n = equation.states // 2
+    return equation.prepared.get("random", lambda: np.random.default_rng(0).standard_normal(n))
 
 
 def _power_iteration(equation: Equation) -> ca.Function:

@@ -41,6 +41,16 @@ _BETTER = 1.5
 _SAME = 1e-9
 
 
+def evaluations_within(budget: float, cost: float) -> float:
+    """Return how many evaluations a method may take."""
+    return max(budget / cost, 1.0)
+
+
+def free_evaluations(cost: float) -> float:
+    """Return how many evaluations the first method may take before others are tried."""
+    return evaluations_within(_FREE, cost)
+
+
 @final
 class Watched(Integrator):
     """Begins with one method, and goes on with another one where that gets further.
@@ -163,7 +173,7 @@ class Watched(Integrator):
         ahead = _Motion(start.time, start.state, start.begin, start.done)
         before = self._spent
         while ahead.time < span.duration:
-            method.limit = max((budget - (self._spent - before)) / cost, 1.0)
+            method.limit = evaluations_within(budget - (self._spent - before), cost)
             origin = ahead.time
             later_report = None if report is None else _later(report, origin)
             rest = span.rest(ahead)

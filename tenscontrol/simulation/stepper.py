@@ -21,7 +21,7 @@ from tenscontrol.actuation.driven_strings import (
 from tenscontrol.actuation.winches import Winches
 from tenscontrol.arrays import FloatArray, freeze_arrays
 from tenscontrol.dynamics.model import Model
-from tenscontrol.integrate.core_lanes import CoreLanes
+from tenscontrol.integrate.core_lanes import FixedStepLanes
 from tenscontrol.integrate.core_run import settings_of
 from tenscontrol.integrate.core_scene import CoreMotion, core_scene
 from tenscontrol.integrate.integrator import IntegrationError
@@ -157,7 +157,7 @@ class Stepper:
         self._integrator = rk4.integrator(self._equation, self._step, "step", None)
         if self._core is not None:
             self._settings = settings_of("rk4", self.sample_time, 1, rk4.projects, step=self._step)
-            self._lanes = CoreLanes(self._core, self._step, rk4.projects, {})
+            self._lanes = FixedStepLanes(self._core, rk4.projects, {}, self._step)
         self.reset()
 
     def _scenes(
@@ -451,10 +451,10 @@ class Stepper:
         """Advance the robots that are not lost."""
         going = np.flatnonzero(~self._lost)
         if self._core is not None and len(going) > 1:
-            states, *_ = self._lanes.advance(
+            found = self._lanes.advance(
                 going, self._states[going], held[going], duration, 1, ctypes.c_int(0)
             )
-            self._enter(going, states[:, 0])
+            self._enter(going, found.states[:, 0])
             return
         for robot in going.tolist():
             self._enter(np.array([robot]), self._one(self._states[robot], held[robot], duration))

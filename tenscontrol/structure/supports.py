@@ -30,7 +30,13 @@ def is_movable(structure: Structure, pairs: IntArray) -> np.ndarray:
 
 def moving_mass(structure: Structure) -> float:
     """Return the mass of all bars and of the nodes that are not fixed, kg."""
-    return float(structure.bar_mass.sum() + structure.point_mass[structure.free].sum())
+    return float(moving_masses(structure, structure.bar_mass, structure.point_mass))
+
+
+def moving_masses(structure: Structure, bars: FloatArray, points: FloatArray) -> FloatArray:
+    """Return the same for masses of bars (…, bars) and nodes (…, n), kg."""
+    of_free = np.ascontiguousarray(points[..., structure.free])
+    return np.asarray(np.ascontiguousarray(bars).sum(axis=-1) + of_free.sum(axis=-1))
 
 
 def rigid_motions(nodes: FloatArray) -> FloatArray:

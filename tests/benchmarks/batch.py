@@ -7,8 +7,8 @@ that stay taut, with strings that go slack, and dropped on the ground. A program
 of its own, on the ground of its own motion in steps 8 times finer than its finest.
 
 Of ours the processor time of a second ``tc.simulate_many`` is told, whole, as it is typed first:
-with its defaults, its tolerance, its checks, 1,001 states a run and the estimate of the error of a
-sample of the runs; in a second row with the end alone and no estimate; in a third by ``rk4`` in
+with its defaults, its tolerance, its checks, start and end of a run and the estimate of the error
+of a sample of the runs; in a second row without the estimate; in a third by ``rk4`` in
 steps of one size, as the peers go, several runs side by side. JAX (in double and single precision,
 by blocks), NumPy and MuJoCo's rollout return the end alone. Not told: what compiling takes (JAX 1
 to 3 s), and that the others locate no switch. Needs the extra ``bench``.

@@ -3,6 +3,7 @@
 import os
 import signal
 import sys
+import warnings
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -12,8 +13,10 @@ import pytest
 import tenscontrol as tc
 from tenscontrol.core.library import library
 from tenscontrol.dynamics.equation import pack_state, unpack_states
-from tenscontrol.integrate import Projector
+from tenscontrol.integrate import Projector, watched
+from tenscontrol.integrate.dop853 import cost_in_core
 from tenscontrol.interrupt import InterruptionWarning
+from tests.random_scenes import random_scene
 
 needs_core = pytest.mark.skipif(library() is None, reason="no core")
 
@@ -101,6 +104,91 @@ def test_lanes_have_the_bits_of_single_runs():
     assert_same(batch, runs)
 
 
+ADAPTIVE = {"tolerance": 1e-5, "output_step": 0.01}
+
+
+@needs_core
+@pytest.mark.parametrize("kind", ["undamped", "damped", "on ground"])
+def test_lanes_of_adaptive_steps_have_the_bits_of_single_runs(kind):
+    # More runs than are at work together, with steps, switches and outputs of their own.
+    prism, runs = tc.prism(), 75
+    N, V, lengths = scene(prism, runs=runs)
+    damping = 0.5 if kind == "damped" else 0.0
+    law, ground = tc.LinearStrings(100.0, damping=damping), None
+    if kind == "on ground":
+        ground = tc.Ground(2e3, 0.3, friction=0.5, slip_speed=0.05, height=-0.02)
+    model = tc.Model(prism, strings=law, gravity=9.81, ground=ground)
+    stiffness = np.random.default_rng(4).uniform(50.0, 150.0, (runs, 9))
+    vary = {"nodes": N, "velocities": V, "rest_length": lengths, "stiffness": stiffness}
+    batch = many(model, 0.2, ADAPTIVE, vary, threads=1)
+    assert batch.choice.back_end == "core, runs side by side"
+    assert batch.choice.method == "dop853"
+    assert batch.switches.sum() > runs
+
+    def alone(i):
+        own = model.replace(strings=tc.LinearStrings(stiffness[i], np.full(9, damping)))
+        return tc.simulate(own, 0.2, N[i], V[i], rest_length=lengths[i], **ADAPTIVE)
+
+    singles = {i: alone(i) for i in (0, 40, runs - 1)}
+    assert_same(batch, singles)
+    looked_at = [i for i in singles if np.isfinite(batch.error[i, 0])]
+    assert looked_at
+    assert all(np.array_equal(batch.error[i], singles[i].error) for i in looked_at)
+
+
+@needs_core
+@pytest.mark.parametrize("seed", [1, 6, 9, 15])
+def test_random_scenes_in_lanes_have_the_bits_of_single_runs(seed):
+    given = random_scene(seed)
+    value = given.value * np.linspace(0.97, 1.03, MORE)[:, None]
+    V = given.velocities * np.linspace(0.5, 1.0, MORE)[:, None, None]
+    how = tc.Integration(
+        "dop853", 1e-4, output_step=given.duration / 7, error="none",
+        limits=tc.HealthLimits(crossings=None),
+    )  # fmt: skip
+    held = tc.Scene(given.model, given.duration, integration=how, **{given.input: given.value})
+    batch = tc.simulate_many(held, {"velocities": V, given.input: value})
+    assert batch.choice.back_end == "core, runs side by side"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        runs = {
+            i: replace(held, velocities=V[i], **{given.input: value[i]}).simulate()
+            for i in (0, 4, MORE - 1)
+        }
+    assert_same(batch, runs)
+
+
+@needs_core
+def test_runs_that_lanes_leave_go_on_by_the_methods_of_single_runs(monkeypatch):
+    prism = tc.prism()
+    N, V, lengths = scene(prism)
+    model = tc.Model(prism, strings=tc.LinearStrings(100.0))
+
+    def alone(i):
+        return tc.simulate(model, 0.3, N[i], V[i], rest_length=lengths[i], **ADAPTIVE)
+
+    # What the first method may spend covers half of the runs.
+    evaluations = [alone(i).work.evaluations for i in range(RUNS)]
+    cost = cost_in_core(2 * prism.nodes.size)
+    monkeypatch.setattr(watched, "_FREE", cost * float(np.median(evaluations)))
+    vary = {"nodes": N, "velocities": V, "rest_length": lengths}
+    batch = many(model, 0.3, ADAPTIVE, vary, threads=1)
+    runs = {i: alone(i) for i in range(RUNS)}
+    assert {run.work.rejections > 0 for run in runs.values()} == {True, False}
+    assert_same(batch, runs)
+
+
+@needs_core
+def test_no_run_is_stuck_where_a_string_dips_between_the_ends_of_a_step():
+    prism = tc.prism()
+    model = tc.Model(prism, strings=tc.LinearStrings(100.0))
+    rest = tc.prestress(prism, 0.5)
+    lengths = tc.to_rest_length(model, prism.nodes, rest.force_density).rest_length
+    V = thrown(prism, 0.5, runs=500)[1]
+    how = {"method": "dop853", "tolerance": 1e-2, "error": "none"}
+    assert many(model, 1.0, how, {"velocities": V}, rest_length=lengths).completed.all()
+
+
 @needs_core
 def test_lanes_carry_switches_as_single_runs_do():
     tower = tc.prism_tower(6)
@@ -163,20 +251,22 @@ def test_loads_and_profiles_are_those_of_single_runs():
     assert_same(batch, runs)
 
 
-def test_a_run_that_fails_ends_alone():
+@pytest.mark.parametrize("how", [{"step": 0.01}, {"tolerance": 1e-5}])
+def test_a_run_that_fails_ends_alone(how):
     prism = tc.prism()
     N, V, lengths = scene(prism)
     N[1, 2, 3] = np.nan
     N[2] *= 1.1
-    V[3] *= 1e6
+    V[3] *= 1e6 if "step" in how else 1e160
     lengths[4, 5] = -1.0
     model = tc.Model(prism, strings=tc.LinearStrings(100.0))
-    how = {"step": 0.01, "output_step": 0.1}
+    how = how | {"output_step": 0.1}
     vary = {"nodes": N, "velocities": V, "rest_length": lengths}
     batch = many(model, 0.3, how, vary)
     assert batch.completed.tolist() == [True, False, False, False, False, True]
     assert sorted(batch.messages) == [1, 2, 3, 4]
-    for run, said in ((1, "nodes"), (2, "bar 0|bar 1|bar 2"), (3, "finite"), (4, "rest_length")):
+    why = "finite|velocities"
+    for run, said in ((1, "nodes"), (2, "bar 0|bar 1|bar 2"), (3, why), (4, "rest_length")):
         assert any(word in batch.messages[run] for word in said.split("|"))
     assert np.isnan(batch.nodes[[1, 2, 4]]).all()
     assert np.isnan(batch.nodes[3, :, :, -1]).all()
@@ -257,12 +347,13 @@ def test_numbers_of_the_ground_vary():
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
-def test_an_interrupt_keeps_the_runs_that_are_done(monkeypatch):
+@pytest.mark.parametrize("how", [{"step": 0.01}, {"tolerance": 1e-5}])
+def test_an_interrupt_keeps_the_runs_that_are_done(monkeypatch, how):
     prism = tc.prism()
     N, V, lengths = scene(prism)
     model = tc.Model(prism, strings=tc.LinearStrings(100.0))
     count = 60
-    held = tc.Scene(model, 0.05, rest_length=lengths[0], integration=tc.Integration(step=0.01))
+    held = tc.Scene(model, 0.05, rest_length=lengths[0], integration=tc.Integration(**how))
     starts = {"nodes": np.resize(N, (count, 3, 6)), "velocities": np.resize(V, (count, 3, 6))}
     whole = tc.simulate_many(held, starts, threads=1)
 

@@ -19,26 +19,42 @@ from tenscontrol.dynamics.equation import Equation, unpack_states
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.model_parameters import MASSES
 from tenscontrol.dynamics.profile import Pieces
-from tenscontrol.integrate.core_lanes import COUNTS, CoreLanes, tables_of_runs, work_of
+from tenscontrol.integrate.core_lanes import (
+    AdaptiveLanes,
+    CoreLanes,
+    FixedStepLanes,
+    tables_of_runs,
+)
 from tenscontrol.integrate.core_scene import core_scene
+from tenscontrol.integrate.dop853 import cost_in_core
 from tenscontrol.integrate.fixed_step import FixedStep
 from tenscontrol.integrate.integrator import IntegrationError, Integrator, MethodChange, Span, Work
 from tenscontrol.integrate.methods import METHODS, Choice, Method, choose
-from tenscontrol.integrate.watched import Watched
+from tenscontrol.integrate.watched import Watched, free_evaluations
 from tenscontrol.interrupt import check
 from tenscontrol.simulation.arguments import Arguments
 from tenscontrol.simulation.batch.batch_inputs import BatchInputs, InputSpan
 from tenscontrol.simulation.batch.compiled_loop import MOST_CONTROLLERS, CompiledLoops
+from tenscontrol.simulation.batch.sample import Sample, SampledRun
 from tenscontrol.simulation.error_estimate import Motion, Path, Resolved, Stage
 from tenscontrol.simulation.health import ERROR_LIMIT
 from tenscontrol.simulation.motion_functions import MotionFunctions, by_node
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.structure.bar_clearance import BarMotion
+from tenscontrol.structure.supports import moving_masses
 
 # Runs in a call, and numbers that it may return.
 _BLOCK, _MOST_NUMBERS = 256, 4_000_000
 
+# Runs of which errors are estimated in a call.
+_SAMPLE = 32
+
 _POLL = 0.05  # s until an interrupt is looked for
+
+
+def _rows(held: FloatArray, places: IntArray) -> FloatArray:
+    """Return the inputs of some runs, of which all may have one row."""
+    return held[places] if len(held) > 1 else held
 
 
 class _StopError(Exception):
@@ -84,7 +100,7 @@ class Runner:
             )
             self.command, self.commands_not_ok = np.full(size, np.nan), np.zeros(size[0], int)
         # Of each run: what lanes counted, and the work of integrators.
-        self._counts, self._work = np.zeros((scene.count, len(COUNTS))), dict[int, Work]()
+        self._counts, self._work = np.zeros((scene.count, 0)), dict[int, Work]()
         self._threads, self._has_no_memory = local(), False
         self._loops_made: list[CompiledLoops] = []
         self._watches = False
@@ -117,7 +133,9 @@ class Runner:
         self._watches = how.chosen is None and chosen.setting == "tolerance"
         self._method = method
         self.choice = chosen
-        self._lanes = self._made_lanes(first) if method.name == "rk4" else None
+        self._lanes = self._made_lanes(first)
+        if self._lanes is not None:
+            self._counts = np.zeros((scene.count, len(self._lanes.counted)))
         steps = isinstance(method.make, type) and issubclass(method.make, FixedStep)
         self._shares = self._lanes is None and (
             not scene.parameters or (steps and self._can_share())
@@ -139,15 +157,24 @@ class Runner:
         """Return what integrates several runs at once; None where the core does not know them."""
         scene, structure = self.scene, self.scene.model.structure
         is_bound = structure.blocks or structure.point_mass[structure.bar_nodes].any()
+        if self._method not in (METHODS["rk4"], METHODS["dop853"]):
+            return None
+        if self._method is METHODS["dop853"] and len(self.spans) > 1:
+            return None  # its integrator remembers the span before
         if first is None or scene.varies_ground or len(np.unique(self._are_damped())) > 1:
             return None
         if set(MASSES) & set(scene.given) and (is_bound or self._loads_bars()):
             return None  # bars that share nodes, or carry masses, have other tables
-        core = core_scene(self._equation(scene.model_of(first), "auto", ()))
+        equation = self._equation(scene.model_of(first), "auto", ())
+        core = core_scene(equation)
         if core is None:
             return None
-        tables = tables_of_runs(structure, scene.given)
-        return CoreLanes(core, self.choice.value, self._projects, tables)
+        alike = core, self._projects, tables_of_runs(structure, scene.given), self.choice.value
+        if self._method is METHODS["rk4"]:
+            return FixedStepLanes(*alike)
+        limit = free_evaluations(cost_in_core(core.states)) if self._watches else np.inf
+        bars, points = (scene.given.get(name, getattr(structure, name)[None]) for name in MASSES)
+        return AdaptiveLanes(equation, *alike, moving_masses(structure, bars, points), limit)
 
     def _loads_bars(self) -> bool:
         masses = self.scene.given.get("point_mass")
@@ -236,23 +263,48 @@ class Runner:
         found = np.full((self.scene.count, len(self.time)), np.nan)
         looked_at = 0
 
-        def estimate(run: int) -> int:
-            found[run] = self.error(run)
-            return 1
+        def estimate(some: IntArray) -> int:
+            resolved = self._again_at_once(some)
+            for run in some.tolist():
+                if self._stop.value:
+                    return 0
+                if run not in self._errors:
+                    self._errors[run] = self._estimated_error(run, resolved)
+                found[run] = self._errors[run]
+            return len(some)
 
         def told(done: int) -> None:
             nonlocal looked_at
             looked_at += done
             report(looked_at)
 
-        self._in_threads(threads, (partial(estimate, run) for run in runs.tolist()), told)
+        parts = np.array_split(runs, -(-len(runs) // min(_SAMPLE, -(-len(runs) // threads) or 1)))
+        self._in_threads(threads, (partial(estimate, some) for some in parts), told)
         return found
+
+    def _again_at_once(self, runs: IntArray) -> Callable[[int, float], Resolved]:
+        """Return what integrates runs of a sample again: at once what was integrated so."""
+        in_lanes = np.setdiff1d(runs, list(self._work))
+        if self._lanes is None or len(self.spans) > 1 or not len(in_lanes):
+            return self._resolved
+        first, last = int(runs.min()), int(runs.max()) + 1
+        states = self.scene.states(first, last)[0][in_lanes - first]
+        held = _rows(self.scene.held_inputs(first, last, self.spans[0], False), in_lanes - first)
+        sample = Sample(self._lanes, in_lanes, states, held, self._resolved, self._stop)
+
+        def resolved(run: int, value: float) -> Resolved:
+            return (self._resolved if run in self._work else partial(SampledRun, sample))(
+                run, value
+            )
+
+        return resolved
 
     def _in_threads(
         self, threads: int, calls: Iterator[Callable[[], int]], report: Callable[[int], None]
     ) -> None:
         """Call in threads, and report what each call returns; raise if the user interrupts."""
         pending: set[Future[int]] = set()
+        self._stop.value = 0
         with ThreadPoolExecutor(threads) as pool:
             try:
                 while True:
@@ -290,13 +342,12 @@ class Runner:
             if not len(at) or self._stop.value:
                 break
             held = self.scene.held_inputs(first, last, span, self._shares)
-            held = held[at - first] if len(held) > 1 else held
+            held = _rows(held, at - first)
             if loops is not None:
                 at, states, held = self._commanded(loops, at, at - first, states, held, number)
                 if not len(at):
                     break
-            advance = self._in_lanes if self._lanes is not None else self._one_by_one
-            kept, ended = advance(at, states, held, span)
+            kept, ended = self._advance(at, states, held, span)
             if not self._ends_alone:
                 self._keep(at, column, kept)
                 column += span.outputs
@@ -343,21 +394,29 @@ class Runner:
         held[:, : found.shape[1]] = found
         return at, states, held
 
-    def _in_lanes(
+    def _advance(
         self, at: IntArray, states: FloatArray, held: FloatArray, span: InputSpan
     ) -> tuple[FloatArray, np.ndarray]:
         """Return the states at the outputs of a span, and which runs ended in it."""
-        assert self._lanes is not None  # asked by _block
-        kept, time, counts = self._lanes.advance(
-            at, states, held, span.length, span.outputs, self._stop
-        )
-        ended = np.asarray(~np.isfinite(kept[:, -1]).all(axis=1))
-        for i in np.flatnonzero(ended) if not self._stop.value else ():
-            why = self._lanes.failure(time[i], span.length, span.outputs)
-            self._end(at[i], span.start + time[i], why)
-        self._counts[at] += counts
-        self.switches[at] += counts[:, 3].astype(int)
-        self.missed[at] += counts[:, 4].astype(int)
+        lanes = self._lanes
+        if lanes is None:
+            return self._one_by_one(at, states, held, span)
+        found = lanes.advance(at, states, held, span.length, span.outputs, self._stop)
+        kept, ended = found.states, ~found.reaches_end
+        if isinstance(lanes, FixedStepLanes):
+            for i in np.flatnonzero(ended) if not self._stop.value else ():
+                why = lanes.failure(found.time[i], span.length, span.outputs)
+                self._end(at[i], span.start + found.time[i], why)
+            counted = np.arange(len(at))
+        else:
+            counted, others = np.flatnonzero(found.reaches_end), np.flatnonzero(ended)
+            kept[others], ended[others] = self._one_by_one(
+                at[others], states[others], _rows(held, others), span
+            )
+        for name, of in (("switches", self.switches), ("missed", self.missed)):
+            if name in lanes.counted:
+                of[at[counted]] += found.counts[counted, lanes.counted.index(name)].astype(int)
+        self._counts[at[counted]] += found.counts[counted]
         return kept, ended
 
     def _one_by_one(
@@ -547,9 +606,9 @@ class Runner:
 
     def _work_of(self, run: int) -> Work:
         work = self._work.get(run)
-        if work is not None:
-            return work
-        return work_of(self._counts[run])
+        if work is not None or self._lanes is None:
+            return Work() if work is None else work
+        return self._lanes.work_of(self._counts[run])
 
     def error(self, run: int) -> FloatArray:
         """Return an estimate of the error of the nodes that were kept, as part of the size.
@@ -557,10 +616,10 @@ class Runner:
         At each time kept, of a run that was completed. Commands of a controller are replayed.
         """
         if run not in self._errors:
-            self._errors[run] = self._estimated_error(run)
+            self._errors[run] = self._estimated_error(run, self._resolved)
         return self._errors[run]
 
-    def _estimated_error(self, run: int) -> FloatArray:
+    def _estimated_error(self, run: int, resolved: Callable[[int, float], Resolved]) -> FloatArray:
         scene, structure = self.scene, self.scene.model.structure
         stages = []
         for number, span in enumerate(self.spans):
@@ -585,16 +644,16 @@ class Runner:
             Path(columns, positions, int(self.switches[run] + self.missed[run])),
             self._from[is_known], self.choice.setting, self.choice.value,
             (self.how.chosen or METHODS[self._methods_of(run)[-1]]).order,
-            partial(self._resolved, run), self._equation(scene.model, "auto", ()).layout.later,
+            partial(resolved, run), self._equation(scene.model, "auto", ()).layout.later,
             starts,
         )  # fmt: skip
         return np.concatenate([[0.0], motion.estimated_error(ERROR_LIMIT)])
 
     def _resolved(self, run: int, value: float) -> Resolved:
         """Return what integrates a run with another step or tolerance."""
-        if self._lanes is None:
-            return self._made_for(run, value)
-        return self._lanes.of_run(run, value)
+        if isinstance(self._lanes, FixedStepLanes):
+            return self._lanes.of_step(value).of_run(run)
+        return self._made_for(run, value)
 
     def _function(self, run: int, model: Model, name: str) -> tuple[ca.Function, list[FloatArray]]:
         """Return a function of the model of a run, one that all runs share, and more inputs."""

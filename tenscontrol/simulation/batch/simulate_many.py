@@ -1,8 +1,8 @@
 """Many runs of one scene at once: starts, inputs, loads and parameters that differ from run to run.
 
-Runs go in blocks to threads. By rk4 a block is one call of the compiled core, which takes a step of
-several runs by one instruction. Else each run is a call of the integrator. The numbers are those of
-single runs, to the last bit.
+Runs go in blocks to threads. By dop853 and rk4 a block is a call of the compiled core, which takes
+steps of several runs by one instruction. Else each run is a call of the integrator. The numbers are
+those of single runs, to the last bit.
 """
 
 from __future__ import annotations
@@ -203,7 +203,7 @@ def simulate_many(
         commands are held over a sample as they are. Winches, estimators, faults, moving supports
         and a ``start`` go by :meth:`Scene.simulate` alone. Of its integration, ``"auto"`` chooses
         once, for the first run; without ``output_step`` start and end alone are kept; ``limits``
-        are not looked at. Only methods with a fixed step take several runs at once.
+        are not looked at.
     vary : mapping of str to array_like
         What differs from run to run, in place of what the scene has, by name: ``"nodes"``,
         ``"velocities"`` and ``"external_force"``, shape (runs, d, n), in m, m/s and N; what is held
