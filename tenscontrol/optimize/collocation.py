@@ -17,8 +17,22 @@ from tenscontrol.status import Status
 # An interval is not shorter or longer than that of the guess by these factors.
 _SHORTEST, _LONGEST = 0.02, 50.0
 
+#: Gauss points of an interval. Three take IPOPT longer than twice as many intervals, and it fails
+#: more often.
+STAGES = 2
+
 # Rows that are the equation of motion.
 _MOTION = "equation of motion"
+
+# No time limit, so that iterations are the same in each run. What is nearly optimal is not accepted.
+_IPOPT = {
+    "print_level": 0,
+    "sb": "yes",
+    "tol": 1e-8,
+    "mu_strategy": "adaptive",
+    "bound_relax_factor": 0.0,
+    "acceptable_iter": 0,
+}
 
 # What IPOPT says, and what it is called here.
 _STATUSES = {
@@ -219,8 +233,8 @@ class Collocation:
     """
 
     @builds
-    def __init__(self, program: MotionProgram, intervals: int, stages: int) -> None:
-        self.program, self.intervals, self.stages = program, intervals, stages
+    def __init__(self, program: MotionProgram, intervals: int) -> None:
+        self.program, self.intervals, self.stages = program, intervals, STAGES
         f, m = len(program.start), program.input_range.shape[1]
         speed, step = program.size / program.time, program.time / intervals
         unknowns = {
@@ -228,10 +242,10 @@ class Collocation:
             "velocities": (f, speed),
             "begin": (m, program.unit),
             "end": (m, program.unit),
-            "paid": (0 if program.power is None else m * stages, program.watt),
+            "paid": (0 if program.power is None else m * STAGES, program.watt),
             "step": (1, step),
-            "stage_places": (f * stages, program.size),
-            "stage_velocities": (f * stages, speed),
+            "stage_places": (f * STAGES, program.size),
+            "stage_velocities": (f * STAGES, speed),
         }
         self._scales = {name: scale for name, (_, scale) in unknowns.items()}
         edges = np.cumsum([0] + [size for size, _ in unknowns.values()])
@@ -328,9 +342,9 @@ class Collocation:
         cost = ca.sum2(values[0][1])
         L = _sparse(links, links.data)
         g = ca.vertcat(*(ca.vec(value[0]) for value in values), ca.mtimes(L, x))
-        first = [part.first(block) for part, block in zip(self._parts, given, strict=True)]
-        slope = ca.vertcat(ca.vec(first[0][1]), ca.DM.zeros(given[1].numel()))
-        jacobian = self._jacobian([ca.vec(part[0]) for part in first], links)
+        slope = ca.vertcat(ca.vec(self._parts[0].slope(given[0])), ca.DM.zeros(given[1].numel()))
+        entries = [part.jacobian(block) for part, block in zip(self._parts, given, strict=True)]
+        jacobian = self._jacobian([ca.vec(part) for part in entries], links)
         p, sigma, lam = ca.MX.sym("p", 0), ca.MX.sym("sigma"), ca.MX.sym("lam", g.numel())
         ends = np.cumsum([0, *(value[0].numel() for value in values)])
         second = [
@@ -392,15 +406,7 @@ class Collocation:
                 "show_eval_warnings": False,
                 "error_on_fail": False,
                 "iteration_callback": watch,
-                "ipopt": {
-                    "print_level": 0,
-                    "sb": "yes",
-                    "tol": 1e-8,
-                    "max_iter": most_iterations,
-                    "mu_strategy": "adaptive",
-                    "bound_relax_factor": 0.0,
-                    "acceptable_iter": 0,
-                },
+                "ipopt": {**_IPOPT, "max_iter": most_iterations},
                 **derivatives,
             }
             solver = ca.nlpsol("motion", "ipopt", problem, options)
@@ -542,7 +548,8 @@ class _Derivatives:
             return Function(Function(name, given, ca.cse(results)).map(count))
 
         self.value = mapped("value", [block], [rows, ca.densify(cost)])
-        self.first = mapped("first", [block], [_entries(jacobian), slope])
+        self.slope = mapped("slope", [block], [slope])
+        self.jacobian = mapped("jacobian", [block], [_entries(jacobian)])
         self._second = mapped("second", [block, lam, sigma], [_entries(hessian)])
         self._count = count
 

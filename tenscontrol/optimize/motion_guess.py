@@ -9,15 +9,15 @@ import numpy as np
 from tenscontrol.actuation.winches import Winches
 from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics.model import Model
-from tenscontrol.optimize.collocation import DiscreteMotion, gauss_points
+from tenscontrol.optimize.collocation import STAGES, DiscreteMotion, gauss_points
 from tenscontrol.shape.equilibrium_path import PathError
 from tenscontrol.shape.shape_path import ShapePath, shape_path
 from tenscontrol.statics.prestress import Prestress
 from tenscontrol.structure.bar_geometry import restore_bar_lengths
 from tenscontrol.structure.supports import free_coordinates
 
-# Intervals and Gauss points of a guess, and shapes of a path in each interval.
-_INTERVALS, _STAGES = 20, 2
+# Intervals of a guess.
+_INTERVALS = 20
 
 
 def guessed_motion(
@@ -72,7 +72,7 @@ def _of_path(path: ShapePath, input: str, duration: float) -> DiscreteMotion:
     assert values is not None  # a rest length is the input
     at = np.linspace(0.0, duration, _INTERVALS + 1)
     inputs = np.array([np.interp(at, time, row) for row in values])
-    stages = ((np.arange(_INTERVALS)[:, None] + gauss_points(_STAGES)[1:]) / _INTERVALS) * duration
+    stages = ((np.arange(_INTERVALS)[:, None] + gauss_points(STAGES)[1:]) / _INTERVALS) * duration
     rates = spline.derivative()
     return DiscreteMotion(
         duration, spline(at), rates(at), inputs[:, :-1], inputs[:, 1:],
@@ -102,7 +102,7 @@ def _straight(
     spline = CubicHermiteSpline(time, places, velocities, axis=1)
     values = [end_input(model, rest, input) for rest in ends]
     inputs = values[0][:, None] + smooth * (values[1] - values[0])[:, None]
-    stages = ((np.arange(_INTERVALS)[:, None] + gauss_points(_STAGES)[1:]) / _INTERVALS) * duration
+    stages = ((np.arange(_INTERVALS)[:, None] + gauss_points(STAGES)[1:]) / _INTERVALS) * duration
     return DiscreteMotion(
         duration, places, velocities, inputs[:, :-1], inputs[:, 1:],
         spline(stages).swapaxes(1, 2), spline.derivative()(stages).swapaxes(1, 2),

@@ -27,7 +27,6 @@ from tenscontrol.optimize.collocation import (
 from tenscontrol.optimize.motion_end import MotionEnd
 from tenscontrol.optimize.motion_guess import end_input, guessed_motion
 from tenscontrol.optimize.motion_limits import MotionLimits
-from tenscontrol.plant.linearize import OperatingPoint, linearize
 from tenscontrol.plant.reference import Reference
 from tenscontrol.progress import progress_bar
 from tenscontrol.shape.demands import Demand
@@ -48,10 +47,7 @@ from tenscontrol.tables import aligned
 COSTS = ("time", "energy", "effort")
 
 # Of the fastest motions, the one of least effort: its weight beside the duration.
-_TIE = 1e-4
-
-# Radians of the fastest vibration in an interval for each Gauss point beyond two, and the most.
-_RADIANS, _MOST_STAGES = 1.0, 5
+_TIE = 1e-3
 
 # Durations of the guess that are tried one after the other, as parts of the first.
 _SLOWER = (1.0, 2.0, 4.0)
@@ -86,8 +82,8 @@ class Mesh:
 
     Attributes
     ----------
-    intervals, stages : int
-        Intervals of equal length, and Gauss points in each.
+    intervals : int
+        Of equal length.
     iterations : int
         Of IPOPT.
     status : Status
@@ -99,7 +95,6 @@ class Mesh:
     """
 
     intervals: int
-    stages: int
     iterations: int
     status: Status
     cost: float
@@ -237,11 +232,11 @@ class OptimalMotion:
     def table(self) -> str:
         """Return the meshes that were solved, as text."""
         rows = [
-            [str(mesh.intervals), str(2 * mesh.stages), str(mesh.iterations), str(mesh.status),
+            [str(mesh.intervals), str(mesh.iterations), str(mesh.status),
              f"{mesh.cost:.6g}", f"{mesh.goal_miss:.2e}", f"{mesh.end_speed:.2e}"]
             for mesh in self.meshes
         ]  # fmt: skip
-        head = ["intervals", "order", "iterations", "status", "cost", "goal missed, m",
+        head = ["intervals", "iterations", "status", "cost", "goal missed, m",
                 "speed at the end, m/s"]  # fmt: skip
         return aligned(head, rows)
 
@@ -364,8 +359,8 @@ def optimal_motion(
 
     Notes
     -----
-    Direct collocation at Gauss points (Hairer, Lubich & Wanner 2006, II.1.3), of order 4 and more
-    where strings are stiff, solved by IPOPT with exact sparse derivatives. Gauss points keep bar
+    Direct collocation at Gauss points (Hairer, Lubich & Wanner 2006, II.1.3), two in an
+    interval: of order 4. IPOPT solves it with exact sparse derivatives. Gauss points keep bar
     lengths and momenta exactly (IV.2.1). The optimum is a local one, near the guess: the path of
     :func:`shape_path` where there is one. Iterations are the same in each run.
 
@@ -587,10 +582,10 @@ class _Planner:
         self, intervals: int, refinements: int, most: int, report: Callable[[float], None]
     ) -> OptimalMotion:
         """Return the motion of the first mesh whose replay meets the goal, or of the finest."""
-        stages, guess = self._stages(intervals), self._guess
+        guess = self._guess
         with keeping("meshes solved, their motion is returned", lambda: len(self._meshes)):
             for number in range(refinements + 1):
-                found, run = self._solved(guess, intervals, stages, most)
+                found, run = self._solved(guess, intervals, most)
                 self._best = found, run
                 report(number + 1.0)
                 if run is None or self._is_met(self._meshes[-1]):
@@ -598,23 +593,11 @@ class _Planner:
                 guess, intervals = found.motion, 2 * intervals
         return self._result()
 
-    def _stages(self, intervals: int) -> int:
-        """Return the Gauss points of an interval that the fastest vibration needs."""
-        fastest = 0.0
-        for rest in self._ends:
-            at = OperatingPoint(
-                rest.structure.nodes, rest.force_density, self._model.constant_force
-            )
-            plant = linearize(self._model, at, self._input, require_equilibrium=False)
-            fastest = max(fastest, plant.spectral_radius)
-        phase = fastest * self._time / intervals
-        return min(_MOST_STAGES, 2 + int(phase / _RADIANS))
-
     def _solved(
-        self, guess: DiscreteMotion, intervals: int, stages: int, most: int
+        self, guess: DiscreteMotion, intervals: int, most: int
     ) -> tuple[Solution, Trajectory | None]:
         """Return what a mesh gives, with its replay; a first mesh is tried from slower guesses."""
-        mesh = Collocation(self._program, intervals, stages)
+        mesh = Collocation(self._program, intervals)
         tries = _SLOWER if not self._meshes and self._duration is None else _SLOWER[:1]
         for slower in tries:
             found = mesh.solve(_slowed(guess, slower), most, lambda _: None)
@@ -626,7 +609,7 @@ class _Planner:
             if run is not None:
                 miss = self._end.miss(run.nodes[:, :, -1], run.velocities[:, :, -1])
         self._meshes.append(
-            Mesh(intervals, stages, found.iterations, found.status, self._cost(found), *miss)
+            Mesh(intervals, found.iterations, found.status, self._cost(found), *miss)
         )
         return found, run
 
