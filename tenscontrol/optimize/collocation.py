@@ -24,7 +24,7 @@ STAGES = 2
 # Rows that are the equation of motion.
 _MOTION = "equation of motion"
 
-# No time limit, so that iterations are the same in each run. What is nearly optimal is not accepted.
+# No time limit, so that iterations are the same in each run. Nearly optimal is not accepted.
 _IPOPT = {
     "print_level": 0,
     "sb": "yes",

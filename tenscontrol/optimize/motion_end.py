@@ -71,9 +71,8 @@ class MotionEnd:
         moved = ca.mtimes(Q, ca.sum1(S * rates).T) / (self._size * self._speed)
         return stacked([zero(off, "goal"), zero(moved, "rest")])
 
-    def miss(self, nodes: FloatArray, velocities: FloatArray) -> tuple[float, float]:
-        """Return how far a node is from the goal at most, m, and how fast one is, m/s."""
-        speed = float(np.linalg.norm(velocities, axis=0).max())
+    def distance(self, nodes: FloatArray) -> float:
+        """Return how far a node is from the goal at most, m."""
         if self.is_loose:
-            nodes, _ = self._frame.laid_over(nodes, velocities)
-        return float(np.linalg.norm(nodes - self._goal, axis=0).max()), speed
+            nodes, _ = self._frame.laid_over(nodes, np.zeros_like(nodes))
+        return float(np.linalg.norm(nodes - self._goal, axis=0).max())

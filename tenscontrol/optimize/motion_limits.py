@@ -17,11 +17,13 @@ from tenscontrol.dynamics import kernel
 from tenscontrol.dynamics.model import Model
 from tenscontrol.optimize.collocation import Instant, Rows, positive, stacked
 from tenscontrol.shape.force_bounds import checked_bounds
+from tenscontrol.statics.prestress import Prestress
 from tenscontrol.structure.bar_clearance import bar_distances
 from tenscontrol.structure.structure import Structure
 
-# Strings keep this part of the level of force densities, so that none goes slack between instants.
-_TAUT = 1e-3
+# Strings keep this part of the force densities, and of the stretch, that they have at the ends: so
+# none goes slack between the instants at which limits are kept.
+_TAUT = 0.02
 
 # Of the squared lengths of two bars: added where they may be parallel.
 _PARALLEL = 1e-9
@@ -101,6 +103,18 @@ class MotionLimits:
         if obstacles is not None:
             validation.function("obstacles", obstacles, "nodes -> expressions of at least 0")
         self._obstacles = obstacles
+        self._least = np.zeros((2, count))  # force density and stretch of strings that are taut
+
+    def keep_taut(self, ends: tuple[Prestress, Prestress]) -> None:
+        """Let strings go no further towards slack than a part of what both ends have."""
+        law = self._model.strings
+        if self._input == "force_density" or law is None:
+            return
+        found = []
+        for rest in ends:
+            length, gamma = rest.structure.string_length(), rest.force_density
+            found.append([gamma, length - law.rest_length(length, gamma)])
+        self._least = _TAUT * np.min(found, axis=0)
 
     def rows(self, now: Instant) -> Rows:
         """Return what holds at an instant."""
@@ -138,13 +152,14 @@ class MotionLimits:
         """Return limits of force densities and tensions, and that strings are taut."""
         bounds, rows = self.bounds, list[Rows]()
         if self._input == "rest_length":
-            least = np.maximum(bounds.low, _TAUT * self.level)
+            least = np.maximum(bounds.low, self._least[0])
             kept = state.force_density / self.level
             label = ("force density",) * len(least)
             rows.append(Rows(kept, least / self.level, bounds.highest / self.level, label))
             law = self._model.strings
             if law is not None and law.is_damped:  # which pulls while it is too short
-                rows.append(positive((state.length - now.input) / self._size, "taut strings"))
+                spare = state.length - now.input - ca.DM(self._least[1])
+                rows.append(positive(spare / self._size, "taut strings"))
         tension = state.force_density * state.length
         rows.append(_at_most(tension, self.tension, "max_tension"))
         return rows

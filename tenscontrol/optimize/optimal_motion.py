@@ -50,7 +50,7 @@ COSTS = ("time", "energy", "effort")
 _TIE = 1e-3
 
 # Durations of the guess that are tried one after the other, as parts of the first.
-_SLOWER = (1.0, 2.0, 4.0)
+_SLOWER = (1.0, 2.0)
 
 # Tolerance of the replay, as a part of that of the goal; shapes in each interval of a reference.
 _REPLAY, _SHAPES = 1e-3, 4
@@ -165,6 +165,7 @@ class OptimalMotion:
     meshes: tuple[Mesh, ...]
     guess: str
     _motion: DiscreteMotion
+    _end: MotionEnd
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -229,6 +230,20 @@ class OptimalMotion:
         )
         return Reference(instants, np.stack(exact, axis=-1), np.maximum(gamma, 0.0))
 
+    def goal_distance(self, nodes: object) -> FloatArray:
+        """Return how far the farthest node is from the goal, m, shape (T,), as :attr:`goal_miss`.
+
+        Parameters
+        ----------
+        nodes : array_like, shape (d, n, T)
+            m.
+        """
+        d, n = self.structure.nodes.shape
+        shapes = validation.float_array("nodes", nodes)
+        if shapes.ndim != 3 or shapes.shape[:2] != (d, n):
+            raise ValueError(f"nodes has shape {shapes.shape}, expected ({d}, {n}, T)")
+        return np.array([self._end.distance(each) for each in np.moveaxis(shapes, 2, 0)])
+
     def table(self) -> str:
         """Return the meshes that were solved, as text."""
         rows = [
@@ -283,7 +298,7 @@ def optimal_motion(
     intervals: int = 20,
     tolerance: float = 1e-4,
     refinements: int = 3,
-    most_iterations: int = 500,
+    most_iterations: int = 200,
     progress: bool = False,
 ) -> OptimalMotion:
     """Return the motion of least time, work or effort from rest in one shape to rest in another.
@@ -408,6 +423,7 @@ def optimal_motion(
     refuse_same(model, *ends)
     for name, rest in zip(("start", "goal"), ends, strict=True):
         _refuse_end(limits, kind, name, rest)
+    limits.keep_taut(ends)
     planner = _Planner(model, ends, kind, minimize, duration, limits, winches, tolerance)
     with progress_bar(1.0 + refinements, progress, "planning", "meshes") as report:
         return planner.run(intervals, refinements, most_iterations, report)
@@ -607,7 +623,8 @@ class _Planner:
         if found.status in _PLANNED:
             run = self._replayed(found.motion)
             if run is not None:
-                miss = self._end.miss(run.nodes[:, :, -1], run.velocities[:, :, -1])
+                speed = np.linalg.norm(run.velocities[:, :, -1], axis=0).max()
+                miss = self._end.distance(run.nodes[:, :, -1]), float(speed)
         self._meshes.append(
             Mesh(intervals, found.iterations, found.status, self._cost(found), *miss)
         )
@@ -682,6 +699,7 @@ class _Planner:
             guess=self._kind,
             **_figures(run, motion, self._input),
             _motion=motion,
+            _end=self._end,
         )
 
     def _force_densities(
