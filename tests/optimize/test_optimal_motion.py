@@ -1,8 +1,11 @@
 """Optimal motions against closed forms, and of the arm against its replay."""
 
+import casadi as ca
 import numpy as np
+import pytest
 
 import tenscontrol as tc
+from tenscontrol.optimize import OptimalMotionWarning
 from tenscontrol.status import Status
 
 # A mass on a rail between two strings: kg, m, N, and how far away they are fixed, m.
@@ -58,3 +61,198 @@ def test_motion_of_least_effort_is_a_cubic():
     way = WAY * (3 * share**2 - 2 * share**3) - WAY / 2
     np.testing.assert_allclose(motion.nodes[0, 1], way, atol=1e-4 * WAY)
     np.testing.assert_allclose(motion.cost, 12 * (MASS * WAY) ** 2 / duration**3, rtol=1e-4)
+
+
+# ---- the arm ----
+
+RATE = 0.8
+WINCHES = tc.Winches(rate=RATE, shortest=0.1)
+
+
+@pytest.fixture(scope="module")
+def arm():
+    """Return model, start and goal: the tip 10 cm higher."""
+    structure = tc.library.arm()
+    model = tc.Model(structure, strings=tc.LinearStrings(stiffness=500.0, damping=2.0))
+    rest = tc.prestress(structure, min_force_density=50.0)
+    raised = tc.NodesAt([5], structure.nodes[:, [5]] + [[0.0], [0.1]])
+    return model, rest, tc.shape_target(model, raised, force_density=50.0)
+
+
+@pytest.fixture(scope="module")
+def fastest(arm):
+    return tc.optimal_motion(*arm, winches=WINCHES)
+
+
+def test_the_arm_is_at_rest_at_its_goal_within_a_fifth_of_a_second(arm, fastest):
+    model, rest, goal = arm
+    run = tc.simulate(
+        model, fastest.duration, rest_length=fastest.profile, method="cvodes", tolerance=1e-8
+    )
+    assert fastest.status is Status.OK
+    assert fastest.guess == "path"
+    assert fastest.duration < 0.2
+    assert np.abs(run.nodes[:, :, -1] - goal.nodes).max() < 2e-5
+    assert np.abs(run.velocities[:, :, -1]).max() < 1e-3
+    assert np.abs(fastest.rate).max() < RATE * (1 + 1e-9)
+    length = np.linalg.norm(model.structure.bar_vectors(fastest.nodes[:, :, 7]), axis=0)
+    np.testing.assert_allclose(length, model.structure.bar_length, rtol=1e-12)
+    assert fastest.least_force_density > 1.0
+    assert "ok" in fastest.summary()
+
+
+def test_identical_calls_take_identical_iterations(arm):
+    first, second = (
+        tc.optimal_motion(*arm, winches=WINCHES, intervals=6, tolerance=1e-2) for _ in range(2)
+    )
+    assert first.meshes == second.meshes
+    np.testing.assert_array_equal(first.nodes, second.nodes)
+
+
+def test_finer_intervals_are_hardly_faster(arm, fastest):
+    coarse = tc.optimal_motion(*arm, winches=WINCHES, intervals=8, tolerance=1e-2)
+    assert fastest.duration < coarse.duration < 1.02 * fastest.duration
+
+
+def test_meshes_are_halved_until_the_replay_meets_the_goal(arm):
+    motion = tc.optimal_motion(*arm, winches=WINCHES, intervals=5, tolerance=2e-5)
+    misses = [mesh.goal_miss for mesh in motion.meshes]
+    assert [mesh.intervals for mesh in motion.meshes][:2] == [5, 10]
+    assert motion.status is Status.OK
+    # Gauss points are of order 4.
+    assert misses[-1] < misses[0] / 8 ** (len(misses) - 1)
+
+
+def test_least_work_is_that_of_the_replay(arm):
+    motion = tc.optimal_motion(
+        *arm, winches=WINCHES, minimize="energy", duration=0.3, intervals=10, tolerance=1e-3
+    )
+    np.testing.assert_allclose(motion.energy, motion.cost, rtol=5e-3)
+    assert motion.duration == pytest.approx(0.3)
+    # Less than what raises the elastic energy cannot be.
+    run = motion.run
+    assert motion.energy > run.energy[-1] - run.energy[0]
+
+
+def test_a_cost_of_ones_is_the_duration(arm):
+    motion = tc.optimal_motion(
+        *arm,
+        winches=WINCHES,
+        minimize=lambda nodes, velocities, rest_length, rate: 1 + 1e-5 * ca.sumsqr(rate / RATE),
+        intervals=8,
+        tolerance=1e-2,
+    )
+    fastest = tc.optimal_motion(*arm, winches=WINCHES, intervals=8, tolerance=1e-2)
+    np.testing.assert_allclose(motion.cost, fastest.duration, rtol=2e-3)
+
+
+def test_limits_hold_in_the_replay(arm, fastest):
+    model, _, _ = arm
+    centre = model.structure.nodes[:, 5] + [0.05, 0.06]
+    motor = tc.Motor(drum_radius=0.01, gear_ratio=10.0, torque=0.108, speed=800.0)
+    motion = tc.optimal_motion(
+        *arm,
+        winches=tc.Winches(motor=motor),
+        max_power=60.0,
+        obstacles=lambda nodes: ca.norm_2(nodes[:, 5] - ca.DM(centre)) - 0.05,
+        intervals=12,
+        tolerance=1e-3,
+    )
+    assert motion.status is Status.OK
+    assert motion.duration > fastest.duration
+    assert motion.peak_tension < 108.0 * (1 + 1e-3)
+    assert np.abs(motion.rate).max() < 0.8 * (1 + 1e-9)
+    away = np.linalg.norm(motion.run.nodes[:, 5] - centre[:, None], axis=0)
+    assert away.min() > 0.05 - 1e-3
+    assert np.linalg.norm(fastest.run.nodes[:, 5] - centre[:, None], axis=0).min() < 0.05 - 1e-3
+
+
+def test_what_cannot_be_done_in_time_says_so(arm):
+    with pytest.warns(OptimalMotionWarning, match="Give more time"):
+        motion = tc.optimal_motion(
+            *arm, winches=WINCHES, minimize="effort", duration=0.1, intervals=6
+        )
+    assert motion.run is None
+    assert motion.status is Status.INFEASIBLE
+    assert np.isnan(motion.goal_miss)
+    for use in (lambda: motion.profile, motion.reference, lambda: tc.plot.optimal_motion(motion)):
+        with pytest.raises(ValueError, match="planned"):
+            use()
+
+
+def test_controllers_follow_the_plan(arm, fastest):
+    model, _, goal = arm
+    plant = tc.linearize(model, goal.prestress, input="rest_length")
+    reference = fastest.reference()
+    exact = model.structure.bar_length[:, None]
+    bars = np.stack([model.structure.bar_vectors(n) for n in np.moveaxis(reference.nodes, 2, 0)])
+    np.testing.assert_allclose(np.linalg.norm(bars, axis=1).T, exact + 0 * bars[:, 0].T, rtol=1e-12)
+    lqr = tc.LQR(plant, *tc.energy_weights(plant), sample_time=0.005, reference=reference)
+    run = tc.simulate(
+        model, 0.8, controller=lqr, winches=tc.Winches(rate=2.0, ramp=True),
+        rest_length=fastest.rest_length[:, 0], error="none",
+    )  # fmt: skip
+    assert np.abs(run.nodes[:, :, -1] - goal.nodes).max() < 2e-3
+
+
+def test_a_free_prism_gets_lower_wherever_it_turns():
+    prism = tc.prism()
+    model = tc.Model(prism, strings=tc.LinearStrings(100.0, damping=0.5))
+    rest = tc.prestress(prism, force_density=17.3205)
+    low = tc.Height(0.9, top=[0, 1, 2], bottom=[3, 4, 5])
+    motion = tc.optimal_motion(
+        model, rest, low, winches=tc.Winches(rate=0.2), intervals=12, tolerance=2e-3
+    )
+    assert motion.status is Status.OK
+    last = motion.run.nodes[:, :, -1]
+    height = np.linalg.norm(last[:, :3].mean(axis=1) - last[:, 3:].mean(axis=1))
+    assert height == pytest.approx(0.9, abs=4e-3)
+    assert motion.goal_distance(motion.run.nodes)[-1] == motion.goal_miss
+
+
+# ---- bars, and bad input ----
+
+
+def test_distances_of_bars_are_those_of_the_structure():
+    from tenscontrol.optimize.motion_limits import bar_clearances
+    from tenscontrol.structure.bar_clearance import bar_distances
+
+    ball = tc.library.six_bar_ball()
+    N = ca.SX.sym("N", *ball.nodes.shape)
+    function = ca.Function("apart", [N], [bar_clearances(ball, N)])
+    random = np.random.default_rng(0)
+    for _ in range(20):
+        nodes = ball.nodes + 0.5 * random.normal(size=ball.nodes.shape)
+        found = np.array(function(nodes)).ravel()
+        np.testing.assert_allclose(found, bar_distances(ball, nodes).distance, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ({"minimize": "tim"}, "minimize"),
+        ({"minimize": "energy"}, "expected duration"),
+        ({"duration": 1.0}, "duration is given"),
+        ({"max_tension": -1.0}, "max_tension"),
+        ({"min_clearance": 0.1}, "plane"),
+        ({"intervals": 0}, "intervals"),
+        ({"min_force_density": 60.0}, "start"),
+        ({"winches": tc.Winches(motor=tc.Motor(0.01, torque=1.0, inertia=1e-4))}, "inertia"),
+        ({"obstacles": lambda nodes: "far"}, "obstacles"),
+        ({"minimize": lambda nodes, velocities, input, rate: nodes}, "minimize"),
+    ],
+)
+def test_bad_arguments_are_named(arm, arguments, text):
+    with pytest.raises((TypeError, ValueError), match=text):
+        tc.optimal_motion(*arm, **({"winches": WINCHES} | arguments))
+
+
+def test_ends_are_checked(arm):
+    model, rest, _ = arm
+    with pytest.raises(ValueError, match="same shape"):
+        tc.optimal_motion(model, rest, rest, winches=WINCHES)
+    far = tc.NodesAt([5], model.structure.nodes[:, [5]] + [[9.0], [0.0]])
+    with pytest.raises(tc.shape.ShapeError, match="no equilibrium"):
+        tc.optimal_motion(model, rest, far, winches=WINCHES)
+    with pytest.raises(ValueError, match="ground"):
+        tc.optimal_motion(model.replace(ground=tc.Ground(1e3)), rest, rest)
