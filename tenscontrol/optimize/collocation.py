@@ -32,6 +32,7 @@ _IPOPT = {
     "mu_strategy": "adaptive",
     "bound_relax_factor": 0.0,
     "acceptable_iter": 0,
+    "mumps_pivot_order": 0,
 }
 
 # What IPOPT says, and what it is called here.

@@ -194,8 +194,29 @@ class OptimalMotion:
         self._refuse_unplanned()
         return _profile(self._motion, self.input, self.goal.force_density)
 
+    def at(self, time: float) -> tuple[FloatArray, FloatArray]:
+        """Return nodes, m, and velocities, m/s, of the plan at a time, shape (d, n) each.
+
+        Parameters
+        ----------
+        time : float
+            s; before the start and after the end the plan stands still.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If it is not one finite number, or nothing was planned.
+        """
+        self._refuse_unplanned()
+        share = min(max(validation.number("time", time, "s") / self.duration, 0.0), 1.0)
+        places, rates = self._motion.at(np.array([share]))
+        structure = self.structure
+        nodes = _all_nodes(structure, places, structure.nodes)[:, :, 0]
+        velocities = _all_nodes(structure, rates, np.zeros_like(nodes))[:, :, 0]
+        return frozen(nodes), frozen(velocities * (0.0 < share < 1.0))
+
     def reference(self, times: object = None) -> Reference:
-        """Return the motion as the reference of a controller: LQR, MPC, NMPC.
+        """Return the motion as the reference of a controller, as in ``MPC(..., reference=...)``.
 
         Parameters
         ----------

@@ -96,26 +96,28 @@ def test_the_arm_is_at_rest_at_its_goal_within_a_fifth_of_a_second(arm, fastest)
     assert np.abs(run.velocities[:, :, -1]).max() < 1e-3
     assert np.abs(fastest.rate).max() < RATE * (1 + 1e-9)
     length = np.linalg.norm(model.structure.bar_vectors(fastest.nodes[:, :, 7]), axis=0)
-    np.testing.assert_allclose(length, model.structure.bar_length, rtol=1e-12)
+    np.testing.assert_allclose(length, model.structure.bar_length, rtol=1e-7)
     assert fastest.least_force_density > 1.0
     assert "ok" in fastest.summary()
 
 
-def test_identical_calls_take_identical_iterations(arm):
-    first, second = (
-        tc.optimal_motion(*arm, winches=WINCHES, intervals=6, tolerance=1e-2) for _ in range(2)
-    )
-    assert first.meshes == second.meshes
-    np.testing.assert_array_equal(first.nodes, second.nodes)
+@pytest.fixture(scope="module")
+def coarse(arm):
+    return tc.optimal_motion(*arm, winches=WINCHES, intervals=6, tolerance=1e-2)
 
 
-def test_finer_intervals_are_hardly_faster(arm, fastest):
-    coarse = tc.optimal_motion(*arm, winches=WINCHES, intervals=8, tolerance=1e-2)
-    assert fastest.duration < coarse.duration < 1.02 * fastest.duration
+def test_identical_calls_take_identical_iterations(arm, coarse):
+    again = tc.optimal_motion(*arm, winches=WINCHES, intervals=6, tolerance=1e-2)
+    assert repr(again.meshes) == repr(coarse.meshes)
+    np.testing.assert_array_equal(again.nodes, coarse.nodes)
+
+
+def test_finer_intervals_are_hardly_faster(fastest, coarse):
+    assert fastest.duration < coarse.duration < 1.03 * fastest.duration
 
 
 def test_meshes_are_halved_until_the_replay_meets_the_goal(arm):
-    motion = tc.optimal_motion(*arm, winches=WINCHES, intervals=5, tolerance=2e-5)
+    motion = tc.optimal_motion(*arm, winches=WINCHES, intervals=5, tolerance=1e-4)
     misses = [mesh.goal_miss for mesh in motion.meshes]
     assert [mesh.intervals for mesh in motion.meshes][:2] == [5, 10]
     assert motion.status is Status.OK
@@ -134,43 +136,43 @@ def test_least_work_is_that_of_the_replay(arm):
     assert motion.energy > run.energy[-1] - run.energy[0]
 
 
-def test_a_cost_of_ones_is_the_duration(arm):
+def test_a_cost_of_ones_is_the_duration(arm, coarse):
     motion = tc.optimal_motion(
         *arm,
         winches=WINCHES,
-        minimize=lambda nodes, velocities, rest_length, rate: 1 + 1e-5 * ca.sumsqr(rate / RATE),
-        intervals=8,
+        minimize=lambda nodes, velocities, rest_length, rate: 1 + 1e-3 * ca.sumsqr(rate / RATE),
+        intervals=6,
         tolerance=1e-2,
     )
-    fastest = tc.optimal_motion(*arm, winches=WINCHES, intervals=8, tolerance=1e-2)
-    np.testing.assert_allclose(motion.cost, fastest.duration, rtol=2e-3)
+    np.testing.assert_allclose(motion.cost, coarse.duration, rtol=1e-2)
+    assert motion.minimize == "<lambda>"
 
 
 def test_limits_hold_in_the_replay(arm, fastest):
     model, _, _ = arm
-    centre = model.structure.nodes[:, 5] + [0.05, 0.06]
+    centre = model.structure.nodes[:, 5] + [-0.04, 0.05]
     motor = tc.Motor(drum_radius=0.01, gear_ratio=10.0, torque=0.108, speed=800.0)
     motion = tc.optimal_motion(
         *arm,
         winches=tc.Winches(motor=motor),
         max_power=60.0,
-        obstacles=lambda nodes: ca.norm_2(nodes[:, 5] - ca.DM(centre)) - 0.05,
-        intervals=12,
-        tolerance=1e-3,
+        obstacles=lambda nodes: ca.norm_2(nodes[:, 5] - ca.DM(centre)) - 0.04,
+        intervals=8,
+        tolerance=3e-3,
     )
     assert motion.status is Status.OK
     assert motion.duration > fastest.duration
     assert motion.peak_tension < 108.0 * (1 + 1e-3)
     assert np.abs(motion.rate).max() < 0.8 * (1 + 1e-9)
     away = np.linalg.norm(motion.run.nodes[:, 5] - centre[:, None], axis=0)
-    assert away.min() > 0.05 - 1e-3
-    assert np.linalg.norm(fastest.run.nodes[:, 5] - centre[:, None], axis=0).min() < 0.05 - 1e-3
+    assert away.min() > 0.04 - 2e-3
+    assert np.linalg.norm(fastest.run.nodes[:, 5] - centre[:, None], axis=0).min() < 0.04 - 2e-3
 
 
 def test_what_cannot_be_done_in_time_says_so(arm):
     with pytest.warns(OptimalMotionWarning, match="Give more time"):
         motion = tc.optimal_motion(
-            *arm, winches=WINCHES, minimize="effort", duration=0.1, intervals=6
+            *arm, winches=WINCHES, minimize="effort", duration=0.1, intervals=4
         )
     assert motion.run is None
     assert motion.status is Status.INFEASIBLE
@@ -180,19 +182,20 @@ def test_what_cannot_be_done_in_time_says_so(arm):
             use()
 
 
-def test_controllers_follow_the_plan(arm, fastest):
+def test_mpc_follows_the_plan(arm, fastest):
     model, _, goal = arm
     plant = tc.linearize(model, goal.prestress, input="rest_length")
-    reference = fastest.reference()
-    exact = model.structure.bar_length[:, None]
-    bars = np.stack([model.structure.bar_vectors(n) for n in np.moveaxis(reference.nodes, 2, 0)])
-    np.testing.assert_allclose(np.linalg.norm(bars, axis=1).T, exact + 0 * bars[:, 0].T, rtol=1e-12)
-    lqr = tc.LQR(plant, *tc.energy_weights(plant), sample_time=0.005, reference=reference)
+    mpc = tc.MPC(
+        plant, horizon=10, sample_time=0.01, reference=fastest.reference(),
+        winches=tc.Winches(rate=2.0, ramp=True), min_force_density=1.0,
+    )  # fmt: skip
     run = tc.simulate(
-        model, 0.8, controller=lqr, winches=tc.Winches(rate=2.0, ramp=True),
+        model, 0.5, controller=mpc, winches=tc.Winches(rate=2.0, ramp=True),
         rest_length=fastest.rest_length[:, 0], error="none",
     )  # fmt: skip
-    assert np.abs(run.nodes[:, :, -1] - goal.nodes).max() < 2e-3
+    half = int(np.searchsorted(run.time, fastest.duration / 2))
+    assert np.abs(run.nodes[:, :, half] - fastest.at(run.time[half])[0]).max() < 0.02
+    assert np.abs(run.nodes[:, :, -1] - goal.nodes).max() < 3e-3
 
 
 def test_a_free_prism_gets_lower_wherever_it_turns():
@@ -251,7 +254,7 @@ def test_ends_are_checked(arm):
     model, rest, _ = arm
     with pytest.raises(ValueError, match="same shape"):
         tc.optimal_motion(model, rest, rest, winches=WINCHES)
-    far = tc.NodesAt([5], model.structure.nodes[:, [5]] + [[9.0], [0.0]])
+    far = tc.NodesAt([5], model.structure.nodes[:, [5]] + [[1.0], [0.0]])
     with pytest.raises(tc.shape.ShapeError, match="no equilibrium"):
         tc.optimal_motion(model, rest, far, winches=WINCHES)
     with pytest.raises(ValueError, match="ground"):
