@@ -14,12 +14,14 @@ from tenscontrol.actuation.motors import each_motor
 from tenscontrol.actuation.winches import Winches
 from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics import kernel
+from tenscontrol.dynamics.evaluator import Function, builds
 from tenscontrol.dynamics.model import Model
 from tenscontrol.optimize.collocation import Instant, Rows, positive, stacked
 from tenscontrol.shape.force_bounds import checked_bounds
 from tenscontrol.statics.prestress import Prestress
 from tenscontrol.structure.bar_clearance import bar_distances
 from tenscontrol.structure.structure import Structure
+from tenscontrol.structure.supports import free_coordinates
 
 # Strings keep this part of the force densities, and of the stretch, that they have at the ends: so
 # none goes slack between the instants at which limits are kept.
@@ -27,6 +29,9 @@ _TAUT = 0.02
 
 # Of the squared lengths of two bars: added where they may be parallel.
 _PARALLEL = 1e-9
+
+# Limits of places alone; by how much a limit, scaled to order one, may be passed at an end.
+_OF_PLACES, _OFF = ("min_clearance", "obstacles"), 1e-9
 
 # How CasADi calls a function of the nodes, and what users give.
 Obstacles = Callable[[Any], Any]
@@ -115,6 +120,32 @@ class MotionLimits:
             length, gamma = rest.structure.string_length(), rest.force_density
             found.append([gamma, length - law.rest_length(length, gamma)])
         self._least = _TAUT * np.min(found, axis=0)
+
+    @builds
+    def refuse_end(self, name: str, rest: Prestress) -> None:
+        """Raise if a limit does not hold at rest in an equilibrium, which is an end of the motion.
+
+        Where force densities are the input, those of the equilibrium need not act.
+        """
+        structure, law = self._structure, self._model.strings
+        value = rest.force_density
+        if self._input == "rest_length":
+            assert law is not None  # rest lengths are the input
+            value = law.rest_length(rest.structure.string_length(), value)
+        places = free_coordinates(structure, rest.structure.nodes)
+        symbols = [
+            ca.SX.sym(letter, len(each)) for letter, each in zip("nu", (places, value), strict=True)
+        ]
+        still = [ca.SX.zeros(len(each)) for each in (places, value)]
+        rows = self.rows(Instant(symbols[0], still[0], symbols[1], still[1]))
+        found = np.array(Function("rows", symbols, [ca.densify(rows.value)])(places, value)).ravel()
+        for label, number, low, high in zip(rows.labels, found, rows.low, rows.high, strict=True):
+            is_fixed = self._input == "rest_length" or label in _OF_PLACES
+            if is_fixed and not low - _OFF <= number <= high + _OFF:
+                raise ValueError(
+                    f"{name} is an end of the motion, but does not keep the limit of {label} at "
+                    "rest: give another end, or a wider limit"
+                )
 
     def rows(self, now: Instant) -> Rows:
         """Return what holds at an instant."""

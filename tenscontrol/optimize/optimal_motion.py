@@ -382,8 +382,8 @@ def optimal_motion(
     ShapeError
         If no shape meets the demands.
     TypeError, ValueError
-        If an argument is of the wrong kind or does not fit; a string is slack at an end while rest
-        lengths are the input; or motors have inertia, lag or backlash.
+        If an argument is of the wrong kind or does not fit; an end breaks a limit, or has a slack
+        string while rest lengths are the input; or motors have inertia, lag or backlash.
 
     Warns
     -----
@@ -496,6 +496,7 @@ def _refuse_end(limits: MotionLimits, input: str, name: str, rest: Prestress) ->
             "it by shape_target(..., min_force_density=...) or prestress(..., "
             "min_force_density=...)"
         )
+    limits.refuse_end(name, rest)
 
 
 class _Planner:

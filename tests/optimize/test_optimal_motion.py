@@ -85,7 +85,7 @@ def fastest(arm):
 
 
 def test_the_arm_is_at_rest_at_its_goal_within_a_fifth_of_a_second(arm, fastest):
-    model, rest, goal = arm
+    model, _, goal = arm
     run = tc.simulate(
         model, fastest.duration, rest_length=fastest.profile, method="cvodes", tolerance=1e-8
     )
@@ -123,6 +123,25 @@ def test_meshes_are_halved_until_the_replay_meets_the_goal(arm):
     assert motion.status is Status.OK
     # Gauss points are of order 4.
     assert misses[-1] < misses[0] / 8 ** (len(misses) - 1)
+
+
+def test_least_effort_is_stationary_by_the_derivatives_of_the_simulator(arm):
+    model, _, goal = arm
+    motion = tc.optimal_motion(*arm, minimize="effort", duration=0.3, intervals=20)
+    run = tc.simulate(model, 0.3, rest_length=motion.profile, method="dop853", tolerance=1e-8)
+    tangent = tc.sensitivity(run, ["rest_length"])
+    frame = tc.dynamics.coordinates(model, goal.nodes, "internal")
+    J = []
+    for by in (tangent.nodes, tangent.velocities):
+        slope = by["rest_length"][:, :, 0, :, 1:-1]  # by the values between the ends
+        d, n = slope.shape[:2]
+        J.append(frame.projection @ slope.swapaxes(0, 1).reshape(d * n, -1))
+    J = np.vstack(J)
+    change = np.diff(motion.rest_length, axis=1) / (0.3 / 20)
+    slope = 2 * (change[:, :-1] - change[:, 1:]).ravel()
+    multipliers = np.linalg.lstsq(J.T, slope, rcond=None)[0]
+    left = slope - J.T @ multipliers
+    assert np.linalg.norm(left) < 2e-3 * np.linalg.norm(slope)
 
 
 def test_least_work_is_that_of_the_replay(arm):
@@ -243,6 +262,8 @@ def test_distances_of_bars_are_those_of_the_structure():
         ({"winches": tc.Winches(motor=tc.Motor(0.01, torque=1.0, inertia=1e-4))}, "inertia"),
         ({"obstacles": lambda nodes: "far"}, "obstacles"),
         ({"minimize": lambda nodes, velocities, input, rate: nodes}, "minimize"),
+        ({"max_tension": 90.0}, "start is an end.*max_tension"),
+        ({"obstacles": lambda nodes: 1.05 - nodes[1, 5]}, "goal is an end.*obstacles"),
     ],
 )
 def test_bad_arguments_are_named(arm, arguments, text):
