@@ -70,6 +70,7 @@ from .optimize import (
     fit as fit,
     gradient as gradient,
     identifiable as identifiable,
+    optimal_motion as optimal_motion,
     sensitivity as sensitivity,
 )
 from .plant import (
@@ -193,6 +194,7 @@ __all__ = [
     "long_run",
     "modes",
     "net",
+    "optimal_motion",
     "predictability",
     "prestress",
     "prism",

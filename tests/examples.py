@@ -163,6 +163,16 @@ def shape_new_height(names):
 
 
 @checks
+def optimal_arm(names):
+    motion, late = names["motion"], names["time"] > 0.21
+    off = {name: np.abs(height[late] - names["LIFT"]) for name, height in names["heights"].items()}
+    assert names["path"].time[-1] < motion.duration < 0.2
+    assert off["fastest to rest"].max() < 1e-5
+    assert off["path through equilibria"].max() > 0.02
+    assert np.abs(motion.rate).max() <= names["RATE"] * (1 + 1e-9)
+
+
+@checks
 def shape_path(names):
     path = names["path"]
     assert_near(names["missed"], 5.0, 1e-6)

@@ -370,6 +370,14 @@ def test_shape_control(printed):
 
 
 @needs_compiler
+def test_optimal_goals(printed):
+    text = printed("optimal_goals", "--structures arm --goals 1")
+    found = row(text, "arm            ok")
+    assert found[0] < found[1]  # on the path through equilibria
+    assert found[4] < 1e-4
+    assert row(text, "planned: 1") == []
+
+
 def test_sensitivities(printed):
     text = printed("sensitivities", "--seed 24 --count 2 --steps 200")
     assert "2 scenes, 0 of more than 200 steps left out; 2 judged, 2 with switches" in text

@@ -165,13 +165,8 @@ def test_coming_from():
     assert names["command"] == pytest.approx(names["plant"].force_density, abs=off)
 
 
-@pytest.fixture(scope="module")
-def interop():
-    return ran("interop")
-
-
-def test_interop(interop):
-    names = interop
+def test_interop():
+    names = ran("interop")
     theirs, ours = names["theirs"], names["ours"]
     assert names["packed"](ours.nodes[..., -1], ours.velocities[..., -1]) == pytest.approx(
         theirs.y[:, -1], abs=1e-8
@@ -183,19 +178,23 @@ def test_interop(interop):
         assert speed[-1] < 0.2 * speed[0]
 
 
-def test_the_minimum_time_program_converges_and_ends_at_rest_where_the_path_does_not(interop):
-    names = interop
-    assert names["opti"].stats()["return_status"] == "Solve_Succeeded"
-    assert names["opti"].stats()["iter_count"] < 60
-    path, replay, time = names["path"], names["replay"], names["times"]
-    bound = np.ptp(path.rest_length[:, [0, -1]], axis=1).max() / names["rate"]
-    assert bound < names["fastest"] < 0.25
-    off, speed = replay(time, names["best"].value(names["L"]))
-    assert off < 1e-4
-    assert speed < 1e-3
-    ours = replay(path.time, path.rest_length)
-    assert ours[0] > 0.02
-    assert ours[1] > 0.2
+def test_optimal_motion():
+    names = ran("optimal_motion")
+    motion, path = names["motion"], names["path"]
+    assert motion.duration < 0.2
+    assert motion.end_speed < 1e-3
+    bound = np.ptp(path.rest_length[:, [0, -1]], axis=1).max() / 0.8
+    assert bound < motion.duration < 0.25
+    played = names["played"]
+    off = np.abs(played.nodes[..., -1] - names["goal"].nodes).max()
+    assert off > 0.02
+    assert np.abs(played.velocities[..., -1]).max() > 0.2
+    assert names["gentle"].energy < 0.5 * motion.energy
+    ball = names["kept_clear"].run.nodes[:, 5] - np.array(names["centre"])[:, None]
+    assert np.linalg.norm(ball, axis=0).min() > 0.04 - 2e-3
+    tracked = names["tracked"]
+    off = np.abs(tracked.nodes[..., -1] - names["goal"].nodes).max()
+    assert off < 0.01
 
 
 @pytest.mark.skipif(find_spec("slycot") is not None, reason="slycot is installed")

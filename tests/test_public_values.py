@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
+from tests.fuzz.valid_calls import along_rail
 from tests.public import public, public_classes, tree
 from tests.robustness.cases import loop_case
 
@@ -61,6 +62,7 @@ def values(tmp_path_factory):
     read_by = tc.Sensors(structure=prism, node_position=1e-3)
     log = tc.Log.of_run(moving, read_by, [0.01, 0.02], seed=0)
     fitted = tc.fit(model, log, ["stiffness"], groups={"stiffness": "all"})
+    planned = tc.optimal_motion(**along_rail())
     height = tc.Height(0.9, top=[0, 1, 2], bottom=[3, 4, 5])
     target = tc.shape_target(model, height, force_density=17.3205)
     steel = tc.sizing.materials["steel"]
@@ -84,6 +86,8 @@ def values(tmp_path_factory):
         fitted.residuals[0],
         log,
         tc.optimize.LogNormal(100.0, 0.5),
+        planned,
+        planned.meshes[0],
         tc.plot.residuals(fitted.residuals[0]),
         tc.gradient(moving, lambda time, nodes, velocities: nodes[2, 3], ["stiffness"]),
         height,

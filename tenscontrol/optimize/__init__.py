@@ -1,7 +1,13 @@
-"""Derivatives of runs, and fits of models to logs."""
+"""Derivatives of runs, fits of models to logs, and optimal motions."""
 
 from tenscontrol.optimize.fit import Fit, Identifiability, Validation, fit, identifiable
 from tenscontrol.optimize.log import Log
+from tenscontrol.optimize.optimal_motion import (
+    Mesh,
+    OptimalMotion,
+    OptimalMotionWarning,
+    optimal_motion,
+)
 from tenscontrol.optimize.sensitivity import Gradient, Sensitivity, gradient, sensitivity
 from tenscontrol.optimize.unknowns import LogNormal
 
@@ -11,10 +17,14 @@ __all__ = [
     "Identifiability",
     "Log",
     "LogNormal",
+    "Mesh",
+    "OptimalMotion",
+    "OptimalMotionWarning",
     "Sensitivity",
     "Validation",
     "fit",
     "gradient",
     "identifiable",
+    "optimal_motion",
     "sensitivity",
 ]

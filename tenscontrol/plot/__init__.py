@@ -20,6 +20,7 @@ from tenscontrol.plot.interactive_view import view
 from tenscontrol.plot.least_mass import MassDrawing, least_mass
 from tenscontrol.plot.mode_shapes import ModeShape, mode_shapes
 from tenscontrol.plot.motion_histories import health, motors, tracking, trajectory
+from tenscontrol.plot.planned_motion import optimal_motion
 from tenscontrol.plot.pole_map import PoleMap, poles
 from tenscontrol.plot.strength_margins import strength, utilization
 from tenscontrol.plot.structure_drawing import Drawing, structure
@@ -48,6 +49,7 @@ __all__ = [
     "long_run",
     "mode_shapes",
     "motors",
+    "optimal_motion",
     "poles",
     "residuals",
     "save_figure",

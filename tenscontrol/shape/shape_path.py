@@ -265,7 +265,7 @@ def shape_path(
         "require_stable", require_stable, "whether a path through shapes that buckle is refused"
     )
     validation.choice("place", place, PLACES)
-    begin, end = _path_end(model, "start", start), _path_end(model, "goal", goal)
+    begin, end = path_end(model, "start", start), path_end(model, "goal", goal)
     step = validation.positive_number("step", step, "s")
     ramp = validation.positive_number("ramp", ramp, "shares of the duration")
     if ramp > 0.5:
@@ -281,7 +281,7 @@ def shape_path(
         duration = validation.positive_number("duration", duration, "s")
     elif rate is None:
         raise ValueError("expected duration, or winches with a rate, which settle the time")
-    _refuse_same(model, begin, end)
+    refuse_same(model, begin, end)
 
     # Equal where all strings are slack.
     level = max(float(rest.force_density.max()) for rest in (begin, end)) or 1.0
@@ -355,7 +355,7 @@ def _with_centre_kept(
     return np.stack(shapes, axis=-1), np.stack(rates, axis=-1)
 
 
-def _path_end(model: Model, name: str, value: object) -> Prestress:
+def path_end(model: Model, name: str, value: object) -> Prestress:
     """Return an end of the path as an equilibrium of this model."""
     rest = value.prestress if isinstance(value, ShapeTarget) else value
     validation.instance(
@@ -381,7 +381,7 @@ def _path_end(model: Model, name: str, value: object) -> Prestress:
     return rest
 
 
-def _refuse_same(model: Model, start: Prestress, goal: Prestress) -> None:
+def refuse_same(model: Model, start: Prestress, goal: Prestress) -> None:
     """Raise if start and goal are the same equilibrium."""
     travel = np.linalg.norm(goal.structure.nodes - start.structure.nodes, axis=0).max()
     change = np.abs(goal.force_density - start.force_density).max()

@@ -121,6 +121,9 @@ RESULTS = {
     "optimize.Fit",
     "optimize.Gradient",
     "optimize.Identifiability",
+    "optimize.Mesh",
+    "optimize.OptimalMotion",
+    "optimize.OptimalMotionWarning",
     "optimize.Sensitivity",
     "optimize.Validation",
     "plant.ActuatorChoice",
@@ -215,6 +218,8 @@ WITHIN = {
     "plant.Rigidity.table",
     "optimize.Fit.table",
     "optimize.Identifiability.table",
+    "optimize.OptimalMotion.summary",
+    "optimize.OptimalMotion.table",
     "optimize.Sensitivity.table",
     "simulation.Strength.table",
     "sizing.Complexity.table",
@@ -916,6 +921,58 @@ call("optimize.Fit.save", lambda: {"file": scratch("fit.json")}, fitted, share=0
 call("optimize.Fit.validate", lambda: {"log": logged()}, fitted, share=0.2)
 call("plot.residuals", lambda: {"found": fitted().residuals[0], "ax": flat()}, share=0.2)
 call("plot.intervals", lambda: {"found": fitted(), "ax": flat()}, share=0.2)
+
+# ---- optimal motions ----
+
+
+def on_rail(place):
+    nodes = [[-2.0, place, 2.0], [0.0, 0.0, 0.0]]
+    fixed, mass = [0, 2, (1, "y")], [0.0, 2.0, 0.0]
+    rail = tc.Structure(nodes, [], [[0, 1], [1, 2]], None, fixed=fixed, point_mass=mass)
+    return tc.prestress(rail, 10 / np.array([2 + place, 2 - place]))
+
+
+def along_rail():
+    return {
+        "model": tc.Model(on_rail(-0.2).structure, strings=tc.LinearStrings(100.0, 1.0)),
+        "start": on_rail(-0.2),
+        "goal": on_rail(0.2),
+        "winches": tc.Winches(rate=1.0),
+        "intervals": 4,
+        "tolerance": 1e-2,
+    }
+
+
+@cache
+def planned():
+    return tc.optimal_motion(**along_rail())
+
+
+call(
+    "optimal_motion",
+    lambda: (
+        along_rail()
+        | {
+            "minimize": "effort",
+            "duration": 1.0,
+            "input": "rest_length",
+            "min_force_density": 0.1,
+            "max_force_density": np.full(2, 90.0),
+            "max_tension": 100.0,
+            "max_power": np.full(2, 100.0),
+            "min_clearance": None,
+            "obstacles": lambda nodes: 5.0 - nodes[0, 1],
+            "refinements": 1,
+            "most_iterations": 50,
+            "progress": False,
+        }
+    ),
+    share=0.1,
+)
+call("optimize.OptimalMotion.at", lambda: {"time": 0.1}, planned)
+call("optimize.OptimalMotion.reference", lambda: {"times": [0.0, 0.1]}, planned, share=0.3)
+call("optimize.OptimalMotion.goal_distance", lambda: {"nodes": planned().nodes}, planned)
+call("plot.optimal_motion", lambda: {"motion": planned(), "axes": None}, share=0.1)
 
 # ---- dynamics and actuation ----
 

@@ -1,0 +1,258 @@
+"""Limits of strings, motors, bars and obstacles that a planned motion keeps at every instant."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from tenscontrol import validation
+from tenscontrol.actuation.motors import each_motor
+from tenscontrol.actuation.winches import Winches
+from tenscontrol.arrays import FloatArray
+from tenscontrol.dynamics import kernel
+from tenscontrol.dynamics.evaluator import Function, builds
+from tenscontrol.dynamics.model import Model
+from tenscontrol.optimize.collocation import Instant, Rows, positive, stacked
+from tenscontrol.shape.force_bounds import checked_bounds
+from tenscontrol.statics.prestress import Prestress
+from tenscontrol.structure.bar_clearance import bar_distances
+from tenscontrol.structure.structure import Structure
+from tenscontrol.structure.supports import free_coordinates
+
+# Strings keep this part of the force densities, and of the stretch, that they have at the ends: so
+# none goes slack between the instants at which limits are kept.
+_TAUT = 0.02
+
+# Of the squared lengths of two bars: added where they may be parallel.
+_PARALLEL = 1e-9
+
+# Limits of places alone; by how much a limit, scaled to order one, may be passed at an end.
+_OF_PLACES, _OFF = ("min_clearance", "obstacles"), 1e-9
+
+# How CasADi calls a function of the nodes, and what users give.
+Obstacles = Callable[[Any], Any]
+
+
+@dataclass(frozen=True, eq=False)
+class StringState:
+    """Expressions of the strings at an instant, shape (α, 1) each."""
+
+    nodes: Any  # (d, n), m
+    velocities: Any  # (d, n), m/s
+    length: Any  # m
+    rate: Any  # m/s
+    force_density: Any  # N/m
+    pull: Any  # force that winds each string in, N
+    power: Any  # of the motors, W
+
+
+class MotionLimits:
+    """Limits of a planned motion, from the arguments of a user.
+
+    Attributes
+    ----------
+    input_range : ndarray, shape (2, α)
+        Least and largest input.
+    rate : ndarray, shape (α,)
+        Largest rate of the rest lengths, m/s; infinite where there is no limit, and where force
+        densities are the input.
+    level : float
+        Size of the force densities, N/m.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        input: str,
+        winches: Winches | None,
+        min_force_density: object,
+        max_force_density: object,
+        max_tension: object,
+        max_power: object,
+        min_clearance: object,
+        obstacles: Obstacles | None,
+        level: float,
+    ) -> None:
+        structure = model.structure
+        count = len(structure.strings)
+        self._model, self._input, self._structure = model, input, structure
+        self.level, self._size = level, float(np.ptp(structure.nodes, axis=1).max())
+        given = winches if input == "rest_length" else None
+        bounds = checked_bounds(model, min_force_density, max_force_density, given, None)
+        self.bounds = bounds
+        none = np.full(count, np.inf)
+        self.tension = validation.limit_per_member("max_tension", max_tension, count, "string")
+        validation.positive("max_tension", self.tension, "tension in N")
+        self.power = validation.limit_per_member("max_power", max_power, count, "string")
+        validation.positive("max_power", self.power, "power in W")
+        largest, self.pull = none, none
+        if winches is not None:
+            rate = winches.largest_rate
+            largest = none if rate is None else np.broadcast_to(rate, count)
+            if rate is not None:
+                validation.one_or_per_string("winches.rate", rate, count)
+            self.pull = _most_pull(winches, count)
+        is_wound = input == "rest_length"
+        self.rate, self._length_rate = (largest, none) if is_wound else (none, largest)
+        low, high = (0.0, np.inf) if bounds.rest_length is None else bounds.rest_length
+        if not is_wound:
+            low, high = bounds.low, bounds.highest
+        self.input_range = np.array([np.full(count, low), np.full(count, high)])
+        self._clearance = None
+        if min_clearance is not None:
+            self._clearance = validation.positive_number("min_clearance", min_clearance, "m")
+        if obstacles is not None:
+            validation.function("obstacles", obstacles, "nodes -> expressions of at least 0")
+        self._obstacles = obstacles
+        self._least = np.zeros((2, count))  # force density and stretch of strings that are taut
+
+    def keep_taut(self, ends: tuple[Prestress, Prestress]) -> None:
+        """Let strings go no further towards slack than a part of what both ends have."""
+        law = self._model.strings
+        if self._input == "force_density" or law is None:
+            return
+        found = []
+        for rest in ends:
+            length, gamma = rest.structure.string_length(), rest.force_density
+            found.append([gamma, length - law.rest_length(length, gamma)])
+        self._least = _TAUT * np.min(found, axis=0)
+
+    @builds
+    def refuse_end(self, name: str, rest: Prestress) -> None:
+        """Raise if a limit does not hold at rest in an equilibrium, which is an end of the motion.
+
+        Where force densities are the input, those of the equilibrium need not act.
+        """
+        structure, law = self._structure, self._model.strings
+        value = rest.force_density
+        if self._input == "rest_length":
+            assert law is not None  # rest lengths are the input
+            value = law.rest_length(rest.structure.string_length(), value)
+        places = free_coordinates(structure, rest.structure.nodes)
+        symbols = [
+            ca.SX.sym(letter, len(each)) for letter, each in zip("nu", (places, value), strict=True)
+        ]
+        still = [ca.SX.zeros(len(each)) for each in (places, value)]
+        rows = self.rows(Instant(symbols[0], still[0], symbols[1], still[1]))
+        found = np.array(Function("rows", symbols, [ca.densify(rows.value)])(places, value)).ravel()
+        for label, number, low, high in zip(rows.labels, found, rows.low, rows.high, strict=True):
+            is_fixed = self._input == "rest_length" or label in _OF_PLACES
+            if is_fixed and not low - _OFF <= number <= high + _OFF:
+                raise ValueError(
+                    f"{name} is an end of the motion, but does not keep the limit of {label} at "
+                    "rest: give another end, or a wider limit"
+                )
+
+    def rows(self, now: Instant) -> Rows:
+        """Return what holds at an instant."""
+        state = self.state(now)
+        rows = [*self._string_rows(now, state), *self._motor_rows(state)]
+        if self._clearance is not None:
+            apart = bar_clearances(self._structure, state.nodes)
+            rows.append(positive((apart - self._clearance) / self._size, "min_clearance"))
+        if self._obstacles is not None:
+            rows.append(positive(_column(self._obstacles(state.nodes)) / self._size, "obstacles"))
+        return stacked(rows)
+
+    def state(self, now: Instant) -> StringState:
+        """Return the strings at an instant, as if all were taut."""
+        structure, law = self._structure, self._model.strings
+        nodes, velocities = (
+            kernel.all_nodes(structure, kernel.free_columns(structure, part), fixed)
+            for part, fixed in ((now.places, structure.nodes), (now.velocities, None))
+        )
+        length, rate = (
+            row.T for row in kernel.string_motion(structure, nodes, ca.densify(velocities))
+        )
+        if self._input == "force_density":
+            tension = now.input * length
+            return StringState(nodes, velocities, length, rate, now.input, tension, -tension * rate)
+        assert law is not None  # rest lengths are the input
+        gamma = law.taut_force_density(length, now.input, rate)
+        wound = ca.SX.sym("wound", now.input.numel())
+        stored = law.as_expressions().stored_energy(length, wound)
+        pull = -ca.jtimes(stored, wound, ca.DM.ones(wound.shape))
+        pull = ca.substitute(pull, wound, now.input)
+        return StringState(nodes, velocities, length, rate, gamma, pull, -pull * now.rate)
+
+    def _string_rows(self, now: Instant, state: StringState) -> list[Rows]:
+        """Return limits of force densities and tensions, and that strings are taut."""
+        bounds, rows = self.bounds, list[Rows]()
+        if self._input == "rest_length":
+            least = np.maximum(bounds.low, self._least[0])
+            kept = state.force_density / self.level
+            label = ("force density",) * len(least)
+            rows.append(Rows(kept, least / self.level, bounds.highest / self.level, label))
+            law = self._model.strings
+            if law is not None and law.is_damped:  # which pulls while it is too short
+                spare = state.length - now.input - ca.DM(self._least[1])
+                rows.append(positive(spare / self._size, "taut strings"))
+        tension = state.force_density * state.length
+        rows.append(_at_most(tension, self.tension, "max_tension"))
+        return rows
+
+    def _motor_rows(self, state: StringState) -> list[Rows]:
+        """Return limits of torque, power and, of cables under force control, speed."""
+        return [
+            _at_most(state.pull, self.pull, "torque of the motors"),
+            _at_most(state.power, self.power, "max_power"),
+            _at_most(state.rate, self._length_rate, "rate"),
+            _at_most(-state.rate, self._length_rate, "rate"),
+        ]
+
+
+def _most_pull(winches: Winches, count: int) -> FloatArray:
+    """Return the force that each motor holds, N, or raise for motors that are not planned for."""
+    motor = winches.motor
+    if motor is None:
+        return np.full(count, np.inf)
+    if motor.inertia.any() or motor.lag.any() or motor.backlash.any():
+        raise ValueError(
+            "winches have motors with inertia, lag or backlash, and the rates of a planned motion "
+            "jump from interval to interval: give motors without them, and see by "
+            "simulate(..., controller=...) how yours follow"
+        )
+    return each_motor(motor, count).most_tension
+
+
+def _at_most(value: Any, limit: FloatArray, label: str) -> Rows:
+    limited = np.flatnonzero(np.isfinite(limit)).tolist()
+    return positive(1 - value[limited] / ca.DM(limit[limited]), label)
+
+
+def _column(value: Any) -> Any:
+    """Return what a function of a user says as a column, or raise."""
+    if isinstance(value, list | tuple):
+        value = ca.vertcat(*value)
+    if not isinstance(value, ca.SX):
+        raise validation.wrong_kind(
+            "what obstacles returns", value,
+            "expressions in CasADi, as ca.sumsqr(nodes[:, 5] - centre) - radius**2",
+        )  # fmt: skip
+    return ca.vec(value)
+
+
+def bar_clearances(structure: Structure, N: Any) -> Any:
+    """Return expressions of the distances of all pairs of bars that share no node, m, SX."""
+    distances = list[Any]()
+    for i, j in bar_distances(structure, structure.nodes).pairs.tolist():
+        (a, b), (c, d) = structure.bars[[i, j]].tolist()
+        u, v, w = N[:, b] - N[:, a], N[:, d] - N[:, c], N[:, a] - N[:, c]
+        uu, vv, uv = ca.dot(u, u), ca.dot(v, v), ca.dot(u, v)
+        uw, vw = ca.dot(u, w), ca.dot(v, w)
+        # The nearest places of two lines, then of their segments (Ericson 2005, 5.1.9).
+        across = uu * vv - uv**2 + _PARALLEL * uu * vv
+        s = _clipped((uv * vw - vv * uw) / across)
+        t = _clipped((uv * s + vw) / vv)
+        s = _clipped((uv * t - uw) / uu)
+        gap = w + s * u - t * v
+        distances.append(ca.norm_2(gap))
+    return ca.vertcat(ca.SX(0, 1), *distances)
+
+
+def _clipped(share: Any) -> Any:
+    return ca.fmin(ca.fmax(share, 0), 1)

@@ -1,0 +1,282 @@
+"""Optimal motions against closed forms, and of the arm against its replay."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import tenscontrol as tc
+from tenscontrol.optimize import OptimalMotionWarning
+from tenscontrol.status import Status
+
+# A mass on a rail between two strings: kg, m, N, and how far away they are fixed, m.
+MASS, WAY, FORCE, REACH = 2.0, 0.4, 3.0, 20.0
+
+
+def rail(place):
+    """Return the structure with its mass at a place, m."""
+    return tc.Structure(
+        [[-REACH, place, REACH], [0.0, 0.0, 0.0]],
+        bars=[],
+        strings=[[0, 1], [1, 2]],
+        bar_mass=None,
+        fixed=[0, 2, (1, "y")],
+        point_mass=[0.0, MASS, 0.0],
+    )
+
+
+def along_rail(**arguments):
+    """Return the optimal motion along the rail."""
+    ends = [
+        tc.prestress(rail(x), 1 / np.array([REACH + x, REACH - x])) for x in (-WAY / 2, WAY / 2)
+    ]
+    return tc.optimal_motion(tc.Model(rail(-WAY / 2)), *ends, **arguments)
+
+
+def force(motion):
+    """Return the force on the mass in the middle of each interval, N, and when, s."""
+    time = (motion.time[1:] + motion.time[:-1]) / 2
+    run = tc.simulate(motion.model, motion.duration, force_density=motion.profile, error="none")
+    x = np.interp(time, run.time, run.nodes[0, 1])
+    left, right = motion.profile.at(time)
+    return right * (REACH - x) - left * (REACH + x), time
+
+
+def test_fastest_motion_along_a_rail_is_bang_bang():
+    motion = along_rail(max_tension=FORCE, intervals=20)
+    assert motion.status is Status.OK
+    np.testing.assert_allclose(motion.duration, 2 * np.sqrt(MASS * WAY / FORCE), rtol=1e-6)
+    pushed = force(motion)[0]
+    np.testing.assert_allclose(pushed, np.repeat([FORCE, -FORCE], 10), rtol=1e-4)
+    assert motion.goal_miss < 1e-6
+    assert motion.peak_tension < FORCE * (1 + 1e-5)
+
+
+def test_motion_of_least_effort_is_a_cubic():
+    duration = 1.5
+    motion = along_rail(minimize="effort", duration=duration, intervals=20)
+    largest = 6 * MASS * WAY / duration**2
+    pushed, time = force(motion)
+    np.testing.assert_allclose(pushed, largest * (1 - 2 * time / duration), atol=1e-4 * largest)
+    share = motion.time / duration
+    way = WAY * (3 * share**2 - 2 * share**3) - WAY / 2
+    np.testing.assert_allclose(motion.nodes[0, 1], way, atol=1e-4 * WAY)
+    np.testing.assert_allclose(motion.cost, 12 * (MASS * WAY) ** 2 / duration**3, rtol=1e-4)
+
+
+# ---- the arm ----
+
+RATE = 0.8
+WINCHES = tc.Winches(rate=RATE, shortest=0.1)
+
+
+@pytest.fixture(scope="module")
+def arm():
+    """Return model, start and goal: the tip 10 cm higher."""
+    structure = tc.library.arm()
+    model = tc.Model(structure, strings=tc.LinearStrings(stiffness=500.0, damping=2.0))
+    rest = tc.prestress(structure, min_force_density=50.0)
+    raised = tc.NodesAt([5], structure.nodes[:, [5]] + [[0.0], [0.1]])
+    return model, rest, tc.shape_target(model, raised, force_density=50.0)
+
+
+@pytest.fixture(scope="module")
+def fastest(arm):
+    return tc.optimal_motion(*arm, winches=WINCHES)
+
+
+def test_the_arm_is_at_rest_at_its_goal_within_a_fifth_of_a_second(arm, fastest):
+    model, _, goal = arm
+    run = tc.simulate(
+        model, fastest.duration, rest_length=fastest.profile, method="cvodes", tolerance=1e-8
+    )
+    assert fastest.status is Status.OK
+    assert fastest.guess == "path"
+    assert fastest.duration < 0.2
+    assert np.abs(run.nodes[:, :, -1] - goal.nodes).max() < 2e-5
+    assert np.abs(run.velocities[:, :, -1]).max() < 1e-3
+    assert np.abs(fastest.rate).max() < RATE * (1 + 1e-9)
+    length = np.linalg.norm(model.structure.bar_vectors(fastest.nodes[:, :, 7]), axis=0)
+    np.testing.assert_allclose(length, model.structure.bar_length, rtol=1e-7)
+    assert fastest.least_force_density > 1.0
+    assert "ok" in fastest.summary()
+
+
+@pytest.fixture(scope="module")
+def coarse(arm):
+    return tc.optimal_motion(*arm, winches=WINCHES, intervals=6, tolerance=1e-2)
+
+
+def test_identical_calls_take_identical_iterations(arm, coarse):
+    again = tc.optimal_motion(*arm, winches=WINCHES, intervals=6, tolerance=1e-2)
+    assert repr(again.meshes) == repr(coarse.meshes)
+    np.testing.assert_array_equal(again.nodes, coarse.nodes)
+
+
+def test_finer_intervals_are_hardly_faster(fastest, coarse):
+    assert fastest.duration < coarse.duration < 1.03 * fastest.duration
+
+
+def test_meshes_are_halved_until_the_replay_meets_the_goal(arm):
+    motion = tc.optimal_motion(*arm, winches=WINCHES, intervals=5, tolerance=1e-4)
+    misses = [mesh.goal_miss for mesh in motion.meshes]
+    assert [mesh.intervals for mesh in motion.meshes][:2] == [5, 10]
+    assert motion.status is Status.OK
+    # Gauss points are of order 4.
+    assert misses[-1] < misses[0] / 8 ** (len(misses) - 1)
+
+
+def test_least_effort_is_stationary_by_the_derivatives_of_the_simulator(arm):
+    model, _, goal = arm
+    motion = tc.optimal_motion(*arm, minimize="effort", duration=0.3, intervals=20)
+    run = tc.simulate(model, 0.3, rest_length=motion.profile, method="dop853", tolerance=1e-8)
+    tangent = tc.sensitivity(run, ["rest_length"])
+    frame = tc.dynamics.coordinates(model, goal.nodes, "internal")
+    J = []
+    for by in (tangent.nodes, tangent.velocities):
+        slope = by["rest_length"][:, :, 0, :, 1:-1]  # by the values between the ends
+        d, n = slope.shape[:2]
+        J.append(frame.projection @ slope.swapaxes(0, 1).reshape(d * n, -1))
+    J = np.vstack(J)
+    change = np.diff(motion.rest_length, axis=1) / (0.3 / 20)
+    slope = 2 * (change[:, :-1] - change[:, 1:]).ravel()
+    multipliers = np.linalg.lstsq(J.T, slope, rcond=None)[0]
+    left = slope - J.T @ multipliers
+    assert np.linalg.norm(left) < 2e-3 * np.linalg.norm(slope)
+
+
+def test_least_work_is_that_of_the_replay(arm):
+    motion = tc.optimal_motion(
+        *arm, winches=WINCHES, minimize="energy", duration=0.3, intervals=10, tolerance=1e-3
+    )
+    np.testing.assert_allclose(motion.energy, motion.cost, rtol=5e-3)
+    assert motion.duration == pytest.approx(0.3)
+    # Less than what raises the elastic energy cannot be.
+    run = motion.run
+    assert motion.energy > run.energy[-1] - run.energy[0]
+
+
+def test_a_cost_of_ones_is_the_duration(arm, coarse):
+    motion = tc.optimal_motion(
+        *arm,
+        winches=WINCHES,
+        minimize=lambda nodes, velocities, rest_length, rate: 1 + 1e-3 * ca.sumsqr(rate / RATE),
+        intervals=6,
+        tolerance=1e-2,
+    )
+    np.testing.assert_allclose(motion.cost, coarse.duration, rtol=1e-2)
+    assert motion.minimize == "<lambda>"
+
+
+def test_limits_hold_in_the_replay(arm, fastest):
+    model, _, _ = arm
+    centre = model.structure.nodes[:, 5] + [-0.04, 0.05]
+    motor = tc.Motor(drum_radius=0.01, gear_ratio=10.0, torque=0.108, speed=800.0)
+    motion = tc.optimal_motion(
+        *arm,
+        winches=tc.Winches(motor=motor),
+        max_power=60.0,
+        obstacles=lambda nodes: ca.norm_2(nodes[:, 5] - ca.DM(centre)) - 0.04,
+        intervals=8,
+        tolerance=3e-3,
+    )
+    assert motion.status is Status.OK
+    assert motion.duration > fastest.duration
+    assert motion.peak_tension < 108.0 * (1 + 1e-3)
+    assert np.abs(motion.rate).max() < 0.8 * (1 + 1e-9)
+    away = np.linalg.norm(motion.run.nodes[:, 5] - centre[:, None], axis=0)
+    assert away.min() > 0.04 - 2e-3
+    assert np.linalg.norm(fastest.run.nodes[:, 5] - centre[:, None], axis=0).min() < 0.04 - 2e-3
+
+
+def test_what_cannot_be_done_in_time_says_so(arm):
+    with pytest.warns(OptimalMotionWarning, match="Give more time"):
+        motion = tc.optimal_motion(
+            *arm, winches=WINCHES, minimize="effort", duration=0.1, intervals=4
+        )
+    assert motion.run is None
+    assert motion.status is Status.INFEASIBLE
+    assert np.isnan(motion.goal_miss)
+    for use in (lambda: motion.profile, motion.reference, lambda: tc.plot.optimal_motion(motion)):
+        with pytest.raises(ValueError, match="planned"):
+            use()
+
+
+def test_mpc_follows_the_plan(arm, fastest):
+    model, _, goal = arm
+    plant = tc.linearize(model, goal.prestress, input="rest_length")
+    mpc = tc.MPC(
+        plant, horizon=10, sample_time=0.01, reference=fastest.reference(),
+        winches=tc.Winches(rate=2.0, ramp=True), min_force_density=1.0,
+    )  # fmt: skip
+    run = tc.simulate(
+        model, 0.5, controller=mpc, winches=tc.Winches(rate=2.0, ramp=True),
+        rest_length=fastest.rest_length[:, 0], error="none",
+    )  # fmt: skip
+    half = int(np.searchsorted(run.time, fastest.duration / 2))
+    assert np.abs(run.nodes[:, :, half] - fastest.at(run.time[half])[0]).max() < 0.02
+    assert np.abs(run.nodes[:, :, -1] - goal.nodes).max() < 3e-3
+
+
+def test_a_free_prism_gets_lower_wherever_it_turns():
+    prism = tc.prism()
+    model = tc.Model(prism, strings=tc.LinearStrings(100.0, damping=0.5))
+    rest = tc.prestress(prism, force_density=17.3205)
+    low = tc.Height(0.9, top=[0, 1, 2], bottom=[3, 4, 5])
+    motion = tc.optimal_motion(
+        model, rest, low, winches=tc.Winches(rate=0.2), intervals=12, tolerance=2e-3
+    )
+    assert motion.status is Status.OK
+    last = motion.run.nodes[:, :, -1]
+    height = np.linalg.norm(last[:, :3].mean(axis=1) - last[:, 3:].mean(axis=1))
+    assert height == pytest.approx(0.9, abs=4e-3)
+    assert motion.goal_distance(motion.run.nodes)[-1] == motion.goal_miss
+
+
+# ---- bars, and bad input ----
+
+
+def test_distances_of_bars_are_those_of_the_structure():
+    from tenscontrol.optimize.motion_limits import bar_clearances
+    from tenscontrol.structure.bar_clearance import bar_distances
+
+    ball = tc.library.six_bar_ball()
+    N = ca.SX.sym("N", *ball.nodes.shape)
+    function = ca.Function("apart", [N], [bar_clearances(ball, N)])
+    random = np.random.default_rng(0)
+    for _ in range(20):
+        nodes = ball.nodes + 0.5 * random.normal(size=ball.nodes.shape)
+        found = np.array(function(nodes)).ravel()
+        np.testing.assert_allclose(found, bar_distances(ball, nodes).distance, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ({"minimize": "tim"}, "minimize"),
+        ({"minimize": "energy"}, "expected duration"),
+        ({"duration": 1.0}, "duration is given"),
+        ({"max_tension": -1.0}, "max_tension"),
+        ({"min_clearance": 0.1}, "plane"),
+        ({"intervals": 0}, "intervals"),
+        ({"min_force_density": 60.0}, "start"),
+        ({"winches": tc.Winches(motor=tc.Motor(0.01, torque=1.0, inertia=1e-4))}, "inertia"),
+        ({"obstacles": lambda nodes: "far"}, "obstacles"),
+        ({"minimize": lambda nodes, velocities, input, rate: nodes}, "minimize"),
+        ({"max_tension": 90.0}, "start is an end.*max_tension"),
+        ({"obstacles": lambda nodes: 1.05 - nodes[1, 5]}, "goal is an end.*obstacles"),
+    ],
+)
+def test_bad_arguments_are_named(arm, arguments, text):
+    with pytest.raises((TypeError, ValueError), match=text):
+        tc.optimal_motion(*arm, **({"winches": WINCHES} | arguments))
+
+
+def test_ends_are_checked(arm):
+    model, rest, _ = arm
+    with pytest.raises(ValueError, match="same shape"):
+        tc.optimal_motion(model, rest, rest, winches=WINCHES)
+    far = tc.NodesAt([5], model.structure.nodes[:, [5]] + [[1.0], [0.0]])
+    with pytest.raises(tc.shape.ShapeError, match="no equilibrium"):
+        tc.optimal_motion(model, rest, far, winches=WINCHES)
+    with pytest.raises(ValueError, match="ground"):
+        tc.optimal_motion(model.replace(ground=tc.Ground(1e3)), rest, rest)
