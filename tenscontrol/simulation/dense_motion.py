@@ -50,7 +50,8 @@ class DenseMotion:
         if len(run.spans) != 2:
             return None
         (start, span), ends = run.spans, run.spans[1].ends
-        if ends is None or len(ends.time) <= len(span.time):
+        outputs = len(span.time)
+        if ends is None or not outputs or len(ends.time) <= outputs:  # none: it stopped before
             return None
         last, begin = span.time[-1], start.time[0]
         time, states = begin + ends.time, ends.states

@@ -81,6 +81,14 @@ def test_the_adaptive_method_fails_loudly_too():
     assert np.isfinite(run.nodes).all()
 
 
+def test_one_that_stops_before_the_first_output_leaves_the_start():
+    model = tc.Model(tc.prism(), strings=tc.LinearStrings(1e4))
+    options = {"rest_length": tight(), "tolerance": 1e-2, "project": False, "output_step": 2.0}
+    with pytest.raises(tc.simulation.SimulationError, match="dop853 stopped after") as info:
+        tc.simulate(model, 2.0, method="dop853", **options)
+    assert info.value.trajectory.time.tolist() == [0.0]
+
+
 def test_in_closed_loop_the_record_comes_with_it(rest):
     model = stiff_model()
     plant = tc.linearize(model, rest, "rest_length")
