@@ -53,8 +53,8 @@ def is_missing(package: str) -> bool:
 # ---- forces ----
 
 
-def by_nodes(case: tc.Scene, xp: Any) -> Acceleration:
-    """Return accelerations, each string reckoned at both of its nodes."""
+def by_nodes(case: tc.Scene, xp: Any, lengths: Any = None) -> Acceleration:
+    """Return accelerations, each string reckoned at both of its nodes; of other rest lengths."""
     structure = case.structure
     near: list[list[tuple[int, int]]] = [[] for _ in range(structure.nodes.shape[1])]
     for string, (one, other) in enumerate(structure.strings.tolist()):
@@ -64,7 +64,7 @@ def by_nodes(case: tc.Scene, xp: Any) -> Acceleration:
     full = [[*some, *[(node, -1)] * (most - len(some))] for node, some in enumerate(near)]
     partner, string = np.array(full).transpose(2, 1, 0)
     stiffness = np.append(_stiffness(case), 0.0)[string]
-    rest = np.append(case.input_value, 1.0)[string]
+    rest = xp.append(case.input_value if lengths is None else lengths, 1.0)[string]
     bars = _bars(case, xp)
 
     def accelerations(N: Any, V: Any) -> Any:
