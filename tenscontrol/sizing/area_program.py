@@ -140,8 +140,8 @@ class AreaProgram:
             return None
         if answer.status != 0:
             raise ArithmeticError(f"the linear program of least mass ended early: {answer.message}")
-        found = answer.x[: cases * pieces].reshape(cases, pieces)
-        x = np.asarray(program.segments.start + (program.pulls @ found.T).T)
+        segment_forces = answer.x[: cases * pieces].reshape(cases, pieces)
+        x = np.asarray(program.segments.start + (program.pulls @ segment_forces.T).T)
         return np.where(np.abs(x) < _ROUND_OFF * np.abs(x).max(initial=0.0), 0.0, x)
 
     def _linear_program(self, slope: FloatArray, offset: FloatArray) -> _LinearProgram:
@@ -166,9 +166,9 @@ class AreaProgram:
             shape=(len(owner), pieces),
         )  # fmt: skip
         pulls = csr_array((segments.sign, (member, np.arange(pieces))), shape=(count, pieces))
-        each = eye_array(cases)
-        equal = [[kron(each, self.balance @ pulls), csr_array((self.loads.size, len(groups)))]]
-        above = [[kron(each, needs), kron(np.ones((cases, 1)), -served, format="csr")]]
+        identity = eye_array(cases)
+        equal = [[kron(identity, self.balance @ pulls), csr_array((self.loads.size, len(groups)))]]
+        above = [[kron(identity, needs), kron(np.ones((cases, 1)), -served, format="csr")]]
         of_groups = unit * np.bincount(owner, self.per_area[shares], len(groups))
         alone = np.where(own, 0.0, segments.slope * self.per_area[member])
         cost = np.r_[np.tile(alone, cases), of_groups]
@@ -187,11 +187,11 @@ class AreaProgram:
         left = np.stack([np.maximum(x - start, 0.0), np.maximum(start - x, 0.0)])
         filled = np.zeros((cases, len(member)))
         # Segments come in blocks of ascending members.
-        for part in np.split(np.arange(len(member)), np.flatnonzero(np.diff(member) < 0) + 1):
-            way = (sign[part] < 0).astype(int)
-            take = np.minimum(left[way, :, member[part]].T, most[part])
-            filled[:, part] = take
-            left[way, :, member[part]] -= take.T
+        for block in np.split(np.arange(len(member)), np.flatnonzero(np.diff(member) < 0) + 1):
+            way = (sign[block] < 0).astype(int)
+            take = np.minimum(left[way, :, member[block]].T, most[block])
+            filled[:, block] = take
+            left[way, :, member[block]] -= take.T
         unknowns = np.r_[filled.ravel(), np.zeros(groups)]
         if groups:
             needed = program.above @ unknowns - program.most_above

@@ -61,8 +61,8 @@ def wound_once(
             "common_prestress is True, yet no self-stress has every string at min_force_density "
             "without loads; leave it out, or let strings go slack by min_force_density=0"
         )
-    found = [_descent(program, method, per_stiffness, area) for area in starts]
-    ended = [wound for wound in found if wound is not None]
+    minima = [_descent(program, method, per_stiffness, area) for area in starts]
+    ended = [wound for wound in minima if wound is not None]
     if not ended:
         raise ArithmeticError(
             "no prestress was found with which every string stays at min_force_density under each "
@@ -93,9 +93,9 @@ def _descent(
     cases, states = len(program.loads), method.states.shape[1]
     groups = int(group.max()) + 1
     # Areas of groups are in parts of those to start from.
-    part = np.zeros(groups)
-    np.maximum.at(part, group, np.maximum(start, _THIN * start.max()))
-    size = part[group]
+    start_area = np.zeros(groups)
+    np.maximum.at(start_area, group, np.maximum(start, _THIN * start.max()))
+    size = start_area[group]
     weight = np.bincount(group, program.per_area * size, groups)
     a, s = ca.SX.sym("a", groups), ca.SX.sym("s", states)
     shares = [ca.SX.sym(f"c{k}", states) for k in range(cases)]

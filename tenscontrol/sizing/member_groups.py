@@ -52,8 +52,8 @@ def symmetry_groups(structure: Structure) -> Groups:
     validation.instance("structure", structure, Structure, "make one by Structure(...)")
     maps = point_group(structure)
     return {
-        "strings": _orbits([each.strings for each in maps]),
-        "bars": _orbits([each.bars for each in maps]),
+        "strings": _orbits([mapping.strings for mapping in maps]),
+        "bars": _orbits([mapping.bars for mapping in maps]),
     }
 
 
@@ -99,7 +99,7 @@ def _equal(length: FloatArray) -> list[list[int]]:
     order = np.argsort(length, kind="stable")
     step = np.diff(length[order]) > _EQUAL * length[order][1:]
     parts = np.split(order, np.flatnonzero(step) + 1) if len(order) else []
-    return [sorted(part.tolist()) for part in parts]
+    return [sorted(members.tolist()) for members in parts]
 
 
 def area_of_member(structure: Structure, groups: Any) -> IntArray:

@@ -290,8 +290,8 @@ def design(
     else:
         modulus = np.where(np.arange(x.shape[1]) < alpha, strings.modulus, bars.modulus)
         starts = [program.shared(result[1]) for result in results[:_MOST_WOUND]]
-        found = wound_once(program, lengths / modulus, starts)
-        plan, masses = found[0], np.array([wound.mass for wound in found])
+        plans = wound_once(program, lengths / modulus, starts)
+        plan, masses = plans[0], np.array([wound.mass for wound in plans])
     return _designed(structure, bars, strings, program, plan, unit, tube, masses)
 
 
@@ -440,7 +440,10 @@ def _designed(
         tuple(limit[:alpha].tolist()), tuple(limit[alpha:].tolist()),
         frozen(load[:alpha]), frozen(load[alpha:]),
         frozen(by[:alpha]), frozen(by[alpha:] - alpha), frozen(masses),
-        *(frozen(part[0]) if len(rest) else None for part in (rest[:, :alpha], rest[:, alpha:])),
+        *(
+            frozen(prestress[0]) if len(rest) else None
+            for prestress in (rest[:, :alpha], rest[:, alpha:])
+        ),
     )  # fmt: skip
 
 
