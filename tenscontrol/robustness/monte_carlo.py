@@ -126,7 +126,7 @@ def sweep(
     validation.truth("progress", progress, "whether to show a progress bar")
     processes, in_flight = _checked_workers(executor, processes, in_flight)
     name = str(getattr(case, "__qualname__", type(case).__qualname__))
-    settings = {name: each.settings() for name, each in distributions.items()}
+    settings = {name: distribution.settings() for name, distribution in distributions.items()}
     header = store.Header(__version__, name, seed, count, settings)
     path = None if file is None else validation.file_path("file", file)
     at_a_time, back_end = _runs_together(case, distributions, count)

@@ -118,7 +118,7 @@ def spread(
             # Ctrl-C must not raise within: the locks that it takes would be kept for ever.
             done, _ = wait(pending, _POLL, FIRST_COMPLETED)
             # Records first: what is done is kept, whatever became of the others.
-            for future in sorted(done, key=lambda each: (_error(each) is not None, pending[each])):
+            for future in sorted(done, key=lambda task: (_error(task) is not None, pending[task])):
                 error = _error(future)
                 if error is not None:
                     raise _stopped(error, pending[future], pending.values()) from error
