@@ -381,7 +381,7 @@ def build_faults(
     document: Document, strings: int, actuation: Actuation | None
 ) -> tuple[Fault, ...]:
     """Return the faults; ``strings`` can be cut; ``actuation`` is that of the controller."""
-    found: list[Fault] = []
+    faults: list[Fault] = []
     for table in document.entries("faults"):
         kind, entry = table.chosen("kind", schema.FAULT_KEYS)
         if kind != "cut_string" and actuation is None:
@@ -395,5 +395,5 @@ def build_faults(
             with entry.checked("string"):
                 refuse_passive(actuation, "string", np.array([string]))
         with entry.checked():
-            found.append(schema.FAULTS[kind](**entry.without("kind")))
-    return tuple(found)
+            faults.append(schema.FAULTS[kind](**entry.without("kind")))
+    return tuple(faults)

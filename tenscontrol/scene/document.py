@@ -241,8 +241,8 @@ def _note(found: dict[KeyPath, int], path: KeyPath, line: int) -> None:
 def _within(path: KeyPath, last_entry: Mapping[KeyPath, int]) -> KeyPath:
     """Return the path with the number of the latest entry after each array of tables."""
     full: KeyPath = ()
-    for depth, part in enumerate(path, start=1):
-        full = (*full, part)
+    for depth, key in enumerate(path, start=1):
+        full = (*full, key)
         if depth < len(path) and full in last_entry:
             full = (*full, last_entry[full])
     return full
@@ -255,6 +255,6 @@ def _parts(dotted: str) -> KeyPath:
     value: Any = tomllib.loads(f"{dotted} = 0")
     parts: list[str] = []
     while isinstance(value, dict):
-        ((part, value),) = value.items()
-        parts.append(part)
+        ((key, value),) = value.items()
+        parts.append(key)
     return tuple(parts)
