@@ -80,7 +80,7 @@ class Robots(VectorEnv):
         finer, state = stepper.with_step(stepper.largest_step / _FINER), stepper.state
         inputs = stepper.actuation.inputs(stepper.held.T).T
         finer.state = state
-        ends = [each.step(inputs)[0] for each in (stepper, finer)]
+        ends = [integrator.step(inputs)[0] for integrator in (stepper, finer)]
         stepper.state = state
         size = float(np.ptp(stepper.model.structure.nodes, axis=1).max())
         return float(np.nanmax(np.linalg.norm(ends[0] - ends[1], axis=1))) / size
@@ -91,7 +91,7 @@ class Robots(VectorEnv):
             return None
         from tenscontrol.plot.pictures import picture
 
-        return tuple(picture(self._stepper.model.structure, each) for each in self._motion[0])
+        return tuple(picture(self._stepper.model.structure, nodes) for nodes in self._motion[0])
 
     # ---- within an episode ----
 
