@@ -92,8 +92,8 @@ def write_mp4(path: Path, canvas: Any, pictures: Iterable[None], rate: float) ->
             "-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2:color=white,format=yuv420p",
             "-c:v", "libx264", "-crf", "18", "-movflags", "+faststart", str(film),
         ]  # fmt: skip
-        with tempfile.TemporaryFile() as told:
-            process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=told)
+        with tempfile.TemporaryFile() as log:
+            process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=log)
             assert process.stdin is not None  # a pipe was asked for
             try:
                 with suppress(BrokenPipeError), process.stdin as pipe:  # it ended, and says why
@@ -104,8 +104,8 @@ def write_mp4(path: Path, canvas: Any, pictures: Iterable[None], rate: float) ->
                 raise
             finally:
                 code = process.wait()
-            told.seek(0)
-            output = told.read().decode(errors="replace").strip()
+            log.seek(0)
+            output = log.read().decode(errors="replace").strip()
         if code != 0:
             last = output.splitlines()[-1] if output else "no reason given"
             raise OSError(f"ffmpeg could not write {str(path)!r}: {last}; or write a .gif")

@@ -134,17 +134,17 @@ def intervals(found: Fit, *, ax: Axes | None = None) -> FitDrawing:
     names = [label.split()[0] for label in found.labels]
     places = np.arange(count)
     for i, name in enumerate(dict.fromkeys(names)):
-        own = np.array([each == name for each in names])
-        told = own & found.identifiability.is_told
+        own = np.array([other == name for other in names])
+        identified = own & found.identifiability.is_told
         colour = PALETTE[i % len(PALETTE)]
-        ax.hlines(places[told], *found.interval[told].T, color=colour, linewidth=2.0)
+        ax.hlines(places[identified], *found.interval[identified].T, color=colour, linewidth=2.0)
         (lines[name],) = ax.plot(
             found.value[own], places[own], linestyle="none", marker="o", markersize=4.0,
             color=colour, markerfacecolor="none", label=name,
         )  # fmt: skip
         ax.plot(
-            found.value[told], places[told], linestyle="none", marker="o", markersize=4.0,
-            color=colour,
+            found.value[identified], places[identified], linestyle="none", marker="o",
+            markersize=4.0, color=colour,
         )  # fmt: skip
     ax.set_yticks(places, found.labels, fontsize=8)
     ax.invert_yaxis()

@@ -165,7 +165,7 @@ def trajectory(
     validation.instance("run", run, Trajectory, "make one by simulate(model, ...)")
     base, of = _base(run, relative_to)
     from_start, absolute = (
-        isinstance(relative_to, str) and relative_to == each for each in ("start", "origin")
+        isinstance(relative_to, str) and relative_to == choice for choice in ("start", "origin")
     )
     coordinates, others = _coordinates(run, nodes, directions, base, absolute)
     levels = checked_references(references, len(run.time))
@@ -333,7 +333,7 @@ def _with_statuses(panel: Curves, control: ControlRecord) -> Curves:
     labels = [
         ": ".join(filter(None, pair)) for pair in zip(control.status, control.fallback, strict=True)
     ]
-    statuses = [each for each in dict.fromkeys(labels) if each != Status.OK]
+    statuses = [label for label in dict.fromkeys(labels) if label != Status.OK]
     markers = dict(zip(statuses, cycle(_MARKERS), strict=False))
     panel = mark_statuses(panel, control.time, labels, markers)
     if statuses:
@@ -492,7 +492,7 @@ def health(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, 
             legend_above(ax)
         panels[name] = _with_doubt(panels[name], run)
     if run.bar_crossings:
-        times = np.array([each.time for each in run.bar_crossings])
+        times = np.array([crossing.time for crossing in run.bar_crossings])
         crossed = ["bars cross"] * len(times)
         panels[name] = mark_statuses(panels[name], times, crossed, {"bars cross": "x"})
         legend_above(panels[name].ax)

@@ -289,9 +289,11 @@ def draw(
     look: dict[str, Any] = {"colors": style.string_color, "linewidths": style.string_width}
     if passive is not None:
         look = {
-            "colors": [PASSIVE_COLOR if each else style.string_color for each in passive],
+            "colors": [
+                PASSIVE_COLOR if is_passive else style.string_color for is_passive in passive
+            ],
             "linewidths": style.string_width * np.where(passive, PASSIVE_WIDTH, 1.0),
-            "linestyles": [PASSIVE_DASHES if each else "solid" for each in passive],
+            "linestyles": [PASSIVE_DASHES if is_passive else "solid" for is_passive in passive],
         }
     strings = lines(segments(nodes, paths), zorder=style.layer, **look)
     bars = lines(

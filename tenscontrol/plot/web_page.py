@@ -149,7 +149,7 @@ class View:
             "PLOTLY": plotly_js(),
         }
         return re.sub(
-            f"@({'|'.join(parts)})@", lambda found: parts[found[1]], _text("web_page.html")
+            f"@({'|'.join(parts)})@", lambda match: parts[match[1]], _text("web_page.html")
         )
 
     def open(self) -> Path:
@@ -195,9 +195,9 @@ class View:
     @cached_property
     def _kept(self) -> IntArray:
         """The states of the page: all, or as many as it may hold, evenly."""
-        each = self.nodes[:, :, 0].size + len(self.members.strings)
-        each += 0 if self.share is None else len(self.share)
-        return self._thinned(min(_MOST_FRAMES, _MOST_NUMBERS // each))
+        per_frame = self.nodes[:, :, 0].size + len(self.members.strings)
+        per_frame += 0 if self.share is None else len(self.share)
+        return self._thinned(min(_MOST_FRAMES, _MOST_NUMBERS // per_frame))
 
     def _thinned(self, most: int) -> IntArray:
         count, most = self.nodes.shape[2], max(2, most)
@@ -572,5 +572,5 @@ def _rounded(value: Any) -> Any:
     if isinstance(value, float):
         return float(f"{value:.6g}")
     if isinstance(value, dict):
-        return {key: _rounded(each) for key, each in value.items()}
-    return [_rounded(each) for each in value] if isinstance(value, list) else value
+        return {key: _rounded(item) for key, item in value.items()}
+    return [_rounded(item) for item in value] if isinstance(value, list) else value
