@@ -160,13 +160,13 @@ class DiscreteMotion:
         count = self.begin.shape[1]
         k = np.clip((shares * count).astype(int), 0, count - 1)
         basis = _lagrange(gauss_points(self.stage_places.shape[1]), shares * count - k)
-        found = []
+        interpolated = []
         for nodes, stages in (
             (self.places, self.stage_places), (self.velocities, self.stage_velocities)
         ):  # fmt: skip
             whole = np.concatenate([nodes[:, None, :-1], stages], axis=1)
-            found.append(np.einsum("fst,st->ft", whole[:, :, k], basis))
-        return found[0], found[1]
+            interpolated.append(np.einsum("fst,st->ft", whole[:, :, k], basis))
+        return interpolated[0], interpolated[1]
 
     def inputs_at(self, shares: FloatArray) -> FloatArray:
         """Return inputs at shares of the duration, shape (m, T)."""
@@ -309,7 +309,7 @@ class Collocation:
         K, width, places = self.intervals, self._width, self._places
         f, last = len(self.program.start), _lagrange(gauss_points(self.stages), np.ones(1)).ravel()
         motion = np.concatenate([places["places"], places["velocities"]])
-        found = []
+        equations = []
         for k in range(K):
             after = (k + 1) * width
             nodes = after + motion if k + 1 < K else after + np.arange(2 * f)
@@ -318,15 +318,15 @@ class Collocation:
             columns = [nodes] + [
                 k * width + np.concatenate(pair) for pair in zip(own, fast, strict=True)
             ]
-            found.append((columns, [1.0, *-last]))
+            equations.append((columns, [1.0, *-last]))
             if k + 1 == K:
                 break
             names = ["step"] if self.program.ends is None else ["step", "end"]
             for name in names:
                 following = places["begin" if name == "end" else name]
-                found.append(([after + following, k * width + places[name]], [1.0, -1.0]))
+                equations.append(([after + following, k * width + places[name]], [1.0, -1.0]))
         blocks = []
-        for columns, factors in found:
+        for columns, factors in equations:
             count = len(columns[0])
             entries = np.concatenate([np.full(count, factor) for factor in factors])
             rows = np.tile(np.arange(count), len(columns))
@@ -339,18 +339,22 @@ class Collocation:
         K, width, links = self.intervals, self._width, self._links.tocoo()
         x = ca.MX.sym("x", self._size)
         given = [ca.reshape(x[: K * width], width, K), x[K * width :]]
-        values = [part.value(block) for part, block in zip(self._parts, given, strict=True)]
+        values = [
+            functions.value(block) for functions, block in zip(self._parts, given, strict=True)
+        ]
         cost = ca.sum2(values[0][1])
         L = _sparse(links, links.data)
         g = ca.vertcat(*(ca.vec(value[0]) for value in values), ca.mtimes(L, x))
         slope = ca.vertcat(ca.vec(self._parts[0].slope(given[0])), ca.DM.zeros(given[1].numel()))
-        entries = [part.jacobian(block) for part, block in zip(self._parts, given, strict=True)]
-        jacobian = self._jacobian([ca.vec(part) for part in entries], links)
+        entries = [
+            functions.jacobian(block) for functions, block in zip(self._parts, given, strict=True)
+        ]
+        jacobian = self._jacobian([ca.vec(nonzeros) for nonzeros in entries], links)
         p, sigma, lam = ca.MX.sym("p", 0), ca.MX.sym("sigma"), ca.MX.sym("lam", g.numel())
         ends = np.cumsum([0, *(value[0].numel() for value in values)])
         second = [
-            part.second(block, ca.reshape(lam[a:b], *value[0].shape), sigma)
-            for part, block, value, a, b in zip(
+            functions.second(block, ca.reshape(lam[a:b], *value[0].shape), sigma)
+            for functions, block, value, a, b in zip(
                 self._parts, given, values, ends[:-1], ends[1:], strict=True
             )
         ]
@@ -374,9 +378,9 @@ class Collocation:
         K, width = self.intervals, self._width
         rows, columns = list[IntArray](), list[IntArray]()
         top = 0
-        for part, count, left in zip(self._parts, (K, 1), (0, K * width), strict=True):
-            row, column = part.entries
-            height = part.height
+        for functions, count, left in zip(self._parts, (K, 1), (0, K * width), strict=True):
+            row, column = functions.entries
+            height = functions.height
             rows += [top + k * height + row for k in range(count)]
             columns += [left + k * width + column for k in range(count)]
             top += count * height
@@ -437,7 +441,7 @@ class Collocation:
         K, points = self.intervals, gauss_points(self.stages)
         shares = ((np.arange(K)[:, None] + points) / K).ravel()
         nodes, speeds = (x.reshape(-1, K, len(points)) for x in guess.at(shares))
-        last = [part[:, -1] for part in (guess.places, guess.velocities)]
+        last = [array[:, -1] for array in (guess.places, guess.velocities)]
         begin = guess.inputs_at(np.arange(K) / K + 1e-9 / K)
         end = guess.inputs_at(np.arange(1, K + 1) / K - 1e-9 / K)
         values = {
@@ -454,8 +458,8 @@ class Collocation:
         for name, places in self._places.items():
             x[places] = values[name] / self._scales[name]
         ends = [
-            part / self._scales[name]
-            for part, name in zip(last, ("places", "velocities"), strict=True)
+            final / self._scales[name]
+            for final, name in zip(last, ("places", "velocities"), strict=True)
         ]
         return np.concatenate([x.ravel(order="F"), *ends])
 
@@ -504,7 +508,7 @@ class Collocation:
         )
 
     def _row_bounds(self) -> tuple[FloatArray, FloatArray]:
-        found = []
+        bounds = []
         for own, end, away in (
             (self._rows.low, self._end.low, -np.inf),
             (self._rows.high, self._end.high, np.inf),
@@ -512,10 +516,10 @@ class Collocation:
             every = np.tile(own[:, None], self.intervals)
             if self.program.ends is not None:  # all of the start is given
                 every[len(own) - self._at_begin :, 0] = away
-            found.append(
+            bounds.append(
                 np.concatenate([every.ravel(order="F"), end, np.zeros(self._links.shape[0])])
             )
-        return found[0], found[1]
+        return bounds[0], bounds[1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -542,7 +546,7 @@ class _Derivatives:
         hessian = ca.triu(ca.hessian(lagrangian, block)[0])
         self.pattern = hessian.sparsity()
         self.entries = tuple(
-            np.array(part, dtype=int) for part in jacobian.sparsity().get_triplet()
+            np.array(indices, dtype=int) for indices in jacobian.sparsity().get_triplet()
         )
 
         def mapped(name: str, given: list[Any], results: list[Any]) -> ca.Function:

@@ -45,9 +45,9 @@ def core_steps(
     if scene is None:
         return None
     damped = (
-        model.ground[each.law]
-        for each in parameters
-        if each.kind == "ground" and each.field == "damping"
+        model.ground[parameter.law]
+        for parameter in parameters
+        if parameter.kind == "ground" and parameter.field == "damping"
     )
     if any(isinstance(law, SmoothGround) and not law.damping for law in damped):
         return None
@@ -75,7 +75,9 @@ class CoreSteps:
         self._core, self._tables = scene, records.Scene.from_buffer_copy(scene.scene)
         self._model, self._steps = model, steps
         self._parameters, self._columns = parameters, columns
-        if any(each.kind == "strings" and each.field == "damping" for each in parameters):
+        if any(
+            parameter.kind == "strings" and parameter.field == "damping" for parameter in parameters
+        ):
             self._tables.damped = 1  # also where it is zero
         self._c = method.c
         self._width = columns[-1].stop if columns else 0
@@ -93,8 +95,10 @@ class CoreSteps:
         self._by_input = np.zeros(len(model.structure.strings))
         self._inputs = np.ascontiguousarray(steps.inputs.T)
         self._drive = scene.drive(self._inputs[0])
-        self._method = [np.ascontiguousarray(part, dtype=float) for part in method]
-        self._tableau = records.Tableau(len(self._c), *(part.ctypes.data for part in self._method))
+        self._method = [np.ascontiguousarray(array, dtype=float) for array in method]
+        self._tableau = records.Tableau(
+            len(self._c), *(array.ctypes.data for array in self._method)
+        )
         self._states = np.ascontiguousarray(steps.states.T)
         self._taut = np.ascontiguousarray(steps.taut.T)
         self._always = tuple(map(ctypes.byref, (self._tables, self._drive, self._tableau)))
@@ -177,19 +181,19 @@ class CoreSteps:
         units = {
             name: np.zeros((*array.shape[:-1], self._width)) for name, array in self._given.items()
         }
-        for each, columns, (name, pull) in zip(
+        for parameter, columns, (name, pull) in zip(
             self._parameters, self._columns, self._pulls, strict=True
         ):
-            if not name or each.pieces is not None:
+            if not name or parameter.pieces is not None:
                 continue
             shape = units[name].shape[:-1]
             size = int(np.prod(shape))
             whole = np.eye(size).reshape(size, *shape)
-            if each.kind == "input":  # the same at all stages
+            if parameter.kind == "input":  # the same at all stages
                 whole = np.repeat(np.eye(shape[1])[:, None], shape[0], axis=1)
                 units[name][..., columns] += np.moveaxis(whole, 0, -1)
                 continue
-            by_entry = np.array([pull(entry) for entry in whole]).reshape(*shape, each.size)
+            by_entry = np.array([pull(entry) for entry in whole]).reshape(*shape, parameter.size)
             units[name][..., columns] += by_entry
         return units
 

@@ -78,9 +78,11 @@ class Derivatives:
         if equation.form == "loops":  # without derivatives
             equation = model.equation(input, form="mapped", **options)
         self.equation = equation
-        self._by_input = any(each.kind == "input" for each in parameters)
-        self._of = [each for each in parameters if each.kind not in _BESIDE]
-        self._laws = [each for each in self._of if each.kind in ("strings", "ground")]
+        self._by_input = any(parameter.kind == "input" for parameter in parameters)
+        self._of = [parameter for parameter in parameters if parameter.kind not in _BESIDE]
+        self._laws = [
+            parameter for parameter in self._of if parameter.kind in ("strings", "ground")
+        ]
 
     @property
     def model(self) -> Model:
@@ -94,7 +96,7 @@ class Derivatives:
 
     @cached_property
     def _by_law(self) -> ca.Function:
-        names = tuple(each.name for each in self._laws)
+        names = tuple(parameter.name for parameter in self._laws)
         return self._prepared(("slopes by", names), self._force_slopes)
 
     @cached_property
@@ -126,13 +128,13 @@ class Derivatives:
 
     def at(self, x: FloatArray, u: FloatArray, taut: FloatArray, slope: FloatArray) -> Slopes:
         """Return the derivatives at states, inputs, switches and their ẋ, one a column."""
-        found = iter(evaluate_columns(self._jacobian, x, u, taut))
+        outputs = iter(evaluate_columns(self._jacobian, x, u, taut))
         half, count = self.half, x.shape[1]
-        by_state = _stacked(next(found), half)
-        by_input = _stacked(next(found), half) if self._by_input else None
+        by_state = _stacked(next(outputs), half)
+        by_input = _stacked(next(outputs), half) if self._by_input else None
         if not self._of:
             return Slopes(by_state, by_input, np.zeros((count, half, 0)))
-        by_load = _stacked(next(found), half)
+        by_load = _stacked(next(outputs), half)
         return Slopes(by_state, by_input, by_load @ self._forces(x, u, taut, slope))
 
     def by_state(self, x: FloatArray, u: FloatArray, taut: FloatArray) -> FloatArray:
@@ -148,55 +150,55 @@ class Derivatives:
         of_laws = iter(list[FloatArray]())
         if self._laws:
             values = _stacked(evaluate_columns(self._by_law, x, u, taut)[0], d * n)
-            ends = np.cumsum([each.size for each in self._laws])[:-1]
+            ends = np.cumsum([parameter.size for parameter in self._laws])[:-1]
             of_laws = iter(np.split(values, ends, axis=2))
         moved = np.zeros((d * n, count))
         moved[structure.free_rows] = slope[self.half :]
         excess = self._model.gravity[:, None, None] - moved.reshape(n, d, count).swapaxes(0, 1)
         parts: list[FloatArray] = []
-        for each in self._of:
-            if each in self._laws:
+        for parameter in self._of:
+            if parameter in self._laws:
                 parts.append(next(of_laws))
                 continue
-            fixed = {"gravity": load_of_gravity, "external_force": unit_load}.get(each.kind)
+            fixed = {"gravity": load_of_gravity, "external_force": unit_load}.get(parameter.kind)
             if fixed is not None:
                 constant = fixed(self._model)
                 parts.append(np.broadcast_to(constant, (count, *constant.shape)))
                 continue
-            part = np.zeros((count, n, d, each.size))
-            if each.kind == "point_mass":
+            of_mass = np.zeros((count, n, d, parameter.size))
+            if parameter.kind == "point_mass":
                 nodes = np.arange(n)
-                part[:, nodes, :, nodes] = excess.transpose(1, 2, 0)
+                of_mass[:, nodes, :, nodes] = excess.transpose(1, 2, 0)
             else:
-                self._add_bars(part, excess)
-            parts.append(part.reshape(count, d * n, each.size))
+                self._add_bars(of_mass, excess)
+            parts.append(of_mass.reshape(count, d * n, parameter.size))
         return np.concatenate(parts, axis=2)
 
-    def _add_bars(self, part: FloatArray, excess: FloatArray) -> None:
+    def _add_bars(self, of_mass: FloatArray, excess: FloatArray) -> None:
         """Add what the masses of bars change, of gravity less acceleration, (d, n, K)."""
         bars = self._model.structure.bars
         every = np.arange(len(bars))
         for own, other in (bars.T, bars.T[::-1]):
             mean = _OWN * excess[:, own] + _OTHER * excess[:, other]
-            part[:, own, :, every] = mean.transpose(1, 2, 0)
+            of_mass[:, own, :, every] = mean.transpose(1, 2, 0)
 
     def _force_slopes(self) -> ca.Function:
         """Return ``(x, u, taut) -> dF``: forces on all nodes by the parameters of laws."""
         model, equation = self._model, self.equation
         x, u, taut = (ca.SX.sym(name, equation.slope.size1_in(i)) for i, name in enumerate("xut"))
-        symbols = [_Symbol(ca.SX.sym(each.field, each.size)) for each in self._laws]
+        symbols = [_Symbol(ca.SX.sym(parameter.field, parameter.size)) for parameter in self._laws]
         of_strings = {
-            each.field: symbol
-            for each, symbol in zip(self._laws, symbols, strict=True)
-            if each.kind == "strings"
+            parameter.field: symbol
+            for parameter, symbol in zip(self._laws, symbols, strict=True)
+            if parameter.kind == "strings"
         }
         law, terms = model.forces(self._input).law, model.forces(self._input).terms
         if law is not None:
             law = law.with_parameters(of_strings)
         of_ground = [
-            (each.law, each.field, symbol)
-            for each, symbol in zip(self._laws, symbols, strict=True)
-            if each.kind == "ground"
+            (parameter.law, parameter.field, symbol)
+            for parameter, symbol in zip(self._laws, symbols, strict=True)
+            if parameter.kind == "ground"
         ]
         forces = Forces(model.structure, law, tuple(_with_symbols(t, of_ground) for t in terms))
         half = self.half
@@ -204,7 +206,7 @@ class Derivatives:
         V = _all_nodes(model, x[half:], np.zeros(model.structure.nodes.shape))
         on_nodes = forces.on_nodes(N, V, equation.of_strings(u), None, taut)
         slopes = ca.jacobian(ca.vec(on_nodes), ca.vertcat(*symbols))
-        values = ca.vertcat(*(ca.vec(ca.DM(self._value(each))) for each in self._laws))
+        values = ca.vertcat(*(ca.vec(ca.DM(self._value(parameter))) for parameter in self._laws))
         slopes = ca.substitute(slopes, ca.vertcat(*symbols), values)
         return Function("by_laws", [x, u, taut], [ca.densify(ca.vec(slopes))])
 
@@ -225,7 +227,7 @@ class Derivatives:
             )
             nothing = np.zeros(0)
             return Switches(step, which, no_states, no_inputs, nothing, no_states, nothing)
-        x, u, before = (part[:, step] for part in (x, u, taut))
+        x, u, before = (array[:, step] for array in (x, u, taut))
         after = before.copy()
         after[which, np.arange(len(step))] += changes[which, step]
         slope = self.slope(x, u, before)
@@ -297,7 +299,7 @@ def _jacobian(equation: Equation, by_input: bool, by_load: bool) -> ca.Function:
         outputs.append(by_held[:, :strings])
     if by_load:
         outputs.append(by_held[:, strings : strings + load])
-    return Function("slopes", [x, u, taut], [ca.densify(ca.vec(each)) for each in outputs])
+    return Function("slopes", [x, u, taut], [ca.densify(ca.vec(output)) for output in outputs])
 
 
 def _gap_slopes(equation: Equation) -> ca.Function:
@@ -307,7 +309,7 @@ def _gap_slopes(equation: Equation) -> ca.Function:
     by_held, strings = ca.jacobian(gap, u), equation.layout.strings
     by_time = by_held[:, -1] if equation.layout.degree else type(x)(*gap.shape)
     outputs = [ca.jacobian(gap, x), by_held[:, :strings], by_time, equation.gap_scale(u)]
-    return Function("gap_slopes", [x, u], [ca.densify(ca.vec(each)) for each in outputs])
+    return Function("gap_slopes", [x, u], [ca.densify(ca.vec(output)) for output in outputs])
 
 
 def _projection_slope(equation: Equation) -> tuple[ca.Function, IntArray, IntArray]:

@@ -76,8 +76,8 @@ class Identifiability:
         """Return as text which unknowns are told, and the directions that are not."""
         left = (self.untold**2).sum(axis=0)
         rows = [
-            [label, "yes" if told else "no", f"{share:.2g}"]
-            for label, told, share in zip(self.labels, self.is_told, left, strict=True)
+            [label, "yes" if is_told else "no", f"{share:.2g}"]
+            for label, is_told, share in zip(self.labels, self.is_told, left, strict=True)
         ]
         lines = [aligned(["unknown", "told", "left to the prior"], rows)]
         for size, direction in zip(self.singular[self.singular < 1], self.untold, strict=True):
@@ -193,18 +193,18 @@ class Fit:
         )
 
     def _judged(self, rollouts: Rollouts, log: Log, theta: FloatArray, i: int) -> Validation:
-        found = rollouts.readings(theta, 1.0, slopes=False)
+        readings = rollouts.readings(theta, 1.0, slopes=False)
         residuals = np.full(log.readings.shape, np.nan)
-        residuals[~np.isnan(log.readings)] = found.residuals[found.of_log == i]
+        residuals[~np.isnan(log.readings)] = readings.residuals[readings.of_log == i]
         return Validation(log, frozen(residuals))
 
     def table(self) -> str:
         """Return what was found as text."""
         rows = []
-        for label, value, (low, high), told in zip(
+        for label, value, (low, high), is_told in zip(
             self.labels, self.value, self.interval, self.identifiability.is_told, strict=True
         ):
-            between = f"{low:.5g} to {high:.5g}" if told else "not told by the data"
+            between = f"{low:.5g} to {high:.5g}" if is_told else "not told by the data"
             rows.append([label, f"{value:.5g}", between])
         lines = [
             aligned(["unknown", "factor or shift", "95 %"], rows),
@@ -229,8 +229,8 @@ class Fit:
         record = {
             "parameters": {name: value.tolist() for name, value in self.parameters.items()},
             "unknowns": [
-                {"name": label, "value": value, "interval": interval if told else None}
-                for label, value, interval, told in zip(
+                {"name": label, "value": value, "interval": interval if is_told else None}
+                for label, value, interval, is_told in zip(
                     self.labels, self.value.tolist(), self.interval.tolist(),
                     self.identifiability.is_told.tolist(), strict=True,
                 )
@@ -386,8 +386,8 @@ def fit(
     rollouts = _rollouts_of(model, log, parameters, known, groups, start, tolerance, step)
     solver = _Solver(rollouts, loss == "huber", most)
     with progress_bar(1.0, progress, label="fitting") as report:
-        theta, found, message = solver.run(report)
-    return _result(rollouts, theta, found, message)
+        theta, readings, message = solver.run(report)
+    return _result(rollouts, theta, readings, message)
 
 
 def _rollouts_of(
@@ -419,70 +419,70 @@ class _Solver:
     def run(self, report: Any) -> tuple[FloatArray, Readings, str]:
         """Return the unknowns, the residuals with their slope, and why it ended."""
         theta, done = np.zeros(self._rollouts.size), 0.0
-        found = self._rollouts.readings(theta, _PARTS[0], slopes=True)
+        readings = self._rollouts.readings(theta, _PARTS[0], slopes=True)
         message = "converged"
         try:
-            for part in _PARTS:
-                if part > _PARTS[0]:
-                    found = self._rollouts.readings(theta, part, slopes=True)
-                least = _WELL if part == 1.0 else _ROUGHLY
-                theta, found, message = self._fit_part(theta, found, part, least)
-                done = part
-                report(part)
+            for share in _PARTS:
+                if share > _PARTS[0]:
+                    readings = self._rollouts.readings(theta, share, slopes=True)
+                least = _WELL if share == 1.0 else _ROUGHLY
+                theta, readings, message = self._fit_part(theta, readings, share, least)
+                done = share
+                report(share)
         except KeyboardInterrupt:
             message = f"interrupted, {100 * done:.0f} % of the logs were fitted"
-            found = self._rollouts.readings(theta, 1.0, slopes=True)
-        return theta, found, message
+            readings = self._rollouts.readings(theta, 1.0, slopes=True)
+        return theta, readings, message
 
     def _fit_part(
-        self, theta: FloatArray, found: Readings, part: float, least: float
+        self, theta: FloatArray, readings: Readings, share: float, least: float
     ) -> tuple[FloatArray, Readings, str]:
-        damping, cost = _DAMPING, self._cost(found, theta)
-        most = self._most if part == 1.0 else _MOST
+        damping, cost = _DAMPING, self._cost(readings, theta)
+        most = self._most if share == 1.0 else _MOST
         for _ in range(most):
             if self._rollouts.count >= self._most:
-                return theta, found, f"stopped after {self._rollouts.count} rollouts"
-            moved = theta + self._step(found, theta, damping)
-            tried = self._tried(moved, part)
+                return theta, readings, f"stopped after {self._rollouts.count} rollouts"
+            moved = theta + self._step(readings, theta, damping)
+            tried = self._tried(moved, share)
             new = np.inf if tried is None else self._cost(tried, moved)
             if tried is None or not new < cost:
                 damping *= _MORE
                 if damping > _MOST_DAMPING or abs(new - cost) <= least * cost:
-                    return theta, found, "converged"
+                    return theta, readings, "converged"
                 continue
             fall = (cost - new) / max(cost, np.finfo(float).tiny)
-            theta, found, cost = moved, tried, new
+            theta, readings, cost = moved, tried, new
             damping *= _LESS
             if fall < least:
                 break
-        return theta, found, "converged"
+        return theta, readings, "converged"
 
-    def _tried(self, theta: FloatArray, part: float) -> Readings | None:
+    def _tried(self, theta: FloatArray, share: float) -> Readings | None:
         """Return the residuals for unknowns; None where the motion runs away."""
         try:
-            found = self._rollouts.readings(theta, part, slopes=True)
+            readings = self._rollouts.readings(theta, share, slopes=True)
         except (IntegrationError, StoppedError):
             return None
-        return found if np.isfinite(found.residuals).all() else None
+        return readings if np.isfinite(readings.residuals).all() else None
 
-    def _cost(self, found: Readings, theta: FloatArray) -> float:
-        r = found.residuals
+    def _cost(self, readings: Readings, theta: FloatArray) -> float:
+        r = readings.residuals
         squares = r**2
         if self._is_robust:
             far = np.abs(r) > _HUBER
             squares = np.where(far, 2 * _HUBER * np.abs(r) - _HUBER**2, squares)
         return float(squares.sum() + ((theta / self._scale) ** 2).sum())
 
-    def _step(self, found: Readings, theta: FloatArray, damping: float) -> FloatArray:
-        assert found.slope is not None  # every try has one
-        weight = np.ones(len(found.residuals))
+    def _step(self, readings: Readings, theta: FloatArray, damping: float) -> FloatArray:
+        assert readings.slope is not None  # every try has one
+        weight = np.ones(len(readings.residuals))
         if self._is_robust:
-            weight = np.sqrt(_HUBER / np.maximum(np.abs(found.residuals), _HUBER))
-        J = found.slope * self._scale * weight[:, None]
+            weight = np.sqrt(_HUBER / np.maximum(np.abs(readings.residuals), _HUBER))
+        J = readings.slope * self._scale * weight[:, None]
         own = np.eye(len(theta))
         size = np.sqrt(damping * ((J**2).sum(axis=0) + 1))
         rows = np.vstack([J, own, np.diag(size)])
-        right = np.concatenate([weight * found.residuals, theta / self._scale, 0 * theta])
+        right = np.concatenate([weight * readings.residuals, theta / self._scale, 0 * theta])
         step = -np.linalg.lstsq(rows, right, None)[0]
         longest = float(np.abs(step).max())
         return np.asarray(self._scale * step * min(1.0, _LONGEST / max(longest, 1e-300)))
@@ -498,35 +498,37 @@ def _identifiability(rollouts: Rollouts, slope: FloatArray) -> Identifiability:
     )
 
 
-def _result(rollouts: Rollouts, theta: FloatArray, found: Readings, message: str) -> Fit:
-    assert found.slope is not None  # every try has one
-    told = _identifiability(rollouts, found.slope)
-    count = len(found.residuals)
-    freedom = max(count - int((told.singular >= 1).sum()), 1)
-    chi_squared = float((found.residuals**2).sum() / freedom)
+def _result(rollouts: Rollouts, theta: FloatArray, readings: Readings, message: str) -> Fit:
+    assert readings.slope is not None  # every try has one
+    identifiability = _identifiability(rollouts, readings.slope)
+    count = len(readings.residuals)
+    freedom = max(count - int((identifiability.singular >= 1).sum()), 1)
+    chi_squared = float((readings.residuals**2).sum() / freedom)
     # Of data alone, in the directions that it tells.
-    weight = np.where(told.singular >= 1, 1 / np.maximum(told.singular, 1), 0.0)
-    variance = ((told.directions.T * weight) ** 2).sum(axis=1) * chi_squared
+    weight = np.where(
+        identifiability.singular >= 1, 1 / np.maximum(identifiability.singular, 1), 0.0
+    )
+    variance = ((identifiability.directions.T * weight) ** 2).sum(axis=1) * chi_squared
     reach = _INTERVAL * np.sqrt(variance) * rollouts.deviations
     is_scaled = np.zeros(rollouts.size, dtype=bool)
     first = 0
-    for each in rollouts.unknowns:
-        is_scaled[first : first + len(each.groups)] = each.is_scaled
-        first += len(each.groups)
+    for unknown in rollouts.unknowns:
+        is_scaled[first : first + len(unknown.groups)] = unknown.is_scaled
+        first += len(unknown.groups)
     interval = theta[:, None] + np.stack([-reach, reach], axis=1)
-    interval[~told.is_told] = np.nan
+    interval[~identifiability.is_told] = np.nan
     value = np.where(is_scaled, np.exp(np.where(is_scaled, theta, 0.0)), theta)
     interval = np.where(
         is_scaled[:, None], np.exp(np.where(is_scaled[:, None], interval, 0.0)), interval
     )
     parameters = {
-        each.name: frozen(each.values(own))
-        for each, own in zip(rollouts.unknowns, rollouts.own(theta), strict=True)
+        unknown.name: frozen(unknown.values(own))
+        for unknown, own in zip(rollouts.unknowns, rollouts.own(theta), strict=True)
     }
     return Fit(
         rollouts.model_for(theta), tuple(rollouts.logs), tuple(rollouts.labels), frozen(value),
-        frozen(interval), MappingProxyType(parameters), told, chi_squared, rollouts.count, message,
-        rollouts, frozen(theta),
+        frozen(interval), MappingProxyType(parameters), identifiability, chi_squared,
+        rollouts.count, message, rollouts, frozen(theta),
     )  # fmt: skip
 
 
@@ -536,14 +538,14 @@ def _described(labels: Sequence[str], direction: FloatArray) -> str:
     for i, label in enumerate(labels):
         parts.setdefault(label.split()[0], []).append(i)
     sign = np.sign(direction[np.abs(direction).argmax()])
-    found = []
+    terms = []
     for name, members in parts.items():
         own = sign * direction[members]
         if np.abs(own).max() < 0.05:
             continue
         if np.ptp(own) < 0.02 and len(own) > 1:
-            found.append(f"{own.mean():+.2f} all of {name}")
+            terms.append(f"{own.mean():+.2f} all of {name}")
             continue
         large = np.argsort(-np.abs(own), kind="stable")[:4]
-        found += [f"{own[k]:+.2f} {labels[members[k]]}" for k in large if abs(own[k]) >= 0.05]
-    return ", ".join(found)
+        terms += [f"{own[k]:+.2f} {labels[members[k]]}" for k in large if abs(own[k]) >= 0.05]
+    return ", ".join(terms)

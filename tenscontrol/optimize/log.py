@@ -248,13 +248,13 @@ class Log:
 
 def _columns(sensors: Sensors) -> list[str]:
     """Return a name for each number read: of several in a reading, with the axis."""
-    of, found = sensors.reading_of, []
+    of, names = sensors.reading_of, []
     first = {int(reading): i for i, reading in reversed(list(enumerate(of)))}
     for i, reading in enumerate(of):
         several = int((of == reading).sum()) > 1
         axis = " " + "xyz"[i - first[int(reading)]] if several else ""
-        found.append(sensors.readings[reading] + axis)
-    return found
+        names.append(sensors.readings[reading] + axis)
+    return names
 
 
 def _number(line: list[str], place: int, file: object, number: int) -> float:

@@ -53,8 +53,8 @@ class MotionEnd:
     def _shape_rows(self, places: Any, velocities: Any) -> Rows:
         structure = self._structure
         N, V = (
-            kernel.all_nodes(structure, kernel.free_columns(structure, part), fixed)
-            for part, fixed in ((places, structure.nodes), (velocities, None))
+            kernel.all_nodes(structure, kernel.free_columns(structure, vector), fixed)
+            for vector, fixed in ((places, structure.nodes), (velocities, None))
         )
         i, j = (column.tolist() for column in self._pairs.T)
         apart = self._goal[:, i] - self._goal[:, j]

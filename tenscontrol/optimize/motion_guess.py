@@ -64,7 +64,9 @@ def _of_path(path: ShapePath, input: str, duration: float) -> DiscreteMotion:
     structure, time = path.model.structure, path.time * (duration / path.time[-1])
     slower = path.time[-1] / duration
     places, velocities = (
-        np.column_stack([free_coordinates(structure, part) for part in np.moveaxis(array, 2, 0)])
+        np.column_stack(
+            [free_coordinates(structure, matrix) for matrix in np.moveaxis(array, 2, 0)]
+        )
         for array in (path.nodes, path.velocities * slower)
     )
     spline = CubicHermiteSpline(time, places, velocities, axis=1)

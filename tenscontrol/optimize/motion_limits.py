@@ -115,11 +115,11 @@ class MotionLimits:
         law = self._model.strings
         if self._input == "force_density" or law is None:
             return
-        found = []
+        margins = []
         for rest in ends:
             length, gamma = rest.structure.string_length(), rest.force_density
-            found.append([gamma, length - law.rest_length(length, gamma)])
-        self._least = _TAUT * np.min(found, axis=0)
+            margins.append([gamma, length - law.rest_length(length, gamma)])
+        self._least = _TAUT * np.min(margins, axis=0)
 
     @builds
     def refuse_end(self, name: str, rest: Prestress) -> None:
@@ -134,12 +134,15 @@ class MotionLimits:
             value = law.rest_length(rest.structure.string_length(), value)
         places = free_coordinates(structure, rest.structure.nodes)
         symbols = [
-            ca.SX.sym(letter, len(each)) for letter, each in zip("nu", (places, value), strict=True)
+            ca.SX.sym(letter, len(vector))
+            for letter, vector in zip("nu", (places, value), strict=True)
         ]
-        still = [ca.SX.zeros(len(each)) for each in (places, value)]
+        still = [ca.SX.zeros(len(vector)) for vector in (places, value)]
         rows = self.rows(Instant(symbols[0], still[0], symbols[1], still[1]))
-        found = np.array(Function("rows", symbols, [ca.densify(rows.value)])(places, value)).ravel()
-        for label, number, low, high in zip(rows.labels, found, rows.low, rows.high, strict=True):
+        numbers = np.array(
+            Function("rows", symbols, [ca.densify(rows.value)])(places, value)
+        ).ravel()
+        for label, number, low, high in zip(rows.labels, numbers, rows.low, rows.high, strict=True):
             is_fixed = self._input == "rest_length" or label in _OF_PLACES
             if is_fixed and not low - _OFF <= number <= high + _OFF:
                 raise ValueError(
@@ -162,8 +165,8 @@ class MotionLimits:
         """Return the strings at an instant, as if all were taut."""
         structure, law = self._structure, self._model.strings
         nodes, velocities = (
-            kernel.all_nodes(structure, kernel.free_columns(structure, part), fixed)
-            for part, fixed in ((now.places, structure.nodes), (now.velocities, None))
+            kernel.all_nodes(structure, kernel.free_columns(structure, vector), fixed)
+            for vector, fixed in ((now.places, structure.nodes), (now.velocities, None))
         )
         length, rate = (
             row.T for row in kernel.string_motion(structure, nodes, ca.densify(velocities))

@@ -245,7 +245,7 @@ class OptimalMotion:
                 )
         shares = np.clip(instants / self.duration, 0.0, 1.0)
         nodes = _all_nodes(self.structure, self._motion.at(shares)[0], self.structure.nodes)
-        exact = [restore_bar_lengths(self.structure, each) for each in np.moveaxis(nodes, 2, 0)]
+        exact = [restore_bar_lengths(self.structure, shape) for shape in np.moveaxis(nodes, 2, 0)]
         gamma = np.array(
             [np.interp(shares * self.duration, self.time, row) for row in self.force_density]
         )
@@ -263,7 +263,7 @@ class OptimalMotion:
         shapes = validation.float_array("nodes", nodes)
         if shapes.ndim != 3 or shapes.shape[:2] != (d, n):
             raise ValueError(f"nodes has shape {shapes.shape}, expected ({d}, {n}, T)")
-        return np.array([self._end.distance(each) for each in np.moveaxis(shapes, 2, 0)])
+        return np.array([self._end.distance(shape) for shape in np.moveaxis(shapes, 2, 0)])
 
     def table(self) -> str:
         """Return the meshes that were solved, as text."""
@@ -623,12 +623,12 @@ class _Planner:
         guess = self._guess
         with keeping("meshes solved, their motion is returned", lambda: len(self._meshes)):
             for number in range(refinements + 1):
-                found, run = self._solved(guess, intervals, most)
-                self._best = found, run
+                solution, run = self._solved(guess, intervals, most)
+                self._best = solution, run
                 report(number + 1.0)
                 if run is None or self._is_met(self._meshes[-1]):
                     break
-                guess, intervals = found.motion, 2 * intervals
+                guess, intervals = solution.motion, 2 * intervals
         return self._result()
 
     def _solved(
@@ -638,22 +638,22 @@ class _Planner:
         mesh = Collocation(self._program, intervals)
         tries = _SLOWER if not self._meshes and self._duration is None else _SLOWER[:1]
         for slower in tries:
-            found = mesh.solve(_slowed(guess, slower), most, lambda _: None)
-            if found.status in _PLANNED:
+            solution = mesh.solve(_slowed(guess, slower), most, lambda _: None)
+            if solution.status in _PLANNED:
                 break
         run, miss = None, (np.nan, np.nan)
-        if found.status in _PLANNED:
-            run = self._replayed(found.motion)
+        if solution.status in _PLANNED:
+            run = self._replayed(solution.motion)
             if run is not None:
                 speed = np.linalg.norm(run.velocities[:, :, -1], axis=0).max()
                 miss = self._end.distance(run.nodes[:, :, -1]), float(speed)
         self._meshes.append(
-            Mesh(intervals, found.iterations, found.status, self._cost(found), *miss)
+            Mesh(intervals, solution.iterations, solution.status, self._cost(solution), *miss)
         )
-        return found, run
+        return solution, run
 
-    def _cost(self, found: Solution) -> float:
-        return found.motion.duration if self._minimize == "time" else found.cost
+    def _cost(self, solution: Solution) -> float:
+        return solution.motion.duration if self._minimize == "time" else solution.cost
 
     def _is_met(self, mesh: Mesh) -> bool:
         assert self._best is not None  # a mesh was solved
@@ -676,13 +676,13 @@ class _Planner:
 
     def _result(self) -> OptimalMotion:
         assert self._best is not None  # `run` has solved a mesh, or raised
-        (found, run), last = self._best, self._meshes[-1]
-        status, message = found.status, "the replay ends at the goal"
+        (solution, run), last = self._best, self._meshes[-1]
+        status, message = solution.status, "the replay ends at the goal"
         if run is None:
-            worst = next(iter(found.violations.items()))
+            worst = next(iter(solution.violations.items()))
             message = (
-                f"IPOPT ended with {found.message!r}, {worst[0]} violated by {worst[1]:.2g} of its "
-                f"scale. {_ADVICE.get(status, 'Give another goal or limits')}"
+                f"IPOPT ended with {solution.message!r}, {worst[0]} violated by {worst[1]:.2g} of "
+                f"its scale. {_ADVICE.get(status, 'Give another goal or limits')}"
             )
         elif not self._is_met(last):
             status = Status.INACCURATE
@@ -692,7 +692,7 @@ class _Planner:
             )
         if status is not Status.OK:
             warnings.warn(f"{status}: {message}", OptimalMotionWarning, stacklevel=4)
-        structure, motion = self._model.structure, found.motion
+        structure, motion = self._model.structure, solution.motion
         nodes = _all_nodes(structure, motion.places, structure.nodes)
         velocities = _all_nodes(structure, motion.velocities, np.zeros_like(structure.nodes))
         inputs = np.column_stack([motion.begin, motion.end[:, -1]])
@@ -713,7 +713,7 @@ class _Planner:
             velocities=velocities,
             force_density=gamma,
             rest_length=wound,
-            cost=self._cost(found),
+            cost=self._cost(solution),
             run=run,
             goal_miss=last.goal_miss,
             end_speed=last.end_speed,
@@ -730,11 +730,11 @@ class _Planner:
         law, motion = self._model.strings, self._model.of_all_nodes("string_motion")
         assert law is not None  # the rest length is the input
         states = np.concatenate(
-            [part.reshape(-1, part.shape[2], order="F") for part in (nodes, velocities)]
+            [array.reshape(-1, array.shape[2], order="F") for array in (nodes, velocities)]
         )
         lengths, rates = evaluate_columns(motion, states)
         pairs = zip(lengths.T, np.maximum(rest_length, 0.0).T, rates.T, strict=True)
-        return np.column_stack([law.force_density(*each) for each in pairs])
+        return np.column_stack([law.force_density(*instant) for instant in pairs])
 
 
 def _figures(run: Trajectory | None, motion: DiscreteMotion, input: str) -> dict[str, float]:
@@ -743,7 +743,7 @@ def _figures(run: Trajectory | None, motion: DiscreteMotion, input: str) -> dict
         return dict.fromkeys(("least_force_density", "peak_tension", "energy"), np.nan)
     model = run.model
     states = np.concatenate(
-        [part.reshape(-1, part.shape[2], order="F") for part in (run.nodes, run.velocities)]
+        [array.reshape(-1, array.shape[2], order="F") for array in (run.nodes, run.velocities)]
     )
     lengths, rates = evaluate_columns(model.of_all_nodes("string_motion"), states)
     tension = run.force_density * lengths

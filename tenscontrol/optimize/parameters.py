@@ -66,25 +66,25 @@ def known_parameters(scene: Scene) -> dict[str, Parameter]:
     model = scene.model
     shape = model.structure.nodes.shape
     d, n = shape
-    found = [Parameter("nodes", "nodes", shape), Parameter("velocities", "velocities", shape)]
+    parameters = [Parameter("nodes", "nodes", shape), Parameter("velocities", "velocities", shape)]
     if len(model.structure.strings):
-        found.append(_input(scene))
+        parameters.append(_input(scene))
     if scene.input == "rest_length":
         count = len(model.structure.strings)
-        found += [
+        parameters += [
             Parameter(name, "strings", (count,), field=name) for name in law_parameters(model)
         ]
-    found += [
+    parameters += [
         Parameter("bar_mass", "bar_mass", (len(model.structure.bars),)),
         Parameter("point_mass", "point_mass", (n,)),
         Parameter("gravity", "gravity", (d,)),
         Parameter("external_force", "external_force", shape),
     ]
-    found += [
+    parameters += [
         Parameter(name, "ground", (), law=law, field=number)
         for name, (law, number) in ground_numbers(model).items()
     ]
-    return {each.name: each for each in found}
+    return {parameter.name: parameter for parameter in parameters}
 
 
 def _input(scene: Scene) -> Parameter:
@@ -124,4 +124,4 @@ def load_of_gravity(model: Model) -> FloatArray:
     """Return the weights by an acceleration of one along each axis, shape (d n, d), kg."""
     structure, d = model.structure, model.structure.dimension
     weights = gravity_forces(structure, np.eye(d), structure.bar_mass, structure.point_mass)
-    return np.stack([each.ravel(order="F") for each in weights], axis=1)
+    return np.stack([weight.ravel(order="F") for weight in weights], axis=1)

@@ -78,7 +78,7 @@ class Rollouts:
     @cached_property
     def ends(self) -> list[int]:
         """Where the unknowns of each parameter end, then those of each start."""
-        sizes = [len(each.groups) for each in self.unknowns]
+        sizes = [len(unknown.groups) for unknown in self.unknowns]
         if self.start is not None:
             sizes += [2 * basis.shape[1] for basis in self._bases]
         return [int(end) for end in np.cumsum(sizes)]
@@ -91,7 +91,7 @@ class Rollouts:
     @property
     def deviations(self) -> FloatArray:
         """Standard deviations of the priors of all unknowns."""
-        parts = [np.full(len(each.groups), each.deviation) for each in self.unknowns]
+        parts = [np.full(len(unknown.groups), unknown.deviation) for unknown in self.unknowns]
         if self.start is not None:
             for basis in self._bases:
                 parts += [np.full(basis.shape[1], size) for size in self.start]
@@ -100,13 +100,13 @@ class Rollouts:
     @property
     def labels(self) -> list[str]:
         """Name of each unknown."""
-        found = [label for each in self.unknowns for label in each.labels]
+        labels = [label for unknown in self.unknowns for label in unknown.labels]
         if self.start is not None:
             for i, basis in enumerate(self._bases):
                 which = f" of log {i}" if len(self.logs) > 1 else ""
-                for what in ("place", "velocity"):
-                    found += [f"start {what}{which} {k}" for k in range(basis.shape[1])]
-        return found
+                for quantity in ("place", "velocity"):
+                    labels += [f"start {quantity}{which} {k}" for k in range(basis.shape[1])]
+        return labels
 
     def own(self, theta: FloatArray) -> list[FloatArray]:
         """Return the unknowns of each parameter."""
@@ -116,29 +116,29 @@ class Rollouts:
         """Return the model with the parameters for all unknowns."""
         return fitted_model(self.model, self.unknowns, self.own(theta))
 
-    def readings(self, theta: FloatArray, part: float, slopes: bool) -> Readings:
+    def readings(self, theta: FloatArray, share: float, slopes: bool) -> Readings:
         """Return the residuals of readings in a first part of each log, and their slope."""
         self.count += 1
         model = self.model_for(theta)
-        found = [self._of_log(i, model, theta, part, slopes) for i in range(len(self.logs))]
-        residuals = np.concatenate([each[0] for each in found])
-        of_log = np.repeat(np.arange(len(found)), [len(each[0]) for each in found])
-        slope = np.vstack([each[1] for each in found]) if slopes else None
+        results = [self._of_log(i, model, theta, share, slopes) for i in range(len(self.logs))]
+        residuals = np.concatenate([result[0] for result in results])
+        of_log = np.repeat(np.arange(len(results)), [len(result[0]) for result in results])
+        slope = np.vstack([result[1] for result in results]) if slopes else None
         return Readings(residuals, slope, of_log)
 
     def _of_log(
-        self, i: int, model: Model, theta: FloatArray, part: float, slopes: bool
+        self, i: int, model: Model, theta: FloatArray, share: float, slopes: bool
     ) -> tuple[FloatArray, Any]:
         log, own = self.logs[i], self.own(theta)
-        if part < 1:
-            log = log.until(max(part * float(log.time[-1]), float(log.time[0])))
-        names = [each.name for each in self.unknowns]
+        if share < 1:
+            log = log.until(max(share * float(log.time[-1]), float(log.time[0])))
+        names = [unknown.name for unknown in self.unknowns]
         delay = float(own[names.index("delay")][0]) if "delay" in names else 0.0
         times = np.clip(log.time - delay, 0.0, None)
         kept, again = np.unique(times, return_inverse=True)
         scene, basis = self._scene(i, model, theta, log, float(kept[-1])), self._bases[i]
-        parameters = [parameter_of(self.model, each) for each in self.unknowns]
-        carried = [each for each in parameters if each is not None]
+        parameters = [parameter_of(self.model, unknown) for unknown in self.unknowns]
+        carried = [parameter for parameter in parameters if parameter is not None]
         if self.start is not None:
             shape = model.structure.nodes.shape
             carried += [Parameter(name, name, shape) for name in ("nodes", "velocities")]
@@ -156,7 +156,7 @@ class Rollouts:
             return off[is_read], None
         count, m = len(kept), len(deviation)
         by_state, by_input, by_law = (
-            part.T.reshape(count, -1, m).swapaxes(1, 2) for part in (by_state, by_input, by_law)
+            array.T.reshape(count, -1, m).swapaxes(1, 2) for array in (by_state, by_input, by_law)
         )
         X = variations.forward()
         slope = np.zeros((count, m, self.size))
@@ -197,7 +197,7 @@ class Rollouts:
         if self.start is not None:
             N, V = _exact_start(model, log.input, self._moved_start(i, model, theta))
         held: Any = getattr(log, log.input)
-        names = [each.name for each in self.unknowns]
+        names = [unknown.name for unknown in self.unknowns]
         if "rest_length" in names:
             k = names.index("rest_length")
             held = _shifted(held, self.unknowns[k].values(self.own(theta)[k]))
@@ -219,9 +219,9 @@ class Rollouts:
         free, basis = model.structure.free_rows, self._bases[i]
         end = self.ends[len(self.unknowns) + i]
         moved = theta[end - 2 * basis.shape[1] : end].reshape(2, -1)
-        whole = (part.ravel(order="F") for part in self._told_start(i))
+        whole = (array.ravel(order="F") for array in self._told_start(i))
         return np.concatenate(
-            [(part + basis @ by)[free] for part, by in zip(whole, moved, strict=True)]
+            [(vector + basis @ by)[free] for vector, by in zip(whole, moved, strict=True)]
         )
 
     def _integration_for(self, duration: float) -> Integration:
@@ -242,9 +242,9 @@ def _exact_start(model: Model, input: str, state: FloatArray) -> tuple[FloatArra
     if not exact.size:
         raise ValueError("bars that share nodes cannot be put on their lengths at the start")
     parts = [nodes.ravel(order="F").copy(), np.zeros(nodes.size)]
-    for part, values in zip(parts, np.split(exact[:, 0], 2), strict=True):
-        part[rows] = values
-    return tuple(part.reshape(-1, d).T for part in parts)  # type: ignore[return-value]
+    for vector, values in zip(parts, np.split(exact[:, 0], 2), strict=True):
+        vector[rows] = values
+    return tuple(vector.reshape(-1, d).T for vector in parts)  # type: ignore[return-value]
 
 
 def _shifted(held: Any, by: FloatArray) -> Any:
@@ -287,8 +287,8 @@ def _reading_function(model: Model, sensors: Sensors, input: str) -> ca.Function
         count, half = len(structure.strings), len(structure.free_rows)
         x, u = ca.SX.sym("x", 2 * half), ca.SX.sym("u", count)
         N, V = (
-            _columns(structure, x[part], held)
-            for part, held in (
+            _columns(structure, x[rows], held)
+            for rows, held in (
                 (slice(half), structure.nodes),
                 (slice(half, None), np.zeros(structure.nodes.shape)),
             )
@@ -303,7 +303,7 @@ def _reading_function(model: Model, sensors: Sensors, input: str) -> ca.Function
         tension = gamma * kernel.string_lengths(structure, N).T
         y = symbolic_readings(sensors, Moment(N, V, ca.SX(*N.shape), tension, u))
         outputs = [y, *(ca.vec(ca.jacobian(y, by)) for by in (x, u, own))]
-        return Function("readings", [x, u, own], [ca.densify(each) for each in outputs])
+        return Function("readings", [x, u, own], [ca.densify(output) for output in outputs])
 
     return model.prepared.get(key, build)
 
@@ -327,22 +327,24 @@ def checked_logs(model: Model, log: object) -> tuple[Log, ...]:
     logs = tuple(log) if isinstance(log, Sequence) else (log,)
     if not logs:
         raise ValueError("log is empty, expected at least one Log")
-    for i, each in enumerate(logs):
+    for i, entry in enumerate(logs):
         name = f"log[{i}]" if isinstance(log, Sequence) else "log"
-        validation.instance(name, each, Log, "make one by Log(time, readings, sensors, ...)")
-        shape, found = model.structure.nodes.shape, each.sensors.structure.nodes.shape
-        if shape != found or len(model.structure.strings) != len(each.sensors.structure.strings):
+        validation.instance(name, entry, Log, "make one by Log(time, readings, sensors, ...)")
+        shape, sensor_shape = model.structure.nodes.shape, entry.sensors.structure.nodes.shape
+        if shape != sensor_shape or len(model.structure.strings) != len(
+            entry.sensors.structure.strings
+        ):
             raise ValueError(
-                f"{name} has sensors of {each.sensors.structure!r}, expected the model's "
+                f"{name} has sensors of {entry.sensors.structure!r}, expected the model's "
                 f"{model.structure!r}"
             )
-        refuse_accelerometers(each.sensors)
-        if each.input != logs[0].input:
-            raise ValueError(f"{name} holds {each.input}, the first log {logs[0].input}")
-        if callable(getattr(each, each.input)) and not isinstance(
-            getattr(each, each.input), Profile
+        refuse_accelerometers(entry.sensors)
+        if entry.input != logs[0].input:
+            raise ValueError(f"{name} holds {entry.input}, the first log {logs[0].input}")
+        if callable(getattr(entry, entry.input)) and not isinstance(
+            getattr(entry, entry.input), Profile
         ):
             raise TypeError(
-                f"{name}.{each.input} is a function of time, expected an array or a Profile"
+                f"{name}.{entry.input} is a function of time, expected an array or a Profile"
             )
     return logs

@@ -75,12 +75,12 @@ class Sensitivity:
         derivatives took.
         """
         other = _Differentiable(self.run, self._to, self.time, looser=True)
-        again, found = _derivatives(other)[0], dict[str, FloatArray]()
+        again, errors = _derivatives(other)[0], dict[str, FloatArray]()
         for name, by in self.nodes.items():
             rows = tuple(i for i in range(by.ndim) if i != 2)
-            off, size = (np.abs(part).max(axis=rows) for part in (by - again[name], by))
-            found[name] = frozen(off / np.maximum(size, np.finfo(float).tiny))
-        return MappingProxyType(found)
+            off, size = (np.abs(array).max(axis=rows) for array in (by - again[name], by))
+            errors[name] = frozen(off / np.maximum(size, np.finfo(float).tiny))
+        return MappingProxyType(errors)
 
     @property
     def trusted_until(self) -> float | None:
@@ -184,7 +184,7 @@ def sensitivity(run: Trajectory, to: object, times: object = None) -> Sensitivit
     """
     work = _Differentiable(run, to, times)
     nodes, velocities = _derivatives(work)
-    names = tuple(each.name for each in work.parameters)
+    names = tuple(parameter.name for parameter in work.parameters)
     return Sensitivity(
         run, frozen(work.times), MappingProxyType(nodes), MappingProxyType(velocities),
         len(work.variations.switches.step), work.grazing, names,
@@ -194,15 +194,15 @@ def sensitivity(run: Trajectory, to: object, times: object = None) -> Sensitivit
 def _derivatives(work: _Differentiable) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
     """Return the derivatives of nodes and velocities by each parameter."""
     half, structure = work.variations.derivatives.half, work.structure
-    found = work.variations.forward()
+    sensitivities = work.variations.forward()
     nodes, velocities = dict[str, FloatArray](), dict[str, FloatArray]()
     d, n = structure.nodes.shape
-    for each, columns in zip(work.parameters, work.variations.columns, strict=True):
-        for part, into in ((slice(half), nodes), (slice(half, None), velocities)):
-            own = np.zeros((n * d, len(found), each.size))
-            own[structure.free_rows] = found[:, part, columns].swapaxes(0, 1)
-            whole = own.reshape(n, d, len(found), *each.shape).swapaxes(0, 1)
-            into[each.name] = frozen(whole)
+    for parameter, columns in zip(work.parameters, work.variations.columns, strict=True):
+        for rows, into in ((slice(half), nodes), (slice(half, None), velocities)):
+            own = np.zeros((n * d, len(sensitivities), parameter.size))
+            own[structure.free_rows] = sensitivities[:, rows, columns].swapaxes(0, 1)
+            whole = own.reshape(n, d, len(sensitivities), *parameter.shape).swapaxes(0, 1)
+            into[parameter.name] = frozen(whole)
     return nodes, velocities
 
 
@@ -255,14 +255,16 @@ def gradient(
     for i, time in enumerate(work.times):
         one, by_nodes, by_velocities = function(time, nodes[:, :, i], velocities[:, :, i])
         value += float(one)
-        by = [np.asarray(part.full()).ravel(order="F")[rows] for part in (by_nodes, by_velocities)]
+        by = [
+            np.asarray(matrix.full()).ravel(order="F")[rows] for matrix in (by_nodes, by_velocities)
+        ]
         costs[i] = np.concatenate(by)
     if not (np.isfinite(value) and np.isfinite(costs).all()):
         raise ValueError("cost or its slope is not finite at the motion of the run")
-    found = work.variations.backward(costs)
+    derivatives = work.variations.backward(costs)
     slope = {
-        each.name: frozen(found[columns].reshape(each.shape))
-        for each, columns in zip(work.parameters, work.variations.columns, strict=True)
+        parameter.name: frozen(derivatives[columns].reshape(parameter.shape))
+        for parameter, columns in zip(work.parameters, work.variations.columns, strict=True)
     }
     switches = len(work.variations.switches.step)
     return Gradient(run, value, MappingProxyType(slope), switches, work.grazing)
@@ -270,15 +272,15 @@ def gradient(
 
 def _cost_function(cost: Callable[[Any, Any, Any], Any], shape: tuple[int, ...]) -> ca.Function:
     time, nodes, velocities = ca.MX.sym("time"), ca.MX.sym("N", *shape), ca.MX.sym("V", *shape)
-    found = cost(time, nodes, velocities)
-    if isinstance(found, (int, float, ca.DM)):
-        found = ca.MX(found)
-    if not isinstance(found, ca.MX) or found.numel() != 1:
+    value = cost(time, nodes, velocities)
+    if isinstance(value, (int, float, ca.DM)):
+        value = ca.MX(value)
+    if not isinstance(value, ca.MX) or value.numel() != 1:
         raise validation.wrong_kind(
-            "what cost returns", found, "one number in CasADi, as ca.sumsqr(nodes - goal)"
+            "what cost returns", value, "one number in CasADi, as ca.sumsqr(nodes - goal)"
         )
-    slopes = (ca.gradient(found, part) for part in (nodes, velocities))
-    return ca.Function("cost", [time, nodes, velocities], [found, *slopes])
+    slopes = (ca.gradient(value, variable) for variable in (nodes, velocities))
+    return ca.Function("cost", [time, nodes, velocities], [value, *slopes])
 
 
 def variations_of(scene: Scene, parameters: Sequence[Parameter], times: FloatArray) -> Variations:

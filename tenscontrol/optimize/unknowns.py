@@ -136,7 +136,7 @@ def unknowns_of(
     for label, mapping in (("known", known), ("groups", groups)):
         for name in mapping or {}:
             validation.choice(f"a key of {label}", name, asked)
-    found = []
+    unknowns = []
     for name, prior in asked.items():
         base = bases[validation.choice("parameters", name, bases)]
         is_scaled = name not in _SHIFTED and not name.endswith(".height")
@@ -146,8 +146,8 @@ def unknowns_of(
             some = tuple(group for group in some if (base[group] != 0).any())
         if not some:
             raise ValueError(f"{name} has no unknown: all of it is known, or zero")
-        found.append(Unknown(name, frozen(base), some, deviation, is_scaled))
-    return tuple(found)
+        unknowns.append(Unknown(name, frozen(base), some, deviation, is_scaled))
+    return tuple(unknowns)
 
 
 def _bases(model: Model, input: str, held: FloatArray | None) -> dict[str, FloatArray]:
@@ -193,14 +193,14 @@ def _grouped(name: str, count: int, groups: object, known: object) -> tuple[Any,
     label = f"groups[{name!r}]"
     if isinstance(groups, str) and groups == "all":
         groups = [np.arange(count)]
-    found = []
+    grouped = []
     for i, group in enumerate(validation.items(label, groups, "lists of members")):
         members = validation.index_list(f"{label}[{i}]", group, count, f"there are {count}")
         if not kept[members].all():
             raise ValueError(f"{label}[{i}] has members that are known, or in another group")
         kept[members] = False
-        found.append(np.asarray(members))
-    return (*found, *(np.array([i]) for i in np.flatnonzero(kept)))
+        grouped.append(np.asarray(members))
+    return (*grouped, *(np.array([i]) for i in np.flatnonzero(kept)))
 
 
 def fitted_model(model: Model, unknowns: Sequence[Unknown], theta: Sequence[FloatArray]) -> Model:

@@ -84,36 +84,36 @@ def stable(steps: TracedSteps, derivatives: Derivatives) -> TracedSteps:
     return cut
 
 
-def _finite(found: FloatArray) -> FloatArray:
-    if not np.isfinite(found).all():
+def _finite(array: FloatArray) -> FloatArray:
+    if not np.isfinite(array).all():
         raise ValueError(
             "the derivatives of the run grow beyond all bounds: it cannot be predicted so far. "
             "Take a shorter one"
         )
-    return found
+    return array
 
 
 def _rates(steps: TracedSteps, derivatives: Derivatives) -> FloatArray:
     """Return the largest rate of small changes at the beginning of each step, 1/s, about."""
     half, count = derivatives.half, len(steps.length)
     block = max(1, _MOST_NUMBERS // (2 * half * half))
-    found = np.empty(count)
+    rates = np.empty(count)
     start = np.random.default_rng(0).normal(size=(1, half, 2))
     for begin in range(0, count, block):
         some = slice(begin, begin + block)
         x, u, taut = steps.states[:, :-1][:, some], steps.inputs[:, some], steps.taut[:, some]
         whole = derivatives.by_state(x, u, taut)
         sizes = []
-        for part in (whole[:, :, half:], whole[:, :, :half]):
-            vectors = np.repeat(start, len(part), axis=0)
+        for matrix in (whole[:, :, half:], whole[:, :, :half]):
+            vectors = np.repeat(start, len(matrix), axis=0)
             for _ in range(_POWERS):
-                vectors = part @ vectors
+                vectors = matrix @ vectors
                 size = np.linalg.norm(vectors, axis=1, keepdims=True)
                 vectors = vectors / np.maximum(size, np.finfo(float).tiny)
             sizes.append(size.max(axis=(1, 2)))
         damped, stiff = sizes
-        found[some] = (damped + np.sqrt(damped**2 + 4 * stiff)) / 2
-    return found
+        rates[some] = (damped + np.sqrt(damped**2 + 4 * stiff)) / 2
+    return rates
 
 
 def stages(
@@ -123,12 +123,12 @@ def stages(
     x, taut = steps.states[:, of], steps.taut[:, of]
     slopes: list[FloatArray] = []
     states, inputs = [], []
-    for weights, part in zip(method.a, method.c, strict=True):
+    for weights, fraction in zip(method.a, method.c, strict=True):
         used = [w * slope for w, slope in zip(weights, slopes, strict=False) if w]
         y = x + h * sum(used, np.zeros_like(x))
         u = steps.inputs[:, of]
         if steps.layout.degree:
-            u[-1] += part * h
+            u[-1] += fraction * h
         slopes.append(derivatives.slope(y, u, taut))
         states.append(y)
         inputs.append(u)
@@ -170,21 +170,21 @@ class Variations:
     @cached_property
     def columns(self) -> list[slice]:
         """Which columns of a derivative are those of each parameter."""
-        ends = np.cumsum([0, *(each.size for each in self.parameters)])
+        ends = np.cumsum([0, *(parameter.size for parameter in self.parameters)])
         return [slice(int(a), int(b)) for a, b in pairwise(ends)]
 
     def forward(self) -> FloatArray:
         """Return the derivatives of x at the times, shape (T, states, P)."""
-        size = sum(each.size for each in self.parameters)
+        size = sum(parameter.size for parameter in self.parameters)
         X = self._start()
-        found = np.empty((len(self.times), len(X), size))
-        found[self.times <= self.steps.begin[0]] = X
+        sensitivities = np.empty((len(self.times), len(X), size))
+        sensitivities[self.times <= self.steps.begin[0]] = X
         at = self._first_switch
         for leg in self._legs(range(len(self.steps.length))):
             check()
             reached = self._forward(X, leg)
             if leg.output >= 0:
-                found[leg.output] = reached
+                sensitivities[leg.output] = reached
                 continue
             X = reached
             exact = self._exact(leg.step)
@@ -192,25 +192,25 @@ class Variations:
                 X = exact @ X
             for e in range(at[leg.step], at[leg.step + 1]):
                 X = X + self._jumped(e, X)
-            found[self._ends[leg.step]] = X
-        return _finite(found)
+            sensitivities[self._ends[leg.step]] = X
+        return _finite(sensitivities)
 
     def motion(self) -> FloatArray:
         """Return the states at the times, shape (states, T)."""
         steps, b = self.steps, self._tableau.b
         ends, parts = self._places
-        found = np.repeat(steps.states[:, :1], len(self.times), axis=1)
+        states = np.repeat(steps.states[:, :1], len(self.times), axis=1)
         for k, which in enumerate(ends):
-            found[:, which] = steps.states[:, [k + 1]]
+            states[:, which] = steps.states[:, [k + 1]]
         plan = [(k, length, i) for k, own in enumerate(parts) for length, i in own]
         if plan:
-            of, outputs = (np.array([each[j] for each in plan]) for j in (0, 2))
+            of, outputs = (np.array([leg[j] for leg in plan]) for j in (0, 2))
             h = np.array([length for _, length, _ in plan])
             slopes = self._stages(of, h)[0]
-            found[:, outputs] = steps.states[:, of] + h * sum(
+            states[:, outputs] = steps.states[:, of] + h * sum(
                 weight * slope for weight, slope in zip(b, slopes, strict=True)
             )
-        return found
+        return states
 
     def slopes(self) -> FloatArray:
         """Return ẋ at the times, shape (states, T)."""
@@ -229,7 +229,7 @@ class Variations:
         costs : ndarray, shape (T, states)
         """
         at = self._first_switch
-        slope = np.zeros(sum(each.size for each in self.parameters))
+        slope = np.zeros(sum(parameter.size for parameter in self.parameters))
         mu = np.zeros(costs.shape[1])
         partial = np.zeros_like(mu)
         for leg in self._legs(range(len(self.steps.length) - 1, -1, -1)):
@@ -301,19 +301,21 @@ class Variations:
     ) -> None:
         """Add what the parameters themselves change of the accelerations in a stage."""
         first = 0
-        for each, columns, part in zip(self.parameters, self.columns, counts, strict=True):
-            if each.kind == "input":
+        for parameter, columns, share in zip(self.parameters, self.columns, counts, strict=True):
+            if parameter.kind == "input":
                 by_input = slopes.by_input
                 assert by_input is not None  # it was asked for
-                if part is None:
+                if share is None:
                     rates[:, columns] += by_input[stage]
                     continue
-                for k in np.flatnonzero(part[stage]):
-                    rates[:, columns][:, k :: len(part[stage])] += part[stage, k] * by_input[stage]
-            elif each.kind not in ("nodes", "velocities"):
+                for k in np.flatnonzero(share[stage]):
+                    rates[:, columns][:, k :: len(share[stage])] += (
+                        share[stage, k] * by_input[stage]
+                    )
+            elif parameter.kind not in ("nodes", "velocities"):
                 own = slopes.by_parameters[stage]
-                rates[:, columns] += own[:, first : first + each.size]
-                first += each.size
+                rates[:, columns] += own[:, first : first + parameter.size]
+                first += parameter.size
 
     def _add_sources(
         self, slope: FloatArray, slopes: Slopes, counts: list[FloatArray | None], stage: int,
@@ -321,31 +323,31 @@ class Variations:
     ) -> None:  # fmt: skip
         """Add what a cost of the accelerations in a stage makes of the parameters."""
         first, own = 0, kappa @ slopes.by_parameters[stage]
-        for each, columns, part in zip(self.parameters, self.columns, counts, strict=True):
-            if each.kind == "input":
+        for parameter, columns, share in zip(self.parameters, self.columns, counts, strict=True):
+            if parameter.kind == "input":
                 assert slopes.by_input is not None  # it was asked for
                 by_input = kappa @ slopes.by_input[stage]
                 slope[columns] += (
-                    by_input if part is None else np.outer(by_input, part[stage]).ravel()
+                    by_input if share is None else np.outer(by_input, share[stage]).ravel()
                 )
-            elif each.kind not in ("nodes", "velocities"):
-                slope[columns] += own[first : first + each.size]
-                first += each.size
+            elif parameter.kind not in ("nodes", "velocities"):
+                slope[columns] += own[first : first + parameter.size]
+                first += parameter.size
 
     # ---- starts and switches ----
 
     def _start(self) -> FloatArray:
         """Return the derivative of the state at the start, shape (states, P)."""
         half, structure = self.derivatives.half, self.derivatives.structure
-        X = np.zeros((2 * half, sum(each.size for each in self.parameters)))
+        X = np.zeros((2 * half, sum(parameter.size for parameter in self.parameters)))
         exact = self.derivatives.projected(self.steps.states[:, :1])
         whole = np.eye(2 * half) if exact is None else exact[0]
         d, n = structure.nodes.shape
         place = np.arange(d * n).reshape(d, n).ravel(order="F")  # of x's entries in an array (d, n)
-        for each, columns in zip(self.parameters, self.columns, strict=True):
-            if each.kind in ("nodes", "velocities"):
-                part = slice(half) if each.kind == "nodes" else slice(half, None)
-                X[:, columns.start + place[structure.free_rows]] = whole[:, part]
+        for parameter, columns in zip(self.parameters, self.columns, strict=True):
+            if parameter.kind in ("nodes", "velocities"):
+                entries = slice(half) if parameter.kind == "nodes" else slice(half, None)
+                X[:, columns.start + place[structure.free_rows]] = whole[:, entries]
         return X
 
     def _gap_by(self, e: int) -> Iterator[tuple[slice | IntArray, FloatArray]]:
@@ -353,12 +355,12 @@ class Variations:
         switches, steps = self.switches, self.steps
         k = switches.step[e]
         begin, length = steps.begin[[k]], steps.length[k]
-        for each, columns in zip(self.parameters, self.columns, strict=True):
-            if each.kind != "input":
+        for parameter, columns in zip(self.parameters, self.columns, strict=True):
+            if parameter.kind != "input":
                 continue
-            part = shares(each, begin + length, begin + length / 2)
+            share = shares(parameter, begin + length, begin + length / 2)
             by_input = switches.by_input[e]
-            yield columns, by_input if part is None else np.outer(by_input, part[:, 0]).ravel()
+            yield columns, by_input if share is None else np.outer(by_input, share[:, 0]).ravel()
 
     def _jumped(self, e: int, X: FloatArray) -> FloatArray:
         """Return what a switch adds to the derivative."""
@@ -403,7 +405,7 @@ class Variations:
             some = self.derivatives.projected(self.steps.states[:, first + 1 : first + 1 + block])
             if some is None:
                 return None
-            known |= {first + i: each for i, each in enumerate(some)}
+            known |= {first + i: derivative for i, derivative in enumerate(some)}
         return known[step]
 
     @cached_property
@@ -433,7 +435,7 @@ class Variations:
         """Number of steps whose derivatives are held at a time."""
         half, stages = self.derivatives.half, len(self._tableau.b)
         width = 2 * half + len(self.derivatives.structure.strings)
-        width += sum(each.size for each in self.parameters if each.kind != "input")
+        width += sum(parameter.size for parameter in self.parameters if parameter.kind != "input")
         numbers = stages * half * width
         validation.refuse_memory(
             "the derivative of a step", 1, "steps", 8 * numbers, ". Use a smaller structure"
@@ -473,20 +475,21 @@ class Variations:
         h = np.array([length for _, length, _ in plan])
         slopes, states, inputs = self._stages(of, h)
         stages, count = len(c), len(plan)
-        found = self.derivatives.at(
+        derivatives = self.derivatives.at(
             np.hstack(states), np.hstack(inputs), np.tile(steps.taut[:, of], stages),
             np.hstack(slopes),
         )  # fmt: skip
         time = (steps.begin[of] + c[:, None] * h).ravel()
         middle = np.tile(steps.begin[of] + h / 2, stages)
         by_input = [
-            shares(each, time, middle) if each.kind == "input" else None for each in self.parameters
+            shares(parameter, time, middle) if parameter.kind == "input" else None
+            for parameter in self.parameters
         ]
         for i, (k, length, output) in enumerate(plan):
             own = Slopes(
-                found.by_state[i::count],
-                None if found.by_input is None else found.by_input[i::count],
-                found.by_parameters[i::count],
+                derivatives.by_state[i::count],
+                None if derivatives.by_input is None else derivatives.by_input[i::count],
+                derivatives.by_parameters[i::count],
             )
-            part = [None if each is None else each[:, i::count].T for each in by_input]
-            yield _Leg(k, length, output, own, part)
+            own_shares = [None if share is None else share[:, i::count].T for share in by_input]
+            yield _Leg(k, length, output, own, own_shares)
