@@ -330,13 +330,13 @@ class Actuators:
             return validation.non_negative("command.value", desired, "a string can only pull")
         return validation.positive("command.value", desired, "rest length in m")
 
-    def _to_plant(self, what: str, values: FloatArray) -> FloatArray:
+    def _to_plant(self, name: str, values: FloatArray) -> FloatArray:
         """Return values of the plant's strings from those of the commanded ones."""
-        return to_segments(self._structure, what, values) if self._by_segment else values
+        return to_segments(self._structure, name, values) if self._by_segment else values
 
-    def _to_strings(self, what: str, values: FloatArray) -> FloatArray:
+    def _to_strings(self, name: str, values: FloatArray) -> FloatArray:
         """Return values of the commanded strings from those of the plant's."""
-        return to_strings(self._structure, what, values) if self._by_segment else values
+        return to_strings(self._structure, name, values) if self._by_segment else values
 
     def _unless_stuck(self, desired: FloatArray, stuck: IntArray) -> FloatArray:
         """Return the desired input, but the current one of stuck actuators."""
@@ -424,7 +424,7 @@ class Actuators:
             return 0.0
         assert self._motor is not None  # asked for by the record of the motors
         finer, end, reached, times = self._new_drive(finer=2), segments.ends[-1], [], []
-        part, limited = self._sample_time / finer.ticks, np.isfinite(self._motor.torque).any()
+        tick, limited = self._sample_time / finer.ticks, np.isfinite(self._motor.torque).any()
 
         def pull(ends: list[FloatArray], rest_length: FloatArray, later: float) -> _Forces:
             return self._pull(ends[later > 0], rest_length)
@@ -432,8 +432,8 @@ class Actuators:
         # The last sample may have been interrupted before it began to move.
         for begin, move in zip(self._begins, self._moves, strict=False):
             finer.begin(*move)
-            instants = begin + part * np.arange(finer.ticks + 1)
-            instants = instants[instants < end + part / 2]
+            instants = begin + tick * np.arange(finer.ticks + 1)
+            instants = instants[instants < end + tick / 2]
             # Forces are asked for under limits of torque only.
             motion = list(segments.at_times(instants).T) if limited else []
             for i, (now, then) in enumerate(pairwise(instants)):

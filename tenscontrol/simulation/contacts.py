@@ -271,7 +271,7 @@ class _Recorder:
         self._cut_up(parts, near, integrals, off, change)
 
     def _cut_up(
-        self, parts: DenseMotion, kept: IntArray, found: _Integrals, off: FloatArray,
+        self, parts: DenseMotion, kept: IntArray, integrals: _Integrals, off: FloatArray,
         change: FloatArray,
     ) -> None:  # fmt: skip
         """Take parts that are exact, and integrate the others again, in pieces.
@@ -289,8 +289,9 @@ class _Recorder:
             good[worst] |= (np.cumsum(counts[worst]) > left) | (level == _LEVELS)
             self.error += float(change[good].sum())
             taken, bad = np.flatnonzero(good), np.flatnonzero(~good)
-            self._done.append((parts.take(taken), kept[taken], found.take(taken)))
-            parts, kept, found, counts = parts.take(bad), kept[bad], found.take(bad), counts[bad]
+            self._done.append((parts.take(taken), kept[taken], integrals.take(taken)))
+            parts, kept = parts.take(bad), kept[bad]
+            integrals, counts = integrals.take(bad), counts[bad]
             if not len(kept):
                 return
             pieces, again = [], 0  # segments that are integrated again: the first ones
@@ -304,22 +305,22 @@ class _Recorder:
                     again = int(group[-1]) + 1
             except (IntegrationError, KeyboardInterrupt):
                 self.error = np.inf
-                self._done.append((parts, kept, found))
+                self._done.append((parts, kept, integrals))
                 return
             if again < len(kept):  # the others are as exact as they are
                 rest, done = np.arange(again, len(kept)), np.arange(again)
                 self.error += float(change[bad][rest].sum())
-                self._done.append((parts.take(rest), kept[rest], found.take(rest)))
+                self._done.append((parts.take(rest), kept[rest], integrals.take(rest)))
                 if not again:
                     return
-                parts, kept, found = parts.take(done), kept[done], found.take(done)
+                parts, kept, integrals = parts.take(done), kept[done], integrals.take(done)
                 counts = counts[done]
             left -= int(counts.sum())
             finer, owner = DenseMotion.joined(pieces), np.repeat(np.arange(len(kept)), counts)
             kept = kept[owner]
             fine = self._integrated(finer, kept)
-            off, change = self._off(parts, found, finer, fine, owner, kept)
-            parts, found, off, change = finer, fine, off[owner], (change / counts)[owner]
+            off, change = self._off(parts, integrals, finer, fine, owner, kept)
+            parts, integrals, off, change = finer, fine, off[owner], (change / counts)[owner]
 
     def _off(
         self, coarse: DenseMotion, before: _Integrals, fine: DenseMotion, after: _Integrals,

@@ -67,11 +67,11 @@ class DenseMotion:
         """Return parts of a motion one after the other."""
         return cls(
             parts[0].run,
-            np.concatenate([part.of for part in parts]),
-            np.concatenate([part.begins for part in parts]),
-            np.concatenate([part.ends for part in parts]),
-            np.hstack([part.before for part in parts]),
-            np.hstack([part.after for part in parts]),
+            np.concatenate([motion.of for motion in parts]),
+            np.concatenate([motion.begins for motion in parts]),
+            np.concatenate([motion.ends for motion in parts]),
+            np.hstack([motion.before for motion in parts]),
+            np.hstack([motion.after for motion in parts]),
         )
 
     def take(self, k: IntArray) -> DenseMotion:
@@ -79,7 +79,7 @@ class DenseMotion:
         times, before, after = (self.begins[k], self.ends[k]), self.before[:, k], self.after[:, k]
         some = DenseMotion(self.run, self.of[k], *times, before, after)
         if "_accelerations" in self.__dict__:  # they are known
-            some._accelerations = [each[:, k] for each in self._accelerations]
+            some._accelerations = [array[:, k] for array in self._accelerations]
         return some
 
     def followed(self) -> States:
@@ -121,14 +121,14 @@ class DenseMotion:
 
     @cached_property
     def _accelerations(self) -> list[FloatArray]:
-        equation, half, found = self.run.equation, len(self.before) // 2, []
+        equation, half, accelerations = self.run.equation, len(self.before) // 2, []
         for time, x in ((self.begins, self.before), (self.ends, self.after)):
             coefficients = self._inputs(np.arange(len(time))).swapaxes(0, 1)
             u = coefficients.reshape(-1, len(time))
             if equation.layout.degree:
                 u = np.vstack([u, self._since(time, self.of)])
-            found.append(evaluate_columns(equation.kinked_slope, x, u)[0][half:])
-        return found
+            accelerations.append(evaluate_columns(equation.kinked_slope, x, u)[0][half:])
+        return accelerations
 
     def _since(self, time: FloatArray, of: IntArray) -> FloatArray:
         origin = np.array([span.origin for span in self.run.spans])

@@ -182,26 +182,26 @@ class Motion:
         leave under them, where the loop corrects what is wrong. So above a limit it is the errors
         of the stages, added up, if they are less.
         """
-        found = self._from_another(limit)
-        if self.starts is not None and len(found) and float(found.max()) > limit:
-            found = np.minimum(found, self._added(self.starts))
-        return self._without_dips(found)
+        error = self._from_another(limit)
+        if self.starts is not None and len(error) and float(error.max()) > limit:
+            error = np.minimum(error, self._added(self.starts))
+        return self._without_dips(error)
 
-    def _without_dips(self, found: FloatArray) -> FloatArray:
+    def _without_dips(self, error: FloatArray) -> FloatArray:
         """Return estimates that are at least those of just before: motions may meet for once."""
         ends = np.cumsum([stage.length for stage in self.stages])
         begins = ends - [stage.length for stage in self.stages]
         parts = (np.arange(1, stage.outputs + 1) / stage.outputs for stage in self.stages)
         time = np.concatenate(
             [
-                begin + stage.length * part
-                for begin, stage, part in zip(begins, self.stages, parts, strict=True)
+                begin + stage.length * share
+                for begin, stage, share in zip(begins, self.stages, parts, strict=True)
             ]
         )[self.path.columns]
         window = np.minimum((time / ends[-1] * _WINDOWS).astype(int), _WINDOWS - 1)
         largest = np.zeros(_WINDOWS + 1)
-        np.maximum.at(largest, window + 1, found)
-        least: FloatArray = np.maximum(found, largest[window])
+        np.maximum.at(largest, window + 1, error)
+        least: FloatArray = np.maximum(error, largest[window])
         return least
 
     def _from_another(self, limit: float) -> FloatArray:
@@ -220,25 +220,25 @@ class Motion:
             if self.order <= 2:
                 return self._difference(self._again(_LOOSER))
             if self.value > _TIGHT:
-                found = _SAFETY * self._difference(self._again(_TIGHTER))
-                if np.isfinite(found[-1]):
-                    return found
+                error = _SAFETY * self._difference(self._again(_TIGHTER))
+                if np.isfinite(error[-1]):
+                    return error
             return self._difference(self._again(1 / _TIGHTER))
-        steps, fewer = (sum(each.steps(self.value, f) for each in self.stages) for f in (1, 2))
+        steps, fewer = (sum(stage.steps(self.value, f) for stage in self.stages) for f in (1, 2))
         if fewer > _FEWER * steps:  # inputs change with each step
             return _SAFETY * self._difference(self._again(0.5))
         coarse = self._again(2)
-        found = self._difference(coarse)
-        if not np.isfinite(found[-1]):  # some motions need the steps that they have
+        error = self._difference(coarse)
+        if not np.isfinite(error[-1]):  # some motions need the steps that they have
             return _SAFETY * self._difference(self._again(0.5))
         if self.order > 2 and coarse.switches == self.path.switches:
             divisor = 2 ** self._order_seen(coarse) - 1
-            found[np.maximum.accumulate(found) < _SATURATED] *= min(1.0, _SAFETY / divisor)
-        if self.order > 2 and float(found.max()) > limit:
+            error[np.maximum.accumulate(error) < _SATURATED] *= min(1.0, _SAFETY / divisor)
+        if self.order > 2 and float(error.max()) > limit:
             finer = _SAFETY * self._difference(self._again(0.5))
             if _CLEARLY * float(finer.max()) < limit:
                 return finer
-        return found
+        return error
 
     def _added(self, starts: FloatArray) -> FloatArray:
         """Return the errors made in the stages, each from the state at its beginning, added up.
@@ -251,29 +251,29 @@ class Motion:
         speed = float(np.abs(starts[half:]).max())
         reach = self._size / speed if speed > 0 else 0.0
         rates = starts[half + self.rows]
-        found, before, first = [], 0.0, 0
+        errors, before, first = [], 0.0, 0
         for i, stage in enumerate(self.stages):
             try:
                 span = integrator.advance(starts[:, i], stage.held, stage.length, stage.outputs)
             except IntegrationError:
-                rest = sum(each.outputs for each in self.stages[i:])
-                found.append(np.full(rest, np.inf))
+                rest = sum(other.outputs for other in self.stages[i:])
+                errors.append(np.full(rest, np.inf))
                 break
             columns = np.arange(first, first + stage.outputs)
             off = self._distance(self.path.at(columns), span.states[self.rows])
-            found.append(before + off)
+            errors.append(before + off)
             led = 0.0
             if i + 1 < len(self.stages):
                 end = span.states[half + self.rows, -1:]
                 led = reach * float(self._distance(rates[:, i + 1 : i + 2], end)[0])
             before += max(float(off[-1]), led)
             first += stage.outputs
-        return _SAFETY * np.concatenate(found)
+        return _SAFETY * np.concatenate(errors)
 
     def _order_seen(self, coarse: Path) -> float:
         """Return the order by which differences grow with the step, at most that of the method."""
         coarser = self._again(4, _OF_ORDER)
-        columns = reduce(_common, (each.columns for each in (self.path, coarse, coarser)))
+        columns = reduce(_common, (path.columns for path in (self.path, coarse, coarser)))
         if not len(columns):
             return 1.0
         at = np.ceil(np.multiply(_SEEN_AT, len(columns) - 1)).astype(int)
@@ -287,11 +287,11 @@ class Motion:
             return 1.0
         return float(np.clip(orders.min(), 1.0, self.order))
 
-    def _again(self, factor: float, part: float = 1.0) -> Path:
+    def _again(self, factor: float, share: float = 1.0) -> Path:
         """Return the motion for a value by a factor larger, over a first part of the time."""
         integrator, state = self._integrator_of(factor), self.start
         columns, positions = [np.zeros(0, int)], list[FloatArray]()
-        first, switches, now, left = 0, 0, 0.0, part * sum(stage.length for stage in self.stages)
+        first, switches, now, left = 0, 0, 0.0, share * sum(stage.length for stage in self.stages)
         for stage in self.stages:
             if left <= 0:
                 break
@@ -326,7 +326,7 @@ class Motion:
         """Return the integrator for a value by a factor larger than what was taken."""
         value = self.value
         if self.setting == "step":  # outputs may lie closer
-            value = max(each.spacing / _steps(each.spacing, value) for each in self.stages)
+            value = max(stage.spacing / _steps(stage.spacing, value) for stage in self.stages)
         integrator = self.integrator(factor * value)
         if factor < 1:
             integrator.shorten()

@@ -52,13 +52,13 @@ def error_growth(time: FloatArray, error: FloatArray, size: float) -> ErrorGrowt
         ratio = most[1:] / np.maximum(most[:-1], _ROUND_OFF * size)
         for first in range(count - _WINDOWS + 1):
             last = first + _WINDOWS - 1
-            each = ratio[first:last]
-            if most[first] < _ROUND_OFF * size or each.min() < _EACH:
+            ratios = ratio[first:last]
+            if most[first] < _ROUND_OFF * size or ratios.min() < _EACH:
                 continue
             while last < count - 1 and ratio[last] >= _EACH:
                 last += 1
             together = float(most[last] / most[first])
-            steady = each[-2:].min() > _STEADY * each[:2].max()
+            steady = ratios[-2:].min() > _STEADY * ratios[:2].max()
             seen = most[last] > _SEEN * size and error[-width:].max() > _FALLEN * most[last]
             if together > _TOGETHER and steady and seen:
                 begin, end = first * width, min((last + 1) * width, len(error)) - 1

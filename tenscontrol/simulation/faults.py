@@ -240,9 +240,9 @@ class Faults:
         return any(fault.start <= time < fault.end for fault in self._lost)
 
 
-def _refuse_index(place: int, string: int, count: int, what: str) -> None:
+def _refuse_index(place: int, string: int, count: int, things: str) -> None:
     if string >= count:
         raise ValueError(
             f"faults[{place}].string is {string}, expected 0 to {count - 1}: there are "
-            f"{count} {what}, counted from 0"
+            f"{count} {things}, counted from 0"
         )

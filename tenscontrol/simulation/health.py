@@ -177,16 +177,16 @@ class HealthLimits:
             validation.instance("sections", self.sections, Sections, how)
         put = object.__setattr__  # the dataclass is frozen for everyone else
         put(self, "margin", validation.positive_number("margin", self.margin, "times the force"))
-        for each in fields(self):
-            value = getattr(self, each.name)
-            if each.name in _BESIDE:
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            if entry.name in _BESIDE:
                 continue
             if validation.is_unlimited(value):
-                put(self, each.name, None)
-            elif each.name == "crossings":
-                validation.whole_number(each.name, value, 0)
+                put(self, entry.name, None)
+            elif entry.name == "crossings":
+                validation.whole_number(entry.name, value, 0)
             else:
-                validation.positive_number(each.name, value, "a limit; None or inf for none")
+                validation.positive_number(entry.name, value, "a limit; None or inf for none")
 
     @property
     def names(self) -> list[str]:
@@ -206,22 +206,22 @@ class HealthLimits:
         dict of str to str
         """
         validation.instance("health", health, Health, "health of a trajectory")
-        found: dict[str, str] = {}
+        sentences: dict[str, str] = {}
         for name in self.names:
             limit = getattr(self, name)
             if name == "crossings":
                 if len(health.crossings or ()) > limit:
-                    found[name] = _passing(health.crossings or ())
+                    sentences[name] = _passing(health.crossings or ())
                 continue
             source = health if hasattr(health, name) else health.work
             value = getattr(source, name)
             if value is not None and value > limit:
-                what = name.replace("_", " ")
+                label = name.replace("_", " ")
                 why = _PHYSICAL.get(name, "")
                 if name == "position_error":
                     why = f" of the size from {health.trusted_until:.4g} s on"
-                found[name] = f"{what} {value:.2g} is above its limit {limit:g}{why}"
-        return found
+                sentences[name] = f"{label} {value:.2g} is above its limit {limit:g}{why}"
+        return sentences
 
 
 def _passing(crossings: tuple[BarCrossing, ...]) -> str:

@@ -77,17 +77,19 @@ class MotionFunctions:
         rows = slice(None) if every else model.structure.free_rows
         if self.shared is not None:
             function, own = self.shared(name)
-            more += tuple(np.broadcast_to(each[:, None], (len(each), count)) for each in own)
+            more += tuple(np.broadcast_to(values[:, None], (len(values), count)) for values in own)
         else:
             function = model.of_all_nodes(name) if self.moved else getattr(model, name)
 
         def within(first: int) -> list[FloatArray]:
             some = slice(first, first + BLOCK)
-            moving = [by_node(part[:, :, some])[rows] for part in (nodes, velocities)]
-            return evaluate_columns(function, np.vstack(moving), *(each[:, some] for each in more))
+            moving = [by_node(array[:, :, some])[rows] for array in (nodes, velocities)]
+            return evaluate_columns(
+                function, np.vstack(moving), *(values[:, some] for values in more)
+            )
 
         parts = zip(*(within(first) for first in range(0, count, BLOCK)), strict=True)
-        return [read_only(np.hstack(part)) for part in parts]
+        return [read_only(np.hstack(blocks)) for blocks in parts]
 
 
 def distances(nodes: FloatArray, pairs: IntArray) -> FloatArray:

@@ -181,10 +181,10 @@ class Observation:
             return None
         return self._of_strings("rest_length", self._held)
 
-    def _of_strings(self, what: str, values: FloatArray) -> FloatArray:
+    def _of_strings(self, name: str, values: FloatArray) -> FloatArray:
         if len(values) == len(self._sensors.structure.strings):
             return values
-        return to_strings(self._model.structure, what, values)
+        return to_strings(self._model.structure, name, values)
 
     def record(self, time: FloatArray) -> EstimateRecord:
         """Return measurements and estimates at these times."""

@@ -119,7 +119,7 @@ class PlantRun:
         else:
             chosen = Choice(method.name, "step", how.step, "asked for")
         if equation.layout.degree and not method.follows:
-            able = [name for name, each in METHODS.items() if each.follows]
+            able = [name for name, candidate in METHODS.items() if candidate.follows]
             raise ValueError(
                 f"method {method.name!r} takes inputs that are constant over a step only, but "
                 f"an input changes in time; methods that follow it are: {able}. For a method of "
@@ -191,8 +191,8 @@ class PlantRun:
         elif not isinstance(held, Pieces):
             held = Pieces.constant(held)
         if held.degree > self.degree:
-            found = f"found one of degree {held.degree}"
-            raise ValueError(f"the run was made for inputs of degree {self.degree}, {found}")
+            reason = f"found one of degree {held.degree}"
+            raise ValueError(f"the run was made for inputs of degree {self.degree}, {reason}")
         end = self.now + duration
         inputs = held.within(self.now, end)
         self.moves |= not inputs.is_constant
@@ -219,7 +219,7 @@ class PlantRun:
             return
         energy = "potential_energy" if self.input == "force_density" else "elastic_energy"
         inputs = np.column_stack([before, after])
-        motion = (np.repeat(part, 2, axis=2) for part in self._motion(state))
+        motion = (np.repeat(array, 2, axis=2) for array in self._motion(state))
         functions = MotionFunctions(self.model, self.supports is not None, inputs)
         (stored,) = functions.of(energy, *motion, inputs)
         self.lost_energy += float(stored[0, 0] - stored[0, 1])
@@ -343,7 +343,7 @@ class PlantRun:
         if self.supports is not None:
             offset, rate = (polynomial_at(coefficients[self.offset_rows], time, i) for i in (0, 1))
         parts = self._moved(states, offset, rate)
-        return np.vstack([part.reshape(-1, states.shape[1], order="F") for part in parts])
+        return np.vstack([array.reshape(-1, states.shape[1], order="F") for array in parts])
 
     @property
     def string_rows(self) -> slice:
@@ -374,7 +374,8 @@ class PlantRun:
         """Return some of the inputs at all times kept, or their rates, read-only."""
         held = [s.coefficients[rows] for s in self.spans]
         if not order and all(
-            not each[:, 1:].any() and np.array_equal(each[:, 0], held[0][:, 0]) for each in held
+            not coefficients[:, 1:].any() and np.array_equal(coefficients[:, 0], held[0][:, 0])
+            for coefficients in held
         ):  # one column, read at all times
             count = sum(len(s.time) for s in self.spans)
             return np.broadcast_to(frozen(held[0][:, :1]), (len(held[0]), count))
@@ -401,11 +402,11 @@ class PlantRun:
                     )
                     offset, rate = (polynomial_at(rows, within, order) for order in (0, 1))
                 N, V = self._moved(span.states[:, some], offset, rate)
-                there = slice(place, place + N.shape[2])
-                nodes[:, :, there], velocities[:, :, there] = N, V
-                place = there.stop
-        for part in (nodes, velocities):
-            part.setflags(write=False)
+                columns = slice(place, place + N.shape[2])
+                nodes[:, :, columns], velocities[:, :, columns] = N, V
+                place = columns.stop
+        for array in (nodes, velocities):
+            array.setflags(write=False)
         return nodes, velocities
 
     def _all_free(self) -> tuple[FloatArray, FloatArray]:

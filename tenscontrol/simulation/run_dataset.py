@@ -64,7 +64,7 @@ def dataset(run: Any) -> RunDataset:
         entries["command"] = ("winch", "sample"), run.control.command, unit
         entries["applied"] = ("winch", "sample"), run.control.applied, unit
         coordinates["sample_time"] = ("sample", run.control.time, {"units": "s"})
-        coordinates["status"] = ("sample", [str(each) for each in run.control.status])
+        coordinates["status"] = ("sample", [str(status) for status in run.control.status])
     about = {"method": run.method, "tenscontrol": __version__}
     variables = {
         name: (dims, values, {"units": unit}) for name, (dims, values, unit) in entries.items()

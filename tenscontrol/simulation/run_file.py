@@ -155,9 +155,9 @@ def write_run(path: object, values: Mapping[str, Any]) -> Path:
     file = validation.file_path("path", path, (".npz",))
     out = _Writer()
     run = {name: out.node(value, (name,)) for name, value in values.items()}
-    for place, what in out.unsaved.items():
+    for place, kind in out.unsaved.items():
         if not place.startswith(_MAY_BE_UNSAVED):
-            raise TypeError(f"{place} of the run is {what}, which no file of a run can hold")
+            raise TypeError(f"{place} of the run is {kind}, which no file of a run can hold")
     header = {
         "format": _FORMAT, "version": VERSION, "tenscontrol": __version__,
         "not_saved": out.unsaved, "run": run,
@@ -202,15 +202,15 @@ class _Writer:
         if isinstance(value, np.ndarray) and value.dtype.str[1:] in _NUMBERS:
             return self._array(value, path)
         if isinstance(value, tuple | list):
-            words = {type(each) for each in value} - {type(None)}
+            words = {type(item) for item in value} - {type(None)}
             if len(words) == 1 and (kind := words.pop()) in _WORDS.values():
-                array = np.array([str(each or "") for each in value])
+                array = np.array([str(item or "") for item in value])
                 return {"words": kind.__name__, **self._array(array, path)}
-            parts = [self.node(each, (*path, str(i))) for i, each in enumerate(value)]
+            parts = [self.node(item, (*path, str(i))) for i, item in enumerate(value)]
             return {"tuple" if isinstance(value, tuple) else "list": parts}
         if isinstance(value, dict | Arguments):
             raw = value if isinstance(value, dict) else value.raw
-            items = {str(key): self.node(each, (*path, str(key))) for key, each in raw.items()}
+            items = {str(key): self.node(item, (*path, str(key))) for key, item in raw.items()}
             if raw is not value:
                 return {"given": items}
             of = next((type(key).__name__ for key in raw), "str")
@@ -219,10 +219,10 @@ class _Writer:
             names = [value.name(), *map(value.name_in, range(value.n_in()))]
             return {"function": names, "lines": self.node(lines, path)}
         if type(value) in _RECORDS.values():
-            found = {field.name: getattr(value, field.name) for field in fields(value)}
+            entries = {field.name: getattr(value, field.name) for field in fields(value)}
             if isinstance(value, OutputLimit):  # no bound is infinite in it, and None to make it
-                found |= {name: None for name in ("low", "high") if np.isinf(found[name]).all()}
-            inside = {name: self.node(each, (*path, name)) for name, each in found.items()}
+                entries |= {name: None for name in ("low", "high") if np.isinf(entries[name]).all()}
+            inside = {name: self.node(item, (*path, name)) for name, item in entries.items()}
             return {"record": type(value).__name__, "fields": inside}
         left = value if isinstance(value, Unsaved) else Unsaved.of(".".join(path), value)
         self.unsaved[left.place] = left.what
@@ -266,9 +266,9 @@ def read_run(path: object) -> dict[str, Any]:
         except _RefusedError as error:
             raise ValueError(f"{file}: {error}") from None
         except (*_FAULTS, MemoryError, RecursionError) as error:
-            said = str(error) or type(error).__name__
+            reason = str(error) or type(error).__name__
             raise ValueError(
-                f"{file}: damaged, expected what run.save(path) wrote: {said}"
+                f"{file}: damaged, expected what run.save(path) wrote: {reason}"
             ) from error
 
 
@@ -282,10 +282,10 @@ class _Pieces(BufferedReader):
     def read(self, size: int | None = -1, /) -> bytes:
         """Return at most so many bytes; all that are left if it is None or negative."""
         asked = _PIECE + 1 if size is None or size < 0 else min(size, _PIECE + 1)
-        found = super().read(asked)
-        if len(found) > _PIECE:
+        data = super().read(asked)
+        if len(data) > _PIECE:
             raise _RefusedError(f"no run: its directory has more than {_PIECE:,} bytes")
-        return found
+        return data
 
 
 @dataclass(frozen=True)
@@ -328,13 +328,15 @@ class _Arrays(Mapping[str, np.ndarray]):
 
     def __init__(self, archive: zipfile.ZipFile) -> None:
         self._archive = archive
-        self._members = {each.filename.removesuffix(".npy"): each for each in archive.infolist()}
+        self._members = {
+            member.filename.removesuffix(".npy"): member for member in archive.infolist()
+        }
         if len(self._members) != len(archive.infolist()):
             raise ValueError("it has two arrays of one name")
-        self.forms = {name: _Form.of(archive, each) for name, each in self._members.items()}
+        self.forms = {name: _Form.of(archive, member) for name, member in self._members.items()}
         # An array without entries counts too, by its other dimensions.
         taken = sum(
-            prod(max(each, 1) for each in form.shape) * form.dtype.itemsize
+            prod(max(size, 1) for size in form.shape) * form.dtype.itemsize
             for form in self.forms.values()
         )
         if taken > _MOST_BYTES:
@@ -390,13 +392,13 @@ def _read_archive(archive: zipfile.ZipFile) -> dict[str, Any]:
     _check_names(parts, arrays.forms.keys() - {"header"})
     _check_shapes({name: form.shape for name, form in arrays.forms.items()})
     reader = _Reader(arrays, is_complete=parts.get("stopped") is None)
-    found = {name: reader.value(node, name) for name, node in parts.items()}
+    run = {name: reader.value(node, name) for name, node in parts.items()}
     for name, kind in _PARTS.items():
-        if not isinstance(found.get(name, found), kind):
+        if not isinstance(run.get(name, run), kind):
             raise TypeError(f"{name} is not what a run has there")
-    if found["model"] is not None:
-        found["model"] = _model(found["structure"], found["ground"], found["model"])
-    return found
+    if run["model"] is not None:
+        run["model"] = _model(run["structure"], run["ground"], run["model"])
+    return run
 
 
 def _array_places(node: Any, place: str) -> Iterator[tuple[str, str]]:
@@ -408,15 +410,15 @@ def _array_places(node: Any, place: str) -> Iterator[tuple[str, str]]:
     for key in ("fields", "dict", "given", "list", "tuple"):
         inside = node.get(key)
         items = inside.items() if isinstance(inside, dict) else enumerate(inside or ())
-        for each, value in items:
-            yield from _array_places(value, f"{place}.{each}")
+        for entry, value in items:
+            yield from _array_places(value, f"{place}.{entry}")
 
 
-def _check_names(parts: Mapping[str, Any], there: Set[str]) -> None:
+def _check_names(parts: Mapping[str, Any], names: Set[str]) -> None:
     """Refuse arrays that are not called after their places, and those of no place or two."""
-    left = set(there)
-    for part, node in parts.items():
-        for name, place in _array_places(node, part):
+    left = set(names)
+    for root, node in parts.items():
+        for name, place in _array_places(node, root):
             # Where places would have one name, the later has underscores at its end.
             if name.replace(".", "_").rstrip("_") != place.replace(".", "_").rstrip("_"):
                 raise ValueError(f"{place} is the array {name!r:.60}, expected one of its own name")
@@ -446,7 +448,7 @@ class _Reader:
                 return float(text)
             case {"words": str(kind), "array": str(name)}:
                 words = self._take(name, "U").tolist()
-                return tuple(_WORDS[kind](each) if each else None for each in words)
+                return tuple(_WORDS[kind](word) if word else None for word in words)
             case {"array": str(name)}:
                 return self._take(name, "bif")
             case {"function": [str(name), *names], "lines": lines}:
@@ -459,19 +461,19 @@ class _Reader:
             case {"given": dict(items)}:
                 return Arguments(self._inside(items, place))
             case {"dict": dict(items), "keys": str(of)}:
-                return {_WORDS[of](key): each for key, each in self._inside(items, place).items()}
+                return {_WORDS[of](key): item for key, item in self._inside(items, place).items()}
             case {"dict": dict(items)}:
-                return _whole(found := self._inside(items, place), found)
+                return _whole(contents := self._inside(items, place), contents)
             case {"list": list(items)}:
-                found = self._inside(dict(enumerate(items)), place)
-                return _whole(found, list(found.values()))
+                contents = self._inside(dict(enumerate(items)), place)
+                return _whole(contents, list(contents.values()))
             case {"tuple": list(items)}:
-                found = self._inside(dict(enumerate(items)), place)
-                return _whole(found, tuple(found.values()))
+                contents = self._inside(dict(enumerate(items)), place)
+                return _whole(contents, tuple(contents.values()))
             case {"record": str(kind), "fields": dict(items)}:
-                found = self._inside(items, place)
-                cut = next((each for each in found.values() if isinstance(each, Unsaved)), None)
-                return cut or _RECORDS[kind](**found)
+                contents = self._inside(items, place)
+                cut = next((item for item in contents.values() if isinstance(item, Unsaved)), None)
+                return cut or _RECORDS[kind](**contents)
         raise ValueError(f"{place} is not understood")
 
     def _inside(self, items: dict[Any, Any], place: str) -> dict[Any, Any]:
@@ -488,14 +490,14 @@ class _Reader:
         return array
 
 
-def _whole(found: Mapping[Any, Any], made: Any) -> Any:
+def _whole(contents: Mapping[Any, Any], container: Any) -> Any:
     """Return what was made of values, or the first of them that a file does not hold."""
-    return next((each for each in found.values() if isinstance(each, Unsaved)), made)
+    return next((item for item in contents.values() if isinstance(item, Unsaved)), container)
 
 
 def _function(name: str, names: list[str], lines: list[list[Any]]) -> ca.Function:
     """Return a function of numbers from its instructions."""
-    inputs = [ca.SX.sym(each) for each in names]
+    inputs = [ca.SX.sym(label) for label in names]
     work: dict[int, ca.SX] = {}
     result = ca.SX(1, 1)
     for code, into, of, constant in lines:
@@ -508,7 +510,7 @@ def _function(name: str, names: list[str], lines: list[list[Any]]) -> ca.Functio
         elif code == "CONST":
             work[into[0]] = ca.SX(constant)
         else:
-            parts = [work[each] for each in of]
+            parts = [work[operand] for operand in of]
             make = ca.SX.unary if len(parts) == 1 else ca.SX.binary
             work[into[0]] = make(getattr(ca, f"OP_{code}"), *parts)
     return Function(name, inputs, [result], names, ["h"])
@@ -524,8 +526,8 @@ def _check_shapes(shapes: Mapping[str, tuple[int, ...]]) -> None:
         expected = tuple(size.get(letter, letter) for letter in letters)
         pairs = zip(expected, shape, strict=False)
         if len(letters) != len(shape) or any(a != b for a, b in pairs if isinstance(a, int)):
-            said = str(expected).replace("'", "")
-            raise ValueError(f"{name} has shape {shape}, expected {said}")
+            text = str(expected).replace("'", "")
+            raise ValueError(f"{name} has shape {shape}, expected {text}")
         size |= dict(zip(letters, shape, strict=True))
         if name == "structure_nodes":
             size["r"] = 3 if size["d"] == 3 else 1
@@ -541,7 +543,7 @@ def model_parts(model: Model) -> dict[str, Any]:
 
 def _model(structure: Structure, ground: Any, parts: Any) -> Model | Unsaved:
     """Return the model of its parts, or what of it a file does not hold."""
-    missing = [each for each in (ground, parts) if isinstance(each, Unsaved)]
+    missing = [item for item in (ground, parts) if isinstance(item, Unsaved)]
     return missing[0] if missing else Model(structure, ground=ground, **parts)
 
 

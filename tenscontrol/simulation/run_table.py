@@ -33,12 +33,12 @@ def run_table(run: Any) -> tuple[list[str], FloatArray]:
     strings = [("force density [N/m]", run.force_density), ("tension [N]", run.tension)]
     if run.rest_length is not None:
         strings.append(("rest length [m]", run.rest_length))
-    for what, values in strings:
-        head += [f"string {i} {what}" for i in range(len(values))]
+    for label, values in strings:
+        head += [f"string {i} {label}" for i in range(len(values))]
         columns.append(values)
     if run.control is not None:
-        what = "command [N/m]" if run.rest_length is None else "command [m]"
-        head += [f"winch {i} {what}" for i in range(len(run.control.command))]
+        label = "command [N/m]" if run.rest_length is None else "command [m]"
+        head += [f"winch {i} {label}" for i in range(len(run.control.command))]
         columns.append(run.control.command[:, _commanding(run.control, run.time)])
     return head, np.vstack(columns).T
 

@@ -189,7 +189,7 @@ class Stepper:
             return Scene(self._model, self.sample_time, **settings, integration=self._how)
 
         first = {name: array.tobytes() for name, array in of_each[0].items()}
-        if all({k: v.tobytes() for k, v in each.items()} == first for each in of_each[1:]):
+        if all({k: v.tobytes() for k, v in settings.items()} == first for settings in of_each[1:]):
             return [scene(of_each[0])] * self._count
         return [scene(settings) for settings in of_each]
 
@@ -365,10 +365,10 @@ class Stepper:
             As of :meth:`step`.
         """
         start = self._begin
-        if any(each is not None for each in (nodes, velocities, rest_length, force_density)):
+        if any(value is not None for value in (nodes, velocities, rest_length, force_density)):
             given = self._given
             values = rest_length, force_density
-            if all(each is None for each in values):
+            if all(value is None for value in values):
                 values = given["rest_length"], given["force_density"]
             motion = (given["nodes"] if nodes is None else nodes), velocities
             scenes = self._scenes(*motion, *values)
@@ -451,10 +451,10 @@ class Stepper:
         """Advance the robots that are not lost."""
         going = np.flatnonzero(~self._lost)
         if self._core is not None and len(going) > 1:
-            found = self._lanes.advance(
+            spans = self._lanes.advance(
                 going, self._states[going], held[going], duration, 1, ctypes.c_int(0)
             )
-            self._enter(going, found.states[:, 0])
+            self._enter(going, spans.states[:, 0])
             return
         for robot in going.tolist():
             self._enter(np.array([robot]), self._one(self._states[robot], held[robot], duration))

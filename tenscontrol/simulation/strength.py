@@ -61,7 +61,7 @@ class Strength:
         force = np.take_along_axis(self.run.bar_force_density, worst[:, None], axis=1)[:, 0]
         is_weak = sized.buckling_force < sized.bar_stress * sized.bar_area
         buckles = (force > 0) & is_weak
-        return ("yield",) * alpha + tuple("buckling" if each else "yield" for each in buckles)
+        return ("yield",) * alpha + tuple("buckling" if buckled else "yield" for buckled in buckles)
 
     def failure(self, margin: float = 1.0) -> str | None:
         """Return the sentence on the first member whose margin falls below one; None if none does.
@@ -163,13 +163,13 @@ def strength(run: Trajectory, sections: Sections) -> Strength:
     refuse_other_members(run.structure, sections)
     length = distances(run.nodes, run.structure.bars)
     margins = sections.margins(run.tension, run.bar_force_density * length)
-    return Strength(run, sections, *(frozen(each) for each in margins))
+    return Strength(run, sections, *(frozen(margin) for margin in margins))
 
 
 def refuse_other_members(structure: Structure, sections: Sections) -> None:
     """Raise where sections are not of the members of a structure."""
     for name in ("strings", "bars"):
-        own, given = (_pairs(each, name) for each in (structure, sections.structure))
+        own, given = (_pairs(source, name) for source in (structure, sections.structure))
         if not np.array_equal(own, given):
             raise ValueError(
                 f"sections are of other {name} than the run: {len(given)} against {len(own)}; "

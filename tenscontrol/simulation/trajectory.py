@@ -213,7 +213,7 @@ class Trajectory(Viewable):
         if functions.moved:
             raise ValueError("forces of bars are not found in a run whose supports move")
         free, count = model.structure.free, len(self.time)
-        columns = [part[:, free] for part in (self.nodes, self.velocities)]
+        columns = [array[:, free] for array in (self.nodes, self.velocities)]
         if model.has_external_force:
             load = functions.load
             if load is None:
@@ -223,7 +223,7 @@ class Trajectory(Viewable):
             else:
                 load = np.broadcast_to(load[:, :, None], self.nodes.shape)
             columns.append(load[:, free] - model.constant_force[:, free, None])
-        motion, velocities, *more = (by_node(each) for each in columns)
+        motion, velocities, *more = (by_node(column) for column in columns)
         function = model.prepared.get("bar forces", lambda: _of_columns(model.bar_force_density))
         return read_only(
             evaluate_columns(function, motion, velocities, self.force_density, *more)[0]
@@ -364,14 +364,14 @@ class Trajectory(Viewable):
         size = float(np.ptp(self.structure.nodes, axis=1).max())
         return self.control.motors.rest_length_error / size
 
-    def _of_ground(self, found: ContactRecord) -> dict[str, float | None]:
+    def _of_ground(self, contacts: ContactRecord) -> dict[str, float | None]:
         """Return the figures of health that there are with a ground."""
-        off, size = found.impulse_error, float(np.ptp(self.structure.nodes, axis=1).max())
+        off, size = contacts.impulse_error, float(np.ptp(self.structure.nodes, axis=1).max())
         return {
-            "penetration": found.penetration / size,
-            "damping_work": float(found.damping_work[:, -1].sum()),
-            "friction_work": float(found.friction_work[:, -1].sum()),
-            "impulse": found.largest_impulse,
+            "penetration": contacts.penetration / size,
+            "damping_work": float(contacts.damping_work[:, -1].sum()),
+            "friction_work": float(contacts.friction_work[:, -1].sum()),
+            "impulse": contacts.largest_impulse,
             "impulse_error": None if off is None else _share(off, self._largest_momenta()[0]),
         }
 

@@ -46,9 +46,9 @@ _LAW_NUMBER = re.compile(r"ground\[\d+\]")
 
 def refusal(scene: Scene) -> str | None:
     """Return why a scene is run by :func:`simulate` alone; None if many runs of it can be."""
-    for part in ("winches", "estimator", "support_motion", "start"):
-        if getattr(scene, part) is not None:
-            return f"{part} given"
+    for name in ("winches", "estimator", "support_motion", "start"):
+        if getattr(scene, name) is not None:
+            return f"{name} given"
     if scene.faults:
         return "faults given"
     law = scene.law
@@ -177,8 +177,8 @@ class BatchInputs:
         c = c if c.ndim == 3 else c[None]
         # In the order of a single run, for its bits.
         if "external_force" in given or external_force is not None:
-            each = given.get("external_force", np.asarray(external_force)[None])
-            c = ((each + c) - c) + c
+            forces = given.get("external_force", np.asarray(external_force)[None])
+            c = ((forces + c) - c) + c
         given["load"] = c.transpose(0, 2, 1).reshape(len(c), -1)
         self.load = np.zeros(model.structure.nodes.shape)
 
@@ -226,8 +226,8 @@ class BatchInputs:
             np.broadcast_to(self.some(name, first, last, getattr(self.base, name)), (count, d, n))
             for name in ("nodes", "velocities")
         )
-        every = [part.transpose(0, 2, 1).reshape(count, -1) for part in (N, V)]
-        states = np.hstack([part[:, structure.free_rows] for part in every])
+        every = [array.transpose(0, 2, 1).reshape(count, -1) for array in (N, V)]
+        states = np.hstack([array[:, structure.free_rows] for array in every])
         doubtful = ~self._clear(first, last, N, V, every)
         refused = {}
         for i in np.flatnonzero(doubtful):
@@ -287,11 +287,11 @@ class BatchInputs:
             own.append((place, name))
             place += self.given[name].shape[1]
         parts = [(start, self.some(name, first, last)) for start, name in own]
-        count = max((len(part) for _, part in parts), default=1)
+        count = max((len(values) for _, values in parts), default=1)
         u = np.zeros((count, coefficients.shape[1], place))
         u[:, :, : len(coefficients)] = coefficients.T
-        for start, part in parts:
-            u[:, 0, start : start + part.shape[1]] = part
+        for start, values in parts:
+            u[:, 0, start : start + values.shape[1]] = values
         held = u.reshape(count, -1) if u.size else np.zeros((count, 0))
         return held if time is None else np.column_stack([held, np.full(count, time)])
 
@@ -320,7 +320,7 @@ class BatchInputs:
         """
         pieces, now, left = self.pieces, 0.0, self.duration
         close = 1e-9 * self.duration
-        found = []
+        spans = []
 
         def outputs_of(length: float) -> int:
             return 1 if output_step is None else max(1, ceil(length / output_step - 1e-9))
@@ -341,10 +341,10 @@ class BatchInputs:
             origin, coefficients = pieces.piece(now + close)
             outputs = outputs_of(length)
             time = now - origin if pieces.degree else None
-            found.append(InputSpan(now, length, outputs, coefficients, time))
+            spans.append(InputSpan(now, length, outputs, coefficients, time))
             now = now + length
             left = self.duration if end is None else self.duration - end
-        return found
+        return spans
 
 
 @dataclass(frozen=True, eq=False)

@@ -47,10 +47,10 @@ def checked_controller(controller: object, model: Model) -> Controller:
                 "other bars, strings or fixed nodes"
             )
     if (controller.input == "rest_length") != (model.strings is not None):
-        kind, found = controller.input.replace("_", " "), model.strings
-        expected = "a string law" if found is None else "none: strings with a law hold rest lengths"
+        kind, law = controller.input.replace("_", " "), model.strings
+        expected = "a string law" if law is None else "none: strings with a law hold rest lengths"
         raise ValueError(
-            f"the controller commands {kind}, and the model's strings are {found}; expected "
+            f"the controller commands {kind}, and the model's strings are {law}; expected "
             f"{expected}"
         )
     return controller
@@ -78,8 +78,8 @@ class CompiledLoops:
             ctypes.c_int, ctypes.c_double, *[ctypes.c_void_p] * 3
         )  # fmt: skip
         self._commands = []
-        for each in self._copies[:runs]:
-            first, second = each.entry_points
+        for copy in self._copies[:runs]:
+            first, second = copy.entry_points
             reset(first)()
             self._commands.append(command(second))
 
@@ -98,10 +98,10 @@ class CompiledLoops:
         motion = np.zeros((runs, 2, len(self._nodes)))
         motion[:, 0] = self._nodes
         motion[:, 0, self._free], motion[:, 1, self._free] = states[:, :half], states[:, half:]
-        found = np.zeros((runs, len(self._actuation.lead)))
+        commands = np.zeros((runs, len(self._actuation.lead)))
         failed = np.zeros(runs, dtype=bool)
         for i, place in enumerate(places.tolist()):
             at = motion.ctypes.data + i * motion.strides[0]
-            to = found.ctypes.data + i * found.strides[0]
+            to = commands.ctypes.data + i * commands.strides[0]
             failed[i] = self._commands[place](time, at, at + motion.strides[1], to)
-        return np.ascontiguousarray(strings_of(self._actuation, found.T).T), failed
+        return np.ascontiguousarray(strings_of(self._actuation, commands.T).T), failed

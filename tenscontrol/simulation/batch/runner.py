@@ -247,12 +247,12 @@ class Runner:
         firsts = range(0, count, block)
         blocks = (partial(self._block, first, min(first + block, count)) for first in firsts)
 
-        def told(done: int) -> None:
+        def count_up(done: int) -> None:
             self.done += done
             report(self.done)
 
         try:
-            self._in_threads(threads, blocks, told)
+            self._in_threads(threads, blocks, count_up)
         finally:
             self._give_back()
 
@@ -260,7 +260,7 @@ class Runner:
         self, runs: IntArray, threads: int, report: Callable[[float], None]
     ) -> FloatArray:
         """Return :meth:`error` of some runs, shape (runs, K), if nobody stops it; NaN of others."""
-        found = np.full((self.scene.count, len(self.time)), np.nan)
+        errors = np.full((self.scene.count, len(self.time)), np.nan)
         looked_at = 0
 
         def estimate(some: IntArray) -> int:
@@ -270,17 +270,17 @@ class Runner:
                     return 0
                 if run not in self._errors:
                     self._errors[run] = self._estimated_error(run, resolved)
-                found[run] = self._errors[run]
+                errors[run] = self._errors[run]
             return len(some)
 
-        def told(done: int) -> None:
+        def count_up(done: int) -> None:
             nonlocal looked_at
             looked_at += done
             report(looked_at)
 
         parts = np.array_split(runs, -(-len(runs) // min(_SAMPLE, -(-len(runs) // threads) or 1)))
-        self._in_threads(threads, (partial(estimate, some) for some in parts), told)
-        return found
+        self._in_threads(threads, (partial(estimate, some) for some in parts), count_up)
+        return errors
 
     def _again_at_once(self, runs: IntArray) -> Callable[[int, float], Resolved]:
         """Return what integrates runs of a sample again: at once what was integrated so."""
@@ -385,13 +385,13 @@ class Runner:
         if len(held) > 1:
             held = held[~away]
         at, states = at[~away], states[~away]
-        found, failed = loops.commands(start, states, places[~away])
+        commands, failed = loops.commands(start, states, places[~away])
         assert self.command is not None  # made with the controller
         assert self.commands_not_ok is not None  # and this too
-        self.command[at, :, number] = found
+        self.command[at, :, number] = commands
         self.commands_not_ok[at] += failed
         held = np.repeat(held, len(at), axis=0) if len(held) == 1 else held.copy()
-        held[:, : found.shape[1]] = found
+        held[:, : commands.shape[1]] = commands
         return at, states, held
 
     def _advance(
@@ -401,22 +401,22 @@ class Runner:
         lanes = self._lanes
         if lanes is None:
             return self._one_by_one(at, states, held, span)
-        found = lanes.advance(at, states, held, span.length, span.outputs, self._stop)
-        kept, ended = found.states, ~found.reaches_end
+        spans = lanes.advance(at, states, held, span.length, span.outputs, self._stop)
+        kept, ended = spans.states, ~spans.reaches_end
         if isinstance(lanes, FixedStepLanes):
             for i in np.flatnonzero(ended) if not self._stop.value else ():
-                why = lanes.failure(found.time[i], span.length, span.outputs)
-                self._end(at[i], span.start + found.time[i], why)
+                why = lanes.failure(spans.time[i], span.length, span.outputs)
+                self._end(at[i], span.start + spans.time[i], why)
             counted = np.arange(len(at))
         else:
-            counted, others = np.flatnonzero(found.reaches_end), np.flatnonzero(ended)
+            counted, others = np.flatnonzero(spans.reaches_end), np.flatnonzero(ended)
             kept[others], ended[others] = self._one_by_one(
                 at[others], states[others], _rows(held, others), span
             )
         for name, of in (("switches", self.switches), ("missed", self.missed)):
             if name in lanes.counted:
-                of[at[counted]] += found.counts[counted, lanes.counted.index(name)].astype(int)
-        self._counts[at[counted]] += found.counts[counted]
+                of[at[counted]] += spans.counts[counted, lanes.counted.index(name)].astype(int)
+        self._counts[at[counted]] += spans.counts[counted]
         return kept, ended
 
     def _one_by_one(
@@ -434,19 +434,19 @@ class Runner:
             integrator, u = self._of_run(run), held[i if len(held) > 1 else 0]
             try:
                 report(0.0)
-                found = integrator.advance(states[i], u, span.length, span.outputs, report)
+                advanced = integrator.advance(states[i], u, span.length, span.outputs, report)
                 ended[i] = False
             except IntegrationError as error:
-                found = error.span
+                advanced = error.span
                 self._end(run, span.start + error.time, str(error))
             except _StopError:
                 break
             if self._watches:
                 self._changes[run] = integrator.changes
-            kept[i, : found.states.shape[1]] = found.states.T
-            self._work[run] = self._work.get(run, Work()) + found.work
-            self.switches[run] += found.work.switches
-            self.missed[run] += found.work.missed
+            kept[i, : advanced.states.shape[1]] = advanced.states.T
+            self._work[run] = self._work.get(run, Work()) + advanced.work
+            self.switches[run] += advanced.work.switches
+            self.missed[run] += advanced.work.missed
         return kept, ended
 
     def _of_run(self, run: int) -> Integrator:
@@ -455,12 +455,12 @@ class Runner:
         One with fixed steps has no memory, and serves all runs of a thread.
         """
         key = -1 if self._has_no_memory else run
-        made: dict[int, Integrator] = self._threads.__dict__.setdefault("made", {})
-        if key not in made:
+        integrators: dict[int, Integrator] = self._threads.__dict__.setdefault("made", {})
+        if key not in integrators:
             if len(self.spans) == 1:
-                made.clear()
-            made[key] = self._made_for(run)
-        return made[key]
+                integrators.clear()
+            integrators[key] = self._made_for(run)
+        return integrators[key]
 
     def _made_for(self, run: int, value: float | None = None) -> Integrator:
         """Return a new integrator: of the equation that all share, or of the run's own.
@@ -535,7 +535,7 @@ class Runner:
         load = load.reshape(structure.nodes.shape, order="F")
         loaded, free = bool(load.any()), not len(structure.fixed_rows)
         forces = model.forces(scene.input)
-        found = Trajectory(
+        trajectory = Trajectory(
             structure, self.time, nodes, velocities,
             inputs if scene.input == "rest_length" else None,
             replace(choice, changes=self._changes.get(run, ())), self._work_of(run),
@@ -550,18 +550,18 @@ class Runner:
                 core=core_scene(self._equation(model, "auto", ())),
             ),
         )  # fmt: skip
-        vars(found).update(_bars=self.bars(run))
-        return found
+        vars(trajectory).update(_bars=self.bars(run))
+        return trajectory
 
     def bars(self, run: int) -> BarMotion:
         """Return the bars over a run, up to where it is good; all nodes were kept."""
-        there = np.isfinite(self.nodes[run]).all(axis=(0, 1))
-        nodes, velocities = self.nodes[run][:, :, there], self.velocities[run][:, :, there]
+        finite = np.isfinite(self.nodes[run]).all(axis=(0, 1))
+        nodes, velocities = self.nodes[run][:, :, finite], self.velocities[run][:, :, finite]
         structure, steps = self.scene.model.structure, self._work_of(run).steps
         # From one output to the next the input is one polynomial in time.
         has_input = not self._ends_alone or len(self.spans) == 1
         again = partial(self._again, run) if has_input else None
-        return BarMotion(structure, self.time[there], nodes, velocities, again, steps)
+        return BarMotion(structure, self.time[finite], nodes, velocities, again, steps)
 
     @property
     def _span_of(self) -> IntArray:
@@ -587,7 +587,7 @@ class Runner:
             u[-1] += self.time[k] - span.start
         ends = self.nodes[run][:, :, k], self.velocities[run][:, :, k]
         rows = self.scene.model.structure.free_rows
-        return np.concatenate([each.ravel(order="F")[rows] for each in ends]), u
+        return np.concatenate([array.ravel(order="F")[rows] for array in ends]), u
 
     def _again(
         self, run: int, first: int, last: int, parts: int
@@ -637,8 +637,8 @@ class Runner:
         whole = len(self.kept) == structure.nodes.shape[1]
         if self.command is not None and whole and not self._ends_alone:
             first = np.cumsum([0, *(span.outputs for span in self.spans[:-1])])
-            halves = (by_node(each[run])[:, first] for each in (self.nodes, self.velocities))
-            starts = np.vstack([each[structure.free_rows] for each in halves])
+            halves = (by_node(history[run])[:, first] for history in (self.nodes, self.velocities))
+            starts = np.vstack([array[structure.free_rows] for array in halves])
         motion = Motion(
             structure, scene.states(run, run + 1)[0][0], stages,
             Path(columns, positions, int(self.switches[run] + self.missed[run])),
@@ -658,7 +658,7 @@ class Runner:
     def _function(self, run: int, model: Model, name: str) -> tuple[ca.Function, list[FloatArray]]:
         """Return a function of the model of a run, one that all runs share, and more inputs."""
         scene, shared = self.scene, self.scene.model
-        names = [each for each in scene.parameters if each not in MASSES]
+        names = [parameter for parameter in scene.parameters if parameter not in MASSES]
         if name not in ("string_force_density", "elastic_energy"):
             if set(MASSES) & set(scene.varied):
                 return getattr(model, name), []
@@ -667,5 +667,5 @@ class Runner:
         def build() -> ca.Function:
             return shared.of_parameters(name, names) if names else getattr(shared, name)
 
-        found = shared.prepared.get(("shared", name, tuple(names)), build)
-        return found, [scene.some(each, run, run + 1)[0] for each in names]
+        function = shared.prepared.get(("shared", name, tuple(names)), build)
+        return function, [scene.some(parameter, run, run + 1)[0] for parameter in names]

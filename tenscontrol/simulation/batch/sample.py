@@ -56,11 +56,11 @@ class Sample:
             lanes = lanes.of_tolerance(value, is_shortened)
         elif isinstance(lanes, FixedStepLanes):
             lanes = lanes.of_step(value)
-        found = lanes.advance(self._runs, self._states, self._held, duration, outputs, self._stop)
+        spans = lanes.advance(self._runs, self._states, self._held, duration, outputs, self._stop)
         return [
             Span(states.T, lanes.work_of(counts)) if reaches_end else None
             for states, counts, reaches_end in zip(
-                found.states, found.counts, found.reaches_end, strict=True
+                spans.states, spans.counts, spans.reaches_end, strict=True
             )
         ]
 

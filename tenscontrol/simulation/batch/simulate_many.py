@@ -145,10 +145,10 @@ class Batch:
             why = "has ground, or inputs that change in time: simulate gives its trajectory"
         if why is not None:
             raise ValueError(f"run {run} {why}")
-        found = self._runner.trajectory(run)
+        trajectory = self._runner.trajectory(run)
         if limits is not None:
-            check_health(found, limits)
-        return found
+            check_health(trajectory, limits)
+        return trajectory
 
     @cached_property
     def crossings(self) -> BatchCrossings | None:
@@ -169,11 +169,11 @@ class Batch:
             raise ValueError("runs have some of their nodes only: leave keep_nodes out")
         assert self._runner is not None  # made by simulate_many
         runs = [self._runner.bars(run).searched() for run in range(len(self.completed))]
-        first = [each.crossings[0].time if each.crossings else np.nan for each in runs]
+        first = [motion.crossings[0].time if motion.crossings else np.nan for motion in runs]
         return BatchCrossings(
-            np.array([len(each.crossings) for each in runs]),
+            np.array([len(motion.crossings) for motion in runs]),
             np.array(first),
-            np.array([each.unresolved for each in runs]),
+            np.array([motion.unresolved for motion in runs]),
         )
 
     def __repr__(self) -> str:
