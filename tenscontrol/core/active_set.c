@@ -397,20 +397,20 @@ static double active_set_reach(const ActiveSet *set, const double *low, const do
     for (k = 0; k < set->count; k++) {
         int i = set->active[k];
         int side = set->side[k], free = low[i] == high[i] && !set->violated[k];
-        double p = set->step[k], y = set->y[i], part = INFINITY;
+        double p = set->step[k], y = set->y[i], ratio = INFINITY;
         if (free)
             side = p < 0.0 ? -1 : 1;
         p *= side;
         y *= side;
         if (set->violated[k])
-            part = p < 0.0 ? (y - set->price[i]) / -p : INFINITY;
+            ratio = p < 0.0 ? (y - set->price[i]) / -p : INFINITY;
         else if (p < 0.0)
-            part = y / -p;
+            ratio = y / -p;
         else if (p > 0.0)
-            part = (active_set_price(set, i) - y) / p;
-        part = part > 0.0 ? part : 0.0;
-        if (part < reach) {
-            reach = part;
+            ratio = (active_set_price(set, i) - y) / p;
+        ratio = ratio > 0.0 ? ratio : 0.0;
+        if (ratio < reach) {
+            reach = ratio;
             *blocking = k;
         }
     }
@@ -596,7 +596,7 @@ static int active_set_iterate(ActiveSet *set, const double *q, const double *low
     int newest = -1;
     active_set_point(set, q, x);
     for (;;) {
-        double part = 1.0;
+        double step_length = 1.0;
         int blocking, k;
         if (set->stop != NULL && set->stop(set->data))
             return ACTIVE_SET_OUT_OF_TIME;
@@ -604,22 +604,22 @@ static int active_set_iterate(ActiveSet *set, const double *q, const double *low
             return ACTIVE_SET_OUT_OF_ITERATIONS;
         active_set_residuals(set, x, low, high);
         if (set->singular)
-            part = active_set_ray(set);
+            step_length = active_set_ray(set);
         else
             active_set_direction(set);
         if (!active_set_finite(set->step, set->count))
             return ACTIVE_SET_BAD_DATA;
-        part = active_set_reach(set, low, high, part, &blocking);
-        if (isinf(part))
+        step_length = active_set_reach(set, low, high, step_length, &blocking);
+        if (isinf(step_length))
             return ACTIVE_SET_INFEASIBLE;
         for (k = 0; k < set->count; k++)
-            set->y[set->active[k]] += part * set->step[k];
-        active_set_combine(set, set->step, -part, x);
+            set->y[set->active[k]] += step_length * set->step[k];
+        active_set_combine(set, set->step, -step_length, x);
         if (blocking >= 0) {
             int i = set->active[blocking];
             active_set_change(set, blocking, low, high);
             set->iterations++;
-            if (i == newest && part == 0.0 && set->place[i] == -1)
+            if (i == newest && step_length == 0.0 && set->place[i] == -1)
                 set->place[i] = -2; /* its violation is round-off */
         } else if (set->singular) {
             int i = set->active[set->count - 1];

@@ -112,10 +112,10 @@ SHARED Number carry(Span *span, Truth meant, const Tried *step, Number *x, Numbe
   Number switches = all(0);
   make_path(span, step);
   for (int j = 0; j < PATH; ++j) {
-    const double part = j / (PATH - 1.);
+    const double fraction = j / (PATH - 1.);
     const Number *scale;
-    on_path(span, h, all(part), y);
-    gap_at(span, y, step->time + part * h, 0, span->gap, span->rate);
+    on_path(span, h, all(fraction), y);
+    gap_at(span, y, step->time + fraction * h, 0, span->gap, span->rate);
     scale = gap_scales(span, step->time);
     for (int i = 0; i < m; ++i)
       rooms[PATH * i + j] = (2 * step->taut[i] - 1) * span->gap[i] + BAND * scale[i];
@@ -129,9 +129,9 @@ SHARED Number carry(Span *span, Truth meant, const Tried *step, Number *x, Numbe
   }
   memset(dx, 0, 2 * half * sizeof *dx);
   for (int j = 0; j < PATH; ++j) {
-    const double part = j / (PATH - 1.);
-    const Input input = input_at(span, step->time + part * h);
-    on_path(span, h, all(part), y);
+    const double fraction = j / (PATH - 1.);
+    const Input input = input_at(span, step->time + fraction * h);
+    on_path(span, h, all(fraction), y);
     for (int k = 0; k < 2; ++k) {
       Number *to = dx + (k ? 0 : half);
       weighed_accelerations(span->scene, y, &input, weights + (2 * j + k) * m, a, span->work);

@@ -358,10 +358,10 @@ static Truth carry_switches(Dop853 *m, Truth meant) {
 /* Ends steps where they are cut; returns the number of places that were tried. */
 static Number go_to(Dop853 *m, const Tried *step, Cut cut, Truth meant, Place *place) {
   Adaptive *now = m->now;
-  Number part, places;
+  Number fraction, places;
   cut.found = meant;
-  part = approach(m->span, step, cut, place, m, m->end, &places);
-  now->taken = choice(meant, now->h * part, now->taken);
+  fraction = approach(m->span, step, cut, place, m, m->end, &places);
+  now->taken = choice(meant, now->h * fraction, now->taken);
   for (int i = 0; i < m->span->states; ++i) m->x1[i] = choice(meant, m->end[i], m->x1[i]);
   return places;
 }
@@ -375,10 +375,10 @@ static void land_on_first(Dop853 *m, Truth meant) {
   const Number reach = now->longest / STABLE;
   const Number allowed = 2 * LATE_IMPULSE * m->scale[n - 1] * (reach * reach);
   Cut cut = first_switch(m->span, &step, traces ? all(0) : allowed, 0);
-  const Truth found = cut.found & meant;
-  Truth inside = found & (now->error * interpolant_error(cut.part) < SMOOTH), by_step;
-  if (traces) inside = found & (found == 0);
-  by_step = found & (inside == 0);
+  const Truth is_cut = cut.found & meant;
+  Truth inside = is_cut & (now->error * interpolant_error(cut.part) < SMOOTH), by_step;
+  if (traces) inside = is_cut & (is_cut == 0);
+  by_step = is_cut & (inside == 0);
   now->is_inside = truth(inside);
   if (any(inside)) {
     interpolate(m, now->h);
@@ -386,8 +386,8 @@ static void land_on_first(Dop853 *m, Truth meant) {
     go_to(m, &step, cut, inside, place_inside);
   }
   if (any(by_step)) now->approaches += go_to(m, &step, cut, by_step, place_by_step);
-  if (any(found))
-    now->switches += switch_over(m->span, found, m->x1, now->time + now->taken, m->taut);
+  if (any(is_cut))
+    now->switches += switch_over(m->span, is_cut, m->x1, now->time + now->taken, m->taut);
 }
 
 /* Ends steps in which strings may switch, of which `crossings` was asked last; returns those that are

@@ -13,9 +13,9 @@ static const double *along(const Motion *motion, int node, int axis) {
 WIDE static void add_bar(const double *restrict start, const double *restrict end, double mass,
                          int times, double *restrict energy) {
   for (int t = 0; t < times; ++t) {
-    double part;
-    bar_energy(start[t], end[t], mass, &part);
-    energy[t] += part;
+    double of_bar;
+    bar_energy(start[t], end[t], mass, &of_bar);
+    energy[t] += of_bar;
   }
 }
 
@@ -65,18 +65,18 @@ WIDE static void add_string(const Scene *s, int string, const double *restrict l
                             const double *restrict u, int step, int times,
                             double *restrict energy) {
   const double k = s->law == FORCE_DENSITY_HELD ? 0 : s->stiffness[string];
-  double part;
+  double stored;
   if (s->law == FORCE_DENSITY_HELD)
     for (int t = 0; t < times; ++t) energy[t] += 0.5 * u[t * step] * length[t] * length[t];
   else if (s->law == LINEAR_STRINGS)
     for (int t = 0; t < times; ++t) {
-      linear_energy(length[t], u[t * step], k, &part);
-      energy[t] += part;
+      linear_energy(length[t], u[t * step], k, &stored);
+      energy[t] += stored;
     }
   else
     for (int t = 0; t < times; ++t) {
-      elastic_energy(length[t], u[t * step], k, &part);
-      energy[t] += part;
+      elastic_energy(length[t], u[t * step], k, &stored);
+      energy[t] += stored;
     }
 }
 

@@ -22,8 +22,8 @@ SHARED size_t equation_work_size(const Scene *s) {
 
 static inline Work parts_of(const Scene *s, Number *work) {
   Work w;
-  Number **each[] = {&w.p, &w.v, &w.f, &w.a, &w.ends, &w.end_rates};
-  for (size_t i = 0; i < sizeof each / sizeof *each; ++i, work += s->entries) *each[i] = work;
+  Number **arrays[] = {&w.p, &w.v, &w.f, &w.a, &w.ends, &w.end_rates};
+  for (size_t i = 0; i < sizeof arrays / sizeof *arrays; ++i, work += s->entries) *arrays[i] = work;
   w.S = work;
   w.length = w.S + s->dimension * s->segments;
   w.rate = w.length + s->segments;

@@ -95,7 +95,7 @@ SHARED Number crossings(Span *span, const Tried *step) {
     marks[i] = marked(all(0), is_out | meet, is_out);
   }
   if (velocity_dependent(span->scene)) {
-    Number *gap = span->gap, *there = span->rooms;
+    Number *gap = span->gap, *end_gap = span->rooms;
     /* The border of a damped string has other tangents than its stretch: look at the middle. */
     middle_of(span, step);
     gap_at(span, span->middle, step->time + h / 2, 0, gap, span->rate);
@@ -107,10 +107,10 @@ SHARED Number crossings(Span *span, const Tried *step) {
     /* A slack string pulls as soon as its stretch grows through zero, however soon the damping lets
        it go again. At rest nothing is damped, and the gap is the stretch. */
     gap_at_rest(span, step->x, step->time, gap);
-    gap_at_rest(span, step->x1, step->time + h, there);
+    gap_at_rest(span, step->x1, step->time + h, end_gap);
     scale = gap_scales(span, step->time);
     for (int i = 0; i < m; ++i) {
-      const Number band = BAND * scale[i], room0 = band - gap[i], room1 = band - there[i];
+      const Number band = BAND * scale[i], room0 = band - gap[i], room1 = band - end_gap[i];
       const Truth dips = meet_outside(room0, room1, rate0[i], -rate1[i], h);
       const Truth pulls = (taut[i] == 0) & (room0 > 0) & ((room1 < 0) | dips);
       marks[i] = marked(marks[i], pulls, sign_of(taut[i]) * gap1[i] + band < 0);
@@ -282,16 +282,16 @@ SHARED Cut first_switch(Span *span, const Tried *step, Number allowed, double le
      slope there, and others that start next to it are not to be passed. */
   left = low, right = high, over = before - cut.aim, under = after - cut.aim;
   for (int i = 0; i < CHORDS; ++i) {
-    Number there;
+    Number value;
     Truth is_in;
     cut.part = smaller(larger(left + over * (right - left) / (over - under), left), right);
     rooms_at(span, step, cut.part, chosen, span->rooms);
-    there = mean_of_chosen(span, span->rooms) - edge - cut.aim;
-    is_in = there > 0;
+    value = mean_of_chosen(span, span->rooms) - edge - cut.aim;
+    is_in = value > 0;
     left = choice(is_in, cut.part, left);
     right = choice(is_in, right, cut.part);
-    over = choice(is_in, there, over / 2);
-    under = choice(is_in, under / 2, there);
+    over = choice(is_in, value, over / 2);
+    under = choice(is_in, under / 2, value);
   }
   return cut;
 }
@@ -300,33 +300,33 @@ SHARED Cut first_switch(Span *span, const Tried *step, Number allowed, double le
    step. Returns the part of the step, and x there. */
 SHARED Number approach(Span *span, const Tried *step, Cut cut, Place *place, void *by, Number *x,
                        Number *places) {
-  Number part = choice(cut.found, all(0), all(1)), wanted = cut.part, speed = cut.speed;
+  Number fraction = choice(cut.found, all(0), all(1)), wanted = cut.part, speed = cut.speed;
   Number gap_before = cut.aim;
   Truth going = cut.found;
   *places = all(0);
   for (int count = 0; count < POLISHES && any(going); ++count) {
-    const Number before = part;
+    const Number before = fraction;
     Number gap, moved_by, secant;
     Truth apart, flat;
     *places += truth(going);
-    part = choice(going, smaller(larger(only(speed < 0, wanted), all(0)), all(1)), part);
-    place(by, part, x);
-    gaps_at(span, x, step->time + part * step->h, span->chosen, span->gap);
+    fraction = choice(going, smaller(larger(only(speed < 0, wanted), all(0)), all(1)), fraction);
+    place(by, fraction, x);
+    gaps_at(span, x, step->time + fraction * step->h, span->chosen, span->gap);
     for (int i = 0; i < span->switches; ++i) span->gap[i] *= sign_of(step->taut[i]);
     gap = mean_of_chosen(span, span->gap);
     /* The gap of a damped string has a kink next to the border: the tension falls fast up to it,
        and beyond it is the stretch that counts. Where it is flat between two places beyond, the
        next is twice as far back. */
-    moved_by = part - before;
+    moved_by = fraction - before;
     apart = positive(moved_by) > (count ? 1e-6 : INFINITY);
     secant = (gap - gap_before) / choice(apart, moved_by, all(1));
     flat = apart & (larger(gap, gap_before) < 0) & (secant > FLAT * speed);
     speed = choice(apart & (secant < 0) & (flat == 0), secant, speed);
-    wanted = part + choice(flat, -2 * positive(moved_by), (cut.aim - gap) / speed);
+    wanted = fraction + choice(flat, -2 * positive(moved_by), (cut.aim - gap) / speed);
     gap_before = gap;
     going &= positive(gap - cut.aim) > positive(cut.aim);
   }
-  return part;
+  return fraction;
 }
 
 /* Switches what has reached its border on the way out, in the runs that are meant; returns how many. */

@@ -12,7 +12,7 @@ SHARED size_t frequency_size(const Scene *s) { return 7 * (size_t)s->free + s->s
 SHARED Number frequency_of(Span *span, const Number *state, Number difference, const double *vector,
                            Number *work) {
   const int half = span->scene->free;
-  Number *x = work, *there = x + 2 * half, *back = there + 2 * half, *along = back + 2 * half;
+  Number *x = work, *forward = x + 2 * half, *back = forward + 2 * half, *along = back + 2 * half;
   Number *taut = along + half, size = all(0);
   for (int i = 0; i < span->switches; ++i) taut[i] = all(i < span->scene->slacking);
   for (int i = 0; i < half; ++i) along[i] = all(vector[i]);
@@ -26,9 +26,10 @@ SHARED Number frequency_of(Span *span, const Number *state, Number difference, c
     for (int sign = 1; sign >= -1; sign -= 2) {
       memcpy(x, state, 2 * half * sizeof *x);
       for (int i = 0; i < half; ++i) x[i] += (double)sign * (difference * along[i] / scale);
-      slope_at(span, x, all(0), taut, sign > 0 ? there : back);
+      slope_at(span, x, all(0), taut, sign > 0 ? forward : back);
     }
-    for (int i = 0; i < half; ++i) along[i] = (there[half + i] - back[half + i]) / (2 * difference);
+    for (int i = 0; i < half; ++i)
+      along[i] = (forward[half + i] - back[half + i]) / (2 * difference);
   }
   return root(size);
 }

@@ -19,7 +19,7 @@ enum { TABLES = 9 };
 static void tables_of(Scene *s, Drive *drive, const Runs *runs, Table *tables) {
   const size_t strings = s->law == FORCE_DENSITY_HELD ? 0 : s->strings;
   const size_t factors = s->block_bars ? s->factors + s->unknowns + 1 : 0;
-  const Table each[TABLES] = {
+  const Table list[TABLES] = {
       {&s->place, 0, s->entries},
       {&s->load, 0, s->load ? s->entries : 0},
       {&s->stiffness, runs->stiffness, strings},
@@ -30,7 +30,7 @@ static void tables_of(Scene *s, Drive *drive, const Runs *runs, Table *tables) {
       {&s->block_mass, 0, factors},
       {&drive->coefficients, runs->inputs, (size_t)drive->count * (drive->degree + 1)},
   };
-  memcpy(tables, each, sizeof each);
+  memcpy(tables, list, sizeof list);
 }
 
 /* Numbers of tables that all runs have, or of those that they differ in. */

@@ -194,7 +194,7 @@ static void restore_blocks(Span *span, Number *x) {
   const Lengths *lengths = span->lengths;
   const int rows = s->block_rows, free = s->free;
   Number *before = span->restored, *p = before + 2 * free, *p0 = p + s->entries;
-  Number *K = p0 + s->entries, *y = K + s->factors + s->unknowns + 1, *part = y + s->unknowns;
+  Number *K = p0 + s->entries, *y = K + s->factors + s->unknowns + 1, *change = y + s->unknowns;
   Number last = all(INFINITY), previous = last, scale = all(0);
   Truth good = last > 0, going = good;
   memcpy(before, x, 2 * free * sizeof *x);
@@ -213,11 +213,11 @@ static void restore_blocks(Span *span, Number *x) {
       const double length = lengths->block_length[i];
       y[s->right_place[i]] = -(dot_of_bars(s, i, p, p) - length * length) / 2;
     }
-    change_of(s, K, y, part);
+    change_of(s, K, y, change);
     for (int i = 0; i < rows; ++i) {
       Number *to = x + lengths->block_free[i];
-      *to = choice(going, *to + part[i], *to);
-      square += part[i] * part[i];
+      *to = choice(going, *to + change[i], *to);
+      square += change[i] * change[i];
     }
     previous = choice(going, last, previous);
     last = choice(going, root(square), last);
@@ -232,8 +232,8 @@ static void restore_blocks(Span *span, Number *x) {
   spread_all(s, x + free, 0, p0);
   memset(y, 0, s->unknowns * sizeof *y);
   for (int i = 0; i < s->block_bars; ++i) y[s->right_place[i]] = -dot_of_bars(s, i, p, p0);
-  change_of(s, K, y, part);
-  for (int i = 0; i < rows; ++i) x[free + lengths->block_free[i]] += part[i];
+  change_of(s, K, y, change);
+  for (int i = 0; i < rows; ++i) x[free + lengths->block_free[i]] += change[i];
   for (int i = 0; i < rows; ++i) {
     Number *to = x + lengths->block_free[i];
     *to = choice(good, *to, all(NAN));

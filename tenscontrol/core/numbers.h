@@ -26,9 +26,9 @@ static inline double lane(const Number *x, int i) { return (*x)[i]; }
 static inline void put(double x, Number *to, int i) { (*to)[i] = x; }
 static inline int is_in(Truth which, int i) { return which[i] != 0; }
 static inline int any(Truth which) {
-  long long found = 0;
-  for (int i = 0; i < WIDTH; ++i) found |= which[i];
-  return found != 0;
+  long long bits = 0;
+  for (int i = 0; i < WIDTH; ++i) bits |= which[i];
+  return bits != 0;
 }
 static inline Number root(Number x) {
   for (int i = 0; i < WIDTH; ++i) x[i] = sqrt(x[i]);

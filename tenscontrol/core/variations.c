@@ -37,9 +37,9 @@ static size_t touches(const Scene *s) {
 }
 
 static double *take(double **memory, size_t count) {
-  double *part = *memory;
+  double *block = *memory;
   *memory += count;
-  return part;
+  return block;
 }
 
 enum { POINT_PARTS = 18 };
@@ -60,12 +60,12 @@ static size_t point_sizes(const Scene *s, size_t *size) {
 static Point point_in(const Scene *s, double **memory) {
   size_t size[POINT_PARTS];
   Point at;
-  double **part[POINT_PARTS] = {
+  double **fields[POINT_PARTS] = {
       &at.p, &at.v, &at.f, &at.a, &at.S, &at.Sd, &at.length, &at.rate, &at.weight,
       &at.string_length, &at.string_rate, &at.gamma, &at.by, &at.touch, &at.free_bar,
       &at.swinging_bar, &at.factors, &at.unknowns};
   point_sizes(s, size);
-  for (int i = 0; i < POINT_PARTS; ++i) *part[i] = take(memory, size[i]);
+  for (int i = 0; i < POINT_PARTS; ++i) *fields[i] = take(memory, size[i]);
   return at;
 }
 
