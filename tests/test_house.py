@@ -208,15 +208,12 @@ def test_every_name_of_a_folder_is_documented(folder):
 
 # Names that fit any local variable, and so tell nothing of what it holds.
 VAGUE = {"found", "each", "part", "said", "told", "made", "there", "what"}
-# Folders whose locals have such names yet.
-VAGUE_YET = {"learning", "optimize", "plot", "robustness", "scene", "simulation", "sizing"}
 
 
 def test_locals_say_what_they_hold():
     vague = {
         f"{place(path)}:{node.lineno}: {node.id}"
         for path in SOURCES
-        if path.relative_to(PACKAGE).parts[0] not in VAGUE_YET
         for function in ast.walk(tree(path))
         if isinstance(function, ast.FunctionDef | ast.Lambda)
         for node in ast.walk(function)
