@@ -26,7 +26,7 @@ from tests.oracle import (
     independent_bars,
     segment_pairs,
 )
-from tests.random_structures import any_motion_of, any_structure, constraint_rows
+from tests.random_structures import any_motion_of, any_structure, constraint_rows, quietly_made
 
 # Its own stream of random numbers, whatever else is drawn from the same seed.
 _STREAM = 26
@@ -228,7 +228,7 @@ def _points(random: np.random.Generator, d: int) -> tc.Structure:
     fixed = random.permutation(count)[: random.integers(0, count)] if random.random() < 0.5 else ()
     mass = np.ones(count)
     mass[list(fixed)] = 0.0
-    return tc.Structure(nodes, np.zeros((0, 2), int), strings, [], fixed=fixed, point_mass=mass)
+    return quietly_made(nodes, np.zeros((0, 2), int), strings, [], fixed=fixed, point_mass=mass)
 
 
 def _nearest(nodes: np.ndarray) -> float:
@@ -244,7 +244,7 @@ def _scaled(random: np.random.Generator, structure: tc.Structure, size: float) -
         part * mass * 10 ** random.uniform(-decades / 2, decades / 2, len(part))
         for part in (structure.bar_mass, structure.point_mass)
     )
-    return tc.Structure(
+    return quietly_made(
         structure.nodes * size / np.ptp(structure.nodes, axis=1).max(), structure.bars,
         structure.paths or structure.strings, bars, fixed=structure.fixed,
         rollers=structure.rollers, point_mass=points,

@@ -7,7 +7,9 @@ clustered strings. The same seed gives the same structure.
 
 from __future__ import annotations
 
+import warnings
 from itertools import combinations, pairwise
+from typing import Any
 
 import numpy as np
 
@@ -33,6 +35,12 @@ def any_structure(seed: int, structure_class: int | None = None, dimension: int 
         structure = _attempt(random, k, d, has_clusters)
         if structure is not None:
             return structure
+
+
+def quietly_made(*arguments: Any, **options: Any) -> tc.Structure:
+    """Return a structure without warnings of strings beside others or along bars: they are meant."""
+    with warnings.catch_warnings(action="ignore", category=UserWarning):
+        return tc.Structure(*arguments, **options)
 
 
 def any_motion_of(structure: tc.Structure, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -91,7 +99,7 @@ def _attempt(
     mass[loaded] = random.uniform(0.1, 1.0, loaded.sum())
     mass[~is_free.any(axis=1)] = 0.0
     strings = _strings(random, count, place[count - points :], has_clusters)
-    return tc.Structure(
+    return quietly_made(
         nodes, bars, strings, random.uniform(0.5, 2.0, len(bars)), fixed=fixed, point_mass=mass
     )
 

@@ -56,8 +56,8 @@ def least_mass(found: Complexity, *, xlabel: str = "", ax: Axes | None = None) -
     >>> import matplotlib.pyplot as plt, tenscontrol as tc
     >>> metal = tc.sizing.materials["aluminium"]
     >>> towers = {q: tc.prism_tower(q) for q in (2, 3)}
-    >>> found = tc.sizing.complexity(towers, bars=metal, strings=metal, loads=lambda tower: [],
-    ...                              min_force_density=100.0, restarts=1)
+    >>> found = tc.sizing.complexity(towers, lambda tower: tc.design(
+    ...     tower, bars=metal, strings=metal, min_force_density=100.0, restarts=1))
     >>> drawing = tc.plot.least_mass(found, xlabel="stages")
     >>> len(drawing.bars), drawing.ax.get_ylabel()
     (2, 'mass, kg')

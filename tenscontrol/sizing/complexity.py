@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,8 +11,7 @@ import numpy as np
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.interrupt import check, interruptible
-from tenscontrol.sizing.materials import Material
-from tenscontrol.sizing.minimal_mass import Design, design
+from tenscontrol.sizing.minimal_mass import Design
 from tenscontrol.structure.structure import Structure
 from tenscontrol.tables import aligned
 
@@ -61,25 +60,16 @@ class Complexity:
 
 
 def complexity(
-    family: Mapping[Any, Structure],
-    *,
-    bars: Material,
-    strings: Material,
-    loads: Callable[[Structure], Sequence[object]],
-    **options: Any,
-) -> Complexity:
+    family: Mapping[Any, Structure], sized: Callable[[Structure], Design]
+) -> Complexity:  # fmt: skip
     """Return the design of least mass of each structure of a family.
 
     Parameters
     ----------
     family : mapping of a label to Structure
         Structures that do the same: towers of one height by their number of stages.
-    bars, strings : Material
-        As of :func:`design`.
-    loads : callable
-        Takes a structure and returns its loads, as of :func:`design`.
-    **options
-        Further arguments of :func:`design`, such as ``safety``.
+    sized : callable
+        Takes a structure and returns its design, by :func:`design` under its loads.
 
     Returns
     -------
@@ -102,15 +92,17 @@ def complexity(
     ...     load = np.zeros(tower.nodes.shape)
     ...     load[2, np.argsort(height)[-3:]], load[2, np.argsort(height)[:3]] = -300.0, 300.0
     ...     return [load]
+    >>> metal, rope = (tc.sizing.materials[name] for name in ("aluminium", "dyneema"))
     >>> found = tc.sizing.complexity(
-    ...     {q: column(q) for q in (2, 4)}, bars=tc.sizing.materials["aluminium"],
-    ...     strings=tc.sizing.materials["dyneema"], loads=pressed, restarts=1)
+    ...     {q: column(q) for q in (2, 4)},
+    ...     lambda tower: tc.design(
+    ...         tower, bars=metal, strings=rope, loads=pressed(tower), restarts=1))
     >>> found.lightest, [len(sized.structure.bars) for sized in found.designs]
     (4, [6, 12])
     """
     if not isinstance(family, Mapping) or not family:
         raise validation.wrong_kind("family", family, "a mapping of labels to structures")
-    validation.function("loads", loads, "takes a structure and returns its loads")
+    validation.function("sized", sized, "takes a structure and returns its Design")
     designs = []
     with interruptible():
         for label, structure in family.items():
@@ -118,9 +110,9 @@ def complexity(
             name = f"family[{label!r}]"
             validation.instance(name, structure, Structure, "make one by Structure(...)")
             try:
-                designs.append(
-                    design(structure, bars=bars, strings=strings, loads=loads(structure), **options)
-                )
+                one = sized(structure)
             except ValueError as error:
                 raise ValueError(f"{name}: {error}") from error
+            validation.instance(f"what sized returns for {name}", one, Design, "by design(...)")
+            designs.append(one)
     return Complexity(tuple(family), tuple(designs))

@@ -734,21 +734,17 @@ call(
 
 
 def family():
-    return tc.sizing.complexity(
-        {1: prism()}, bars=soft(), strings=soft(), loads=lambda _: [], min_force_density=10.0,
-        restarts=1,
-    )  # fmt: skip
+    return tc.sizing.complexity({1: prism()}, least_design)
+
+
+def least_design(structure):
+    how = {"min_force_density": 10.0, "restarts": 1}
+    return tc.design(structure, bars=soft(), strings=soft(), **how)
 
 
 call(
     "sizing.complexity",
-    lambda: {
-        "family": {1: prism()},
-        "bars": soft(),
-        "strings": soft(),
-        "loads": lambda _: [STILL],
-        "min_force_density": 10.0,
-    },
+    lambda: {"family": {1: prism()}, "sized": least_design},
 )
 call(
     "plot.least_mass",

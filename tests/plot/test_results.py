@@ -60,7 +60,9 @@ def test_times_that_do_not_fit_are_refused():
         tc.plot.structure(run, time=3.0)
     with pytest.raises(TypeError, match=r"structure is a Prestress, .*time goes with a run"):
         tc.plot.structure(rest, time=0.1)
-    with pytest.raises(TypeError, match=r"structure is .*Prestress, a ShapeTarget, a Trajectory"):
+    with pytest.raises(
+        TypeError, match=r"structure is .*Prestress, a ShapeTarget, a plant, a Trajectory"
+    ):
         tc.plot.structure(run.nodes)
 
 

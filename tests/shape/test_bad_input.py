@@ -316,7 +316,7 @@ PATHS = [
         "range",
         lambda: path(winches=tc.Winches(shortest=0.85)),
         ValueError,
-        r"on the way, at 0 s, string 0 needs a rest length of 0\.779423 m, expected 0\.85",
+        r"on the way, at 0 s, string 0 needs a rest length of 0\.779423 m, expected at least 0\.85",
     ),
     refused(
         "rate shape",
