@@ -38,7 +38,7 @@ def any_structure(seed: int, structure_class: int | None = None, dimension: int 
 
 
 def quietly_made(*arguments: Any, **options: Any) -> tc.Structure:
-    """Return a structure without warnings of strings beside others or along bars: they are meant."""
+    """Return a structure; strings beside others or along bars are meant, without a warning."""
     with warnings.catch_warnings(action="ignore", category=UserWarning):
         return tc.Structure(*arguments, **options)
 

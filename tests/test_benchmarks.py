@@ -384,6 +384,12 @@ def test_sensitivities(printed):
     assert "above 1e-7: []; beyond what differences are certain to: []" in text
 
 
+def test_derivatives(printed, jax_compiles_quickly):
+    text = printed("derivatives", "--errors 1e-2 --repeats 1 --duration 0.1 --longest 0.1")
+    assert "tenscontrol, central differences" in text
+    assert "tenscontrol, gradient" in text
+
+
 def test_identification(printed):
     text = printed("identification", "--count 1")
     assert "converged, 0 not told" in text
