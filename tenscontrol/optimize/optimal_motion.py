@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -42,6 +41,7 @@ from tenscontrol.structure.bar_geometry import restore_bar_lengths
 from tenscontrol.structure.structure import Structure
 from tenscontrol.structure.supports import free_coordinates
 from tenscontrol.tables import aligned
+from tenscontrol.warn import warn
 
 # What can be least, beside a cost of the user.
 COSTS = ("time", "energy", "effort")
@@ -691,7 +691,7 @@ class _Planner:
                 f"on {last.intervals} intervals. {_ADVICE[status]}"
             )
         if status is not Status.OK:
-            warnings.warn(f"{status}: {message}", OptimalMotionWarning, stacklevel=4)
+            warn(f"{status}: {message}", OptimalMotionWarning)
         structure, motion = self._model.structure, solution.motion
         nodes = _all_nodes(structure, motion.places, structure.nodes)
         velocities = _all_nodes(structure, motion.velocities, np.zeros_like(structure.nodes))
