@@ -385,7 +385,8 @@ def test_sensitivities(printed):
 
 
 def test_derivatives(printed, jax_compiles_quickly):
-    text = printed("derivatives", "--errors 1e-2 --repeats 1 --duration 0.1 --longest 0.1")
+    how = "--scenes switching --errors 1e-2 --repeats 1 --duration 0.1 --longest 0.1"
+    text = printed("derivatives", how)
     assert "tenscontrol, central differences" in text
     assert "tenscontrol, gradient" in text
 

@@ -1,14 +1,14 @@
 """Derivatives of a run by its inputs: error against processor time, beside JAX and differences.
 
-Run: ``python -m tests.benchmarks.derivatives [--cases jacobian gradient] [--errors 1e-3 1e-5]``.
+Run: ``python -m tests.benchmarks.derivatives [--cases jacobian] [--scenes taut switching]``.
 
-A six-bar ball is thrown and spins for a second; strings go slack. ``jacobian``: the 36 coordinates
-of its nodes at the end by its 24 rest lengths. ``gradient``: a cost of where they are by 50 values
-of each rest length, one a sample of 0.02 s. Ours is the call as it is typed, the run itself with
-it; then central differences by ``simulate_many``; then JAX, forward and in reverse, through the
-steps of RK4, which passes over switches. An error is the largest of an entry, as part of the
-largest entry; the true derivative is ours at a tolerance of 1e-9, tested against differences
-(``python -m tests.benchmarks.sensitivities``). Needs the extra ``bench``.
+A six-bar ball is thrown and spins for a second; its strings stay taut, or go slack. ``jacobian``:
+the 36 coordinates of its nodes at the end by its 24 rest lengths. ``gradient``: a cost of where
+they are by 50 values of each rest length, one a sample of 0.02 s. Ours is the call as it is typed,
+the run itself with it; then central differences by ``simulate_many``; then JAX, forward and in
+reverse, through the steps of RK4, which passes over switches. An error is the largest of an entry,
+as part of the largest entry; the true derivative is ours at a tolerance of 1e-9, tested against
+differences (``python -m tests.benchmarks.sensitivities``). Needs the extra ``bench``.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import product
 from typing import Any
 
 import casadi as ca
@@ -28,24 +29,27 @@ from tests.benchmarks.command_line import options
 from tests.benchmarks.error_against_time import thrown
 
 SAMPLES = 50
+
+# Spin, rad/s, stiffness and prestress, N/m.
+SCENES = {"taut": (1.5, 2000.0, 40.0), "switching": (3.0, 500.0, 0.5)}
 LIMITS = tc.HealthLimits(crossings=None, position_error=None)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print a table a case."""
     given = options(
-        __doc__, arguments, cases=("jacobian", "gradient"), errors=(1e-3, 1e-5), repeats=7,
-        duration=1.0, longest=2.0,
+        __doc__, arguments, cases=("jacobian", "gradient"), scenes=tuple(SCENES),
+        errors=(1e-3, 1e-5), repeats=7, duration=1.0, longest=2.0,
     )  # fmt: skip
-    scene = thrown(given.duration, 3.0, 500.0, 0.5)
-    for case in given.cases:
+    for name, case in product(given.scenes, given.cases):
+        scene = thrown(given.duration, *SCENES[name])
         programs, exact = {"jacobian": jacobian, "gradient": gradient}[case](scene)
         true = exact()
 
         def judge(values: np.ndarray, true: np.ndarray = true) -> float:
             return float(np.abs(values - true).max() / np.abs(true).max())
 
-        print(f"\n{case}, {scene.name}, {scene.duration:g} s", flush=True)
+        print(f"\n{case}, {name}: {scene.name}, {scene.duration:g} s", flush=True)
         reported(programs, judge, given.errors, given.repeats, given.longest)
 
 
