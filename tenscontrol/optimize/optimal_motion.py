@@ -8,6 +8,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from scipy.integrate import trapezoid
 
 from tenscontrol import validation
 from tenscontrol.actuation.winches import Winches
@@ -758,7 +759,7 @@ def _figures(run: Trajectory | None, motion: DiscreteMotion, input: str) -> dict
     return {
         "least_force_density": float(run.force_density.min()),
         "peak_tension": float(tension.max()),
-        "energy": float(np.trapezoid(np.maximum(power, 0.0), run.time, axis=1).sum()),
+        "energy": float(trapezoid(np.maximum(power, 0.0), run.time, axis=1).sum()),
     }
 
 
