@@ -198,6 +198,8 @@ def motions_kept(fields: FloatArray, held: IntArray) -> FloatArray:
     from scipy.linalg import null_space
 
     size = np.maximum(np.linalg.norm(fields, axis=0), np.finfo(float).tiny)
+    if not len(held):  # which older SciPy cannot take
+        return np.asarray(np.diag(1 / size))
     return np.asarray(null_space(fields[held] / size, _RANK_TOLERANCE) / size[:, None])
 
 
