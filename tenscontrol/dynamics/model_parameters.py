@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import fields, replace
 from typing import Any
@@ -53,6 +54,11 @@ def ground_numbers(model: Model) -> dict[str, tuple[int, str]]:
             if isinstance(getattr(law, name), float):  # a height may be a function
                 numbers[f"{label}.{name}"] = i, name
     return numbers
+
+
+def without_law(name: str) -> str:
+    """Return a name without the number of a contact law: ``"ground[1].friction"`` has one."""
+    return re.sub(r"^ground\[\d+\]", "ground", name)
 
 
 def with_parameters(model: Model, values: Mapping[str, FloatArray]) -> Model:

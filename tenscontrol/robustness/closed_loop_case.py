@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import warnings
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
@@ -23,6 +22,7 @@ from tenscontrol.dynamics.model_parameters import (
     law_parameters,
     parameters_of,
     with_parameters,
+    without_law,
 )
 from tenscontrol.estimation.sensors import Sensors
 from tenscontrol.plant.linear_plant import LinearPlant
@@ -48,8 +48,6 @@ _OF_RUN = "start", "noise", "delay"
 _STRING_NODE_MASS, _RIGIDITY = "string_node_mass", {"stiffness": "axial_rigidity"}
 
 _MEMBERS = {"bar_mass": "bar", "point_mass": "node", "gravity": "axis"}
-
-_LAW_NUMBER = re.compile(r"ground\[\d+\]")
 
 # Runs that go through the compiled loops together, and numbers of their motions.
 _MOST_TOGETHER, _MOST_NUMBERS = 64, 4_000_000
@@ -385,7 +383,7 @@ class ClosedLoopCase:
             factors[points] = validation.per_member(name, drawn, len(points), "string node")
             return {"point_mass": factors}
         if name.startswith("ground"):
-            laws = [own for own in nominal if name in (own, _LAW_NUMBER.sub("ground", own))]
+            laws = [own for own in nominal if name in (own, without_law(own))]
             if not any(nominal[own].any() for own in laws):
                 why = "the ground has none" if model.ground else "there is no ground: give ground"
                 raise SweepError(f"{name} is drawn, but {why}")

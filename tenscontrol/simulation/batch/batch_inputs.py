@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import ceil
@@ -20,6 +19,7 @@ from tenscontrol.dynamics.model_parameters import (
     law_parameters,
     parameters_of,
     with_parameters,
+    without_law,
 )
 from tenscontrol.dynamics.profile import Pieces
 from tenscontrol.plant.equilibrium import held_value, refuse_load
@@ -40,8 +40,6 @@ _SIGNED = {"nodes", "velocities", "external_force", "load", "gravity", "ground.h
 
 # What is no parameter of the model.
 _ARRAYS = "nodes", "velocities", "rest_length", "force_density", "external_force", "load"
-
-_LAW_NUMBER = re.compile(r"ground\[\d+\]")
 
 
 def refusal(scene: Scene) -> str | None:
@@ -253,7 +251,7 @@ class BatchInputs:
         for name in self.given:
             values = self.some(name, first, last)
             values = values.reshape(len(values), -1) if values.size else np.zeros((1, 0))
-            kind = _LAW_NUMBER.sub("ground", name)
+            kind = without_law(name)
             lowest = 0.0 if kind in _FROM_ZERO else np.finfo(float).tiny
             if kind in _SIGNED:
                 lowest = -validation.LARGEST
