@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, field, fields
+from functools import cache
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -46,18 +47,23 @@ def checked(check: Callable[..., object], *details: object) -> Mapping[str, Any]
 
 def optional(check: Callable[..., object], *details: object) -> Mapping[str, Any]:
     """Return metadata of a field that is None or passes a check, as :func:`checked`."""
-
-    def or_none(name: str, value: object, *more: object) -> object:
-        return None if value is None else check(name, value, *more)
-
-    return checked(or_none, *details)
+    return {**checked(check, *details), "optional": True}
 
 
 def check_fields(record: Any) -> None:
     """Check the fields of a frozen record in their order, and keep read-only arrays."""
-    for declared in fields(record):
+    for declared in _declared(type(record)):
         name, how = declared.name, declared.metadata
-        value = getattr(record, name)
-        if "check" in how:
-            value = how["check"](name, value, *how["details"])
-        object.__setattr__(record, name, frozen(value) if isinstance(value, np.ndarray) else value)
+        given = value = getattr(record, name)
+        if "check" in how and not (given is None and "optional" in how):
+            value = how["check"](name, given, *how["details"])
+        if isinstance(value, np.ndarray):
+            value = frozen(value)
+        if value is not given:
+            object.__setattr__(record, name, value)
+
+
+@cache
+def _declared(kind: type) -> tuple[Any, ...]:
+    """Return the fields of a class, which `dataclasses` finds anew each time."""
+    return fields(kind)

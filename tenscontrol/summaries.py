@@ -40,7 +40,7 @@ def _plain(value: Any) -> Any:
 
 def of_run(run: Trajectory) -> dict[str, Any]:
     """Return the figures of a motion."""
-    size = np.ptp(run.structure.nodes, axis=1).max()
+    size = run.structure.size
     off = np.linalg.norm(run.nodes - run.structure.nodes[:, :, None], axis=0).max(axis=0)
     return {
         "time": run.time[-1],

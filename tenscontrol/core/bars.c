@@ -1,5 +1,6 @@
 /* Bars that may meet within a motion: most pairs stay so far apart that a few states tell. */
 #include <math.h>
+#include <string.h>
 
 #include "core.h"
 
@@ -46,21 +47,31 @@ static void put(const Motion *motion, int node, int time, double *to) {
   for (int k = 0; k < 3; ++k) to[k] = from[k * motion->axis];
 }
 
-void tc_largest_rates(const Motion *rates, int32_t times, int32_t count, const int32_t *nodes,
-                      double *largest, double *work) {
-  for (int t = 0; t < times; ++t) {
-    double mean[3] = {0, 0, 0};
-    for (int i = 0; i < count; ++i) {
-      put(rates, nodes[i], t, work + 3 * i);
-      for (int k = 0; k < 3; ++k) mean[k] += work[3 * i + k];
-    }
-    for (int k = 0; k < 3; ++k) mean[k] /= count;
-    for (int i = 0; i < count; ++i)
-      for (int k = 0; k < 3; ++k) {
-        const double beside = fabs(work[3 * i + k] - mean[k]);
-        if (!(beside <= largest[3 * i + k])) largest[3 * i + k] = beside;
-      }
+/* Raises `largest` (count, 3) to the rates of nodes at a time beside the mean of them all. */
+static void raise_to(const Motion *rates, int time, int count, const int32_t *nodes, double *largest,
+                     double *rate) {
+  double mean[3] = {0, 0, 0};
+  for (int i = 0; i < count; ++i) {
+    put(rates, nodes[i], time, rate + 3 * i);
+    for (int k = 0; k < 3; ++k) mean[k] += rate[3 * i + k];
   }
+  for (int k = 0; k < 3; ++k) mean[k] /= count;
+  for (int i = 0; i < count; ++i)
+    for (int k = 0; k < 3; ++k) {
+      const double beside = fabs(rate[3 * i + k] - mean[k]);
+      if (!(beside <= largest[3 * i + k])) largest[3 * i + k] = beside;
+    }
+}
+
+void tc_largest_speeds(const Rates *rates, int32_t intervals, double *speed, double *work) {
+  const int count = rates->count;
+  double *largest = work, *rate = work + 3 * (size_t)count;
+  memset(largest, 0, 3 * (size_t)count * sizeof *largest);
+  for (int t = 0; t < intervals; ++t)
+    raise_to(&rates->begin, t, count, rates->nodes, largest, rate);
+  raise_to(&rates->end, intervals - 1, count, rates->nodes, largest, rate);
+  for (int i = 0; i < count; ++i)
+    speed[rates->nodes[i]] = sqrt(dot(largest + 3 * i, largest + 3 * i));
 }
 
 /* The first interval after k that ends at a time or later. */
@@ -74,19 +85,23 @@ static int first_to_reach(const double *begin, const double *length, int k, int 
   return low;
 }
 
-int64_t tc_near_bars(const Motion *nodes, int32_t intervals, const double *begin,
-                     const double *length, int32_t count, const int32_t *pairs,
-                     const double *speed, int64_t room, int32_t *found) {
+int64_t tc_near_bars(const Motion *nodes, const Rates *rates, int32_t intervals,
+                     const double *begin, const double *length, int32_t count,
+                     const int32_t *pairs, double faster, int64_t room, int32_t *found,
+                     double *speed, double *work) {
   int64_t near = 0;
+  tc_largest_speeds(rates, intervals, speed, work);
   for (int p = 0; p < count; ++p) {
     const int32_t *ends = pairs + 4 * p;
+    const double closing = faster * (fmax(speed[ends[0]], speed[ends[1]]) +
+                                     fmax(speed[ends[2]], speed[ends[3]]));
     for (int k = 0; k < intervals;) {
       double x[12];
       for (int i = 0; i < 4; ++i) put(nodes, ends[i], k, x + 3 * i);
       const double apart = distance(x, x + 3, x + 6, x + 9);
-      if (apart > speed[p] * length[k]) {
+      if (apart > closing * length[k]) {
         /* They cannot meet before they have come this far. */
-        k = first_to_reach(begin, length, k, intervals, begin[k] + apart / speed[p]);
+        k = first_to_reach(begin, length, k, intervals, begin[k] + apart / closing);
         continue;
       }
       if (near < room) {

@@ -101,17 +101,25 @@ typedef struct {
   int64_t axis, node, time;
 } Motion;
 
-/* Raises `largest` (count, 3) to the largest rates of nodes along the axes beside the mean of them
-   all. Work memory is three numbers a node. */
-EXPORTED void tc_largest_rates(const Motion *rates, int32_t times, int32_t count,
-                               const int32_t *nodes, double *largest, double *work);
+/* Rates of some nodes as intervals begin and end. */
+typedef struct {
+  Motion begin, end;
+  int32_t count;
+  const int32_t *nodes; /* (count): which */
+} Rates;
+
+/* Finds the largest speeds of nodes beside the mean of them all, as intervals begin and at the end of
+   the last, m/s, each at the place of its node. Work memory is six numbers a node. */
+EXPORTED void tc_largest_speeds(const Rates *rates, int32_t intervals, double *speed, double *work);
 
 /* Finds pairs of bars and intervals, at whose beginning they are at most as far apart as they may
-   come nearer in it at `speed` (count), m/s. Intervals follow one another. `pairs` (count, 4) are the numbers of their nodes in
-   space. Writes (pair, interval) of as many as there is room for, and returns how many there are. */
-EXPORTED int64_t tc_near_bars(const Motion *nodes, int32_t intervals, const double *begin,
-                              const double *length, int32_t count, const int32_t *pairs,
-                              const double *speed, int64_t room, int32_t *found);
+   come nearer in it, if their ends are so many times faster than their largest speeds, which it finds
+   too. Intervals follow one another. `pairs` (count, 4) are the numbers of their nodes in space.
+   Writes (pair, interval) of as many as there is room for, and returns how many there are. */
+EXPORTED int64_t tc_near_bars(const Motion *nodes, const Rates *rates, int32_t intervals,
+                              const double *begin, const double *length, int32_t count,
+                              const int32_t *pairs, double faster, int64_t room, int32_t *found,
+                              double *speed, double *work);
 
 /* Distances of pairs of nodes at many times, m, (count, times). Of this and what follows, times are
    next to one another in memory. */
@@ -172,10 +180,6 @@ EXPORTED size_t tc_motion_work_size(const Scene *scene, const Drive *drive);
 EXPORTED void tc_slope(const Scene *scene, const Drive *drive, const double *state,
                        const double *taut, double *slope, double *work);
 
-/* Forces on all entries, N. */
-EXPORTED void tc_forces(const Scene *scene, const Drive *drive, const double *state,
-                        const double *taut, double *forces, double *work);
-
 /* How far strings are from slack and contacts from open, m, and the rates of it, m/s. */
 EXPORTED void tc_gap(const Scene *scene, const Drive *drive, const double *state, double *gap,
                      double *rate, double *work);
@@ -183,6 +187,11 @@ EXPORTED void tc_gap(const Scene *scene, const Drive *drive, const double *state
 /* Which strings pull and contacts press in a state. */
 EXPORTED void tc_taut(const Scene *scene, const Drive *drive, const double *state, double *taut,
                       double *work);
+
+/* Finds what a motion by dop853 begins with: which strings pull and contacts press, and xdot. Returns
+   the largest force on an entry that is free, N; not a number if one of them is none. */
+EXPORTED double tc_begin(const Scene *scene, const Drive *drive, const double *state, double *taut,
+                         double *slope, double *work);
 
 /* Puts the bars of a state on their lengths. */
 EXPORTED void tc_restore(const Scene *scene, const Drive *drive, const Lengths *lengths,

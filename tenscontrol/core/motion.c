@@ -1,12 +1,13 @@
 /* The calls of the core. */
 #include "motion.h"
 
+#include <math.h>
 #include <string.h>
 
 #include "methods.h"
 
 size_t tc_motion_work_size(const Scene *s, const Drive *drive) {
-  return span_size(s, drive) + METHOD_STATES * 2 * (size_t)s->free;
+  return span_size(s, drive) + METHOD_STATES * 2 * (size_t)s->free + s->entries;
 }
 
 void tc_slope(const Scene *s, const Drive *drive, const double *state, const double *taut,
@@ -14,15 +15,6 @@ void tc_slope(const Scene *s, const Drive *drive, const double *state, const dou
   Span span;
   begin(&span, s, drive, 0, work);
   slope_at(&span, state, 0, taut, slope);
-}
-
-void tc_forces(const Scene *s, const Drive *drive, const double *state, const double *taut,
-               double *forces, double *work) {
-  Span span;
-  Input input;
-  begin(&span, s, drive, 0, work);
-  input = input_at(&span, 0);
-  forces_of(s, state, &input, taut, forces, span.work);
 }
 
 void tc_gap(const Scene *s, const Drive *drive, const double *state, double *gap, double *rate,
@@ -37,6 +29,24 @@ void tc_taut(const Scene *s, const Drive *drive, const double *state, double *ta
   begin(&span, s, drive, 0, work);
   gap_at(&span, state, 0, 0, span.gap, span.rate);
   for (int i = 0; i < span.switches; ++i) taut[i] = span.gap[i] > 0;
+}
+
+double tc_begin(const Scene *s, const Drive *drive, const double *state, double *taut, double *slope,
+                double *work) {
+  Span span;
+  Input input;
+  double *forces = begin(&span, s, drive, 0, work), largest = 0, not_finite = 0;
+  gap_at(&span, state, 0, 0, span.gap, span.rate);
+  for (int i = 0; i < span.switches; ++i) taut[i] = span.gap[i] > 0;
+  slope_at(&span, state, 0, taut, slope);
+  input = input_at(&span, 0);
+  forces_of(s, state, &input, taut, forces, span.work);
+  for (int i = 0; i < s->free; ++i) {
+    const double on_free = forces[s->free_row ? s->free_row[i] : i];
+    largest = fmax(fabs(on_free), largest);
+    not_finite += on_free * 0;
+  }
+  return largest + not_finite;
 }
 
 void tc_restore(const Scene *s, const Drive *drive, const Lengths *lengths, double *state,

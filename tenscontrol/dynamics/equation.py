@@ -203,7 +203,7 @@ class Equation:
         of_strings = self.of_strings(u) if self.law is not None else type(u)(0, 1)
         if self.forces is None or not self.forces.terms:
             return of_strings
-        size = float(np.ptp(self.forces.structure.nodes, axis=1).max())
+        size = self.forces.structure.size
         others = self.switches - self.forces.strings.switches
         return ca.vertcat(of_strings, ca.DM.ones(others) * size)
 

@@ -377,7 +377,7 @@ def string_length(structure: Structure, S: Symbolic) -> Symbolic:
     """Return the lengths of segments, m, shape (1, s); those of clusters are never zero."""
     if not structure.has_clusters:
         return length(S)
-    size = float(np.ptp(structure.nodes, axis=1).max())
+    size = structure.size
     return ca.sqrt(ca.fmax(dots(S, S), (_NO_LENGTH * size) ** 2))
 
 

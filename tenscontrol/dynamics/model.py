@@ -494,6 +494,8 @@ class Model:
     def _parameter_sizes(
         self, names: Sequence[str], law: StringLaw | None
     ) -> tuple[tuple[str, int], ...]:
+        if names == ():
+            return ()
         structure = self._structure
         known = {"bar_mass": len(structure.bars), "point_mass": structure.nodes.shape[1]}
         known = {} if structure.blocks else known

@@ -141,7 +141,7 @@ def to_mujoco(
         V = structure.checked_nodes("velocities", velocities)
     held = _held(model, rest_length, force_density, actuators)
     kind = "force_density" if rest_length is None else "rest_length"
-    initial_state(model, nodes, velocities, kind, held, measured=False)
+    initial_state(model, N, V, kind, lambda: held, measured=False)
     load = checked_load(model, external_force)
     driven = _driven(structure, actuated, actuators, held)
     return _Document(model, N, V, held, kind, actuators, driven, load, timestep, integrator).text()

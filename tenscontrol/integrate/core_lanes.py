@@ -11,6 +11,7 @@ import numpy as np
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.core import records
+from tenscontrol.core.records import pointer
 from tenscontrol.dynamics.equation import Equation
 from tenscontrol.integrate.core_run import settings_of
 from tenscontrol.integrate.core_scene import CoreScene
@@ -278,7 +279,7 @@ class _Calls:
         work = self._work(settings_of("dop853", 1.0, 1, False), runs)
         scene.core.tc_begin_runs(
             ctypes.byref(scene.scene), ctypes.byref(self._drive), ctypes.byref(runs),
-            *map(_data, (self._states, difference, vector, *arrays, work)),
+            *map(pointer, (self._states, difference, vector, *arrays, work)),
         )  # fmt: skip
         return arrays
 
@@ -293,15 +294,15 @@ class _Calls:
         work = self._work(settings, runs)
         scene.core.tc_advance_runs(
             ctypes.byref(scene.scene), ctypes.byref(self._drive), ctypes.byref(scene.lengths),
-            ctypes.byref(settings), ctypes.byref(runs), _data(self._states), _data(reached),
-            _data(progress), ctypes.byref(stop), _data(work),
+            ctypes.byref(settings), ctypes.byref(runs), pointer(self._states), pointer(reached),
+            pointer(progress), ctypes.byref(stop), pointer(work),
         )  # fmt: skip
         return reached, progress
 
     def _runs(self, own: Mapping[str, FloatArray]) -> records.Runs:
         record = records.Runs(len(self._states))
         for name, table in (self._tables | dict(own)).items():
-            setattr(record, name, table.ctypes.data)
+            setattr(record, name, records.address(table))
         return record
 
     def _work(self, settings: records.Settings, runs: records.Runs) -> FloatArray:
@@ -334,7 +335,3 @@ class RunLane:
         if not is_good.all():
             raise IntegrationError(lanes.failure(time, duration, outputs), float(time), reached)
         return reached
-
-
-def _data(array: FloatArray) -> ctypes.c_void_p:
-    return ctypes.c_void_p(array.ctypes.data)

@@ -44,7 +44,7 @@ def settings_of(
     """Return the settings of a span for the core."""
     return records.Settings(
         _METHODS.index(method), project, traces, outputs, 0, room, duration, step, longest, limit,
-        None if scale is None else scale.ctypes.data,
+        None if scale is None else records.address(scale),
     )  # fmt: skip
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from functools import partial
+from ctypes import byref
 from typing import Any
 
 import casadi as ca
@@ -12,6 +12,7 @@ import numpy as np
 from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.core import records
 from tenscontrol.core.library import library
+from tenscontrol.core.records import pointer
 from tenscontrol.dynamics.contact_laws import Ground, HertzGround, SmoothGround
 from tenscontrol.dynamics.equation import Equation
 from tenscontrol.dynamics.forms.elimination import Elimination
@@ -31,9 +32,12 @@ def core_scene(equation: Equation) -> CoreScene | None:
 
     The core knows the forces of this package: strings by its laws, flat grounds, loads.
     """
-    if library() is None or not _is_known(equation):
+    if library() is None:
         return None
-    return equation.prepared.get("core", partial(CoreScene, equation))
+    made: tuple[CoreScene | None] = equation.prepared.get(
+        "core", lambda: (CoreScene(equation) if _is_known(equation) else None,)
+    )
+    return made[0]
 
 
 def _is_known(equation: Equation) -> bool:
@@ -65,7 +69,6 @@ class CoreScene:
         self._arrays: list[Any] = []  # that the records point to
         structure = equation.structure
         assert structure is not None  # it has forces
-        self._free_rows = structure.free_rows
         self.states = 2 * len(structure.free_rows)
         self.switches = equation.switches
         self.scene, self.lengths = records.Scene(), records.Lengths()
@@ -80,7 +83,7 @@ class CoreScene:
         if structure.blocks:
             self._put_blocks(Elimination(structure), structure.dimension)
         self._put_lengths(structure, free_place)
-        self.work_size = core.tc_motion_work_size(_at(self.scene), _at(self.drive(np.zeros(0))))
+        self.work_size = core.tc_motion_work_size(byref(self.scene), byref(self.drive(np.zeros(0))))
 
     # ---- tables ----
 
@@ -98,7 +101,7 @@ class CoreScene:
         }  # fmt: skip
         for name, count in counts.items():
             setattr(self.scene, name, int(count))
-        size = float(np.ptp(structure.nodes, axis=1).max())
+        size = structure.size
         self.scene.size, self.scene.shortest = size, 1e-12 * size
 
     def _put_nodes(self, equation: Equation, structure: Structure) -> None:
@@ -202,7 +205,7 @@ class CoreScene:
         kind = np.int32 if np.asarray(values).dtype.kind in "iub" else np.float64
         array = np.ascontiguousarray(values, dtype=kind)
         self._arrays.append(array)
-        setattr(self.scene if record is None else record, name, array.ctypes.data)
+        setattr(self.scene if record is None else record, name, records.address(array))
 
     def _array_of(self, kind: type[Any], entries: list[Any]) -> int:
         array = (kind * max(1, len(entries)))(*entries)
@@ -216,41 +219,43 @@ class CoreScene:
         layout = self._layout
         begin = float(u[-1]) if layout.degree and len(u) else 0.0
         return records.Drive(
-            u.ctypes.data, begin, layout.count, layout.degree, layout.load > 0, layout.offset > 0
-        )
+            records.address(u), begin, layout.count, layout.degree, layout.load > 0,
+            layout.offset > 0,
+        )  # fmt: skip
 
     def taut(self, state: FloatArray, u: FloatArray) -> FloatArray:
         """Return which strings pull and contacts press, 1 or 0 each, shape (switches,)."""
         taut, work = np.zeros(self.switches), np.empty(self.work_size)
         self.core.tc_taut(
-            _at(self.scene), _at(self.drive(u)), _data(state), _data(taut), _data(work)
+            byref(self.scene), byref(self.drive(u)), pointer(state), pointer(taut), pointer(work)
         )
         return taut
+
+    def begin(self, state: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+        """Return what pulls and presses in a state, ẋ, and the largest force on a free entry, N."""
+        taut, slope = np.zeros(self.switches), np.empty(self.states)
+        work = np.empty(self.work_size)
+        force = self.core.tc_begin(
+            byref(self.scene), byref(self.drive(u)), pointer(state), pointer(taut),
+            pointer(slope), pointer(work),
+        )  # fmt: skip
+        return taut, slope, float(force)
 
     def slope(self, state: FloatArray, u: FloatArray, taut: FloatArray) -> FloatArray:
         """Return ẋ for fixed switches, shape (states,)."""
         slope, work = np.empty(self.states), np.empty(self.work_size)
         self.core.tc_slope(
-            _at(self.scene), _at(self.drive(u)), _data(state), _data(taut), _data(slope),
-            _data(work),
+            byref(self.scene), byref(self.drive(u)), pointer(state), pointer(taut), pointer(slope),
+            pointer(work),
         )  # fmt: skip
         return slope
-
-    def forces(self, state: FloatArray, u: FloatArray, taut: FloatArray) -> FloatArray:
-        """Return the forces along the free coordinates for fixed switches, N."""
-        forces, work = np.empty(self.scene.entries), np.empty(self.work_size)
-        self.core.tc_forces(
-            _at(self.scene), _at(self.drive(u)), _data(state), _data(taut), _data(forces),
-            _data(work),
-        )  # fmt: skip
-        return forces[self._free_rows]
 
     def gap(self, state: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the gap of each switch, m, and its rate, m/s; see :class:`Equation`."""
         gap, rate, work = np.empty(self.switches), np.empty(self.switches), np.empty(self.work_size)
         self.core.tc_gap(
-            _at(self.scene), _at(self.drive(u)), _data(state), _data(gap), _data(rate),
-            _data(work),
+            byref(self.scene), byref(self.drive(u)), pointer(state), pointer(gap), pointer(rate),
+            pointer(work),
         )  # fmt: skip
         return gap, rate
 
@@ -259,7 +264,7 @@ class CoreScene:
         state, work = state.copy(), np.empty(self.work_size)
         drive = self.drive(np.zeros(0))
         self.core.tc_restore(
-            _at(self.scene), _at(drive), _at(self.lengths), _data(state), _data(work)
+            byref(self.scene), byref(drive), byref(self.lengths), pointer(state), pointer(work)
         )
         return state
 
@@ -273,8 +278,8 @@ class CoreScene:
         work = np.empty(self.work_size)
         return float(
             self.core.tc_frequency(
-                _at(self.scene), _at(self.drive(u)), _data(state), ctypes.c_double(difference),
-                _data(vector), _data(work),
+                byref(self.scene), byref(self.drive(u)), pointer(state),
+                ctypes.c_double(difference), pointer(vector), pointer(work),
             )
         )  # fmt: skip
 
@@ -283,7 +288,7 @@ class CoreScene:
         count, rates = rates.shape[2], times_in_rows(rates)
         energy = np.empty(count)
         motion = records.Motion.of(rates)
-        self.core.tc_kinetic_energy(_at(self.scene), count, _at(motion), _data(energy))
+        self.core.tc_kinetic_energy(byref(self.scene), count, byref(motion), pointer(energy))
         return energy
 
     def string_energy(self, nodes: FloatArray, inputs: FloatArray) -> FloatArray:
@@ -294,8 +299,8 @@ class CoreScene:
         energy, work = np.empty(count), np.empty(2 * count)
         motion = records.Motion.of(nodes)
         self.core.tc_string_energy(
-            _at(self.scene), count, _at(motion), _data(inputs), is_constant, _data(energy),
-            _data(work),
+            byref(self.scene), count, byref(motion), pointer(inputs), is_constant, pointer(energy),
+            pointer(work),
         )  # fmt: skip
         return energy
 
@@ -371,7 +376,7 @@ class CoreMotion:
     @property
     def evaluations(self) -> int:
         """Of the equation, by DOP853."""
-        return int(self._scene.core.tc_evaluations(_at(self.progress)))
+        return int(self._scene.core.tc_evaluations(byref(self.progress)))
 
     @property
     def is_paused(self) -> bool:
@@ -383,10 +388,10 @@ class CoreMotion:
         scene = self._scene
         self._settings.budget = budget
         self.done = scene.core.tc_advance(
-            _at(scene.scene), _at(self._drive), _at(scene.lengths), _at(self._settings),
-            _at(self.progress), _data(self.state), _data(self._slope), _data(self._taut),
-            _data(self._states), _data(self._step_times), _data(self._step_states),
-            _data(self._step_taut), _data(self._work),
+            byref(scene.scene), byref(self._drive), byref(scene.lengths), byref(self._settings),
+            byref(self.progress), pointer(self.state), pointer(self._slope), pointer(self._taut),
+            pointer(self._states), pointer(self._step_times), pointer(self._step_states),
+            pointer(self._step_taut), pointer(self._work),
         )  # fmt: skip
         if self._settings.traces:
             count, self.progress.kept = self.progress.kept, 0
@@ -397,11 +402,3 @@ class CoreMotion:
 def times_in_rows(motion: FloatArray) -> FloatArray:
     """Return a motion (d, n, T) whose times are next to one another in memory."""
     return motion if motion.strides[2] == motion.itemsize else np.ascontiguousarray(motion)
-
-
-def _at(record: ctypes.Structure) -> Any:
-    return ctypes.byref(record)
-
-
-def _data(array: FloatArray) -> ctypes.c_void_p:
-    return ctypes.c_void_p(array.ctypes.data)

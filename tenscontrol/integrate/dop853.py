@@ -29,6 +29,7 @@ from tenscontrol.integrate.integrator import (
     Work,
     checked_tolerance,
     largest_frequency,
+    scale_under,
     state_scale,
 )
 from tenscontrol.integrate.projection import NOT_RIGID, Projector, projection
@@ -138,14 +139,14 @@ class DOP853(Integrator):
         if before is None or (np.abs(of_strings - before) > 0.2 * np.abs(before)).any():
             self._frequency = largest_frequency(self._equation, state, held)
             self._held = of_strings.copy()
-        scale = state_scale(self._equation, state, held, self._frequency)
         core = self._core
         if core is None:
+            scale = state_scale(self._equation, state, held, self._frequency)
             taut = self._switches.taut(state, held)
             slope = self._slope(state, held, taut)[0].copy()
         else:
-            taut = core.taut(state, held)
-            slope = core.slope(state, held, taut)
+            taut, slope, force = core.begin(state, held)
+            scale = scale_under(self._equation, state, force, self._frequency)
         steps = steps_of(slope, scale, self._frequency, duration, self._is_shortened)
         step, longest = map(float, steps)
         allowed = self.tolerance * scale

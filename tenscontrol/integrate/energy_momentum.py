@@ -147,7 +147,7 @@ class EnergyMomentum(Integrator):
         self.tolerance = (
             None if tolerance is None else checked_tolerance(tolerance, _LEAST_TOLERANCE)
         )
-        self._size = float(np.ptp(equation.structure.nodes, axis=1).max())
+        self._size = equation.structure.size
         self._slope = Evaluator(equation.kinked_slope)
         chunks = self._kept(self._build, step is None)
         self._chunks = {count: Evaluator(chunk) for count, chunk in chunks.items()}

@@ -354,21 +354,29 @@ def state_scale(
 
     ``frequency`` is from :func:`largest_frequency`, rad/s.
     """
-    structure, force = equation.structure, equation.force
-    if structure is None or force is None:
+    force = equation.force
+    if equation.structure is None or force is None:
         return 1 + np.abs(state)
-    q, v = state[: len(state) // 2], state[len(state) // 2 :]
     core = core_scene(equation)
-    if core is None:
-        taut = _shared(equation, "gap", lambda: equation.gap)(state, held)[0] > 0
-        on_free = _shared(equation, "force", lambda: force)(q, v, held, taut)[0]
-    else:
-        on_free = core.forces(state, held, core.taut(state, held))
-    forces = np.abs(on_free).max(initial=0.0)
-    size = longest_member(equation)
-    mass = equation.prepared.get("mass", partial(moving_mass, structure))
-    speed = speed_scale(size, mass, np.abs(v).max(initial=0.0), forces, frequency)
-    return np.repeat([size, float(speed)], len(q))
+    if core is not None:
+        return scale_under(equation, state, core.begin(state, held)[2], frequency)
+    q, v = np.split(state, 2)
+    taut = _shared(equation, "gap", lambda: equation.gap)(state, held)[0] > 0
+    on_free = _shared(equation, "force", lambda: force)(q, v, held, taut)[0]
+    return scale_under(equation, state, float(np.abs(on_free).max(initial=0.0)), frequency)
+
+
+def scale_under(
+    equation: Equation, state: FloatArray, force: float, frequency: float
+) -> FloatArray:
+    """Return the same under forces of which this is the largest, N."""
+    assert equation.structure is not None  # it has forces
+    half, size = len(state) // 2, longest_member(equation)
+    mass = equation.prepared.get("mass", partial(moving_mass, equation.structure))
+    fastest = np.abs(state[half:]).max(initial=0.0)
+    scale = np.empty(2 * half)
+    scale[:half], scale[half:] = size, speed_scale(size, mass, fastest, force, frequency)
+    return scale
 
 
 def longest_member(equation: Equation) -> float:

@@ -60,7 +60,7 @@ class Coupled:
         self.bars: IntArray = np.concatenate([block.independent for block in self._blocks])
         self._pairs = structure.bars[self.bars]
         self._square = ca.DM(structure.bar_length[self.bars] ** 2)
-        self._size = float(np.ptp(structure.nodes, axis=1).max())
+        self._size = structure.size
         self._c = ca.SX.sym("c", len(self.rows))
         self._systems = [
             kernel.SaddlePoint(structure, block, J)

@@ -82,7 +82,7 @@ class Robots(VectorEnv):
         finer.state = state
         ends = [integrator.step(inputs)[0] for integrator in (stepper, finer)]
         stepper.state = state
-        size = float(np.ptp(stepper.model.structure.nodes, axis=1).max())
+        size = stepper.model.structure.size
         return float(np.nanmax(np.linalg.norm(ends[0] - ends[1], axis=1))) / size
 
     def render(self) -> tuple[np.ndarray, ...] | None:

@@ -80,7 +80,7 @@ class MotionLimits:
         structure = model.structure
         count = len(structure.strings)
         self._model, self._input, self._structure = model, input, structure
-        self.level, self._size = level, float(np.ptp(structure.nodes, axis=1).max())
+        self.level, self._size = level, structure.size
         given = winches if input == "rest_length" else None
         bounds = checked_bounds(model, min_force_density, max_force_density, given, None)
         self.bounds = bounds

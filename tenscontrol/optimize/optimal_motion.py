@@ -511,7 +511,7 @@ class _Planner:
         self._model, self._ends, self._input, self._limits = model, ends, input, limits
         self._minimize, self._winches, self._tolerance = minimize, winches, tolerance
         structure = model.structure
-        self._size = float(np.ptp(structure.nodes, axis=1).max())
+        self._size = structure.size
         self._guess, self._kind = guessed_motion(
             model, ends, input, winches, duration, self._least_duration(duration)
         )

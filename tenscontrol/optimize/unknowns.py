@@ -177,7 +177,7 @@ def _with_prior(
     if is_scaled:
         return base, _LOGARITHM
     length = float(model.structure.string_length().mean()) if len(model.structure.strings) else 1.0
-    size = float(np.ptp(model.structure.nodes, axis=1).max())
+    size = model.structure.size
     usual = {"rest_length": _LENGTH * length, "delay": _DELAY}
     return base, usual.get(name, _HEIGHT * size)
 

@@ -236,7 +236,7 @@ def equilibrium(
 def _strained(model: Model, kind: str, held: FloatArray) -> FloatArray:
     """Return the tensions of the strings at a small strain, N, shape (α,)."""
     if kind == "force_density":
-        return _STRAIN * held * float(np.ptp(model.structure.nodes, axis=1).max())
+        return _STRAIN * held * model.structure.size
     if model.strings is None or len(held) == 0:
         return np.zeros(len(held))
     length = (1 + _STRAIN) * held
@@ -439,7 +439,7 @@ def _minimize(
     unknowns = ca.vertcat(q, lam)
     newton = Function("newton", [unknowns], [conditions, ca.jacobian(conditions, unknowns)])
     whole = Function("nodes", [q], [nodes])
-    size = float(np.ptp(structure.nodes, axis=1).max())
+    size = structure.size
     stiffness = float(strained.max(initial=0.0)) / (_STRAIN * size)
     flat_below = _EXACT * stiffness
     for _ in range(_ESCAPES):
@@ -485,7 +485,7 @@ def _string_energies(model: Model, kind: str, nodes: Any, held: FloatArray, roun
     structure, length = model.structure, None
     S = kernel.differences(nodes, structure.segments)
     if structure.has_clusters:
-        size = float(np.ptp(structure.nodes, axis=1).max())
+        size = structure.size
         lengths = ca.sqrt(ca.fmax(kernel.dots(S, S), (_EXACT * size) ** 2) + rounding**2)
         length = kernel.string_sums(structure, lengths).T
     elif kind == "rest_length":

@@ -330,7 +330,7 @@ def _disturbed(structure: Structure, size: float, seed: int) -> FloatArray:
         if abs(off / size - 1) < 1e-12:
             return nodes
         step *= size / off
-    largest = float(np.ptp(structure.nodes, axis=1).max())
+    largest = structure.size
     raise ValueError(
         f"disturbance is {size:g} m, which rigid bars cannot follow; expected much less than the "
         f"size of the structure, {largest:g} m"

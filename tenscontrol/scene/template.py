@@ -107,7 +107,7 @@ def scene_template(name: str) -> str:
     vibrations = np.abs(modes(plant).pole) / (2 * np.pi)
     slowest = float(vibrations[vibrations > 1e-3 * vibrations.max()].min())
     sample_time = _nice(1 / (_SAMPLES * float(vibrations.max())))
-    size = float(np.ptp(structure.nodes, axis=1).max())
+    size = structure.size
     duration = max(1.0, _nice(_PERIODS / slowest))
     missed = len(controllability(plant).unreached)
     parts = [

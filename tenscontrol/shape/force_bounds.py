@@ -119,7 +119,7 @@ def checked_limits(
     if np.isfinite(high).all():
         candidates.append(float((low + high).mean() / 2))
     if loaded:
-        size = float(np.ptp(structure.nodes, axis=1).max())
+        size = structure.size
         candidates.append(float(np.abs(model.constant_force).max()) / size)
     scale = max(value for value in candidates if value)
     return ForceLimits(bounds, clearance, level, strings, scale)

@@ -386,7 +386,7 @@ def refuse_same(model: Model, start: Prestress, goal: Prestress) -> None:
     travel = np.linalg.norm(goal.structure.nodes - start.structure.nodes, axis=0).max()
     change = np.abs(goal.force_density - start.force_density).max()
     level = max(float(rest.force_density.max()) for rest in (start, goal))
-    size = float(np.ptp(start.structure.nodes, axis=1).max())
+    size = start.structure.size
     if travel <= 1e-9 * size and change <= 1e-9 * level:
         raise ValueError(
             "start and goal are the same shape with the same γ, expected different ones"

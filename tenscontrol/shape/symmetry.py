@@ -178,7 +178,7 @@ def _refuse_other_supports(
     """Raise if a support is not taken to one that holds the same, at its place."""
     d, count = structure.nodes.shape
     held = np.isin(np.arange(d * count), structure.fixed_rows).reshape(count, d).astype(float)
-    size = np.ptp(structure.nodes, axis=1).max()
+    size = structure.size
     off = turn @ (structure.nodes - centre[:, None]) + centre[:, None] - structure.nodes[:, to]
     for node in np.flatnonzero(held.any(axis=1)).tolist():
         image = int(to[node])

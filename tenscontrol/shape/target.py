@@ -360,7 +360,7 @@ def _checks(demands: tuple[Demand, ...], limits: ForceLimits, solved: Solved) ->
             rows.append(DemandCheck(f"{name}[{i}]", least, most, value, over, unit))
     if limits.clearance:
         least = bar_distances(solved.rest.structure, solved.rest.structure.nodes).least
-        size = float(np.ptp(solved.rest.structure.nodes, axis=1).max())
+        size = solved.rest.structure.size
         over = _outside(least, limits.clearance, np.inf, size)
         rows.append(DemandCheck("clearance", limits.clearance, np.inf, least, over, "m"))
     return rows

@@ -271,7 +271,7 @@ class TippingPlanner:
         self._structure, self._down = structure, force / weight
         self._shares = self._down @ model.constant_force / weight
         self.home = held_value(model, rest_length, None)
-        self.size = float(np.ptp(structure.nodes, axis=1).max())
+        self.size = structure.size
         self.gravity = weight / float(structure.bar_mass.sum() + structure.point_mass.sum())
         self.actuation = actuation_of(structure, actuated, self.home)
         if winches is not None:

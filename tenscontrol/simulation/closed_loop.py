@@ -242,7 +242,7 @@ def _control_record(
         sample_time=sample_time,
         statistics=_statistics(controller),
         settings=Arguments(controller.made_with),
-        size=float(np.ptp(controller.structure.nodes, axis=1).max()),
+        size=controller.structure.size,
         slowest_vibration=(
             controller.plant.slowest_vibration if isinstance(controller, Controller) else None
         ),

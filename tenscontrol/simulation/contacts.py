@@ -200,7 +200,7 @@ class _Recorder:
         self._kept, self._model = segments, model
         self._dimension, self._count = nodes.shape[:2]
         self._speed = float(np.linalg.norm(velocities, axis=0).max())
-        self._size = float(np.ptp(model.structure.nodes, axis=1).max())
+        self._size = model.structure.size
         momentum = float(np.sqrt(2 * model.mass_matrix().sum() * kinetic))
         load = float(np.linalg.norm(model.constant_force.sum(axis=1)))
         load *= float(segments.ends[-1] - segments.begins[0])

@@ -363,7 +363,7 @@ class Motion:
 
     @property
     def _size(self) -> float:
-        return float(np.ptp(self.structure.nodes, axis=1).max())
+        return self.structure.size
 
 
 def estimated_error(

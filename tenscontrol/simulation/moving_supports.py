@@ -53,7 +53,7 @@ def support_offset(model: Model, value: object, start: float, end: float) -> Pie
 
     structure = model.structure
     d, n = structure.nodes.shape
-    fixed, size = structure.fixed, float(np.ptp(structure.nodes, axis=1).max())
+    fixed, size = structure.fixed, structure.size
     numbers: Any = getattr(value, "values", value)  # of a profile
     if not len(fixed) and np.size(numbers) == 0:
         return None

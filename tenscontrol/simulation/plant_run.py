@@ -102,10 +102,11 @@ class PlantRun:
         load = None
         if self._given is None:
             assert not isinstance(self.load, Pieces)  # else they were given
-            load = self.load - self.model.constant_force
+            constant = self.model.constant_force
+            load = None if self.load is constant else self.load - constant
         return self.model.equation(
             self.input, load, form, degree=self.degree,
-            load_input=load is None, offset_input=self.supports is not None,
+            load_input=self._given is not None, offset_input=self.supports is not None,
         )  # fmt: skip
 
     def _prepare(self, state: FloatArray, u: FloatArray) -> None:
@@ -145,7 +146,8 @@ class PlantRun:
     @property
     def final_choice(self) -> Choice:
         """The choice of the method, with its changes so far."""
-        return replace(self.choice, changes=self.integrator.changes)
+        changes = self.integrator.changes
+        return replace(self.choice, changes=changes) if changes else self.choice
 
     @property
     def methods(self) -> tuple[str, ...]:
@@ -372,13 +374,14 @@ class PlantRun:
 
     def all_values(self, rows: slice, order: int = 0) -> FloatArray:
         """Return some of the inputs at all times kept, or their rates, read-only."""
-        held = [s.coefficients[rows] for s in self.spans]
+        held = [c[rows] for c in {id(s.coefficients): s.coefficients for s in self.spans}.values()]
+        first = held[0][:, :1]
         if not order and all(
-            not coefficients[:, 1:].any() and np.array_equal(coefficients[:, 0], held[0][:, 0])
+            not coefficients[:, 1:].any() and np.array_equal(coefficients[:, :1], first)
             for coefficients in held
         ):  # one column, read at all times
             count = sum(len(s.time) for s in self.spans)
-            return np.broadcast_to(frozen(held[0][:, :1]), (len(held[0]), count))
+            return np.broadcast_to(frozen(first), (len(first), count))
         values = np.hstack([s.values(rows, order) for s in self.spans])
         values.setflags(write=False)
         return values

@@ -308,8 +308,7 @@ class Scene:
 
     @cached_property
     def _faults(self) -> Faults:
-        size = float(np.ptp(self.structure.nodes, axis=1).max())
-        return Faults(self.faults, size, self.input)
+        return Faults(self.faults, self.structure.size, self.input)
 
     @cached_property
     def inputs(self) -> Pieces | None:
@@ -344,8 +343,8 @@ class Scene:
             assert beside.nodes is not None  # of the run
             assert beside.velocities is not None  # of the run
             return frozen(pack_state(self.structure, beside.nodes, beside.velocities)), None
-        first = None if self.inputs is None else self.inputs.at(np.zeros(1))[:, 0]
-        motion = beside.nodes, beside.velocities
+        inputs, motion = self.inputs, (beside.nodes, beside.velocities)
+        first = None if inputs is None else lambda: inputs.at(np.zeros(1))[:, 0]
         state, note = initial_state(self.model, *motion, self.input, first)
         return frozen(state), note
 
@@ -397,7 +396,7 @@ class Scene:
             return self.model.equation(self.input, load, form="mapped")
         return equation
 
-    @property
+    @cached_property
     def given(self) -> Arguments:
         """Inputs, loads and motions of supports as they are given, by name.
 

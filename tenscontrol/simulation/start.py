@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,7 @@ from tenscontrol.structure.bar_geometry import (
     refuse_strings_without_length,
     refuse_wrong_bar_lengths,
 )
+from tenscontrol.structure.structure import member_vectors
 from tenscontrol.structure.supports import carried_by_supports, refuse_moved_supports
 
 # A start whose bars are off by this part of their length, and stretching by this part of the
@@ -80,16 +82,16 @@ def start_beside_supports(
 
 def initial_state(
     model: Model,
-    nodes: object,
-    velocities: object,
+    nodes: FloatArray | None,
+    velocities: FloatArray | None,
     input: str,
-    held: FloatArray | None = None,
+    held: Callable[[], FloatArray] | None = None,
     *,
     measured: bool = True,
 ) -> tuple[FloatArray, str | None]:
     """Return the state at the start, and what was put right, after checking the structure is in it.
 
-    ``held`` is the input at the start, if it is known: forces give the structure its speed.
+    ``held`` returns the input at the start, if it is known: forces give the structure its speed.
     ``measured`` says whether bars may be off as in measured shapes: the caller says what was moved.
     """
     if nodes is None and velocities is None:  # depends on nothing but the model
@@ -101,18 +103,16 @@ def initial_state(
 
 def _checked_state(
     model: Model,
-    nodes: object,
-    velocities: object,
+    nodes: FloatArray | None,
+    velocities: FloatArray | None,
     input: str,
-    held: FloatArray | None,
+    held: Callable[[], FloatArray] | None,
     measured: bool,
 ) -> tuple[FloatArray, str | None]:
     structure = model.structure
-    N = structure.nodes if nodes is None else structure.checked_nodes("nodes", nodes)
-    V = np.zeros_like(N)
-    if velocities is not None:
-        V = structure.checked_nodes("velocities", velocities)
-    bars = structure.bar_vectors(N)
+    N = structure.nodes if nodes is None else nodes
+    V = np.zeros_like(N) if velocities is None else velocities
+    bars = member_vectors(N, structure.bars)
     length = np.linalg.norm(bars, axis=0)
     off = float(np.abs(length / structure.bar_length - 1).max(initial=0.0))
     if off > (MEASURED if measured else _PROJECTED):
@@ -130,14 +130,14 @@ def _checked_state(
     if input == "rest_length":
         refuse_strings_without_length("nodes", structure, N)
     state = pack_state(structure, N, V)
-    stretching = np.abs((bars * structure.bar_vectors(V)).sum(axis=0)) / structure.bar_length
+    along = (bars * member_vectors(V, structure.bars)).sum(axis=0)
+    stretching = np.abs(along) / structure.bar_length
     worst = float(stretching.max(initial=0.0))
     if off <= _EXACT and worst <= _EXACT * float(np.abs(V).max()):
         return state, None
     equation = model.equation(input)
-    if held is None:
-        held = structure.string_length(N) * (input == "rest_length")
-    speed = float(state_scale(equation, state, held, largest_frequency(equation, state, held))[-1])
+    u = structure.string_length(N) * (input == "rest_length") if held is None else held()
+    speed = float(state_scale(equation, state, u, largest_frequency(equation, state, u))[-1])
     if off <= _EXACT and worst <= _ROUND_OFF * speed:
         return state, None
     most = max(_PROJECTED * float(np.abs(V).max()), _LEFT * speed)

@@ -327,10 +327,11 @@ class Trajectory(Viewable):
         energy: float | None = None
         if self.conserves_energy and "energy_error" in names:
             # What was lost is no error.
-            balance = self.energy + self.released_energy + self.lost_energy
+            all_energy = self.energy
+            balance = all_energy + self.released_energy + self.lost_energy
             moved = float(np.abs(balance - balance[0]).max())
             # Near rest hardly any energy is kinetic: a millionth of all is then the measure.
-            least = 1e-6 * float(np.abs(self.energy).max())
+            least = 1e-6 * float(np.abs(all_energy).max())
             energy = _share(moved, max(float(self.kinetic_energy.max()), least))
         changes: dict[str, float | None] = {}
         parts = ("momentum", "angular_momentum")
@@ -361,12 +362,12 @@ class Trajectory(Viewable):
         """The error of rest lengths that motors set, as part of the size."""
         if self.control is None or self.control.motors is None:
             return None
-        size = float(np.ptp(self.structure.nodes, axis=1).max())
+        size = self.structure.size
         return self.control.motors.rest_length_error / size
 
     def _of_ground(self, contacts: ContactRecord) -> dict[str, float | None]:
         """Return the figures of health that there are with a ground."""
-        off, size = contacts.impulse_error, float(np.ptp(self.structure.nodes, axis=1).max())
+        off, size = contacts.impulse_error, self.structure.size
         return {
             "penetration": contacts.penetration / size,
             "damping_work": float(contacts.damping_work[:, -1].sum()),
@@ -377,8 +378,10 @@ class Trajectory(Viewable):
 
     @property
     def _fall(self) -> float | None:
-        fall = -float(self.nodes[-1, :, -1].mean() / np.ptp(self.structure.nodes, axis=1).max())
-        return fall if self.falls and fall > 1 else None
+        if not self.falls:
+            return None
+        fall = -float(self.nodes[-1, :, -1].mean()) / self.structure.size
+        return fall if fall > 1 else None
 
     def _largest_momenta(self) -> tuple[float, float]:
         """Return the largest linear and angular momentum that the mass could have, as scales."""

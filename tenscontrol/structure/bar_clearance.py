@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import ctypes
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
+from ctypes import byref, c_double, c_int64
 from dataclasses import dataclass
 from math import ceil
 from weakref import WeakKeyDictionary
@@ -13,6 +13,7 @@ import numpy as np
 from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.core import records
 from tenscontrol.core.library import library
+from tenscontrol.core.records import pointer
 from tenscontrol.properties import cached_property
 from tenscontrol.structure.structure import Structure
 
@@ -52,8 +53,23 @@ _EXACT, _TOUCHING, _ROUND_OFF, _AWAY, _DRIFT, _MISSED = 1e-6, 1e-6, 1e-9, 1e9, 0
 Again = Callable[[int, int, int], tuple[FloatArray, FloatArray, FloatArray] | None]
 
 
+@dataclass(frozen=True, eq=False)
+class _Pairs:
+    """Pairs of bars as the core takes them."""
+
+    bars: IntArray  # (p, 2)
+    ends: np.ndarray  # (p, 4): nodes
+    nodes: np.ndarray  # all of these nodes
+
+    @classmethod
+    def of(cls, bars: IntArray, pairs: IntArray) -> _Pairs:
+        """Return pairs (p, 2) among bars."""
+        ends = np.ascontiguousarray(bars[pairs].reshape(-1, 4), dtype=np.int32)
+        return cls(pairs, ends, np.unique(ends))
+
+
 # Pairs of bars that may cross, by structure.
-_PAIRS: WeakKeyDictionary[Structure, IntArray] = WeakKeyDictionary()
+_PAIRS: WeakKeyDictionary[Structure, _Pairs] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,58 +245,53 @@ class _Intervals:
 
         Of some nodes, beside what all of them do alike.
         """
-        strays = np.zeros(self.nodes[0].shape[1])
         if self.rates is None:
-            return strays
-        some, first, end = slice(None) if nodes is None else nodes, *self.rates
-        if nodes is not None and library() is not None:
-            speed = np.linalg.norm(self._largest_rates(nodes), axis=1)
-        else:
-            end = end[:, :, -1]
-            if nodes is not None:
-                first, end = _beside_mean(first[:, nodes]), _beside_mean(end[:, nodes])
+            return np.zeros(self.nodes[0].shape[1])
+        if nodes is None:
+            first, end = self.rates[0], self.rates[1][:, :, -1]
             low, high = _bounds(first, end)
-            speed = np.linalg.norm(np.maximum(-low, high), axis=0)
-        strays[some] = _FASTER / 2 * float(self.length.max()) * speed
-        return strays
+            return self._strays(np.linalg.norm(np.maximum(-low, high), axis=0))
+        speed, core = np.zeros(self.nodes[0].shape[1]), library()
+        if core is not None:
+            rates, work = self._rates_of(nodes.astype(np.int32)), np.empty(6 * len(nodes))
+            core.tc_largest_speeds(byref(rates), self.count, pointer(speed), pointer(work))
+        else:
+            first, end = self.rates[0][:, nodes], self.rates[1][:, nodes, -1]
+            low, high = _bounds(_beside_mean(first), _beside_mean(end))
+            speed[nodes] = np.linalg.norm(np.maximum(-low, high), axis=0)
+        return self._strays(speed)
 
-    def _largest_rates(self, nodes: IntArray) -> FloatArray:
-        """Return the largest rates of nodes beside what all of them do alike, (count, 3), m/s."""
-        core, rates = library(), self.rates
-        assert core is not None  # it was asked for
-        assert rates is not None  # and the nodes have some
-        nodes = nodes.astype(np.int32)
-        largest, work = np.zeros((len(nodes), 3)), np.empty(3 * len(nodes))
-        for motion in (rates[0], rates[1][:, :, -1:]):
-            core.tc_largest_rates(
-                ctypes.byref(records.Motion.of(motion)), motion.shape[2], len(nodes),
-                *(ctypes.c_void_p(array.ctypes.data) for array in (nodes, largest, work)),
-            )  # fmt: skip
-        return largest
+    def _strays(self, speed: FloatArray) -> FloatArray:
+        """Return how far nodes of these speeds at states may be from both, m."""
+        return np.asarray(_FASTER / 2 * float(self.length.max()) * speed)
 
-    def near(
-        self, bars: IntArray, pairs: IntArray, strays: FloatArray
-    ) -> tuple[IntArray, IntArray]:
+    def _rates_of(self, nodes: np.ndarray) -> records.Rates:
+        """Return the rates of some nodes as the core takes them."""
+        assert self.rates is not None  # it is asked of motions that have some
+        begin, end = map(records.Motion.of, self.rates)
+        return records.Rates(begin, end, len(nodes), records.address(nodes))
+
+    def near(self, pairs: _Pairs) -> tuple[IntArray, IntArray, FloatArray]:
         """Return places of pairs, and intervals, that begin where bars are near: by the core.
 
-        Near is what they may come by in an interval, by how far nodes may be from its ends.
+        And how far nodes may be from the ends of intervals, m. Near is what they may come by.
         """
-        core, ends = library(), np.ascontiguousarray(bars[pairs].reshape(-1, 4), dtype=np.int32)
+        core, ends, nodes = library(), pairs.ends, pairs.nodes
         assert core is not None  # it was asked for
-        speed = 2 / self.length.max() * strays[bars[pairs]].max(axis=2).sum(axis=1)
+        motion, room = records.Motion.of(self.nodes[0]), 2 * len(ends) + 1000
+        rates, work = self._rates_of(nodes), np.empty(6 * len(nodes))
         begin, length = (np.ascontiguousarray(array) for array in (self.begin, self.length))
-        motion, room = records.Motion.of(self.nodes[0]), 2 * len(pairs) + 1000
+        speed = np.zeros(self.nodes[0].shape[1])
         while True:
             near = np.empty((room, 2), dtype=np.int32)
             count = core.tc_near_bars(
-                ctypes.byref(motion), self.count,
-                *(ctypes.c_void_p(array.ctypes.data) for array in (begin, length)), len(pairs),
-                *(ctypes.c_void_p(array.ctypes.data) for array in (ends, speed)),
-                ctypes.c_int64(room), ctypes.c_void_p(near.ctypes.data),
+                byref(motion), byref(rates), self.count, pointer(begin), pointer(length),
+                len(ends), pointer(ends), c_double(_FASTER), c_int64(room), pointer(near),
+                pointer(speed), pointer(work),
             )  # fmt: skip
             if count <= room:
                 p, k = near[:count].T.astype(int)
-                return p, k
+                return p, k, self._strays(speed)
             room = count
 
     def error(self, bars: IntArray, pairs: IntArray, k: IntArray) -> FloatArray:
@@ -393,7 +404,7 @@ class BarMotion:
         velocities: FloatArray | None = None, again: Again | None = None, steps: int = 0,
     ) -> None:  # fmt: skip
         self._structure, self._bars, self._again = structure, structure.bars, again
-        self._size = float(np.ptp(structure.nodes, axis=1).max())
+        self._size = structure.size
         self.has_pairs = structure.dimension == 3 and len(self._bars) > 1 and len(time) > 0
         count, far = len(time), _AWAY * self._size
         if self.has_pairs and not (nodes.min() > -far and nodes.max() < far):
@@ -406,7 +417,7 @@ class BarMotion:
         # Fewer states than steps may be too few to bound the motion.
         self._is_short = velocities is not None and len(where) < _FEWEST
         self._is_short &= not 0 < steps <= len(where)
-        self._parts = int(np.clip(steps // max(1, len(where)), _PARTS, _STEPS))
+        self._parts = min(max(steps // max(1, len(where)), _PARTS), _STEPS)
         # Intervals that were integrated again, with the pairs and places that asked for it.
         self._finer: list[tuple[_Intervals, IntArray, IntArray]] = []
         self._made_finer = np.zeros(0, dtype=int)
@@ -485,18 +496,21 @@ class BarMotion:
 
         Or in which they may come nearer than the least distance known, which is updated.
         """
-        # The core looks at all pairs sooner than it could be told which may meet at all.
-        in_core = least is None and motion.rates is not None and library() is not None
-        is_few = len(self._bars) <= _FEW_BARS
-        pairs = self._every() if in_core and is_few else self._reachable(motion, least)
+        if least is None and motion.rates is not None and library() is not None:
+            # The core looks at all pairs sooner than it could be told which may meet at all.
+            is_few = len(self._bars) <= _FEW_BARS
+            known = (
+                self._every() if is_few else _Pairs.of(self._bars, self._reachable(motion, None))
+            )
+            if not len(known.bars):
+                return known.bars, np.zeros(0, dtype=int), np.zeros(0)
+            p, k, strays = motion.near(known)
+            return self._close_within(motion, known.bars[p], k, strays, None)
+        pairs = self._reachable(motion, least)
         if not len(pairs):
             return pairs, np.zeros(0, dtype=int), np.zeros(0)
         strays = motion.strays(np.unique(self._bars[pairs]))
-        blocks: Iterable[tuple[IntArray, IntArray]]
-        if in_core:
-            blocks = [motion.near(self._bars, pairs, strays)]
-        else:
-            blocks = self._close_blocks(motion, pairs, strays, least)
+        blocks = self._close_blocks(motion, pairs, strays, least)
         candidates = [self._close_within(motion, pairs[p], k, strays, least) for p, k in blocks]
         some, k, error = (np.concatenate(arrays) for arrays in zip(*candidates, strict=True))
         return some, k, error
@@ -536,7 +550,7 @@ class BarMotion:
         """
         bars = self._bars
         if len(bars) <= _FEW_BARS:
-            return self._every()
+            return self._every().bars
         from scipy.spatial import cKDTree
 
         ends = nodes[:, bars]
@@ -550,7 +564,7 @@ class BarMotion:
             corners = _corners(bars, nodes[:, :, None], pairs, np.zeros(len(pairs), dtype=int))
             least.see(_apart(corners)[0], np.full(len(pairs), time), pairs)
             if not len(pairs):  # all neighbours share a node
-                return self._every()
+                return self._every().bars
         extra = _limit(least)
         # By size, so that a large bar does not make all others neighbours.
         kinds = np.floor(np.log2(radius / radius.min())).astype(int)
@@ -568,11 +582,12 @@ class BarMotion:
         apart = np.linalg.norm(middles[i] - middles[j], axis=1) - radius[i] - radius[j]
         return self._separate(_without_joined(bars, pairs[apart <= extra]))
 
-    def _every(self) -> IntArray:
+    def _every(self) -> _Pairs:
         """Return all pairs that do not touch in the shape of the structure, made once for it."""
         pairs = _PAIRS.get(self._structure)
         if pairs is None:
-            pairs = _PAIRS[self._structure] = self._separate(_all_pairs(self._bars))
+            every = self._separate(_all_pairs(self._bars))
+            pairs = _PAIRS[self._structure] = _Pairs.of(self._bars, every)
         return pairs
 
     def _separate(self, pairs: IntArray) -> IntArray:

@@ -7,7 +7,7 @@ import numpy as np
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray
 from tenscontrol.structure.blocks import restore_block
-from tenscontrol.structure.structure import Structure
+from tenscontrol.structure.structure import Structure, member_vectors
 from tenscontrol.warn import warn
 
 # How far, relative to its length, a bar may be off in a shape given by the user, or measured.
@@ -119,9 +119,10 @@ def refuse_wrong_bar_lengths(
 
 def refuse_strings_without_length(name: str, structure: Structure, nodes: FloatArray) -> None:
     """Raise if the ends of a string are at the same place: its force has no direction."""
-    length = np.linalg.norm(structure.string_vectors(nodes), axis=0)
-    short = np.flatnonzero(length <= 1e-12 * length.max(initial=0.0))
-    if len(short):
+    length = np.linalg.norm(member_vectors(nodes, structure.segments), axis=0)
+    is_short = length <= 1e-12 * length.max(initial=0.0)
+    if is_short.any():
+        short = np.flatnonzero(is_short)
         start, end = structure.segments[short[0]]
         raise ValueError(
             f"in {name}, strings[{structure.segment_string[short[0]]}] has no length: nodes "

@@ -472,6 +472,11 @@ class Structure(Viewable):
         return frozen(free / np.maximum(free.sum(axis=1, keepdims=True), 1))
 
     @cached_property
+    def size(self) -> float:
+        """Largest extent along an axis, m: what lengths are small or large beside."""
+        return float(np.ptp(self.nodes, axis=1).max())
+
+    @cached_property
     def bar_length(self) -> FloatArray:
         """Bar lengths l, m, shape (β,). They stay what they are in the reference shape."""
         return frozen(np.linalg.norm(self.bar_vectors(self.nodes), axis=0))
@@ -507,7 +512,7 @@ class Structure(Viewable):
         N = validation.float_array("nodes", nodes)
         if N.shape[:2] != self.nodes.shape or N.ndim != 3:
             N = self.checked_nodes("nodes", N)
-        return np.asarray(N[:, pairs[:, 1]] - N[:, pairs[:, 0]])
+        return member_vectors(N, pairs)
 
     def string_length(self, nodes: object = None) -> FloatArray:
         """Return the string lengths, m, shape (α,), of the reference shape or of ``nodes``.
@@ -605,6 +610,11 @@ class Structure(Viewable):
     def C_ss(self) -> csr_array:  # noqa: N802
         """The columns of C_s that belong to free string nodes, shape (α, σ)."""
         return self.C_s[:, self.string_nodes]
+
+
+def member_vectors(nodes: FloatArray, pairs: IntArray) -> FloatArray:
+    """Return the vectors between pairs of nodes (d, n, ...), (d, pairs, ...), from start to end."""
+    return np.asarray(nodes[:, pairs[:, 1]] - nodes[:, pairs[:, 0]])
 
 
 def same_members(one: Structure, other: Structure | None, feet: IntArray | tuple[()] = ()) -> bool:

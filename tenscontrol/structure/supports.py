@@ -105,7 +105,7 @@ def refuse_moved_supports(
     if not len(structure.fixed_rows):
         return
     off = (nodes - structure.nodes).ravel(order="F")[structure.fixed_rows]
-    size = float(np.ptp(structure.nodes, axis=1).max())
+    size = structure.size
     if np.abs(off).max() <= tolerance * size:
         return
     node, axis = divmod(int(structure.fixed_rows[np.abs(off).argmax()]), structure.dimension)

@@ -209,11 +209,13 @@ class BatchInputs:
         if "external_force" in self.given:
             validation.float_array("external_force", self.entry("external_force", run))
         nodes, velocities = (
-            getattr(self.base, name) if name not in self.given else self.given[name][run]
+            getattr(self.base, name)
+            if name not in self.given
+            else model.structure.checked_nodes(name, self.given[name][run])
             for name in ("nodes", "velocities")
         )
-        state, _ = initial_state(model, nodes, velocities, self.input, held, measured=False)
-        return state
+        motion = nodes, velocities
+        return initial_state(model, *motion, self.input, lambda: held, measured=False)[0]
 
     def states(self, first: int, last: int) -> tuple[FloatArray, dict[int, str]]:
         """Return the states at the start of some runs, and why others are refused: by number."""
