@@ -98,8 +98,12 @@ def interruptible(whole: bool = False) -> Iterator[Interruption]:
         yield Interruption()
         return
     if state.active:
-        with _set("whole", state.whole or whole):
+        before = state.whole
+        try:
+            state.whole = before or whole
             yield state
+        finally:
+            state.whole = before
         return
     if state.terminated:
         state.terminated = False

@@ -13,15 +13,20 @@ _BYTE = ctypes.c_char
 
 def address(array: Any) -> int:
     """Return where in memory an array is, which has to outlive what is given it."""
-    if array.flags.carray and array.size:  # in a third of the time of the other
+    if array.size and array.flags.carray:  # in a third of the time of the other
         return ctypes.addressof(_BYTE.from_buffer(array))
     place: int = array.ctypes.data
     return place
 
 
-def pointer(array: Any) -> ctypes.c_void_p:
-    """Return an array as calls of the core take it."""
-    return _POINTER(address(array))
+def pointers(*arrays: Any) -> list[Any]:
+    """Return arrays as calls of the core take them."""
+    return [
+        ctypes.byref(_BYTE.from_buffer(array))
+        if array.size and array.flags.carray
+        else _POINTER(array.ctypes.data)
+        for array in arrays
+    ]
 
 
 class Ground(ctypes.Structure):

@@ -11,7 +11,7 @@ import numpy as np
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.core import records
-from tenscontrol.core.records import pointer
+from tenscontrol.core.records import pointers
 from tenscontrol.dynamics.equation import Equation
 from tenscontrol.integrate.core_run import settings_of
 from tenscontrol.integrate.core_scene import CoreScene
@@ -279,7 +279,7 @@ class _Calls:
         work = self._work(settings_of("dop853", 1.0, 1, False), runs)
         scene.core.tc_begin_runs(
             ctypes.byref(scene.scene), ctypes.byref(self._drive), ctypes.byref(runs),
-            *map(pointer, (self._states, difference, vector, *arrays, work)),
+            *pointers(self._states, difference, vector, *arrays, work),
         )  # fmt: skip
         return arrays
 
@@ -294,8 +294,8 @@ class _Calls:
         work = self._work(settings, runs)
         scene.core.tc_advance_runs(
             ctypes.byref(scene.scene), ctypes.byref(self._drive), ctypes.byref(scene.lengths),
-            ctypes.byref(settings), ctypes.byref(runs), pointer(self._states), pointer(reached),
-            pointer(progress), ctypes.byref(stop), pointer(work),
+            ctypes.byref(settings), ctypes.byref(runs),
+            *pointers(self._states, reached, progress), ctypes.byref(stop), *pointers(work),
         )  # fmt: skip
         return reached, progress
 

@@ -58,7 +58,9 @@ def reached(motion: CoreMotion, work: Work) -> Span:
     whole = motion.whole
     if not motion.is_over:  # what follows has memory of its own: give back what is left of this
         whole = whole.copy()
-    return Span(whole[:, 1:], work, whole, StepEnds(*motion.ends))
+    # Of the room for ends of steps most is left as a rule.
+    ends = (array.copy(order="A") for array in motion.ends)
+    return Span(whole[:, 1:], work, whole, StepEnds(*ends))
 
 
 def advance_in_core(

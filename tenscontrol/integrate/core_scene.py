@@ -12,7 +12,7 @@ import numpy as np
 from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.core import records
 from tenscontrol.core.library import library
-from tenscontrol.core.records import pointer
+from tenscontrol.core.records import pointers
 from tenscontrol.dynamics.contact_laws import Ground, HertzGround, SmoothGround
 from tenscontrol.dynamics.equation import Equation
 from tenscontrol.dynamics.forms.elimination import Elimination
@@ -226,9 +226,7 @@ class CoreScene:
     def taut(self, state: FloatArray, u: FloatArray) -> FloatArray:
         """Return which strings pull and contacts press, 1 or 0 each, shape (switches,)."""
         taut, work = np.zeros(self.switches), np.empty(self.work_size)
-        self.core.tc_taut(
-            byref(self.scene), byref(self.drive(u)), pointer(state), pointer(taut), pointer(work)
-        )
+        self.core.tc_taut(byref(self.scene), byref(self.drive(u)), *pointers(state, taut, work))
         return taut
 
     def begin(self, state: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray, float]:
@@ -236,8 +234,7 @@ class CoreScene:
         taut, slope = np.zeros(self.switches), np.empty(self.states)
         work = np.empty(self.work_size)
         force = self.core.tc_begin(
-            byref(self.scene), byref(self.drive(u)), pointer(state), pointer(taut),
-            pointer(slope), pointer(work),
+            byref(self.scene), byref(self.drive(u)), *pointers(state, taut, slope, work),
         )  # fmt: skip
         return taut, slope, float(force)
 
@@ -245,8 +242,7 @@ class CoreScene:
         """Return ẋ for fixed switches, shape (states,)."""
         slope, work = np.empty(self.states), np.empty(self.work_size)
         self.core.tc_slope(
-            byref(self.scene), byref(self.drive(u)), pointer(state), pointer(taut), pointer(slope),
-            pointer(work),
+            byref(self.scene), byref(self.drive(u)), *pointers(state, taut, slope, work),
         )  # fmt: skip
         return slope
 
@@ -254,8 +250,7 @@ class CoreScene:
         """Return the gap of each switch, m, and its rate, m/s; see :class:`Equation`."""
         gap, rate, work = np.empty(self.switches), np.empty(self.switches), np.empty(self.work_size)
         self.core.tc_gap(
-            byref(self.scene), byref(self.drive(u)), pointer(state), pointer(gap), pointer(rate),
-            pointer(work),
+            byref(self.scene), byref(self.drive(u)), *pointers(state, gap, rate, work),
         )  # fmt: skip
         return gap, rate
 
@@ -264,7 +259,7 @@ class CoreScene:
         state, work = state.copy(), np.empty(self.work_size)
         drive = self.drive(np.zeros(0))
         self.core.tc_restore(
-            byref(self.scene), byref(drive), byref(self.lengths), pointer(state), pointer(work)
+            byref(self.scene), byref(drive), byref(self.lengths), *pointers(state, work)
         )
         return state
 
@@ -278,8 +273,8 @@ class CoreScene:
         work = np.empty(self.work_size)
         return float(
             self.core.tc_frequency(
-                byref(self.scene), byref(self.drive(u)), pointer(state),
-                ctypes.c_double(difference), pointer(vector), pointer(work),
+                byref(self.scene), byref(self.drive(u)), *pointers(state),
+                ctypes.c_double(difference), *pointers(vector, work),
             )
         )  # fmt: skip
 
@@ -288,7 +283,7 @@ class CoreScene:
         count, rates = rates.shape[2], times_in_rows(rates)
         energy = np.empty(count)
         motion = records.Motion.of(rates)
-        self.core.tc_kinetic_energy(byref(self.scene), count, byref(motion), pointer(energy))
+        self.core.tc_kinetic_energy(byref(self.scene), count, byref(motion), *pointers(energy))
         return energy
 
     def string_energy(self, nodes: FloatArray, inputs: FloatArray) -> FloatArray:
@@ -299,8 +294,8 @@ class CoreScene:
         energy, work = np.empty(count), np.empty(2 * count)
         motion = records.Motion.of(nodes)
         self.core.tc_string_energy(
-            byref(self.scene), count, byref(motion), pointer(inputs), is_constant, pointer(energy),
-            pointer(work),
+            byref(self.scene), count, byref(motion), *pointers(inputs), is_constant,
+            *pointers(energy, work),
         )  # fmt: skip
         return energy
 
@@ -389,9 +384,10 @@ class CoreMotion:
         self._settings.budget = budget
         self.done = scene.core.tc_advance(
             byref(scene.scene), byref(self._drive), byref(scene.lengths), byref(self._settings),
-            byref(self.progress), pointer(self.state), pointer(self._slope), pointer(self._taut),
-            pointer(self._states), pointer(self._step_times), pointer(self._step_states),
-            pointer(self._step_taut), pointer(self._work),
+            byref(self.progress), *pointers(
+                self.state, self._slope, self._taut, self._states, self._step_times,
+                self._step_states, self._step_taut, self._work,
+            ),
         )  # fmt: skip
         if self._settings.traces:
             count, self.progress.kept = self.progress.kept, 0

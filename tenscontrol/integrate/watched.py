@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import final
 
 import numpy as np
@@ -302,7 +302,8 @@ class _Motion:
                 whole[:, done : done + some.shape[1]] = some
                 done += some.shape[1]
             self.spans = [Span(whole[:, 1:], self.work, whole)]
-        return replace(self.spans[0], work=self.work)
+        span = self.spans[0]
+        return Span(span.states, self.work, span.whole, span.ends)
 
 
 @dataclass(frozen=True, eq=False)

@@ -44,15 +44,13 @@ def assembled(
     )
     nodes, velocities = run.all_motion()
     inputs = run.all_values(run.string_rows)
-    functions = MotionFunctions(model, run.supports is not None, inputs, core=run.core)
     load = _load(run)
+    functions = MotionFunctions(model, run.supports is not None, inputs, load, core=run.core)
     free, known = not len(structure.fixed_rows), dict[str, Any]()
     contacts = None
     if model.contacts is not None:
         contacts, known = _contacts(run, functions, nodes, velocities, time)
         functions = replace(functions, stored=contacts.stored_energy.sum(axis=0))
-    if load is not None:
-        functions = replace(functions, load=load)
     trajectory = Trajectory(
         structure=structure,
         time=frozen(time),

@@ -13,6 +13,7 @@ import numpy as np
 
 from tenscontrol.arrays import FloatArray, IntArray, frozen
 from tenscontrol.integrate.integrator import IntegrationError, Span
+from tenscontrol.properties import cached_property
 from tenscontrol.simulation.plant_run import PlantRun
 from tenscontrol.structure.structure import Structure
 
@@ -349,17 +350,21 @@ class Motion:
         off = np.concatenate([[0.0], off, [np.inf]])
         kept = self.path.columns
         after = np.searchsorted(columns, kept)
-        is_met = np.isin(kept, columns, assume_unique=True)
+        is_met = np.append(columns, -1)[after] == kept
         return np.maximum(off[after + 1], np.where(is_met, 0.0, off[after]))
 
     def _distance(self, one: FloatArray, other: FloatArray) -> FloatArray:
         """Return the largest distance of a node between positions, as part of the size."""
-        structure = self.structure
-        node = structure.free_rows[self.rows] // structure.dimension
-        first = np.flatnonzero(np.diff(node, prepend=-1))
         with np.errstate(over="ignore", invalid="ignore"):
-            apart = np.sqrt(np.add.reduceat((one - other) ** 2, first).max(axis=0))
+            squares = np.add.reduceat((one - other) ** 2, self._first_of_nodes)
+            apart = np.sqrt(squares.max(axis=0))
         return np.where(np.isfinite(apart), apart / self._size, np.inf)
+
+    @cached_property
+    def _first_of_nodes(self) -> IntArray:
+        """Place of the first coordinate of each node among those that were kept."""
+        node = self.structure.free_rows[self.rows] // self.structure.dimension
+        return np.flatnonzero(np.diff(node, prepend=-1))
 
     @property
     def _size(self) -> float:

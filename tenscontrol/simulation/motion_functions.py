@@ -106,7 +106,7 @@ def distances(nodes: FloatArray, pairs: IntArray) -> FloatArray:
     nodes, pairs = times_in_rows(nodes), np.ascontiguousarray(pairs, dtype=np.int32)
     core.tc_distances(
         ctypes.byref(records.Motion.of(nodes)), len(nodes), count, len(pairs),
-        records.pointer(pairs), records.pointer(length),
+        *records.pointers(pairs, length),
     )  # fmt: skip
     return length
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import partial
 from math import ceil
+from weakref import WeakMethod
 
 import numpy as np
 
@@ -139,7 +139,14 @@ class PlantRun:
         last = self.methods[-1]
         if self._method is None and self.choice.setting == "tolerance":
             begin = self.spans[0].time[0] if self.spans else self.now
-            make = partial(self._made, value)
+            # A cycle of references would keep the memory of runs that are over.
+            made = WeakMethod(self._made)
+
+            def make(name: str) -> Integrator:
+                method = made()
+                assert method is not None  # the run is there while it is integrated
+                return method(value, name)
+
             return Watched(self._equation, last, make, self.duration, float(begin))
         return self._made(value, last)
 
@@ -374,14 +381,13 @@ class PlantRun:
 
     def all_values(self, rows: slice, order: int = 0) -> FloatArray:
         """Return some of the inputs at all times kept, or their rates, read-only."""
-        held = [c[rows] for c in {id(s.coefficients): s.coefficients for s in self.spans}.values()]
-        first = held[0][:, :1]
-        if not order and all(
-            not coefficients[:, 1:].any() and np.array_equal(coefficients[:, :1], first)
-            for coefficients in held
+        one = self.spans[0].coefficients
+        if not (order or one[rows, 1:].any()) and all(
+            span.coefficients is one or np.array_equal(span.coefficients[rows], one[rows])
+            for span in self.spans
         ):  # one column, read at all times
-            count = sum(len(s.time) for s in self.spans)
-            return np.broadcast_to(frozen(first), (len(first), count))
+            first, count = frozen(one[rows, :1]), sum(len(s.time) for s in self.spans)
+            return np.broadcast_to(first, (len(first), count))
         values = np.hstack([s.values(rows, order) for s in self.spans])
         values.setflags(write=False)
         return values

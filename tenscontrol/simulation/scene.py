@@ -273,6 +273,8 @@ class Scene:
         names = "nodes", "velocities", "rest_length", "force_density", "external_force"
         for name in (*names, "support_motion"):
             value = getattr(self, name)
+            if isinstance(value, np.ndarray) and value.dtype == np.float64:
+                continue  # kept when it was checked
             if value is not None and not changes_in_time(value):
                 array = np.asarray(validation.array_of(name, value), dtype=float)
                 object.__setattr__(self, name, frozen(array))
@@ -557,6 +559,8 @@ class Scene:
         traces : bool
             Whether all steps are kept; see :attr:`Integrator.traces`.
         """
+        output_step = self._output_step
+        is_few = self.duration < _FEW_OUTPUTS * output_step
         return PlantRun(
             self.model,
             self.input,
@@ -568,17 +572,14 @@ class Scene:
             supports=self._supports,
             support_rate=self._beside.support_rate,
             now=self.begin,
-            output_step=self._output_step,
+            output_step=output_step,
             report=report,
-            keeps_steps=self._keeps_steps,
+            # To look for bars that cross where outputs are few.
+            keeps_steps=is_few
+            and self.law is None
+            and self.integration.limits.crossings is not None,
             traces=traces,
         )
-
-    @property
-    def _keeps_steps(self) -> bool:
-        """Whether bars that may cross are looked for where outputs are few."""
-        is_few = self.duration < _FEW_OUTPUTS * self._output_step
-        return is_few and self.law is None and self.integration.limits.crossings is not None
 
     @property
     def _output_step(self) -> float:

@@ -380,7 +380,8 @@ class Trajectory(Viewable):
     def _fall(self) -> float | None:
         if not self.falls:
             return None
-        fall = -float(self.nodes[-1, :, -1].mean()) / self.structure.size
+        height = self.nodes[-1, :, -1]
+        fall = -float(height.sum()) / len(height) / self.structure.size
         return fall if fall > 1 else None
 
     def _largest_momenta(self) -> tuple[float, float]:

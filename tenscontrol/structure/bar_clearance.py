@@ -13,7 +13,7 @@ import numpy as np
 from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.core import records
 from tenscontrol.core.library import library
-from tenscontrol.core.records import pointer
+from tenscontrol.core.records import pointers
 from tenscontrol.properties import cached_property
 from tenscontrol.structure.structure import Structure
 
@@ -254,7 +254,7 @@ class _Intervals:
         speed, core = np.zeros(self.nodes[0].shape[1]), library()
         if core is not None:
             rates, work = self._rates_of(nodes.astype(np.int32)), np.empty(6 * len(nodes))
-            core.tc_largest_speeds(byref(rates), self.count, pointer(speed), pointer(work))
+            core.tc_largest_speeds(byref(rates), self.count, *pointers(speed, work))
         else:
             first, end = self.rates[0][:, nodes], self.rates[1][:, nodes, -1]
             low, high = _bounds(_beside_mean(first), _beside_mean(end))
@@ -285,9 +285,9 @@ class _Intervals:
         while True:
             near = np.empty((room, 2), dtype=np.int32)
             count = core.tc_near_bars(
-                byref(motion), byref(rates), self.count, pointer(begin), pointer(length),
-                len(ends), pointer(ends), c_double(_FASTER), c_int64(room), pointer(near),
-                pointer(speed), pointer(work),
+                byref(motion), byref(rates), self.count, *pointers(begin, length),
+                len(ends), *pointers(ends), c_double(_FASTER), c_int64(room),
+                *pointers(near, speed, work),
             )  # fmt: skip
             if count <= room:
                 p, k = near[:count].T.astype(int)
