@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, field, fields
 from functools import cache
+from importlib import import_module
 from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, frozen
 
 _Given = TypeVar("_Given", contravariant=True)
@@ -50,9 +52,16 @@ def optional(check: Callable[..., object], *details: object) -> Mapping[str, Any
     return {**checked(check, *details), "optional": True}
 
 
+def instance_of(name: str, value: object, kind: str, how: str) -> object:
+    """Check as :func:`validation.instance`: of a class by its whole name, not loaded for None."""
+    module, _, of = kind.rpartition(".")
+    return validation.instance(name, value, getattr(import_module(module), of), how)
+
+
 def check_fields(record: Any) -> None:
     """Check the fields of a frozen record in their order, and keep read-only arrays."""
-    for declared in _declared(type(record)):
+    kind: Any = type(record)
+    for declared in _declared(kind):
         name, how = declared.name, declared.metadata
         given = value = getattr(record, name)
         if "check" in how and not (given is None and "optional" in how):
@@ -64,6 +73,6 @@ def check_fields(record: Any) -> None:
 
 
 @cache
-def _declared(kind: type) -> tuple[Any, ...]:
+def _declared(kind: Any) -> tuple[Any, ...]:
     """Return the fields of a class, which `dataclasses` finds anew each time."""
     return fields(kind)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Iterable, Mapping, Set
 from contextlib import suppress
 from difflib import get_close_matches
@@ -99,7 +100,8 @@ def _real_array(name: str, value: object) -> FloatArray:
     if value is None:
         raise TypeError(f"{name} is None, expected an array of real numbers")
     value = array_of(name, value)
-    if isinstance(value, np.ma.MaskedArray):
+    masked = sys.modules.get("numpy.ma")  # NumPy loads it for who makes one
+    if masked is not None and isinstance(value, masked.MaskedArray):
         raise TypeError(f"{name} is a masked array, expected one without a mask: fill or drop")
     try:
         given = np.asarray(value)

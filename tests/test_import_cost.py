@@ -40,3 +40,15 @@ def test_structures_and_models_load_no_scipy():
     modules = loaded_by("import tenscontrol.structure, tenscontrol.dynamics")
     assert "casadi" in modules
     assert "scipy" not in modules
+
+
+def test_a_run_in_open_loop_loads_neither_controllers_nor_files():
+    modules = loaded_by(
+        "import tenscontrol as tc\n"
+        "model = tc.Model(tc.library.prism(), strings=tc.LinearStrings(100.0))\n"
+        "tc.simulate(model, 0.01, rest_length=0.9)"
+    )
+    others = ("control", "estimation", "plant", "statics", "sizing", "actuation", "shape")
+    ours = {name for name in modules if name.startswith("tenscontrol.")}
+    assert not ours & {f"tenscontrol.{name}" for name in others}
+    assert not modules & {"scipy", "tomllib"}

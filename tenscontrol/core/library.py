@@ -7,7 +7,7 @@ import hashlib
 import sys
 from contextlib import suppress
 from functools import cache
-from importlib.metadata import PackageNotFoundError, distribution
+from importlib import import_module
 from pathlib import Path
 
 #: What the library is called.
@@ -62,8 +62,12 @@ def sources_id() -> str:
 
 def _file() -> Path | None:
     """Return the library: beside this file, or in the installation if this is a folder of it."""
-    places = [_FOLDER / NAME]
-    with suppress(PackageNotFoundError):  # the sources alone
-        installed = distribution("tenscontrol").locate_file(f"tenscontrol/core/{NAME}")
-        places.append(Path(str(installed)))
-    return next((file for file in places if file.is_file()), None)
+    folders = import_module(__package__).__path__  # several where it is installed as editable
+    places = [Path(folder) / NAME for folder in folders]
+    if not any(place.is_file() for place in places):
+        from importlib.metadata import PackageNotFoundError, distribution
+
+        with suppress(PackageNotFoundError):  # the sources alone
+            installed = distribution("tenscontrol").locate_file(f"tenscontrol/core/{NAME}")
+            places.append(Path(str(installed)))
+    return next((place for place in places if place.is_file()), None)

@@ -14,10 +14,10 @@ from tenscontrol import validation
 from tenscontrol.actuation.driven_strings import actuation_of
 from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics.contact_laws import Contacts, Ground
+from tenscontrol.dynamics.held_inputs import held_value
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.string_laws import ElasticStrings, LinearStrings
 from tenscontrol.exchange.kinematic_tree import WORLD, KinematicTree, in_space
-from tenscontrol.plant.equilibrium import held_value
 from tenscontrol.simulation.inputs import checked_load
 from tenscontrol.simulation.start import initial_state
 from tenscontrol.structure.structure import Structure

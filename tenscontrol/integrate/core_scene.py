@@ -34,10 +34,10 @@ def core_scene(equation: Equation) -> CoreScene | None:
     """
     if library() is None:
         return None
-    made: tuple[CoreScene | None] = equation.prepared.get(
+    known: tuple[CoreScene | None] = equation.prepared.get(
         "core", lambda: (CoreScene(equation) if _is_known(equation) else None,)
     )
-    return made[0]
+    return known[0]
 
 
 def _is_known(equation: Equation) -> bool:

@@ -21,8 +21,8 @@ from tenscontrol.actuation.winches import Winches
 from tenscontrol.arrays import FloatArray, IntArray, freeze_arrays
 from tenscontrol.dynamics import kernel
 from tenscontrol.dynamics.evaluator import Function, SharedEvaluator, builds
+from tenscontrol.dynamics.held_inputs import held_value
 from tenscontrol.dynamics.model import Model
-from tenscontrol.plant.equilibrium import held_value
 from tenscontrol.plant.input_bounds import rest_length_bounds
 from tenscontrol.plant.stance import convex_hull
 from tenscontrol.structure.bar_clearance import bar_distances

@@ -4,19 +4,22 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tenscontrol.actuation.driven_strings import Actuation
-from tenscontrol.actuation.motors import MotorRecord
 from tenscontrol.arrays import FloatArray
-from tenscontrol.control.command import Fallback
 from tenscontrol.properties import cached_property
 from tenscontrol.simulation.arguments import Arguments
 from tenscontrol.simulation.error_growth import ErrorGrowth, error_growth
-from tenscontrol.simulation.observation import EstimateRecord
 from tenscontrol.status import UNSOLVED, Status
 from tenscontrol.tables import percent
+
+if TYPE_CHECKING:
+    from tenscontrol.actuation.driven_strings import Actuation
+    from tenscontrol.actuation.motors import MotorRecord
+    from tenscontrol.control.command import Fallback
+    from tenscontrol.simulation.observation import EstimateRecord
 
 # A run ends away from its reference: by this part of the size, with errors in the last third above
 # this part of those before, if it lasts so many radians of the slowest vibration. Or

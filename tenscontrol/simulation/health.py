@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
 
 from tenscontrol import validation
 from tenscontrol.integrate.integrator import Work
 from tenscontrol.short_repr import short_repr
-from tenscontrol.sizing.sections import Sections
 from tenscontrol.structure.bar_clearance import BarClearance, BarCrossing
+
+if TYPE_CHECKING:
+    from tenscontrol.sizing.sections import Sections
 
 # The error, as part of the size, up to which a motion is trusted unless the user says otherwise.
 ERROR_LIMIT = 0.01
@@ -173,6 +176,8 @@ class HealthLimits:
     def __post_init__(self) -> None:
         validation.choice("action", self.action, ("warn", "raise"))
         if self.sections is not None:
+            from tenscontrol.sizing.sections import Sections
+
             how = "make them by sections(...) or design(...)"
             validation.instance("sections", self.sections, Sections, how)
         put = object.__setattr__  # the dataclass is frozen for everyone else

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from tenscontrol.arrays import FloatArray
+from tenscontrol.dynamics.held_inputs import given_load, held_value
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.profile import Pieces, Profile, as_pieces
-from tenscontrol.plant.equilibrium import given_load, held_value
 
 # An input below zero by this part of its largest value is zero.
 _ROUND_OFF = 1e-12

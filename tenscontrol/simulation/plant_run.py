@@ -140,12 +140,12 @@ class PlantRun:
         if self._method is None and self.choice.setting == "tolerance":
             begin = self.spans[0].time[0] if self.spans else self.now
             # A cycle of references would keep the memory of runs that are over.
-            made = WeakMethod(self._made)
+            maker = WeakMethod(self._made)
 
             def make(name: str) -> Integrator:
-                method = made()
-                assert method is not None  # the run is there while it is integrated
-                return method(value, name)
+                integrator_of = maker()
+                assert integrator_of is not None  # the run is there while it is integrated
+                return integrator_of(value, name)
 
             return Watched(self._equation, last, make, self.duration, float(begin))
         return self._made(value, last)

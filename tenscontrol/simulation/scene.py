@@ -5,33 +5,22 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import KW_ONLY, dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from tenscontrol import validation
-from tenscontrol.actuation.rest_lengths import to_rest_length
-from tenscontrol.actuation.winches import Winches
 from tenscontrol.arrays import FloatArray, frozen
-from tenscontrol.control.command import ControlWarning
-from tenscontrol.control.controller import BaseController
-from tenscontrol.control.function_controller import as_controller
 from tenscontrol.dynamics.equation import Equation, pack_state
+from tenscontrol.dynamics.held_inputs import held_value, own_input
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.profile import Pieces, sampling_interval
-from tenscontrol.estimation.kalman_filter import KalmanFilter
-from tenscontrol.estimation.sensors import Sensors
-from tenscontrol.fields import check_fields, checked, optional
+from tenscontrol.fields import check_fields, checked, instance_of, optional
 from tenscontrol.interrupt import InterruptionWarning, finishing, interruptible
-from tenscontrol.plant.equilibrium import held_value, own_input
-from tenscontrol.plant.linear_plant import LinearPlant
-from tenscontrol.plant.linearize import linearize
 from tenscontrol.progress import long_run_note, progress_bar
 from tenscontrol.properties import cached_property
-from tenscontrol.simulation.actuators import commands_parent
 from tenscontrol.simulation.arguments import Arguments
 from tenscontrol.simulation.assembly import assembled
-from tenscontrol.simulation.closed_loop import ClosedLoop
 from tenscontrol.simulation.error_estimate import estimated_error
 from tenscontrol.simulation.faults import Fault, Faults
 from tenscontrol.simulation.health import ERROR_LIMIT
@@ -43,10 +32,17 @@ from tenscontrol.simulation.plant_run import PlantRun, StoppedError
 from tenscontrol.simulation.start import Start, initial_state, start_beside_supports
 from tenscontrol.simulation.strength import refuse_other_members
 from tenscontrol.simulation.trajectory import Trajectory
-from tenscontrol.statics.prestress import prestress
 from tenscontrol.structure.segments import to_segments
 from tenscontrol.structure.structure import Structure, same_members
 from tenscontrol.warn import warn
+
+if TYPE_CHECKING:
+    from tenscontrol.actuation.winches import Winches
+    from tenscontrol.control.controller import BaseController
+    from tenscontrol.estimation.kalman_filter import KalmanFilter
+    from tenscontrol.estimation.sensors import Sensors
+    from tenscontrol.plant.linear_plant import LinearPlant
+    from tenscontrol.simulation.closed_loop import ClosedLoop
 
 # States kept of an adaptive run, unless the user says otherwise, and numbers in them at most.
 _OUTPUTS, _NUMBERS = 1000, 50_000_000
@@ -133,7 +129,9 @@ class Scene:
     input: Any = None  # found below
     winches: Winches | None = field(
         default=None,
-        metadata=optional(validation.instance, Winches, "make them by Winches(rate=...)"),
+        metadata=optional(
+            instance_of, "tenscontrol.actuation.winches.Winches", "make them by Winches(rate=...)"
+        ),
     )
     sample_time: float | None = field(
         default=None, metadata=optional(validation.positive_number, "s")
@@ -144,13 +142,17 @@ class Scene:
     estimator: KalmanFilter | None = field(
         default=None,
         metadata=optional(
-            validation.instance, KalmanFilter,
+            instance_of, "tenscontrol.estimation.kalman_filter.KalmanFilter",
             "make one by KalmanFilter(plant, sensors, sample_time=...)",
         ),
     )  # fmt: skip
     sensors: Sensors | None = field(
         default=None,
-        metadata=optional(validation.instance, Sensors, "make them by Sensors(structure=..., ...)"),
+        metadata=optional(
+            instance_of,
+            "tenscontrol.estimation.sensors.Sensors",
+            "make them by Sensors(structure=..., ...)",
+        ),
     )
     seed: int | None = field(
         default=None, metadata=optional(validation.whole_number, 0, validation.LARGEST_SEED)
@@ -234,6 +236,8 @@ class Scene:
         if self.input is not None:
             kind = validation.choice("input", self.input, ("rest_length", "force_density"))
         put(self, "input", kind)
+        from tenscontrol.simulation.actuators import commands_parent
+
         assert self.law is not None  # there is a controller
         commands_parent(self.model, self.law)
         if self.rest_length is not None and kind == "rest_length":
@@ -267,9 +271,10 @@ class Scene:
             object.__setattr__(self, "prestress", frozen(gamma))
         if self.start is None and self.support_motion is None:
             nodes = self.structure.nodes
-            for name, usual in (("nodes", nodes), ("velocities", np.zeros_like(nodes))):
-                if getattr(self, name) is None:
-                    object.__setattr__(self, name, usual)
+            if self.nodes is None:
+                object.__setattr__(self, "nodes", nodes)
+            if self.velocities is None:
+                object.__setattr__(self, "velocities", frozen(np.zeros_like(nodes)))
         names = "nodes", "velocities", "rest_length", "force_density", "external_force"
         for name in (*names, "support_motion"):
             value = getattr(self, name)
@@ -295,7 +300,12 @@ class Scene:
     @cached_property
     def law(self) -> BaseController | None:
         """The controller as the loop takes it; None in open loop."""
-        if self.controller is None or isinstance(self.controller, BaseController):
+        if self.controller is None:
+            return None
+        from tenscontrol.control.controller import BaseController
+        from tenscontrol.control.function_controller import as_controller
+
+        if isinstance(self.controller, BaseController):
             return self.controller
         return as_controller(self.controller, self.structure, self.input, self.sample_time)
 
@@ -449,6 +459,8 @@ class Scene:
                 raise ValueError("the scene holds no force_density at its start: give prestress")
             return np.asarray(self.prestress)
         if self.prestress is not None:
+            from tenscontrol.actuation.rest_lengths import to_rest_length
+
             return to_rest_length(self.model, self.structure.nodes, self.prestress).rest_length
         if self.rest_length is None:
             raise ValueError(
@@ -479,6 +491,9 @@ class Scene:
         ValueError
             If the structure is not at rest under its force densities and loads.
         """
+        from tenscontrol.plant.linearize import linearize
+        from tenscontrol.statics.prestress import prestress
+
         try:
             rest = prestress(
                 self.structure, self._design_force_density(),
@@ -667,6 +682,8 @@ def run_scene(scene: Scene, progress: bool) -> Trajectory:
         check_health(trajectory, how.limits)
         problems = [] if trajectory.control is None else trajectory.control.problems
         if problems:
+            from tenscontrol.control.command import ControlWarning
+
             warn(
                 f"under {type(scene.controller).__name__} the run did not reach its goal: "
                 f"{'; '.join(problems)}. run.control.summary() says more",
@@ -677,6 +694,8 @@ def run_scene(scene: Scene, progress: bool) -> Trajectory:
 
 def _loop(scene: Scene, run: PlantRun) -> ClosedLoop:
     """Return the loop of the controller with a plant run."""
+    from tenscontrol.simulation.closed_loop import ClosedLoop
+
     assert scene.law is not None  # it has one
     estimation = None
     if scene.estimator is not None:

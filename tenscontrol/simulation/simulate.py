@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from tenscontrol import validation
-from tenscontrol.actuation.winches import Winches
 from tenscontrol.dynamics.model import Model
-from tenscontrol.estimation.kalman_filter import KalmanFilter
-from tenscontrol.estimation.sensors import Sensors
 from tenscontrol.integrate.methods import Method
 from tenscontrol.interrupt import interruptible
 from tenscontrol.simulation.faults import Fault
@@ -16,6 +14,11 @@ from tenscontrol.simulation.health import HealthLimits
 from tenscontrol.simulation.integration import Integration
 from tenscontrol.simulation.scene import Scene, run_scene
 from tenscontrol.simulation.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from tenscontrol.actuation.winches import Winches
+    from tenscontrol.estimation.kalman_filter import KalmanFilter
+    from tenscontrol.estimation.sensors import Sensors
 
 # The usual limits; checked once.
 _LIMITS = HealthLimits()

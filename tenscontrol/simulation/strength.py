@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,9 +12,11 @@ from tenscontrol.arrays import FloatArray, IntArray, frozen
 from tenscontrol.properties import cached_property
 from tenscontrol.simulation.motion_functions import distances
 from tenscontrol.simulation.trajectory import Trajectory
-from tenscontrol.sizing.sections import Sections
 from tenscontrol.structure.structure import Structure
 from tenscontrol.tables import aligned
+
+if TYPE_CHECKING:
+    from tenscontrol.sizing.sections import Sections
 
 # Margins that differ by less than this part are the same.
 _SAME = 1e-9
@@ -159,6 +162,8 @@ def strength(run: Trajectory, sections: Sections) -> Strength:
     Strength(0.07171 at 0 s, buckling of bar 0)
     """
     validation.instance("run", run, Trajectory, "make one by simulate(model, ...)")
+    from tenscontrol.sizing.sections import Sections
+
     validation.instance("sections", sections, Sections, "make one by sections(...) or design(...)")
     refuse_other_members(run.structure, sections)
     length = distances(run.nodes, run.structure.bars)

@@ -28,13 +28,6 @@ from tenscontrol.simulation.motion_functions import (
     distances,
     read_only,
 )
-from tenscontrol.simulation.run_file import (
-    EVALUATED,
-    OF_BARS,
-    model_parts,
-    read_run,
-    write_run,
-)
 from tenscontrol.simulation.run_table import data_frame, write_table
 from tenscontrol.structure.bar_clearance import BarClearance, BarCrossing, BarMotion
 from tenscontrol.structure.structure import Structure
@@ -155,6 +148,8 @@ class Trajectory(Viewable):
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle and copy with all that has not been evaluated yet, and without the model."""
+        from tenscontrol.simulation.run_file import EVALUATED, OF_BARS
+
         for name in (*EVALUATED, *OF_BARS):
             getattr(self, name)
         return {name: v for name, v in vars(self).items() if name != "_bars"} | {
@@ -545,6 +540,8 @@ class Trajectory(Viewable):
         ...     tc.load_run(file)
         Trajectory(0.1 s, 11 states, rk4)
         """
+        from tenscontrol.simulation.run_file import EVALUATED, OF_BARS, model_parts, write_run
+
         values = {
             item.name: getattr(self, item.name) for item in fields(self) if item.name != "scene"
         }
@@ -679,6 +676,8 @@ def load_run(path: str | Path) -> Trajectory:
     >>> more.time[[0, -1]].round(3)
     array([0.1, 0.2])
     """
+    from tenscontrol.simulation.run_file import EVALUATED, OF_BARS, read_run
+
     saved = read_run(path)
     evaluated = {name: saved.pop(name) for name in (*EVALUATED, *OF_BARS)}
     evaluated["_momenta"] = [evaluated.pop(name) for name in ("momentum", "angular_momentum")]

@@ -24,7 +24,6 @@ from tenscontrol.structure.connectivity import (
     signed_incidence,
     warn_of_useless_strings,
 )
-from tenscontrol.structure.structure_file import read_structure, write_structure
 from tenscontrol.viewable import Viewable
 
 if TYPE_CHECKING:
@@ -281,6 +280,8 @@ class Structure(Viewable):
         ...     tc.Structure.load(file)
         Structure(12 nodes, 6 bars, 24 strings)
         """
+        from tenscontrol.structure.structure_file import write_structure
+
         return write_structure(self, path)
 
     @classmethod
@@ -304,6 +305,8 @@ class Structure(Viewable):
             If the file holds no structure, or one that :class:`Structure` refuses, or its version
             is a later one. The message names the file and the key.
         """
+        from tenscontrol.structure.structure_file import read_structure
+
         return read_structure(path, cls)
 
     @classmethod

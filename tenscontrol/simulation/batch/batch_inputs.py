@@ -13,6 +13,7 @@ from tenscontrol import validation
 from tenscontrol.arrays import FloatArray
 from tenscontrol.control.controller import Controller
 from tenscontrol.dynamics.equation import gravity_forces
+from tenscontrol.dynamics.held_inputs import held_value, refuse_load
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.model_parameters import (
     MASSES,
@@ -22,7 +23,6 @@ from tenscontrol.dynamics.model_parameters import (
     without_law,
 )
 from tenscontrol.dynamics.profile import Pieces
-from tenscontrol.plant.equilibrium import held_value, refuse_load
 from tenscontrol.properties import cached_property
 from tenscontrol.simulation.batch.compiled_loop import checked_controller
 from tenscontrol.simulation.closed_loop import samples
