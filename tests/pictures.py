@@ -123,9 +123,50 @@ def first_pages(folder):
     curves.ax.figure.savefig(folder / "lqr.png", **tight)
 
 
+def trust(folder):
+    """Write the figures of the page on trust, from what the page defines; return the errors."""
+    names = {}
+    for block in blocks("trust"):
+        if block.language == "python" and not block.fragment:
+            run(block, names)
+    figure, axes = plt.subplots(1, 3, figsize=(9.6, 3.2), sharey=True, layout="constrained")
+    titles = {
+        "right": "A run that is right",
+        "lost": "Right until 3 s",
+        "coarse": "A run that warns",
+    }
+    errors = {}
+    for ax, (name, title) in zip(axes, titles.items(), strict=True):
+        estimated = names[name]
+        exact = tc.simulate(
+            names["model"],
+            estimated.time[-1],
+            rest_length=estimated.rest_length[:, 0],
+            tolerance=1e-12,
+            output_step=estimated.time[1],
+            error="none",
+        )
+        size = np.ptp(exact.nodes[..., 0], axis=1).max()
+        error = np.linalg.norm(estimated.nodes - exact.nodes, axis=0).max(axis=0) / size
+        errors[title] = {"estimated": estimated.error[1:], "true": error[1:]}
+        ylabel = "error of nodes,\npart of the size" if ax is axes[0] else " "
+        limit = {"limit": 0.01}
+        tc.plot.history(estimated.time[1:], errors[title], ylabel, ax=ax, references=limit)
+        ax.set(yscale="log", ylim=(1e-8, 1.0))
+        ax.set_title(title, pad=32)
+    figure.savefig(folder / "trust.png", dpi=110)
+    heights = tc.plot.history(names["lost"].time, names["heights"], "height of node 0, m")
+    heights.ax.figure.savefig(folder / "trust_motion.png", dpi=110, bbox_inches="tight")
+    plt.close("all")
+    return errors
+
+
 if __name__ == "__main__":
     argparse.ArgumentParser(description=__doc__).parse_args()
     rolling_ball(IMAGES / "rolling_ball.gif")
     first_pages(IMAGES)
+    for title, errors in trust(IMAGES).items():
+        largest = {name: values.max() for name, values in errors.items()}
+        print(f"{title}: error {largest['true']:.2g}, estimated {largest['estimated']:.2g}")
     for image in sorted(IMAGES.iterdir()):
         print(f"{image.name}: {image.stat().st_size / 1e6:.2f} MB")

@@ -14,6 +14,8 @@ SHOWN = {
     "sh", "console", "powershell", "text", "toml", "json", "c", "xml", "yaml", "matlab", "bibtex",
 }  # fmt: skip
 
+_WARNING = re.compile(r"\w+Warning: ")
+
 # Pages of which a test asks for more than that they run: ``ran("page")``.
 TESTED = {"index", *FIRST_HOUR}
 for _path in Path(__file__).parent.glob("test_*.py"):
@@ -50,11 +52,15 @@ def test_a_page_runs(page, tmp_path, monkeypatch):
         pytest.skip("there is no C compiler")
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(PROJECT / "examples")  # where a page copies from
-    names = {}
+    names, messages = {}, []
     for block in blocks(page):
         if block.language == "python" and not block.fragment:
             warned = run(block, names)
             assert not warned or "# warns" in block.code, (block.section, warned)
+            messages += warned
+        elif _WARNING.match(block.code):  # the page shows it after the code
+            told = _WARNING.sub("", block.code)
+            assert any(agree(message, told) for message in messages), (told, messages)
 
 
 def test_agreement_of_what_is_printed():

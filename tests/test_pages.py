@@ -114,7 +114,7 @@ def test_ground():
 
 
 def test_accuracy():
-    names = ran("accuracy", **{"stages=100": "stages=20", "loose, 10.0,": "loose, 2.0,"})
+    names = ran("accuracy", **{"stages=100": "stages=20"})
     assert names["second"].time[-1] == pytest.approx(1.0)
 
 
