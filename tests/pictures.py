@@ -1,10 +1,12 @@
 """The moving picture of the README, and the figures of the first pages.
 
-``python -m tests.pictures`` writes them into ``docs/images``. It takes half a minute.
+``python -m tests.pictures`` writes them into ``docs/images``. It takes a minute.
 """
 
 import argparse
-from pathlib import Path
+import contextlib
+import runpy
+import tempfile
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -13,9 +15,9 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection
 from PIL import Image
 
 import tenscontrol as tc
-from tests.code_blocks import blocks, run
+from tests.code_blocks import PROJECT, blocks, run
 
-IMAGES = Path(__file__).parent.parent / "docs" / "images"
+IMAGES = PROJECT / "docs" / "images"
 SAMPLE, REST_LENGTH, FACE = 0.05, 0.55, [0, 4, 8]  # s, m; the nodes it stands on at the start
 FRAMES_A_SECOND, COLORS = 10, 48
 BAR, SHADOW, FLOOR = "#1b2a41", "0.80", "0.88"
@@ -161,10 +163,23 @@ def trust(folder):
     return errors
 
 
+def projects(folder):
+    """Write the figures that the files of the page on projects draw."""
+    for name in ("mast", "robot", "symbols"):
+        plt.close("all")
+        with tempfile.TemporaryDirectory() as written, contextlib.chdir(written):
+            runpy.run_path(str(PROJECT / "tests" / "first_hours" / f"{name}.py"))
+        for number in plt.get_fignums():
+            path = folder / f"{name}_{number}.png"
+            plt.figure(number).savefig(path, dpi=110, bbox_inches="tight")
+    plt.close("all")
+
+
 if __name__ == "__main__":
     argparse.ArgumentParser(description=__doc__).parse_args()
     rolling_ball(IMAGES / "rolling_ball.gif")
     first_pages(IMAGES)
+    projects(IMAGES)
     for title, errors in trust(IMAGES).items():
         largest = {name: values.max() for name, values in errors.items()}
         print(f"{title}: error {largest['true']:.2g}, estimated {largest['estimated']:.2g}")
