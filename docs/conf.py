@@ -18,6 +18,7 @@ extensions = [
     "sphinx.ext.autosummary",
     "folder",
     "mathml",
+    "myst_nb",
     "scene_keys",
     "sphinx.ext.napoleon",
     "sphinx.ext.viewcode",
@@ -25,6 +26,10 @@ extensions = [
 ]
 exclude_patterns = ["_build", "gallery/*.ipynb"]
 html_math_renderer = "mathml"
+nb_execution_mode = "force"  # notebooks keep no outputs: the build runs them
+nb_execution_raise_on_error = True
+nb_execution_timeout = 300
+nb_merge_streams = True
 html_theme = "furo"
 html_static_path = ["_static"]
 html_css_files = ["formulas.css"]
@@ -65,5 +70,6 @@ sphinx_gallery_conf = {
     "matplotlib_animations": False,
 }
 # Gallery settings hold functions, which are not cached. Names of attributes are taken for
-# references, and several classes have one of the same name.
-suppress_warnings = ["config.cache", "ref.python"]
+# references, and several classes have one of the same name. Objects that Jupyter draws by plotly
+# are text on a page.
+suppress_warnings = ["config.cache", "ref.python", "mystnb.unknown_mime_type"]
