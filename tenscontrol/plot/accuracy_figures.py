@@ -43,6 +43,10 @@ _NAME_MOVES = (0.0, 6.0, -6.0, 11.0, -11.0, 22.0, -22.0, 33.0)
 # Inches.
 _SIZE = (6.8, 4.4)
 
+# The error of the reference is drawn if it is not less than that part of the least error; else the
+# axis ends below the errors.
+_IN_VIEW, _ROOM_BELOW = 1e3, 30.0
+
 
 @closes_on_error
 def work_precision(result: WorkPrecision, *, ax: Axes | None = None) -> Curves:
@@ -171,7 +175,10 @@ def convergence_order(result: ConvergenceOrder, *, ax: Axes | None = None) -> Cu
     references["reference"] = ax.axhline(
         result.reference_error, color=REFERENCE_COLOR, linestyle=DASHES[2], linewidth=1.0
     )
-    references["reference"].set_label("error of the reference")
+    references["reference"].set_label(f"error of the reference, {result.reference_error:.1g} m")
+    least = float(result.error.min())
+    if result.reference_error < least / _IN_VIEW:
+        ax.set_ylim(bottom=least / _ROOM_BELOW)
     legend_above(ax)
     decade_ticks(ax.xaxis, ax.yaxis)
     return Curves(ax, {result.method: (fitted, others)}, references, {})
@@ -322,12 +329,15 @@ def _peer_style(position: int) -> dict[str, Any]:
 
 
 def _reference_band(ax: Axes, error: float) -> Line2D:
-    """Shade what the reference does not resolve, if that is in view."""
+    """Shade what the reference does not resolve, if errors come near it."""
     low = ax.get_xlim()[1]
     line = ax.axvline(error, color=REFERENCE_COLOR, linewidth=0.8, linestyle=DASHES[2], zorder=1)
     # Far beyond the limits, so that the shade stays when a user zooms out.
     ax.axvspan(1e-30, error, color="0.95", linewidth=0, zorder=0)
-    ax.set_xlim(ax.get_xlim()[0], min(low, error / 1.5))
+    if error < low / _IN_VIEW:
+        ax.set_xlim(right=low)
+        return line
+    ax.set_xlim(right=min(low, error / 1.5))
     style = {"ha": "left", "va": "bottom", "fontsize": "x-small", "color": REFERENCE_COLOR}
     share = ("data", "axes fraction")
     _note(ax, "error of the reference", (error, 0.02), (4, 0), xycoords=share, **style)

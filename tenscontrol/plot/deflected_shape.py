@@ -14,6 +14,8 @@ from tenscontrol.plot.style import FAINT, closes_on_error
 # Length of the arrow of the largest force, and of the largest displacement that is drawn unless it
 # is larger itself, parts of the size of the structure.
 _FORCE, _SEEN = 0.25, 0.1
+_ABOVE_LEGEND = 6.0  # points, for the title of a flat drawing
+_ROUND_OFF = 1e-9  # a displacement below this part of the size is not magnified
 
 
 @closes_on_error
@@ -70,7 +72,8 @@ def deflections(
     size = float(np.ptp(rest.nodes, axis=1).max())
     moved, force = found.displacement[:, :, k], found.loads[:, :, k]
     if magnify is None:
-        factor = max(1.0, _SEEN * size / (float(found.largest[k]) or _SEEN * size))
+        seen = max(float(found.largest[k]), _ROUND_OFF * size)
+        factor = _SEEN * size / seen if _ROUND_OFF * size < seen < _SEEN * size else 1.0
     else:
         factor = validation.positive_number("magnify", magnify, "times")
     gamma = found.string_force[:, k] / rest.string_length(rest.nodes + moved)
@@ -83,7 +86,11 @@ def deflections(
         draw_arrows(drawing.ax, nodes, vectors, 0.0)
         tips = nodes + vectors
     frame(drawing.ax, [rest.nodes, nodes, tips], grow=ax is not None)
-    place = "center" if rest.dimension == 3 else "right"  # beside the legend
     title = f"load {k}, displacements × {factor:.3g}"
-    drawing.ax.set_title(title, fontsize="medium", loc=place)
+    pad = None
+    if rest.dimension == 2:  # above the legend
+        figure = drawing.ax.figure
+        legend = drawing.ax.get_legend().get_window_extent()
+        pad = legend.height * 72 / figure.dpi + _ABOVE_LEGEND
+    drawing.ax.set_title(title, fontsize="medium", pad=pad)
     return drawing

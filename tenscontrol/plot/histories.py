@@ -147,6 +147,17 @@ def draw_curves(
     return Curves(ax, lines, levels, {})
 
 
+def drop_repeated_legends(panels: Mapping[str, Curves]) -> None:
+    """Leave one legend of those that say the same, in a figure of panels below each other."""
+    seen: list[list[str]] = []
+    for panel in panels.values():
+        names = panel.ax.get_legend_handles_labels()[1]
+        legend = panel.ax.get_legend()
+        if names in seen and legend is not None:
+            legend.remove()
+        seen.append(names)
+
+
 def checked_references(references: object, count: int) -> dict[str, FloatArray]:
     """Return the reference lines as arrays of shape () or (T,)."""
     levels = {}

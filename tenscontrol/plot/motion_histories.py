@@ -11,7 +11,13 @@ from matplotlib.axes import Axes
 
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray
-from tenscontrol.plot.histories import Curves, checked_references, draw_curves, mark_statuses
+from tenscontrol.plot.histories import (
+    Curves,
+    checked_references,
+    draw_curves,
+    drop_repeated_legends,
+    mark_statuses,
+)
 from tenscontrol.plot.structure_drawing import known_actuation, passive_strings
 from tenscontrol.plot.style import (
     REFERENCE_COLOR,
@@ -43,6 +49,9 @@ _MOVING, _OTHERS = 4, "0.8"
 
 # Round-off fills the foot of a panel, not the whole of it.
 _LEAST_SPAN = 1e4
+
+# What is below this part of the largest error is round-off, and its axis does not reach there.
+_RESOLVED = 1e-10
 
 
 def _with_faults(panel: Curves, run: Trajectory) -> Curves:
@@ -202,7 +211,7 @@ def trajectory(
     if run.control is not None:
         panels[name] = _with_statuses(panels[name], run.control)
     if axes is None:
-        _drop_repeated_legends(panels)
+        drop_repeated_legends(panels)
     return panels
 
 
@@ -308,17 +317,6 @@ def _in_grey(panel: Curves) -> Curves:
     return panel
 
 
-def _drop_repeated_legends(panels: Mapping[str, Curves]) -> None:
-    """Leave one legend of those that say the same, in a figure of panels below each other."""
-    seen: list[list[str]] = []
-    for panel in panels.values():
-        names = panel.ax.get_legend_handles_labels()[1]
-        legend = panel.ax.get_legend()
-        if names in seen and legend is not None:
-            legend.remove()
-        seen.append(names)
-
-
 def _string_labels(structure: Structure, passive: np.ndarray | None) -> list[str]:
     """Return the group of each string, driven and passive ones apart."""
     groups = list(structure.string_groups)
@@ -402,7 +400,7 @@ def motors(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, 
         )
         panels[name] = _with_faults(_in_grey(panels[name]), run)
     if axes is None:
-        _drop_repeated_legends(panels)
+        drop_repeated_legends(panels)
     return panels
 
 
@@ -559,6 +557,8 @@ def tracking(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str
         panels[name] = draw_curves(ax, times, rows, label, references=levels, xlabel=xlabel)
         if (values > 0).any():  # NaN is not
             ax.set_yscale("log")
+            largest = np.nanmax(values)
+            ax.set_ylim(bottom=np.nanmin(values[values > _RESOLVED * largest]) / 1.5)
             decade_ticks(ax.yaxis)
     panels[name] = _with_statuses(panels[name], record)
     return panels

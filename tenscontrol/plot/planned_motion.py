@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray
 from tenscontrol.optimize.optimal_motion import OptimalMotion
-from tenscontrol.plot.histories import Curves, draw_curves
+from tenscontrol.plot.histories import Curves, draw_curves, drop_repeated_legends
 from tenscontrol.plot.style import closes_on_error, legend_above, marker_style, timed_panels
 
 # Of markers of the plan, points.
@@ -93,6 +93,8 @@ def optimal_motion(
                 ax, run.time, _by_group(motion, tension), "tension, N", xlabel=xlabel
             )
         panels[name] = panel
+    if axes is None:
+        drop_repeated_legends(panels)
     return panels
 
 

@@ -20,8 +20,8 @@ from tenscontrol.plot.structure_drawing import (
 from tenscontrol.plot.style import FORCE_WIDTH, closes_on_error, flat_axes, legend_above
 from tenscontrol.simulation.strength import Strength
 
-# Margins beyond are drawn there: members that bear nothing have infinite ones. The axis ends at so
-# many times the least margin, or 1.
+# Margins beyond are drawn there: members that bear nothing have infinite ones. The axis ends above
+# the curves, or at so many times the least margin, or 1.
 _FAR, _SHOWN = 1e4, 4.0
 
 
@@ -75,7 +75,8 @@ def strength(found: Strength, *, members: int = 4, ax: Axes | None = None) -> Cu
     curves = draw_curves(
         ax, found.run.time, rows, "strength over force", references=one, xlabel="time, s"
     )
-    ax.set_ylim(0, _SHOWN * max(1.0, found.margin))
+    drawn = max((float(values.max()) for values in rows.values()), default=1.0)
+    ax.set_ylim(0, min(_SHOWN * max(1.0, found.margin), 1.1 * max(1.0, drawn)))
     legend_above(ax)
     return curves
 

@@ -59,7 +59,7 @@ SIZE = (5.0, 4.5)  # inches
 
 # Room for the axes in the figure: what they hold keeps away from their edges by itself.
 FILLED = MappingProxyType({"left": 0.0, "right": 0.97, "bottom": 0.0, "top": 1.0})
-_FILLED_FLAT = MappingProxyType({"left": 0.13, "right": 0.97, "bottom": 0.11, "top": 0.88})
+_FILLED_FLAT = MappingProxyType({"left": 0.16, "right": 0.97, "bottom": 0.11, "top": 0.88})
 
 _MARGIN = 0.05  # around the nodes, relative to the largest extent
 _FLAT_MARGIN = 0.12  # in the plane, where supports are drawn beside their nodes

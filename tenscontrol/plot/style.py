@@ -78,8 +78,8 @@ _SAMPLE_WIDTH, _LETTER_WIDTH = 44.0, 5.0
 
 _DPI = 200
 
-# Decades below which an axis is marked between them too.
-_FEW_DECADES = 2.0
+# Decades below which an axis is marked between them too, and at each number.
+_FEW_DECADES, _PART = 2.0, 0.5
 
 
 @dataclass(frozen=True)
@@ -229,8 +229,10 @@ def decade_ticks(*axes: Axis) -> None:
         low, high = axis.get_view_interval()
         axis.set_major_locator(LogLocator(numticks=10))
         axis.set_minor_formatter(NullFormatter())
-        if abs(np.log10(high / low)) < _FEW_DECADES:
-            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        decades = abs(np.log10(high / low))
+        if decades < _FEW_DECADES:
+            subs = (1.0, 2.0, 5.0) if decades > _PART else range(1, 10)
+            axis.set_major_locator(LogLocator(subs=subs))
             axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.3g}"))
         axis.set_minor_locator(LogLocator(subs=(), numticks=10))
 

@@ -81,6 +81,9 @@ def test_order_with_its_line_and_triangle():
     assert len(fitted.get_xdata()) == found.is_clean.sum()
     assert len(hollow.get_xdata()) == (~found.is_clean).sum()
     assert {"4", "1"} <= {text.get_text() for text in drawn.ax.texts}
+    # The axis fits the errors, not the reference far below them.
+    assert found.reference_error < 1e-3 * found.error.min()
+    assert drawn.ax.get_ylim()[0] > 0.02 * found.error.min()
 
 
 def test_an_order_that_could_not_be_fitted_has_no_line():

@@ -153,3 +153,23 @@ def test_a_planar_motion_has_histories_and_an_animation(planar_run, tmp_path):
             gif.seek(i)
             pictures.append(np.asarray(gif.convert("L")))
     assert (first[0] != last[0]).any()
+
+
+def test_the_title_of_a_deflection_is_above_the_legend_and_round_off_is_not_magnified():
+    mass = np.zeros(6)
+    mass[5] = 2.0
+    arm = replace(tc.library.arm(), point_mass=mass)
+    model = tc.Model(arm, strings=tc.LinearStrings(stiffness=500.0))
+    rest = tc.prestress(arm, min_force_density=50.0)
+    on_support, on_tip = np.zeros((2, 2, 6))
+    on_support[0, 0], on_tip[0, 5] = 1.0, 1.0
+    found = tc.deflections(model, rest, [on_support, on_tip])
+    still, bent = (tc.plot.deflections(found, load).ax for load in (0, 1))
+    assert still.get_title() == "load 0, displacements × 1"
+    bent.figure.canvas.draw()
+    title, legend = bent.title.get_window_extent(), bent.get_legend().get_window_extent()
+    assert title.y0 > legend.y1
+    assert title.y1 < bent.figure.bbox.y1
+    label = bent.yaxis.label.get_window_extent()
+    assert label.x0 > 0  # not cut
+    plt.close("all")

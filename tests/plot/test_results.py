@@ -76,6 +76,8 @@ def test_tracking_draws_what_the_record_has():
     (line,) = panels["prediction_error"].lines["farthest node"]
     np.testing.assert_array_equal(line.get_ydata(), run.control.prediction_error)
     assert list(panels["computing_time"].references) == ["sample time"]
+    high = panels["tracking_error"].ax.get_ylim()[1]
+    assert panels["tracking_error"].ax.get_ylim()[0] > 1e-11 * high  # not down to round-off
     assert list(panels["computing_time"].marks) == ["measurement not finite: plan continued"]
     plt.close(panels["tracking_error"].ax.figure)
 
