@@ -246,22 +246,31 @@
     byId("scale").firstChild.textContent = name;
     const ticks = [0, 0.25, 0.5, 0.75, 1].map((part) => {
       const mark = document.createElement("span");
-      mark.style.bottom = `${100 * part}%`;
+      mark.style.setProperty("--part", part);
       mark.textContent = part ? (part * most).toPrecision(3) : "0";
       return mark;
     });
     byId("marks").replaceChildren(...ticks);
     explain(colored);
+    Plotly.Plots.resize(plot);
     return draw();
   }
 
   const figure = spec.figure;
+  const given = Object.keys(spec.colors)[0]; // undefined without forces
+  byId("scale").hidden = given === undefined;
+  byId("scale").firstChild.textContent = given ?? "";
+  explain([]); // it takes room in a narrow window
+  // The eye sees as much as fits the height: in a window that is narrow, all is drawn smaller.
+  const room = Math.min(1, (1.05 * plot.clientWidth) / plot.clientHeight);
+  const edges = figure.layout.scene.aspectratio;
+  for (const axis of ["x", "y", "z"]) edges[axis] *= room;
   await Plotly.newPlot(plot, figure.data, figure.layout, {
     responsive: true,
     displaylogo: false,
     modeBarButtons: [["toImage", "resetCameraDefault3d"]],
   });
-  if (Object.keys(spec.colors).length) byId("color").value = Object.keys(spec.colors)[0];
+  byId("color").value = given ?? "";
   await choose();
   document.body.dataset.ready = "yes";
 })();

@@ -196,6 +196,26 @@ def test_a_structure_is_shown_and_a_node_tells_its_number(browser, tmp_path):
     assert "node 7" in browser.run("plot.querySelector('.hovertext').textContent")
 
 
+def test_on_a_phone_nothing_is_cut_or_lies_over_the_drawing(browser, tmp_path):
+    ball = tc.library.six_bar_ball()
+    gamma = tc.prestress(ball, 20.0).force_density
+    page = tc.plot.view(ball, force_density=gamma).save(tmp_path / "ball.html")
+    metrics = {"width": 390, "height": 800, "deviceScaleFactor": 1, "mobile": True}
+    browser.ask("Emulation.setDeviceMetricsOverride", **metrics)
+    try:
+        browser.open(page)
+        whole = browser.run("((page) => [page.scrollWidth, page.scrollHeight])(document.body)")
+        assert whole == [390, 800]  # no scrolling
+        box = "document.getElementById({!r}).getBoundingClientRect()"
+        top = browser.run("plot.getBoundingClientRect().top")
+        assert all(browser.run(box.format(key) + ".bottom") <= top for key in ("keys", "scale"))
+        across = [place_on_screen(browser, node)[0] for node in range(12)]
+        assert min(across) > 10
+        assert max(across) < 380
+    finally:
+        browser.ask("Emulation.clearDeviceMetricsOverride")
+
+
 def test_a_run_is_played_scrubbed_turned_and_coloured(browser, tmp_path):
     tower = tc.library.class2_tower(stages=3)
     model = tc.Model(tower, strings=tc.LinearStrings(stiffness=2e3))
