@@ -17,7 +17,7 @@ from tenscontrol.control.controller import (
 from tenscontrol.plant.controllability import refuse_empty, refuse_unreachable
 from tenscontrol.plant.input_bounds import input_bounds, largest_change
 from tenscontrol.plant.linear_plant import LinearPlant, named_system, sampled
-from tenscontrol.plant.riccati import natural_weights, regulator
+from tenscontrol.plant.riccati import cross_weight, natural_weights, regulator
 from tenscontrol.status import Status
 from tenscontrol.warn import warn
 
@@ -27,7 +27,7 @@ _AT_BOUND, _LISTED = 1e-9, 3
 
 @final
 class LQR(Controller):
-    """Linear-quadratic regulator: the state feedback that minimizes ``∫ zᵀ Q z + vᵀ R v dt``.
+    """Linear-quadratic regulator: the feedback that minimizes ``∫ zᵀ Q z + vᵀ R v + 2 zᵀ N v dt``.
 
     The command is ``u = u₀ − K z``, clipped to the bounds. With a ramp input, the state at the end
     of a sample depends on the previous input too: ``u = u₀ − K z − H (u_previous − u₀)``.
@@ -48,6 +48,9 @@ class LQR(Controller):
     R : float or array_like, shape (m,) or (m, m), optional
         Weight of the input, positive definite. If not given, that of :func:`energy_weights`; a
         tenth of it for γ.
+    N : array_like, shape (2r, m), optional
+        Cross weight of state and input, as of ``control.lqr``; none if not given. ``Q − N R⁻¹ Nᵀ``
+        must be positive semidefinite.
     sample_time : float, optional
         Time between two commands, s. With it the plant is discretized exactly, and the sum
         over samples is minimized in place of the integral.
@@ -113,6 +116,7 @@ class LQR(Controller):
         plant: LinearPlant,
         Q: object = None,
         R: object = None,
+        N: object = None,
         *,
         sample_time: float | None = None,
         max_force_density: object = None,
@@ -128,6 +132,7 @@ class LQR(Controller):
             R = natural_R if R is None else R
         state_weight = validation.weight_matrix("Q", Q, states, definite=False)
         input_weight = validation.weight("R", R, inputs, definite=True)
+        cross = cross_weight(N, state_weight, input_weight)
         if sample_time is not None:
             sample_time = validation.positive_number("sample_time", sample_time, "s")
         bounds = input_bounds(plant, max_force_density, winches)
@@ -144,7 +149,7 @@ class LQR(Controller):
         else:
             A, B = sampled(plant, sample_time, winches is not None and winches.ramp).augmented
         _, (gain, poles, cost, residual) = regulator(
-            plant, A, B, state_weight, input_weight, sample_time is not None
+            plant, A, B, state_weight, input_weight, sample_time is not None, cross
         )
         super().__init__(plant, sample_time, *bounds, change)
         warn_of_unreached(self)

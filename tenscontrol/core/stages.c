@@ -339,7 +339,7 @@ static int stages_free(const Stages *s, int k)
  */
 static int stages_find_step(Stages *s, size_t step, size_t slot, int first)
 {
-    int n = s->states, a = s->inputs, w = a + n, i, j;
+    int n = s->states, a = s->inputs, w = a + n, m = s->ramp ? n - a : n, i, j;
     double *Y = s->work, *X = Y + (size_t)w * w, *before = s->before + step * n * n;
     double *S = s->S + step * a * a, *W = s->W + step * a * n, *W_t = s->W_t + step * a * n;
     stages_product(s, w, n, n, s->motion + slot * w * n, n, s->costs + step * n * n, n, Y, n, 0);
@@ -347,6 +347,9 @@ static int stages_find_step(Stages *s, size_t step, size_t slot, int first)
     for (i = 0; i < a; i++)
         for (j = i; j < a; j++)
             X[(size_t)i * w + j] += s->R[i * a + j];
+    for (j = 0; s->cross != NULL && j < m; j++)
+        for (i = 0; i < a; i++)
+            X[(size_t)i * w + a + j] += s->cross[(size_t)j * a + i];
     /* With the columns of the states behind it, the factor is [U W]. */
     if (!stages_factorize(s, a, w, X, Y))
         return 0;
@@ -403,11 +406,26 @@ static int stages_prepare(Stages *s, double tolerance)
     return 1;
 }
 
+/* What C adds to by_all, [u_k; z_k], for departures h of the input and those of z_k from r. */
+static void stages_cross(const Stages *s, int k, const double *r, const double *h, double *by_all)
+{
+    int n = s->states, a = s->inputs, m = s->ramp ? n - a : n, i, j;
+    for (j = 0; j < m; j++) {
+        const double *c = s->cross + (size_t)j * a;
+        double off = s->z[(size_t)k * m + j] - (r == NULL ? 0.0 : r[j]);
+        for (i = 0; i < a; i++) {
+            by_all[i] += c[i] * off;
+            by_all[a + j] += c[i] * h[i];
+        }
+    }
+}
+
 /*
- * Put in the costs of the plan: r of (N, n - a or n), s of (N, a), and what a load adds to each
- * state, (N, n - a or n) or NULL.
+ * Put in the costs of the plan: r of (N, n - a or n), s of (N, a), r_0 or NULL, and what a load
+ * adds to each state, (N, n - a or n) or NULL.
  */
-static void stages_aim(Stages *s, const double *r, const double *aim, const double *drift)
+static void stages_aim(Stages *s, const double *r, const double *aim, const double *r_0,
+                       const double *drift)
 {
     int n = s->states, a = s->inputs, m = s->ramp ? n - a : n, w = a + n, j, k;
     double *off = s->work, *p = off + n, *t = p + n, *by_all = t + n, *h = by_all + w;
@@ -433,7 +451,7 @@ static void stages_aim(Stages *s, const double *r, const double *aim, const doub
             for (j = 0; j < m; j++)
                 gap[j] += drift[(size_t)k * m + j];
         stages_add(n, n, 1.0, s->costs + stages_step(s, k) * n * n, gap, t);
-        /* f = S'(B't + R (u - s)),   p_k = A't - W'f */
+        /* f = S'(B't + R (u - s) + C'(z - r)),   p_k = A't + C (u - s) - W'f */
         if (s->thin) {
             memset(p, 0, (size_t)n * sizeof *p);
             stages_add(n, n, 1.0, s->motion_t, t, p);
@@ -443,6 +461,8 @@ static void stages_aim(Stages *s, const double *r, const double *aim, const doub
         memset(by_all, 0, (size_t)w * sizeof *by_all);
         stages_add(a, a, 1.0, s->R, h, by_all);
         stages_add(n, w, 1.0, s->motion_t + stages_slot(s, k) * w * n, t, by_all);
+        if (s->cross != NULL)
+            stages_cross(s, k, k ? r + (size_t)(k - 1) * m : r_0, h, by_all);
         stages_unfactor(s, k, 1, by_all, f);
         memcpy(p, by_all + a, (size_t)n * sizeof *p);
         stages_add(a, n, -1.0, W, f, p);
@@ -886,6 +906,7 @@ void stages_program_place(StagesProgram *program, const StagesSizes *sizes, doub
     s->Q = data->Q;
     s->R = data->R;
     s->P = data->P;
+    s->cross = sizes->crossed ? data->cross : NULL;
     s->scale = data->scale;
     s->change = data->change;
     s->G_start = data->G_start;
@@ -1048,10 +1069,10 @@ static void stages_program_bounds(const StagesProgram *program, const double *pr
 }
 
 void stages_program_aim(StagesProgram *program, const double *r, const double *aim,
-                        const double *drift)
+                        const double *r_0, const double *drift)
 {
     Stages *s = &program->stages;
-    stages_aim(s, r, aim, drift);
+    stages_aim(s, r, aim, r_0, drift);
     if (!s->alike)
         return;
     memset(program->dz, 0, (size_t)s->states * sizeof *program->dz);

@@ -2,9 +2,11 @@
  * A linear-quadratic problem along a horizon as a least-distance program, without its matrix.
  *
  *     minimize    1/2 sum |z_k - r_k|_Q^2 + 1/2 sum |u_k - s_k|_R^2 + 1/2 |z_N - r_N|_P^2
+ *                 + sum (z_k - r_k)' C (u_k - s_k)
  *     subject to  z_{k+1} = A_k z_k + B_k u_k + d_k
  *
- * A Riccati recursion gives U_k' U_k = R + B_k' P_{k+1} B_k and W_k = U_k^-T B_k' P_{k+1} A_k. With
+ * A Riccati recursion gives U_k' U_k = R + B_k' P_{k+1} B_k and
+ * W_k = U_k^-T (B_k' P_{k+1} A_k + C'). With
  *
  *     u_k = S_k (x_k - f_k - W_k z_k),   S_k = U_k^-1,
  *
@@ -35,6 +37,7 @@ typedef struct {
     /* what does not change */
     double level;                             /* unit of an input */
     const double *Q, *R, *P, *scale, *change; /* (n, n) (a, a) (n, n); units of rows (p); (a) */
+    const double *cross;                      /* C, (n - a or n, a); NULL: zeros */
     StagesMultiply gemm;                      /* of the BLAS, or NULL */
     /* the plan */
     double *z, *u; /* (N + 1, n - a or n); (N + 1, a), the input before first */
@@ -101,12 +104,13 @@ typedef struct {
     int limit; /* of changes of the active set */
     int ahead; /* whether limited values depend on z_{k+1} */
     int alike; /* whether all stages are alike */
-    int thin;  /* they are so with few states and a diagonal R */
+    int thin;  /* they are so with few states, a diagonal R and no C */
+    int crossed; /* whether there is a C */
 } StagesSizes;
 
 /* What does not change, and stays where it is: by rows, as in Stages and in ActiveSet. */
 typedef struct {
-    const double *Q, *R, *P, *scale, *change;
+    const double *Q, *R, *P, *cross, *scale, *change;
     const double *low, *high, *least, *most; /* bounds of inputs (a), of limited values (p) */
     const double *price, *curvature;         /* (rows) */
     const double *unit, *V, *T, *shrink;     /* of thin stages, which need no R */
@@ -166,12 +170,12 @@ SOLVER_API int stages_program_prepare(StagesProgram *program, const int *slots, 
                                       const double *E, const double *G, const double *F);
 
 /*
- * Put in the targets: r of (N, n - a or n), s of (N, a), and what a load adds to each state,
- * (N, n - a or n) or NULL. Once for each problem prepared; where all stages are alike, whenever
+ * Put in the targets: r of (N, n - a or n), s of (N, a), r_0 or NULL (zeros; C alone asks for it),
+ * and what a load adds to each state, (N, n - a or n) or NULL. Once for each problem prepared; where all stages are alike, whenever
  * targets, gaps, or what inputs and limited values are measured from have changed.
  */
 SOLVER_API void stages_program_aim(StagesProgram *program, const double *r, const double *aim,
-                                   const double *drift);
+                                   const double *r_0, const double *drift);
 
 /*
  * Solve for a measured state, the input that acts before a ramp, the input that changes are limited

@@ -61,7 +61,8 @@ def lqr_code(controller: LQR) -> LawCode:
 
 # What C calls the parts of a program; the bounds of inputs are those of the controller.
 _NAMES = {
-    "Q": "state_weight", "R": "input_weight", "P": "terminal_weight", "scale": "limit_scale",
+    "Q": "state_weight", "R": "input_weight", "P": "terminal_weight",
+    "cross": "cross_weight", "scale": "limit_scale",
     "change": "largest_change", "least": "limit_low", "most": "limit_high", "price": "price",
     "unit": "thin_unit", "V": "thin_inputs", "T": "thin_states", "shrink": "thin_shrink",
     "G_start": "limited_start", "G_which": "limited_which",
@@ -82,6 +83,7 @@ def _program(
         "AHEAD": sizes["ahead"],
         "ALIKE": sizes["alike"],
         "THIN": sizes["thin"],
+        "CROSSED": sizes["crossed"],
         "LEVEL": float(problem.level),
         "ITERATIONS": sizes["limit"],
         "TOLERANCE": STAGES_TOLERANCE,
@@ -96,13 +98,19 @@ def mpc_code(controller: MPC) -> LawCode:
     _refuse_time_limit(settings.longest_time)
     problem, limits = designed.problem, designed.constraints.limits
     sizes, data = stages_data(
-        problem, limits, settings.max_iterations, (designed.low, designed.high), alike=True
+        problem, limits, settings.max_iterations, (designed.low, designed.high), problem.steady
     )
     constants, arrays = _program(sizes, data, problem)
     rows, none = problem.rows, np.zeros(0)
     by_all = (none,) * 3
     if rows is not None:
-        by_all = rows.by_state, rows.by_input.data, rows.by_next_state
+        by_input = rows.by_input.data if problem.steady else rows.by_input.toarray()
+        count = 1 if problem.steady else problem.length
+        by_all = (
+            np.tile(rows.by_state, count),
+            np.tile(by_input, count),
+            np.tile(rows.by_next_state, count),
+        )
     slopes = problem.transition, problem.input_matrix, *by_all
     names = (
         "motion_by_state", "motion_by_input", "limited_by_state", "limited_by_input",
@@ -128,6 +136,8 @@ def mpc_code(controller: MPC) -> LawCode:
             moved.origin + moved.input_reference, moved.drift,
             values_from(limits, moved) / data["scale"],
         ]  # fmt: skip
+        if problem.cross_weight is not None:
+            arrays.append(moved.first_reference)
         if loads:
             still = np.zeros(2 * law.plant.degrees_of_freedom)
             arrays.append(law.free_response(moved, still, moved.previous_origin))
@@ -158,7 +168,10 @@ def nmpc_code(controller: NMPC) -> LawCode:
     constants, arrays = _program(sizes, data, problem)
 
     def row(time: float) -> FloatArray:
-        return np.concatenate([target.ravel() for target in law.targets(time)])
+        targets = law.targets(time)
+        data = law.stage_data(time, *targets)
+        start = () if data.first_reference is None else (data.first_reference,)
+        return np.concatenate([target.ravel() for target in (*targets, *start)])
 
     functions = {
         "advance": model.discretization.sampled,

@@ -225,6 +225,7 @@ class Preview:
     tension: FloatArray  # (K, α'), N
     drift: FloatArray  # (K, s), by which the state drifts from there in a sample all the same
     previous_input: FloatArray  # (m,), before the first sample
+    start: FloatArray  # (s,), r_0, at the first time
 
 
 class ReferencePreview:
@@ -312,7 +313,8 @@ class ReferencePreview:
             share = np.clip((times - left) / (end - left), 0.0, 1.0)[:, None]
             rows = (1 - share) * self._table[right - 1] + share * self._table[right]
         rest, held, gamma, tension, drift = np.split(rows, self._ends, axis=1)
-        return Preview(self.wanted(times), rest, held, gamma, tension, drift, held[0])
+        wanted = self.wanted(times)
+        return Preview(wanted, rest, held, gamma, tension, drift, held[0], wanted[0])
 
     def over_horizon(self, time: float, length: int) -> Preview:
         """Return the preview of so many samples from a time on, s.
@@ -360,6 +362,7 @@ class ReferencePreview:
             tension=preview.tension[1:],
             drift=drift,
             previous_input=preview.previous_input,
+            start=motion[0],
         )
 
 

@@ -22,6 +22,9 @@ _SMALL = 100
 # Steps of doubling at most, and the part of the solution by which the last one may change it.
 _MOST_DOUBLED, _DOUBLED = 60, 1e-16
 
+# Eigenvalues of a weight this far below zero, relative to its largest entry, are of round-off.
+_SEMIDEFINITE = 1e-12
+
 # Input weight, in units of energy_weights, when the user gives none.
 _INPUT_WEIGHT = {"force_density": 0.1, "rest_length": 1.0}
 
@@ -355,13 +358,52 @@ def natural_weights(plant: LinearPlant) -> tuple[FloatArray, FloatArray]:
     return Q, _INPUT_WEIGHT[plant.input] * R
 
 
+def cross_weight(N: object, Q: FloatArray, R: FloatArray) -> FloatArray | None:
+    """Return a cross weight, shape (s, m), None where there is none, or raise.
+
+    With Q, shape (s, s), and R, shape (m,) or (m, m), no cost may be negative.
+    """
+    if N is None:
+        return None
+    matrix = validation.float_array("N", N)
+    expected = len(Q), len(R)
+    if matrix.shape != expected:
+        raise ValueError(
+            f"N has shape {matrix.shape}, expected {expected}: one row per state, one column per "
+            "input"
+        )
+    if not matrix.any():
+        return None
+    shared = matrix @ _by_weight(R, matrix.T)
+    sizes = np.linalg.eigvalsh(_symmetric(Q - shared))
+    if sizes.min() < -_SEMIDEFINITE * max(np.abs(Q).max(), np.abs(shared).max()):
+        raise ValueError(
+            f"Q − N R⁻¹ Nᵀ has the eigenvalue {sizes.min():.3g}, expected at least 0: with this N "
+            "the cost of a state and an input can be negative. Take a smaller N, or a larger Q or R"
+        )
+    return frozen(matrix)
+
+
+def _by_weight(R: FloatArray, columns: FloatArray) -> FloatArray:
+    """Return R⁻¹ times columns, where R may be a diagonal."""
+    scaled = columns / R[:, None] if R.ndim == 1 else np.linalg.solve(R, columns)
+    return np.asarray(scaled)
+
+
 def regulator(
-    plant: LinearPlant, A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, discrete: bool
-) -> tuple[FloatArray, tuple[FloatArray, np.ndarray, FloatArray, float]]:
+    plant: LinearPlant, A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, discrete: bool,
+    N: FloatArray | None = None,
+) -> tuple[FloatArray, tuple[FloatArray, np.ndarray, FloatArray, float]]:  # fmt: skip
     """Return the weight of ``z`` or ``[z; v_previous]``, and the Riccati solution.
 
-    What no string reaches is left alone: :func:`reached_states` says what that is.
+    What no string reaches is left alone: :func:`reached_states` says what that is. A cross weight,
+    shape (s, m), is none for inputs ``v + R⁻¹ Nᵀ z``.
     """
+    if N is not None:
+        feed = np.pad(_by_weight(R, N.T), ((0, 0), (0, len(A) - len(Q))))
+        left = Q - N @ feed[:, : len(Q)]
+        _, solution = regulator(plant, A - B @ feed, B, _symmetric(left), R, discrete)
+        return np.pad(Q, (0, len(A) - len(Q))), (solution[0] + feed, *solution[1:])
     units, level = state_units(plant)
     reached, s, added = reached_states(plant), len(Q), len(A) - len(Q)
     weight, units = np.pad(Q, (0, added)), np.concatenate([units, np.full(added, level)])

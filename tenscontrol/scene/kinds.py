@@ -164,6 +164,10 @@ _BY_TYPE = (
             Kind("a number or a row of numbers", _number_or(list), NUMBER),
         ),
     ),
+    (
+        r"array_like, shape \(2r, .*\)",
+        Kind("a list of rows", _is_list, Kind("a row of numbers", _is_list, NUMBER)),
+    ),
     (r"float or array_like, shape \(d,\)", VECTOR),
     (
         r"float or array_like, shape \(.*,\)",

@@ -2,6 +2,7 @@
 
 from functools import cache
 
+import control
 import numpy as np
 import pytest
 from scipy.linalg import solve_continuous_are, solve_discrete_are
@@ -68,6 +69,25 @@ def test_gain_and_cost_solve_the_discrete_riccati_equation(model, rest):
     P = solve_discrete_are(transition, inputs, 2 * np.eye(18), 1e-2 * np.eye(9))
     assert np.allclose(regulator.cost, P, rtol=1e-7, atol=1e-7 * abs(P).max())
     assert np.abs(regulator.poles).max() < 1
+
+
+@pytest.mark.parametrize("sample_time", [None, 0.02])
+def test_cross_weights_are_those_of_python_control(model, rest, sample_time):
+    plant = tc.linearize(model, rest)
+    Q, R = tc.energy_weights(plant)
+    N = 0.1 * np.random.default_rng(0).normal(size=plant.B.shape) * np.sqrt(np.diag(Q)[:, None] * R)
+    given = plant.to_statespace(sample_time), Q, np.diag(R), N
+    gain, cost, poles = control.lqr(*given) if sample_time is None else control.dlqr(*given)
+    regulator = tc.LQR(plant, Q, R, N, sample_time=sample_time)
+    np.testing.assert_allclose(regulator.gain, gain, rtol=0, atol=1e-9 * np.abs(gain).max())
+    np.testing.assert_allclose(regulator.cost, cost, rtol=0, atol=1e-9 * np.abs(cost).max())
+    both = (np.sort_complex(each.round(7)) for each in (regulator.poles, poles))
+    np.testing.assert_allclose(*both, rtol=0, atol=1e-6)
+    assert np.abs(gain - tc.LQR(plant, Q, R, sample_time=sample_time).gain).max() > 0.1
+    with pytest.raises(ValueError, match=r"Q − N R⁻¹ Nᵀ has the eigenvalue -.* smaller N"):
+        tc.LQR(plant, Q, R, 30 * N)
+    with pytest.raises(ValueError, match=r"N has shape \(9, 18\), expected \(18, 9\)"):
+        tc.MPC(plant, horizon=2, sample_time=0.02, N=N.T)
 
 
 @pytest.fixture(scope="module")

@@ -125,6 +125,14 @@ def of_rest_length():
     )
 
 
+def own_weights():
+    """A cross weight, and another terminal cost than the LQR's."""
+    held = plant("force_density", demo.TARGET)
+    Q, R = tc.plant.natural_weights(held)
+    N = np.random.default_rng(0).normal(size=held.B.shape) * np.sqrt(np.diag(Q)[:, None] * R) / 60
+    return {"N": N, "terminal_weight": 2 * tc.LQR(held, Q, R, N, sample_time=SAMPLE).cost}
+
+
 def of_few_modes():
     """Two modes of the prism, which more inputs move than twice their states."""
     return tc.MPC(
@@ -179,7 +187,7 @@ def nonlinear_of_rest_length():
 
 
 def nonlinear():
-    """Linearized along the predicted motion, twice a sample, and changes are limited."""
+    """Linearized twice a sample, with limited changes and weights of its own."""
     return tc.NMPC(
         plant("force_density", demo.TARGET),
         horizon=3,
@@ -188,6 +196,7 @@ def nonlinear():
         reference=ramp(),
         max_change=10.0,
         iterations=2,
+        **own_weights(),
     )
 
 
@@ -255,6 +264,15 @@ def shaken(pair, samples=SAMPLES):
         winches=pair.one.law.settings.winches, rest_length=plant.rest_length,
         input="rest_length",
     )  # fmt: skip
+
+
+def pushed(pair, samples):
+    """Ask a pair for commands at motions at random."""
+    rng, plant = np.random.default_rng(3), pair.plant
+    for k in range(samples):
+        q, rates = np.array([[0.03], [0.3]]) * rng.normal(size=(2, plant.degrees_of_freedom))
+        pair.command(k * SAMPLE, plant.to_nodes(q), plant.to_velocities(q, rates))
+    assert pair.statuses[0] == pair.statuses[1]
 
 
 def closed_loop(pair, pull=0.0, samples=SAMPLES, **options):

@@ -42,13 +42,22 @@ def test_rest_length_with_winches_and_soft_limits(tmp_path):
     assert run.control.command.shape == (9, scenes.SAMPLES)
 
 
+def test_own_weights(tmp_path):
+    """Stages are not alike then: the program is prepared in each sample."""
+    limit = tc.OutputLimit(scenes.height_row(), low=0.8, penalty=100.0)
+    given = {"max_change": 10.0, "outputs": [limit], "load_gain": 0.1}
+    pair = scenes.pair_of(scenes.of_force_density(**given, **scenes.own_weights()), tmp_path)
+    scenes.pushed(pair, samples=25)
+    assert pair.error < 1e-12
+    assert max(pair.iterations) > 3
+    text = (tmp_path / "controller_data.h").read_text("utf-8")
+    assert "#define ALIKE 0" in text
+    assert "#define CROSSED 1" in text
+
+
 def test_many_inputs_of_few_modes(tmp_path):
     pair = scenes.pair_of(scenes.of_few_modes(), tmp_path)
-    rng, plant = np.random.default_rng(3), pair.plant
-    for k in range(50):
-        q, rates = np.array([[0.03], [0.3]]) * rng.normal(size=(2, plant.degrees_of_freedom))
-        pair.command(k * scenes.SAMPLE, plant.to_nodes(q), plant.to_velocities(q, rates))
-    assert pair.statuses[0] == pair.statuses[1]
+    scenes.pushed(pair, samples=50)
     assert pair.error < 1e-12
     assert max(pair.iterations) > 3  # changes of the active set
     assert "#define THIN 1" in (tmp_path / "controller_data.h").read_text("utf-8")

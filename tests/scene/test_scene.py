@@ -812,6 +812,15 @@ BROKEN = {
         r":7: in \[prestress\], for a controller force_density does not balance",
     ),
     "lqr weight": (PRISM + LQR + "R = -1.0\n", r":13: in \[controller\] .*R has the eigenvalue -1"),
+    "lqr cross weight": (
+        PRISM + LQR + "N = [[1.0]]\n",
+        r":13: in .*N has shape \(1, 1\), expected",
+    ),
+    "rows of a weight": (PRISM + LQR + "N = [1.0]\n", r":13: in .*N\[0\] is 1, expected a row of"),
+    "mpc terminal weight": (
+        PRISM + MPC + "terminal_weight = -1.0\n",
+        r":15: in \[controller\] .*terminal_weight has the eigenvalue -1",
+    ),
     "lqr no sample": (
         changed("step = 1e-2", "") + LQR,
         r":11: \[controller\] lacks the key sample_time, s, and \[run\] has no sample_time or step",

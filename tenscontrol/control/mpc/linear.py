@@ -92,17 +92,20 @@ class MPCLaw(PredictiveLaw):
         """Return what is known of the horizon before its start is measured; load: q̈ or None."""
         problem, ramp = self.design.problem, self.design.sampled.ramp
         origin, drift, reference = preview.input[:-1], preview.drift, preview.reference
-        effort = np.zeros_like(origin)
+        effort, start = np.zeros_like(origin), preview.start
         if self.load is not None and load is not None:
             drift = drift + self.load.response @ load
             r = self.plant.degrees_of_freedom
             ends = preview.rest[:-1] if ramp else preview.rest[1:]
-            known = (reference - ends)[:, :r] @ self.plant.A[r:, :r].T
+            whole = np.vstack([start, reference])
+            known = (whole - np.vstack([preview.rest[:1], ends]))[:, :r] @ self.plant.A[r:, :r].T
             offset, effort = self.load.rest(known + load)
-            reference = reference + np.hstack([offset, np.zeros_like(offset)])
+            whole = whole + np.hstack([offset, np.zeros_like(offset)])
+            start, reference, effort = whole[0], whole[1:], effort[1:]
         if ramp:
             none = np.zeros_like(origin)
             drift, reference = np.hstack([drift, none]), np.hstack([reference, none])
+            start = np.concatenate([start, none[0]])
         row_low, row_high = self.design.constraints.bounds(preview, problem.length)
         return StageData(
             reference=reference,
@@ -115,6 +118,7 @@ class MPCLaw(PredictiveLaw):
             row_high=row_high,
             origin=origin,
             previous_origin=preview.previous_input,
+            first_reference=start,
         )
 
     def free_response(
@@ -141,7 +145,7 @@ class MPC(PredictiveController):
 
     At each sample it predicts the plant over a horizon by the exact zero-order-hold
     discretization, solves a quadratic program, and applies the first input. The terminal cost is
-    that of the discrete LQR.
+    that of the discrete LQR, if no other is given.
 
     If the rest length is the input, γ depends on the motion. Its limits are then linear in state
     and input. They are soft, as a disturbance may make a string slack before any winch moves.

@@ -111,9 +111,14 @@ class NMPCLaw(PredictiveLaw):
         preview = self.path.over_horizon(time, self.problem.length)
         return preview.reference, preview.input[:-1]
 
-    def stage_data(self, reference: FloatArray, inputs: FloatArray) -> StageData:
+    def stage_data(self, time: float, reference: FloatArray, inputs: FloatArray) -> StageData:
         """Return the data with these targets, without a load; inputs are measured from zero."""
-        return replace(self._limits, reference=reference, input_reference=inputs)
+        start = None
+        if self.problem.cross_weight is not None:
+            start = self.path.over_horizon(time, self.problem.length).start
+        return replace(
+            self._limits, reference=reference, input_reference=inputs, first_reference=start
+        )
 
     @cached_property
     def _limits(self) -> StageData:
@@ -205,8 +210,8 @@ class NMPC(PredictiveController):
     Parameters
     ----------
     plant : LinearPlant
-        In internal coordinates, at an equilibrium. It says which input, and
-        gives the terminal cost, that of its discrete LQR. Of a model with ground in minimal
+        In internal coordinates, at an equilibrium. It says which input, and gives the terminal
+        cost, that of its discrete LQR, if no other is given. Of a model with ground in minimal
         coordinates, where it stands or in the air: contact is predicted.
 
     Raises
@@ -267,6 +272,11 @@ class NMPC(PredictiveController):
                     "or max_force_density"
                 )
         designed = design(plant, settings, nonlinear=True)
+        if designed.problem.cross_weight is not None and settings.load_gain is not None:
+            raise ValueError(
+                "N and load_gain are both given: NMPC has no cross weight about a shape at rest "
+                "under a load. Leave one out, or take MPC, which has both"
+            )
         super().__init__(plant, settings, designed)
         path = ReferencePreview(plant, settings.reference, designed.sampled)
         for text in self._concerns(path):
@@ -389,7 +399,7 @@ class NMPC(PredictiveController):
         law = self._law
         deadline = self._called + self._longest_time
         load = None if self._observer is None else self._corrected(self._observer, state)
-        data = law.stage_data(*self._targets(time))
+        data = law.stage_data(time, *self._targets(time))
         if self._previous_input is None:
             self._previous_input = frozen(law.first_input(time, data.input_reference))
         previous_input, within_bounds = self._previous_input, self._previous_within_bounds

@@ -1,6 +1,7 @@
 """The finite-horizon problem of MPC as data, with the interfaces of its programs.
 
     minimize    Σ (z_k − r_k)ᵀ Q (z_k − r_k) + Σ (v_k − s_k)ᵀ R (v_k − s_k)
+                + Σ 2 (z_k − r_k)ᵀ N (v_k − s_k)
                 + (z_N − r_N)ᵀ P (z_N − r_N) + Σ 2 πᵀ (e_k + ½ e_k²)
     subject to  z_{k+1} = Φ z_k + Γ v_k + d_k,   low_k ≤ v_k ≤ high_k,
                 |v_k − v_{k−1} + shift_k| ≤ change,
@@ -185,6 +186,7 @@ class StageData:
     row_high: FloatArray
     origin: FloatArray  # (N, α), inputs that v_0 … v_{N−1} are measured from
     previous_origin: FloatArray  # (α,), the input that v_{−1} is measured from
+    first_reference: FloatArray | None = None  # r_0, (s,), for a cross weight; None: zeros
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,6 +206,8 @@ class MPCProblem:
     level: float  # unit of v inside the program
     feedback: FloatArray  # K of the LQR with these weights, (α, s)
     rows: Rows | None = None  # limits beside those of the inputs
+    cross_weight: FloatArray | None = None  # N, (s, α); None: zeros
+    steady: bool = True  # whether P is the cost to go of the LQR with these weights
 
     def __post_init__(self) -> None:
         freeze_arrays(self)

@@ -34,7 +34,12 @@ from tenscontrol.plant.input_bounds import input_bounds, largest_change
 from tenscontrol.plant.linear_plant import LinearPlant, Sampled, acceleration_response, sampled
 from tenscontrol.plant.linearize import OperatingPoint, linearize
 from tenscontrol.plant.reference import Reference, ReferencePreview
-from tenscontrol.plant.riccati import least_eigenvalue, natural_weights, regulator
+from tenscontrol.plant.riccati import (
+    cross_weight,
+    least_eigenvalue,
+    natural_weights,
+    regulator,
+)
 from tenscontrol.plant.string_outputs import (
     input_matrix,
     string_map,
@@ -136,6 +141,13 @@ class MPCSettings:
         Weight of the input. It weighs the departure from the operating point, or from the rest
         lengths that hold the reference. If not given, that of :func:`energy_weights`; a tenth of it
         for γ.
+    N : array_like, shape (2r, α), optional
+        Cross weight of state and input, each less its reference: ``2 zᵀ N v`` is added to the cost
+        of a sample. None if not given.
+    terminal_weight : float or array_like, shape (2r,) or (2r, 2r), optional
+        Weight P of the state at the end of the horizon, less its reference. Where winches are
+        ramps, it may also be of ``[z; v_previous]``, as :attr:`LQR.cost` is. If not given, the
+        solution of the Riccati equation of the LQR with these weights.
     max_change : float or array_like, shape (α,), optional
         Largest change of the input from sample to sample, N/m or m.
     reference : Reference or array_like, shape (d, n), optional
@@ -195,6 +207,8 @@ class MPCSettings:
     max_force_density: object = field(default=None, metadata=checked(_limit))
     Q: object = field(default=None, metadata=checked(_numbers))
     R: object = field(default=None, metadata=checked(_numbers))
+    N: object = field(default=None, metadata=checked(_numbers))
+    terminal_weight: object = field(default=None, metadata=checked(_numbers))
     max_change: object = field(default=None, metadata=checked(_limit))
     reference: object = field(default=None, metadata=checked(_shapes))
     min_force_density: object = field(default=0.0, metadata=checked(_numbers))
@@ -302,12 +316,14 @@ class Design:
     def plant_problem(self) -> MPCProblem:
         """The problem with z alone as its state; what weighs ``[z; v_before]`` stays."""
         s, problem = len(self.sampled.transition), self.problem
+        cross = problem.cross_weight
         return replace(
             problem,
             transition=self.sampled.transition,
             input_matrix=self.sampled.by_input,
             drift=self.sampled.drift,
             state_weight=problem.state_weight[:s, :s],
+            cross_weight=None if cross is None else cross[:s],
         )
 
 
@@ -331,11 +347,12 @@ def design(plant: LinearPlant, settings: MPCSettings, nonlinear: bool = False) -
     winches, sample_time = settings.winches, settings.sample_time
     ramp = winches is not None and winches.ramp
     numbers = (30.0 + 2.0 * states) * count * settings.horizon
-    if nonlinear or ramp or input_weight.ndim == 2 or count <= 2 * states:
+    own = settings.N is not None or settings.terminal_weight is not None
+    if nonlinear or ramp or own or input_weight.ndim == 2 or count <= 2 * states:
         numbers = 10.0 * count**2
     hint = (
-        ". MPC takes more inputs where R is diagonal, winches are no ramps and states are fewer "
-        "than half of them: reduce(plant, modes=20)"
+        ". MPC takes more inputs where R is diagonal, N and terminal_weight are not given, winches "
+        "are no ramps and states are fewer than half of them: reduce(plant, modes=20)"
     )
     validation.refuse_memory(
         f"plant has {count:,} inputs", numbers, "numbers in the program", 8, hint
@@ -351,14 +368,17 @@ def design(plant: LinearPlant, settings: MPCSettings, nonlinear: bool = False) -
         level = float((lengths - plant.string_values).max())
     model = sampled(plant, sample_time, ramp)
     transition, input_matrix = model.augmented
+    cross = cross_weight(settings.N, state_weight, input_weight)
     weight, (gain, _, cost, _) = regulator(
-        plant, transition, input_matrix, state_weight, input_weight, discrete=True
+        plant, transition, input_matrix, state_weight, input_weight, discrete=True, N=cross
     )
+    added = len(transition) - states
+    if settings.terminal_weight is not None:
+        cost = _terminal_weight(settings.terminal_weight, states, added)
     # The price is relative to the cost of an input one level off.
     assert settings.string_penalty is not None  # the record filled in the default
     penalty = settings.string_penalty * level**2 * least_eigenvalue(input_weight)
     blocks = _row_blocks(plant, settings, penalty)
-    added = len(transition) - states
     if model.ramp:
         blocks = [block.at_sample_ends(added) for block in blocks]
     constraints = Constraints(blocks, states)
@@ -378,8 +398,18 @@ def design(plant: LinearPlant, settings: MPCSettings, nonlinear: bool = False) -
         level=level,
         feedback=gain,
         rows=constraints.rows(),
+        cross_weight=None if cross is None else np.pad(cross, ((0, added), (0, 0))),
+        steady=settings.terminal_weight is None,
     )
     return Design(problem, constraints, model, frozen(low), frozen(high))
+
+
+def _terminal_weight(given: object, states: int, added: int) -> FloatArray:
+    """Return P of z, or of ``[z; v_previous]``, where so many inputs are added to the state."""
+    whole = validation.float_array("terminal_weight", given).shape[:1] == (states + added,)
+    size = states + added if whole else states
+    matrix = validation.weight_matrix("terminal_weight", given, size, definite=False)
+    return np.pad(matrix, (0, states + added - size))
 
 
 def _command_range(plant: LinearPlant, settings: MPCSettings) -> tuple[FloatArray, FloatArray]:

@@ -1,7 +1,7 @@
 """The problem of MPC with its states: a large, sparse quadratic program of fixed pattern.
 
     minimize    Σ (z_k − r_k)ᵀ Q (z_k − r_k) + Σ (u_k − s_k)ᵀ R (u_k − s_k) + (z_N − r_N)ᵀ P (…)
-                + Σ 2 πᵀ (e_k + ½ e_k²)
+                + Σ 2 (z_k − r_k)ᵀ N (u_k − s_k) + Σ 2 πᵀ (e_k + ½ e_k²)
     subject to  z_{k+1} = A_k z_k + B_k u_k + C_k u_{k−1} + c_k,
                 low ≤ u_k ≤ high,   |u_k − u_{k−1}| ≤ change,
                 low − e_k ≤ E_k z_k + F_k z_{k+1} + G_k u_k + d_k ≤ high + e_k,   e_k ≥ 0
@@ -205,6 +205,10 @@ class Sparse:
         self._weights = csc_array(block_diag([csc_array(block) for block in tracking + effort]))
         if self._ramp:
             self._weights += self._by_last_input()
+        self._cross = problem.cross_weight
+        if self._cross is not None:
+            self._cross = scale * level * self._cross  # in units of an input
+            self._weights += self._by_both(units[:, None] * self._cross)
         self.P = csc_array(block_diag([self._weights, diags_array(self.limits.price)]))
         by_state, by_input = problem.transition, problem.input_matrix
         if varying:
@@ -249,6 +253,14 @@ class Sparse:
         last = np.r_[(N - 1) * s + np.arange(s), N * s + (N - 1) * a + np.arange(a)]
         row, column = np.meshgrid(last, last, indexing="ij")
         return csc_array((block.ravel(), (row.ravel(), column.ravel())), self._weights.shape)
+
+    def _by_both(self, block: FloatArray) -> csc_array:
+        """Return what the cross weight adds: of z_k and u_k but for z_0, which is known."""
+        from scipy.sparse import block_array, csc_array, eye, kron
+
+        N = self._problem.length
+        by_both = kron(eye(N, k=1), csc_array(block))
+        return csc_array(block_array([[None, by_both], [by_both.T, None]]))
 
     def _pattern(self, by_state: FloatArray, by_input: FloatArray) -> csc_array:
         """Return A with ones where slopes of the motion go, so that no zero loses its place."""
@@ -366,11 +378,12 @@ class Sparse:
             data = replace(data, row_low=row_low, row_high=row_high)
         low, high = self.limits.bounds(previous, data)
         equal = motion.ravel()
+        linear = -(self._weights @ np.concatenate([array.ravel() for array in wanted]))
+        if self._cross is not None:
+            off = state if data.first_reference is None else state - data.first_reference
+            linear[self._states :][: self._cross.shape[1]] += off @ self._cross
         return (
-            np.concatenate([
-                -(self._weights @ np.concatenate([array.ravel() for array in wanted])),
-                self.limits.price,
-            ]),
+            np.concatenate([linear, self.limits.price]),
             np.concatenate([equal, low]),
             np.concatenate([equal, high]),
         )  # fmt: skip

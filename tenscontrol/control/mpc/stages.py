@@ -11,6 +11,7 @@ from __future__ import annotations
 import ctypes
 import math
 from collections.abc import Iterable
+from dataclasses import replace
 from functools import cache
 from time import perf_counter
 from typing import Any, final
@@ -37,11 +38,11 @@ STAGES_TOLERANCE = 1e-10
 
 _SIZES = (
     "stages", "states", "inputs", "limited", "ramp", "changes", "soft", "limit", "ahead", "alike",
-    "thin",
+    "thin", "crossed",
 )  # fmt: skip
 _DATA = (
-    "Q", "R", "P", "scale", "change", "low", "high", "least", "most", "price", "curvature", "unit",
-    "V", "T", "shrink", "G_start", "G_which",
+    "Q", "R", "P", "cross", "scale", "change", "low", "high", "least", "most", "price",
+    "curvature", "unit", "V", "T", "shrink", "G_start", "G_which",
 )  # fmt: skip
 
 _STATUS = tuple(Status)
@@ -66,7 +67,7 @@ def _library() -> ctypes.CDLL:
     core.stages_program_size.restype = ctypes.c_size_t
     pointer = ctypes.c_void_p
     core.stages_program_prepare.argtypes = [*[pointer] * 3, ctypes.c_double, *[pointer] * 8]
-    core.stages_program_aim.argtypes = [pointer] * 4
+    core.stages_program_aim.argtypes = [pointer] * 5
     core.stages_program_solve.argtypes = [*[pointer] * 4, _Stop]
     return core
 
@@ -112,11 +113,12 @@ def _prices(problem: MPCProblem) -> FloatArray:
 def _thin_factors(problem: MPCProblem) -> tuple[FloatArray, ...] | None:
     """Return D, V, T and c of ``S = D (I − V (I − diag c) Vᵀ)`` with ``D Bᵀ = V T``.
 
-    V is orthonormal, and ``Sᵀ (R + Bᵀ P B) S = I``. None if R is no diagonal, or inputs are few.
+    V is orthonormal, and ``Sᵀ (R + Bᵀ P B) S = I``. None if R is no diagonal, states and inputs
+    share a weight, or inputs are few.
     """
     _, R, P = _weights(problem)
     n, a = problem.input_matrix.shape
-    if a <= 2 * n or R.ndim == 2:
+    if a <= 2 * n or R.ndim == 2 or problem.cross_weight is not None:
         return None
     unit, (squares, axes) = 1 / np.sqrt(R), np.linalg.eigh(P)
     half = axes * np.sqrt(np.maximum(squares, 0.0))
@@ -133,6 +135,7 @@ def stages_data(
     ramp = len(problem.terminal_weight) > m
     rows, change, price = problem.rows, problem.change, _prices(problem)
     none, no_pattern = np.zeros(0), (np.zeros(1), np.zeros(0))
+    cross = none if problem.cross_weight is None else problem.cost_scale * problem.cross_weight
     thin = _thin_factors(problem) if alike else None
     scale = none if rows is None else rows.scale
     Q, R, P = _weights(problem)
@@ -141,8 +144,8 @@ def stages_data(
     elif R.ndim == 1:
         R = np.diag(R)
     arrays = (
-        Q, R, P, scale, none if change is None else change, *bounds, *row_bounds, price, price,
-        *(thin or (none,) * 4),
+        Q, R, P, cross, scale, none if change is None else change, *bounds, *row_bounds, price,
+        price, *(thin or (none,) * 4),
     )  # fmt: skip
     pattern = no_pattern if rows is None else (rows.by_input.indptr, rows.by_input.indices)
     sizes = {
@@ -157,6 +160,7 @@ def stages_data(
         "ahead": 0 if rows is None else int(rows.by_next_state.any()),
         "alike": int(alike),
         "thin": int(thin is not None),
+        "crossed": int(problem.cross_weight is not None),
     }
     data = [np.ascontiguousarray(array, dtype=float) for array in arrays]
     data += [np.ascontiguousarray(array, dtype=np.intc) for array in pattern]
@@ -203,7 +207,7 @@ class _CoreProgram:
             for address, shape in zip(views, shapes, strict=True)
         )  # fmt: skip
         self.moves = moves[:, :m]
-        self.shift, self._prepare, self.aim, self._solve, self.plan, self.iterations = (
+        self.shift, self._prepare, self._aim, self._solve, self.plan, self.iterations = (
             getattr(core, f"stages_program_{name}")
             for name in ("shift", "prepare", "aim", "solve", "plan", "iterations")
         )
@@ -226,6 +230,17 @@ class _CoreProgram:
             array if array is None else _address(array) for array in which + contiguous
         )
         return bool(self._prepare(self.program, slots, fresh, tolerance, *addresses))
+
+    def aim_at(self, data: StageData, inputs: FloatArray) -> None:
+        """Put in the targets; inputs are s_k, shape (N, α)."""
+        given = data.reference, inputs, data.first_reference, data.drift
+        contiguous = [
+            None if array is None else np.ascontiguousarray(array, float) for array in given
+        ]
+        self._aim(
+            self.program,
+            *(array if array is None else _address(array) for array in contiguous),
+        )
 
     def solve(self, measured: Iterable[int], deadline: float) -> Status:
         """Solve for state, acting and previous input at these addresses, until the deadline."""
@@ -282,10 +297,9 @@ class StagesSubproblem(Subproblem):
     ) -> SubproblemSolution:  # fmt: skip
         """See :meth:`Subproblem.solve`."""
         core = self._core
-        given = data.reference, data.input_reference, data.drift, state, acting, previous
-        contiguous = [np.ascontiguousarray(array, float) for array in given]
-        core.aim(core.program, *map(_address, contiguous[:3]))
-        status = core.solve(map(_address, contiguous[3:]), deadline)
+        core.aim_at(data, data.input_reference)
+        given = [np.ascontiguousarray(array, float) for array in (state, acting, previous)]
+        status = core.solve(map(_address, given), deadline)
         if status is Status.OUT_OF_TIME:
             return SubproblemSolution(status, 0, None)
         plan = None
@@ -297,10 +311,12 @@ class StagesSubproblem(Subproblem):
 
 @final
 class StagesProgram(LinearProgram):
-    """The program of linear MPC in the compiled core: stages that are alike, prepared once.
+    """The program of linear MPC in the compiled core.
 
-    Its plan is at rest where inputs and limited values are measured from, so that their bounds are
-    those of whole inputs and values, which nothing moves.
+    Stages are alike, and prepared once, but where the terminal cost is not that of the LQR: then
+    samples prepare anew, from steps of the recursion that are known. Its plan is at rest where
+    inputs and limited values are measured from, so that their bounds are those of whole inputs and
+    values, which nothing moves.
     """
 
     solver_name = "stages"
@@ -309,16 +325,23 @@ class StagesProgram(LinearProgram):
         self, problem: MPCProblem, row_bounds: Pair, max_iterations: int, bounds: Pair
     ) -> None:
         self._made_of = problem, row_bounds, max_iterations, bounds
-        core = self._core = _CoreProgram(*self._made_of, alike=True)
+        self._alike = alike = problem.steady
+        core = self._core = _CoreProgram(*self._made_of, alike=alike)
         self._row_bounds = row_bounds
         N, (s, a) = problem.length, problem.input_matrix.shape
         limited, rows = None, problem.rows
         if rows is not None:
-            by_all = rows.by_state.T, rows.by_input.data[:, None], rows.by_next_state.T
-            values = np.zeros((N, len(rows.scale)))
-            limited = StageJacobians(values, tuple(slope[None] for slope in by_all))
+            by_input = rows.by_input.data[:, None] if alike else rows.by_input.toarray().T
+            by_all = rows.by_state.T, by_input, rows.by_next_state.T
+            values, count = np.zeros((N, len(rows.scale))), 1 if alike else N
+            limited = StageJacobians(values, tuple(np.tile(x, (count, 1, 1)) for x in by_all))
         slopes = tuple(matrix.T[None] for matrix in (problem.transition, problem.input_matrix))
-        core.prepare(StageJacobians(np.zeros((N, s)), slopes), limited)
+        slots = None if alike else np.zeros(N, int)
+        fresh = None if alike else np.arange(N) == 0
+        motion = StageJacobians(np.zeros((N, s)), slopes, slots, fresh)
+        core.prepare(motion, limited)
+        self._limited = limited
+        self._motion = replace(motion, fresh=None if alike else np.zeros(N, bool))
         # What is measured, where the core reads it.
         self._state, self._previous = np.zeros(s), np.zeros(a)
         self._given = _address(self._state), _address(core.inputs), _address(self._previous)
@@ -357,9 +380,12 @@ class StagesProgram(LinearProgram):
         core = self._core
         core.inputs[0], core.inputs[1:] = data.previous_origin, data.origin
         core.values[:], core.gap[:] = values_from(self._row_bounds, data) / core.scale, 0.0
-        given = data.reference, data.origin + data.input_reference, data.drift
-        contiguous = [np.ascontiguousarray(array, float) for array in given]
-        core.aim(core.program, *map(_address, contiguous))
+        if not self._alike:
+            limited = self._limited
+            if limited is not None:
+                limited = replace(limited, values=core.values * core.scale)
+            core.prepare(self._motion, limited)
+        core.aim_at(data, data.origin + data.input_reference)
         self._data = data
 
     def solve(
@@ -367,7 +393,7 @@ class StagesProgram(LinearProgram):
     ) -> LinearSolution:
         """See :meth:`LinearProgram.solve`: from the active set of the last solution."""
         core = self._core
-        if self._data is not data:
+        if self._data is not data or not self._alike:
             self._aim(data)
         self._state[:], self._previous[:] = state, previous
         status = core.solve(self._given, deadline)
@@ -375,6 +401,9 @@ class StagesProgram(LinearProgram):
         if status is not Status.OK:
             self.forget()
             return LinearSolution(status, work, None)
+        first = data.origin[0] + core.input_moves[0]
         self._plan, self._origin = None, data.origin
+        if not self._alike:
+            self._plan = data.origin + core.input_moves
         core.shift(core.program)
-        return LinearSolution(status, work, data.origin[0] + core.input_moves[0])
+        return LinearSolution(status, work, first)

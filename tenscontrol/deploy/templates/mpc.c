@@ -8,7 +8,8 @@
 #define ROW_AIM (ROW_ORIGIN + PLANNED)
 #define ROW_DRIFT (ROW_AIM + PLANNED)
 #define ROW_VALUES (ROW_DRIFT + HORIZON * PROGRAM_STATES)
-#define ROW_FREE_RESPONSE (ROW_VALUES + HORIZON * LIMITED)
+#define ROW_START (ROW_VALUES + HORIZON * LIMITED)
+#define ROW_FREE_RESPONSE (ROW_START + CROSSED * PROGRAM_STATES)
 
 static struct {
     double plan[PLANNED];
@@ -20,20 +21,31 @@ static struct {
     double row[ROW_LENGTH];
 } memory;
 
-/* All stages are alike, and prepared once, about a plan of zeros. */
-static void prepare_program(void)
+/*
+ * Prepare about a plan of zeros: once where all stages are alike, else in each sample, from steps
+ * of the recursion that are known.
+ */
+static void prepare_program(const double *values)
 {
-    static const double ends[PROGRAM_STATES], values[LIMITED + 1];
-    place_program();
-    stages_program_prepare(&program.stages, NULL, NULL, 0.0, ends, motion_by_state,
+    static const double ends[HORIZON * PROGRAM_STATES];
+    const int *slots = NULL, *fresh = NULL;
+#if !ALIKE
+    static const int same[HORIZON], first[HORIZON] = {1};
+    slots = same;
+    fresh = program.placed ? same : first;
+#endif
+    if (!program.placed)
+        place_program();
+    stages_program_prepare(&program.stages, slots, fresh, 0.0, ends, motion_by_state,
                            motion_by_input, NULL, values, limited_by_state, limited_by_input,
                            limited_by_next_state);
 }
 
 static void forget(void)
 {
+    static const double values[HORIZON * LIMITED + 1];
     if (!program.placed)
-        prepare_program();
+        prepare_program(values);
     memset(&memory, 0, sizeof memory);
     forget_program();
 }
@@ -76,6 +88,8 @@ static void correct_load(const double *state)
 static void rest_under_load(double *row)
 {
     int k;
+    if (CROSSED)
+        add_product(&load_shift, memory.load, row + ROW_START);
     for (k = 0; k < HORIZON; k++) {
         add_product(&load_shift, memory.load, row + ROW_REFERENCE + k * PROGRAM_STATES);
         add_product(&load_effort, memory.load, row + ROW_AIM + k * CONTROLLER_COMMANDS);
@@ -96,20 +110,31 @@ static void predict(const double *start, const double *row)
 /* Put in the targets, and what inputs and limited values are measured from. */
 static void aim_program(const double *row)
 {
+#if ALIKE
     if (memory.aimed && VARYING == 0 && LOADS == 0)
         return;
+#else
+    double values[HORIZON * LIMITED + 1];
+    int i;
+    for (i = 0; i < HORIZON * LIMITED; i++)
+        values[i] = row[ROW_VALUES + i] * limit_scale[i % (LIMITED + !LIMITED)];
+    prepare_program(values);
+#endif
     copy(program.inputs - CONTROLLER_COMMANDS, row + ROW_PREVIOUS_ORIGIN,
          PLANNED + CONTROLLER_COMMANDS);
     copy(program.values, row + ROW_VALUES, HORIZON * LIMITED);
     memset(program.gaps, 0, HORIZON * PROGRAM_STATES * sizeof *program.gaps);
-    stages_program_aim(&program.stages, row + ROW_REFERENCE, row + ROW_AIM, row + ROW_DRIFT);
+    stages_program_aim(&program.stages, row + ROW_REFERENCE, row + ROW_AIM,
+                       CROSSED ? row + ROW_START : NULL, row + ROW_DRIFT);
     memory.aimed = 1;
 }
 
 static void store_plan(void)
 {
     int i;
+#if ALIKE
     stages_program_plan(&program.stages);
+#endif
     for (i = 0; i < PLANNED; i++) {
         int j = i % CONTROLLER_COMMANDS;
         memory.plan[i] = clamp(program.inputs[i] + program.input_moves[i], low[j], high[j]);

@@ -4,6 +4,7 @@
 /* Places in a row of the table over time. */
 #define ROW_REFERENCE 0
 #define ROW_ORIGIN (ROW_REFERENCE + HORIZON * STATES)
+#define ROW_START (ROW_ORIGIN + PLANNED)
 
 /* Slopes of a sample by states and by inputs, of the motion and of what is limited. */
 #define WIDTH (STATES + CONTROLLER_COMMANDS)
@@ -148,7 +149,8 @@ static int solve_program(const double *state, const double *row)
 #if LOADS > 0
     drift = memory.drift;
 #endif
-    stages_program_aim(&program.stages, row + ROW_REFERENCE, row + ROW_ORIGIN, drift);
+    stages_program_aim(&program.stages, row + ROW_REFERENCE, row + ROW_ORIGIN,
+                       CROSSED ? row + ROW_START : NULL, drift);
     status = stages_program_solve(&program.stages, state, previous_input, previous, NULL);
     iterations = stages_program_iterations(&program.stages);
     return status;

@@ -23,8 +23,8 @@ static struct {
 static void place_program(void)
 {
     static const StagesSizes sizes = {HORIZON, PROGRAM_STATES, CONTROLLER_COMMANDS, LIMITED, 0,
-                                      CHANGES, SOFT, ITERATIONS, AHEAD, ALIKE, THIN};
-    static const StagesData data = {state_weight, input_weight, terminal_weight, limit_scale,
+                                      CHANGES, SOFT, ITERATIONS, AHEAD, ALIKE, THIN, CROSSED};
+    static const StagesData data = {state_weight, input_weight, terminal_weight, cross_weight, limit_scale,
                                     largest_change, low, high, limit_low, limit_high, price,
                                     price, thin_unit, thin_inputs, thin_states, thin_shrink,
                                     limited_start, limited_which};

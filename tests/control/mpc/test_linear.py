@@ -3,6 +3,7 @@
 import ctypes
 import os
 import signal
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -107,20 +108,23 @@ def test_horizon_cost_is_the_sum_it_stands_for(plant):
     problem = MPCProblem(
         transition, inputs, 0.01 * rng.normal(size=s), np.diag(rng.uniform(1, 2, s)),
         np.diag(rng.uniform(1, 2, a)), 3 * np.eye(s), np.full(a, -9.0), np.full(a, 9.0),
-        None, N, 5.0, rng.normal(size=(a, s)),
+        None, N, 5.0, rng.normal(size=(a, s)), cross_weight=0.1 * rng.normal(size=(s, a)),
     )  # fmt: skip
-    state, reference = rng.normal(size=s), rng.normal(size=(N, s))
+    state, reference, start = rng.normal(size=s), rng.normal(size=(N, s)), rng.normal(size=s)
 
     def cost(plan):
-        z, total = state, 0.0
+        z, off, total = state, state - start, 0.0
         for k, v in enumerate(plan):
+            total += 2 * off @ problem.cross_weight @ v
             z = transition @ z + inputs @ v + problem.drift
             weight = problem.terminal_weight if k == N - 1 else problem.state_weight
-            total += (z - reference[k]) @ weight @ (z - reference[k]) + v @ problem.input_weight @ v
+            off = z - reference[k]
+            total += off @ weight @ off + v @ problem.input_weight @ v
         return 0.5 * total
 
     first, second = rng.normal(size=(2, N, a))
-    form, data = Sparse(problem), steady_data(problem, reference)
+    form = Sparse(problem)
+    data = replace(steady_data(problem, reference), first_reference=start)
     program, values = form.program(state, data, np.zeros(a)), []
     for plan in (first, second):
         x = point_of_inputs(program, plan.T)

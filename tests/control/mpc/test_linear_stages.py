@@ -27,8 +27,19 @@ def moved(plant, size):
     return tc.Reference(np.linspace(0.0, 0.1, 6), np.stack(shapes, axis=-1))
 
 
+def with_weights(plant, given, terminal):
+    """Return settings with a cross weight that the cost allows, and a terminal weight."""
+    Q, R = tc.plant.natural_weights(plant)
+    root = np.linalg.cholesky(Q) * 0.9 / np.sqrt(len(Q))
+    N = root @ np.random.default_rng(3).uniform(-1, 1, (len(Q), len(R))) * np.sqrt(R)
+    return given | {"N": N / np.sqrt(len(R))} | ({"terminal_weight": 3 * Q} if terminal else {})
+
+
 def scene(name):
     """Return a plant, settings and the size of a push."""
+    if name.endswith("own weights"):
+        plant, given, size = scene(name.removesuffix(", own weights"))
+        return plant, with_weights(plant, given, terminal="along" not in name), size
     if name == "tower":
         plant = plant_of(tc.prism_tower(2), "rest_length")
         return plant, {"winches": tc.Winches(rate=0.1), "max_tension": 1e3}, 0.005
@@ -69,7 +80,9 @@ def scene(name):
     "name",
     [
         "tower", "ball", "along a reference", "plane, ramps and load", "few modes",
-        "few modes, limited outputs", "few modes, hard limits",
+        "few modes, limited outputs", "few modes, hard limits", "ball, own weights",
+        "plane, ramps and load, own weights", "along a reference, own weights",
+        "few modes, hard limits, own weights",
     ],
 )  # fmt: skip
 def test_inputs_are_those_of_the_optimum(name):

@@ -66,6 +66,13 @@ def exact_plan(problem, bounds, row_bounds, plan, motion, rows, given, found):
         hessian += matrix.T @ weight @ matrix
         gradient += matrix.T @ weight @ (constant - aim)
 
+    for k in range(N if problem.cross_weight is not None else 0):
+        off = data.first_reference if k == 0 else data.reference[k - 1]
+        (z, c), (v, e) = states[k], inputs(k)
+        both = z.T @ problem.cross_weight @ v
+        hessian += both + both.T
+        gradient += z.T @ problem.cross_weight @ (e - data.input_reference[k])
+        gradient += v.T @ problem.cross_weight.T @ (c - off)
     for k in range(N):
         add(R, inputs(k), data.input_reference[k])
         if k < N - 1:
@@ -155,15 +162,19 @@ def random_program(seed, N, ramp, limited, changes, hard, size=(5, 3)):
         return root @ root.T + least * np.eye(size)
 
     rows = penalty = None
+    Q, R, cross = weight(s, 0.0), weight(a, 0.1), None
+    if seed % 2:  # states and inputs share a weight
+        shared = weight(s + a, 0.0)
+        Q, R, cross = shared[:s, :s], shared[s:, s:] + 0.1 * np.eye(a), shared[:s, s:]
     if limited:
         penalty = np.array([3.0, np.inf if hard else 0.4])
         scale = rng.uniform(0.5, 2.0, p)
         E, G = np.ones((p, s)), np.ones((p, a))
         rows = Rows(E, E, csr_array(G), scale, penalty, (True, True))
     problem = MPCProblem(
-        np.eye(s), np.ones((s, a)), np.zeros(s), weight(s, 0.0), weight(a, 0.1), weight(n, 0.0),
+        np.eye(s), np.ones((s, a)), np.zeros(s), Q, R, weight(n, 0.0),
         -np.ones(a), np.ones(a), np.full(a, 0.4) if changes else None, N, 0.7, np.zeros((a, s)),
-        rows,
+        rows, cross,
     )  # fmt: skip
     widths = (s, a, a) if ramp else (s, a)
     slopes = tuple(0.4 * rng.normal(size=(N, width, s)) for width in widths)
@@ -175,7 +186,7 @@ def random_program(seed, N, ramp, limited, changes, hard, size=(5, 3)):
     zeros = np.zeros((N, a))
     data = StageData(
         rng.normal(size=(N, s)), 0.3 * rng.normal(size=(N, a)), 0.1 * rng.normal(size=(N, s)),
-        zeros, zeros, zeros, zeros, zeros, zeros, zeros[0],
+        zeros, zeros, zeros, zeros, zeros, zeros, zeros[0], rng.normal(size=s),
     )  # fmt: skip
     previous = 0.1 * rng.normal(size=a)
     given = 2 * rng.normal(size=s), data, previous, previous + 0.1
