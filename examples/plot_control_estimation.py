@@ -16,7 +16,7 @@ STEP = 0.02
 
 prism = tc.prism()
 model = tc.Model(prism, strings=tc.LinearStrings(stiffness=100.0))
-rest = tc.prestress(prism, force_density=17.320508)
+rest = tc.prestress(prism, force_density=17.320508)  # N/m in the top strings; 30 in the vertical
 tc.plot.structure(prism, labels=True, member_labels=True)
 plant = tc.linearize(model, rest)
 Q, R = tc.energy_weights(plant)

@@ -49,7 +49,7 @@ drawn = {
 counts = {"no load estimated": 10, "load estimated": 20}
 reports = {}
 if __name__ != "__mp_main__":
-    rest = tc.prestress(prism, force_density=17.320508)
+    rest = tc.prestress(prism, force_density=17.320508)  # N/m, top strings; 30 vertical
     plant = tc.linearize(tc.Model(prism, strings=strings), rest, input="rest_length")
     mpc = tc.MPC(plant, horizon=8, sample_time=0.04, max_force_density=65.0, load_gain=0.1)
     for name, estimator in estimators(plant).items():

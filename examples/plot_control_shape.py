@@ -47,7 +47,7 @@ controllers = {
 # %%
 # Each of them twice: on actuators that hold forces, and on winches that hold rest lengths.
 
-rest = tc.prestress(prism, force_density=17.320508)
+rest = tc.prestress(prism, force_density=17.320508)  # N/m in the top strings; 30 in the vertical
 start = tc.linearize(model, rest).to_nodes(0.003 * np.random.default_rng(0).normal(size=9))
 wound = tc.to_rest_length(model, start, rest.force_density).rest_length
 winches = {"winches": tc.Winches(rate=0.5, shortest=0.1), "rest_length": wound}

@@ -15,7 +15,7 @@ import tenscontrol as tc
 STIFFNESS, DURATION, SAMPLE = 100.0, 3.0, 0.02
 
 prism = tc.prism()
-rest = tc.prestress(prism, force_density=17.320508)
+rest = tc.prestress(prism, force_density=17.320508)  # N/m in the top strings; 30 in the vertical
 plant = tc.linearize(tc.Model(prism), rest)
 Q, R = tc.energy_weights(plant)
 q = 0.004 * np.random.default_rng(0).normal(size=9)

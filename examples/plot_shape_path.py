@@ -16,7 +16,7 @@ TOP, BOTTOM = [0, 1, 2], [3, 4, 5]
 
 prism = tc.prism()
 model = tc.Model(prism, strings=tc.LinearStrings(stiffness=100.0))
-rest = tc.prestress(prism, force_density=17.320508)
+rest = tc.prestress(prism, force_density=17.320508)  # N/m in the top strings; 30 in the vertical
 
 # %%
 # A regular prism of nine strings rests at one twist only, -30° for a left-handed

@@ -50,7 +50,7 @@ class Actuation:
 
     >>> import tenscontrol as tc
     >>> prism = tc.prism()
-    >>> model, rest = tc.Model(prism), tc.prestress(prism, force_density=17.3205)
+    >>> model, rest = tc.Model(prism), tc.prestress(prism, force_density=10.0)
     >>> groups = {"lid": ["top"], "a": [6], "b": [7], "c": [8]}
     >>> actuation = tc.linearize(model, rest, actuated=groups).actuation
     >>> actuation
@@ -58,7 +58,7 @@ class Actuation:
     >>> actuation.passive
     array([3, 4, 5])
     >>> actuation.strings([20.0, 30.0, 31.0, 32.0]).round(1)
-    array([20. , 20. , 20. , 17.3, 17.3, 17.3, 30. , 31. , 32. ])
+    array([20., 20., 20., 10., 10., 10., 30., 31., 32.])
     """
 
     input: IntArray

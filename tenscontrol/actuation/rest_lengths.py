@@ -69,12 +69,12 @@ def to_rest_length(model: Model, nodes: object, force_density: object = None) ->
     >>> import tenscontrol as tc
     >>> prism = tc.prism()
     >>> model = tc.Model(prism, strings=tc.LinearStrings(stiffness=100.0))
-    >>> rest = tc.prestress(prism, force_density=17.3205)
+    >>> rest = tc.prestress(prism, force_density=10.0)
     >>> found = tc.to_rest_length(model, rest)
     >>> found.rest_length[[0, 6]].round(4), found.slack
-    (array([0.716 , 0.7231]), array([], dtype=int64))
+    (array([0.7794, 0.854 ]), array([], dtype=int64))
     >>> tc.to_force_density(model, prism.nodes, found)[[0, 6]].round(4)
-    array([17.3205, 30.    ])
+    array([10.    , 17.3205])
     """
     if force_density is None and isinstance(nodes, Prestress):
         force_density = nodes.force_density

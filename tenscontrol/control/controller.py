@@ -405,7 +405,7 @@ class Controller(BaseController):
     ...         rates = state[self.plant.degrees_of_freedom:]
     ...         return Command(self.plant.equilibrium_input - self.plant.B[len(rates):].T @ rates)
     >>> prism = tc.prism()
-    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
+    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=10.0))
     >>> damper = Damper(plant, 0.02, np.zeros(9), np.full(9, 60.0))
     >>> str(damper.command(0.0, prism.nodes, np.zeros((3, 6))))
     'ok'

@@ -102,7 +102,7 @@ class FunctionController(BaseController):
     >>> import numpy as np, tenscontrol as tc
     >>> prism = tc.prism()
     >>> model = tc.Model(prism, strings=tc.LinearStrings(stiffness=100.0))
-    >>> rest = tc.prestress(prism, force_density=17.3205)
+    >>> rest = tc.prestress(prism, force_density=10.0)
     >>> start = tc.to_rest_length(model, prism.nodes, rest.force_density).rest_length
     >>> def damper(time, nodes, velocities):
     ...     strings, rates = prism.string_vectors(nodes), prism.string_vectors(velocities)

@@ -105,7 +105,7 @@ class LQR(Controller):
     --------
     >>> import tenscontrol as tc
     >>> prism = tc.prism()
-    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
+    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=10.0))
     >>> regulator = tc.LQR(plant, Q=1.0, R=1e-3)
     >>> regulator.gain.shape, bool(regulator.poles.real.max() < 0)
     ((9, 18), True)

@@ -204,7 +204,7 @@ def generate_c(
     --------
     >>> import tempfile, tenscontrol as tc
     >>> prism = tc.prism()
-    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
+    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=10.0))
     >>> mpc = tc.MPC(plant, horizon=5, sample_time=0.02, max_force_density=60.0)
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     made = tc.generate_c(mpc, folder)

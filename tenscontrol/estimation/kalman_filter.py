@@ -272,7 +272,7 @@ class KalmanFilter:
     --------
     >>> import tenscontrol as tc
     >>> prism = tc.prism()
-    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
+    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=10.0))
     >>> sensors = tc.Sensors(structure=prism, string_length=0.001, node_position=0.005)
     >>> estimator = tc.KalmanFilter(plant, sensors, sample_time=0.02)
     >>> estimator
@@ -397,7 +397,7 @@ class KalmanFilter:
 
         >>> import tenscontrol as tc
         >>> prism = tc.prism()
-        >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
+        >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=10.0))
         >>> imu = tc.Sensors(structure=prism, string_length=0.001, bar_inclination=0.01,
         ...                  gyroscope=0.02)
         >>> report = tc.KalmanFilter(plant, imu, sample_time=0.02).observability()

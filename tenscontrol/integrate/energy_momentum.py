@@ -115,7 +115,7 @@ class EnergyMomentum(Integrator):
     >>> import numpy as np, tenscontrol as tc
     >>> from tenscontrol.dynamics.equation import pack_state
     >>> from tenscontrol.integrate import EnergyMomentum
-    >>> rest = tc.prestress(tc.prism(), force_density=17.3205)
+    >>> rest = tc.prestress(tc.prism(), force_density=10.0)
     >>> model = tc.Model(rest.structure, strings=tc.LinearStrings(stiffness=1e10))
     >>> lengths = tc.to_rest_length(model, rest.structure.nodes, rest.force_density).rest_length
     >>> spin = np.cross([1.0, 0.0, 0.0], rest.structure.nodes.T).T

@@ -96,14 +96,14 @@ def actuator_choice(plant: LinearPlant, count: int | None = None) -> ActuatorCho
     >>> import tenscontrol as tc
     >>> prism = tc.prism()
     >>> model = tc.Model(prism, strings=tc.LinearStrings(stiffness=100.0))
-    >>> rest = tc.prestress(prism, force_density=17.3205)
+    >>> rest = tc.prestress(prism, force_density=10.0)
     >>> plant = tc.linearize(model, rest, input="rest_length")
     >>> choice = tc.actuator_choice(plant, count=3)
     >>> print(choice.table())
-    motors  input                  string  unreached states  least margin
-         1  rest_length_top[0]          0                 6       0.00945
-         2  rest_length_bottom[0]       3                 0        0.0134
-         3  rest_length_top[1]          1                 0        0.0164
+    motors  input               string  unreached states  least margin
+         1  rest_length_top[0]       0                 6       0.00437
+         2  rest_length_top[1]       1                 0       0.00618
+         3  rest_length_top[2]       2                 0       0.00757
     >>> tc.linearize(model, rest, input="rest_length", actuated=choice.string)
     LinearPlant(9 internal coordinates, input rest_length, 3 inputs)
     """

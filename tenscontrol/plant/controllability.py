@@ -125,13 +125,13 @@ def controllability(plant: LinearPlant, count: int | None = None) -> Controllabi
     --------
     >>> import tenscontrol as tc
     >>> prism = tc.prism()
-    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
+    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=10.0))
     >>> print(tc.controllability(plant).table())
     pole 1/s                margin
        0.0000   +0.0000j      0.663
-       0.0000  +14.2830j      0.443
-       0.0000  +14.6810j       0.11
-       0.0000  +15.3523j      0.649
+       0.0000  +10.8527j      0.443
+       0.0000  +11.1551j       0.11
+       0.0000  +11.6652j      0.649
     """
     validation.instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
     if count is not None:

@@ -183,7 +183,7 @@ def linearize(
     --------
     >>> import tenscontrol as tc
     >>> prism = tc.prism()
-    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
+    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=10.0))
     >>> plant
     LinearPlant(9 internal coordinates, input force_density, 9 inputs)
     >>> plant.A.shape, plant.B.shape
@@ -191,11 +191,11 @@ def linearize(
 
     With motors on three strings, and on those with a motor for two:
 
-    >>> tc.linearize(plant.model, tc.prestress(prism, force_density=17.3205), actuated=[0, 1, 8])
+    >>> tc.linearize(plant.model, tc.prestress(prism, force_density=10.0), actuated=[0, 1, 8])
     LinearPlant(9 internal coordinates, input force_density, 3 inputs)
     >>> groups = {"pair": {0: 1.0, 1: -1.0}, "single": [8]}
     >>> few = tc.linearize(
-    ...     plant.model, tc.prestress(prism, force_density=17.3205), actuated=groups)
+    ...     plant.model, tc.prestress(prism, force_density=10.0), actuated=groups)
     >>> few.input_names
     ['gamma_pair', 'gamma_single']
     """
@@ -265,7 +265,7 @@ def in_coordinates(plant: LinearPlant, kind: str) -> LinearPlant:
     --------
     >>> import tenscontrol as tc
     >>> prism = tc.prism()
-    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
+    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=10.0))
     >>> tc.plant.in_coordinates(plant, "minimal")
     LinearPlant(15 minimal coordinates, input force_density, 9 inputs)
     """

@@ -142,18 +142,18 @@ def modes(plant: LinearPlant, count: int | None = None) -> Modes:
     --------
     >>> import tenscontrol as tc
     >>> prism = tc.prism()
-    >>> rest = tc.prestress(prism, force_density=17.3205)
+    >>> rest = tc.prestress(prism, force_density=10.0)
     >>> print(tc.modes(tc.linearize(tc.Model(prism), rest)).table())
     mode  frequency Hz  damping  kind
        0       0.00000   0.0000  affine
        1       0.00000   0.0000  affine
        2       0.00000   0.0000  affine
-       3       2.27321   0.0000  elastic
-       4       2.27321   0.0000  elastic
-       5       2.33655   0.0000  mechanism
-       6       2.44339   0.0000  elastic
-       7       2.44339   0.0000  elastic
-       8       2.44339   0.0000  elastic
+       3       1.72726   0.0000  elastic
+       4       1.72726   0.0000  elastic
+       5       1.77540   0.0000  mechanism
+       6       1.85657   0.0000  elastic
+       7       1.85657   0.0000  elastic
+       8       1.85657   0.0000  elastic
     """
     validation.instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
     r = plant.degrees_of_freedom

@@ -64,7 +64,7 @@ def estimate(
     --------
     >>> import matplotlib.pyplot as plt, tenscontrol as tc
     >>> prism = tc.prism()
-    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
+    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=10.0))
     >>> regulator = tc.LQR(plant, Q=1.0, R=1e-2, sample_time=0.02)
     >>> sensors = tc.Sensors(structure=prism, string_length=0.001)
     >>> estimator = tc.KalmanFilter(plant, sensors, sample_time=0.02)

@@ -120,10 +120,10 @@ def mode_shapes(
     --------
     >>> import matplotlib.pyplot as plt, tenscontrol as tc
     >>> prism = tc.prism()
-    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
+    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=10.0))
     >>> (drawn,) = tc.plot.mode_shapes(plant, tc.modes(plant), which=[5])
     >>> print(drawn.ax.get_title())
-    mode 5: 2.337 Hz
+    mode 5: 1.775 Hz
     mechanism
     >>> plt.close(drawn.ax.figure)
     """

@@ -367,7 +367,7 @@ def motors(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, 
     --------
     >>> import matplotlib.pyplot as plt, tenscontrol as tc
     >>> prism = tc.prism()
-    >>> rest = tc.prestress(prism, force_density=17.3205)
+    >>> rest = tc.prestress(prism, force_density=10.0)
     >>> model = tc.Model(prism, strings=tc.LinearStrings(stiffness=100.0, damping=0.5))
     >>> plant = tc.linearize(model, rest, input="rest_length")
     >>> run = tc.simulate(
@@ -528,7 +528,7 @@ def tracking(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str
     >>> import matplotlib.pyplot as plt, tenscontrol as tc
     >>> prism = tc.prism()
     >>> model = tc.Model(prism, strings=tc.LinearStrings(stiffness=100.0))
-    >>> plant = tc.linearize(model, tc.prestress(prism, 17.3205), input="rest_length")
+    >>> plant = tc.linearize(model, tc.prestress(prism, 10.0), input="rest_length")
     >>> mpc = tc.MPC(plant, horizon=10, sample_time=0.02)
     >>> run = tc.simulate(model, 0.5, plant.to_nodes([0.02] * 9), controller=mpc, step=1e-3)
     >>> panels = tc.plot.tracking(run)

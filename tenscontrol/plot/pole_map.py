@@ -88,7 +88,7 @@ def poles(poles: object, *, ax: Axes | None = None) -> PoleMap:
     --------
     >>> import matplotlib.pyplot as plt, numpy as np, tenscontrol as tc
     >>> prism = tc.prism()
-    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
+    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=10.0))
     >>> drawn = tc.plot.poles({"open loop": np.linalg.eigvals(plant.A)})
     >>> [text.get_text() for text in drawn.multiplicities["open loop"]]
     ['×3', '×3', '×2', '×2', '×6']

@@ -546,7 +546,7 @@ def structure(
     --------
     >>> import matplotlib.pyplot as plt, tenscontrol as tc
     >>> prism = tc.prism()
-    >>> rest = tc.prestress(prism, force_density=17.3205)
+    >>> rest = tc.prestress(prism, force_density=10.0)
     >>> drawing = tc.plot.structure(prism, force_density=rest.force_density, labels=True)
     >>> drawing.ax.get_zlabel(), drawing.colorbar.ax.get_ylabel()
     ('z, m', 'γ, N/m')

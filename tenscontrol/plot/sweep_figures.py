@@ -109,7 +109,7 @@ def sweep(
     >>> import matplotlib.pyplot as plt, tenscontrol as tc
     >>> from concurrent.futures import ThreadPoolExecutor
     >>> prism, strings = tc.prism(), tc.LinearStrings(100.0, damping=0.5)
-    >>> rest = tc.prestress(prism, force_density=17.3205)
+    >>> rest = tc.prestress(prism, force_density=10.0)
     >>> plant = tc.linearize(tc.Model(prism, strings=strings), rest, input="rest_length")
     >>> scene = tc.Scene(
     ...     tc.Model(prism, strings), 0.3, controller=tc.LQR(plant, sample_time=0.02),

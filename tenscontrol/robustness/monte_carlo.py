@@ -105,7 +105,7 @@ def sweep(
     >>> from concurrent.futures import ThreadPoolExecutor
     >>> import tenscontrol as tc
     >>> prism = tc.prism()
-    >>> rest = tc.prestress(prism, force_density=17.3205)
+    >>> rest = tc.prestress(prism, force_density=10.0)
     >>> model = tc.Model(prism, strings=tc.LinearStrings(100.0, damping=0.5))
     >>> plant = tc.linearize(model, rest, input="rest_length")
     >>> Q, R = tc.energy_weights(plant)

@@ -179,7 +179,7 @@ class ControlRecord:
         >>> import tenscontrol as tc
         >>> prism = tc.prism()
         >>> model = tc.Model(prism, strings=tc.LinearStrings(stiffness=100.0))
-        >>> plant = tc.linearize(model, tc.prestress(prism, 17.3205), input="rest_length")
+        >>> plant = tc.linearize(model, tc.prestress(prism, 10.0), input="rest_length")
         >>> start = plant.to_nodes([0.02] * 9)
         >>> mpc = tc.MPC(plant, horizon=10, sample_time=0.02)
         >>> run = tc.simulate(model, 3.0, start, controller=mpc, step=1e-3)
@@ -187,7 +187,7 @@ class ControlRecord:
         controller        MPC(... horizon 10, sample time 0.02 s, stages)
         samples           150 of 0.02 s: 150 ok
         tracking error    0.00... m at the end, 0.00... m rms (0.2... % and 0.9... % of the size)
-        prediction error  ...e-05 m rms, 0.0005... m at most
+        prediction error  ...e-05 m rms, 0.0006... m at most
         at a bound        0 % of the samples
         computing time    ... ms in the median, ... ms at most: ... % of a sample
         """

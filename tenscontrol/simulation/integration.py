@@ -44,7 +44,7 @@ class Integration:
     --------
     >>> import tenscontrol as tc
     >>> scene = tc.Scene(
-    ...     tc.Model(tc.prism()), 0.1, force_density=17.3205, integration=tc.Integration(step=1e-3))
+    ...     tc.Model(tc.prism()), 0.1, force_density=10.0, integration=tc.Integration(step=1e-3))
     >>> scene.simulate()
     Trajectory(0.1 s, 101 states, rk4)
     """

@@ -147,7 +147,7 @@ def clearance(plant: LinearPlant, clearance: float, penalty: float | None = None
     --------
     >>> import tenscontrol as tc
     >>> prism = tc.prism()
-    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
+    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=10.0))
     >>> limit = tc.clearance(plant, clearance=0.2, penalty=1e4)
     >>> limit.matrix.shape, limit.low
     ((3, 18), array([0.2, 0.2, 0.2]))

@@ -184,7 +184,7 @@ class MPC(PredictiveController):
     --------
     >>> import numpy as np, tenscontrol as tc
     >>> prism = tc.prism()
-    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
+    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=10.0))
     >>> mpc = tc.MPC(plant, horizon=20, sample_time=0.02, max_force_density=300.0)
     >>> pushed = plant.to_nodes(np.r_[0.01, np.zeros(8)])
     >>> command = mpc.command(0.0, pushed, np.zeros((3, 6)))
@@ -309,7 +309,7 @@ class MPC(PredictiveController):
         --------
         >>> import numpy as np, tenscontrol as tc
         >>> prism = tc.prism()
-        >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
+        >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=10.0))
         >>> mpc = tc.MPC(plant, horizon=20, sample_time=0.02, max_force_density=300.0)
         >>> program = mpc.program(0.0, prism.nodes, np.zeros((3, 6)))
         >>> program.P.shape, program.A.shape

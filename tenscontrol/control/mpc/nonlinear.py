@@ -245,7 +245,7 @@ class NMPC(PredictiveController):
     >>> import numpy as np, tenscontrol as tc
     >>> from tenscontrol.control import NMPC
     >>> prism = tc.prism()
-    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
+    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=10.0))
     >>> nmpc = NMPC(plant, horizon=10, sample_time=0.02, max_force_density=60.0)
     >>> command = nmpc.command(0.0, plant.to_nodes(np.full(9, 0.01)), np.zeros((3, 6)))
     >>> str(command), bool((command.value >= 0).all())
