@@ -266,7 +266,7 @@ class Height(Demand):
     --------
     >>> import tenscontrol as tc
     >>> low = tc.Height(0.85, top=[0, 1, 2], bottom=[3, 4, 5])
-    >>> target = tc.shape_target(tc.Model(tc.prism()), low, force_density=17.3205)
+    >>> target = tc.shape_target(tc.Model(tc.prism()), low, force_density=10.0)
     >>> target.nodes[2].round(3)
     array([0.925, 0.925, 0.925, 0.075, 0.075, 0.075])
     """

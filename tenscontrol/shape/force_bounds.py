@@ -19,6 +19,8 @@ from tenscontrol.structure.supports import free_coordinates, is_movable
 
 # In units of the level: what counts as zero, and what a null space is made of.
 _ZERO, _RANK = 1e-9, 1e-9
+# A centre beyond is none: the set has no end. It is met where bars come into line.
+_FAR = 1e4
 # The linear program is good to this.
 _STUCK = 1e-6
 _NEWTON_STEPS = 100
@@ -193,6 +195,8 @@ def choose_force_density(
             return None
     least, most = low[pulls] / limits.scale, high[pulls] / limits.scale
     chosen = (_analytic_centre if kind == "centred" else _least)(D, p, least, most)
+    if chosen is not None and kind == "centred" and np.abs(chosen).max(initial=0.0) > _FAR:
+        chosen = _least(D, p, least, most)
     if chosen is None:
         return None
     gamma = low.copy()

@@ -144,9 +144,9 @@ class ShapePath(Viewable):
         --------
         >>> import tenscontrol as tc
         >>> model = tc.Model(tc.prism(), strings=tc.LinearStrings(stiffness=100.0))
-        >>> start = tc.prestress(tc.prism(), force_density=17.3205)
+        >>> start = tc.prestress(tc.prism(), force_density=10.0)
         >>> low = tc.Height(0.85, top=[0, 1, 2], bottom=[3, 4, 5])
-        >>> goal = tc.shape_target(model, low, force_density=17.3205)
+        >>> goal = tc.shape_target(model, low, force_density=10.0)
         >>> path = tc.shape_path(model, start, goal, duration=2.0)
         >>> [round(float(plant.nodes[2, 0]), 3) for plant in path.plants(3, input="rest_length")]
         [1.0, 0.964, 0.925]
@@ -250,9 +250,9 @@ def shape_path(
     --------
     >>> import tenscontrol as tc
     >>> model = tc.Model(tc.prism(), strings=tc.LinearStrings(stiffness=100.0))
-    >>> start = tc.prestress(tc.prism(), force_density=17.3205)
+    >>> start = tc.prestress(tc.prism(), force_density=10.0)
     >>> low = tc.Height(0.85, top=[0, 1, 2], bottom=[3, 4, 5])
-    >>> goal = tc.shape_target(model, low, force_density=17.3205)
+    >>> goal = tc.shape_target(model, low, force_density=10.0)
     >>> path = tc.shape_path(model, start, goal, winches=tc.Winches(rate=0.1))
     >>> bool(abs(path.rest_length_rate).max() <= 0.1), path.residual < 1e-12
     (True, True)

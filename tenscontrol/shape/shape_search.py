@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -251,6 +252,8 @@ def solve_shape(
             outside = float(np.linalg.norm(demanded.outside(values)))
             if best is None or outside < max(best.outside, MET):
                 solved = _finished(problem, demanded, limits, kind, values, outside)
+                if solved is None:
+                    continue
                 if best is None or best.outside > MET or solved.margin > best.margin:
                     best = solved
             if outside <= MET:
@@ -306,6 +309,16 @@ def _polished(
     return None
 
 
+def _first_balanced(
+    structure: Structure, choices: list[FloatArray], limits: ForceLimits, load: FloatArray
+) -> Prestress | None:
+    """Return the first γ that balance: where bars are in line, those chosen may not."""
+    for gamma in choices:
+        with suppress(ValueError):
+            return prestress(structure, np.maximum(gamma, limits.bounds.low), external_force=load)
+    return None
+
+
 def _finished(
     problem: ShapeProblem,
     demanded: _DemandRows,
@@ -313,8 +326,8 @@ def _finished(
     kind: str,
     values: FloatArray,
     outside: float,
-) -> Solved:
-    """Choose the forces in the shape that was found, and measure it."""
+) -> Solved | None:
+    """Choose the forces in the shape that was found, and measure it; None if none balance."""
     model = problem.model
     nodes, gamma = problem.read(values)
     structure = replace(model.structure, nodes=nodes)
@@ -325,12 +338,13 @@ def _finished(
         passive = problem.held.actuation.passive
         low, high = low.copy(), high.copy()
         low[passive] = high[passive] = gamma[passive]
+    choices = [gamma]
     if (low <= high).all() and not is_ganged:
         chosen = choose_force_density(structure, model.constant_force, limits, low, high, kind)
-        gamma = gamma if chosen is None else chosen
-    rest = prestress(
-        structure, np.maximum(gamma, limits.bounds.low), external_force=model.constant_force
-    )
+        choices = ([] if chosen is None else [chosen]) + choices
+    rest = _first_balanced(structure, choices, limits, model.constant_force)
+    if rest is None:
+        return None
     rest_length = None
     if model.strings is not None:
         rest_length = model.strings.rest_length(length, rest.force_density)

@@ -433,3 +433,12 @@ def test_a_target_is_an_operating_point_for_control():
     assert tc.LQR(plant, 1.0, 1e-3).poles.real.max() < 0
     still = tc.simulate(target.model, 1.0, target.nodes, rest_length=target.rest_length, step=1e-3)
     np.testing.assert_allclose(still.nodes[:, :, -1], target.nodes, atol=1e-10)
+
+
+def test_a_tip_far_out_of_reach_is_told_with_the_nearest_shape():
+    """The arm is straight there, with all bars in line."""
+    arm = tc.library.arm()
+    tip = arm.nodes[:, [5]] + [[9.0], [0.0]]
+    with pytest.raises(ShapeError, match=r"x\[5\] is 2\.82843 m, wanted 11 m") as failure:
+        tc.shape_target(tc.Model(arm), tc.NodesAt([5], tip), force_density=10.0)
+    assert failure.value.nearest.residual < 1e-9
