@@ -173,7 +173,9 @@ def test_interop():
     )
     assert tc.modes(names["tall"], count=6).frequency == pytest.approx(names["lowest"], rel=1e-6)
     assert np.exp(names["fitted"].x) == pytest.approx([650.0, 40.0], rel=1e-3)
-    for run in (names["run"], names["lqg"]):
+    assert abs(names["step"].outputs).max() < 4e-3
+    assert len(names["robust"]) == (2 if find_spec("slycot") else 0)
+    for run in (names["run"], names["lqg"], *names["robust"].values()):
         speed = np.abs(run.velocities).max(axis=(0, 1))
         assert speed[-1] < 0.2 * speed[0]
 
