@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import tenscontrol as tc
-from tests.public import DOCS, members, public, public_functions, tree
+from tests.public import DOCS, members, public, public_classes, public_functions, tree
 
 # What another word or another unit is for.
 EXCEPTIONS = {
@@ -26,6 +26,26 @@ METHODS = {
     "deploy.CompiledController.another", "dynamics.Contacts.gap_passes", "plot.View.html",
     "plot.View.figure", "robustness.Distribution.settings",
 }  # fmt: skip
+# Numbers of which the docstring has no unit: vectors and matrices of a problem that has none.
+UNITLESS = {
+    "control.QPSolution", "control.QPSolver.solve", "control.QuadraticProgram",
+    "control.QuadraticProgram.inputs", "energy_weights",
+}  # fmt: skip
+UNIT = r"(?<![\w/])(N|m|s|kg|rad|Hz|J|W|Pa|K|V|A|1/s|%|MB)(?![\w])|√|m[²³⁴]|s²"
+# What has none says what it is.
+PURE = (
+    r"ratio|factors?|coefficient|parts?|share|relative|without unit|no unit|units?|fraction|"
+    r"probability|weights?|costs?|direction|vectors|normal|norm|largest is 1|displacement 1|"
+    r"Spectral|matri(x|ces)|order|Slope|standard error|times|turns|Frames|Counts|over|"
+    r"above 1|1 where|at most 1|degrees of freedom|coordinates?|eigenvalues?|z|"
+    r"states?|by theory|standard deviations?|digits|number|choose"
+)
+# Analyses, by what they return beside a record of their own.
+RETURNS = {
+    "FloatArray", "IntArray", "float", "str", "Structure", "Path", "ca.Function", "csr_array",
+    "tuple", "dict", "list", "Groups", "VectorEnv",
+}  # fmt: skip
+SHOWS = {"show_config"}  # prints
 ACTIONS = r"(reset|prepare|open|shorten|\w*table|summary|to_\w+|as_\w+)$"
 
 
@@ -55,6 +75,11 @@ def signatures():
         for name, thing in public().items()
         if not (inspect.isclass(thing) and issubclass(thing, BaseException))
     }
+
+
+def signed(function):
+    """What a function says that it returns."""
+    return inspect.signature(function).return_annotation
 
 
 def entries(thing):
@@ -102,6 +127,41 @@ def test_docstrings_have_the_unit(names, unit):
                 if not (has_unit.search(text) or elsewhere.search(text) or counted):
                     missing.append((name, argument, text))
     assert missing == []
+
+
+def test_docstrings_of_numbers_have_a_unit_or_say_what_they_are():
+    named = re.compile(rf"{UNIT}|\b(?i:{PURE})\b|:\w+:`")
+    missing = []
+    for name, thing in calls().items():
+        for argument, text in entries(thing).items():
+            numeric = re.match(r"(float|\(float|array_like(?! of)|ndarray(?! of))", text)
+            if numeric and name not in UNITLESS and not named.search(f"{argument}: {text}"):
+                missing.append((name, argument, text))
+    assert missing == []
+
+
+def test_functions_return_a_record_an_array_or_what_was_drawn_or_written():
+    records = {name.rpartition(".")[2] for name in public_classes()}
+    wrong = []
+    for name, function in public_functions().items():
+        kinds = set(re.findall(r"^[\w.]+|(?<=\| )[\w.]+", str(signed(function)))) - {"None"}
+        if name.startswith("plot.") and not (
+            kinds and kinds <= records | {"dict", "tuple", "Path"}
+        ):
+            wrong.append((name, kinds))
+        if not kinds <= records | RETURNS or (not kinds and name not in SHOWS):
+            wrong.append((name, kinds))
+    assert wrong == []
+
+
+def test_what_saves_returns_the_path():
+    savers = {
+        name: member
+        for name, (_, member) in members().items()
+        if re.search(r"\.(save|to_netcdf)$", name)
+    } | {name: f for name, f in public_functions().items() if re.search(r"save_|to_vtk$", name)}
+    assert len(savers) > 5
+    assert {name for name, f in savers.items() if "Path" not in str(signed(f))} == set()
 
 
 def test_methods_without_an_argument_act_or_convert():

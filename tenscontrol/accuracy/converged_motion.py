@@ -52,7 +52,7 @@ class ConvergedMotion:
     nodes, velocities : ndarray, shape (d, n, T)
         m and m/s.
     states : ndarray, shape (6n, T)
-        The same of the free nodes, as integrators have them.
+        The same of the free nodes, m and m/s, as integrators have them.
     error : float
         Estimate of its error, m: the largest distance of a node between the two.
     switches : ndarray, shape (S,)

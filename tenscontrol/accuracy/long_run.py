@@ -42,9 +42,10 @@ class Drift:
     ----------
     name, unit : str
     error : ndarray, shape (T,)
-        Its change since the start; of a vector and of bar lengths the size of the change.
+        Its change since the start, in ``unit``; of a vector and of bar lengths the size of the
+        change.
     slope : float
-        Mean growth, by s.
+        Mean growth, in ``unit`` per s.
     half_width : float
         Of the 95 % confidence interval of the slope.
     """

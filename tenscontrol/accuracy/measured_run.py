@@ -183,10 +183,11 @@ class Measurement:
     takes : str
         What the setting is: ``"step"``, s; ``"tolerance"``; ``"setting"``, of a peer.
     setting : float
+        Step, s, or tolerance, as the method takes.
     error, end_error : float
         Largest distance of a node from the reference, m: over all output times, and at the end.
     relative_error : float
-        ``error`` by the size of the structure.
+        ``error`` over the size of the structure.
     time : float
         Median processor time of a run as a user calls it the second time, s: of our methods all of
         :func:`simulate`, with its checks and its trajectory; of a peer the call that integrates.

@@ -41,7 +41,7 @@ class Predictability:
         s; up to where the growth is past what the error allows.
     growth : ndarray, shape (T,)
         Largest distance of a node from the unperturbed motion up to each time,
-        by the largest at the start.
+        over the largest at the start.
     rate : float
         Mean rate of exponential growth, ln(growth)/time, 1/s, over the time in
         which the perturbation stays small: the largest Lyapunov exponent of a

@@ -57,6 +57,7 @@ class StabilityMap:
     stiffness : ndarray, shape (S,)
         N/m.
     mass_ratio : ndarray, shape (M,)
+        Mass of a string node over that of a bar.
     step : ndarray, shape (S, M)
         Largest stable step, s; infinite where every step tried was stable, zero where none.
         NaN, with the rate, for cases left out as the user interrupted.
@@ -114,7 +115,7 @@ def stability_map(
     stiffness : sequence of float
         Of a whole string, N/m.
     mass_ratio : sequence of float
-        Mass of a string node by that of a bar.
+        Mass of a string node over that of a bar.
     case : callable, optional
         ``(stiffness, mass_ratio) -> Scene``, near rest; its duration does not
         count. If not given: a prism with bars of 1 kg under γ_t = 17.3205 N/m,

@@ -198,6 +198,7 @@ class Winches:
         Returns
         -------
         shortest, longest : ndarray, shape (α,)
+            m; 0 and inf where there is no limit.
 
         Raises
         ------

@@ -44,9 +44,9 @@ class BaseController(ABC):
     sample_time : float or None
         As for :class:`Controller`, s.
     low, high : ndarray, shape (m,)
-        Least and largest input: one for each driven string or winch, see ``actuation``.
+        Least and largest input, N/m or m: one for each driven string or winch, see ``actuation``.
     change : ndarray, shape (m,), optional
-        Largest change from the previous input; no limit if not given.
+        Largest change from the previous input, N/m or m; no limit if not given.
     commanded : Structure, optional
         The structure whose strings it commands, if that is the parent.
     equilibrium_input : ndarray, shape (m,), optional
@@ -387,9 +387,9 @@ class Controller(BaseController):
         Sample time, s. None for a law in continuous time, which is run at
         whatever sample time the simulation is given.
     low, high : ndarray, shape (α,)
-        Least and largest command.
+        Least and largest command, N/m or m.
     change : ndarray, shape (α,), optional
-        Largest change from the previous input; no limit if not given.
+        Largest change from the previous input, N/m or m; no limit if not given.
 
     Raises
     ------

@@ -78,7 +78,7 @@ class FunctionController(BaseController):
     max_change : float or array_like, shape (α,), optional
         Largest change of the command from sample to sample, N/m or m.
     equilibrium_input : float or array_like, shape (α,), optional
-        What is commanded without a decision at the first sample; γ at any sample.
+        What is commanded without a decision at the first sample; γ at any sample; N/m or m.
     actuated : sequence of int or str, dict, array_like or Actuation, optional
         The strings that are driven, as in :func:`linearize`: the function then returns one value an
         input, and :meth:`applied` tells as many. Passive strings keep their rest lengths of the

@@ -36,7 +36,7 @@ class HeldLoop:
     radius : float
         Spectral radius of the sampled loop with rest lengths held.
     designed_radius : float
-        The same with γ held, as the law was designed.
+        That radius with γ held, as the law was designed, no unit.
     """
 
     radius: float

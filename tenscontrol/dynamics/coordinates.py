@@ -62,7 +62,7 @@ class Coordinates:
         ``Tᵀ M T = I``, so that q has the unit m √kg. Rows that supports hold are zero. Made when
         it is first asked for, and refused where it has more than 64 million entries.
     projection : ndarray, shape (r, d n)
-        ``q = projection @ vec(δN)``; made and refused as the basis is.
+        ``q = projection @ vec(δN)``, √kg; made and refused as the basis is.
     sparse_basis : csr_array, shape (d n, m)
         That of the nodes, or of the minimal coordinates y: ``T = sparse_basis @ H``, ``q = Hᵀ y``.
     """
@@ -130,6 +130,7 @@ class Coordinates:
         Parameters
         ----------
         inside : ndarray, shape (r, k)
+            Without unit.
         """
         of_minimal = inside if self._inside is None else self._inside @ inside
         return replace(self, _inside=frozen(np.asarray(of_minimal)))
@@ -149,6 +150,7 @@ class Coordinates:
         Parameters
         ----------
         q : ndarray, shape (r,) or (r, k)
+            m √kg.
         """
         return np.asarray(q if self._inside is None else self._inside @ q)
 
@@ -198,6 +200,7 @@ class Coordinates:
         Parameters
         ----------
         q : ndarray, shape (r,) or (r, k)
+            m √kg.
         """
         if self._is_small:
             return np.asarray(self.basis @ q)
@@ -257,6 +260,7 @@ class Coordinates:
         Parameters
         ----------
         q : array_like, shape (r,)
+            m √kg; in ``"nodes"`` coordinates m.
 
         Returns
         -------
@@ -295,6 +299,7 @@ class Coordinates:
         Parameters
         ----------
         q, rates : array_like, shape (r,)
+            m √kg and m √kg/s; in ``"nodes"`` coordinates m and m/s.
 
         Returns
         -------

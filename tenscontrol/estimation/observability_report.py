@@ -33,8 +33,8 @@ class Observability:
         Standard deviation that the readings of one kind alone would leave over ``duration``, if
         all else were known; infinite where they do not tell.
     filter_deviation : ndarray, shape (k,)
-        That of the filter at rest, before it uses the readings of a sample; NaN if it is left
-        alone.
+        Standard deviation of the filter at rest, before it uses the readings of a sample; NaN if it
+        is left alone.
     left_alone : tuple of str
         Directions that the filter has but no reading shows, wholly or in part: it predicts them.
     left_out : tuple of str

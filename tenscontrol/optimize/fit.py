@@ -57,7 +57,7 @@ class Identifiability:
         Of the slope of the readings, in standard deviations, by the unknowns in theirs, largest
         first: below 1, data tells less of that direction than was known before.
     directions : ndarray, shape (unknowns, unknowns)
-        One row each, of length 1.
+        One row each, of length 1, in parts of the unknowns.
     is_told : ndarray of bool, shape (unknowns,)
         Whether what is left of the prior of an unknown is below 1 % of its variance.
     """
@@ -275,8 +275,9 @@ def identifiable(
     groups : dict of str to list of lists of int, or "all", optional
     start : tuple of float, optional
     tolerance : float
+        As of :func:`fit`.
     step : float, optional
-        All as of :func:`fit`.
+        As of :func:`fit`, s.
 
     Returns
     -------
@@ -346,7 +347,7 @@ def fit(
     loss : {"squared", "huber"}
         Whether readings that are far off count in proportion only.
     tolerance : float
-        Of the rollouts.
+        Of the rollouts, relative: that of :class:`tenscontrol.Integration`.
     step : float, optional
         Of rollouts by rk4 in place of a tolerance, s.
     most_rollouts : int

@@ -89,7 +89,7 @@ class Mesh:
         Of IPOPT.
     status : Status
     cost : float
-        What was least.
+        What was least, in its unit: s, J, or that of the function that was given.
     goal_miss, end_speed : float
         Largest distance of a node from the goal at the end of the replay, m, and largest speed
         there, m/s; NaN where nothing was solved.

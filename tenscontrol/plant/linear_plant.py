@@ -126,12 +126,11 @@ class LinearPlant:
         The basis and the maps between node positions and q.
     input : str
         ``"force_density"`` or ``"rest_length"``.
-    A : ndarray, shape (2r, 2r)
-    B : ndarray, shape (2r, m)
-        Both are made when they are first asked for, and refused where A has more than 64 million
-        entries, 4,000 coordinates: large structures have :attr:`sparse`.
+    A, B : ndarray, shape (2r, 2r) and (2r, m)
+        Matrices for q in m √kg, made when they are first asked for, and refused where A has more
+        than 64 million entries, 4,000 coordinates: large structures have :attr:`sparse`.
     drift : ndarray, shape (2r,)
-        Zero at an equilibrium up to round-off.
+        Change of the state, m √kg/s and m √kg/s²: zero at an equilibrium up to round-off.
     sparse : SparsePlant or None
         The same in second-order form, in coordinates in which it is sparse. None for a plant that
         was given another A or B.
@@ -283,10 +282,10 @@ class LinearPlant:
 
         Returns
         -------
-        Φ : ndarray, shape (2r, 2r)
-        Γ : ndarray, shape (2r, m)
+        Φ, Γ : ndarray, shape (2r, 2r) and (2r, m)
+            Matrices of a sample.
         d : ndarray, shape (2r,)
-            The drift over one sample.
+            The drift over one sample, m √kg and m √kg/s.
 
         Raises
         ------

@@ -82,7 +82,7 @@ class Uniform(Distribution):
     Parameters
     ----------
     low, high : float
-        Bounds, ascending; equal ones give always that number.
+        Bounds, ascending, in the unit of what is drawn; equal ones give always that number.
     size : int, optional
         How many numbers a run gets: an array of shape (size,), or a float if not given.
 
@@ -121,8 +121,9 @@ class Normal(Distribution):
     Parameters
     ----------
     mean : float
+        In the unit of what is drawn.
     deviation : float
-        Standard deviation, at least 0; 0 gives always the mean.
+        Standard deviation, at least 0, in that unit; 0 gives always the mean.
     size : int, optional
         How many numbers a run gets: an array of shape (size,), or a float if not given.
 

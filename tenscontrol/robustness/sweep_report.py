@@ -180,11 +180,12 @@ class SweepReport:
         Parameters
         ----------
         level : float
-            Between 0 and 1.
+            Probability, between 0 and 1.
 
         Returns
         -------
         low, high : float
+            Parts of the runs, from 0 to 1.
 
         Raises
         ------

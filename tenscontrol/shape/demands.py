@@ -36,7 +36,7 @@ class Demand(ABC):
     Attributes
     ----------
     tolerance : float
-        How far off the numbers may be.
+        How far off the numbers may be, m or rad: see ``unit``.
     unit : str
         Of the numbers and the tolerance, ``"m"`` or ``"rad"``.
     """

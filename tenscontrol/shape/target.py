@@ -45,12 +45,13 @@ class DemandCheck:
     name : str
         ``"height"``, ``"x[0]"``, ``"rest_length[4]"`` and the like.
     low, high : float
-        The demand; the same number twice if it is exact.
+        The demand, in ``unit``; the same number twice if it is exact.
     found : float
-        What the shape has.
+        What the shape has, in ``unit``.
     missed : float
-        By how much the shape is outside, 0 if it is not.
+        By how much the shape is outside, in ``unit``; 0 if it is not.
     unit : str
+        ``"m"``, ``"rad"`` or ``"N/m"``.
     """
 
     name: str

@@ -357,7 +357,7 @@ class Stepper:
         robots : array_like of int or bool, optional
             Those that begin anew, of many. Their time is that of the others.
         nodes, velocities, rest_length, force_density : array_like, optional
-            Another start, as of the constructor, of all robots.
+            Another start of all robots, m and N/m, as in the constructor.
 
         Returns
         -------

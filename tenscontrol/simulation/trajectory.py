@@ -77,7 +77,7 @@ class Trajectory(Viewable):
         controller with the same commands, so that it sees what magnifies errors. Infinite from
         where the other motion could not go on. None where it was left out, or the run ended early.
     error_limit : float
-        Limit on the error, up to which the motion is trusted.
+        Limit on the error, as part of the size, up to which the motion is trusted.
     faults : tuple of Fault
         What was made to break.
     note : str or None

@@ -93,7 +93,7 @@ class Peer(ABC):
         ----------
         case : Scene
         setting : float
-            One of ``settings``.
+            One of ``settings``: a step, s, or a tolerance.
         times : ndarray, shape (T,)
             Output times, s: equally spaced, the first one spacing after 0,
             the last at ``case.duration``.
