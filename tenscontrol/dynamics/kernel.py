@@ -32,7 +32,7 @@ Symbolic = Any
 
 
 class Masses(NamedTuple):
-    """Masses as expressions, where they are an input, kg; never of bars that share nodes."""
+    """Masses as expressions, kg; an equation takes none of bars that share nodes."""
 
     bar_mass: Symbolic  # (β, 1)
     point_mass: Symbolic  # (n, 1)
@@ -467,8 +467,10 @@ def _swinging_bars(
     return swinging_bar(differences(N, bars), differences(Nd, bars), tip, mass)
 
 
-def mass_product(structure: Structure, V: Symbolic) -> Symbolic:
+def mass_product(structure: Structure, V: Symbolic, masses: Masses | None = None) -> Symbolic:
     """Return V M_s, shape (d, n): M_s is m/6 [[2, 1], [1, 2]] a bar and m_s a point mass."""
+    if masses is not None:
+        return ca.mtimes(V, mass_matrix(structure, masses))
     if structure.blocks or structure.structure_class > 1:  # several masses meet at a node
         return ca.mtimes(V, _sparse(node_mass(structure)))
     product = type(V)(*structure.nodes.shape)
@@ -496,13 +498,14 @@ def mass_matrix(structure: Structure, masses: Masses | None = None) -> Symbolic:
     return M
 
 
-def weights(structure: Structure, gravity: FloatArray, masses: Masses) -> Symbolic:
+def weights(structure: Structure, gravity: FloatArray | Symbolic, masses: Masses) -> Symbolic:
     """Return the weights on the nodes, N, shape (d, n): half of each bar at either end."""
     mass = masses.point_mass
     if len(structure.bars):
         C_bar = _gather(structure.bars, structure.nodes.shape[1])
         mass = mass + ca.mtimes(ca.fabs(C_bar).T, masses.bar_mass) / 2
-    return ca.mtimes(ca.DM(gravity), mass.T)
+    fall = ca.DM(gravity) if isinstance(gravity, np.ndarray) else gravity
+    return ca.mtimes(fall, mass.T)
 
 
 def stiffness(structure: Structure, gamma: Symbolic, lam: Symbolic) -> Symbolic:

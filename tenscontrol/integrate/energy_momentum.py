@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import ceil
 from time import perf_counter
-from typing import Any, final
+from typing import Any, NamedTuple, final
 
 import casadi as ca
 import numpy as np
@@ -15,6 +15,7 @@ from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics import kernel
 from tenscontrol.dynamics.equation import Equation
 from tenscontrol.dynamics.evaluator import Evaluator, Function
+from tenscontrol.dynamics.forces import Forces
 from tenscontrol.integrate.integrator import (
     IntegrationError,
     IntegrationInterrupt,
@@ -22,6 +23,7 @@ from tenscontrol.integrate.integrator import (
     Integrator,
     Report,
     Span,
+    Trace,
     Work,
     checked_tolerance,
     next_size,
@@ -190,6 +192,7 @@ class EnergyMomentum(Integrator):
         output = 0
         inputs = held.copy()
         clock = self._equation.layout.degree > 0
+        trace = Trace() if self.traces else None
         try:
             for output in range(outputs):
                 work[left] = interval
@@ -200,8 +203,13 @@ class EnergyMomentum(Integrator):
                     began = perf_counter()
                     expected = ceil(min(work[left] / work[step], self._most, _CHUNKS[-1]))
                     chunk = next(count for count in _CHUNKS if count >= expected)
+                    if trace is not None:
+                        chunk, taken = 1, work[left + 3]
                     work = self._chunks[chunk](work, inputs, limits)[0].copy()
                     self._most = next_size(self._most, chunk, perf_counter() - began)
+                    if trace is not None and work[left + 3] > taken:
+                        time = interval * (output + 1) - float(work[left])
+                        trace.append(time, work[: len(state)], np.zeros(self._equation.switches))
                     if work[failed]:
                         time = interval * (output + 1) - float(work[left])
                         raise IntegrationError(
@@ -226,7 +234,8 @@ class EnergyMomentum(Integrator):
         except KeyboardInterrupt:
             span = Span(states[:, :output], _work(work[-3:], evaluations))
             raise IntegrationInterrupt(interval * output, span) from None
-        return Span(states, _work(work[-3:], evaluations))
+        ends = None if trace is None else trace.ends
+        return Span(states, _work(work[-3:], evaluations), ends=ends)
 
     def _first_step(self, state: FloatArray, held: FloatArray, interval: float) -> float:
         """Return a step in which the motion goes a small part of the size of the structure."""
@@ -335,17 +344,54 @@ class StepEquations:
     residual: ca.Function | None = None  # that of the system alone, where there is ground
 
 
+class StepExpressions(NamedTuple):
+    """The equations of a step as expressions of its unknowns y, x, u and h."""
+
+    symbols: tuple[Any, Any, Any, Any]
+    residual: Any
+    guess: Any
+    end: Any
+    moving: int
+
+
 def step_equations(equation: Equation) -> StepEquations:
-    """Return the equations of a step.
+    """Return the equations of a step."""
+    assert equation.forces is not None  # checked by the integrator
+    step = step_expressions(equation, equation.forces)
+    y, x, u, h = step.symbols
+    return StepEquations(
+        system=Function("system", [y, x, u, h], [step.residual, ca.jacobian(step.residual, y)]),
+        guess=Function("guess", [x], [step.guess]),
+        end=Function("end", [y, x, h], [step.end]),
+        moving=step.moving,
+        residual=None
+        if equation.contacts is None
+        else Function("residual", [y, x, u, h], [step.residual]),
+    )
+
+
+def step_expressions(
+    equation: Equation, forces: Forces, masses: kernel.Masses | None = None, load: Any = None
+) -> StepExpressions:
+    """Return the expressions of a step.
 
     Bars on their own turn by the Cayley map of the mean angular velocity, which keeps the length
     whatever that velocity is. Bars that share nodes are held by multipliers, see
     :class:`LengthConstraints`.
+
+    Parameters
+    ----------
+    equation : Equation
+    forces : Forces
+        Those of the equation, or the same with symbols for parameters.
+    masses : Masses, optional
+        In place of those of the structure.
+    load : casadi.SX, shape (d, n), optional
+        Beside that of the equation, N.
     """
-    structure = equation.structure
-    assert structure is not None  # checked by the integrator
-    bodies = Bodies(structure)
-    blocks = LengthConstraints(structure) if structure.blocks else None
+    structure = forces.structure
+    bodies = Bodies(structure, masses)
+    blocks = LengthConstraints(structure, masses) if structure.blocks else None
     bars, turning = len(structure.free_bars), bodies.length.numel()
     d, normal = structure.dimension, 3 if structure.dimension == 3 else 1
     points = bodies.point_mass.numel()
@@ -397,9 +443,10 @@ def step_equations(equation: Equation) -> StepEquations:
     # Change of momentum less impulse of the forces: m l²/12 turns about the centre of a free bar,
     # m l²/3 about the fixed end of one that swings.
     N0, N1 = (kernel.placed(structure, nodes, structure.nodes) for nodes in (q0, q1))
-    forces = _mean_forces(equation, N0, N1, u, h)
-    forces = kernel.free_entries(structure, forces[:, structure.free.tolist()])
-    on_points, on_vectors = bodies.resultants(bodies.columns(forces[bodies.alone]))
+    mean = _mean_forces(equation, forces, N0, N1, u, h)
+    mean = mean if load is None else mean + load
+    mean = kernel.free_entries(structure, mean[:, structure.free.tolist()])
+    on_points, on_vectors = bodies.resultants(bodies.columns(mean[bodies.alone]))
     share = ca.DM([0.5] * bars + [1.0] * (turning - bars)).T
     torque = scale(cross(B0 + half, scale(on_vectors, share)), h / bodies.length)
     residual = join(
@@ -407,18 +454,12 @@ def step_equations(equation: Equation) -> StepEquations:
         scale(turn - turn0, 2 * share * bodies.vector_mass) - torque,
     )
     if blocks is not None:
-        of_blocks = blocks.residual(y[count:], c, rates, forces[bodies.coupled], h)
+        of_blocks = blocks.residual(y[count:], c, rates, mean[bodies.coupled], h)
         residual = ca.vertcat(residual, of_blocks)
-    residual = ca.densify(residual)
-    return StepEquations(
-        system=Function("system", [y, x, u, h], [residual, ca.jacobian(residual, y)]),
-        guess=Function("guess", [x], [ca.densify(guess)]),
-        end=Function("end", [y, x, h], [ca.densify(ca.vertcat(q1, v1))]),
-        moving=count + (0 if blocks is None else blocks.moving),
-        residual=None
-        if equation.contacts is None
-        else Function("residual", [y, x, u, h], [residual]),
-    )
+    return StepExpressions(
+        (y, x, u, h), ca.densify(residual), ca.densify(guess), ca.densify(ca.vertcat(q1, v1)),
+        count + (0 if blocks is None else blocks.moving),
+    )  # fmt: skip
 
 
 class LengthConstraints:
@@ -436,8 +477,9 @@ class LengthConstraints:
     Leimkuhler, J. Comp. Appl. Math. 12 (1985), 77-90).
     """
 
-    def __init__(self, structure: Structure) -> None:
-        self._coupled = coupled = Coupled(structure)
+    def __init__(self, structure: Structure, masses: kernel.Masses | None = None) -> None:
+        self._coupled, self._masses = Coupled(structure), masses
+        coupled = self._coupled
         self._rows, self._bars = len(coupled.rows), len(coupled.bars)
         self._length = ca.DM(structure.bar_length[coupled.bars])
         self._mass = ca.DM(structure.bar_mass[coupled.bars])
@@ -460,7 +502,7 @@ class LengthConstraints:
 
     def residual(self, y: Any, c: Any, rates: Any, forces: Any, h: Any) -> Any:
         """Return the residual, kg m/s: momenta, then lengths and their rates."""
-        coupled = self._coupled
+        coupled, masses = self._coupled, self._masses
         moved, mean, lengths, stretch = self._split(y)
         c1, rates1 = self.end(y, c, rates, h)
         middle = c + h / 2 * moved
@@ -471,8 +513,8 @@ class LengthConstraints:
         on_lengths = coupled.pull(halfway, by_length * lengths)
         turned = coupled.pull(coupled.rates(mean), by_length * stretch)
         return ca.vertcat(
-            coupled.momenta(moved - mean) - on_rates,
-            2 * coupled.momenta(mean - rates) - h * forces - on_lengths + h * turned,
+            coupled.momenta(moved - mean, masses) - on_rates,
+            2 * coupled.momenta(mean - rates, masses) - h * forces - on_lengths + h * turned,
             # What it is at the end, by the identity |b₁|² = |b₀|² + 2 h b̄ᵀ v: the round-off of the
             # difference of two squares would be magnified where J is near to losing rank.
             by_length * (coupled.stretching(middle, moved) + coupled.excess(c) / h),
@@ -480,13 +522,12 @@ class LengthConstraints:
         )
 
 
-def _mean_forces(equation: Equation, N0: Any, N1: Any, u: Any, h: Any) -> Any:
+def _mean_forces(equation: Equation, forces: Forces, N0: Any, N1: Any, u: Any, h: Any) -> Any:
     """Return the forces, shape (d, n), N, that do the work that is stored: ``Force.mean_force``.
 
     That is, of rest lengths, or force densities, and loads as they are in the middle of the step.
     """
-    forces, layout = equation.forces, equation.layout
-    assert forces is not None  # as in step_equations
+    layout = equation.layout
     shape = forces.structure.nodes.shape
     load = ca.SX(*shape) if equation.load is None else ca.sparsify(ca.DM(equation.load))
     # Inputs that change are those in the middle of the step.

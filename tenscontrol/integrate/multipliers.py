@@ -111,9 +111,12 @@ class Coupled:
         both = zip(self._jacobians(N), blocks, strict=True)
         return ca.vertcat(*(ca.mtimes(J.T, values_of_block) for J, values_of_block in both))
 
-    def momenta(self, rates: kernel.Symbolic) -> kernel.Symbolic:
-        """Return ``M ċ``, kg m/s."""
-        return ca.vec(kernel.mass_product(self._structure, self.rates(rates)))[self.rows.tolist()]
+    def momenta(
+        self, rates: kernel.Symbolic, masses: kernel.Masses | None = None
+    ) -> kernel.Symbolic:
+        """Return ``M ċ``, kg m/s; of masses that are expressions, if they are given."""
+        product = kernel.mass_product(self._structure, self.rates(rates), masses)
+        return ca.vec(product)[self.rows.tolist()]
 
     def _solve(self, upper: kernel.Symbolic, lower: kernel.Symbolic) -> kernel.Symbolic:
         """Return the changes of the coordinates that solve the systems of all blocks."""

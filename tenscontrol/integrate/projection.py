@@ -109,7 +109,7 @@ class Bodies:
         Positions of string nodes along the axes in which they are on rollers, m.
     """
 
-    def __init__(self, structure: Structure) -> None:
+    def __init__(self, structure: Structure, masses: kernel.Masses | None = None) -> None:
         d = self.dimension = structure.dimension
         nothing = np.zeros(0, dtype=np.int64)
         nodes = np.setdiff1d(structure.free, [i for block in structure.blocks for i in block.nodes])
@@ -138,12 +138,12 @@ class Bodies:
             self._start + self._end + self._tip + self._string_nodes, kind="stable"
         ).tolist()
         self.hinges = ca.DM(structure.nodes[:, hinge])
-        mass = kernel.bar_mass(structure, free)
-        hinged_mass = kernel.bar_mass(structure, swinging)
+        mass = kernel.bar_mass(structure, free, masses)
+        hinged_mass = kernel.bar_mass(structure, swinging, masses)
         self.length = _row(structure.bar_length[np.concatenate([free, swinging])])
         # Of points; and by which the difference of the end forces, or the force on the tip, moves
         # a vector.
-        self.point_mass = ca.horzcat(mass, kernel.string_node_mass(structure))
+        self.point_mass = ca.horzcat(mass, kernel.string_node_mass(structure, masses))
         self.vector_mass = ca.horzcat(mass / 6, hinged_mass / 3)
 
     def columns(self, entries: kernel.Symbolic, held: kernel.Symbolic = 0) -> kernel.Symbolic:

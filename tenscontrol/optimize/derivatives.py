@@ -89,6 +89,11 @@ class Derivatives:
         """The model."""
         return self._model
 
+    @property
+    def input(self) -> str:
+        """What the strings are given."""
+        return self._input
+
     @cached_property
     def _jacobian(self) -> ca.Function:
         wanted = self._by_input, bool(self._of)
@@ -186,34 +191,16 @@ class Derivatives:
         """Return ``(x, u, taut) -> dF``: forces on all nodes by the parameters of laws."""
         model, equation = self._model, self.equation
         x, u, taut = (ca.SX.sym(name, equation.slope.size1_in(i)) for i, name in enumerate("xut"))
-        symbols = [_Symbol(ca.SX.sym(parameter.field, parameter.size)) for parameter in self._laws]
-        of_strings = {
-            parameter.field: symbol
-            for parameter, symbol in zip(self._laws, symbols, strict=True)
-            if parameter.kind == "strings"
-        }
-        law, terms = model.forces(self._input).law, model.forces(self._input).terms
-        if law is not None:
-            law = law.with_parameters(of_strings)
-        of_ground = [
-            (parameter.law, parameter.field, symbol)
-            for parameter, symbol in zip(self._laws, symbols, strict=True)
-            if parameter.kind == "ground"
-        ]
-        forces = Forces(model.structure, law, tuple(_with_symbols(t, of_ground) for t in terms))
+        symbols = law_symbols(self._laws)
+        forces = symbolic_forces(model, self._input, self._laws, symbols)
         half = self.half
         N = _all_nodes(model, x[:half], model.structure.nodes)
         V = _all_nodes(model, x[half:], np.zeros(model.structure.nodes.shape))
         on_nodes = forces.on_nodes(N, V, equation.of_strings(u), None, taut)
         slopes = ca.jacobian(ca.vec(on_nodes), ca.vertcat(*symbols))
-        values = ca.vertcat(*(ca.vec(ca.DM(self._value(parameter))) for parameter in self._laws))
+        values = law_values(model, self._input, self._laws)
         slopes = ca.substitute(slopes, ca.vertcat(*symbols), values)
         return Function("by_laws", [x, u, taut], [ca.densify(ca.vec(slopes))])
-
-    def _value(self, parameter: Parameter) -> Any:
-        if parameter.kind == "ground":
-            return getattr(self._model.ground[parameter.law], parameter.field)
-        return getattr(self._model.forces(self._input).law, parameter.field)
 
     def at_switches(
         self, x: FloatArray, u: FloatArray, taut: FloatArray, changes: FloatArray
@@ -321,6 +308,35 @@ def _projection_slope(equation: Equation) -> tuple[ca.Function, IntArray, IntArr
     slope = ca.jacobian(exact(x), x)
     row, column = map(np.array, slope.sparsity().get_triplet())
     return Function("projection_slope", [x], [slope.nz[:]]), row, column
+
+
+def law_symbols(parameters: Sequence[Parameter]) -> list[Any]:
+    """Return a symbol for each parameter of a law."""
+    return [_Symbol(ca.SX.sym(parameter.field, parameter.size)) for parameter in parameters]
+
+
+def law_values(model: Model, input: str, parameters: Sequence[Parameter]) -> ca.DM:
+    """Return the values of parameters of laws, one after the other."""
+    laws = (
+        model.ground[parameter.law] if parameter.kind == "ground" else model.forces(input).law
+        for parameter in parameters
+    )  # fmt: skip
+    values = (getattr(law, by.field) for law, by in zip(laws, parameters, strict=True))
+    return ca.vertcat(ca.DM(0, 1), *(ca.vec(ca.DM(value)) for value in values))
+
+
+def symbolic_forces(
+    model: Model, input: str, parameters: Sequence[Parameter], symbols: Sequence[Any]
+) -> Forces:
+    """Return the forces of a model with symbols for parameters of its laws."""
+    law, terms = model.forces(input).law, model.forces(input).terms
+    pairs = list(zip(parameters, symbols, strict=True))
+    if law is not None:
+        law = law.with_parameters(
+            {by.field: symbol for by, symbol in pairs if by.kind == "strings"}
+        )
+    of_ground = [(by.law, by.field, symbol) for by, symbol in pairs if by.kind == "ground"]
+    return Forces(model.structure, law, tuple(_with_symbols(term, of_ground) for term in terms))
 
 
 def _with_symbols(term: Force, symbols: list[tuple[int, str, Any]]) -> Force:

@@ -15,9 +15,10 @@ from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.dynamics.equation import unpack_states
 from tenscontrol.integrate.methods import Choice
 from tenscontrol.optimize.derivatives import Derivatives
+from tenscontrol.optimize.implicit_steps import halved
 from tenscontrol.optimize.parameters import Parameter, parameters_of
 from tenscontrol.optimize.traced_steps import steps_of
-from tenscontrol.optimize.variations import Variations, stable
+from tenscontrol.optimize.variations import IMPLICIT, Variations, stable
 from tenscontrol.properties import cached_property
 from tenscontrol.simulation.health import HealthLimits
 from tenscontrol.simulation.integration import Integration
@@ -26,7 +27,7 @@ from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.tables import aligned
 
 # The methods that can be differentiated, and the one in place of what a tolerance leaves open.
-_METHODS = ("rk4", "dop853")
+_METHODS = ("rk4", "dop853", IMPLICIT)
 
 # With a tolerance, the steps that are differentiated are those of this part of it: a pair of
 # switches that they pass over costs a motion little, and its derivatives per cents. The second is
@@ -52,7 +53,8 @@ class Sensitivity:
         Derivatives of the nodes, m, and of their velocities, m/s, by each parameter; the last axes
         are those of the parameter.
     switches : int
-        Switches of strings and contacts that the derivatives take into account.
+        Switches of strings and contacts that the derivatives take into account; 0 of implicit
+        steps, which do not end there.
     grazing : tuple of float
         Times of switches that are passed so slowly that a run next to it may not have them, s: the
         derivative holds for smaller changes only.
@@ -142,7 +144,7 @@ def sensitivity(run: Trajectory, to: object, times: object = None) -> Sensitivit
     Parameters
     ----------
     run : Trajectory
-        Made by :func:`simulate`, of the methods "auto", "rk4" or "dop853".
+        Made by :func:`simulate`, of the methods "auto", "rk4", "dop853" or "energy_momentum".
     to : list of str
         What to differentiate by: ``"nodes"`` and ``"velocities"`` at the start; the input,
         ``"rest_length"`` or ``"force_density"``; parameters of the string law, as ``"stiffness"``
@@ -171,7 +173,9 @@ def sensitivity(run: Trajectory, to: object, times: object = None) -> Sensitivit
     Where a damped string goes taut, its force jumps, and the derivatives with it. Elsewhere forces
     are continuous. The steps are those of the run, or of a thousandth of its tolerance: a pair of
     switches that is passed over costs a motion little, and its derivatives per cents.
-    :attr:`Sensitivity.error` estimates what is left.
+    :attr:`Sensitivity.error` estimates what is left. Steps of "energy_momentum" are differentiated
+    as they are, and go through switches without an end there: where a damped string goes taut
+    their error is of order 1 in the step.
 
     Examples
     --------
@@ -284,11 +288,13 @@ def _cost_function(cost: Callable[[Any, Any, Any], Any], shape: tuple[int, ...])
 
 
 def variations_of(scene: Scene, parameters: Sequence[Parameter], times: FloatArray) -> Variations:
-    """Return what carries the variations of a scene by an explicit method."""
+    """Return what carries the variations of a scene by a method that can be traced."""
     plant = traced(scene)
     load = plant.load if isinstance(plant.load, np.ndarray) else scene.model.constant_force
     steps = steps_of(plant, load)
     derivatives = Derivatives(scene.model, scene.input, steps.layout.degree, parameters)
+    if steps.method == IMPLICIT and scene.integration.step is None:
+        steps = halved(steps, derivatives)
     return Variations(stable(steps, derivatives), derivatives, parameters, times)
 
 
@@ -310,10 +316,10 @@ class _Differentiable:
         self.parameters = parameters_of(scene, to)
         self.times = _checked_times(run, times)
         self.structure = run.structure
-        explicit = _explicit(scene, run.choice)
+        able = _traceable(scene, run.choice)
         if looser:
-            explicit = replace(explicit, integration=_looser(explicit.integration))
-        self.variations = variations_of(explicit, self.parameters, self.times)
+            able = replace(able, integration=_looser(able.integration))
+        self.variations = variations_of(able, self.parameters, self.times)
 
     @property
     def states(self) -> FloatArray:
@@ -332,18 +338,18 @@ class _Differentiable:
         return tuple(float(t) for t in ends)
 
 
-def _explicit(scene: Scene, choice: Choice) -> Scene:
+def _traceable(scene: Scene, choice: Choice) -> Scene:
     """Return a scene by a method that can be traced, the same as in its run if it can."""
     how = scene.integration
     used = set(choice.methods)
-    if how.method == "auto":
+    if how.method == "auto" and used != {IMPLICIT}:
         method = "rk4" if how.step is not None else "dop853"
     elif used <= set(_METHODS):
         method = choice.method
     else:
         raise ValueError(
             f"run is by the method {choice.method!r}, expected one of {list(_METHODS)}, or 'auto': "
-            "implicit methods and those of your own are not differentiated"
+            "'cvodes' and methods of your own are not differentiated"
         )
     changed: dict[str, Any] = {}
     if method == "dop853":

@@ -14,12 +14,16 @@ from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.interrupt import check
 from tenscontrol.optimize.core_steps import CoreSteps, Tableau, core_steps
 from tenscontrol.optimize.derivatives import Derivatives, Slopes, Switches
+from tenscontrol.optimize.implicit_steps import ImplicitSteps
 from tenscontrol.optimize.parameters import Parameter, shares
 from tenscontrol.optimize.traced_steps import TracedSteps
 from tenscontrol.properties import cached_property
 
 # Numbers of the derivatives that are held at a time.
 _MOST_NUMBERS = 8_000_000
+
+#: The method whose steps are implicit.
+IMPLICIT = "energy_momentum"
 
 # Rates times the step up to which a method is stable, less a fifth. Steps of the power method that
 # finds the rates.
@@ -45,7 +49,7 @@ class _Leg(NamedTuple):
     step: int
     length: float
     output: int  # -1: the whole step
-    stages: Slopes | None  # at its stages; None where the core finds them
+    stages: Slopes | None  # at its stages; None where the stepper finds them
     shares: list[FloatArray | None]  # of each input, at the stages, (s, K)
 
 
@@ -56,8 +60,8 @@ def stable(steps: TracedSteps, derivatives: Derivatives) -> TracedSteps:
     not move along would grow without end. Parts of a step follow each other from its beginning, and
     the next begins where it did.
     """
-    if not derivatives.equation.velocity_dependent:  # the steps are short enough for the strings
-        return steps
+    if steps.method == IMPLICIT or not derivatives.equation.velocity_dependent:
+        return steps  # without such a border, or short enough for the strings
     method = tableau(steps.method)
     parts = np.ceil(steps.length * _rates(steps, derivatives) / _STABLE[steps.method]).astype(int)
     parts = np.maximum(parts, 1)
@@ -197,18 +201,21 @@ class Variations:
 
     def motion(self) -> FloatArray:
         """Return the states at the times, shape (states, T)."""
-        steps, b = self.steps, self._tableau.b
+        steps = self.steps
         ends, parts = self._places
         states = np.repeat(steps.states[:, :1], len(self.times), axis=1)
         for k, which in enumerate(ends):
             states[:, which] = steps.states[:, [k + 1]]
         plan = [(k, length, i) for k, own in enumerate(parts) for length, i in own]
-        if plan:
+        if isinstance(self._stepper, ImplicitSteps):
+            for k, length, i in plan:
+                states[:, i] = self._stepper.reached(k, length)
+        elif plan:
             of, outputs = (np.array([leg[j] for leg in plan]) for j in (0, 2))
             h = np.array([length for _, length, _ in plan])
             slopes = self._stages(of, h)[0]
             states[:, outputs] = steps.states[:, of] + h * sum(
-                weight * slope for weight, slope in zip(b, slopes, strict=True)
+                weight * slope for weight, slope in zip(self._tableau.b, slopes, strict=True)
             )
         return states
 
@@ -248,16 +255,19 @@ class Variations:
                 partial += back
             else:
                 mu = back
-        if self._core is not None:
-            self._core.take_costs(slope)
+        if self._stepper is not None:
+            self._stepper.take_costs(slope)
         mu = mu + partial + costs[self.times <= self.steps.begin[0]].sum(axis=0)
         return _finite(np.asarray(slope + mu @ self._start()))
 
     # ---- a step ----
 
     @cached_property
-    def _core(self) -> CoreSteps | None:
+    def _stepper(self) -> CoreSteps | ImplicitSteps | None:
+        """What differentiates a step; None where it is done here."""
         derivatives = self.derivatives
+        if self.steps.method == IMPLICIT:
+            return ImplicitSteps(self.steps, derivatives, self.parameters, self.columns)
         return core_steps(
             derivatives.model, derivatives.equation, self.steps, self._tableau, self.parameters,
             self.columns,
@@ -265,10 +275,10 @@ class Variations:
 
     def _forward(self, X: FloatArray, leg: _Leg) -> FloatArray:
         """Return the derivative of the state after a leg."""
-        if self._core is not None:
-            return self._core.forward(leg.step, leg.length, X)
+        if self._stepper is not None:
+            return self._stepper.forward(leg.step, leg.length, X)
         a, b, half = self._tableau.a, self._tableau.b, self.derivatives.half
-        assert leg.stages is not None  # without the core
+        assert leg.stages is not None  # without a stepper
         K = np.empty((len(a), *X.shape))
         flat = K.reshape(len(a), -1)
         for i in range(len(a)):
@@ -282,10 +292,10 @@ class Variations:
 
     def _backward(self, end: FloatArray, leg: _Leg, slope: FloatArray) -> FloatArray:
         """Return a cost by the state before a leg; add those by the parameters."""
-        if self._core is not None:
-            return self._core.backward(leg.step, leg.length, end, slope)
+        if self._stepper is not None:
+            return self._stepper.backward(leg.step, leg.length, end, slope)
         a, b, half = self._tableau.a, self._tableau.b, self.derivatives.half
-        assert leg.stages is not None  # without the core
+        assert leg.stages is not None  # without a stepper
         back, stages = end.copy(), len(b)
         later = np.zeros((stages, len(end)))
         for i in reversed(range(stages)):
@@ -445,18 +455,18 @@ class Variations:
     def _legs(self, order: range) -> Iterator[_Leg]:
         """Yield the steps in an order, each after its parts, with their derivatives."""
         parts = self._places[1]
-        is_back = order.step < 0
-        for block in range(0, len(order), self._block):
+        is_back, size = order.step < 0, len(order) if self._stepper is not None else self._block
+        for block in range(0, len(order), max(size, 1)):
             plan = [
                 (k, length, output)
-                for k in order[block : block + self._block]
+                for k in order[block : block + size]
                 for length, output in (
                     [(float(self.steps.length[k]), -1), *parts[k]]
                     if is_back
                     else [*parts[k], (float(self.steps.length[k]), -1)]
                 )
             ]
-            if self._core is not None:
+            if self._stepper is not None:
                 yield from (_Leg(*leg, None, []) for leg in plan)
                 continue
             for first in range(0, len(plan), self._block):

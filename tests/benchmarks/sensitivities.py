@@ -1,12 +1,14 @@
 """Derivatives of runs against central differences of the simulator, on random scenes.
 
-Run: ``python -m tests.benchmarks.sensitivities --count 100 [--seed 0] [--steps 3000]``.
+Run: ``python -m tests.benchmarks.sensitivities --count 100 [--seed 0] [--steps 3000]
+[--implicit]``.
 
 Each scene is run at a tolerance of 1e-12 and differentiated along one random direction of all that
-it depends on: input, laws of strings and ground, masses, gravity and load. Beside it are central
-differences of order 4 at several sizes of the change, of runs with as many switches. Of two sizes
-that follow one another, those that differ least are the reference, and their difference is what it
-is certain to. Scenes of more steps are left out. The columns:
+it depends on: input, laws of strings and ground, masses, gravity and load. ``--implicit`` takes 200
+steps of the energy-momentum method in its place, and differences of the same steps. Beside it are
+central differences of order 4 at several sizes of the change, of runs with as many switches. Of two
+sizes that follow one another, those that differ least are the reference, and their difference is
+what it is certain to. Scenes of more steps are left out. The columns:
 
 - error: of the derivative of the nodes at the end, as part of the largest; certain: that of the
   differences; adjoint: of the slope of a cost of nodes and velocities, by both ways
@@ -27,6 +29,7 @@ from tests.benchmarks.command_line import options
 from tests.random_scenes import Scene, random_scene
 
 TOLERANCE = 1e-12
+STEPS = 200
 SIZES = 10.0 ** -np.arange(3.5, 8, 0.5)
 
 _OF_GROUND = "stiffness", "damping", "friction", "height"
@@ -58,10 +61,13 @@ class Comparison:
         return self.is_judged and self.error > 1e-7 + 3 * self.certain
 
 
-def run_of(scene: Scene, tolerance: float = TOLERANCE) -> tc.Trajectory:
-    """Return the motion of a scene, tight."""
+def run_of(scene: Scene, implicit: bool = False) -> tc.Trajectory:
+    """Return the motion of a scene, tight, or in so many implicit steps."""
     limits = tc.HealthLimits(crossings=None)
-    return scene.simulate(method="dop853", tolerance=tolerance, error="none", limits=limits)
+    how = {"method": "dop853", "tolerance": TOLERANCE}
+    if implicit:
+        how = {"method": "energy_momentum", "step": scene.duration / STEPS}
+    return scene.simulate(**how, error="none", limits=limits)
 
 
 def random_direction(scene: Scene, random: np.random.Generator) -> Direction:
@@ -111,12 +117,14 @@ def changed(scene: Scene, direction: Direction, by: float) -> Scene:
     )  # fmt: skip
 
 
-def differences(scene: Scene, direction: Direction, switches: int) -> tuple[np.ndarray, float]:
+def differences(
+    scene: Scene, direction: Direction, run: tc.Trajectory, implicit: bool
+) -> tuple[np.ndarray, float]:
     """Return the derivative of the nodes at the end by differences, and what it is certain to."""
     found, best, certain = [], np.zeros(1), np.inf
     for size in SIZES:
-        runs = [run_of(changed(scene, direction, k * size)) for k in (1, -1, 2, -2)]
-        if any(run.work.switches != switches for run in runs):
+        runs = [run_of(changed(scene, direction, k * size), implicit) for k in (1, -1, 2, -2)]
+        if any(_pieces(other) != _pieces(run) for other in runs):
             found.clear()
             continue
         ends = [run.nodes[:, :, -1] for run in runs]
@@ -128,11 +136,17 @@ def differences(scene: Scene, direction: Direction, switches: int) -> tuple[np.n
     return best, certain
 
 
-def comparison(seed: int, most_steps: int) -> Comparison | None:
+def _pieces(run: tc.Trajectory) -> tuple[int, ...]:
+    """Return counts that differ where the map from the start to the end is another one."""
+    implicit = run.choice.method == "energy_momentum"
+    return (run.steps, run.work.rejections) if implicit else (run.work.switches,)
+
+
+def comparison(seed: int, most_steps: int, implicit: bool = False) -> Comparison | None:
     """Return how a random scene does; None if it has too many steps."""
     scene, random = random_scene(seed), np.random.default_rng([31, seed])
     began = perf_counter()
-    run = run_of(scene)
+    run = run_of(scene, implicit)
     run_seconds = perf_counter() - began
     if run.steps > most_steps:
         return None
@@ -160,7 +174,7 @@ def comparison(seed: int, most_steps: int) -> Comparison | None:
         forth += np.sum(costs * step)
         back += np.sum(slope[name] * step)
         size += np.sum(np.abs(costs * step))
-    reference, certain = differences(scene, direction, run.work.switches)
+    reference, certain = differences(scene, direction, run, implicit)
     error = np.inf
     if np.isfinite(certain):
         error = np.abs(along - reference).max() / np.abs(reference).max()
@@ -172,11 +186,11 @@ def comparison(seed: int, most_steps: int) -> Comparison | None:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    given = options(__doc__, arguments, count=100, seed=0, steps=3000)
+    given = options(__doc__, arguments, count=100, seed=0, steps=3000, implicit=False)
     found, left_out = [], 0
     print(" seed  steps switches    error  certain  adjoint   s, of which run")
     for seed in range(given.seed, given.seed + given.count):
-        each = comparison(seed, given.steps)
+        each = comparison(seed, given.steps, given.implicit)
         if each is None:
             left_out += 1
             continue

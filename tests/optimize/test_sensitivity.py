@@ -12,7 +12,7 @@ from tests.benchmarks.sensitivities import comparison
 MASS, STIFFNESS, DAMPING, REST, PLACE, SPEED, TIME = 2.0, 50.0, 3.0, 1.0, 0.7, 0.9, 0.8
 
 
-def pendant(rest=REST, stiffness=STIFFNESS, damping=DAMPING, speed=SPEED, tolerance=1e-12):
+def pendant(rest=REST, stiffness=STIFFNESS, damping=DAMPING, speed=SPEED, method="dop853", **how):
     """A mass that moves along x from a fixed node, on a string that is slack at first."""
     structure = tc.Structure(
         [[0.0, PLACE], [0.0, 0.0]], np.zeros((0, 2), int), [(0, 1)], [], fixed=[0],
@@ -20,8 +20,8 @@ def pendant(rest=REST, stiffness=STIFFNESS, damping=DAMPING, speed=SPEED, tolera
     )  # fmt: skip
     model = tc.Model(structure, strings=tc.LinearStrings(stiffness, damping))
     return tc.simulate(
-        model, TIME, velocities=[[0.0, speed], [0.0, 0.0]], rest_length=rest, method="dop853",
-        tolerance=tolerance, error="none",
+        model, TIME, velocities=[[0.0, speed], [0.0, 0.0]], rest_length=rest, method=method,
+        error="none", **(how or {"tolerance": 1e-12}),
     )  # fmt: skip
 
 
@@ -73,6 +73,34 @@ def test_random_scenes_agree_with_differences_and_backward_with_forward(seed):
     assert found.is_judged
     assert found.error < 1e-7 + 3 * found.certain
     assert found.adjoint < 1e-12
+
+
+def test_implicit_steps_agree_with_differences_and_backward_with_forward():
+    found = comparison(702, most_steps=500, implicit=True)
+    assert found.error < 1e-8
+    assert found.adjoint < 1e-12
+
+
+@pytest.mark.parametrize(("damping", "order"), [(0.0, 2), (DAMPING, 1)])
+def test_implicit_steps_go_through_switches_with_their_order(damping, order):
+    """Damping that begins within a step acts over the whole of it: an error of order 1."""
+    exact = place_of_pendant(SPEED, REST + 1e-30j, STIFFNESS, damping, MASS).imag / 1e-30
+    counts, errors = 2.0 ** np.arange(6, 10), []
+    for count in counts:
+        run = pendant(damping=damping, method="energy_momentum", step=TIME / count)
+        found = tc.sensitivity(run, ["rest_length"]).nodes["rest_length"]
+        errors.append(abs(found[0, 1, 0, 0] - exact))
+    assert -np.polyfit(np.log(counts), np.log(errors), 1)[0] == pytest.approx(order, abs=0.3)
+    assert errors[-1] < 5e-4
+
+
+def test_implicit_steps_by_tolerance_are_two_halves_each():
+    exact = place_of_pendant(SPEED, REST + 1e-30j, STIFFNESS, 0.0, MASS).imag / 1e-30
+    run = pendant(damping=0.0, method="energy_momentum", tolerance=1e-8, output_step=TIME)
+    found = tc.sensitivity(run, ["rest_length"], [TIME / 3, TIME]).nodes["rest_length"]
+    assert run.steps < 200
+    assert found[0, 1, 0, 0] == 0.0  # it flies
+    assert found[0, 1, 1, 0] == pytest.approx(exact, rel=1e-4)
 
 
 def swinging_prism(rest, **options):
@@ -237,9 +265,9 @@ def test_what_cannot_be_differentiated_is_refused():
         tc.sensitivity(run, ["stiffness"], [0.05, 0.05])
     with pytest.raises(TypeError, match="what cost returns"):
         tc.gradient(run, lambda time, nodes, velocities: nodes, ["stiffness"])
-    slow = tc.simulate(model, 0.1, rest_length=rest, method="energy_momentum", step=1e-3)
-    with pytest.raises(ValueError, match="run is by the method 'energy_momentum'"):
-        tc.sensitivity(slow, ["stiffness"])
+    other = tc.simulate(model, 0.1, rest_length=rest, method="cvodes")
+    with pytest.raises(ValueError, match="run is by the method 'cvodes'"):
+        tc.sensitivity(other, ["stiffness"])
     onwards = tc.simulate(model, 0.1, start=run)
     with pytest.raises(ValueError, match="run has no scene"):
         tc.sensitivity(onwards, ["stiffness"])
