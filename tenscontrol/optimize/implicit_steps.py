@@ -1,4 +1,4 @@
-"""Small changes of the steps of an energy-momentum run: of the roots that Newton's iteration found."""
+"""Implicit steps of a run, differentiated where Newton's iteration converged."""
 
 from __future__ import annotations
 
