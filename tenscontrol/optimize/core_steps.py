@@ -36,6 +36,7 @@ def core_steps(
     method: Tableau,
     parameters: Sequence[Parameter],
     columns: Sequence[slice],
+    answers: bool,
 ) -> CoreSteps | None:
     """Return the steps of a run as the core differentiates them; None where it does not.
 
@@ -51,7 +52,7 @@ def core_steps(
     )
     if any(isinstance(law, SmoothGround) and not law.damping for law in damped):
         return None
-    return CoreSteps(scene, model, steps, method, parameters, columns)
+    return CoreSteps(scene, model, steps, method, parameters, columns, answers)
 
 
 class CoreSteps:
@@ -66,11 +67,13 @@ class CoreSteps:
     parameters : sequence of Parameter
     columns : sequence of slice
         Which columns of a derivative are those of each parameter.
+    answers : bool
+        Whether the input answers changes by feedback.
     """
 
     def __init__(
         self, scene: CoreScene, model: Model, steps: TracedSteps, method: Tableau,
-        parameters: Sequence[Parameter], columns: Sequence[slice],
+        parameters: Sequence[Parameter], columns: Sequence[slice], answers: bool,
     ) -> None:  # fmt: skip
         self._core, self._tables = scene, records.Scene.from_buffer_copy(scene.scene)
         self._model, self._steps = model, steps
@@ -88,9 +91,11 @@ class CoreSteps:
             for parameter, own in zip(parameters, columns, strict=True)
             if parameter.pieces is not None
         ]
+        self._answers = answers
         self._changes, self._given = self._record(self._padded)
         for name, value in self._unit_changes().items():
             self._given[name][..., : self._width] = value
+        self._always_given = self._given["input"].copy() if answers else None
         self._costs, self._derivatives = self._record(1)
         self._by_input = np.zeros(len(model.structure.strings))
         self._inputs = np.ascontiguousarray(steps.inputs.T)
@@ -108,28 +113,37 @@ class CoreSteps:
             for array in (self._inputs, self._states, self._taut)
         ]
 
-    def forward(self, k: int, length: float, X: FloatArray) -> FloatArray:
+    def forward(
+        self, k: int, length: float, X: FloatArray, answer: FloatArray | None
+    ) -> FloatArray:
         """Return the derivative of the state, (states, P), after so much of a step."""
         whole = np.zeros((len(X), self._padded))
         whole[:, : self._width] = X
+        if answer is not None:
+            self._given["input"][:] = self._always_given
         for parameter, columns in self._profiles:
             self._enter_inputs(self._share(parameter, k, length), columns)
+        if answer is not None:
+            self._given["input"][..., : self._width] += answer
         self._call(self._core.core.tc_step_tangents, k, length, self._changes, whole)
         return whole[:, : self._width]
 
-    def backward(self, k: int, length: float, end: FloatArray, slope: FloatArray) -> FloatArray:
-        """Return a cost by the state before a step from that after it.
+    def backward(
+        self, k: int, length: float, end: FloatArray, slope: FloatArray
+    ) -> tuple[FloatArray, FloatArray | None]:
+        """Return a cost by the state before a step, from that after it, and by the input meanwhile.
 
         Those by the values of profiles are added to the slope; those by all else are kept.
         """
-        mu = end.copy()
+        mu, whole = end.copy(), None
         self._call(self._core.core.tc_step_costs, k, length, self._costs, mu)
         if "input" in self._derivatives:
             by_input = self._derivatives["input"][:, :, 0]
-            self._by_input += by_input.sum(axis=0)
+            whole = by_input.sum(axis=0)
+            self._by_input += whole
             for parameter, columns in self._profiles:
                 slope[columns] += (self._share(parameter, k, length) @ by_input).T.ravel()
-        return mu
+        return mu, whole
 
     def take_costs(self, slope: FloatArray) -> None:
         """Add what steps backward have kept to the slope, and forget it."""
@@ -153,7 +167,7 @@ class CoreSteps:
             "damping": (scene.strings,), "load": (scene.entries,), "bar_mass": (scene.bars,),
             "point_mass": (structure.nodes.shape[1],), "ground": (scene.grounds, len(_GROUND)),
         }  # fmt: skip
-        names = {name for name, _ in self._pulls if name}
+        names = {name for name, _ in self._pulls if name} | ({"input"} if self._answers else set())
         arrays = {name: np.zeros((*counts[name], columns)) for name in names}
         record = records.Changes(columns)
         record.gravity[: structure.dimension] = self._model.gravity.tolist()

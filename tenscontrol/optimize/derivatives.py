@@ -19,7 +19,7 @@ from tenscontrol.dynamics.force import Force
 from tenscontrol.dynamics.forces import Forces
 from tenscontrol.dynamics.model import Model
 from tenscontrol.integrate.projection import projection
-from tenscontrol.optimize.parameters import Parameter, load_of_gravity, unit_load
+from tenscontrol.optimize.parameters import BESIDE, Parameter, load_of_gravity, unit_load
 from tenscontrol.properties import cached_property
 from tenscontrol.structure.structure import Structure
 
@@ -67,19 +67,22 @@ class Derivatives:
     degree : int
         Of the polynomials in time that the input is made of.
     parameters : sequence of Parameter
+    by_input : bool
+        Whether derivatives by the input are needed where it is no parameter.
     """
 
     def __init__(
-        self, model: Model, input: str, degree: int, parameters: Sequence[Parameter]
-    ) -> None:
+        self, model: Model, input: str, degree: int, parameters: Sequence[Parameter],
+        by_input: bool = False,
+    ) -> None:  # fmt: skip
         self._model, self._input = model, input
         options: dict[str, Any] = {"degree": degree, "load_input": True}
         equation = model.equation(input, **options)
         if equation.form == "loops":  # without derivatives
             equation = model.equation(input, form="mapped", **options)
         self.equation = equation
-        self._by_input = any(parameter.kind == "input" for parameter in parameters)
-        self._of = [parameter for parameter in parameters if parameter.kind not in _BESIDE]
+        self._by_input = by_input or any(by.kind == "input" for by in parameters)
+        self._of = [parameter for parameter in parameters if parameter.kind not in BESIDE]
         self._laws = [
             parameter for parameter in self._of if parameter.kind in ("strings", "ground")
         ]
@@ -263,9 +266,6 @@ class Switches:
     rate: FloatArray
     jump: FloatArray
     scale: FloatArray
-
-
-_BESIDE = {"nodes", "velocities", "input"}
 
 
 def _stacked(columns: FloatArray, rows: int) -> FloatArray:

@@ -23,11 +23,8 @@ from tenscontrol.optimize.derivatives import (
     law_values,
     symbolic_forces,
 )
-from tenscontrol.optimize.parameters import Parameter, shares
+from tenscontrol.optimize.parameters import BESIDE, Parameter, shares
 from tenscontrol.optimize.traced_steps import TracedSteps
-
-# Parameters that the unknowns of a step do not see.
-_START = {"nodes", "velocities"}
 
 
 class ImplicitSteps:
@@ -51,7 +48,7 @@ class ImplicitSteps:
         columns: Sequence[slice],
     ) -> None:  # fmt: skip
         self._steps, self._parameters, self._columns = steps, parameters, columns
-        self._own = [by for by in parameters if by.kind not in _START | {"input"}]
+        self._own = [by for by in parameters if by.kind not in BESIDE]
         self._solver = _Solver(derivatives)
         model, names = derivatives.model, tuple(by.name for by in self._own)
         key = ("slopes of implicit steps", derivatives.input, steps.layout.degree, names)
@@ -64,10 +61,14 @@ class ImplicitSteps:
         """Return the state after so much of a step."""
         return self._solver.end(self._steps, k, length)[1]
 
-    def forward(self, k: int, length: float, X: FloatArray) -> FloatArray:
+    def forward(
+        self, k: int, length: float, X: FloatArray, answer: FloatArray | None
+    ) -> FloatArray:
         """Return the derivative of the state, (states, P), after so much of a step."""
         slopes = self._slopes(k, length)
         moved = slopes.by_state @ X
+        if answer is not None:
+            moved += slopes.by_input @ answer
         for columns, share in self._inputs(k, length):
             if share is None:
                 moved[:, columns] += slopes.by_input
@@ -81,18 +82,23 @@ class ImplicitSteps:
         unknowns = slopes.factors.solve(moved)
         return np.asarray(slopes.end_by_state @ X - slopes.end_by_unknowns @ unknowns)
 
-    def backward(self, k: int, length: float, end: FloatArray, slope: FloatArray) -> FloatArray:
-        """Return a cost by the state before a step from that after it; add those by parameters."""
+    def backward(
+        self, k: int, length: float, end: FloatArray, slope: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return a cost by the state before a step, from that after it, and by the input meanwhile.
+
+        Those by the parameters are added to the slope.
+        """
         slopes = self._slopes(k, length)
         weight = -slopes.factors.solve(slopes.end_by_unknowns.T @ end, trans="T")
+        by_input = slopes.by_input.T @ weight
         for columns, share in self._inputs(k, length):
-            by_input = slopes.by_input.T @ weight
             slope[columns] += by_input if share is None else np.outer(by_input, share).ravel()
         first, own = 0, slopes.by_parameters.T @ weight
         for by, columns in self._others:
             slope[columns] += own[first : first + by.size]
             first += by.size
-        return np.asarray(slopes.end_by_state.T @ end + slopes.by_state.T @ weight)
+        return slopes.end_by_state.T @ end + slopes.by_state.T @ weight, by_input
 
     def take_costs(self, slope: FloatArray) -> None:
         """Nothing is kept from step to step."""
@@ -239,4 +245,6 @@ def _step_slopes(
     numbers = ca.vertcat(*map(ca.DM, values.values()), own_values)
     entries = ca.substitute([slope.nz[:] for slope in slopes], [of_all], [numbers])
     patterns = [_Pattern.of(slope) for slope in slopes]
-    return Function("step_slopes", [y, x, u, h], [ca.densify(part) for part in entries]), patterns
+    return Function(
+        "step_slopes", [y, x, u, h], [ca.densify(column) for column in entries]
+    ), patterns

@@ -9,11 +9,15 @@ import numpy as np
 
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray
+from tenscontrol.control.lqr import LQR
 from tenscontrol.dynamics.equation import gravity_forces
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.model_parameters import ground_numbers, law_parameters
 from tenscontrol.dynamics.profile import Pieces, Profile, polynomial_at
 from tenscontrol.simulation.scene import Scene
+
+#: Kinds of parameters that the equation of motion does not have.
+BESIDE = frozenset({"nodes", "velocities", "input", "gain"})
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +28,7 @@ class Parameter:
     ----------
     name : str
     kind : {"nodes", "velocities", "input", "strings", "ground", "bar_mass", "point_mass", \
-"gravity", "external_force"}
+"gravity", "external_force", "gain"}
     shape : tuple of int
     pieces : Pieces, optional
         Of an input that is a profile: what the values at its K times count by, one row each.
@@ -84,7 +88,17 @@ def known_parameters(scene: Scene) -> dict[str, Parameter]:
         Parameter(name, "ground", (), law=law, field=number)
         for name, (law, number) in ground_numbers(model).items()
     ]
+    if isinstance(scene.law, LQR):
+        parameters.append(Parameter("gain", "gain", scene.law.gain.shape))
     return {parameter.name: parameter for parameter in parameters}
+
+
+def sample_times(scene: Scene) -> FloatArray:
+    """Return when a controller gives its commands, s."""
+    assert scene.law is not None  # else there are none
+    given = scene.law.sample_time, scene.sample_time, scene.integration.step
+    sample = next(time for time in given if time is not None)
+    return np.arange(scene.begin, scene.begin + scene.duration * (1 - 1e-9), sample)
 
 
 def _input(scene: Scene) -> Parameter:
@@ -95,7 +109,7 @@ def _input(scene: Scene) -> Parameter:
         return Parameter(scene.input, "input", (count, len(given.time)), unit.pieces)
     if scene.law is None:
         return Parameter(scene.input, "input", (count,))
-    ticks = np.arange(scene.begin, scene.begin + scene.duration * (1 - 1e-9), scene.law.sample_time)
+    ticks = sample_times(scene)
     unit = Profile(ticks, np.eye(len(ticks)), "hold")
     return Parameter(scene.input, "input", (count, len(ticks)), unit.pieces)
 

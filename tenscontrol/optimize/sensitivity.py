@@ -15,10 +15,11 @@ from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.dynamics.equation import unpack_states
 from tenscontrol.integrate.methods import Choice
 from tenscontrol.optimize.derivatives import Derivatives
+from tenscontrol.optimize.feedback import feedback_of, regulator_of
 from tenscontrol.optimize.implicit_steps import halved
 from tenscontrol.optimize.parameters import Parameter, parameters_of
 from tenscontrol.optimize.traced_steps import steps_of
-from tenscontrol.optimize.variations import IMPLICIT, Variations, stable
+from tenscontrol.optimize.variations import IMPLICIT, Variations, columns_of, stable
 from tenscontrol.properties import cached_property
 from tenscontrol.simulation.health import HealthLimits
 from tenscontrol.simulation.integration import Integration
@@ -67,6 +68,7 @@ class Sensitivity:
     switches: int
     grazing: tuple[float, ...]
     _to: tuple[str, ...]
+    _feedback: bool
 
     @cached_property
     def error(self) -> Mapping[str, FloatArray]:
@@ -76,7 +78,7 @@ class Sensitivity:
         the tolerance, or twice the step. Found when it is first read, in about the time that the
         derivatives took.
         """
-        other = _Differentiable(self.run, self._to, self.time, looser=True)
+        other = _Differentiable(self.run, self._to, self.time, self._feedback, looser=True)
         again, errors = _derivatives(other)[0], dict[str, FloatArray]()
         for name, by in self.nodes.items():
             rows = tuple(i for i in range(by.ndim) if i != 2)
@@ -135,7 +137,9 @@ class Gradient:
         return f"Gradient({self.value:.6g}, by {names}, {self.switches} switches)"
 
 
-def sensitivity(run: Trajectory, to: object, times: object = None) -> Sensitivity:
+def sensitivity(
+    run: Trajectory, to: object, times: object = None, *, feedback: bool = False
+) -> Sensitivity:
     """Return the derivatives of a run by what it depends on, through its switches.
 
     The steps of the run are differentiated as they were taken, and its landings where strings go
@@ -149,9 +153,13 @@ def sensitivity(run: Trajectory, to: object, times: object = None) -> Sensitivit
         What to differentiate by: ``"nodes"`` and ``"velocities"`` at the start; the input,
         ``"rest_length"`` or ``"force_density"``; parameters of the string law, as ``"stiffness"``
         and ``"damping"``; ``"bar_mass"``, ``"point_mass"``, ``"gravity"``, ``"external_force"``;
-        and those of the ground, as ``"ground.stiffness"``, or ``"ground[1].friction"`` of several.
+        and those of the ground, as ``"ground.stiffness"``, or ``"ground[1].friction"`` of several;
+        with ``feedback`` the ``"gain"`` of an LQR.
     times : float or array_like, shape (T,), optional
         Ascending, s; the end of the run if not given.
+    feedback : bool
+        Whether the commands of an LQR answer the changes, where they are within their bounds; they
+        stay as they were if not.
 
     Returns
     -------
@@ -186,12 +194,12 @@ def sensitivity(run: Trajectory, to: object, times: object = None) -> Sensitivit
     >>> tangent.nodes["rest_length"].shape
     (3, 6, 1, 9)
     """
-    work = _Differentiable(run, to, times)
+    work = _Differentiable(run, to, times, feedback)
     nodes, velocities = _derivatives(work)
     names = tuple(parameter.name for parameter in work.parameters)
     return Sensitivity(
         run, frozen(work.times), MappingProxyType(nodes), MappingProxyType(velocities),
-        len(work.variations.switches.step), work.grazing, names,
+        len(work.variations.switches.step), work.grazing, names, feedback,
     )  # fmt: skip
 
 
@@ -211,8 +219,9 @@ def _derivatives(work: _Differentiable) -> tuple[dict[str, FloatArray], dict[str
 
 
 def gradient(
-    run: Trajectory, cost: Callable[[Any, Any, Any], Any], to: object, times: object = None
-) -> Gradient:
+    run: Trajectory, cost: Callable[[Any, Any, Any], Any], to: object, times: object = None,
+    *, feedback: bool = False,
+) -> Gradient:  # fmt: skip
     """Return a cost of a run and its derivatives by all parameters, in one pass backward.
 
     It takes about as long as a few runs, however many parameters there are.
@@ -227,6 +236,7 @@ def gradient(
     to : list of str
         As of :func:`sensitivity`.
     times : float or array_like, shape (T,), optional
+    feedback : bool
         As of :func:`sensitivity`.
 
     Returns
@@ -250,7 +260,7 @@ def gradient(
     (9,)
     """
     validation.function("cost", cost, "(time, nodes, velocities) -> a number in CasADi")
-    work = _Differentiable(run, to, times)
+    work = _Differentiable(run, to, times, feedback)
     states, structure = work.states, run.structure
     function = _cost_function(cost, structure.nodes.shape)
     value, costs = 0.0, np.zeros(states.T.shape)
@@ -287,21 +297,28 @@ def _cost_function(cost: Callable[[Any, Any, Any], Any], shape: tuple[int, ...])
     return ca.Function("cost", [time, nodes, velocities], [value, *slopes])
 
 
-def variations_of(scene: Scene, parameters: Sequence[Parameter], times: FloatArray) -> Variations:
+def variations_of(
+    scene: Scene, parameters: Sequence[Parameter], times: FloatArray, feedback: bool = False
+) -> Variations:
     """Return what carries the variations of a scene by a method that can be traced."""
     plant = traced(scene)
     load = plant.load if isinstance(plant.load, np.ndarray) else scene.model.constant_force
     steps = steps_of(plant, load)
-    derivatives = Derivatives(scene.model, scene.input, steps.layout.degree, parameters)
+    degree = steps.layout.degree
+    derivatives = Derivatives(scene.model, scene.input, degree, parameters, feedback)
     if steps.method == IMPLICIT and scene.integration.step is None:
         steps = halved(steps, derivatives)
-    return Variations(stable(steps, derivatives), derivatives, parameters, times)
+    steps = stable(steps, derivatives)
+    answers = feedback_of(scene, steps, parameters, columns_of(parameters)) if feedback else None
+    return Variations(steps, derivatives, parameters, times, answers)
 
 
 class _Differentiable:
     """A run, checked, traced again, with what carries its variations."""
 
-    def __init__(self, run: Trajectory, to: object, times: object, looser: bool = False) -> None:
+    def __init__(
+        self, run: Trajectory, to: object, times: object, feedback: bool, looser: bool = False
+    ) -> None:
         validation.instance("run", run, Trajectory, "make one by simulate(model, ...)")
         scene = run.scene
         if not isinstance(scene, Scene):
@@ -314,12 +331,17 @@ class _Differentiable:
         if run.stopped is not None:
             raise ValueError(f"run {run.stopped}, expected one that reached its end")
         self.parameters = parameters_of(scene, to)
+        validation.truth("feedback", feedback, "whether the commands of an LQR answer changes")
+        if feedback:
+            regulator_of(scene)
+        elif any(parameter.kind == "gain" for parameter in self.parameters):
+            raise ValueError("the gain acts by feedback: give feedback=True, too")
         self.times = _checked_times(run, times)
         self.structure = run.structure
         able = _traceable(scene, run.choice)
         if looser:
             able = replace(able, integration=_looser(able.integration))
-        self.variations = variations_of(able, self.parameters, self.times)
+        self.variations = variations_of(able, self.parameters, self.times, feedback)
 
     @property
     def states(self) -> FloatArray:

@@ -14,8 +14,9 @@ from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.interrupt import check
 from tenscontrol.optimize.core_steps import CoreSteps, Tableau, core_steps
 from tenscontrol.optimize.derivatives import Derivatives, Slopes, Switches
+from tenscontrol.optimize.feedback import Feedback
 from tenscontrol.optimize.implicit_steps import ImplicitSteps
-from tenscontrol.optimize.parameters import Parameter, shares
+from tenscontrol.optimize.parameters import BESIDE, Parameter, shares
 from tenscontrol.optimize.traced_steps import TracedSteps
 from tenscontrol.properties import cached_property
 
@@ -41,6 +42,12 @@ def tableau(method: str) -> Tableau:
     from scipy.integrate import DOP853
 
     return Tableau(DOP853.A, DOP853.B, DOP853.C)
+
+
+def columns_of(parameters: Sequence[Parameter]) -> list[slice]:
+    """Return which columns of a derivative are those of each parameter."""
+    ends = np.cumsum([0, *(parameter.size for parameter in parameters)])
+    return [slice(int(a), int(b)) for a, b in pairwise(ends)]
 
 
 class _Leg(NamedTuple):
@@ -154,12 +161,15 @@ class Variations:
     parameters : sequence of Parameter
     times : ndarray, shape (T,)
         At which derivatives are asked for, s, ascending.
+    feedback : Feedback, optional
+        By which commands answer changes of the state.
     """
 
     steps: TracedSteps
     derivatives: Derivatives
     parameters: Sequence[Parameter]
     times: FloatArray
+    feedback: Feedback | None = None
 
     @cached_property
     def switches(self) -> Switches:
@@ -174,8 +184,7 @@ class Variations:
     @cached_property
     def columns(self) -> list[slice]:
         """Which columns of a derivative are those of each parameter."""
-        ends = np.cumsum([0, *(parameter.size for parameter in self.parameters)])
-        return [slice(int(a), int(b)) for a, b in pairwise(ends)]
+        return columns_of(self.parameters)
 
     def forward(self) -> FloatArray:
         """Return the derivatives of x at the times, shape (T, states, P)."""
@@ -183,10 +192,14 @@ class Variations:
         X = self._start()
         sensitivities = np.empty((len(self.times), len(X), size))
         sensitivities[self.times <= self.steps.begin[0]] = X
-        at = self._first_switch
+        last = -1
+        at, feedback, answer = self._first_switch, self.feedback, None
         for leg in self._legs(range(len(self.steps.length))):
             check()
-            reached = self._forward(X, leg)
+            if feedback is not None and leg.step != last and feedback.begins(leg.step):
+                answer = feedback.answer(leg.step, X)
+            last = leg.step
+            reached = self._forward(X, leg, answer)
             if leg.output >= 0:
                 sensitivities[leg.output] = reached
                 continue
@@ -195,7 +208,7 @@ class Variations:
             if exact is not None:
                 X = exact @ X
             for e in range(at[leg.step], at[leg.step + 1]):
-                X = X + self._jumped(e, X)
+                X = X + self._jumped(e, X, answer)
             sensitivities[self._ends[leg.step]] = X
         return _finite(sensitivities)
 
@@ -239,26 +252,41 @@ class Variations:
         slope = np.zeros(sum(parameter.size for parameter in self.parameters))
         mu = np.zeros(costs.shape[1])
         partial = np.zeros_like(mu)
+        answered = np.zeros(self.steps.layout.strings)  # cost by the input of the sample
         for leg in self._legs(range(len(self.steps.length) - 1, -1, -1)):
             check()
             if leg.output >= 0:
                 end = costs[leg.output]
             else:
-                mu = mu + partial + costs[self._ends[leg.step]].sum(axis=0)
+                mu = self._answered_back(leg.step + 1, mu + partial, answered, slope)
+                mu = mu + costs[self._ends[leg.step]].sum(axis=0)
                 partial = np.zeros_like(mu)
                 for e in range(at[leg.step + 1] - 1, at[leg.step] - 1, -1):
-                    mu = self._jumped_back(e, mu, slope)
+                    mu = self._jumped_back(e, mu, slope, answered)
                 exact = self._exact(leg.step)
                 end = mu if exact is None else exact.T @ mu
-            back = self._backward(end, leg, slope)
+            back, by_input = self._backward(end, leg, slope)
+            if self.feedback is not None and by_input is not None:
+                answered += by_input
             if leg.output >= 0:
                 partial += back
             else:
                 mu = back
         if self._stepper is not None:
             self._stepper.take_costs(slope)
-        mu = mu + partial + costs[self.times <= self.steps.begin[0]].sum(axis=0)
+        mu = self._answered_back(0, mu + partial, answered, slope)
+        mu = mu + costs[self.times <= self.steps.begin[0]].sum(axis=0)
         return _finite(np.asarray(slope + mu @ self._start()))
+
+    def _answered_back(
+        self, step: int, mu: FloatArray, answered: FloatArray, slope: FloatArray
+    ) -> FloatArray:
+        """Return a cost by x at the beginning of a step, with that of the command there."""
+        if self.feedback is None or not self.feedback.begins(step):
+            return mu
+        mu = mu + self.feedback.answer_back(step, answered, slope)
+        answered[:] = 0.0
+        return mu
 
     # ---- a step ----
 
@@ -270,13 +298,13 @@ class Variations:
             return ImplicitSteps(self.steps, derivatives, self.parameters, self.columns)
         return core_steps(
             derivatives.model, derivatives.equation, self.steps, self._tableau, self.parameters,
-            self.columns,
+            self.columns, self.feedback is not None,
         )  # fmt: skip
 
-    def _forward(self, X: FloatArray, leg: _Leg) -> FloatArray:
+    def _forward(self, X: FloatArray, leg: _Leg, answer: FloatArray | None) -> FloatArray:
         """Return the derivative of the state after a leg."""
         if self._stepper is not None:
-            return self._stepper.forward(leg.step, leg.length, X)
+            return self._stepper.forward(leg.step, leg.length, X, answer)
         a, b, half = self._tableau.a, self._tableau.b, self.derivatives.half
         assert leg.stages is not None  # without a stepper
         K = np.empty((len(a), *X.shape))
@@ -288,15 +316,22 @@ class Variations:
             K[i, :half] = Y[half:]
             np.matmul(leg.stages.by_state[i], Y, out=K[i, half:])
             self._add_to(K[i, half:], leg.stages, leg.shares, i)
+            if answer is not None:
+                assert leg.stages.by_input is not None  # it was asked for
+                K[i, half:] += leg.stages.by_input[i] @ answer
         return np.asarray(X + leg.length * (b @ flat).reshape(X.shape))
 
-    def _backward(self, end: FloatArray, leg: _Leg, slope: FloatArray) -> FloatArray:
-        """Return a cost by the state before a leg; add those by the parameters."""
+    def _backward(
+        self, end: FloatArray, leg: _Leg, slope: FloatArray
+    ) -> tuple[FloatArray, FloatArray | None]:
+        """Return a cost by the state before a leg, and by the input; add those by parameters."""
         if self._stepper is not None:
             return self._stepper.backward(leg.step, leg.length, end, slope)
         a, b, half = self._tableau.a, self._tableau.b, self.derivatives.half
         assert leg.stages is not None  # without a stepper
-        back, stages = end.copy(), len(b)
+        back, stages, by_input = end.copy(), len(b), None
+        if leg.stages.by_input is not None:
+            by_input = np.zeros(leg.stages.by_input.shape[2])
         later = np.zeros((stages, len(end)))
         for i in reversed(range(stages)):
             kappa = leg.length * (b[i] * end + a[i + 1 :, i] @ later[i + 1 :])
@@ -304,7 +339,9 @@ class Variations:
             later[i, half:] += kappa[:half]
             back += later[i]
             self._add_sources(slope, leg.stages, leg.shares, i, kappa[half:])
-        return back
+            if by_input is not None and leg.stages.by_input is not None:
+                by_input += kappa[half:] @ leg.stages.by_input[i]
+        return back, by_input
 
     def _add_to(
         self, rates: FloatArray, slopes: Slopes, counts: list[FloatArray | None], stage: int
@@ -322,7 +359,7 @@ class Variations:
                     rates[:, columns][:, k :: len(share[stage])] += (
                         share[stage, k] * by_input[stage]
                     )
-            elif parameter.kind not in ("nodes", "velocities"):
+            elif parameter.kind not in BESIDE:
                 own = slopes.by_parameters[stage]
                 rates[:, columns] += own[:, first : first + parameter.size]
                 first += parameter.size
@@ -340,7 +377,7 @@ class Variations:
                 slope[columns] += (
                     by_input if share is None else np.outer(by_input, share[stage]).ravel()
                 )
-            elif parameter.kind not in ("nodes", "velocities"):
+            elif parameter.kind not in BESIDE:
                 slope[columns] += own[first : first + parameter.size]
                 first += parameter.size
 
@@ -372,20 +409,26 @@ class Variations:
             by_input = switches.by_input[e]
             yield columns, by_input if share is None else np.outer(by_input, share[:, 0]).ravel()
 
-    def _jumped(self, e: int, X: FloatArray) -> FloatArray:
+    def _jumped(self, e: int, X: FloatArray, answer: FloatArray | None) -> FloatArray:
         """Return what a switch adds to the derivative."""
         switches = self.switches
         moved = switches.by_state[e] @ X
+        if answer is not None:
+            moved = moved + switches.by_input[e] @ answer
         for columns, change in self._gap_by(e):
             moved[columns] += change
         return np.outer(switches.jump[e], moved / switches.rate[e])
 
-    def _jumped_back(self, e: int, mu: FloatArray, slope: FloatArray) -> FloatArray:
-        """Return a cost by x before a switch, from that after it."""
+    def _jumped_back(
+        self, e: int, mu: FloatArray, slope: FloatArray, answered: FloatArray
+    ) -> FloatArray:
+        """Return a cost by x before a switch, from that after it; add those by inputs."""
         switches = self.switches
         weight = float(switches.jump[e] @ mu / switches.rate[e])
         for columns, change in self._gap_by(e):
             slope[columns] += weight * change
+        if self.feedback is not None:
+            answered += weight * switches.by_input[e]
         return np.asarray(mu + weight * switches.by_state[e])
 
     # ---- what is prepared ----
