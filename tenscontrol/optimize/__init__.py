@@ -8,10 +8,17 @@ from tenscontrol.optimize.optimal_motion import (
     OptimalMotionWarning,
     optimal_motion,
 )
-from tenscontrol.optimize.sensitivity import Gradient, Sensitivity, gradient, sensitivity
+from tenscontrol.optimize.sensitivity import (
+    BatchSensitivity,
+    Gradient,
+    Sensitivity,
+    gradient,
+    sensitivity,
+)
 from tenscontrol.optimize.unknowns import LogNormal
 
 __all__ = [
+    "BatchSensitivity",
     "Fit",
     "Gradient",
     "Identifiability",

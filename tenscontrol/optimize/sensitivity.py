@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Any
+from typing import Any, overload
 
 import casadi as ca
 import numpy as np
 
 from tenscontrol import validation
-from tenscontrol.arrays import FloatArray, frozen
+from tenscontrol.arrays import FloatArray, IntArray, frozen
 from tenscontrol.dynamics.equation import unpack_states
 from tenscontrol.integrate.methods import Choice
 from tenscontrol.optimize.derivatives import Derivatives
@@ -21,6 +21,7 @@ from tenscontrol.optimize.parameters import Parameter, parameters_of
 from tenscontrol.optimize.traced_steps import steps_of
 from tenscontrol.optimize.variations import IMPLICIT, Variations, columns_of, stable
 from tenscontrol.properties import cached_property
+from tenscontrol.simulation.batch.simulate_many import Batch
 from tenscontrol.simulation.health import HealthLimits
 from tenscontrol.simulation.integration import Integration
 from tenscontrol.simulation.scene import Scene, traced
@@ -78,7 +79,7 @@ class Sensitivity:
         the tolerance, or twice the step. Found when it is first read, in about the time that the
         derivatives took.
         """
-        other = _Differentiable(self.run, self._to, self.time, self._feedback, looser=True)
+        other = _differentiable(self.run, self._to, self.time, self._feedback, looser=True)
         again, errors = _derivatives(other)[0], dict[str, FloatArray]()
         for name, by in self.nodes.items():
             rows = tuple(i for i in range(by.ndim) if i != 2)
@@ -111,6 +112,36 @@ class Sensitivity:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
+class BatchSensitivity:
+    """Derivatives of the motions of a batch. Made by :func:`sensitivity`.
+
+    Attributes
+    ----------
+    batch : Batch
+    time : ndarray, shape (T,)
+        s.
+    nodes, velocities : mapping of str to ndarray, shape (runs, d, n, T, ...)
+        As of :class:`Sensitivity`, with a first axis of runs; NaN of runs that did not reach the
+        end.
+    switches : ndarray of int, shape (runs,)
+    grazing : tuple of tuple of float
+        One a run.
+    """
+
+    batch: Batch
+    time: FloatArray
+    nodes: Mapping[str, FloatArray]
+    velocities: Mapping[str, FloatArray]
+    switches: IntArray
+    grazing: tuple[tuple[float, ...], ...]
+
+    def __repr__(self) -> str:
+        names = ", ".join(f"{name} {by.shape[4:]}" for name, by in self.nodes.items())
+        until = f"{len(self.time)} times up to {self.time[-1]:g} s"
+        return f"BatchSensitivity({len(self.switches)} runs by {names}; {until})"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Gradient:
     """A cost of a run and its derivatives. Made by :func:`gradient`.
 
@@ -137,9 +168,21 @@ class Gradient:
         return f"Gradient({self.value:.6g}, by {names}, {self.switches} switches)"
 
 
+@overload
 def sensitivity(
     run: Trajectory, to: object, times: object = None, *, feedback: bool = False
-) -> Sensitivity:
+) -> Sensitivity: ...
+
+
+@overload
+def sensitivity(
+    run: Batch, to: object, times: object = None, *, feedback: bool = False
+) -> BatchSensitivity: ...
+
+
+def sensitivity(
+    run: Trajectory | Batch, to: object, times: object = None, *, feedback: bool = False
+) -> Sensitivity | BatchSensitivity:
     """Return the derivatives of a run by what it depends on, through its switches.
 
     The steps of the run are differentiated as they were taken, and its landings where strings go
@@ -147,8 +190,9 @@ def sensitivity(
 
     Parameters
     ----------
-    run : Trajectory
-        Made by :func:`simulate`, of the methods "auto", "rk4", "dop853" or "energy_momentum".
+    run : Trajectory or Batch
+        Made by :func:`simulate` or :func:`simulate_many`, of the methods "auto", "rk4", "dop853" or
+        "energy_momentum".
     to : list of str
         What to differentiate by: ``"nodes"`` and ``"velocities"`` at the start; the input,
         ``"rest_length"`` or ``"force_density"``; parameters of the string law, as ``"stiffness"``
@@ -163,7 +207,7 @@ def sensitivity(
 
     Returns
     -------
-    Sensitivity
+    Sensitivity, or BatchSensitivity of a batch
 
     Raises
     ------
@@ -194,12 +238,45 @@ def sensitivity(
     >>> tangent.nodes["rest_length"].shape
     (3, 6, 1, 9)
     """
-    work = _Differentiable(run, to, times, feedback)
+    if isinstance(run, Batch):
+        return _of_batch(run, to, times, feedback)
+    work = _differentiable(run, to, times, feedback)
     nodes, velocities = _derivatives(work)
     names = tuple(parameter.name for parameter in work.parameters)
     return Sensitivity(
         run, frozen(work.times), MappingProxyType(nodes), MappingProxyType(velocities),
         len(work.variations.switches.step), work.grazing, names, feedback,
+    )  # fmt: skip
+
+
+def _of_batch(batch: Batch, to: object, times: object, feedback: bool) -> BatchSensitivity:
+    runs = np.flatnonzero(batch.completed)
+    if not len(runs):
+        raise ValueError("run is a batch of which no run reached its end")
+    first = batch.scene_of(int(runs[0]))
+    if first.law is not None:
+        raise ValueError("run is a batch under a controller: simulate gives runs for sensitivity")
+    checked, at = parameters_of(first, to), _checked_times(batch.time, times)
+    count, shape = len(batch.completed), (*batch.structure.nodes.shape, len(at))
+    size = 16 * int(np.prod(shape)) * sum(by.size for by in checked)
+    validation.refuse_memory("a derivative", count, "runs", size, ". Take fewer times or runs")
+    nodes, velocities = (
+        {by.name: np.full((count, *shape, *by.shape), np.nan) for by in checked} for _ in range(2)
+    )
+    switches = np.zeros(count, dtype=int)
+    grazing: list[tuple[float, ...]] = [()] * count
+    for run in map(int, runs):
+        work = _Differentiable(batch.scene_of(run), batch.choice, to, at, feedback)
+        for arrays, own in zip((nodes, velocities), _derivatives(work), strict=True):
+            for name, by in own.items():
+                arrays[name][run] = by
+        switches[run] = len(work.variations.switches.step)
+        grazing[run] = work.grazing
+    for array in (*nodes.values(), *velocities.values(), switches):
+        array.setflags(write=False)
+    return BatchSensitivity(
+        batch, frozen(at), MappingProxyType(nodes), MappingProxyType(velocities), switches,
+        tuple(grazing),
     )  # fmt: skip
 
 
@@ -260,7 +337,7 @@ def gradient(
     (9,)
     """
     validation.function("cost", cost, "(time, nodes, velocities) -> a number in CasADi")
-    work = _Differentiable(run, to, times, feedback)
+    work = _differentiable(run, to, times, feedback)
     states, structure = work.states, run.structure
     function = _cost_function(cost, structure.nodes.shape)
     value, costs = 0.0, np.zeros(states.T.shape)
@@ -313,32 +390,40 @@ def variations_of(
     return Variations(steps, derivatives, parameters, times, answers)
 
 
+def _differentiable(
+    run: Trajectory, to: object, times: object, feedback: bool, looser: bool = False
+) -> _Differentiable:
+    """Return a run, checked, as it is differentiated."""
+    validation.instance("run", run, Trajectory, "make one by simulate(model, ...)")
+    scene = run.scene
+    if not isinstance(scene, Scene):
+        raise ValueError(
+            "run has no scene to be run again: it is a copy, from a file or a batch, or goes "
+            "on from another run. Give one that simulate(...) returned"
+        )
+    if run.stopped is not None:
+        raise ValueError(f"run {run.stopped}, expected one that reached its end")
+    at = _checked_times(run.time, times)
+    return _Differentiable(scene, run.choice, to, at, feedback, looser)
+
+
 class _Differentiable:
-    """A run, checked, traced again, with what carries its variations."""
+    """The run of a scene, traced again, with what carries its variations."""
 
     def __init__(
-        self, run: Trajectory, to: object, times: object, feedback: bool, looser: bool = False
-    ) -> None:
-        validation.instance("run", run, Trajectory, "make one by simulate(model, ...)")
-        scene = run.scene
-        if not isinstance(scene, Scene):
-            raise ValueError(
-                "run has no scene to be run again: it is a copy, from a file or a batch, or goes "
-                "on from another run. Give one that simulate(...) returned"
-            )
+        self, scene: Scene, choice: Choice, to: object, times: FloatArray, feedback: bool,
+        looser: bool = False,
+    ) -> None:  # fmt: skip
         if scene.support_motion is not None:
             raise ValueError("run has supports that move, through which no derivative is taken")
-        if run.stopped is not None:
-            raise ValueError(f"run {run.stopped}, expected one that reached its end")
         self.parameters = parameters_of(scene, to)
         validation.truth("feedback", feedback, "whether the commands of an LQR answer changes")
         if feedback:
             regulator_of(scene)
         elif any(parameter.kind == "gain" for parameter in self.parameters):
             raise ValueError("the gain acts by feedback: give feedback=True, too")
-        self.times = _checked_times(run, times)
-        self.structure = run.structure
-        able = _traceable(scene, run.choice)
+        self.times, self.structure = times, scene.structure
+        able = _traceable(scene, choice)
         if looser:
             able = replace(able, integration=_looser(able.integration))
         self.variations = variations_of(able, self.parameters, self.times, feedback)
@@ -391,13 +476,13 @@ def _looser(how: Integration) -> Integration:
     return replace(how, step=step, output_step=None if outputs is None else max(outputs, step))
 
 
-def _checked_times(run: Trajectory, times: object) -> FloatArray:
+def _checked_times(time: FloatArray, times: object) -> FloatArray:
     if times is None:
-        return run.time[-1:].copy()
+        return time[-1:].copy()
     array = np.atleast_1d(validation.float_array("times", times))
     if array.ndim != 1 or not len(array):
         raise ValueError(f"times has shape {array.shape}, expected (T,): at least one time, s")
-    first, last = float(run.time[0]), float(run.time[-1])
+    first, last = float(time[0]), float(time[-1])
     if (np.diff(array) <= 0).any():
         raise ValueError("times do not ascend, expected each later than the one before, s")
     close = 1e-9 * (last - first)

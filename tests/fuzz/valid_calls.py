@@ -124,6 +124,7 @@ RESULTS = {
     "optimize.Mesh",
     "optimize.OptimalMotion",
     "optimize.OptimalMotionWarning",
+    "optimize.BatchSensitivity",
     "optimize.Sensitivity",
     "optimize.Validation",
     "plant.ActuatorChoice",

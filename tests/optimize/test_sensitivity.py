@@ -251,6 +251,25 @@ def test_the_error_is_estimated_on_the_safe_side(how):
         assert (found.error[name] < 1e4 * off).all()
 
 
+def test_many_runs_have_the_derivatives_of_each():
+    model = tc.Model(tc.prism(), strings=tc.LinearStrings(100.0, damping=0.8))
+    rest = 0.95 * tc.prism().string_length()
+    how = tc.Integration("rk4", step=2e-3)
+    scene = tc.Scene(model, 0.1, rest_length=rest, integration=how)
+    lengths = np.array([rest, 0.97 * rest, -rest])
+    batch = tc.simulate_many(scene, {"rest_length": lengths, "damping": [0.0, 0.8, 0.8]})
+    found = tc.sensitivity(batch, ["rest_length", "stiffness"], [0.05, 0.1])
+    assert found.nodes["stiffness"].shape == (3, 3, 6, 2, 9)
+    assert np.isnan(found.nodes["stiffness"][2]).all()
+    for i, damping in enumerate([0.0, 0.8]):
+        own = model.replace(strings=tc.LinearStrings(100.0, damping=damping))
+        run = tc.simulate(own, 0.1, rest_length=lengths[i], method="rk4", step=2e-3, error="none")
+        alone = tc.sensitivity(run, ["rest_length", "stiffness"], [0.05, 0.1])
+        assert found.switches[i] == alone.switches
+        for name, by in alone.velocities.items():
+            np.testing.assert_array_equal(found.velocities[name][i], by)
+
+
 def test_what_cannot_be_differentiated_is_refused():
     model = tc.Model(tc.prism(), strings=tc.LinearStrings(100.0))
     rest = 0.9 * tc.prism().string_length()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil
 from typing import Any
 
@@ -188,6 +188,12 @@ class BatchInputs:
     def model_of(self, run: int) -> Model:
         """Return the model of a run, refusing parameters that are none."""
         return with_parameters(self.model, {name: self.given[name][run] for name in self.varied})
+
+    def scene_of(self, run: int) -> Scene:
+        """Return the scene of a run alone, refusing numbers that do not fit."""
+        names = "nodes", "velocities", "external_force", self.input
+        own = {name: self.given[name][run] for name in names if name in self.given}
+        return replace(self.base, model=self.model_of(run) if self.varied else self.model, **own)
 
     def input_value(self, run: int) -> FloatArray:
         """Return what a run holds, m or N/m, shape (α,)."""

@@ -150,6 +150,21 @@ class Batch:
             check_health(trajectory, limits)
         return trajectory
 
+    def scene_of(self, run: int) -> Scene:
+        """Return the scene of a run, which simulates it alone.
+
+        Parameters
+        ----------
+        run : int
+
+        Returns
+        -------
+        Scene
+        """
+        run = validation.whole_number("run", run, 0, len(self.completed) - 1)
+        assert self._runner is not None  # made by simulate_many
+        return self._runner.scene.scene_of(run)
+
     @cached_property
     def crossings(self) -> BatchCrossings | None:
         """Bars that pass through each other, run by run; None in the plane and for a single bar.
