@@ -143,6 +143,7 @@ def values(tmp_path_factory):
             {"gravity": [0.0, 1.0]},
         ),
         batch.crossings,
+        tc.sensitivity(batch, ["nodes"]),
         tc.Stepper(model, 0.01, step=0.01, rest_length=start.rest_length.copy()).state,
         tc.learning.Rolling(np.array([1.0, 0.0, 0.0])),
         tc.learning.Reach(0, np.zeros(3)),
