@@ -67,6 +67,7 @@ from .learning import (
 )
 from .optimize import (
     Log as Log,
+    exciting_input as exciting_input,
     fit as fit,
     gradient as gradient,
     identifiable as identifiable,
@@ -183,6 +184,7 @@ __all__ = [
     "draws",
     "energy_weights",
     "equilibrium",
+    "exciting_input",
     "fit",
     "generate_c",
     "gradient",

@@ -1,5 +1,6 @@
 """Derivatives of runs, fits of models to logs, and optimal motions."""
 
+from tenscontrol.optimize.exciting_input import ExcitingInput, exciting_input
 from tenscontrol.optimize.fit import Fit, Identifiability, Validation, fit, identifiable
 from tenscontrol.optimize.log import Log
 from tenscontrol.optimize.optimal_motion import (
@@ -19,6 +20,7 @@ from tenscontrol.optimize.unknowns import LogNormal
 
 __all__ = [
     "BatchSensitivity",
+    "ExcitingInput",
     "Fit",
     "Gradient",
     "Identifiability",
@@ -29,6 +31,7 @@ __all__ = [
     "OptimalMotionWarning",
     "Sensitivity",
     "Validation",
+    "exciting_input",
     "fit",
     "gradient",
     "identifiable",

@@ -72,6 +72,12 @@ class Identifiability:
         """Directions that data does not tell, one row each."""
         return self.directions[self.singular < 1]
 
+    @property
+    def deviation(self) -> FloatArray:
+        """What is left of the standard deviation of each unknown, as part of its prior's."""
+        left = self.directions.T / np.sqrt(1 + self.singular**2)
+        return np.asarray(np.sqrt((left**2).sum(axis=1)))
+
     def table(self) -> str:
         """Return as text which unknowns are told, and the directions that are not."""
         left = (self.untold**2).sum(axis=0)
@@ -299,11 +305,11 @@ def identifiable(
     >>> tc.identifiable(model, log, ["stiffness", "damping", "bar_mass"])
     Identifiability(21 unknowns, 2 directions not told)
     """
-    rollouts = _rollouts_of(model, log, parameters, known, groups, start, tolerance, step)
+    rollouts = rollouts_of(model, log, parameters, known, groups, start, tolerance, step)
     theta = np.zeros(rollouts.size)
     slope = rollouts.readings(theta, 1.0, slopes=True).slope
     assert slope is not None  # it was asked for
-    return _identifiability(rollouts, slope)
+    return identifiability_of(rollouts, slope)
 
 
 def fit(
@@ -384,17 +390,18 @@ def fit(
     """
     validation.choice("loss", loss, ("squared", "huber"))
     most = validation.whole_number("most_rollouts", most_rollouts, 1)
-    rollouts = _rollouts_of(model, log, parameters, known, groups, start, tolerance, step)
+    rollouts = rollouts_of(model, log, parameters, known, groups, start, tolerance, step)
     solver = _Solver(rollouts, loss == "huber", most)
     with progress_bar(1.0, progress, label="fitting") as report:
         theta, readings, message = solver.run(report)
     return _result(rollouts, theta, readings, message)
 
 
-def _rollouts_of(
+def rollouts_of(
     model: Model, log: object, parameters: object, known: Any, groups: Any, start: object,
     tolerance: float, step: float | None,
 ) -> Rollouts:  # fmt: skip
+    """Return the rollouts of a model beside logs, after checking all that is asked for."""
     validation.instance("model", model, Model, "make one by Model(structure)")
     logs = checked_logs(model, log)
     first = logs[0]
@@ -405,8 +412,9 @@ def _rollouts_of(
         pair = validation.shaped("start", start, (2,), "deviations of nodes and velocities")
         pair = validation.positive("start", pair, "standard deviation")
         deviations = float(pair[0]), float(pair[1])
-    method = "rk4" if step is not None else "dop853"
-    integration = Integration(method, tolerance, step, error="none")
+    integration = Integration("dop853", tolerance, error="none")
+    if step is not None:  # in place of the tolerance
+        integration = Integration("rk4", step=step, error="none")
     return Rollouts(model, logs, unknowns, deviations, integration)
 
 
@@ -489,7 +497,8 @@ class _Solver:
         return np.asarray(self._scale * step * min(1.0, _LONGEST / max(longest, 1e-300)))
 
 
-def _identifiability(rollouts: Rollouts, slope: FloatArray) -> Identifiability:
+def identifiability_of(rollouts: Rollouts, slope: FloatArray) -> Identifiability:
+    """Return what readings with a slope tell of the unknowns."""
     _, triangle = np.linalg.qr(slope * rollouts.deviations, mode="reduced")
     _, singular, directions = np.linalg.svd(triangle)
     singular = np.concatenate([singular, np.zeros(rollouts.size - len(singular))])
@@ -501,7 +510,7 @@ def _identifiability(rollouts: Rollouts, slope: FloatArray) -> Identifiability:
 
 def _result(rollouts: Rollouts, theta: FloatArray, readings: Readings, message: str) -> Fit:
     assert readings.slope is not None  # every try has one
-    identifiability = _identifiability(rollouts, readings.slope)
+    identifiability = identifiability_of(rollouts, readings.slope)
     count = len(readings.residuals)
     freedom = max(count - int((identifiability.singular >= 1).sum()), 1)
     chi_squared = float((readings.residuals**2).sum() / freedom)

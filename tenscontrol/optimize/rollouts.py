@@ -74,6 +74,7 @@ class Rollouts:
             basis = bar_basis(structure, N).toarray()
             self._bases.append(basis / np.maximum(np.linalg.norm(basis, axis=0), 1e-300))
         self.count = 0
+        self._last: tuple[bytes, Model] | None = None
 
     @cached_property
     def ends(self) -> list[int]:
@@ -113,8 +114,11 @@ class Rollouts:
         return np.split(theta, self.ends)[: len(self.unknowns)]
 
     def model_for(self, theta: FloatArray) -> Model:
-        """Return the model with the parameters for all unknowns."""
-        return fitted_model(self.model, self.unknowns, self.own(theta))
+        """Return the model with the parameters for all unknowns; the last one again if alike."""
+        key = theta.tobytes()
+        if self._last is None or self._last[0] != key:
+            self._last = key, fitted_model(self.model, self.unknowns, self.own(theta))
+        return self._last[1]
 
     def readings(self, theta: FloatArray, share: float, slopes: bool) -> Readings:
         """Return the residuals of readings in a first part of each log, and their slope."""

@@ -144,9 +144,9 @@ def print_peers(case: Case) -> None:
     """Print how general methods do on the same rollouts."""
     from scipy.optimize import least_squares, minimize
 
-    from tenscontrol.optimize.fit import _rollouts_of
+    from tenscontrol.optimize.fit import rollouts_of
 
-    rollouts = _rollouts_of(case.model, case.log, case.names, case.known, None, None, 1e-8, None)
+    rollouts = rollouts_of(case.model, case.log, case.names, case.known, None, None, 1e-8, None)
     scale = rollouts.deviations
 
     def residuals(scaled: np.ndarray) -> np.ndarray:

@@ -118,6 +118,7 @@ RESULTS = {
     "integrate.Span",
     "integrate.Watched",
     "integrate.Work",
+    "optimize.ExcitingInput",
     "optimize.Fit",
     "optimize.Gradient",
     "optimize.Identifiability",
@@ -217,6 +218,7 @@ WITHIN = {
     "plant.Deflections.table",
     "plant.DirectionalStiffness.table",
     "plant.Rigidity.table",
+    "optimize.ExcitingInput.table",
     "optimize.Fit.table",
     "optimize.Identifiability.table",
     "optimize.OptimalMotion.summary",
@@ -885,6 +887,24 @@ call(
     share=0.3,
 )
 call("optimize.LogNormal", lambda: {"median": 300.0, "deviation": 0.5})
+call(
+    "exciting_input",
+    lambda: {
+        "model": elastic(),
+        "log": logged(),
+        "parameters": ["stiffness"],
+        "winches": tc.Winches(rate=0.1),
+        "parts": 2,
+        "known": {"stiffness": [0, 1]},
+        "groups": {"stiffness": [[2, 3, 4], [5, 6, 7, 8]]},
+        "start": (0.01, 0.1),
+        "step": 5e-3,
+        "most_rollouts": 4,
+        "seed": 1,
+        "progress": False,
+    },
+    share=0.2,
+)
 for name in ("fit", "identifiable"):
     call(
         name,

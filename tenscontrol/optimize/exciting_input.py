@@ -1,0 +1,245 @@
+"""Inputs that tell most of unknown parameters, within the limits of winches."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from copy import copy
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tenscontrol import validation
+from tenscontrol.actuation.winches import Winches
+from tenscontrol.arrays import FloatArray, frozen
+from tenscontrol.dynamics.model import Model
+from tenscontrol.dynamics.profile import Profile
+from tenscontrol.integrate.integrator import IntegrationError
+from tenscontrol.optimize.fit import Identifiability, identifiability_of, rollouts_of
+from tenscontrol.optimize.log import Log
+from tenscontrol.optimize.rollouts import Rollouts
+from tenscontrol.progress import progress_bar
+from tenscontrol.simulation.plant_run import StoppedError
+from tenscontrol.tables import aligned
+
+# Part of the rollouts that random inputs get; the best of them is improved.
+_RANDOM = 0.2
+
+# Part of a rest length down to which winches wind it where they have no shortest.
+_SHORTEST = 0.1
+
+# What a winch can do in a part of the time: wind in, stay, or pay out.
+_MOVES = np.array([-1.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ExcitingInput:
+    """An input that tells much of unknown parameters. Made by :func:`exciting_input`.
+
+    Attributes
+    ----------
+    profile : Profile
+        Rest lengths, m, in straight lines from time to time.
+    before, after : Identifiability
+        What readings tell with the input of the log, and with this one.
+    log_determinant : ndarray, shape (rollouts,)
+        Of the information that was best after each rollout.
+    """
+
+    profile: Profile
+    before: Identifiability
+    after: Identifiability
+    log_determinant: FloatArray
+
+    def table(self) -> str:
+        """Return as text what is left of the prior deviation of each unknown, before and after."""
+        rows = [
+            [label, f"{before:.2g}", f"{after:.2g}"]
+            for label, before, after in zip(
+                self.after.labels, self.before.deviation, self.after.deviation, strict=True
+            )
+        ]
+        return aligned(["deviation left of", "before", "after"], rows)
+
+    def __repr__(self) -> str:
+        ratio = float(np.exp(np.log(self.before.deviation / self.after.deviation).mean()))
+        return (
+            f"ExcitingInput({len(self.profile.time)} times, deviations {ratio:.3g} times smaller, "
+            f"{len(self.log_determinant)} rollouts)"
+        )
+
+
+def exciting_input(
+    model: Model,
+    log: Log,
+    parameters: object,
+    winches: Winches,
+    *,
+    parts: int = 6,
+    known: Mapping[str, object] | None = None,
+    groups: Mapping[str, object] | None = None,
+    start: object = None,
+    tolerance: float = 1e-6,
+    step: float | None = None,
+    most_rollouts: int = 200,
+    seed: int = 0,
+    progress: bool = False,
+) -> ExcitingInput:
+    """Return rest lengths in time from whose readings a fit tells most.
+
+    They maximize log det(1 + Sᵀ S), with S the slope of the readings, in deviations of their noise,
+    by the unknowns, in deviations of their priors (D-optimality). In each part of the time each
+    winch winds in, stays or pays out at its largest rate; the best of some random inputs is
+    improved string by string and part by part, as long as that helps.
+
+    Parameters
+    ----------
+    model : Model
+        With what is known of the parameters.
+    log : Log
+        Sensors, times, start and rest lengths of an experiment, as it was done or is planned; its
+        readings are not used, but which of them were lost. The input begins at its rest lengths.
+    parameters : list of str, or dict of str to LogNormal or float
+        As of :func:`fit`.
+    winches : Winches
+        Whose rates, m/s, and range the rest lengths keep to.
+    parts : int
+        Of the time.
+    known, groups, start, tolerance, step
+        As of :func:`fit`.
+    most_rollouts : int
+        Simulations with derivatives at most.
+    seed : int
+        Of the random inputs.
+    progress : bool
+        Whether to show a progress bar; never shown away from a terminal.
+
+    Returns
+    -------
+    ExcitingInput
+
+    Raises
+    ------
+    TypeError, ValueError
+        As :func:`fit`, or if winches have no rate, or the log holds force densities.
+
+    Notes
+    -----
+    V. V. Fedorov, *Theory of Optimal Experiments*, 1972; the search is the coordinate exchange of
+    R. K. Meyer & C. J. Nachtsheim, Technometrics 37 (1995), 60-69, doi:10.2307/1269153. It finds a
+    good input, not the best of all. The motion is that of the model: where parameters are far off,
+    fit a first log, and plan the next by what was found.
+
+    Examples
+    --------
+    >>> import numpy as np, tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> model = tc.Model(prism, strings=tc.LinearStrings(100.0, damping=0.5))
+    >>> sensors = tc.Sensors(structure=prism, node_position=0.001)
+    >>> held = 0.95 * prism.string_length()
+    >>> run = tc.simulate(model, 0.4, rest_length=held, output_step=0.02)
+    >>> log = tc.Log.of_run(run, sensors, np.linspace(0.02, 0.4, 20))
+    >>> winches = tc.Winches(rate=0.3)
+    >>> plan = tc.exciting_input(model, log, ["stiffness"], winches, parts=2, most_rollouts=20)
+    >>> bool(plan.log_determinant[-1] > plan.log_determinant[0])
+    True
+    """
+    validation.instance("log", log, Log, "make one by Log(time, readings, sensors, ...)")
+    validation.instance("winches", winches, Winches, "make them by Winches(rate=...)")
+    if log.input != "rest_length":
+        raise ValueError("log holds force_density, expected rest lengths, which winches wind")
+    if winches.largest_rate is None or not np.isfinite(winches.largest_rate).all():
+        raise ValueError("winches have no rate: give Winches(rate=...), in m/s")
+    parts = validation.whole_number("parts", parts, 1, len(log.time))
+    most = validation.whole_number("most_rollouts", most_rollouts, 2)
+    seed = validation.whole_number("seed", seed, 0, validation.LARGEST_SEED)
+    rollouts = rollouts_of(model, log, parameters, known, groups, start, tolerance, step)
+    search = _Search(rollouts, log, winches, parts)
+    before = _identifiability(search.rollouts_with(None))
+    with progress_bar(float(most), progress, label="planning") as report:
+        moves = search.run(most, np.random.default_rng(seed), report)
+    after = _identifiability(search.rollouts_with(moves))
+    return ExcitingInput(
+        search.profile(moves), before, after, frozen(np.maximum.accumulate(search.values))
+    )
+
+
+def _identifiability(rollouts: Rollouts) -> Identifiability:
+    slope = rollouts.readings(np.zeros(rollouts.size), 1.0, slopes=True).slope
+    assert slope is not None  # it was asked for
+    return identifiability_of(rollouts, slope)
+
+
+class _Search:
+    """Coordinate exchange of the moves of winches, (strings, parts), each -1, 0 or 1."""
+
+    def __init__(self, rollouts: Rollouts, log: Log, winches: Winches, parts: int) -> None:
+        self._rollouts, self._log, self._winches = rollouts, log, winches
+        held = log.rest_length
+        begin = held.at(0.0) if isinstance(held, Profile) else held
+        strings = len(rollouts.model.structure.strings)
+        self._begin = np.broadcast_to(np.asarray(begin, dtype=float).ravel(), (strings,))
+        self._shape = strings, parts
+        rollouts.model_for(np.zeros(rollouts.size))  # which all copies keep
+        self.values: list[float] = []
+
+    def profile(self, moves: FloatArray) -> Profile:
+        """Return the rest lengths that winches reach by moves."""
+        times = np.linspace(0.0, float(self._log.time[-1]), self._shape[1] + 1)
+        lengths = [np.array(self._begin)]
+        for move in moves.T:
+            moved = lengths[-1] + move * np.asarray(self._winches.largest_rate) * times[1]
+            wanted = np.maximum(moved, _SHORTEST * self._begin)
+            lengths.append(self._winches.move(lengths[-1], wanted, float(times[1])).rest_length)
+        return Profile(times, np.stack(lengths, axis=1))
+
+    def rollouts_with(self, moves: FloatArray | None) -> Rollouts:
+        """Return the rollouts with moves in place of the input of the log; None for that input."""
+        other = copy(self._rollouts)
+        if moves is not None:
+            other.logs = (replace(self._log, rest_length=self.profile(moves)),)
+        return other
+
+    def run(
+        self, most: int, random: np.random.Generator, report: Callable[[float], None]
+    ) -> FloatArray:
+        """Return the best moves after so many rollouts at most."""
+        best, value = np.zeros(self._shape), self._value(np.zeros(self._shape))
+        for _ in range(int(_RANDOM * most)):
+            moves = random.choice(_MOVES[[0, 2]], self._shape)
+            best, value = self._better(best, value, moves)
+            report(len(self.values))
+        while len(self.values) < most:
+            value_before = value
+            for entry in random.permutation(best.size):
+                string, part = np.unravel_index(entry, self._shape)
+                for move in _MOVES[best[string, part] != _MOVES]:
+                    if len(self.values) >= most:
+                        return best
+                    moves = best.copy()
+                    moves[string, part] = move
+                    best, value = self._better(best, value, moves)
+                    report(len(self.values))
+            if value == value_before:
+                break
+        return best
+
+    def _better(
+        self, best: FloatArray, value: float, moves: FloatArray
+    ) -> tuple[FloatArray, float]:
+        """Return the better of two inputs, with its value."""
+        own = self._value(moves)
+        return (moves, own) if own > value else (best, value)
+
+    def _value(self, moves: FloatArray) -> float:
+        """Return log det of the information; -inf where the motion runs away."""
+        rollouts = self.rollouts_with(moves)
+        try:
+            slope = rollouts.readings(np.zeros(rollouts.size), 1.0, slopes=True).slope
+        except (IntegrationError, StoppedError):
+            slope = None
+        value = -np.inf
+        if slope is not None and np.isfinite(slope).all():
+            scaled = slope * rollouts.deviations
+            value = float(np.linalg.slogdet(np.eye(rollouts.size) + scaled.T @ scaled)[1])
+        self.values.append(value)
+        return value
