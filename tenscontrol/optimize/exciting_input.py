@@ -211,12 +211,12 @@ class _Search:
         while len(self.values) < most:
             value_before = value
             for entry in random.permutation(best.size):
-                string, part = np.unravel_index(entry, self._shape)
-                for move in _MOVES[best[string, part] != _MOVES]:
+                string, piece = np.unravel_index(entry, self._shape)
+                for move in _MOVES[best[string, piece] != _MOVES]:
                     if len(self.values) >= most:
                         return best
                     moves = best.copy()
-                    moves[string, part] = move
+                    moves[string, piece] = move
                     best, value = self._better(best, value, moves)
                     report(len(self.values))
             if value == value_before:

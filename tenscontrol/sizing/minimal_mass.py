@@ -48,8 +48,9 @@ class Tube:
     ratio : float
         Inner over outer radius, at least 0 and below 1.
     wall_factor : float, optional
-        Part that is left of the load at which a perfect thin wall buckles, 0.3 to 0.6 for walls as
-        they are made: the stress is limited to ``0.605 · wall_factor · E t / r``, r the mean radius.
+        Part that is left of the load at which a perfect thin wall buckles, 0.3 to 0.6 for walls
+        as they are made: the stress is limited to ``0.605 · wall_factor · E t / r``, r the mean
+        radius.
     least_wall : float, optional
         Least thickness of the wall t, m.
 
