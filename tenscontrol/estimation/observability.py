@@ -94,8 +94,9 @@ def _output_function(plant: LinearPlant, sensors: Sensors, extra: ExtraStates) -
     y = symbolic_readings(sensors, Moment(N, V, acceleration, tension, rest_length))
     if extra.biased:
         y = y + extra.bias(z, y.numel())
-    results = settled(plant, z, near, [ca.densify(y), ca.densify(ca.jacobian(y, z))])
-    return Function("readings", [z, u], ca.cse(results))
+    y = ca.cse(ca.densify(y))  # before its derivatives: they then have little in common but that
+    results = settled(plant, z, near, [y, ca.densify(ca.jacobian(y, z))])
+    return Function("readings", [z, u], results)
 
 
 def output_derivative(
