@@ -221,7 +221,7 @@ def regulator_or_none(plant):
 def test_random_choices_of_driven_strings_are_stable_or_refused():
     """The nonlinear plant moves as the design says, or there is no design, with a reason."""
     random, ran, refused = np.random.default_rng(0), 0, 0
-    for _ in range(24):
+    for _ in range(12):  # many more: the benchmark
         structure = tc.prism_tower(
             stages=int(random.integers(1, 4)), sides=int(random.integers(3, 5))
         )
@@ -247,7 +247,7 @@ def test_random_choices_of_driven_strings_are_stable_or_refused():
         assert radius < 1
         off = np.linalg.norm(unit * (states[1] - closed @ states[0]))
         assert off < 0.05 * np.linalg.norm(unit * states[0])
-    assert ran > 10
+    assert ran > 5
     assert refused > 0
 
 

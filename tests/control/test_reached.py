@@ -252,7 +252,7 @@ def test_a_filter_refuses_what_strings_reach_and_no_reading_shows():
 
 
 @pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
-@pytest.mark.parametrize("make", [tc.LQR, tc.MPC, tc.NMPC])
+@pytest.mark.parametrize("make", [tc.LQR, tc.NMPC])
 def test_code_commands_what_python_does(make, tmp_path):
     plant = known_plant("X frame in space")
     more = {} if make is tc.LQR else {"horizon": 3}

@@ -19,7 +19,7 @@ def lqr(plant):
 
 def mpc(plant):
     winches = tc.Winches(rate=0.5, shortest=0.1)
-    return tc.MPC(plant, horizon=5, sample_time=scenes.SAMPLE, winches=winches)
+    return tc.MPC(plant, horizon=3, sample_time=scenes.SAMPLE, winches=winches)
 
 
 def nmpc(plant):

@@ -37,12 +37,12 @@ def test_measured_state(name, plant):
 def coupled_plants():
     """Plants of class 2, by their supports: a D-bar in the plane, and a tower."""
     found = {}
-    for fixed in ((), [0], [0, (2, "x")], [(0, "x")], [(0, "y"), (1, "y")]):
+    for fixed in ((), [0, (2, "x")], [(0, "y"), (1, "y")]):
         held = coupled.d_bar(fixed=fixed)
         model = tc.Model(held, strings=tc.LinearStrings(500.0))
         rest = tc.prestress(held, force_density=10.0)
         found[f"d_bar {fixed}"] = tc.linearize(model, rest, input="rest_length")
-    for fixed in ((), [(i, "z") for i in range(3)], [0, (1, "z")], [0, 4]):
+    for fixed in ([(i, "z") for i in range(3)], [0, (1, "z")]):
         held = coupled.tower(fixed=fixed)
         rest = tc.prestress(held, coupled.tower_force_density())
         found[f"tower {fixed}"] = tc.linearize(tc.Model(held), rest)

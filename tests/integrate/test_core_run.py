@@ -14,7 +14,7 @@ from tests.without_core import without_core
 pytestmark = pytest.mark.skipif(library() is None, reason="installed without a compiler")
 
 # Of the first twenty scenes those that neither blow up nor magnify round-off to a billionth.
-SEEDS = (0, 1, 3, 6, 7, 8, 9, 10, 12, 15, 16, 17, 19)
+SEEDS = (0, 3, 7, 9, 12, 15, 17, 19)
 
 
 def run(seed, **how):

@@ -304,7 +304,10 @@ DAMPED = {
 
 @pytest.mark.parametrize(
     ("structure", "law"),
-    [*(("ball", law) for law in DAMPED), *(("tower", law) for law in ("1e8", "own", "hills"))],
+    [
+        *(("ball", law) for law in DAMPED if law not in ("1e5", "own", "hills")),
+        *(("tower", law) for law in ("1e8", "own", "hills")),
+    ],
 )
 def test_stiff_ground_in_long_steps_never_gives_energy(structure, law):
     """Steps of 10 ms, 30 times the period of a node on ground of 1e8 N/m, and more."""

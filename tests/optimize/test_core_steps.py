@@ -48,7 +48,7 @@ def compare(run, names, monkeypatch, close=1e-11):
             assert np.abs(found[name] - known[name]).max(initial=0.0) < close * size, name
 
 
-@pytest.mark.parametrize("seed", [2, 3, 15, 16, 22])
+@pytest.mark.parametrize("seed", [3, 15, 22])
 def test_on_random_scenes(seed, monkeypatch):
     scene = random_scene(seed)
     limits = tc.HealthLimits(crossings=None, penetration=None, energy_error=None)
@@ -57,14 +57,14 @@ def test_on_random_scenes(seed, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("law", "damping"),
+    ("structure", "law", "damping"),
     [
-        (tc.Ground, 0.0), (tc.Ground, 0.3), (tc.dynamics.HertzGround, 0.3),
-        (tc.dynamics.SmoothGround, 0.3),
+        (tc.library.d_bar, tc.Ground, 0.3), (tc.library.d_bar, tc.dynamics.SmoothGround, 0.3),
+        (tc.prism, tc.Ground, 0.0), (tc.prism, tc.dynamics.HertzGround, 0.3),
     ],
 )  # fmt: skip
-@pytest.mark.parametrize("structure", [tc.library.d_bar(), tc.prism()], ids=["plane", "space"])
-def test_on_all_kinds_of_ground(law, damping, structure, monkeypatch):
+def test_on_all_kinds_of_ground(structure, law, damping, monkeypatch):
+    structure = structure()
     height = float(structure.nodes[-1].min()) - 0.05
     more = {"width": 0.02} if law is tc.dynamics.SmoothGround else {}
     ground = law(2e3, damping=damping, friction=0.4, height=height, slip_speed=0.1, **more)

@@ -30,10 +30,7 @@ def cut_ball(damping):
 PLANTS = {
     "tower": lambda: tower(6),
     "tower, force densities": lambda: tower(6, "force_density"),
-    "tower, minimal": lambda: tower(6, kind="minimal"),
-    "tower, damped": lambda: tower(6, damping=0.3),
     "tower, damped, minimal": lambda: tower(6, kind="minimal", damping=0.3),
-    "ball": lambda: cut_ball(0.0),
     "ball, damped": lambda: cut_ball(0.1),
 }
 
@@ -113,12 +110,12 @@ def largest_error(plant, small, frequencies):
 
 
 def test_the_error_of_a_damped_plant_is_within_its_bound():
-    plant = tower(3, damping=2.0)
+    plant = tower(2, damping=2.0)
     small = tc.reduce(plant, 12)
-    error = largest_error(plant, small, np.geomspace(0.1, 3 * plant.spectral_radius, 300))
+    error = largest_error(plant, small, np.geomspace(0.1, 3 * plant.spectral_radius, 150))
     assert 0 < error < small.error_bound < 300 * error
     assert 0 < small.dropped < 1
-    assert tc.reduce(tower(3), 12).error_bound == np.inf
+    assert tc.reduce(tower(2), 12).error_bound == np.inf
 
 
 def test_all_modes_leave_nothing_out():

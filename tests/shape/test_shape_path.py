@@ -217,7 +217,7 @@ def off_path(plant, found, run):
     return worst
 
 
-@pytest.mark.parametrize("goal", ["low", "twisted"])
+@pytest.mark.parametrize("goal", ["twisted"])
 def test_a_slow_damped_plant_stays_on_the_path(goal):
     end = {"low": low, "twisted": twisted}[goal]()
     damped = model_of(damping=20.0)

@@ -72,7 +72,7 @@ def controllers(example):
     }
 
 
-@pytest.mark.parametrize("name", ["lqr", "mpc", "nmpc"])
+@pytest.mark.parametrize("name", ["mpc", "nmpc"])
 def test_a_controller_goes_on(example, name):
     """With its memory, its winches, stuck ones too, and the noise of the sensors."""
     controller, winches = controllers(example)[name]

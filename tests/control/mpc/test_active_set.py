@@ -67,7 +67,7 @@ BATCHES = (1, 3, None)
 def test_answers_are_optimal(batch):
     rng = np.random.default_rng(3)
     sides, statuses = np.zeros(2, int), set()
-    for M, price, q, low, high in programs(rng, 400):
+    for M, price, q, low, high in programs(rng, 250):
         status, x, y, _ = ActiveSetProgram(M, price, stored=True, batch=batch).solve(q, low, high)
         again = ActiveSetProgram(M, price, batch=batch).solve(q, low, high)
         statuses.add(status)
@@ -80,7 +80,7 @@ def test_answers_are_optimal(batch):
         assert optimality(M, price, q, low, high, x, y) < 1e-14
         soft = np.isfinite(price) & (y != 0)
         sides += (np.abs(y[soft]) > price[soft]).sum(), (np.abs(y[soft]) < price[soft]).sum()
-    assert sides.min() > 100  # multipliers on both sides of the price
+    assert sides.min() > 60  # multipliers on both sides of the price
     assert statuses == {"ok", "infeasible"}
 
 

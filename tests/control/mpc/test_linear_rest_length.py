@@ -83,7 +83,7 @@ def test_target_is_held_after_a_push_whatever_the_stiffness(stiffness, kind):
 
 
 @pytest.mark.parametrize(("stiffness", "damped", "ramp"), [
-    (1e2, False, 2.0), (1e3, False, 2.0), (1e4, True, 2.0), (1e4, False, 6.0),
+    (1e2, False, 2.0), (1e4, True, 2.0), (1e4, False, 6.0),
 ])  # fmt: skip
 def test_new_height_is_reached_by_winches(stiffness, damped, ramp):
     """A winch that stands still within samples jerks strings; undamped stiff ones need time."""

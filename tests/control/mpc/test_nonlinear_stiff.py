@@ -143,7 +143,7 @@ def smooth_way(first, last, duration):
     (1e4, 20, 0.5), (1e6, 100, None),
 ])  # fmt: skip
 def test_stiff_prism_is_moved_by_winches_that_wind(stiffness, pieces, gain):
-    """From 1.0 m to 0.9 m, on the nonlinear model in fine steps; with a gain, an unknown load."""
+    """From 1.0 m to 0.95 m, on the nonlinear model in fine steps; with a gain, an unknown load."""
     prism, middle = tc.prism(), plant_of(stiffness, 0.95)
     pull = np.zeros((3, 6))
     pull[2, :3], pull[2, 3:] = (0.0, 0.0) if gain is None else (0.2, -0.2)
@@ -151,16 +151,16 @@ def test_stiff_prism_is_moved_by_winches_that_wind(stiffness, pieces, gain):
     winches = tc.Winches(rate=0.3, substeps=pieces)
     estimate = {} if gain is None else {"load_gain": gain, "tracked": height_row()}
     nmpc = tc.NMPC(
-        middle, horizon=6, sample_time=SAMPLE, reference=smooth_way(1.0, 0.9, 0.8), winches=winches,
-        min_force_density=5.0, max_tension=45.0, **estimate,
+        middle, horizon=6, sample_time=SAMPLE, reference=smooth_way(1.0, 0.95, 0.5),
+        winches=winches, min_force_density=5.0, max_tension=45.0, **estimate,
     )  # fmt: skip
     run = tc.simulate(
-        model, 1.6, prism.nodes, controller=nmpc, winches=winches,
+        model, 0.9, prism.nodes, controller=nmpc, winches=winches,
         rest_length=nmpc.targets(-SAMPLE)[1][0],  # what holds the start
         step=0.4 / (12 * stiffness) ** 0.5, output_step=SAMPLE,
     )  # fmt: skip
-    assert run.control.status_count == {"ok": 80}
-    assert np.abs(demo.height_of(run.nodes[:, :, run.time > 1.4]) - 0.9).max() < 1e-4
+    assert run.control.status_count == {"ok": 45}
+    assert np.abs(demo.height_of(run.nodes[:, :, run.time > 0.8]) - 0.95).max() < 1e-4
     start, end = (run.nodes[:, prism.strings[:, i]] for i in range(2))
     assert (run.force_density * np.linalg.norm(end - start, axis=0)).max() < 1.05 * 45.0
     if stiffness < 1e5:

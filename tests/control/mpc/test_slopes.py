@@ -1,7 +1,6 @@
 """Derivatives along a plan by sparse Jacobians of one point: their values, and what they cost."""
 
 from functools import cache, partial
-from itertools import product
 
 import numpy as np
 import pytest
@@ -67,7 +66,7 @@ def off(found, expected):
 
 @pytest.mark.parametrize(
     ("name", "taut"),
-    [*product(NAMED, [False, True]), *((name, k % 2 == 1) for k, name in enumerate(RANDOM))],
+    [(name, k % 2 == 1) for k, name in enumerate(SCENES)],
 )
 def test_slopes_are_those_of_the_whole_expression(name, taut):
     """Against CasADi's derivatives of the acceleration written out in reduced coordinates."""
@@ -113,8 +112,9 @@ def test_samples_are_linearized_alike_in_both_ways(name):
         assert off(found.slopes[1][k], by_u.T) < CLOSE
 
 
-@pytest.mark.parametrize("ramp", [False, True])
-@pytest.mark.parametrize("name", ["ball, damped", "class 2", "plane"])
+@pytest.mark.parametrize(
+    ("name", "ramp"), [("ball, damped", True), ("class 2", False), ("plane", True)]
+)
 def test_limited_rows_are_those_of_the_whole_expression(name, ramp):
     plant = plant_of(name)
     limit = np.random.default_rng(1).normal(size=(2, plant.nodes.size))
@@ -145,7 +145,7 @@ def test_limited_rows_are_those_of_the_whole_expression(name, ramp):
 @pytest.mark.parametrize("held", ["force_density", "rest_length"])
 def test_the_code_grows_with_the_members(held):
     counts = []
-    for stages in (2, 4, 8):
+    for stages in (1, 2, 4):
         tower = tc.prism_tower(stages)
         model = tc.Model(tower, tc.LinearStrings(1000.0))
         plant = tc.linearize(model, tc.prestress(tower, 20.0), input=held)

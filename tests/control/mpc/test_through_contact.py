@@ -20,13 +20,14 @@ def touching(plant, seed):
     return np.r_[q, 0.3 * rng.normal(size=r)]
 
 
-@pytest.mark.parametrize("input", ["rest_length", "force_density"])
-@pytest.mark.parametrize("name", ["x", "d_bar", "tower"])
+@pytest.mark.parametrize(
+    ("name", "input"), [("x", "rest_length"), ("d_bar", "force_density"), ("tower", "rest_length")]
+)
 def test_derivatives_through_contact(name, input):
     plant = STRUCTURES[name](height=0.05, input=input)
     motion, linearized = sampled_dynamics(plant, SAMPLE)
     u = plant.equilibrium_input * 0.99
-    for seed in range(3):
+    for seed in range(2):
         z = touching(plant, seed)
         parts = [np.array(part.full()) for part in linearized(z, u)]
         np.testing.assert_allclose(parts[0], motion(z, u).full(), rtol=0, atol=1e-12)
@@ -151,7 +152,7 @@ def test_the_smooth_law_comes_to_the_sharp_one_as_it_gets_narrow(name):
     assert errors[2] < 1.5e-3
 
 
-@pytest.mark.parametrize(("name", "width"), [("x", 0.005), ("x", None), ("d_bar", 0.005)])
+@pytest.mark.parametrize(("name", "width"), [("x", None), ("d_bar", 0.005)])
 def test_a_structure_lands_stands_jumps_and_lands(name, width):
     """Designed in the air, where it falls, and run on the sharp law, which may also predict."""
     plant = STRUCTURES[name](height=0.1, width=width)
