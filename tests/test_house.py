@@ -12,9 +12,11 @@ import os
 import re
 import subprocess
 import sys
+import tomllib
 import types
 from collections import Counter
 from functools import cache
+from operator import attrgetter
 from pathlib import Path
 
 import pytest
@@ -271,8 +273,37 @@ def test_no_text_speaks_of_the_place_it_was_written_in():
 def test_the_version_is_one():
     version = re.escape(tc.__version__)
     changes, citation = ((PROJECT / f).read_text("utf-8") for f in ("CHANGELOG.md", "CITATION.cff"))
-    assert re.search(rf"^#+ .*\b{version}\b", changes, re.MULTILINE)
+    newest = re.search(r"^## (.*)", changes, re.MULTILINE)
+    released = re.search(r"^date-released: (\S+)$", citation, re.MULTILINE)
+    assert newest[1] == f"{tc.__version__} ({released[1]})"
     assert re.search(rf"^version: [\"']?{version}[\"']?$", citation, re.MULTILINE)
+
+
+def test_the_newest_changes_name_what_there_is():
+    """Names of the package in its changes, and of the table of what has moved."""
+    section = (PROJECT / "CHANGELOG.md").read_text("utf-8").split("\n## ")[1]
+    names = set(re.findall(r"`tc\.([\w.]+)", section))
+    places = re.findall(r"^\| `tc\.(\w+)` \| (.*) \|$", section, re.MULTILINE)
+    for folder, moved in places:
+        names |= {f"{folder}.{name}" for name in re.findall(r"`(\w+)`", moved)}
+    assert len(names) > 90
+
+    def is_there(name):
+        try:
+            attrgetter(name)(tc)
+        except AttributeError:
+            return False
+        return True
+
+    assert {name for name in names if not is_there(name)} == set()
+
+
+def test_wheels_are_built_for_three_systems():
+    workflow = (PROJECT / ".github/workflows/wheels.yml").read_text("utf-8")
+    systems = re.search(r"os: \[(.*)\]", workflow)[1]
+    assert all(name in systems for name in ("ubuntu", "macos", "windows"))
+    built = tomllib.loads((PROJECT / "pyproject.toml").read_text("utf-8"))["tool"]["cibuildwheel"]
+    assert any("absence" in command for command in built["test-command"])
 
 
 def test_the_version_is_that_of_the_installation():
