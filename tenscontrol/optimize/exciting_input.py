@@ -42,7 +42,8 @@ class ExcitingInput:
     before, after : Identifiability
         What readings tell with the input of the log, and with this one.
     log_determinant : ndarray, shape (rollouts,)
-        Of the information that was best after each rollout.
+        Of the information that was best after each rollout, natural, of the matrix in the units of
+        the unknowns.
     """
 
     profile: Profile

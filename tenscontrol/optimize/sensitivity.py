@@ -313,6 +313,7 @@ def gradient(
     to : list of str
         As of :func:`sensitivity`.
     times : float or array_like, shape (T,), optional
+        As of :func:`sensitivity`, s.
     feedback : bool
         As of :func:`sensitivity`.
 
