@@ -476,7 +476,7 @@ def test_an_option_of_mpc_is_declared_once(tmp_path):
         pushed = plain.plant.to_nodes(np.full(9, 0.01)), np.zeros((3, 6))
         moves = [np.abs(each.command(0.0, *pushed).value - plain.plant.equilibrium_input).max()
                  for each in (plain, dear, again)]
-        assert moves[0] > 1.1 * moves[1] == 1.1 * moves[2], moves
+        assert moves[0] > 1.01 * moves[1] == 1.01 * moves[2], moves
         for wrong, words in {
             "efort = 1.0": "has no key 'efort'; did you mean 'effort'?",
             "effort = 'big'": "effort is the text 'big', expected a number in m",
