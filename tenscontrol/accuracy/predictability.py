@@ -99,7 +99,8 @@ def predictability(
     """Return how fast a small change of the start grows, and how long the motion is predictable.
 
     Every node is moved by about 1e-10 m at random while bars keep their lengths, and the motion is
-    compared with the unperturbed one. Times at which strings go slack or taut are located in both.
+    compared with the unperturbed one. Times at which strings go slack or taut are located in both
+    motions.
 
     Parameters
     ----------

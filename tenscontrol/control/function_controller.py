@@ -42,10 +42,9 @@ class FunctionController(BaseController):
     round, or to measure and command the segments of subdivided strings.
 
     The function is called once a sample as ``function(time, nodes, velocities)``: s; m and m/s,
-    shape (d, n) each. It returns an array_like of shape (α,), one γ, N/m, or rest length, m, per
-    string of the structure, or per input if ``actuated`` is given; or a :class:`Command` of that,
-    with a status. In place of a function,
-    an object may have
+    shape (d, n) each. It returns an array_like of shape (α,): one γ, N/m, or rest length, m, per
+    string of the structure, or per input if ``actuated`` is given. It may also return a
+    :class:`Command` of these values, with a status. In place of a function, an object may have
 
     - ``command(time, nodes, velocities)``, which is called in this way;
     - ``input`` and ``sample_time``, used where they are not given here;

@@ -57,8 +57,9 @@ _OF_ALL_NODES = (
 class Model:
     """Equations of motion of a structure: rigid bars, strings, loads, supports and ground.
 
-    Without a load, damping or ground, its functions have no input and no code for them. The
-    state is ``x = [vec(N); vec(Ṅ)]``, node by node: x1 y1 z1 x2 …, then the velocities.
+    What a model does not have, such as a load, damping or ground, adds no input and no code to its
+    functions. The state is ``x = [vec(N); vec(Ṅ)]``, node by node: x1 y1 z1 x2 …, then the
+    velocities.
 
     Parameters
     ----------

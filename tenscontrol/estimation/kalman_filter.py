@@ -182,14 +182,15 @@ class KalmanFilter:
 
     At each sample call :meth:`update` with the readings, then :meth:`predict` with the input that
     is held over the sample. The covariance is updated at each sample, as readings may be lost or
-    refused. While all are used near the operating point, it converges to the steady one. A filter
-    that was pickled starts anew.
+    refused. Where all are used near the operating point, it converges to that of the steady filter.
+    A filter restored from a pickle starts anew.
 
     The input of the plant must be what the actuators hold between samples: for winches linearize
     with ``input="rest_length"``, whatever the controller commands. With internal coordinates, the
     filter adds the rigid-body motions that the readings observe. Undamped modes that are neither
-    observed nor reached by strings are left out: see :attr:`left_alone`. So are directions of the
-    structure as one body of which readings show only the rates. :meth:`observability` reports.
+    observed nor reached by strings are left out: see :attr:`left_alone`. Motions of the structure
+    as one body are left out too, if readings show their rates alone. :meth:`observability` lists
+    what is left out.
 
     Parameters
     ----------

@@ -198,8 +198,8 @@ class Sensors:
     """Sensors: what is measured at each sample, with Gaussian noise on each number.
 
     A quantity is measured if its standard deviation is given. The readings of a sample are one
-    vector y, shape (m,), kind after kind in the order below. What is not said to be in the axes of
-    a bar is in the frame of the structure, axes ``x, y, z`` together.
+    vector y, shape (m,), kind after kind in the order below. Vectors are in the frame of the
+    structure, unless they are said to be in the axes of a bar; their x, y and z come together.
 
     Parameters
     ----------

@@ -33,11 +33,12 @@ def vector_env(
 ) -> VectorEnv:
     """Return many robots on one task as an environment of gymnasium.
 
-    An action has one number from −1 to 1 an input: the part of the winch's largest rate at which it
-    winds in (−) or lets out (+) over the sample. An observation has the nodes beside their centre,
-    m, velocities, m/s, the values of the inputs, m, and what the task shows of its goal. An episode
-    is terminated where the goal is reached or the motion has run away (``info["lost"]``), and
-    truncated after ``duration``. The step after it begins a new one (autoreset at the next step).
+    An action has one number per input, from −1 to 1: the rate at which its winch winds in (−) or
+    lets out (+) over the sample, as part of its largest rate. An observation has the nodes relative
+    to their centre, m, velocities, m/s, the values of the inputs, m, and what the task shows of its
+    goal. An episode is terminated where the goal is reached or the motion has run away
+    (``info["lost"]``), and truncated after ``duration``. The step after it begins a new one
+    (autoreset at the next step).
 
     Parameters
     ----------

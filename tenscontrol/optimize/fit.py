@@ -328,8 +328,8 @@ def fit(
 ) -> Fit:
     """Return a model fitted to what sensors read of a structure.
 
-    By Levenberg and Marquardt's method with the derivatives of the run, through its switches. The
-    first tenth of the logs is fitted first, then more and more, as long motions from a poor guess
+    The method is that of Levenberg and Marquardt, with derivatives of the run through its switches.
+    It fits the first tenth of the logs first, then more and more, as long motions from a poor guess
     have many minima.
 
     Parameters

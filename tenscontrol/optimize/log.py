@@ -22,7 +22,7 @@ _MOST_NUMBERS = 50_000_000
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Log:
-    """Readings of a motion at some times, with the inputs meanwhile and the start.
+    """Readings of a motion at given times, with the inputs between them and the start.
 
     Parameters
     ----------

@@ -185,8 +185,8 @@ def sensitivity(
 ) -> Sensitivity | BatchSensitivity:
     """Return the derivatives of a run by what it depends on, through its switches.
 
-    The steps of the run are differentiated as they were taken, and its landings where strings go
-    slack or taut and contacts open or close. One pass gives the derivatives by all parameters.
+    The steps of the run are differentiated as they were taken. So are the switches at which strings
+    go slack or taut and contacts open or close. One pass gives the derivatives by all parameters.
 
     Parameters
     ----------

@@ -65,7 +65,7 @@ class ActuatorChoice:
 
 
 def actuator_choice(plant: LinearPlant, count: int | None = None) -> ActuatorChoice:
-    """Return which inputs of a plant reach most, one after the other.
+    """Return the inputs of a plant that reach most, chosen one after the other.
 
     Parameters
     ----------

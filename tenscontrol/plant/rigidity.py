@@ -74,8 +74,8 @@ class Rigidity:
 def rigidity(plant: LinearPlant, axial_rigidity: object, count: int | None = None) -> Rigidity:
     """Return how far elastic bars would change the modes of a plant.
 
-    Bars are rigid in this package. That is right for modes far below the frequencies at which bars
-    vibrate along themselves; this says how far, mode by mode.
+    Bars are rigid in this package. That holds for modes far below the axial vibrations of bars. The
+    result says by how much each mode would change.
 
     Parameters
     ----------

@@ -110,11 +110,11 @@ class Outcome:
 class ClosedLoopCase:
     """A scene whose plant varies, while the controller keeps its nominal design.
 
-    For :func:`sweep`. Runs whose controller is compiled code
-    (:meth:`GeneratedController.compile`), and open loops, go through the compiled loops of
-    :func:`simulate_many`, some at a time; the numbers are the same. For that there must be steps of
-    RK4, and no winches, estimator, faults or ground. ``report.back_end`` says which way was taken,
-    and why.
+    For :func:`sweep`. Open loops, and runs whose controller is compiled code
+    (:meth:`GeneratedController.compile`), are simulated by the compiled loops of
+    :func:`simulate_many`, several at a time, with the same numbers. That needs steps of RK4, and a
+    scene without winches, estimator, faults and ground. ``report.back_end`` says which way was
+    taken, and why.
 
     These parameters can vary:
 

@@ -166,9 +166,9 @@ def shape_target(
     """Return an equilibrium shape that meets given demands, and its force densities.
 
     Of the shapes that meet them, it is the one nearest to ``start`` (least sum of squares of the
-    node displacements). Weights and the constant load of the model act. Members have no
-    thickness: ``clearance`` sets the least distance of bars. Each string keeps at least a
-    hundredth of its length in ``start``.
+    node displacements). Weights and the constant load of the model act. Members have no thickness:
+    ``min_clearance`` sets the least distance between bars. Each string keeps at least a hundredth
+    of its length in ``start``.
 
     Parameters
     ----------

@@ -109,7 +109,7 @@ class CutString(Fault):
 class StuckWinch(Fault):
     """A winch that is stuck for a time: it keeps its rest length, or its γ.
 
-    Commands at samples from ``time`` on and before ``until`` have no effect. The controller is
+    Commands at samples from ``time`` up to, but not at, ``until`` have no effect. The controller is
     told the input that was applied (:meth:`Controller.applied`).
 
     Parameters

@@ -112,7 +112,7 @@ class Health:
 class HealthLimits:
     """Limits on the accuracy figures of a run (:class:`Health`); None or inf for no limit.
 
-    With ``sections``, members have a limit too: they are to bear their forces.
+    With ``sections``, the forces of members are limited too, by their strength.
 
     Parameters
     ----------

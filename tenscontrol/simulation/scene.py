@@ -56,8 +56,9 @@ class Scene:
     """What is simulated: a model, its start, its inputs or controller, loads, faults, duration.
 
     Give one of ``rest_length``, ``force_density`` and ``controller``; without strings none is
-    needed. :func:`simulate` takes the same arguments and says more of each. A scene is checked
-    when it is made; ``dataclasses.replace(scene, duration=0.1)`` gives one with other settings.
+    needed. :func:`simulate` takes the same arguments, and describes each of them. A scene is
+    checked when it is made; ``dataclasses.replace(scene, duration=0.1)`` gives one with other
+    settings.
 
     Parameters
     ----------

@@ -65,11 +65,11 @@ class StepperState:
 
 
 class Stepper:
-    """Robots that are advanced by one sample a call: the plant of a loop of your own.
+    """Robots that advance by one sample per call, as the plant of your own loop.
 
     A sample has the bits of the same sample of ``simulate`` under ``method="rk4"`` with this step.
-    Nothing else is done in it: no record, no estimate of the error, no search for bars that cross.
-    ``simulate`` with the same commands tells them.
+    It does nothing else: there is no record, no estimate of the error and no search for bars that
+    cross. ``simulate`` with the same commands has these.
 
     Parameters
     ----------

@@ -124,7 +124,7 @@ class Strength:
 
 
 def strength(run: Trajectory, sections: Sections) -> Strength:
-    """Return how many times its force each member could carry over a run.
+    """Return the margin of each member over a run: how many times its force it could carry.
 
     Parameters
     ----------

@@ -241,7 +241,7 @@ def prestress(
 ) -> Prestress:
     """Return force densities (tension per length) that hold a structure in equilibrium.
 
-    Bars may be in compression or in tension: see ``bars_in_tension`` of the result.
+    Bars may be in compression or in tension: ``bars_in_tension`` of the result lists the latter.
 
     Parameters
     ----------

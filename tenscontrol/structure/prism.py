@@ -175,11 +175,11 @@ def prism_tower(
 ) -> Structure:
     """Return a class-1 tower of tensegrity prisms, one above the other, in equilibrium.
 
-    Stages are right- and left-handed in turn, and no bar touches another. The bottom of each stage
-    is below the top of the previous one, and *saddle* strings zigzag between these two polygons.
-    *Diagonal* strings join the tops, and the bottoms, of neighbouring stages. One stage is the
-    :func:`prism`. With more stages the tower has no mechanism, and a self-stress with all strings
-    in tension, so that it is stiff without a load.
+    Stages are alternately right- and left-handed, and no bar touches another. The bottom of each
+    stage is below the top of the previous one, and *saddle* strings zigzag between these two
+    polygons. *Diagonal* strings join the tops, and the bottoms, of neighbouring stages. One stage
+    is the :func:`prism`. With more stages the tower has no mechanism, and a self-stress with all
+    strings in tension, so that it is stiff without a load.
 
     Nodes, bars and strings come stage by stage. The nodes of a stage are its top polygon, then its
     bottom polygon, q each; its strings are the groups ``"top"``, ``"bottom"`` and ``"vertical"``, q

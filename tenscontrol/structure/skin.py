@@ -33,9 +33,9 @@ def skin(
     """Return the structure with an elastic skin on its panels: a mesh of strings.
 
     Each panel gets a node at its centre, the mean of its corners, and strings from it to the
-    corners. This is repeated inside each new triangle, n ``iterations`` in all. Nodes and strings
-    of ``structure`` come first, in their order; the new ones follow panel by panel. The result has
-    ``structure`` as its ``parent``.
+    corners. This is repeated inside each new triangle, ``iterations`` times in all. Nodes and
+    strings of ``structure`` come first, in their order; the new ones follow panel by panel. The
+    result has ``structure`` as its ``parent``.
 
     Parameters
     ----------

@@ -42,8 +42,9 @@ _SHARE = 0.01
 class OutputLimit:
     """Bounds on linear combinations of node positions at the end of each predicted sample.
 
-    Or of the axial forces of bars, positive in compression, at the start of each with the input
-    that acts from there, and at its end: :func:`~tenscontrol.control.buckling` makes those.
+    It can also bound axial forces of bars, positive in compression. These are limited at the start
+    of each sample, with the input that acts from there, and at its end:
+    :func:`~tenscontrol.control.buckling` makes such limits.
 
     In internal coordinates, positions are those of the shape aligned with the operating point.
     Do not bound combinations that change in a rigid-body motion.
