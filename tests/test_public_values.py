@@ -144,6 +144,9 @@ def values(tmp_path_factory):
         ),
         batch.crossings,
         tc.sensitivity(batch, ["nodes"]),
+        tc.exciting_input(
+            model, log, ["stiffness"], tc.Winches(rate=0.1), most_rollouts=2, parts=1, step=5e-3
+        ),
         tc.Stepper(model, 0.01, step=0.01, rest_length=start.rest_length.copy()).state,
         tc.learning.Rolling(np.array([1.0, 0.0, 0.0])),
         tc.learning.Reach(0, np.zeros(3)),

@@ -105,8 +105,12 @@ def exciting_input(
         Whose rates, m/s, and range the rest lengths keep to.
     parts : int
         Of the time.
-    known, groups, start, tolerance, step
-        As of :func:`fit`.
+    known : dict of str to list of int, optional
+    groups : dict of str to list of lists of int, or "all", optional
+    start : tuple of float, optional
+    tolerance : float
+    step : float, optional
+        All as of :func:`fit`.
     most_rollouts : int
         Simulations with derivatives at most.
     seed : int

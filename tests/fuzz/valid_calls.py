@@ -1821,15 +1821,22 @@ call(
     },
     share=0.3,
 )
+
+
+def two_runs():
+    return tc.simulate_many(
+        tc.Scene(elastic(), 0.01, rest_length=rest_length(), integration=tc.Integration(step=1e-3)),
+        {"nodes": np.array([nodes(), nodes()])},
+    )
+
+
 call(
     "simulation.Batch.trajectory",
     lambda: {"run": 1, "limits": tc.HealthLimits()},
-    lambda: tc.simulate_many(
-        tc.Scene(elastic(), 0.01, rest_length=rest_length(), integration=tc.Integration(step=1e-3)),
-        {"nodes": np.array([nodes(), nodes()])},
-    ),
+    two_runs,
     share=0.3,
 )
+call("simulation.Batch.scene_of", lambda: {"run": 1}, two_runs, share=0.3)
 call("simulation.Trajectory.summary", on=run)
 call("simulation.Trajectory.save", lambda: {"path": scratch("run.npz")}, run, 0.3)
 call("simulation.Trajectory.to_csv", lambda: {"path": scratch("run.csv")}, run, 0.3)
