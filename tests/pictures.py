@@ -7,6 +7,7 @@ import argparse
 import contextlib
 import runpy
 import tempfile
+from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -16,6 +17,7 @@ from PIL import Image
 
 import tenscontrol as tc
 from tests.code_blocks import PROJECT, blocks, run
+from tests.plot.test_view_in_browser import CHROMIUM, Browser
 
 IMAGES = PROJECT / "docs" / "images"
 SAMPLE, REST_LENGTH, FACE = 0.05, 0.55, [0, 4, 8]  # s, m; the nodes it stands on at the start
@@ -163,6 +165,36 @@ def trust(folder):
     return errors
 
 
+def of_pages(folder):
+    """Write a figure that the code of a page draws, for each of some pages."""
+    for page, number in {"few_motors": 1, "identification": 2, "figures": 2}.items():
+        plt.close("all")
+        names = {}
+        with tempfile.TemporaryDirectory() as written, contextlib.chdir(written):
+            for block in blocks(page):
+                if block.language == "python" and number not in plt.get_fignums():
+                    exec(compile(block.code, page, "exec"), names)
+        plt.figure(number).savefig(folder / f"{page}.png", dpi=110, bbox_inches="tight")
+    plt.close("all")
+
+
+def view_in_browser(folder):
+    """Write what a browser shows of a run, if Chromium is there."""
+    if CHROMIUM is None:
+        return
+    ball = tc.library.six_bar_ball()
+    rest = tc.prestress(ball, force_density=20.0)
+    model = tc.Model(ball, strings=tc.LinearStrings(stiffness=1e3))
+    plant = tc.linearize(model, rest, input="rest_length")
+    start = plant.to_nodes([0.05] + 23 * [0.0])
+    run = tc.simulate(model, 0.5, start, rest_length=plant.rest_length)
+    with tempfile.TemporaryDirectory() as written:
+        browser = Browser(Path(written) / "profile")
+        browser.open(run.to_html(Path(written) / "run.html"))
+        browser.picture(folder / "view.png")
+        browser.close()
+
+
 def projects(folder):
     """Write the figures that the files of the page on projects draw."""
     for name in ("mast", "robot", "symbols"):
@@ -179,6 +211,8 @@ if __name__ == "__main__":
     argparse.ArgumentParser(description=__doc__).parse_args()
     rolling_ball(IMAGES / "rolling_ball.gif")
     first_pages(IMAGES)
+    of_pages(IMAGES)
+    view_in_browser(IMAGES)
     projects(IMAGES)
     for title, errors in trust(IMAGES).items():
         largest = {name: values.max() for name, values in errors.items()}
