@@ -133,7 +133,7 @@ def trust(folder):
     for block in blocks("trust"):
         if block.language == "python" and not block.fragment:
             run(block, names)
-    figure, axes = plt.subplots(1, 3, figsize=(9.6, 3.2), sharey=True, layout="constrained")
+    figure, axes = plt.subplots(3, 1, figsize=(6.4, 6.6), sharex=True, layout="constrained")
     titles = {
         "right": "A run that is right",
         "lost": "Right until 3 s",
@@ -153,11 +153,12 @@ def trust(folder):
         size = np.ptp(exact.nodes[..., 0], axis=1).max()
         error = np.linalg.norm(estimated.nodes - exact.nodes, axis=0).max(axis=0) / size
         errors[title] = {"estimated": estimated.error[1:], "true": error[1:]}
-        ylabel = "error of nodes,\npart of the size" if ax is axes[0] else " "
+        ylabel = "error of nodes,\npart of the size"
         limit = {"limit": 0.01}
         tc.plot.history(estimated.time[1:], errors[title], ylabel, ax=ax, references=limit)
         ax.set(yscale="log", ylim=(1e-8, 1.0))
-        ax.set_title(title, pad=32)
+        ax.set_title(title, loc="right", pad=8)
+        ax.label_outer()
     figure.savefig(folder / "trust.png", dpi=110)
     heights = tc.plot.history(names["lost"].time, names["heights"], "height of node 0, m")
     heights.ax.figure.savefig(folder / "trust_motion.png", dpi=110, bbox_inches="tight")

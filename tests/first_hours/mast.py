@@ -15,7 +15,7 @@ bar_ends, string_ends = [], []  # counted from 1, as in MATLAB
 for first in range(1, 3 * STAGES + 1, 3):
     for k in range(3):
         one, other = first + k, first + (k + 1) % 3
-        bar_ends += [(one, one + 3), (one + 3, other + 3)]  # a longeron, and a batten above
+        bar_ends += [(one, one + 3), (one + 3, other + 3)]  # longeron, batten
         string_ends += [(one, other + 3), (other, one + 3)]  # crossed on each face
 
 
@@ -33,14 +33,17 @@ C_b, C_s = connectivity(bar_ends), connectivity(string_ends)
 base, top = [0, 1, 2], [12, 13, 14]
 payload = np.zeros(N.shape[1])
 payload[top] = PAYLOAD / 3
-mast = tc.Structure.from_matrices(N, C_b, C_s, bar_mass=1.0, fixed=base, point_mass=payload)
+mast = tc.Structure.from_matrices(
+    N, C_b, C_s, bar_mass=1.0, fixed=base, point_mass=payload,
+)  # fmt: skip
 print(mast, "class", mast.structure_class)
 
 # %% size
 loads = []
 for side in np.deg2rad([0, 60, 120, 180, 240, 300]):
     load = np.zeros(N.shape)
-    load[:, top] = np.array([[30 * np.cos(side)], [30 * np.sin(side)], [-100.0]]) / 3  # N
+    force = np.array([30 * np.cos(side), 30 * np.sin(side), -100.0])  # N
+    load[:, top] = force[:, None] / 3
     loads.append(load)
 sized = tc.design(
     mast,
@@ -67,7 +70,8 @@ lqr = tc.LQR(plant, *tc.energy_weights(plant), sample_time=0.01)
 push = np.zeros((*N.shape, 4))
 push[0, top, 1:3] = 10.0 / 3  # N, along x
 gust = tc.Profile([0.0, 0.05, 0.2, 0.25], push)
-scene = {"rest_length": plant.rest_length, "external_force": gust, "output_step": 0.01}
+scene = {"rest_length": plant.rest_length, "external_force": gust}
+scene["output_step"] = 0.01
 held = tc.simulate(model, 1.5, **scene)
 still = tc.simulate(model, 1.5, controller=lqr, **scene)
 runs = {"strings held": held, "LQR": still}

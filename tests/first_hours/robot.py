@@ -26,13 +26,14 @@ log = tc.Log.read(
 print(log)
 
 # %% fit
-fit = tc.fit(believed, log, ["stiffness", "damping"], groups={"stiffness": "all", "damping": "all"})
+alike = {"stiffness": "all", "damping": "all"}  # all strings have the same
+fit = tc.fit(believed, log, ["stiffness", "damping"], groups=alike)
 print(fit.table())
 
 # %% robot
 robot = replace(
     shell,
-    nodes=np.column_stack([shell.nodes, shell.nodes.mean(axis=1)]),  # node 12: the payload
+    nodes=np.column_stack([shell.nodes, shell.nodes.mean(axis=1)]),  # 12: the payload
     strings=np.vstack([shell.strings, [[k, 12] for k in range(12)]]),
     point_mass=np.append(np.zeros(12), 1.0),  # kg
     string_groups=["shell"] * 24 + ["payload"] * 12,
@@ -63,10 +64,10 @@ runs = {
     "LQR": tc.simulate(model, 1.0, controller=lqr, **loop),
     "LQR in C": tc.simulate(model, 1.0, controller=made.compile(), **loop),
 }
-away = {
-    name: 1e3 * np.linalg.norm(run.nodes - rest.structure.nodes[..., None], axis=0).max(axis=0)
-    for name, run in runs.items()
-}
+away = {}
+for name, run in runs.items():
+    moved = run.nodes - rest.structure.nodes[..., None]
+    away[name] = 1e3 * np.linalg.norm(moved, axis=0).max(axis=0)
 for name, distance in away.items():
     late = distance[runs[name].time > 0.8].max()
     print(f"{name}: {distance.max():.0f} mm at most, {late:.2f} mm after 0.8 s")
