@@ -46,7 +46,9 @@ heights = {
 }
 
 # %%
-# Shapes along the fastest motion, the start in grey.
+# Shapes along the fastest motion, the start in grey. Below are the tip, winches (positive where
+# they pay out) and tensions. The tip comes to rest after all winches have turned back; on the path
+# through equilibria it swings on.
 
 figure = plt.figure(figsize=(7.5, 8.5), layout="constrained")
 grid = figure.add_gridspec(4, 1, height_ratios=(2.0, 1.0, 1.0, 1.0))
@@ -55,10 +57,6 @@ for share in (0.0, 0.5):
     k = round(share * (len(motion.time) - 1))
     tc.plot.structure(arm, motion.nodes[:, :, k], ax=ax, faint=True)
 tc.plot.structure(arm, motion.nodes[:, :, -1], ax=ax)
-
-# %%
-# The tip, winches (positive where they pay out) and tensions. It comes to rest after all winches
-# have turned back; on the path through equilibria it swings on.
 
 tc.plot.history(
     time,

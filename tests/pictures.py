@@ -168,7 +168,8 @@ def trust(folder):
 
 def of_pages(folder):
     """Write a figure that the code of a page draws, for each of some pages."""
-    for page, number in {"few_motors": 1, "identification": 2, "figures": 2}.items():
+    numbers = {"few_motors": 1, "identification": 2, "figures": 2, "optimal_motion": 1}
+    for page, number in numbers.items():
         plt.close("all")
         names = {}
         with tempfile.TemporaryDirectory() as written, contextlib.chdir(written):
