@@ -28,6 +28,8 @@ from tenscontrol.integrate.integrator import (
 )
 from tenscontrol.structure.structure import Structure
 
+_PROGRESS = np.dtype(records.Progress)  # which NumPy makes anew each time
+
 
 def tables_of_runs(structure: Structure, given: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
     """Return the tables of the core that parameters of runs change, one row a run.
@@ -289,7 +291,7 @@ class _Calls:
         """Return the states at outputs, NaN where they are not reached, and progress."""
         scene, (count, size) = self._scene, self._states.shape
         reached = np.full((count, settings.outputs, size), np.nan)
-        progress = np.zeros(count, dtype=np.dtype(records.Progress))
+        progress = np.zeros(count, dtype=_PROGRESS)
         runs = self._runs(own)
         work = self._work(settings, runs)
         scene.core.tc_advance_runs(

@@ -337,8 +337,9 @@ class Integrator(ABC):
 
 # ---- scales ----
 
-# Iterations of the power method, and the step of its finite differences as part of the size.
-_POWER_ITERATIONS, _DIFFERENCE = 60, 1e-6
+# Iterations of the power method, at most and at least, the change of its square from one to the
+# next at which they end, as part of it, and the step of its differences as part of the size.
+_POWER_ITERATIONS, _FEWEST_ITERATIONS, _SETTLED, _DIFFERENCE = 60, 8, 1e-3, 1e-6
 
 
 def state_scale(
@@ -447,18 +448,25 @@ def _power_iteration(equation: Equation) -> ca.Function:
     """Return ``(x, u, taut, difference, vector) -> square`` of the largest frequency."""
     n = equation.states // 2
     x, u, taut, difference = equation.symbols(ca.MX)
-    slope, vector = equation.slope, ca.MX.sym("vector", n)
+    slope, vector, base = equation.slope, ca.MX.sym("vector", n), ca.MX.sym("base", n)
+    before, goes_on = ca.MX.sym("before"), ca.MX.sym("goes_on")
+    count = ca.MX.sym("count")
     size = ca.norm_2(vector)
+    settled = ca.logic_not(ca.fabs(size - before) > _SETTLED * size)
+    more = ca.if_else(ca.logic_and(count >= _FEWEST_ITERATIONS, settled), 0, goes_on)
     change = difference * vector / ca.if_else(size > 0, size, 1)
-    q, v = x[:n], x[n:]
-    ends = [slope(ca.vertcat(q + sign * change, v), u, taut)[n:] for sign in (1, -1)]
+    end = slope(ca.vertcat(x[:n] + change, x[n:]), u, taut)[n:]
+    following = ca.if_else(more, (end - base) / difference, vector)
+    given = (base, x, u, taut, difference)
     again = Function(
-        "again", [vector, x, u, taut, difference], [(ends[0] - ends[1]) / (2 * difference)]
+        "again",
+        [ca.vertcat(vector, before, goes_on, count), *given],
+        [ca.vertcat(following, size, more, count + 1)],
     )
-    given = (x, u, taut, difference)
-    columns = [ca.repmat(symbol, 1, _POWER_ITERATIONS) for symbol in given]
-    end = again.fold(_POWER_ITERATIONS)(vector, *columns)
-    return Function("frequency", [*given, vector], [ca.norm_2(end)])
+    columns = [ca.repmat(symbol, 1, _POWER_ITERATIONS) for symbol in given[1:]]
+    first = ca.repmat(slope(x, u, taut)[n:], 1, _POWER_ITERATIONS)
+    end = again.fold(_POWER_ITERATIONS)(ca.vertcat(vector, 0, 1, 0), first, *columns)
+    return Function("frequency", [*given[1:], vector], [ca.norm_2(end[:n])])
 
 
 def _shared(equation: Equation, name: str, build: Callable[[], ca.Function]) -> SharedEvaluator:

@@ -32,6 +32,7 @@ from tenscontrol.integrate.integrator import IntegrationError, Integrator, Metho
 from tenscontrol.integrate.methods import METHODS, Choice, Method, choose
 from tenscontrol.integrate.watched import Watched, free_evaluations
 from tenscontrol.interrupt import check
+from tenscontrol.properties import cached_property
 from tenscontrol.simulation.arguments import Arguments
 from tenscontrol.simulation.batch.batch_inputs import BatchInputs, InputSpan
 from tenscontrol.simulation.batch.compiled_loop import MOST_CONTROLLERS, CompiledLoops
@@ -264,12 +265,14 @@ class Runner:
         looked_at = 0
 
         def estimate(some: IntArray) -> int:
-            resolved = self._again_at_once(some)
-            for run in some.tolist():
+            first, last = int(some.min()), int(some.max()) + 1
+            starts = self.scene.states(first, last)[0][some - first]
+            resolved = self._again_at_once(some, starts)
+            for run, start in zip(some.tolist(), starts, strict=True):
                 if self._stop.value:
                     return 0
                 if run not in self._errors:
-                    self._errors[run] = self._estimated_error(run, resolved)
+                    self._errors[run] = self._estimated_error(run, start, resolved)
                 errors[run] = self._errors[run]
             return len(some)
 
@@ -282,13 +285,15 @@ class Runner:
         self._in_threads(threads, (partial(estimate, some) for some in parts), count_up)
         return errors
 
-    def _again_at_once(self, runs: IntArray) -> Callable[[int, float], Resolved]:
+    def _again_at_once(
+        self, runs: IntArray, starts: FloatArray
+    ) -> Callable[[int, float], Resolved]:
         """Return what integrates runs of a sample again: at once what was integrated so."""
         in_lanes = np.setdiff1d(runs, list(self._work))
         if self._lanes is None or len(self.spans) > 1 or not len(in_lanes):
             return self._resolved
         first, last = int(runs.min()), int(runs.max()) + 1
-        states = self.scene.states(first, last)[0][in_lanes - first]
+        states = starts[np.searchsorted(runs, in_lanes)]
         held = _rows(self.scene.held_inputs(first, last, self.spans[0], False), in_lanes - first)
         sample = Sample(self._lanes, in_lanes, states, held, self._resolved, self._stop)
 
@@ -616,10 +621,13 @@ class Runner:
         At each time kept, of a run that was completed. Commands of a controller are replayed.
         """
         if run not in self._errors:
-            self._errors[run] = self._estimated_error(run, self._resolved)
+            start = self.scene.states(run, run + 1)[0][0]
+            self._errors[run] = self._estimated_error(run, start, self._resolved)
         return self._errors[run]
 
-    def _estimated_error(self, run: int, resolved: Callable[[int, float], Resolved]) -> FloatArray:
+    def _estimated_error(
+        self, run: int, start: FloatArray, resolved: Callable[[int, float], Resolved]
+    ) -> FloatArray:
         scene, structure = self.scene, self.scene.model.structure
         stages = []
         for number, span in enumerate(self.spans):
@@ -640,14 +648,18 @@ class Runner:
             halves = (by_node(history[run])[:, first] for history in (self.nodes, self.velocities))
             starts = np.vstack([array[structure.free_rows] for array in halves])
         motion = Motion(
-            structure, scene.states(run, run + 1)[0][0], stages,
+            structure, start, stages,
             Path(columns, positions, int(self.switches[run] + self.missed[run])),
             self._from[is_known], self.choice.setting, self.choice.value,
             (self.how.chosen or METHODS[self._methods_of(run)[-1]]).order,
-            partial(resolved, run), self._equation(scene.model, "auto", ()).layout.later,
-            starts,
+            partial(resolved, run), self._later, starts,
         )  # fmt: skip
         return np.concatenate([[0.0], motion.estimated_error(ERROR_LIMIT)])
+
+    @cached_property
+    def _later(self) -> Callable[[FloatArray, float], FloatArray]:
+        """What takes inputs to those that begin a time later; see :class:`Motion`."""
+        return self._equation(self.scene.model, "auto", ()).layout.later
 
     def _resolved(self, run: int, value: float) -> Resolved:
         """Return what integrates a run with another step or tolerance."""
