@@ -43,6 +43,30 @@ WIDE static void N(length_rates)(const Scene *s, const Number *restrict v,
   }
 }
 
+/* Adds the pull of the strings to the forces on nodes string by string, all runs at once: for lanes,
+   which need not keep what is between. By the same operations as that below. */
+static void N(pull_in_lanes)(const Scene *s, const Number *p, const Number *v, const Number *u,
+                             const Number *taut, Number *restrict f) {
+  const int is_held = s->law == FORCE_DENSITY_HELD;
+  for (int i = 0; i < s->segments; ++i) {
+    const int start = s->segment_start[i], end = s->segment_end[i];
+    Number one[D], change[D], length, rate = all(0), gamma = u[i];
+    for (int k = 0; k < D; ++k) one[k] = p[end + k] - p[start + k];
+    if (!is_held) {
+      N(pulling_length)(one, u[i], &length);
+      if (s->damped) {
+        for (int k = 0; k < D; ++k) change[k] = v[end + k] - v[start + k];
+        N(length_rate)(one, change, length, &rate);
+      }
+      gamma = force_density(s, i, length, rate, u[i]) * taut[i];
+    }
+    for (int k = 0; k < D; ++k) {
+      f[start + k] += one[k] * gamma;
+      f[end + k] -= one[k] * gamma;
+    }
+  }
+}
+
 /* Adds the pull of the strings to the forces on nodes. */
 WIDE static void N(pull)(const Scene *s, const Number *p, const Number *v, const Number *u,
                          const Number *taut, Number *restrict f, const Work *w) {
@@ -50,6 +74,10 @@ WIDE static void N(pull)(const Scene *s, const Number *p, const Number *v, const
   Number *restrict S = w->S, *restrict length = w->length, *restrict rate = w->rate;
   Number *restrict gamma = w->gamma;
   const int is_held = s->law == FORCE_DENSITY_HELD;
+  if (WIDTH > 1 && !s->clustered) {
+    N(pull_in_lanes)(s, p, v, u, taut, f);
+    return;
+  }
   N(segments)(s, p, u, S, is_held && !s->clustered ? 0 : length);
   if (!is_held && s->damped) N(length_rates)(s, v, S, length, rate);
   if (s->clustered) {
