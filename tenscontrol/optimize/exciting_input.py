@@ -108,9 +108,10 @@ def exciting_input(
     known : dict of str to list of int, optional
     groups : dict of str to list of lists of int, or "all", optional
     start : tuple of float, optional
-    tolerance : float
     step : float, optional
         All as of :func:`fit`.
+    tolerance : float
+        Of the simulations, as of :func:`fit`.
     most_rollouts : int
         Simulations with derivatives at most.
     seed : int
