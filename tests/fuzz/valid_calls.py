@@ -1383,7 +1383,7 @@ call(
         iterations=1,
         machine_code=False,
         linearization_tolerance=0.01,
-        **SETTINGS,
+        **(SETTINGS | {"load_gain": None}),  # N goes without
     ),
     share=0.1,
 )

@@ -356,3 +356,20 @@ def test_reference_seen_ahead_is_followed_more_closely():
             state = np.array(nmpc.sampled(state, command.value)).ravel()
         errors.append(np.sqrt(off / 40))
     assert errors[0] < 0.7 * errors[1]
+
+
+def test_own_weights_are_those_of_linear_mpc_near_the_operating_point():
+    """About a reference off the operating point, so that r_0 counts; and not under a load."""
+    plant = at_rest()
+    Q, R = tc.plant.natural_weights(plant)
+    N = np.random.default_rng(0).normal(size=plant.B.shape) * np.sqrt(np.diag(Q)[:, None] * R) / 40
+    aside = plant.to_nodes(2e-6 * np.ones(9))
+    given = {"horizon": 4, "sample_time": SAMPLE, "reference": aside, "N": N}
+    commands = [
+        kind(plant, terminal_weight=2 * Q, **given).command(0.0, plant.nodes, STILL).value
+        for kind in (tc.MPC, NMPC)
+    ]
+    moves = [value - plant.equilibrium_input for value in commands]
+    np.testing.assert_allclose(*moves, rtol=0, atol=1e-4 * np.abs(moves[0]).max())
+    with pytest.raises(ValueError, match="N and load_gain are both given: NMPC has no"):
+        NMPC(plant, load_gain=0.5, **given)
