@@ -251,6 +251,16 @@ def control_morph(names):
 
 
 @checks
+def control_struts(names):
+    off, run = names["off"], names["run"]
+    assert off["MPC"].max() < 0.25
+    assert off["MPC"][-1] < 1e-3 < 0.1 < off["played"][-300:].max()
+    assert run.force_density.min() > 2.0
+    assert_near(run.nodes[2, :, -1].max(), 1.75, 1e-3)
+    assert set(run.control.status_count) == {"ok"}
+
+
+@checks
 def control_stiffness(names):
     report = names["report"]
     assert report.limit("MPC", "force_density") == 1e2

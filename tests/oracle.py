@@ -370,12 +370,15 @@ def _first_crossing(room, between, start, end):
     return brentq(lambda t: room(between(t)).min(), last, time, xtol=1e-15, rtol=1e-15)
 
 
-def node_acceleration(structure, nodes, velocities, force_density, external_force=0.0):
+def node_acceleration(
+    structure, nodes, velocities, force_density, external_force=0.0, extension=0.0
+):
     """Return node accelerations (d, n) and bar multipliers λ from the saddle-point system.
 
-    Lagrange's equations of the first kind, ``M a - Jᵀ λ = F`` with ``J a = -‖ḃ‖²``, over the
-    coordinates that supports leave free. A multiplier is the compression of its bar by its length;
-    of redundant bars, those of least norm by least squares (for complex numbers: one solution).
+    Lagrange's equations of the first kind, ``M a - Jᵀ λ = F`` with ``J a = -‖ḃ‖²``, more by the
+    ``extension`` ``L L̈ + L̇²`` of each bar whose length L is driven, over the coordinates that
+    supports leave free. A multiplier is the compression of its bar by its length; of redundant
+    bars, those of least norm by least squares (for complex numbers: one solution).
     """
     d, count = nodes.shape
     rows, along_bars, M, few = _constants(structure)
@@ -385,7 +388,9 @@ def node_acceleration(structure, nodes, velocities, force_density, external_forc
     J = jacobian.reshape(bars, d * count)[:, rows]
     saddle = np.block([[M, -J[few].T], [J[few], np.zeros((len(few), len(few)))]])
     spread = velocities @ along_bars.T
-    goal = np.concatenate([forces.T.ravel()[rows], -(spread * spread).sum(axis=0)[few]])
+    extension = np.broadcast_to(extension, bars)
+    goal = extension[few] - (spread * spread).sum(axis=0)[few]
+    goal = np.concatenate([forces.T.ravel()[rows], goal])
     solution = np.linalg.solve(saddle, goal)
     acceleration = np.zeros(d * count, solution.dtype)
     acceleration[rows] = solution[: len(rows)]

@@ -107,6 +107,16 @@ def test_motor_substeps(printed, monkeypatch):
         assert 0.5 < few[3] / few[1] < 3
 
 
+def test_driven_bars(printed, monkeypatch):
+    module = import_module("tests.benchmarks.driven_bars")
+    monkeypatch.delitem(module.HOW, "cvodes")
+    monkeypatch.setitem(module.HOW, "dop853", [{"tolerance": 1e-12}])
+    text = printed("driven_bars", "--duration 0.5")
+    assert 3.7 < row(text, "rk4", 2)[3] < 4.3
+    _, _, angle, work, length, spin = row(text, "dop853")
+    assert max(angle, work, length, spin) < 1e-9
+
+
 def test_model_cost(printed):
     text = printed("model_cost", "--calls 10")
     assert row(text, "γ held  ") == [316, 2]

@@ -297,6 +297,57 @@ def actuation_of(structure: Structure, actuated: object, values: FloatArray) -> 
         winches = _columns(actuated, count)
     else:
         winches = [{string: 1.0} for string in _listed(structure, "actuated", actuated)]
+    return _together(winches, names, count, values)
+
+
+def actuation_of_bars(actuated: object, lengths: FloatArray) -> Actuation:
+    """Return which bars are driven, from what the user gave, where bars have these lengths.
+
+    As :func:`actuation_of`, of bars by index: values are their lengths, m, shape (β,).
+    """
+    count = len(lengths)
+    if actuated is None:
+        return every_string(count)
+    if isinstance(actuated, Actuation):
+        if len(actuated.input) != count:
+            raise ValueError(
+                f"actuated is {actuated!r}, but the structure has {count} bars: take that of a "
+                "plant of the same structure"
+            )
+        return through(actuated, lengths)
+    names: tuple[str, ...] = ()
+    if isinstance(actuated, Mapping):
+        names = tuple(validation.identifier("a name in actuated", name) for name in actuated)
+        drives = [
+            _ganged_bars(f"actuated[{name!r}]", group, count) for name, group in actuated.items()
+        ]
+    elif isinstance(actuated, np.ndarray) and actuated.ndim == 2:
+        drives = _columns(actuated, count)
+    else:
+        numbers = validation.index_list("actuated", actuated, count, "bars")
+        drives = [{int(number): 1.0} for number in numbers]
+    return _together(drives, names, count, lengths)
+
+
+def _ganged_bars(name: str, group: object, count: int) -> dict[int, float]:
+    """Return the ratio of each bar of one drive."""
+    ratios = group if isinstance(group, Mapping) else None
+    keys: object = group if ratios is None else list(ratios)
+    bars = [int(number) for number in validation.index_list(name, keys, count, "bars")]
+    if ratios is None:
+        return dict.fromkeys(bars, 1.0)
+    drive = {}
+    for bar, ratio in zip(bars, ratios.values(), strict=True):
+        drive[bar] = validation.number(f"{name}[{bar}]", ratio, "ratio of the bar")
+        if drive[bar] == 0:
+            raise ValueError(f"{name}[{bar}] is 0, by which nothing moves: leave it out")
+    return drive
+
+
+def _together(
+    winches: list[dict[int, float]], names: tuple[str, ...], count: int, values: FloatArray
+) -> Actuation:
+    """Return the actuation of winches, each a ratio by string, where strings have these values."""
     if not winches:
         raise ValueError(f"actuated is empty, expected {_FORMS}")
     of, ratio = np.full(count, -1), np.zeros(count)

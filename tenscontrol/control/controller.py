@@ -18,7 +18,7 @@ from tenscontrol.control.command import Command, Fallback
 from tenscontrol.control.measurement_check import MeasurementCheck
 from tenscontrol.dynamics.evaluator import Exclusive, exclusive
 from tenscontrol.plant.controllability import reached_states, unreached_modes, warn_of_left_alone
-from tenscontrol.plant.linear_plant import INPUTS, LinearPlant
+from tenscontrol.plant.linear_plant import PLANT_INPUTS, LinearPlant
 from tenscontrol.plant.modes import Modes
 from tenscontrol.status import Status
 from tenscontrol.structure.structure import Structure
@@ -39,7 +39,7 @@ class BaseController(ABC):
     ----------
     structure : Structure
         The structure whose nodes it is given.
-    input : {"force_density", "rest_length"}
+    input : {"force_density", "rest_length", "bar_length"}
         What it commands.
     sample_time : float or None
         As for :class:`Controller`, s.
@@ -81,7 +81,7 @@ class BaseController(ABC):
             sample_time = validation.positive_number("sample_time", sample_time, "s")
         self._structure = structure
         self._commanded = structure if commanded is None else commanded
-        self._input = validation.choice("input", input, INPUTS)
+        self._input = validation.choice("input", input, PLANT_INPUTS)
         self._sample_time = sample_time
         self._actuation = self._driven()
         shape = self._actuation.lead.shape
@@ -145,7 +145,7 @@ class BaseController(ABC):
 
     @property
     def input(self) -> str:
-        """What it commands: ``"force_density"`` or ``"rest_length"``."""
+        """What it commands: ``"force_density"``, ``"rest_length"`` or ``"bar_length"``."""
         return self._input
 
     @property
@@ -352,7 +352,7 @@ class BaseController(ABC):
     def _hold(self, status: Status) -> Command:
         """Return the previous rest lengths, or γ of the operating point if it is known."""
         usual, previous = self._equilibrium_input, self._previous_input
-        if previous is not None and (self.input == "rest_length" or usual is None):
+        if previous is not None and (self.input != "force_density" or usual is None):
             return Command(previous, status, Fallback.PREVIOUS_INPUT_HELD)
         if usual is None:
             raise ValueError(
@@ -425,11 +425,13 @@ class Controller(BaseController):
         if sample_time is not None:
             rate = max(rate, 1 / validation.positive_number("sample_time", sample_time, "s"))
             plant.refuse_long_sample_time(sample_time)
-        structure = plant.model.structure
+        structure, lengths = plant.model.structure, None
+        if plant.input == "bar_length":
+            lengths = strings_of(plant.actuation, low), strings_of(plant.actuation, high)
         super().__init__(
             structure, plant.input, sample_time, low, high, change,
             commanded=plant.commanded, equilibrium_input=plant.equilibrium_input,
-            check=MeasurementCheck(structure, plant.nodes, rate), size=sum(plant.B.shape),
+            check=MeasurementCheck(structure, plant.nodes, rate, lengths), size=sum(plant.B.shape),
         )  # fmt: skip
         # z that a subclass predicts for the next sample; what it predicted for the last, and that.
         self._predicted: FloatArray | None = None

@@ -17,7 +17,7 @@ from tenscontrol.control.mpc.osqp_solver import OSQPSolver
 from tenscontrol.control.mpc.qp_solver import QPSolution
 from tenscontrol.dynamics.evaluator import Evaluator
 from tenscontrol.plant.input_bounds import input_bounds, largest_change
-from tenscontrol.plant.linear_plant import LinearPlant
+from tenscontrol.plant.linear_plant import LinearPlant, refuse_driven_bars
 from tenscontrol.plant.reduced_dynamics import checked_tracked, tracked_motion
 from tenscontrol.plant.reference import SmoothReference, checked_reference
 from tenscontrol.short_repr import short_repr
@@ -166,6 +166,7 @@ class FeedbackLinearization(Controller):
         max_iterations: int = 4000,
     ) -> None:
         validation.instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
+        refuse_driven_bars(plant, "FeedbackLinearization")
         if plant.input != "force_density":
             raise ValueError(
                 f"plant has input={plant.input!r}, in which accelerations are not affine; "

@@ -9,7 +9,7 @@ import numpy as np
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray
 from tenscontrol.plant.controllability import reached_states
-from tenscontrol.plant.linear_plant import LinearPlant
+from tenscontrol.plant.linear_plant import LinearPlant, refuse_driven_bars
 from tenscontrol.plant.linearize import OperatingPoint, linearize
 from tenscontrol.plant.string_outputs import (
     StringMap,
@@ -97,6 +97,7 @@ def held_loop(plant: LinearPlant, gain: object, *, sample_time: float) -> HeldLo
     False
     """
     validation.instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
+    refuse_driven_bars(plant, "held_loop")
     sample_time = validation.positive_number("sample_time", sample_time, "s")
     if plant.input != "force_density" or plant.model.strings is None:
         raise ValueError(

@@ -12,7 +12,7 @@ from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.control.command import Command
 from tenscontrol.control.controller import Controller
 from tenscontrol.plant.input_bounds import input_bounds, largest_change
-from tenscontrol.plant.linear_plant import LinearPlant
+from tenscontrol.plant.linear_plant import LinearPlant, refuse_driven_bars
 from tenscontrol.status import Status
 
 _HOW = "control.sample_system(system, sample_time, 'tustin') makes a discrete one"
@@ -70,6 +70,7 @@ class LinearController(Controller):
         winches: Winches | None = None,
     ) -> None:
         validation.instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
+        refuse_driven_bars(plant, "LinearController")
         self._system = _matrices(system)
         A, B, C, _ = self._system
         states, inputs = plant.B.shape

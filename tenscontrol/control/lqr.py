@@ -16,7 +16,7 @@ from tenscontrol.control.controller import (
 )
 from tenscontrol.plant.controllability import refuse_empty, refuse_unreachable
 from tenscontrol.plant.input_bounds import input_bounds, largest_change
-from tenscontrol.plant.linear_plant import LinearPlant, named_system, sampled
+from tenscontrol.plant.linear_plant import NO_JUMP, LinearPlant, named_system, sampled
 from tenscontrol.plant.riccati import cross_weight, natural_weights, regulator
 from tenscontrol.status import Status
 from tenscontrol.warn import warn
@@ -126,6 +126,8 @@ class LQR(Controller):
         validation.instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
         states, inputs = plant.B.shape
         refuse_empty(plant)
+        if plant.input == "bar_length" and sample_time is None:
+            raise ValueError(NO_JUMP)
         if Q is None or R is None:
             natural_Q, natural_R = natural_weights(plant)
             Q = natural_Q if Q is None else Q

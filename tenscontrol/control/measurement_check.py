@@ -24,8 +24,15 @@ _SPEED = 10.0
 class MeasurementCheck:
     """Which measurements a structure can have; a controller does not use any other."""
 
-    def __init__(self, structure: Structure, nodes: FloatArray, rate: float) -> None:
-        # ``nodes``, (d, n), are those of the usual shape, m; ``rate`` is the fastest, 1/s.
+    def __init__(
+        self,
+        structure: Structure,
+        nodes: FloatArray,
+        rate: float,
+        lengths: tuple[FloatArray, FloatArray] | None = None,
+    ) -> None:
+        # ``nodes``, (d, n), are those of the usual shape, m; ``rate`` is the fastest, 1/s;
+        # ``lengths`` are the least and the largest of driven bars, m, (β,) each.
         size = float(np.ptp(nodes, axis=1).max())
         # Largest difference of velocities of two nodes along an axis, m/s. A plant without
         # stiffness, run at any sample time, gives no limit.
@@ -46,9 +53,8 @@ class MeasurementCheck:
         self.held_at = nodes[:, rolling]
         self.bars = structure.bars.T
         # Least and largest square of the lengths of bars, m².
-        self.squares = (
-            ((1 - _BAR) * structure.bar_length) ** 2, ((1 + _BAR) * structure.bar_length) ** 2
-        )  # fmt: skip
+        least, largest = lengths or (structure.bar_length, structure.bar_length)
+        self.squares = ((1 - _BAR) * least) ** 2, ((1 + _BAR) * largest) ** 2
 
     def fault(self, nodes: FloatArray, velocities: FloatArray) -> Status | None:
         """Return a status for what is wrong with a measurement, shapes (d, n); None if nothing."""

@@ -25,7 +25,7 @@ from tenscontrol.deploy.memory_use import MemoryUse, memory_use
 from tenscontrol.dynamics.evaluator import builds
 from tenscontrol.estimation.kalman_filter import KalmanFilter
 from tenscontrol.files import make_folder, read_file, write_file
-from tenscontrol.plant.linear_plant import LinearPlant
+from tenscontrol.plant.linear_plant import LinearPlant, refuse_driven_bars
 
 # Names of functions and headers that a controller may not have.
 _TAKEN = {"main", "active_set", "stages", "casadi", "math", "string", "stdio"}
@@ -241,6 +241,8 @@ def generate_c(
 
 @builds
 def _law_code(controller: object) -> LawCode:
+    if isinstance(controller, LQR | MPC):
+        refuse_driven_bars(controller.plant, "generate_c")
     if isinstance(controller, MPC):
         return mpc_code(controller)
     if isinstance(controller, NMPC):

@@ -26,15 +26,15 @@ FORMS = ("flat", "mapped", "loops")
 class InputLayout:
     """What the input u of an equation holds: values that are held, or polynomials in time.
 
-    The values are those of the strings, then the load on all nodes, parameters of the model, and
-    what supports and the bars on them are displaced by, node by node, where these are inputs. Of
-    degree 0 they are u.
+    The values are those of the strings, then the load on all nodes, parameters of the model,
+    what supports and the bars on them are displaced by, node by node, and the lengths of all bars,
+    where these are inputs. Of degree 0 they are u.
     Above, u holds their coefficients of power 0, of power 1, and so on, and in the end the time at
     which they are taken, s.
 
     Attributes
     ----------
-    strings, load, offset : int
+    strings, load, offset, lengths : int
         Numbers of values.
     degree : int
         Of the polynomials.
@@ -47,11 +47,13 @@ class InputLayout:
     offset: int = 0
     degree: int = 0
     parameters: tuple[tuple[str, int], ...] = ()
+    lengths: int = 0
 
     @property
     def count(self) -> int:
         """Number of values."""
-        return self.strings + self.load + sum(size for _, size in self.parameters) + self.offset
+        own = sum(size for _, size in self.parameters)
+        return self.strings + self.load + own + self.offset + self.lengths
 
     @property
     def size(self) -> int:
@@ -71,6 +73,12 @@ class InputLayout:
             factor = float(np.prod(np.arange(k - order + 1, k + 1)))
             value = value * u[-1] + factor * u[k * self.count : (k + 1) * self.count]
         return value
+
+    def bar_lengths(self, u: Any) -> tuple[Any, Any, Any]:
+        """Return the expressions of the lengths of bars, their rates and accelerations."""
+        first = self.count - self.lengths
+        length, rate, acceleration = (self.values(u, order)[first:] for order in range(3))
+        return length, rate, acceleration
 
     def columns(self, u: Any) -> dict[str, Any]:
         """Return the expressions of the parameters that are inputs, by name."""
@@ -306,20 +314,26 @@ def smooth_equation(slope: ca.Function) -> Equation:
 def in_time(
     functions: tuple[ca.Function, ...], layout: InputLayout, moves: bool, symbol: Any
 ) -> tuple[ca.Function, ...]:
-    """Return slope, gap and force of u from those of the values in it, which end in Ė.
+    """Return slope, gap and force of u from those of the values in it.
 
-    ``moves`` is whether strings have a gap, whose rate is less by that of the rest lengths; gaps
-    of contacts follow theirs.
+    These end in Ė, the rates of what supports displace, and ``L L̈ + L̇²`` of bars in place of their
+    lengths. ``moves`` is whether strings have a gap, whose rate is less by that of the rest
+    lengths; gaps of contacts follow theirs.
     """
     slope, gap, force = functions
-    if not layout.degree and not layout.offset:
+    if not layout.degree and not layout.offset and not layout.lengths:
         return functions
     x, taut = (symbol(name, slope.size1_in(i)) for name, i in (("x", 0), ("taut", 2)))
     q, v = (symbol(name, force.size1_in(i)) for name, i in (("q", 0), ("v", 1)))
     u = symbol("u", layout.size)
     values, rates = layout.values(u), layout.values(u, 1)
+    others = layout.count - layout.lengths
+    values = ca.vertsplit(values, [0, others, layout.count])[0]
     if layout.offset:
-        values = ca.vertcat(values, rates[layout.count - layout.offset :])
+        values = ca.vertcat(values, rates[others - layout.offset : others])
+    if layout.lengths:
+        length, rate, acceleration = layout.bar_lengths(u)
+        values = ca.vertcat(values, length * acceleration + rate**2)
     room, rate = gap(x, values)
     if moves:
         strings = layout.strings

@@ -27,7 +27,8 @@ Columns = dict[str, Any]
 class Read:
     """One column of a kernel: of the member itself, or of one of its nodes."""
 
-    # "p", "v", "f": positions, velocities, forces of nodes; "u" of strings; "taut" of switches
+    # "p", "v", "f": positions, velocities, forces of nodes; "u" of strings; "taut" of switches;
+    # "e": extension of bars whose lengths are driven
     array: str
     at: IntArray | None = None  # the node, or the string; None: member i reads entry i
 

@@ -158,21 +158,27 @@ def string_lengths(structure: Structure, N: Symbolic) -> Symbolic:
 
 
 def bar_force_density(
-    structure: Structure, N: Symbolic, Nd: Symbolic, F: Symbolic, masses: Masses | None = None
+    structure: Structure,
+    N: Symbolic,
+    Nd: Symbolic,
+    F: Symbolic,
+    masses: Masses | None = None,
+    extension: Symbolic | None = None,
 ) -> Symbolic:
     """Return λ, shape (1, β), N/m, positive in compression.
 
-    Masses are the structure's if not given. A bar with both ends fixed is part of the support; its
+    Masses are the structure's if not given, ``extension`` is ``L L̈ + L̇²`` of driven bars, shape
+    (1, β). A bar with both ends fixed is part of the support; its
     entry is zero. Of redundant bars, whose forces are not unique, those of least norm.
     """
-    lam = type(N)(1, len(structure.bars))
+    lam, given = type(N)(1, len(structure.bars)), (structure, N, Nd, F)
     if len(structure.free_bars):
-        *_, lam[:, structure.free_bars.tolist()] = _free_bars(structure, N, Nd, F, masses)
+        *_, lam[:, structure.free_bars.tolist()] = _free_bars(*given, masses, extension)
     if len(structure.swinging_bars):
-        _, lam[:, structure.swinging_bars.tolist()] = _swinging_bars(structure, N, Nd, F, masses)
+        _, lam[:, structure.swinging_bars.tolist()] = _swinging_bars(*given, masses, extension)
     if structure.blocks:
         every = coupled_block(structure)
-        _, force_density = block_motion(structure, every, N, Nd, F)
+        _, force_density = block_motion(structure, every, N, Nd, F, extension)
         lam[:, every.independent.tolist()] = force_density.T
     for block in structure.blocks:
         if block.is_redundant:
@@ -184,26 +190,32 @@ def bar_force_density(
 
 
 def accelerations(
-    structure: Structure, N: Symbolic, Nd: Symbolic, F: Symbolic, masses: Masses | None = None
+    structure: Structure,
+    N: Symbolic,
+    Nd: Symbolic,
+    F: Symbolic,
+    masses: Masses | None = None,
+    extension: Symbolic | None = None,
 ) -> Symbolic:
     """Return N̈, shape (d, n), m/s², from eq. (7); what supports hold is left empty.
 
-    M_s is inverted in closed form, but for the blocks. Masses are the structure's if not given.
+    M_s is inverted in closed form, but for the blocks. Masses are the structure's if not given;
+    ``extension`` is ``L L̈ + L̇²`` of driven bars, shape (1, β).
     """
-    Ndd = type(N)(*structure.nodes.shape)
+    Ndd, given = type(N)(*structure.nodes.shape), (structure, N, Nd, F)
     if len(structure.free_bars):
         start, end = structure.bars[structure.free_bars].T.tolist()
-        Ndd[:, start], Ndd[:, end], _ = _free_bars(structure, N, Nd, F, masses)
+        Ndd[:, start], Ndd[:, end], _ = _free_bars(*given, masses, extension)
     if len(structure.swinging_bars):
         tip = structure.hinged_pairs[:, 1].tolist()
-        Ndd[:, tip], _ = _swinging_bars(structure, N, Nd, F, masses)
+        Ndd[:, tip], _ = _swinging_bars(*given, masses, extension)
     if len(structure.string_nodes):
         # No string nodes, no block: a scene pays only for what it has.
         points = structure.string_nodes.tolist()
         Ndd[:, points] = point_acceleration(F[:, points], string_node_mass(structure, masses))
     if structure.blocks:
         every = coupled_block(structure)
-        Ndd[every.rows.tolist()], _ = block_motion(structure, every, N, Nd, F)
+        Ndd[every.rows.tolist()], _ = block_motion(structure, every, N, Nd, F, extension)
     for node, axis in structure.rollers:
         Ndd["xyz".index(axis), node] = 0
     return Ndd
@@ -229,17 +241,23 @@ def coupled_block(structure: Structure) -> Block:
 
 
 def block_motion(
-    structure: Structure, block: Block, N: Symbolic, Nd: Symbolic, F: Symbolic
+    structure: Structure,
+    block: Block,
+    N: Symbolic,
+    Nd: Symbolic,
+    F: Symbolic,
+    extension: Symbolic | None = None,
 ) -> tuple[Symbolic, Symbolic]:
     """Return the accelerations of a block's rows, shape (r, 1), and λ of its independent bars.
 
     ``M a − Jᵀ λ = f`` and ``J a = −|ḃ|²``, from ``bᵀ b̈ + |ḃ|² = 0`` (Lagrange's equations of the
-    first kind). λ has shape (c, 1), N/m.
+    first kind), or ``L L̈ + L̇²`` where lengths are driven. λ has shape (c, 1), N/m.
     """
     J = block_rows(structure, block.independent, block.rows, N)
     Bd = differences(Nd, structure.bars[block.independent])
     force = ca.vec(F)[block.rows.tolist()]
-    solution = SaddlePoint(structure, block, J).solve(force, -dots(Bd, Bd).T)
+    own = None if extension is None else extension[:, block.independent.tolist()]
+    solution = SaddlePoint(structure, block, J).solve(force, -_turning(Bd, own).T)
     rows = len(block.rows)
     return solution[:rows, :], -solution[rows:, :]
 
@@ -396,7 +414,12 @@ def pulling_length(S: Symbolic, rest_length: Symbolic) -> Symbolic:
 
 
 def free_bar(
-    B: Symbolic, Bd: Symbolic, start: Symbolic, end: Symbolic, mass: Symbolic
+    B: Symbolic,
+    Bd: Symbolic,
+    start: Symbolic,
+    end: Symbolic,
+    mass: Symbolic,
+    extension: Symbolic | None = None,
 ) -> tuple[Symbolic, Symbolic, Symbolic]:
     """Return the accelerations of start and end node and λ of bars with two free ends.
 
@@ -407,23 +430,32 @@ def free_bar(
     ``λ = −m ‖ḃ‖²/(12 ‖b‖²) − bᵀ f/(2 ‖b‖²)``. The current ‖b‖² stands where the paper has l²: the
     two are equal on exact trajectories, and with l² an error of the bar length made by an
     integrator would grow exponentially under compression.
+
+    Where the length L is driven, ``bᵀ b̈ + ‖ḃ‖² = L L̈ + L̇²``, the ``extension``, m²/s²: ‖ḃ‖² is
+    less by it. The mass stays spread evenly over the length.
     """
     f = end - start
-    lam = -(mass / 12 * dots(Bd, Bd) + dots(B, f) / 2) / dots(B, B)
+    lam = -(mass / 12 * _turning(Bd, extension) + dots(B, f) / 2) / dots(B, B)
     half = scale_columns(f, 3 / mass) + scale_columns(B, 6 / mass * lam)
     centre = scale_columns(start + end, reciprocal(mass))
     return centre - half, centre + half, lam
 
 
+def _turning(Bd: Symbolic, extension: Symbolic | None) -> Symbolic:
+    """Return ‖ḃ‖² less the extension of driven bars, m²/s², shape (1, k)."""
+    return dots(Bd, Bd) if extension is None else dots(Bd, Bd) - extension
+
+
 def swinging_bar(
-    B: Symbolic, Bd: Symbolic, tip: Symbolic, mass: Symbolic
+    B: Symbolic, Bd: Symbolic, tip: Symbolic, mass: Symbolic, extension: Symbolic | None = None
 ) -> tuple[Symbolic, Symbolic]:
     """Return the acceleration of the free end and λ of bars that swing about the other.
 
     b goes from the fixed to the free end, which has the mass m/3. ``λ = −m
-    ‖ḃ‖²/(3 ‖b‖²) − bᵀ f/‖b‖²`` with f the force on the free end.
+    ‖ḃ‖²/(3 ‖b‖²) − bᵀ f/‖b‖²`` with f the force on the free end. ``extension`` is as of
+    :func:`free_bar`.
     """
-    lam = -(mass / 3 * dots(Bd, Bd) + dots(B, tip)) / dots(B, B)
+    lam = -(mass / 3 * _turning(Bd, extension) + dots(B, tip)) / dots(B, B)
     return scale_columns(tip + scale_columns(B, lam), 3 / mass), lam
 
 
@@ -451,20 +483,24 @@ def string_node_mass(structure: Structure, masses: Masses | None = None) -> Symb
 
 
 def _free_bars(
-    structure: Structure, N: Symbolic, Nd: Symbolic, F: Symbolic, masses: Masses | None = None
-) -> tuple[Symbolic, Symbolic, Symbolic]:
+    structure: Structure, N: Symbolic, Nd: Symbolic, F: Symbolic, masses: Masses | None,
+    extension: Symbolic | None,
+) -> tuple[Symbolic, Symbolic, Symbolic]:  # fmt: skip
     bars = structure.bars[structure.free_bars]
     start, end = (F[:, nodes] for nodes in bars.T.tolist())
     mass = bar_mass(structure, structure.free_bars, masses)
-    return free_bar(differences(N, bars), differences(Nd, bars), start, end, mass)
+    own = None if extension is None else extension[:, structure.free_bars.tolist()]
+    return free_bar(differences(N, bars), differences(Nd, bars), start, end, mass, own)
 
 
 def _swinging_bars(
-    structure: Structure, N: Symbolic, Nd: Symbolic, F: Symbolic, masses: Masses | None = None
-) -> tuple[Symbolic, Symbolic]:
+    structure: Structure, N: Symbolic, Nd: Symbolic, F: Symbolic, masses: Masses | None,
+    extension: Symbolic | None,
+) -> tuple[Symbolic, Symbolic]:  # fmt: skip
     bars = structure.hinged_pairs
     tip, mass = F[:, bars[:, 1].tolist()], bar_mass(structure, structure.swinging_bars, masses)
-    return swinging_bar(differences(N, bars), differences(Nd, bars), tip, mass)
+    own = None if extension is None else extension[:, structure.swinging_bars.tolist()]
+    return swinging_bar(differences(N, bars), differences(Nd, bars), tip, mass, own)
 
 
 def mass_product(structure: Structure, V: Symbolic, masses: Masses | None = None) -> Symbolic:

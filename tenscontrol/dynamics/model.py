@@ -253,6 +253,18 @@ class Model:
         return self._function("bar_force_density", s, "N Nd gamma W", **outputs)
 
     @built
+    def driven_bar_force_density(self) -> ca.Function:
+        """``(N, Nd, gamma[, W], extension) -> lambda``: λ of bars whose lengths L are driven, N/m.
+
+        ``extension`` is ``L L̈ + L̇²`` of each bar, m²/s², shape (β,).
+        """
+        s = self._symbols()
+        extension = ca.SX.sym("extension", len(self._structure.bars))
+        outputs = {"lambda": ca.densify(self._lambda(s | {"extension": extension.T}).T)}
+        s["extension"] = extension
+        return self._function("driven_bar_force_density", s, "N Nd gamma W extension", **outputs)
+
+    @built
     def stiffness_matrix(self) -> ca.Function:
         """``(N, Nd, gamma[, W]) -> K_s``: eq. (9), sparse, shape (n, n), N/m.
 
@@ -409,6 +421,7 @@ class Model:
         degree: int = 0,
         load_input: bool = False,
         offset_input: bool = False,
+        length_input: bool = False,
         parameters: Sequence[str] = (),
     ) -> Equation:
         """Return the state equation for an integrator, for fixed slack and taut strings.
@@ -428,10 +441,10 @@ class Model:
             equation says which.
         degree : int
             Degree of the polynomials in time that the input is made of; 0 where it is held.
-        load_input, offset_input : bool
-            Whether the load on all nodes, N, is a further input, in place of all others; and
-            the displacement of nodes with their supports, m, which strings see.
-            See :class:`InputLayout`.
+        load_input, offset_input, length_input : bool
+            Whether the load on all nodes, N, is a further input, in place of all others;
+            the displacement of nodes with their supports, m, which strings see; and the lengths of
+            all bars, m, whose mass stays spread evenly over them. See :class:`InputLayout`.
         parameters : sequence of str
             Further inputs, a number a string, bar or node: parameters of the string law by name,
             and unless bars share nodes ``"bar_mass"`` and ``"point_mass"``. The form is "flat".
@@ -439,7 +452,8 @@ class Model:
         Raises
         ------
         ValueError
-            If ``input`` or ``form`` is another word, or the model has no string law for it.
+            If ``input`` or ``form`` is another word, the model has no string law for it, or
+            ``form`` is ``"loops"`` where lengths of bars are inputs.
         FileNotFoundError
             If ``form`` is ``"loops"`` and there is no C compiler.
         """
@@ -454,14 +468,18 @@ class Model:
         form = "flat" if sizes else form
         if form == "auto":
             small = self._prepared.get("small", lambda: _is_small(self._structure))
-            form = "flat" if small else "mapped" if compiler() is None else "auto"
+            may_loop = compiler() is not None and not length_input
+            form = "flat" if small else "auto" if may_loop else "mapped"
         degree = validation.whole_number("degree", degree, 0, _MOST_DEGREE)
         validation.truth("load_input", load_input, "whether the load is an input")
         validation.truth("offset_input", offset_input, "whether supports move")
+        validation.truth("length_input", length_input, "whether lengths of bars are driven")
+        if length_input and form == "loops":
+            raise ValueError("form 'loops' takes no lengths of bars as inputs; use 'mapped'")
         entries = self._structure.nodes.size
         layout = InputLayout(
             len(self._structure.strings), entries * load_input, entries * offset_input, degree,
-            sizes,
+            sizes, len(self._structure.bars) * length_input,
         )  # fmt: skip
         if load_input:
             load = np.zeros_like(load)
@@ -526,6 +544,9 @@ class Model:
             offsets = [ca.SX.sym(name, *structure.nodes.shape) for name in ("offset", "rate")]
             ends = s["nodes"] + offsets[0], s["velocities"] + offsets[1]
             given = ca.vertcat(given, *map(ca.vec, offsets))
+        if layout.lengths:
+            extension = ca.SX.sym("extension", layout.lengths)
+            given, s["extension"] = ca.vertcat(given, extension), extension.T
         taut = ca.SX.sym("taut", forces.switches)
         on_nodes = forces.on_nodes(*ends, u, acting, taut)
         on_free = ca.densify(on_nodes[:, structure.free.tolist()])
@@ -699,7 +720,8 @@ class Model:
     def _accelerations(self, s: dict[str, Any], forces: Any) -> Any:
         """Return the accelerations of nodes that are not fixed."""
         structure, motion = self._structure, (s["nodes"], s["velocities"])
-        Ndd = kernel.accelerations(structure, *motion, forces, s.get("masses"))
+        own = s.get("masses"), s.get("extension")
+        Ndd = kernel.accelerations(structure, *motion, forces, *own)
         return ca.densify(Ndd[:, structure.free.tolist()])
 
     def _xdot(self, s: dict[str, Any], forces: Any) -> Any:
@@ -707,8 +729,10 @@ class Model:
         return ca.vertcat(*(kernel.free_entries(self._structure, columns) for columns in rates))
 
     def _lambda(self, s: dict[str, Any]) -> Any:
-        forces = self._on_nodes(s, "force_density")
-        return kernel.bar_force_density(self._structure, s["nodes"], s["velocities"], forces)
+        forces, motion = self._on_nodes(s, "force_density"), (s["nodes"], s["velocities"])
+        return kernel.bar_force_density(
+            self._structure, *motion, forces, extension=s.get("extension")
+        )
 
     def _needed_strings(self) -> StringLaw:
         if self._strings is None:

@@ -353,6 +353,29 @@ class Tangent:
         return np.asarray(self._factors.solve(right))
 
 
+def bar_displacements(structure: Structure, nodes: FloatArray, mass: csr_array) -> FloatArray:
+    """Return E, shape (d n, β): how nodes move where bars grow, by forces along bars alone.
+
+    ``M E = Jᵀ μ`` and ``J E = L̂``, with J half the derivatives of the squared lengths L: across all
+    motions that keep the lengths, in the metric of the mass. Zero for bars that do not count in J.
+    """
+    from scipy.sparse import block_array, csc_array
+    from scipy.sparse.linalg import splu
+
+    rows, E = structure.free_rows, np.zeros((nodes.size, len(structure.bars)))
+    bars = structure.kept_bars
+    if not len(bars):
+        return E
+    J = bar_rows(structure, bars, nodes)[:, rows]
+    system = block_array([[mass[rows][:, rows], J.T], [J, csc_array((len(bars), len(bars)))]])
+    right = np.zeros((len(rows) + len(bars), len(bars)))
+    right[len(rows) + np.arange(len(bars)), np.arange(len(bars))] = np.linalg.norm(
+        structure.bar_vectors(nodes)[:, bars], axis=0
+    )
+    E[np.ix_(rows, bars)] = splu(system.tocsc()).solve(right)[: len(rows)]
+    return E
+
+
 def tangent(
     model: Model, nodes: FloatArray, input: str, held: FloatArray | None, load: FloatArray
 ) -> Tangent:

@@ -22,7 +22,13 @@ from tenscontrol.estimation.observability import (
 )
 from tenscontrol.estimation.sensors import Sensors
 from tenscontrol.fields import check_fields, checked
-from tenscontrol.plant.linear_plant import LinearPlant, Sampled, acceleration_response, sampled
+from tenscontrol.plant.linear_plant import (
+    LinearPlant,
+    Sampled,
+    acceleration_response,
+    refuse_driven_bars,
+    sampled,
+)
 from tenscontrol.plant.modes import Modes
 from tenscontrol.plant.reduced_dynamics import refuse_lost_place, sampled_dynamics
 from tenscontrol.plant.reference import reduced_shape
@@ -122,6 +128,7 @@ def filter_design(
 ) -> tuple[FilterDesign, FloatArray, tuple[FloatArray, FloatArray, np.ndarray, float]]:
     """Return the design of a filter, the derivative C of its readings, and the Riccati solution."""
     validation.instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
+    refuse_driven_bars(plant, "KalmanFilter")
     validation.instance("sensors", sensors, Sensors, "make them by Sensors(structure=..., ...)")
     sample_time, substeps = settings.sample_time, settings.substeps
     plant.refuse_long_sample_time(sample_time)

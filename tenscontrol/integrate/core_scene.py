@@ -42,7 +42,8 @@ def core_scene(equation: Equation) -> CoreScene | None:
 
 def _is_known(equation: Equation) -> bool:
     forces = equation.forces
-    if forces is None or type(forces.law) not in _LAWS or equation.layout.parameters:
+    layout = equation.layout
+    if forces is None or type(forces.law) not in _LAWS or layout.parameters or layout.lengths:
         return False
     if any(term is not forces.contacts for term in forces.terms):
         return False

@@ -184,23 +184,26 @@ class CVODES(Integrator):
                     motion.switch()
                     self._window = motion.window
                     if motion.now < duration and motion.work.evaluations >= self.limit:
-                        raise self._pause(motion, states[:, :done])
-            exact = self._projected(states * scale[:, None])
+                        raise self._pause(motion, states[:, :done], held, times[:done])
+            exact = self._projected(states * scale[:, None], held, times)
             if exact.shape[1] < outputs:
                 raise FloatingPointError(NOT_RIGID)
             return Span(exact, motion.work)
         except (FloatingPointError, KeyboardInterrupt) as error:
-            so_far = Span(self._projected(states[:, :done] * scale[:, None]), motion.work)
+            reached_states = states[:, :done] * scale[:, None]
+            so_far = Span(self._projected(reached_states, held, times[:done]), motion.work)
             if isinstance(error, KeyboardInterrupt):
                 raise IntegrationInterrupt(motion.now, so_far) from None
             stopped = f"{self.name} stopped after {motion.now:.6g} s: {error}"
             raise IntegrationError(stopped, motion.now, so_far) from None
 
-    def _pause(self, motion: _Motion, states: FloatArray) -> IntegrationPause:
+    def _pause(
+        self, motion: _Motion, states: FloatArray, held: FloatArray, times: FloatArray
+    ) -> IntegrationPause:
         """Return the pause of a motion that has reached these states, in units of the scale."""
         assert self._scale is not None  # found before the first window
         ends = np.column_stack([states, motion.state])
-        ends = self._projected(ends * self._scale[:, None])
+        ends = self._projected(ends * self._scale[:, None], held, np.append(times, motion.now))
         if ends.shape[1] <= states.shape[1]:
             raise FloatingPointError(NOT_RIGID)
         return IntegrationPause(motion.now, ends[:, -1], Span(ends[:, :-1], motion.work))

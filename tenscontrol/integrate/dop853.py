@@ -32,7 +32,7 @@ from tenscontrol.integrate.integrator import (
     scale_under,
     state_scale,
 )
-from tenscontrol.integrate.projection import NOT_RIGID, Projector, projection
+from tenscontrol.integrate.projection import NOT_RIGID, Projector, projection, put_on_lengths
 from tenscontrol.interrupt import check
 
 # Evaluations of a step whose first slope is known, and of its interpolant.
@@ -105,6 +105,7 @@ class DOP853(Integrator):
         self._slope, self._switches = Evaluator(equation.slope), Switches(equation)
         exact = projection(equation) if project else None
         self._exact = None if exact is None else Evaluator(exact)
+        self._drives = exact is not None and exact.n_in() > 1
         self._projected = Projector(equation, project)
 
     @property
@@ -174,7 +175,8 @@ class DOP853(Integrator):
             # A state that is not finite is looked for, so NumPy need not warn of it.
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
                 self._go_on(span, now, report)
-            exact = self._projected(span.states[:-1].T)
+            times = span.spacing * np.arange(1, len(span.states))
+            exact = self._projected(span.states[:-1].T, span.held, times)
             if exact.shape[1] < len(span.states) - 1:
                 raise _not_rigid(span.spacing, exact, now.work)
             span.states[:-1], span.states[-1] = exact.T, now.x
@@ -201,7 +203,8 @@ class DOP853(Integrator):
     def _reached(self, span: _Given, now: _Motion, states: FloatArray | None = None) -> Span:
         """Return the outputs so far."""
         if states is None:
-            states = self._projected(span.states[: now.done].T)
+            times = span.spacing * np.arange(1, now.done + 1)
+            states = self._projected(span.states[: now.done].T, span.held, times)
         return Span(states, now.work, ends=None if span.trace is None else span.trace.ends)
 
     def _try_step(self, span: _Given, now: _Motion) -> None:
@@ -267,7 +270,7 @@ class DOP853(Integrator):
             ends = step.x, step.x1, step.slope, step.slope1
             interpolant = self._interpolant(*ends, K, step.u, step.taut, step.h)[0]
             now.interpolants += 1
-            state_at = partial(self._inside, step.x, interpolant)
+            state_at = partial(self._inside, step, interpolant)
         else:
             state_at = partial(self._by_step, step, span.allowed)
         x, fraction, places = self._switches.approach(step, cut, state_at)
@@ -278,10 +281,14 @@ class DOP853(Integrator):
         now.switches += switches
         return _End(x, taken, taut, interpolant)
 
-    def _inside(self, x: FloatArray, interpolant: FloatArray, fraction: float) -> FloatArray:
-        """Return the state at a part of the step from x, by its interpolant."""
-        end = np.asarray(x + interpolant @ _factors(fraction))
-        return end if self._exact is None else self._exact(end)[0]
+    def _inside(self, step: Step, interpolant: FloatArray, fraction: float) -> FloatArray:
+        """Return the state at a part of the step, by its interpolant."""
+        end = np.asarray(step.x + interpolant @ _factors(fraction))
+        if self._exact is None:
+            return end
+        layout, later = self._equation.layout, fraction * step.h
+        inputs = (layout.later(step.u, later),) if self._drives else ()
+        return self._exact(end, *inputs)[0]
 
     def _by_step(self, step: Step, allowed: FloatArray, fraction: float) -> FloatArray:
         """Return the state after a part of a step."""
@@ -461,7 +468,9 @@ class _DormandPrince:
         for a, c in zip(self._method.A[1:], self._method.C[1:], strict=True):
             slopes.append(self._equation.slope(x + h * _combined(slopes, a), self._at(c), taut))
         x1 = x + h * _combined(slopes, self._method.B)
-        return x1 if self._project is None else self._project(x1), slopes
+        if self._project is not None:
+            x1 = put_on_lengths(self._project, x1, self._at(1.0))
+        return x1, slopes
 
     def _at(self, fraction: float) -> Any:
         """Return the input that begins after a part of the step."""

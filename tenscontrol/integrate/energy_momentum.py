@@ -145,6 +145,11 @@ class EnergyMomentum(Integrator):
                 "the equation is not of a structure, whose bars and strings this method needs; "
                 "make one by Model(structure).equation(...)"
             )
+        if equation.layout.lengths:
+            raise ValueError(
+                "method 'energy_momentum' takes bars of constant length, but bar_length drives "
+                "some; use method='dop853', or method='cvodes' where strings are stiff"
+            )
         self.step = None if step is None else validation.positive_number("step", step, "s")
         self.tolerance = (
             None if tolerance is None else checked_tolerance(tolerance, _LEAST_TOLERANCE)

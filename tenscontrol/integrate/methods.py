@@ -231,7 +231,8 @@ def choose(
 
     Where the user gives a step, the method is RK4. Else it is the one of order 8 with steps of its
     own, unless the fastest string would force it to far more steps than the motion needs: then the
-    implicit one. The ground does so only while something touches it, which is not known before.
+    implicit one, or CVODES where bars are driven, which the implicit one does not take. The ground
+    does so only while something touches it, which is not known before.
     """
     strings, ground = (of(equation, state, held) for of in (largest_frequency, contact_frequency))
     frequency, where = max(strings, ground), " (ground)" if ground > strings else ""
@@ -248,7 +249,7 @@ def choose(
     needed = strings * duration / _STABLE
     if needed > _MOST_STEPS:
         return Choice(
-            "energy_momentum",
+            "cvodes" if equation.layout.lengths else "energy_momentum",
             "tolerance",
             tolerance,
             f"{scene}: an explicit method would need {needed:.1e} steps",

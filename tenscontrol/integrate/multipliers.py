@@ -52,14 +52,23 @@ class Coupled:
         ``M⁻¹ Jᵀ`` of ``start``, to which the factors belong; NaN where it is not found near by.
     across : casadi.Function
         ``(c, rates, factors) -> rates`` without what would stretch the bars.
+
+    Where lengths are driven, the last two take a further column: the lengths of these bars, m, then
+    their rates, m/s, at which bars then stretch.
     """
 
-    def __init__(self, structure: Structure) -> None:
+    def __init__(self, structure: Structure, driven: bool = False) -> None:
         self._structure, self._blocks = structure, structure.blocks
         self.rows: IntArray = np.concatenate([block.rows for block in self._blocks])
         self.bars: IntArray = np.concatenate([block.independent for block in self._blocks])
         self._pairs = structure.bars[self.bars]
-        self._square = ca.DM(structure.bar_length[self.bars] ** 2)
+        self._square, self._stretch = ca.DM(structure.bar_length[self.bars] ** 2), None
+        self._lengths: list[Any] = []
+        if driven:
+            count = len(self.bars)
+            self._lengths = [ca.SX.sym("lengths", 2 * count)]
+            length, rate = self._lengths[0][:count], self._lengths[0][count:]
+            self._square, self._stretch = length**2, length * rate
         self._size = structure.size
         self._c = ca.SX.sym("c", len(self.rows))
         self._systems = [
@@ -137,17 +146,18 @@ class Coupled:
         state = ca.SX.sym("state", size + 2)
         correction = self._solve(ca.SX.zeros(size), -self.excess(c + state[:size]))
         new = ca.densify(ca.vertcat(state[:size] + correction, ca.norm_2(correction), state[size]))
-        iterate = where_needed(Function("iterate", [state, c, factors], [new]))
+        iterate = where_needed(Function("iterate", [state, c, factors, *self._lengths], [new]))
         end = ca.SX.sym("end", size)
         before, after = (
             kernel.differences(self.nodes(coordinates), self._pairs) for coordinates in (c, end)
         )
         near = ca.mmin(kernel.dots(before, after).T - cos(_LARGEST_TURN) * self._square) >= 0
-        near = Function("near", [c, end], [near])
+        near = Function("near", [c, end, *self._lengths], [near])
         c, start, factors = (
             ca.MX.sym(name, symbol.shape[0])
             for name, symbol in (("c", self._c), ("start", self._c), ("factors", self._factors))
         )
+        lengths = [ca.MX.sym("lengths", symbol.shape[0]) for symbol in self._lengths]
         scale = self._size + ca.norm_inf(start)
 
         def going_on(state: Any, scale: Any) -> Any:
@@ -157,37 +167,45 @@ class Coupled:
             return ca.logic_and(last > _TINY * scale, ca.logic_not(at_its_end))
 
         def iterated(count: int, *given: Any) -> Any:
-            state, c, factors, scale = given
+            state, c, factors, *lengths, scale = given
             for _ in range(count):
-                state = iterate(going_on(state, scale), state, c, factors)
+                state = iterate(going_on(state, scale), state, c, factors, *lengths)
             return state
 
         # Most often few are needed: the others are skipped at once.
-        given = [ca.MX.sym(f"a{i}", n) for i, n in enumerate((size + 2, size, factors.shape[0], 1))]
+        sizes = size + 2, size, factors.shape[0], *(symbol.shape[0] for symbol in lengths), 1
+        given = [ca.MX.sym(f"a{i}", n) for i, n in enumerate(sizes)]
         others = where_needed(Function("others", given, [iterated(_MOST - _FEW, *given)]))
-        state = iterated(_FEW, ca.vertcat(ca.MX.zeros(size), ca.inf, ca.inf), c, factors, scale)
-        state = others(going_on(state, scale), state, c, factors, scale)
+        of_bars = c, factors, *lengths, scale
+        state = iterated(_FEW, ca.vertcat(ca.MX.zeros(size), ca.inf, ca.inf), *of_bars)
+        state = others(going_on(state, scale), state, *of_bars)
         change = state[:size]
-        good = ca.logic_and(state[size] < _SMALL * scale, near(start, c + change))
+        good = ca.logic_and(state[size] < _SMALL * scale, near(start, c + change, *lengths))
         change = ca.if_else(good, change, ca.DM.nan(size))
-        return Function("placed", [c, start, factors], [change])
+        return Function("placed", [c, start, factors, *lengths], [change])
 
     def _across(self) -> ca.Function:
         rates = ca.SX.sym("rates", len(self.rows))
-        change = self._solve(ca.SX.zeros(len(self.rows)), -self.stretching(self._c, rates))
-        return Function("across", [self._c, rates, self._factors], [rates + change])
+        off = self.stretching(self._c, rates)
+        if self._stretch is not None:
+            off -= self._stretch
+        change = self._solve(ca.SX.zeros(len(self.rows)), -off)
+        given = [self._c, rates, self._factors, *self._lengths]
+        return Function("across", given, [rates + change])
 
     def restored(self) -> ca.Function:
-        """Return ``(c, rates) -> (c, rates)`` with exact bars, from a state near by.
+        """Return ``(c, rates[, lengths]) -> (c, rates)`` with exact bars, from a state near by.
 
         The change is the least in the metric of the mass. Linear momentum stays, and so does the
         angular momentum of a block that nothing holds: it is turned as one body for that.
         """
         c, rates = (ca.MX.sym(name, len(self.rows)) for name in ("c", "rates"))
-        change = self.placed(c, c, self.factorized(c))
+        lengths = [ca.MX.sym("lengths", symbol.shape[0]) for symbol in self._lengths]
+        change = self.placed(c, c, self.factorized(c), *lengths)
         end = c + change
-        after = self.across(end, rates, self.factorized(end))
-        return Function("restored", [c, rates], [end, self._turned()(c, rates, end, after)])
+        after = self.across(end, rates, self.factorized(end), *lengths)
+        outputs = [end, self._turned()(c, rates, end, after)]
+        return Function("restored", [c, rates, *lengths], outputs)
 
     def _turned(self) -> ca.Function:
         """Return ``(c, rates, c1, rates1) -> rates1`` with the angular momentum of c, rates."""

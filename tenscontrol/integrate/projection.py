@@ -18,8 +18,11 @@ from tenscontrol.structure.structure import Structure
 NOT_RIGID = "bars that share nodes cannot be put on their lengths near by; try a smaller tolerance"
 
 
-def project(structure: Structure, symbol: Any = ca.SX.sym) -> ca.Function:
+def project(structure: Structure, symbol: Any = ca.SX.sym, driven: bool = False) -> ca.Function:
     """Return ``(x) -> x``: the state near by whose bars have their lengths and do not stretch.
+
+    Where lengths are driven, ``(x, lengths) -> x`` of those of all bars, m, then of their rates,
+    m/s: a bar gets its length and stretches at its rate.
 
     Bars on their own one by one and in closed form: the bar vector is scaled to its length, the
     nearest state in the metric of the mass; what its rate has along the bar is removed, and the
@@ -28,39 +31,75 @@ def project(structure: Structure, symbol: Any = ca.SX.sym) -> ca.Function:
     see :meth:`Coupled.restored`; NaN where their lengths are too far off.
     """
     bodies = Bodies(structure)
+    size = 2 * len(structure.bars)
     if not structure.blocks:
-        x = symbol("x", 2 * len(structure.free_rows))
-        return Function("project", [x], [_project_alone(bodies, x)])
-    x = ca.MX.sym("x", 2 * len(structure.free_rows))
-    alone = ca.SX.sym("x", 2 * len(bodies.alone))
-    project_alone = Function("project_alone", [alone], [_project_alone(bodies, alone)])
+        given = [symbol("x", 2 * len(structure.free_rows))]
+        given += [symbol("lengths", size)] if driven else []
+        return Function("project", given, [_project_alone(bodies, *given)])
+    x, more = ca.MX.sym("x", 2 * len(structure.free_rows)), list[Any]()
+    given = [ca.SX.sym("x", 2 * len(bodies.alone))]
+    if driven:
+        given, more = [*given, ca.SX.sym("lengths", size)], [ca.MX.sym("lengths", size)]
+    project_alone = Function("project_alone", given, [_project_alone(bodies, *given)])
     q, v = ca.vertsplit(x, x.shape[0] // 2)
-    moved = project_alone(ca.vertcat(q[bodies.alone], v[bodies.alone]))
-    half = len(bodies.alone)
-    c, rates = Coupled(structure).restored()(q[bodies.coupled], v[bodies.coupled])
+    moved = project_alone(ca.vertcat(q[bodies.alone], v[bodies.alone]), *more)
+    half, coupled = len(bodies.alone), Coupled(structure, driven)
+    own = [_of_bars(lengths, coupled.bars) for lengths in more]
+    c, rates = coupled.restored()(q[bodies.coupled], v[bodies.coupled], *own)
     ends = [bodies.merge(moved[:half], c), bodies.merge(moved[half:], rates)]
-    return Function("project", [x], [ca.vertcat(*ends)])
+    return Function("project", [x, *more], [ca.vertcat(*ends)])
 
 
-def _project_alone(bodies: Bodies, x: kernel.Symbolic) -> kernel.Symbolic:
-    half = x.shape[0] // 2
+def _of_bars(lengths: kernel.Symbolic, bars: IntArray) -> kernel.Symbolic:
+    """Return lengths and rates of some bars, a column, of those of all."""
+    return lengths[np.concatenate([bars, lengths.shape[0] // 2 + bars]).tolist()]
+
+
+def _project_alone(
+    bodies: Bodies, x: kernel.Symbolic, lengths: kernel.Symbolic | None = None
+) -> kernel.Symbolic:
+    half, length, rate = x.shape[0] // 2, bodies.length, None
+    if lengths is not None:
+        count, own = len(bodies.bars), _of_bars(lengths, bodies.bars)
+        length, rate = own[:count].T, own[count:].T
     nodes, velocities = bodies.columns(x[:half], bodies.held), bodies.columns(x[half:])
     points, B = bodies.split(nodes, bodies.hinges)
     point_rates, Bd = bodies.split(velocities)
     square = kernel.dots(B, B)
-    scale = bodies.length / ca.sqrt(square)
+    scale = length / ca.sqrt(square)
     across = Bd - kernel.scale_columns(B, kernel.dots(B, Bd) / square)
-    moved = bodies.join(points, kernel.scale_columns(B, scale), bodies.hinges)
-    rates = bodies.join(point_rates, kernel.scale_columns(across, 1 / scale))
+    vectors, turning = (kernel.scale_columns(*pair) for pair in ((B, scale), (across, 1 / scale)))
+    if rate is not None:
+        turning += kernel.scale_columns(vectors, rate / length)
+    moved = bodies.join(points, vectors, bodies.hinges)
+    rates = bodies.join(point_rates, turning)
     return ca.vertcat(bodies.entries(moved), bodies.entries(rates))
 
 
 def projection(equation: Equation) -> ca.Function | None:
-    """Return :func:`project` for an equation, or None where there are no bars."""
+    """Return :func:`project` for an equation, or None where there are no bars.
+
+    Where lengths are driven, it is ``(x, u) -> x`` of the input at the time of x.
+    """
     structure = equation.structure
     if structure is None or len(structure.bars) == 0:
         return None
+    if equation.layout.lengths:
+        return equation.prepared.get("project", lambda: _project_driven(equation, structure))
     return equation.prepared.get("project", lambda: project(structure, equation.symbol))
+
+
+def _project_driven(equation: Equation, structure: Structure) -> ca.Function:
+    exact = project(structure, equation.symbol, driven=True)
+    symbol = ca.SX.sym if exact.is_a("SXFunction") else ca.MX.sym
+    x, u = symbol("x", equation.states), symbol("u", equation.inputs)
+    length, rate, _ = equation.layout.bar_lengths(u)
+    return Function("project_driven", [x, u], [exact(x, ca.vertcat(length, rate))])
+
+
+def put_on_lengths(exact: ca.Function, x: Any, u: Any) -> Any:
+    """Return the expression of a state that :func:`projection` makes exact under an input."""
+    return exact(x) if exact.n_in() == 1 else exact(x, u)
 
 
 class Projector:
@@ -68,15 +107,27 @@ class Projector:
 
     def __init__(self, equation: Equation, wanted: bool) -> None:
         self._exact = projection(equation) if wanted else None
+        self._layout = equation.layout
 
     def __repr__(self) -> str:
         return f"Projector({'exact bar lengths' if self._exact is not None else 'nothing'})"
 
-    def __call__(self, states: FloatArray) -> FloatArray:
-        """Return states of shape (states, count), up to the first that is too far off."""
+    def __call__(
+        self, states: FloatArray, held: FloatArray | None = None, times: Any = None
+    ) -> FloatArray:
+        """Return states of shape (states, count), up to the first that is too far off.
+
+        ``held`` is the input, and ``times`` are those of the states after its begin, s, an array of
+        shape (count,): needed where lengths of bars are driven.
+        """
         if self._exact is None:
             return states
-        exact = evaluate_columns(self._exact, states)[0]
+        inputs = []
+        if self._exact.n_in() > 1 and states.shape[1]:
+            assert held is not None  # bars are driven
+            assert times is not None  # then, too
+            inputs = [np.column_stack([self._layout.later(held, time) for time in times])]
+        exact = evaluate_columns(self._exact, states, *inputs)[0]
         good = np.isfinite(exact).all(axis=0)
         return exact if good.all() else exact[:, : int(good.argmin())]
 
@@ -89,7 +140,9 @@ def projected(step: ca.Function, equation: Equation) -> ca.Function:
     written = step.is_a("SXFunction") and exact.is_a("SXFunction")
     symbols = ca.SX if written else ca.MX
     arguments = [symbols.sym(step.name_in(i), step.size1_in(i)) for i in range(step.n_in())]
-    return Function(f"projected_{step.name()}", arguments, [exact(step(*arguments))])
+    _, u, _, h = arguments
+    end = put_on_lengths(exact, step(*arguments), equation.ahead(u, h))
+    return Function(f"projected_{step.name()}", arguments, [end])
 
 
 class Bodies:
@@ -105,6 +158,8 @@ class Bodies:
     ----------
     alone, coupled : list of int
         Places in the free coordinates of those of these bodies, and of those of the blocks.
+    bars : ndarray of int
+        Those of the vectors.
     held : DM
         Positions of string nodes along the axes in which they are on rollers, m.
     """
@@ -140,7 +195,8 @@ class Bodies:
         self.hinges = ca.DM(structure.nodes[:, hinge])
         mass = kernel.bar_mass(structure, free, masses)
         hinged_mass = kernel.bar_mass(structure, swinging, masses)
-        self.length = _row(structure.bar_length[np.concatenate([free, swinging])])
+        self.bars = np.concatenate([free, swinging])
+        self.length = _row(structure.bar_length[self.bars])
         # Of points; and by which the difference of the end forces, or the force on the tip, moves
         # a vector.
         self.point_mass = ca.horzcat(mass, kernel.string_node_mass(structure, masses))

@@ -101,7 +101,8 @@ class Watched(Integrator):
         self._at_work = validation.choice("first", first, WATCHED)
         self._now = start
         self._end = start + validation.positive_number("duration", duration, "s")
-        self._failed: set[str] = set()
+        # What takes no driven bars is no choice for them.
+        self._failed = {"energy_momentum"} if equation.layout.lengths else set[str]()
         self._is_shortened = False
         self._is_over = False
         self._spent, self._budget = 0.0, _FREE

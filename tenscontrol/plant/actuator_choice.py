@@ -9,7 +9,12 @@ import numpy as np
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, IntArray, freeze_arrays
 from tenscontrol.plant.controllability import normalized_input, reached_states, refuse_empty
-from tenscontrol.plant.linear_plant import LinearPlant, clusters, squared_frequencies
+from tenscontrol.plant.linear_plant import (
+    LinearPlant,
+    clusters,
+    refuse_driven_bars,
+    squared_frequencies,
+)
 from tenscontrol.short_repr import short_repr
 
 # Squared reach of a mode below this part of the largest counts as none.
@@ -108,6 +113,7 @@ def actuator_choice(plant: LinearPlant, count: int | None = None) -> ActuatorCho
     LinearPlant(9 internal coordinates, input rest_length, 3 inputs)
     """
     validation.instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
+    refuse_driven_bars(plant, "actuator_choice")
     refuse_empty(plant)
     inputs = plant.B.shape[1]
     count = inputs if count is None else validation.whole_number("count", count, 1, inputs)

@@ -378,8 +378,9 @@ def normalized_input(plant: LinearPlant) -> FloatArray:
     length = plant.model.structure.string_length(plant.nodes)
     length = to_commanded_strings(plant, "length", length)
     force = length
-    if plant.input == "rest_length":
-        stretch = np.abs(length - plant.string_values)
+    if plant.input != "force_density":
+        assert plant.rest_length is not None  # there is a law
+        stretch = np.abs(length - plant.rest_length)
         taut = (plant.force_density > 0) & (stretch > 0)
         force = (plant.force_density * length)[taut] / stretch[taut]
     most = np.linalg.norm(plant.basis, 2) * force.max(initial=0.0) if plant.B.size else 0.0

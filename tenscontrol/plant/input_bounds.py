@@ -31,15 +31,17 @@ def input_bounds(
     """
     if winches is not None:
         validation.instance("winches", winches, Winches, "make them by Winches(rate=...)")
-    if plant.input == "rest_length":
+    if plant.input != "force_density":
         if not validation.is_unlimited(max_force_density):
             raise ValueError(
                 "max_force_density limits plants with input='force_density'; this one has "
-                "input='rest_length', and winches limit rest lengths"
+                f"input={plant.input!r}, and winches limit {plant.input.replace('_', ' ')}s"
             )
         usual, driven = plant.string_values, plant.actuation.driven
         if winches is not None:
-            winches.refuse_out_of_range("plant.rest_length", usual, driven)
+            if plant.input == "bar_length":
+                refuse_motors_of_bars(winches)
+            winches.refuse_out_of_range(f"plant.{plant.input}", usual, driven)
             refuse_still(plant.actuation, winches)
         return bounds_of_inputs(plant.actuation, *rest_length_bounds(usual, winches))
     if winches is not None:
@@ -61,6 +63,15 @@ def input_bounds(
                 f"operating point; expected at {expected} that"
             )
     return bounds_of_inputs(plant.actuation, bounds.low, bounds.high)
+
+
+def refuse_motors_of_bars(winches: Winches) -> None:
+    """Raise if drives of bars have motors, which wind strings."""
+    if winches.motor is not None:
+        raise ValueError(
+            "winches has a motor, which winds a string, but lengths of bars are the input: give "
+            "rate, shortest, longest and ramp=True alone"
+        )
 
 
 def refuse_still(actuation: Actuation, winches: Winches) -> None:

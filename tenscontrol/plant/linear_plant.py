@@ -49,7 +49,25 @@ _NOISE = 1e-13
 # A stiffness matrix this far from symmetric, relative to its size, is not that of a rest.
 _SYMMETRIC = 1e-9
 
+#: What the inputs of strings may be, and those of all plants.
 INPUTS = ("force_density", "rest_length")
+PLANT_INPUTS = (*INPUTS, "bar_length")
+
+
+#: Why inputs that jump do not fit bars.
+NO_JUMP = (
+    "lengths of bars cannot jump: give sample_time and winches=Winches(ramp=True), whose rate, "
+    "shortest and longest limit the drives of the bars"
+)
+
+
+def refuse_driven_bars(plant: LinearPlant, who: str) -> None:
+    """Raise if lengths of bars are the input of a plant, for whom or what cannot take it."""
+    if plant.input == "bar_length":
+        raise ValueError(
+            f"{who} takes no plant with input='bar_length': LQR, MPC and simulate do. Linearize by "
+            "input='rest_length' or 'force_density'"
+        )
 
 
 class _Made:
@@ -119,13 +137,18 @@ class LinearPlant:
     rest lengths of m driven strings, or winches, from the operating point. There are m = α inputs
     where every string is driven by itself. Made by :func:`linearize`.
 
+    Where lengths of bars are the input, nodes move by ``vec(δN) = T q + E v``, with E across all
+    motions T in the metric of the mass: bars push along themselves, so that neither an acceleration
+    of v nor the impulse of a jump of its rate moves z. Damped strings feel its rate:
+    ``ż = A z + B v + F v̇``.
+
     Attributes
     ----------
     model : Model
     coordinates : Coordinates
         The basis and the maps between node positions and q.
     input : str
-        ``"force_density"`` or ``"rest_length"``.
+        ``"force_density"``, ``"rest_length"`` or ``"bar_length"``.
     A, B : ndarray, shape (2r, 2r) and (2r, m)
         Matrices for q in m √kg, made when they are first asked for, and refused where A has more
         than 64 million entries, 4,000 coordinates: large structures have :attr:`sparse`.
@@ -147,7 +170,12 @@ class LinearPlant:
         How far the accelerations lead out of the space of the coordinates, or
         answer to motions that it leaves out, relative to their size.
     actuation : Actuation
-        Which of the commanded strings the inputs drive; the others are passive.
+        Which of the commanded strings the inputs drive; the others are passive. Of bars, where
+        their lengths are the input.
+    input_displacements : ndarray, shape (d n, m), or None
+        E, where lengths of bars are the input.
+    rate_input : ndarray, shape (2r, m), or None
+        F, where lengths of bars are the input and strings are damped.
     feet : ndarray of int
         Fixed nodes of the model that stand on ground by friction, of a plant about a stance: z is
         measured relative to them. Empty for any other plant.
@@ -164,6 +192,8 @@ class LinearPlant:
     invariance_residual: float
     actuation: Actuation
     feet: IntArray = field(default_factory=lambda: frozen(np.zeros(0, np.int64)))
+    input_displacements: FloatArray | None = None
+    rate_input: FloatArray | None = None
     A: _Made = _Made(lambda plant: _dense_A(plant))
     B: _Made = _Made(lambda plant: _dense_B(plant))
     drift: _Made = _Made(lambda plant: _dense_drift(plant))
@@ -189,14 +219,19 @@ class LinearPlant:
 
     @property
     def equilibrium_input(self) -> FloatArray:
-        """The input at the operating point, γ or rest length, shape (m,)."""
+        """The input at the operating point, γ or length, shape (m,)."""
         return inputs_of(self.actuation, self.string_values)
 
     @property
     def string_values(self) -> FloatArray:
-        """γ or rest length of the commanded strings at the operating point, shape (α,)."""
+        """γ or rest length of the commanded strings at the operating point, shape (α,).
+
+        Lengths of bars, shape (β,), where these are the input.
+        """
         if self.input == "force_density":
             return self.force_density
+        if self.input == "bar_length":
+            return self.model.structure.bar_length
         assert self.rest_length is not None  # linearize needs a string law for this input
         return self.rest_length
 
@@ -313,7 +348,10 @@ class LinearPlant:
 
         Of winches that were given a name, that name.
         """
-        symbol = "gamma" if self.input == "force_density" else "rest_length"
+        symbol = "gamma" if self.input == "force_density" else self.input
+        if self.input == "bar_length":
+            bars = self.actuation.names or [f"bar[{bar}]" for bar in self.actuation.lead]
+            return [f"{symbol}_{name}" for name in bars]
         seen: dict[str, int] = {}
         names = []
         for group in self.commanded.string_groups:
@@ -346,7 +384,8 @@ class LinearPlant:
         Raises
         ------
         ValueError
-            If the operating point is not an equilibrium: a state-space system has no drift.
+            If the operating point is not an equilibrium: a state-space system has no drift. If
+            damped strings feel the rate of the input.
         """
         validation.choice("outputs", outputs, ("nodes", "state"))
         if np.abs(self.drift).max(initial=0.0) > 1e-8 * max(1.0, np.abs(self.A).max(initial=0.0)):
@@ -354,11 +393,19 @@ class LinearPlant:
                 "the plant has a drift, as it was linearized away from an equilibrium, and a "
                 "StateSpace has none. Use A, B and drift"
             )
+        if self.rate_input is not None:
+            raise ValueError(
+                "the plant has damped strings, which feel the rate of the lengths of bars, and a "
+                "StateSpace of lengths has no rate of its input. Use A, B and rate_input"
+            )
         A, B = (self.A, self.B) if dt is None else self.discretize(dt)[:2]
         r, by_node = self.degrees_of_freedom, outputs == "nodes"
         C = np.hstack([self.basis, np.zeros((len(self.basis), r))]) if by_node else np.eye(2 * r)
+        D = np.zeros((len(C), B.shape[1]))
+        if by_node and self.input_displacements is not None:
+            D = np.array(self.input_displacements)
         return named_system(
-            (A, B, C, np.zeros((len(C), B.shape[1]))),
+            (A, B, C, D),
             dt,
             f"{self.coordinates.kind} {self.input}",
             inputs=self.input_names,
@@ -486,6 +533,8 @@ def sampled(plant: LinearPlant, sample_time: float, ramp: bool) -> Sampled:
     from scipy.linalg import expm
 
     plant.refuse_long_sample_time(sample_time)
+    if plant.input == "bar_length" and not ramp:
+        raise ValueError(NO_JUMP)
     transition, whole, drift = plant.discretize(sample_time)
     states, inputs = whole.shape
     now = whole
@@ -494,6 +543,9 @@ def sampled(plant: LinearPlant, sample_time: float, ramp: bool) -> Sampled:
         exponent[:states, : states + inputs] = sample_time * np.hstack([plant.A, plant.B])
         exponent[states : states + inputs, states + inputs :] = np.eye(inputs)
         now = expm(exponent)[:states, states + inputs :]
+    if plant.rate_input is not None:  # constant over a ramp
+        moved = zero_order_hold(plant, plant.rate_input, sample_time)[1] / sample_time
+        now = now + moved
     return Sampled(sample_time, transition, whole - now, now, drift, ramp)
 
 

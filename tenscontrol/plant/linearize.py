@@ -8,20 +8,27 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tenscontrol import validation
-from tenscontrol.actuation.driven_strings import Actuation, actuation_of
+from tenscontrol.actuation.driven_strings import Actuation, actuation_of, actuation_of_bars
 from tenscontrol.arrays import FloatArray, IntArray, frozen
 from tenscontrol.dynamics.coordinates import KINDS, Coordinates, coordinates as frame_of
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.string_laws import StringLaw
-from tenscontrol.dynamics.tangent import Tangent, refuse_large, tangent
+from tenscontrol.dynamics.tangent import Tangent, bar_displacements, refuse_large, tangent
 from tenscontrol.fields import Array, OptionalArray, converted
-from tenscontrol.plant.linear_plant import INPUTS, LinearPlant, SparsePlant, norm
+from tenscontrol.plant.linear_plant import (
+    PLANT_INPUTS,
+    LinearPlant,
+    SparsePlant,
+    norm,
+    refuse_driven_bars,
+)
 from tenscontrol.plant.stance import Stance, standing_model
 from tenscontrol.plant.string_outputs import to_model_strings
 from tenscontrol.short_repr import short_repr
 from tenscontrol.statics.equilibrium_matrix import null_space
 from tenscontrol.statics.prestress import Prestress
 from tenscontrol.structure.bar_geometry import (
+    refuse_other_bar_lengths,
     refuse_strings_without_length,
     rigid_shape,
 )
@@ -129,9 +136,10 @@ def linearize(
     at : Prestress, Stance or OperatingPoint
         The shape and its force densities. Contacts of a :class:`Stance` become supports; see the
         notes.
-    input : {"force_density", "rest_length"}
+    input : {"force_density", "rest_length", "bar_length"}
         The input: γ for force-controlled cables, the rest length for winches. The two plants have
-        different modes.
+        different modes. Or the lengths of bars that are driven, where strings keep their rest
+        lengths.
     coordinates : {"internal", "minimal", "nodes"}
         See :func:`coordinates`.
     require_equilibrium : bool
@@ -146,6 +154,7 @@ def linearize(
         that share a winch are ganged: ``{name: strings}``, one input a name, with
         ``{string: ratio}`` in place of the strings where pulleys or signs differ; or a matrix,
         shape (α, m), of the change of each string by each input, with at most one entry a row.
+        With ``input="bar_length"`` the bars that are driven, by index.
 
     Returns
     -------
@@ -200,7 +209,9 @@ def linearize(
     ['gamma_pair', 'gamma_single']
     """
     validation.instance("model", model, Model, "make one by Model(structure)")
-    validation.choice("input", input, INPUTS)
+    validation.choice("input", input, PLANT_INPUTS)
+    if input == "bar_length":
+        return _of_bars(model, at, coordinates, require_equilibrium, rest_length, actuated)
     validation.choice("coordinates", coordinates, KINDS)
     validation.truth(
         "require_equilibrium", require_equilibrium, "whether to refuse unbalanced forces"
@@ -244,6 +255,52 @@ def linearize(
     return plant
 
 
+def _of_bars(
+    model: Model, at: object, kind: str, require_equilibrium: bool, rest_length: object,
+    actuated: object,
+) -> LinearPlant:  # fmt: skip
+    """Return the plant whose inputs are lengths of bars, from that of held rest lengths.
+
+    With ``J E = L̂`` and ``Tᵀ M E = 0``: ``q̈ = −Tᵀ K (T q + E v) − Tᵀ D (T q̇ + E v̇)``.
+    """
+    from scipy.sparse import csr_array
+
+    if model.strings is None:
+        raise ValueError(
+            "the model has no string law, so that it is not known what strings do where bars grow; "
+            "build it as Model(structure, strings=LinearStrings(stiffness=...))"
+        )
+    if kind == "nodes":
+        raise ValueError("coordinates is 'nodes', in which bars are not driven; use 'minimal'")
+    if isinstance(at, Stance) and len(at.contacts.node):
+        raise ValueError(
+            "at stands on ground, where bars are not driven: fix the feet by "
+            "Structure(..., fixed=[...])"
+        )
+    plant = linearize(model, at, "rest_length", kind, require_equilibrium, rest_length)  # type: ignore[arg-type]
+    structure = model.structure
+    actuation = actuation_of_bars(actuated, structure.bar_length)
+    refuse_other_bar_lengths("actuated", structure, actuation.driven)
+    assert plant.rest_length is not None  # there is a law
+    here = tangent(model, plant.nodes, "rest_length", plant.rest_length, plant.external_force)
+    E = bar_displacements(structure, plant.nodes, here.mass) @ actuation.matrix
+    T = plant.coordinates.sparse_basis
+    by_length = csr_array(-(T.T @ (here.stiffness @ E)))
+    rate = None
+    if here.damping.nnz:
+        by_rate = plant.coordinates.from_sparse(-(T.T @ (here.damping @ E)))
+        rate = frozen(np.vstack([np.zeros_like(by_rate), by_rate]))
+    assert plant.sparse is not None  # it was just made
+    driven = replace(
+        plant, input="bar_length", sparse=replace(plant.sparse, by_input=by_length),
+        actuation=actuation, input_displacements=frozen(E), rate_input=rate, A=None, B=None,
+        drift=None,
+    )  # fmt: skip
+    for name in ("A", "B", "drift") if driven.degrees_of_freedom <= _USUAL else ():
+        getattr(driven, name)
+    return driven
+
+
 def in_coordinates(plant: LinearPlant, kind: str) -> LinearPlant:
     """Return the plant of the same operating point and input in other coordinates.
 
@@ -270,6 +327,7 @@ def in_coordinates(plant: LinearPlant, kind: str) -> LinearPlant:
     LinearPlant(15 minimal coordinates, input force_density, 9 inputs)
     """
     validation.instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
+    refuse_driven_bars(plant, "in_coordinates")
 
     def build() -> LinearPlant:
         gamma = to_model_strings(plant, "force_density", plant.force_density)
@@ -328,6 +386,7 @@ def command_parents(plant: LinearPlant, actuated: object = None) -> LinearPlant:
     from scipy.sparse import csr_array
 
     validation.instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
+    refuse_driven_bars(plant, "command_parents")
     structure = plant.model.structure
     parent = structure.parent
     if parent is None or plant.commanded is parent:

@@ -15,7 +15,7 @@ from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics import kernel
 from tenscontrol.dynamics.contact_laws import ContactLaw
 from tenscontrol.dynamics.evaluator import Function, on_one_thread
-from tenscontrol.plant.linear_plant import LinearPlant, kept
+from tenscontrol.plant.linear_plant import LinearPlant, kept, refuse_driven_bars
 from tenscontrol.plant.modes import modes as all_modes  # `reduce` has an argument of this name
 from tenscontrol.plant.string_outputs import model_input, string_forces
 
@@ -46,6 +46,8 @@ class ReducedPlant(LinearPlant):
         The plant that was reduced.
     model, coordinates, input, A, B, drift, commanded, force_density, rest_length : as of it
     external_force, invariance_residual, actuation, feet, sparse : as of it
+    input_displacements, rate_input : None
+        Plants whose inputs are lengths of bars are not reduced.
     """
 
     whole: LinearPlant = field(kw_only=True)
@@ -136,6 +138,7 @@ def reduce(plant: LinearPlant, modes: object = 20) -> ReducedPlant:
     ReducedPlant(6 of 54 internal coordinates, input rest_length, 72 inputs)
     """
     validation.instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
+    refuse_driven_bars(plant, "reduce")
     if plant.coordinates.kind == "nodes":
         raise ValueError(
             "plant is in 'nodes' coordinates, in which bars change their lengths; expected "

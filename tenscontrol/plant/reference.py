@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol import validation
-from tenscontrol.actuation.driven_strings import inputs_of, moved_by
+from tenscontrol.actuation.driven_strings import inputs_of, moved_by, strings_of
 from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.dynamics.evaluator import Function, evaluate_columns
 from tenscontrol.fields import Array, OptionalArray, converted
@@ -251,7 +251,15 @@ class ReferencePreview:
         self._rates = np.vstack([np.zeros((1, r)), slopes, np.zeros((1, r))])
         # What holds the plant in each shape, side by side, at these times, straight in between.
         self._held_time = reference.time[:1]
-        if plant.input == "force_density":
+        self._shapes = None
+        if plant.input == "bar_length":
+            self._held_time = _refined(reference.time, sampled.sample_time)
+            self._response = acceleration_response(plant, sampled.sample_time)
+            self._shapes = reference.time, reference.nodes
+            rests = self.wanted(self._held_time)[:, :r]
+            shapes = self._bar_shapes(self._held_time)
+            self._table = _held_by_bars(plant, rests, shapes, self._response)
+        elif plant.input == "force_density":
             gamma = to_model_strings(plant, "force_density", plant.force_density)
             tension = gamma * plant.model.structure.string_length(plant.nodes)
             entries = np.zeros(2 * r), plant.equilibrium_input, gamma, tension, sampled.drift
@@ -299,9 +307,22 @@ class ReferencePreview:
 
     def nodes_at(self, times: FloatArray) -> FloatArray:
         """Return node positions of the reference at times, shape (d, n, K), m."""
+        if self._shapes is not None:
+            return self._bar_shapes(times).transpose(1, 2, 0)
         q = self.wanted(times)[:, : self._coordinates.shape[1]]
         rows, which = np.unique(q, axis=0, return_inverse=True)
         return np.array([self._plant.to_nodes(row) for row in rows])[which].transpose(1, 2, 0)
+
+    def _bar_shapes(self, times: FloatArray) -> FloatArray:
+        """Return shapes of a reference whose bars are driven, (K, d, n), m: straight in between."""
+        assert self._shapes is not None  # bars are driven
+        time, nodes = self._shapes
+        right = np.clip(np.searchsorted(time, times), 1, max(len(time) - 1, 1))
+        last = np.minimum(right, len(time) - 1)
+        left, end = time[right - 1], time[last]
+        share = np.clip((times - left) / np.where(end > left, end - left, 1.0), 0.0, 1.0)
+        before, after = (np.moveaxis(nodes[:, :, k], 2, 0) for k in (right - 1, last))
+        return np.asarray(before + share[:, None, None] * (after - before))
 
     def at(self, times: FloatArray) -> Preview:
         """Return the preview at these times, shape (K,), s."""
@@ -348,6 +369,9 @@ class ReferencePreview:
         motion = np.hstack([q[1:-1], rates])
         mean, gained = (rates[1:] + rates[:-1]) / 2, np.diff(rates, axis=0) / sample_time
         spare = mean @ self._damping.T - gained
+        if self._plant.rate_input is not None:  # damped strings feel how fast bars grow
+            growing = np.diff(preview.input, axis=0)[:-1] / sample_time
+            spare = spare + growing @ self._plant.rate_input[r:].T
         drift = (
             motion[1:]
             - motion[:-1] @ sampled.transition.T
@@ -407,11 +431,18 @@ def _reached(plant: LinearPlant, reference: Reference, name: str) -> FloatArray:
     structure, shapes = plant.model.structure, np.moveaxis(reference.nodes, 2, 0)
     names = [f"{name} at {time:g} s" for time in reference.time]
     for shape_name, N in zip(names, shapes, strict=True):
-        refuse_wrong_bar_lengths(shape_name, structure, N, _OFF)
+        if plant.input == "bar_length":
+            _refuse_passive_bars(plant, shape_name, N)
+        else:
+            refuse_wrong_bar_lengths(shape_name, structure, N, _OFF)
         refuse_moved_supports(shape_name, structure, N, _OFF)
-    q = np.array(
-        [reduced_shape(plant, *pair, 2 * _OFF) for pair in zip(names, shapes, strict=True)]
-    )
+    if plant.input == "bar_length":
+        still = np.zeros_like(plant.nodes)
+        q = np.array([plant.measure(N, still)[: plant.degrees_of_freedom] for N in shapes])
+    else:
+        q = np.array(
+            [reduced_shape(plant, *pair, 2 * _OFF) for pair in zip(names, shapes, strict=True)]
+        )
     # A mirror image keeps all lengths, but bars would have to pass through one another on the way:
     # from the operating point to the nearest shape, and from each shape to the next.
     apart = [bar_distances(structure, N) for N in (plant.nodes, *shapes)]
@@ -478,6 +509,39 @@ def _refined(time: FloatArray, sample_time: float) -> FloatArray:
         for start, end in pairwise(time)
     ]
     return np.concatenate([*blocks, time[-1:]])
+
+
+def _refuse_passive_bars(plant: LinearPlant, name: str, nodes: FloatArray) -> None:
+    """Raise if a shape asks a bar that is not driven for another length."""
+    structure, actuation = plant.model.structure, plant.actuation
+    length = np.linalg.norm(structure.bar_vectors(nodes), axis=0)
+    held = strings_of(actuation, inputs_of(actuation, length))
+    off = np.abs(length / held - 1)
+    bar = int(off.argmax())
+    if off[bar] > _OFF:
+        raise ValueError(
+            f"in {name}, bar {bar} is {length[bar]:.9g} m long, but the drives of the plant leave "
+            f"it at {held[bar]:.9g} m: drive it by linearize(..., actuated=[...]), or give another "
+            "shape"
+        )
+
+
+def _held_by_bars(
+    plant: LinearPlant, q: FloatArray, shapes: FloatArray, response: FloatArray
+) -> FloatArray:
+    """Return what :func:`_held` does where lengths of bars are the input: strings keep theirs."""
+    structure, law = plant.model.structure, plant.model.strings
+    assert law is not None  # linearize needs one
+    assert plant.rest_length is not None  # then, too
+    lengths = np.array([structure.string_length(N) for N in shapes])
+    gamma = np.array([law.force_density(length, plant.rest_length) for length in lengths])
+    gamma[:, plant.slack] = 0.0
+    offset, slope = _accelerations(plant, shapes)
+    left = offset + (slope @ gamma[..., None])[..., 0]
+    bars = np.array([np.linalg.norm(structure.bar_vectors(N), axis=0) for N in shapes])
+    held = inputs_of(plant.actuation, bars.T).T
+    rests = np.hstack([q, np.zeros_like(q)])
+    return np.hstack([rests, held, gamma, gamma * lengths, left @ response.T])
 
 
 def _held(

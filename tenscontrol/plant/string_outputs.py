@@ -58,9 +58,14 @@ class StringMap:
 
 @kept
 def string_map(plant: LinearPlant, input: str) -> StringMap:
-    """Return the map of a plant's strings for an input, which need not be that of the plant."""
+    """Return the map of a plant's strings for an input, which need not be that of the plant.
+
+    Where lengths of bars are the input, rest lengths are held, and bars that grow move the nodes.
+    """
     from scipy.sparse import csc_array, csr_array
 
+    bars = plant.input_displacements if input == "bar_length" else None
+    input = "rest_length" if bars is not None else input
     shape, count = plant.nodes.shape, len(plant.model.structure.strings)
     held = plant.rest_length if input == "rest_length" else plant.force_density
     assert held is not None  # there is a law
@@ -73,7 +78,9 @@ def string_map(plant: LinearPlant, input: str) -> StringMap:
     values = [value.sparse() for value in derivatives]
     by_state = [np.hstack([slope @ plant.basis for slope in values[k : k + 2]]) for k in (2, 5)]
     by_input = [values[k] for k in (4, 7)]
-    if not (plant.commanded is plant.model.structure and plant.actuation.is_whole):
+    if bars is not None:
+        by_input = [values[k] @ bars for k in (2, 5)]
+    elif not (plant.commanded is plant.model.structure and plant.actuation.is_whole):
         spread = csc_array(input_matrix(plant, input))
         by_input = [slope @ spread for slope in by_input]
     return StringMap(

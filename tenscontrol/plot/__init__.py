@@ -19,7 +19,7 @@ from tenscontrol.plot.histories import Curves, history
 from tenscontrol.plot.interactive_view import view
 from tenscontrol.plot.least_mass import MassDrawing, least_mass
 from tenscontrol.plot.mode_shapes import ModeShape, mode_shapes
-from tenscontrol.plot.motion_histories import health, motors, tracking, trajectory
+from tenscontrol.plot.motion_histories import health, motors, struts, tracking, trajectory
 from tenscontrol.plot.planned_motion import optimal_motion
 from tenscontrol.plot.pole_map import PoleMap, poles
 from tenscontrol.plot.strength_margins import strength, utilization
@@ -56,6 +56,7 @@ __all__ = [
     "stability_map",
     "strength",
     "structure",
+    "struts",
     "sweep",
     "tracking",
     "trajectory",

@@ -26,6 +26,7 @@ from tenscontrol.plot.ground_drawing import add_ground, ground_samples, near_gro
 from tenscontrol.plot.structure_drawing import (
     SIZE,
     draw,
+    driven_bars,
     fill_figure,
     frame,
     is_slack,
@@ -276,14 +277,14 @@ class _Scene:
         self.canvas = canvas
         fill_figure(figure, d)
         ax = self._ax = new_view(figure, d)
-        passive = passive_strings(run.structure, known_actuation(run))
+        passive, struts = passive_strings(run.structure, known_actuation(run)), driven_bars(run)
         slack = any(is_slack(gamma).any() for gamma in gammas.T)
-        samples = legend_samples(run.structure, slack, passive=passive)
+        samples = legend_samples(run.structure, slack, passive=passive, struts=struts)
         samples += ground_samples(run.ground)
         if goal is not None:
             draw(ax, run.structure, goal, FAINT)
             samples.append(sample("target", color=FAINT.bar_color, linewidth=FAINT.bar_width))
-        drawing = draw(ax, run.structure, shapes[:, :, 0], NORMAL, passive)
+        drawing = draw(ax, run.structure, shapes[:, :, 0], NORMAL, passive, struts)
         everywhere = [shapes.reshape(d, -1)]
         everywhere += [near_ground(run.ground, everywhere[0])]
         frame(ax, everywhere if goal is None else [*everywhere, goal], grow=False)

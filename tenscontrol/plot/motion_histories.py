@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import cycle
+from types import MappingProxyType
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -35,6 +36,9 @@ from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.status import Status
 from tenscontrol.structure.structure import Structure
 from tenscontrol.structure.supports import moving_mass
+
+# What is drawn of each driven bar, with units.
+_OF_STRUTS = MappingProxyType({"length": "m", "rate": "m/s", "force": "N", "power": "W"})
 
 # Marks for statuses, told apart by their form.
 _MARKERS = ("v", "x", "s", "d", "P", "^")
@@ -399,6 +403,58 @@ def motors(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, 
             xlabel=xlabel,
         )
         panels[name] = _with_faults(_in_grey(panels[name]), run)
+    if axes is None:
+        drop_repeated_legends(panels)
+    return panels
+
+
+@closes_on_error
+def struts(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, Curves]:
+    """Draw what the driven bars of a run did.
+
+    The panels are ``"length"``, ``"rate"``, ``"force"``, positive in compression, and ``"power"``,
+    with one style for each driven bar, and ``"work"``, of all drives together.
+
+    Parameters
+    ----------
+    run : Trajectory
+        Simulated with ``bar_length``, or under a controller of the lengths of bars.
+    axes : sequence of Axes, optional
+        Where to draw, one for each panel; a new figure if not given.
+
+    Returns
+    -------
+    dict of str to Curves
+        What was drawn, by panel.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If ``run`` is no run, or drives no bar, or ``axes`` does not fit.
+
+    Examples
+    --------
+    >>> import matplotlib.pyplot as plt, tenscontrol as tc
+    >>> rod = tc.Model(tc.Structure([[0, 0], [0, 1], [0, 0]], [(0, 1)], [], 2.0))
+    >>> grow = tc.Profile([0.0, 0.5], [[1.0, 1.2]], "cubic")
+    >>> panels = tc.plot.struts(tc.simulate(rod, 0.5, bar_length=grow))
+    >>> list(panels), list(panels["length"].lines)
+    (['length', 'rate', 'force', 'power', 'work'], ['bar 0'])
+    >>> plt.close(panels["length"].ax.figure)
+    """
+    validation.instance("run", run, Trajectory, "make one by simulate(model, ...)")
+    record = run.struts
+    if record is None or not len(record.bar):
+        raise ValueError("run drives no bar: simulate it with bar_length=Profile(...)")
+    panels = {}
+    for ax, name, xlabel in timed_panels(axes, [*_OF_STRUTS, "work"]):
+        if name == "work":
+            curves = {"all drives": record.work.sum(axis=0, keepdims=True)}
+        else:
+            values = getattr(record, name)
+            curves = {f"bar {bar}": values[bar : bar + 1] for bar in record.bar}
+        unit = _OF_STRUTS.get(name, "J")
+        panels[name] = draw_curves(ax, run.time, curves, f"{name}, {unit}", xlabel=xlabel)
     if axes is None:
         drop_repeated_legends(panels)
     return panels

@@ -36,6 +36,8 @@ from tenscontrol.plot.style import (
     PASSIVE_DASHES,
     PASSIVE_WIDTH,
     SMALL,
+    STRUT_COLOR,
+    STRUT_WIDTH,
     MemberStyle,
     checked_axes,
     closes_on_error,
@@ -275,10 +277,12 @@ def draw(
     nodes: FloatArray,
     style: MemberStyle,
     passive: np.ndarray | None = None,
+    struts: np.ndarray | None = None,
 ) -> Drawing:
     """Draw bars, strings and nodes in one style, without numbers or colour scale.
 
-    Strings that are ``passive``, bool, shape (α,), are dashed; all look alike if it is None.
+    Strings that are ``passive``, bool, shape (α,), are dashed; all look alike if it is None. Bars
+    that are ``struts``, bool, shape (β,), are slimmer and of another colour.
     """
     style = style.fitted(len(structure.bars) + len(structure.strings))
     lines: Any = LineCollection
@@ -296,12 +300,14 @@ def draw(
             "linestyles": [PASSIVE_DASHES if is_passive else "solid" for is_passive in passive],
         }
     strings = lines(segments(nodes, paths), zorder=style.layer, **look)
+    look = {"colors": style.bar_color, "linewidths": style.bar_width}
+    if struts is not None:
+        look = {
+            "colors": [STRUT_COLOR if driven else style.bar_color for driven in struts],
+            "linewidths": style.bar_width * np.where(struts, STRUT_WIDTH, 1.0),
+        }
     bars = lines(
-        segments(nodes, structure.bars),
-        colors=style.bar_color,
-        linewidths=style.bar_width,
-        capstyle="round",
-        zorder=style.layer + 0.3,
+        segments(nodes, structure.bars), capstyle="round", zorder=style.layer + 0.3, **look
     )
     for members, pairs in ((strings, paths), (bars, structure.bars)):
         if len(pairs):  # Matplotlib cannot find the limits of nothing
@@ -435,7 +441,11 @@ def _paths(structure: Structure) -> IntArray:
 
 
 def legend_samples(
-    structure: Structure, slack: bool, colored: bool = False, passive: np.ndarray | None = None
+    structure: Structure,
+    slack: bool,
+    colored: bool = False,
+    passive: np.ndarray | None = None,
+    struts: np.ndarray | None = None,
 ) -> list[Line2D]:
     """Return the samples of members that a legend shows, of those kinds that there are."""
     bar = {"color": NORMAL.bar_color, "linewidth": NORMAL.bar_width, "solid_capstyle": "round"}
@@ -449,8 +459,10 @@ def legend_samples(
     }
     spring["color"] = color if colored else PASSIVE_COLOR
     driven = len(structure.strings) > 0 if passive is None else not passive.all()
+    strut = bar | {"color": STRUT_COLOR, "linewidth": STRUT_WIDTH * NORMAL.bar_width}
     samples = {
-        "bar": (bar, len(structure.bars) > 0),
+        "bar": (bar, len(structure.bars) > 0 and (struts is None or not struts.all())),
+        "driven bar": (strut, struts is not None),
         "string" if passive is None else "driven string": (string, driven),
         "passive string": (spring, passive is not None),
         "slack string": ({"linestyle": DOTTED, **string}, slack),
@@ -558,7 +570,7 @@ def structure(
     """
     run = structure if isinstance(structure, Trajectory) and not faint else None
     laws = () if run is None else run.ground
-    actuation = known_actuation(structure)
+    actuation, struts = known_actuation(structure), driven_bars(structure)
     structure, nodes, colours, state = _in_a_shape(structure, nodes, force_density, time)
     for name, flag in {"labels": labels, "member_labels": member_labels, "faint": faint}.items():
         validation.truth(name, flag, "whether to draw so")
@@ -577,7 +589,8 @@ def structure(
         ax = new_view(figure, structure.dimension)
     checked_axes("ax", ax, "three-dimensional" if structure.dimension == 3 else "flat")
     grow = ax.has_data()
-    drawing = draw(ax, structure, shape, FAINT if faint else NORMAL, passive)
+    look = (FAINT, None, None) if faint else (NORMAL, passive, struts)
+    drawing = draw(ax, structure, shape, *look)
     frame(ax, [shape, near_ground(laws, shape)], grow=grow)
     label_view(ax)
     if run is not None and laws:
@@ -595,7 +608,7 @@ def structure(
         drawing = replace(drawing, colorbar=add_scale(drawing, own, "γ, N/m"))
     if legend and not faint:
         slack = gamma is not None and bool(is_slack(gamma).any())
-        samples = legend_samples(structure, slack, gamma is not None, passive)
+        samples = legend_samples(structure, slack, gamma is not None, passive, struts)
         samples += ground_samples(laws)
         ax.legend(handles=samples, **legend_place(structure))
     return drawing
@@ -621,9 +634,19 @@ def add_scale(drawing: Drawing, own: bool, label: str) -> Any:
 def known_actuation(drawn: object) -> Actuation | None:
     """Return which strings a plant drives, or the controller of a run; None of all else."""
     if isinstance(drawn, LinearPlant):
-        return drawn.actuation
+        return None if drawn.input == "bar_length" else drawn.actuation
     if isinstance(drawn, Trajectory) and drawn.control is not None:
-        return drawn.control.actuation
+        commands_bars = drawn.control.settings.raw.get("input") == "bar_length"
+        return None if commands_bars else drawn.control.actuation
+    return None
+
+
+def driven_bars(drawn: object) -> np.ndarray | None:
+    """Return which bars a plant or a run drives, bool, shape (β,); None where none are."""
+    if isinstance(drawn, LinearPlant) and drawn.input == "bar_length":
+        return np.asarray(drawn.actuation.input >= 0)
+    if isinstance(drawn, Trajectory) and drawn.struts is not None and len(drawn.struts.bar):
+        return np.isin(np.arange(len(drawn.structure.bars)), drawn.struts.bar)
     return None
 
 

@@ -47,6 +47,7 @@ DOTTED: Any = (0, (1.0, 2.2))
 
 # Strings that no winch drives: dashed, thinner and of another colour.
 PASSIVE_DASHES: Any = (0, (4.0, 1.5))
+STRUT_COLOR, STRUT_WIDTH = "0.5", 0.7  # of the usual width of bars
 PASSIVE_COLOR, PASSIVE_WIDTH = PALETTE[2], 0.8  # of the usual width of strings
 
 CURVE_WIDTH = 1.3

@@ -25,7 +25,7 @@ from tenscontrol.dynamics.model_parameters import (
     without_law,
 )
 from tenscontrol.estimation.sensors import Sensors
-from tenscontrol.plant.linear_plant import LinearPlant
+from tenscontrol.plant.linear_plant import LinearPlant, refuse_driven_bars
 from tenscontrol.plant.reference import checked_reference
 from tenscontrol.robustness.distributions import one_number
 from tenscontrol.robustness.sweep_report import SweepError
@@ -497,6 +497,7 @@ def farthest_node(plant: LinearPlant | Coordinates, nodes: FloatArray, target: F
     """
     if not isinstance(plant, Coordinates):
         validation.instance("plant", plant, LinearPlant, "make one by linearize(model, at)")
+        refuse_driven_bars(plant, "ClosedLoopCase")
     known = plant if isinstance(plant, Coordinates) else plant.coordinates
     target = known.structure.checked_nodes("target", target)
     nodes = validation.float_array("nodes", nodes)

@@ -107,6 +107,9 @@ TABLE = Kind("a table", _is_table)
 TABLES_OF_KEYS = Kind("a list of tables", _is_list, TABLE)
 POINT = Kind("[x, y, z] (or [x, y])", _is_point)
 NODES = Kind("a list of node numbers", _is_list, WHOLE)
+BARS = Kind("a list of bar numbers", _is_list, WHOLE)
+NUMBERS = Kind("a list of numbers", _is_list, NUMBER)
+ROWS = Kind("a list of lists of numbers", _is_list, NUMBERS)
 VECTOR = Kind("a number or [x, y, z] (or [x, y])", lambda v: _is_number(v) or _is_point(v))
 BY_STRING = Kind(
     "a number, a list with one per string, or a table by string group",

@@ -30,6 +30,7 @@ from tenscontrol.scene.structure_tables import (
     build_loads,
     build_start,
     build_structure,
+    build_struts,
 )
 from tenscontrol.simulation.integration import Integration
 from tenscontrol.simulation.scene import Scene
@@ -110,6 +111,10 @@ def load_scene(file: str | Path, allow_code: bool = False) -> Scene:
     ``[start]``
         ``velocities``; ``disturbance``, the distance by which the farthest node is moved at
         random, m, with ``seed``.
+    ``[struts]``
+        Bars that are driven: ``bars``, all if not given; ``time``, and for each time the
+        ``length`` of each of them, ``[[1.0, 1.0], [1.2, 1.1]]``; ``interpolation = "cubic"``, if
+        not given, or ``"linear"``, as of :class:`Profile`. Without a controller.
     ``[run]``
         ``duration``; ``step`` or ``tolerance``, ``method``, ``output_step``; ``input``,
         ``"rest_length"`` if there are ``[strings]``, else ``"force_density"``; ``sample_time`` of
@@ -258,6 +263,7 @@ class _Reading:
         actuation = None if controller is None else controller.actuation
         faults = build_faults(document, len(structure.strings), actuation)
         nodes, velocities = build_start(document, self._model)
+        struts = build_struts(document, structure)
         held: dict[str, Any] = {}
         if self._rest_length is not None:
             lengths = self._rest_length
@@ -271,7 +277,7 @@ class _Reading:
             return Scene(
                 self._model, self._settings["duration"], nodes, velocities, **held, **loop,
                 input=self._input, sample_time=self._settings["sample_time"], faults=faults,
-                prestress=self._force_density, name=Path(document.file).stem,
+                bar_length=struts, prestress=self._force_density, name=Path(document.file).stem,
                 integration=Integration(**{name: self._settings[name] for name in names}),
             )  # fmt: skip
 

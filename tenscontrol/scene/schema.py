@@ -29,12 +29,15 @@ from tenscontrol.estimation.kalman_filter import KalmanFilter
 from tenscontrol.estimation.sensors import Sensors
 from tenscontrol.plant.linearize import linearize
 from tenscontrol.scene.kinds import (
+    BARS,
     FIXED,
     FORCES,
     NODES,
     NUMBER,
+    NUMBERS,
     POINT,
     POINTS,
+    ROWS,
     TABLE,
     TABLES_OF_KEYS,
     TEXT,
@@ -228,6 +231,14 @@ _START = {
     "disturbance": Key(NUMBER, "m", "random change of shape, as far as the node that moves most"),
     "seed": _SEED,
 }
+_STRUTS = {
+    "bars": Key(BARS, "", "bars that are driven; all if not given"),
+    "time": Key(NUMBERS, "s", "times, ascending", required=True),
+    "length": Key(ROWS, "m", "for each time, the length of each of these bars", required=True),
+    "interpolation": Key(
+        TEXT, "", f"how lengths go from time to time: {_one_of(('cubic', 'linear'))}", "cubic"
+    ),
+}
 # Forces of a model that are numbers.
 FORCE_KEYS = MappingProxyType(
     {name: Key(NUMBER, term.unit, term.meaning) for name, term in TERMS.items() if term.unit}
@@ -273,6 +284,7 @@ TABLES: Mapping[str, TableKeys] = MappingProxyType(
         "start": TableKeys(
             _START, "how the motion begins, if not at rest in the shape of the structure"
         ),
+        "struts": TableKeys(_STRUTS, "bars whose lengths are driven in time"),
         "run": TableKeys(
             keys_of(simulate, "duration step tolerance output_step method sample_time")
             | {"input": _choice("what the actuators hold", *_INPUTS)},

@@ -12,6 +12,7 @@ from tenscontrol import validation
 from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics.contact_laws import ContactLaw
 from tenscontrol.dynamics.model import Model
+from tenscontrol.dynamics.profile import Profile
 from tenscontrol.dynamics.string_laws import ElasticStrings, StringLaw
 from tenscontrol.scene.document import Document, Table
 from tenscontrol.scene.schema import (
@@ -312,6 +313,26 @@ def build_start(document: Document, model: Model) -> tuple[FloatArray, FloatArra
             seed = validation.whole_number("seed", table.get("seed", 0), 0, validation.LARGEST_SEED)
             nodes = _disturbed(structure, size, seed)
     return nodes, velocities
+
+
+def build_struts(document: Document, structure: Structure) -> Profile | None:
+    """Return the lengths of all bars in time, m; None where none is driven."""
+    if not document.has("struts"):
+        return None
+    table, count = document.table("struts"), len(structure.bars)
+    with table.checked("bars"):
+        bars = validation.index_list("bars", table.get("bars", list(range(count))), count, "bars")
+    with table.checked("time"):
+        time = validation.vector("time", table.need("time"))
+    with table.checked("length"):
+        shape = time.size, len(bars)
+        rows = validation.shaped("length", table.need("length"), shape, "one row a time")
+        validation.positive("length", rows.ravel(), "length in m")
+    lengths = np.repeat(structure.bar_length[:, None], time.size, axis=1)
+    lengths[bars] = rows.T
+    how = table.choice("interpolation", ("cubic", "linear"), "cubic")
+    with table.checked("time"):
+        return Profile(time, lengths, how)
 
 
 def _disturbed(structure: Structure, size: float, seed: int) -> FloatArray:

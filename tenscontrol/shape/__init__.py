@@ -4,6 +4,7 @@ from tenscontrol.shape.demands import Demand, Height, NodesAt, PointAt, Twist
 from tenscontrol.shape.equilibrium_path import PathError
 from tenscontrol.shape.rolling import RollingGait, RollingStep
 from tenscontrol.shape.shape_path import ShapePath, shape_path
+from tenscontrol.shape.strut_path import strut_path
 from tenscontrol.shape.symmetry import RotationalSymmetry
 from tenscontrol.shape.target import DemandCheck, ShapeError, ShapeTarget, shape_target
 from tenscontrol.shape.tipping import TippingError, TippingPath, tipping_path
@@ -26,5 +27,6 @@ __all__ = [
     "Twist",
     "shape_path",
     "shape_target",
+    "strut_path",
     "tipping_path",
 ]

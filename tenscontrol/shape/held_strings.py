@@ -13,7 +13,7 @@ from tenscontrol.actuation.driven_strings import Actuation
 from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics import kernel
 from tenscontrol.dynamics.model import Model
-from tenscontrol.plant.linear_plant import LinearPlant
+from tenscontrol.plant.linear_plant import LinearPlant, refuse_driven_bars
 from tenscontrol.structure.structure import same_members
 
 # Ends of a path may miss the values of passive strings by this part of the largest.
@@ -100,6 +100,7 @@ def held_strings(model: Model, plant: object) -> HeldStrings | None:
         return None
     validation.instance("plant", plant, LinearPlant, "make one by linearize(..., actuated=...)")
     assert isinstance(plant, LinearPlant)  # just checked
+    refuse_driven_bars(plant, "a search of shapes")
     if not same_members(plant.model.structure, model.structure):
         raise ValueError(
             f"plant is of {plant.model.structure!r}, expected one of the structure of the model, "

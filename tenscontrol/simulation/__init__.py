@@ -19,6 +19,7 @@ from tenscontrol.simulation.integration import Integration
 from tenscontrol.simulation.scene import Scene
 from tenscontrol.simulation.simulate import simulate
 from tenscontrol.simulation.strength import Strength, strength
+from tenscontrol.simulation.strut_record import StrutRecord
 from tenscontrol.simulation.trajectory import Trajectory, load_run
 
 if TYPE_CHECKING:
@@ -47,6 +48,7 @@ __all__ = [
     "StepperState",
     "Strength",
     "StrengthWarning",
+    "StrutRecord",
     "StuckWinch",
     "Trajectory",
     "load_run",

@@ -65,6 +65,7 @@ class Actuators:
 
     reached: FloatArray
     held: FloatArray
+    lengths: Pieces | None = None  # of bars, which these do not drive
 
     def __init__(
         self,
@@ -152,14 +153,8 @@ class Actuators:
         """Return winches with the limits of the inputs in place of those of the strings."""
         if isinstance(controller, Controller):
             refuse_still(self._actuation, winches)
-        if self._actuation.is_whole:
-            return winches
-        rate, (low, high) = winches.rate, winches.range(self._count)
-        if rate is not None:
-            rate = changes_of_inputs(self._actuation, np.broadcast_to(rate, (self._count,)))
-        low, high = bounds_of_inputs(self._actuation, low, high)
         motor = None if winches.motor is None else self._of_leads(winches.motor)
-        return replace(winches, rate=rate, shortest=low, longest=high, motor=motor)
+        return winches_of_inputs(winches, self._actuation, motor)
 
     def _of_leads(self, motor: Motor) -> Motor:
         """Return the motors of the inputs, of those of all strings."""
@@ -492,6 +487,18 @@ class Actuators:
                 f"stiffness, {limit[i]:g} N/m, whatever its rest length. Give the controller "
                 f"max_force_density below {limit[i] / segments[i]:g} N/m"
             )
+
+
+def winches_of_inputs(winches: Winches, actuation: Actuation, motor: Motor | None) -> Winches:
+    """Return winches with the limits of the inputs in place of those of strings or bars."""
+    if actuation.is_whole:
+        return winches
+    count = len(actuation.input)
+    rate, (low, high) = winches.rate, winches.range(count)
+    if rate is not None:
+        rate = changes_of_inputs(actuation, np.broadcast_to(rate, (count,)))
+    low, high = bounds_of_inputs(actuation, low, high)
+    return replace(winches, rate=rate, shortest=low, longest=high, motor=motor)
 
 
 def _refuse_forces(motor: Motor) -> None:

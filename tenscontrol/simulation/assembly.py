@@ -17,6 +17,7 @@ from tenscontrol.simulation.dense_motion import DenseMotion, States
 from tenscontrol.simulation.health import ERROR_LIMIT, HealthLimits
 from tenscontrol.simulation.motion_functions import MotionFunctions
 from tenscontrol.simulation.plant_run import PlantRun
+from tenscontrol.simulation.strut_record import recorded_struts
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.structure.bar_clearance import BarMotion
 
@@ -51,6 +52,13 @@ def assembled(
     if model.contacts is not None:
         contacts, known = _contacts(run, functions, nodes, velocities, time)
         functions = replace(functions, stored=contacts.stored_energy.sum(axis=0))
+    struts = None
+    if run.bars is not None:
+        gamma = inputs
+        if run.input == "rest_length":
+            gamma = functions.of("string_force_density", nodes, velocities, inputs)[0]
+            known["force_density"] = gamma
+        struts = recorded_struts(DenseMotion.of_run(run), nodes, velocities, gamma)
     trajectory = Trajectory(
         structure=structure,
         time=frozen(time),
@@ -70,6 +78,7 @@ def assembled(
         released_energy=frozen(released),
         falls=free and contacts is None and float(model.constant_force[-1].sum()) < 0,
         contacts=contacts,
+        struts=struts,
         faults=run.faults.listed,
         note=note,
         given=given,

@@ -28,6 +28,7 @@ from tenscontrol.simulation.arguments import Arguments
 from tenscontrol.simulation.control_record import ControlRecord
 from tenscontrol.simulation.observation import Observation
 from tenscontrol.simulation.plant_run import PlantRun, StoppedError
+from tenscontrol.simulation.strut_drives import StrutDrives
 from tenscontrol.simulation.trajectory import Trajectory
 
 _STATISTICS = MPCStatistics, NMPCStatistics, FeedbackLinearizationStatistics
@@ -60,7 +61,12 @@ class ClosedLoop:
         validation.refuse_memory(
             f"sample_time is {sample:g} s", run.duration / sample, "samples", size
         )
-        self._actuators = Actuators(run, controller, winches, rest_length, sample, start)
+        self._actuators: Actuators | StrutDrives
+        if controller.input == "bar_length":
+            assert rest_length is not None  # what strings hold, or their γ
+            self._actuators = StrutDrives(run, controller, winches, rest_length, sample)
+        else:
+            self._actuators = Actuators(run, controller, winches, rest_length, sample, start)
         self._estimation = estimation
         self._substeps = 1 if winches is None else winches.substeps
         self._observation: Observation | None = None
@@ -152,12 +158,12 @@ class ClosedLoop:
             until_tick = (number + i / ticks) * self._sample
             span = (end if i == ticks else min(until_tick, end)) - run.now
             if span > 1e-9 * whole:  # not round-off
-                self._state = run.run(self._state, u, span)
+                self._state = run.run(self._state, u, span, self._actuators.lengths)
 
     def record(self) -> ControlRecord:
         """Return the record of the samples so far."""
         rest_length = None
-        if self._run.input == "rest_length":
+        if self._run.input == "rest_length" or self._controller.input == "bar_length":
             rest_length = self._actuators.start
             if rest_length is None:
                 rest_length = self._samples[0].move.rest_length

@@ -12,12 +12,7 @@ from tenscontrol.arrays import FloatArray, IntArray, frozen
 from tenscontrol.dynamics.contact_laws import ContactLaw
 from tenscontrol.dynamics.evaluator import Function, evaluate_columns
 from tenscontrol.integrate.integrator import IntegrationError
-from tenscontrol.simulation.dense_motion import DenseMotion
-
-# Nodes and weights of Lobatto's quadrature of order 8, over parts from 0 to 1.
-_INNER = np.sqrt(3 / 7) / 2
-_SHARES = np.array([0.0, 0.5 - _INNER, 0.5, 0.5 + _INNER, 1.0])
-_WEIGHTS = np.array([9.0, 49.0, 64.0, 49.0, 9.0]) / 180
+from tenscontrol.simulation.dense_motion import SHARES, WEIGHTS, DenseMotion
 
 # A part is cut up until the works and impulses in it change by less than this part of the largest
 # kinetic energy and momentum, or so many times the tolerance of the run; or of the work and impulse
@@ -352,14 +347,14 @@ class _Recorder:
     def _integrated(self, parts: DenseMotion, *kept: IntArray) -> _Integrals:
         """Return the integrals over segments, which are in these that were kept."""
         near = np.any([self.near[:, k] for k in kept], axis=0)
-        (contacts, count), shares = near.shape, len(_SHARES)
+        (contacts, count), shares = near.shape, len(SHARES)
         work = np.zeros((contacts, 2 + self._dimension, count))
         pressing = np.zeros((contacts, count, shares), dtype=bool)
         deepest = np.full((contacts, count), -np.inf)
         size = max(1, _NUMBERS // (shares * 2 * self._dimension * self._count))
         for begin in range(0, count, size):
             some = np.arange(begin, min(begin + size, count))
-            k, s = np.repeat(some, shares), np.tile(_SHARES, len(some))
+            k, s = np.repeat(some, shares), np.tile(SHARES, len(some))
             every = parts.at(s, k)[1].reshape(2, self._count, self._dimension, -1)
             duration = parts.ends[some] - parts.begins[some]
             for c in range(contacts):
@@ -371,7 +366,7 @@ class _Recorder:
                 (values,) = evaluate_columns(self._values[self.law[c]], x, v)
                 values = values.reshape(len(values), len(touching), shares)
                 rows = np.r_[3, 4, 5 + self._dimension : 5 + 2 * self._dimension]
-                work[c][:, some[touching]] = values[rows] @ _WEIGHTS * duration[touching]
+                work[c][:, some[touching]] = values[rows] @ WEIGHTS * duration[touching]
                 pressing[c, some[touching]] = values[1] > 0
                 deepest[c, some[touching]] = values[0].max(axis=1)
         return _Integrals(work, pressing, deepest)
@@ -416,10 +411,10 @@ class _Recorder:
         flat, first, last = pressing.reshape(len(pressing), -1), parts.begins[0], parts.ends[-1]
         contact, change = np.nonzero(flat[:, 1:] != flat[:, :-1])
         before = flat[contact, change]
-        k, j = np.divmod(change, len(_SHARES))
+        k, j = np.divmod(change, len(SHARES))
         parts, k = parts.take(k), np.arange(len(k))
-        low = _SHARES[j]
-        high = np.append(_SHARES, 1.0)[j + 1]  # between two segments, the end of the first
+        low = SHARES[j]
+        high = np.append(SHARES, 1.0)[j + 1]  # between two segments, the end of the first
         for _ in range(_HALVINGS if len(k) else 0):
             middle = (low + high) / 2
             every = parts.at(middle, k)[1].reshape(2, self._count, self._dimension, -1)

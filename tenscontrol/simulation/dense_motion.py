@@ -7,11 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tenscontrol.arrays import FloatArray, IntArray
+from tenscontrol.arrays import FloatArray, IntArray, frozen
 from tenscontrol.dynamics.evaluator import evaluate_columns
 from tenscontrol.dynamics.profile import polynomial_at
 from tenscontrol.properties import cached_property
 from tenscontrol.simulation.plant_run import PlantRun
+
+# Nodes and weights of Lobatto's quadrature of order 8, over parts from 0 to 1.
+_INNER = np.sqrt(3 / 7) / 2
+SHARES = frozen(np.array([0.0, 0.5 - _INNER, 0.5, 0.5 + _INNER, 1.0]))
+WEIGHTS = frozen(np.array([9.0, 49.0, 64.0, 49.0, 9.0]) / 180)
 
 #: Times, s, nodes and velocities, (d, n, T) each.
 States = tuple[FloatArray, FloatArray, FloatArray]
@@ -174,6 +179,9 @@ class DenseMotion:
 
     def string_inputs(self, time: FloatArray, k: IntArray) -> FloatArray:
         """Return what is held at times in segments, and its first two rates, (3, strings, T)."""
-        given = self._inputs(k)[: len(self.run.model.structure.strings)]
-        since = self._since(time, self.of[k])
+        return self.values(self.run.string_rows, time, k)
+
+    def values(self, rows: slice, time: FloatArray, k: IntArray) -> FloatArray:
+        """Return some inputs at times in segments, and their first two rates, (3, rows, T)."""
+        given, since = self._inputs(k)[rows], self._since(time, self.of[k])
         return np.stack([polynomial_at(given, since, order) for order in range(3)])

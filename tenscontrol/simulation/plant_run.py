@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from math import ceil
 from weakref import WeakMethod
 
+import casadi as ca
 import numpy as np
 
 from tenscontrol.arrays import FloatArray, frozen
@@ -25,6 +26,7 @@ from tenscontrol.integrate.integrator import (
 )
 from tenscontrol.integrate.methods import METHODS, Choice, choose
 from tenscontrol.integrate.watched import Watched
+from tenscontrol.simulation.driven_bars import DrivenBars
 from tenscontrol.simulation.faults import Faults
 from tenscontrol.simulation.integration import Integration
 from tenscontrol.simulation.motion_functions import BLOCK, MotionFunctions
@@ -33,6 +35,14 @@ from tenscontrol.simulation.moving_supports import MovingSupports
 
 class StoppedError(Exception):
     """A motion that cannot go on; its cause is what stopped it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Jump:
+    """By how much velocities of supports, node by node, and rates of bar lengths jump, m/s."""
+
+    supports: FloatArray | None
+    bars: FloatArray | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +55,7 @@ class RunSpan:
     origin: float  # from which the polynomials count, s
     coefficients: FloatArray  # of all inputs
     released: float  # what strings cut by then had stored, J
-    jump: FloatArray | None = None  # of the velocities of supports at its beginning, m/s
+    jump: Jump | None = None  # of velocities at its beginning
     whole: FloatArray | None = None  # the beginning, then the states, in one piece of memory
     ends: StepEnds | None = None  # of the steps, counted from the beginning
 
@@ -72,6 +82,8 @@ class PlantRun:
     degree: int = 0
     supports: MovingSupports | None = None
     support_rate: FloatArray | None = None  # now, of all nodes, node by node, m/s
+    bars: DrivenBars | None = None
+    length_rate: FloatArray | None = None  # now, of all bars, m/s
     now: float = 0.0
     output_step: float = 0.0
     report: Callable[[float], None] | None = None  # of the time reached, s
@@ -89,6 +101,12 @@ class PlantRun:
         self._given: Pieces | None = self.load if isinstance(self.load, Pieces) else None
         if self.supports is not None:
             self._given = self.supports.inputs(self.load)
+        self._loads_given = self._given is not None
+        if self.bars is not None:
+            if not self.bars.is_commanded:
+                known = [] if self._given is None else [self._given]
+                self._given = Pieces.stacked([*known, self.bars.lengths])
+            self.degree = max(self.degree, 2)  # of which a jump of a rate is made
         if self._given is not None:
             self.degree = max(self.degree, self._given.degree)
         self._equation = self._equation_of("auto")
@@ -100,13 +118,14 @@ class PlantRun:
 
     def _equation_of(self, form: str) -> Equation:
         load = None
-        if self._given is None:
+        if not self._loads_given:
             assert not isinstance(self.load, Pieces)  # else they were given
             constant = self.model.constant_force
             load = None if self.load is constant else self.load - constant
         return self.model.equation(
             self.input, load, form, degree=self.degree,
-            load_input=self._given is not None, offset_input=self.supports is not None,
+            load_input=self._loads_given, offset_input=self.supports is not None,
+            length_input=self.bars is not None,
         )  # fmt: skip
 
     def _prepare(self, state: FloatArray, u: FloatArray) -> None:
@@ -127,6 +146,9 @@ class PlantRun:
                 "your own that evaluates the input by equation.ahead(u, t), give "
                 "Method(follows=True)"
             )
+        if self.bars is not None:
+            reason = f"{chosen.reason}; bars are driven, which the compiled core does not know"
+            chosen = replace(chosen, reason=reason)
         self.choice = chosen
         self.integrator = self.integrator_for(chosen.value)
         self.choice = replace(chosen, back_end=self.integrator.back_end)
@@ -188,12 +210,13 @@ class PlantRun:
 
     def run(
         self, state: FloatArray, held: FloatArray | tuple[FloatArray, FloatArray] | Pieces,
-        duration: float,
+        duration: float, lengths: Pieces | None = None,
     ) -> FloatArray:  # fmt: skip
         """Integrate and return the state at the end.
 
         The input of the strings is held, or goes in a straight line from the first of two to the
         second, or comes in pieces. Spans end where a piece does, and where strings are cut.
+        ``lengths`` are those of all bars, m, where a controller commands them.
         """
         if isinstance(held, tuple):
             held = Pieces.ramp(self.now, duration, *held)
@@ -209,6 +232,8 @@ class PlantRun:
             others = self._given.within(self.now, end)
             self.moves |= not others.is_constant
             inputs = Pieces.stacked([inputs, others])
+        if lengths is not None:
+            inputs = Pieces.stacked([inputs, lengths])
         # Round-off of the times leaves no spans of no length.
         close = 1e-9 * duration
         within = self.now + close, end - close
@@ -244,10 +269,8 @@ class PlantRun:
             np.pad(coefficients, ((0, 0), (0, more))) if more else coefficients, self.now + close
         )
         held = self.packed(coefficients, self.now - origin)
-        jump = None
-        if self.supports is not None:
-            jump = self._support_jump(origin, coefficients)
-            state = self.pushed(state, held, jump)
+        jump = self._jump(origin, coefficients)
+        state = self.pushed(state, held, jump)
         if not self.spans:
             self._prepare(state, held)
             first = np.array([self.now])
@@ -276,7 +299,21 @@ class PlantRun:
         self.now = start + duration
         if self.supports is not None:
             self.support_rate = self.spans[-1].values(self.offset_rows, 1)[:, -1]
+        if self.bars is not None:
+            self.length_rate = self.spans[-1].values(self.length_rows, 1)[:, -1]
         return span.states[:, -1]
+
+    def _jump(self, origin: float, coefficients: FloatArray) -> Jump | None:
+        """Return by how much velocities jump now, None if they do not."""
+        supports = bars = None
+        if self.supports is not None:
+            supports = self._support_jump(origin, coefficients)
+        if self.bars is not None:
+            time, before = np.array([self.now - origin]), self.length_rate
+            self.length_rate = polynomial_at(coefficients[self.length_rows], time, 1)[:, 0]
+            if before is not None:
+                bars = self.bars.jump(before, self.length_rate)
+        return None if supports is None and bars is None else Jump(supports, bars)
 
     def _support_jump(self, origin: float, coefficients: FloatArray) -> FloatArray | None:
         """Return by how much the velocity of supports jumps now, None if it does not."""
@@ -286,13 +323,28 @@ class PlantRun:
         self.support_rate = rate
         return jump if jump.any() else None
 
-    def pushed(self, state: FloatArray, held: FloatArray, jump: FloatArray | None) -> FloatArray:
-        """Return the state after a jump of the velocity of supports."""
-        if jump is None or self.supports is None:
+    def pushed(self, state: FloatArray, held: FloatArray, jump: Jump | None) -> FloatArray:
+        """Return the state after a jump of the velocity of supports, or of rates of bar lengths.
+
+        Accelerations are affine in loads and in L L̈: what a jump adds to these is its impulse.
+        """
+        if jump is None:
             return state
-        slope, layout = Evaluator(self._equation.slope), self._equation.layout
-        pushed, taut = held.copy(), np.ones(self._equation.switches)
-        pushed[layout.strings : layout.strings + layout.load] -= self.supports.force(jump)
+        layout, taut = self._equation.layout, np.ones(self._equation.switches)
+        pushed, held = held.copy(), held.copy()
+        if jump.supports is not None and self.supports is not None:
+            push = self.supports.force(jump.supports)
+            pushed[layout.strings : layout.strings + layout.load] -= push
+        if jump.bars is not None:
+            length = layout.bar_lengths(ca.DM(held))[0].full().ravel()
+            for u, acceleration in ((held, np.zeros_like(length)), (pushed, jump.bars)):
+                coefficients = u[:-1].reshape(layout.degree + 1, layout.count)
+                coefficients[:, self.length_rows] = 0.0
+                coefficients[0, self.length_rows] = length
+                # So that its second derivative is the jump, and at this time nothing else is.
+                for power, factor in enumerate((u[-1] ** 2 / 2, -u[-1], 0.5)):
+                    coefficients[power, self.length_rows] += factor * acceleration
+        slope = Evaluator(self._equation.slope)
         before = slope(state, held, taut)[0].copy()
         change = slope(state, pushed, taut)[0] - before
         change[: len(state) // 2] = 0.0  # positions stay
@@ -368,7 +420,14 @@ class PlantRun:
     @property
     def offset_rows(self) -> slice:
         """Rows of the inputs that are displacements by supports."""
-        return slice(self.load_rows.stop, None)
+        first = self.load_rows.stop
+        return slice(first, first + self._equation.layout.offset)
+
+    @property
+    def length_rows(self) -> slice:
+        """Rows of the inputs that are lengths of bars."""
+        layout = self._equation.layout
+        return slice(layout.count - layout.lengths, None)
 
     def packed(self, coefficients: FloatArray, time: float) -> FloatArray:
         """Return inputs as integrators take them, a time after their origin, s."""

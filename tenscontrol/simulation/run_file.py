@@ -46,6 +46,7 @@ from tenscontrol.simulation.contacts import ContactRecord
 from tenscontrol.simulation.control_record import ControlRecord
 from tenscontrol.simulation.faults import CutString, LostMeasurement, StuckWinch
 from tenscontrol.simulation.observation import EstimateRecord
+from tenscontrol.simulation.strut_record import StrutRecord
 from tenscontrol.status import Status
 from tenscontrol.structure.bar_clearance import BarClearance, BarCrossing
 from tenscontrol.structure.structure import Structure
@@ -71,7 +72,7 @@ _RECORDS = {
         ElasticStrings, EstimateRecord, FeedbackLinearizationStatistics, FilterStatistics, Ground,
         HertzGround, LinearStrings, LostMeasurement, MethodChange, Motor, MotorRecord,
         MPCStatistics, NMPCStatistics, OutputLimit, Profile, Reference, SmoothGround, Structure,
-        StuckWinch, Winches, Work,
+        StrutRecord, StuckWinch, Winches, Work,
     )
 }  # fmt: skip
 _WORDS: dict[str, type[StrEnum]] = {"Status": Status, "Fallback": Fallback}
@@ -83,6 +84,7 @@ _PARTS: dict[str, type | tuple[type, ...]] = {
     "conserves_energy": bool, "conserves_momentum": bool, "falls": bool, "moved": bool,
     "stopped": (str, NoneType), "note": (str, NoneType), "error_limit": (float,),
     "control": (ControlRecord, NoneType), "contacts": (ContactRecord, NoneType),
+    "struts": (StrutRecord, NoneType),
     "ground": (tuple, Unsaved), "model": (dict, Unsaved, NoneType), "load": (_ARRAY, NoneType),
     "error": (_ARRAY, NoneType),
     "rest_length": (_ARRAY, NoneType), "time": _ARRAY, "nodes": _ARRAY, "velocities": _ARRAY,
@@ -120,6 +122,9 @@ _SHAPES = {
     "contacts_stored_energy": "cT", "contacts_damping_work": "cT", "contacts_friction_work": "cT",
     "contacts_impulse": "dcT", "contacts_deepest": "c", "contacts_touch": "k",
     "contacts_begin": "k", "contacts_end": "k",
+    "struts_bar": "s", **dict.fromkeys(
+        (f"struts_{name}" for name in ("length", "rate", "acceleration", "force", "work")), "bT"
+    ),
 }  # fmt: skip
 # Of these, NaN says that there was none; deviations and estimates of errors may be infinite.
 _MAY_BE_NAN = ("error", "control_prediction_error", "control_estimate_")

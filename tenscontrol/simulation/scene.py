@@ -11,7 +11,7 @@ import numpy as np
 
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, frozen
-from tenscontrol.dynamics.equation import Equation, pack_state
+from tenscontrol.dynamics.equation import Equation, pack_state, unpack_states
 from tenscontrol.dynamics.held_inputs import held_value, own_input
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.profile import Pieces, sampling_interval
@@ -21,17 +21,24 @@ from tenscontrol.progress import long_run_note, progress_bar
 from tenscontrol.properties import cached_property
 from tenscontrol.simulation.arguments import Arguments
 from tenscontrol.simulation.assembly import assembled
+from tenscontrol.simulation.driven_bars import DrivenBars, driven_bars, stretching
 from tenscontrol.simulation.error_estimate import estimated_error
-from tenscontrol.simulation.faults import Fault, Faults
+from tenscontrol.simulation.faults import Fault, Faults, StuckWinch
 from tenscontrol.simulation.health import ERROR_LIMIT
 from tenscontrol.simulation.health_check import SimulationError, check_health
 from tenscontrol.simulation.inputs import changes_in_time, checked_inputs, load_in_time
 from tenscontrol.simulation.integration import Integration
 from tenscontrol.simulation.moving_supports import MovingSupports, support_offset
 from tenscontrol.simulation.plant_run import PlantRun, StoppedError
-from tenscontrol.simulation.start import Start, initial_state, start_beside_supports
+from tenscontrol.simulation.start import (
+    Start,
+    initial_state,
+    refuse_other_lengths,
+    start_beside_supports,
+)
 from tenscontrol.simulation.strength import refuse_other_members
 from tenscontrol.simulation.trajectory import Trajectory
+from tenscontrol.structure.bar_geometry import refuse_other_bar_lengths
 from tenscontrol.structure.segments import to_segments
 from tenscontrol.structure.structure import Structure, same_members
 from tenscontrol.warn import warn
@@ -84,6 +91,8 @@ class Scene:
         Load W, N.
     support_motion : Profile, callable or array_like, shape (d, number of fixed nodes), optional
         Displacement of the fixed nodes, m.
+    bar_length : Profile, callable, float or array_like, shape (β,), optional
+        Lengths of bars that are driven, m.
     estimator : KalmanFilter, optional
     sensors : Sensors, optional
     seed : int, optional
@@ -140,6 +149,7 @@ class Scene:
     faults: Sequence[Fault] | None = ()
     external_force: Any = None
     support_motion: Any = None
+    bar_length: Any = None
     estimator: KalmanFilter | None = field(
         default=None,
         metadata=optional(
@@ -183,6 +193,7 @@ class Scene:
             raise ValueError("estimator, winches and sample_time go with a controller")
         self._check_strength()
         self._take_over_start()
+        self._check_bars()
         self._check_inputs()
         _ = self.loads, self.initial
         self._keep_arrays()
@@ -198,6 +209,38 @@ class Scene:
                 "limits have sections, but forces of bars are not found where supports move: leave "
                 "sections out of HealthLimits, or support_motion"
             )
+        if self.bar_length is not None:
+            raise ValueError(
+                "limits have sections, whose buckling is that of bars of constant length: leave "
+                "sections out of HealthLimits, or bar_length"
+            )
+
+    def _check_bars(self) -> None:
+        """Refuse driven bars where something else takes them for rigid."""
+        others = ["support_motion"]
+        if self.controller is not None and not self._commands_bars:
+            others.append("controller")
+        elif self._commands_bars:
+            others.append("estimator")
+        for name in others:
+            if self._drives_bars and getattr(self, name) is not None:
+                raise ValueError(
+                    f"bar_length does not go with {name}, which takes bars of constant length: "
+                    "leave one of the two out"
+                )
+        if self._commands_bars and changes_in_time(self.bar_length):
+            raise ValueError(
+                "bar_length changes in time, but the controller commands it: expected the lengths "
+                "at the start, m, one per bar"
+            )
+
+    @property
+    def _commands_bars(self) -> bool:
+        return getattr(self.controller, "input", None) == "bar_length"
+
+    @property
+    def _drives_bars(self) -> bool:
+        return self.bar_length is not None or self._commands_bars
 
     def _take_over_start(self) -> None:
         """Check the run to go on from, and take its faults and inputs where none are given."""
@@ -215,6 +258,8 @@ class Scene:
                 f"of the model's {structure!r}"
             )
         put(self, "faults", self.faults or run.faults)
+        if self.bar_length is None and run.struts is not None:
+            put(self, "bar_length", run.struts.length[:, -1])
         if self.controller is None and self.rest_length is None and self.force_density is None:
             put(self, "force_density" if run.rest_length is None else "rest_length", run.held)
 
@@ -234,6 +279,9 @@ class Scene:
         if self.force_density is not None:
             raise ValueError("force_density is commanded by the controller; leave it out")
         kind = "force_density" if self.model.strings is None else "rest_length"
+        if self._commands_bars:
+            self._check_commanded_bars()
+            return
         if self.input is not None:
             kind = validation.choice("input", self.input, ("rest_length", "force_density"))
         put(self, "input", kind)
@@ -245,6 +293,28 @@ class Scene:
             count, noun = len(self.law.commanded.strings), "string of the controller"
             lengths = validation.per_member("rest_length", self.rest_length, count, noun)
             put(self, "rest_length", validation.positive("rest_length", lengths, "length in m"))
+
+    def _check_commanded_bars(self) -> None:
+        """Check what strings hold under a controller of bars: as in its plant if not given."""
+        from tenscontrol.control.controller import Controller
+        from tenscontrol.simulation.actuators import commands_parent
+
+        if self.input not in (None, "bar_length", "rest_length"):
+            raise ValueError(
+                f"input is {self.input!r}, but the controller commands lengths of bars, where "
+                "strings hold rest lengths: leave input out"
+            )
+        if any(isinstance(fault, StuckWinch) for fault in self.faults or ()):
+            raise ValueError("faults has a stuck winch, but the controller commands bars alone")
+        held, count = self.rest_length, len(self.structure.strings)
+        if held is None and isinstance(self.law, Controller):
+            held = self.law.plant.rest_length
+        lengths = validation.per_member("rest_length", held, count, "string")
+        object.__setattr__(self, "input", "rest_length")
+        put = validation.positive("rest_length", lengths, "length in m")
+        object.__setattr__(self, "rest_length", put)
+        assert self.law is not None  # it commands bars
+        commands_parent(self.model, self.law)
 
     def _check_open_loop(self) -> None:
         put = object.__setattr__
@@ -277,7 +347,7 @@ class Scene:
             if self.velocities is None:
                 object.__setattr__(self, "velocities", frozen(np.zeros_like(nodes)))
         names = "nodes", "velocities", "rest_length", "force_density", "external_force"
-        for name in (*names, "support_motion"):
+        for name in (*names, "support_motion", "bar_length"):
             value = getattr(self, name)
             if isinstance(value, np.ndarray) and value.dtype == np.float64:
                 continue  # kept when it was checked
@@ -343,6 +413,33 @@ class Scene:
         return None if offset is None else MovingSupports(self.model, offset)
 
     @cached_property
+    def _bars(self) -> DrivenBars | None:
+        if not self._drives_bars:
+            return None
+        if self.law is not None:
+            given = self.structure.bar_length if self.bar_length is None else self.bar_length
+            lengths = validation.per_member("bar_length", given, len(self.structure.bars), "bar")
+            validation.positive("bar_length", lengths, "length in m")
+            driven = self.law.actuation.driven
+            refuse_other_bar_lengths("the controller", self.structure, driven)
+            return DrivenBars(Pieces.constant(lengths), driven, is_commanded=True)
+        before = None if self.start is None else self.start.struts
+        stretches = before is not None and bool(before.rate[:, -1].any())
+        return driven_bars(self.structure, self.bar_length, *self._span, stretches)
+
+    @cached_property
+    def _length_rate(self) -> FloatArray | None:
+        """At what rates driven bars stretch before the start, m/s."""
+        if self._bars is None:
+            return None
+        if self.start is not None:  # in which any bar may have been driven
+            return stretching(
+                self.structure, self.start.nodes[:, :, -1], self.start.velocities[:, :, -1]
+            )
+        motion = (array[:, :, 0] for array in unpack_states(self.structure, self.state[:, None]))
+        return self._bars.rates(self.structure, *motion)
+
+    @cached_property
     def _beside(self) -> Start:
         return start_beside_supports(
             self.model, self._supports, self.begin, self.start, self.nodes, self.velocities
@@ -355,10 +452,14 @@ class Scene:
         if self.start is not None:
             assert beside.nodes is not None  # of the run
             assert beside.velocities is not None  # of the run
+            lengths = self.structure.bar_length if self._bars is None else self._bars.at(self.begin)
+            refuse_other_lengths("start", self.structure, beside.nodes, lengths)
             return frozen(pack_state(self.structure, beside.nodes, beside.velocities)), None
         inputs, motion = self.inputs, (beside.nodes, beside.velocities)
         first = None if inputs is None else lambda: inputs.at(np.zeros(1))[:, 0]
-        state, note = initial_state(self.model, *motion, self.input, first)
+        state, note = initial_state(
+            self.model, *motion, self.input, first, bars=self._bars, now=self.begin
+        )
         return frozen(state), note
 
     @property
@@ -387,6 +488,8 @@ class Scene:
         ):
             if changes:
                 raise ValueError(f"{name} changes in time, expected a constant load")
+        if self._bars is not None:
+            raise ValueError("bars are driven, expected bars with the lengths of the structure")
         return np.asarray(self.loads)
 
     def equation(self, derivatives: bool = False) -> Equation:
@@ -400,7 +503,7 @@ class Scene:
         Raises
         ------
         ValueError
-            If loads or supports change in time.
+            If loads or supports change in time, or bars are driven.
         """
         validation.truth("derivatives", derivatives, "whether derivatives are needed")
         load = self.load - self.model.constant_force
@@ -415,7 +518,7 @@ class Scene:
 
         Rest lengths at the start of a closed loop are in its record.
         """
-        names = ["force_density", "external_force", "support_motion"]
+        names = ["force_density", "external_force", "support_motion", "bar_length"]
         if self.controller is None:
             names.insert(0, "rest_length")
         values = {name: getattr(self, name) for name in names}
@@ -455,6 +558,8 @@ class Scene:
 
     def _held_at_start(self) -> FloatArray:
         """Return what the actuators of a closed loop hold at the start, one per string."""
+        if self._commands_bars:
+            return np.asarray(self.rest_length)
         if self.input == "force_density":
             if self.prestress is None:
                 raise ValueError("the scene holds no force_density at its start: give prestress")
@@ -560,8 +665,9 @@ class Scene:
         """Degree of the polynomials in time that the inputs of the strings are."""
         if self.inputs is not None:
             return self.inputs.degree
-        is_wound = self.input == "rest_length" and self.winches is not None
-        return self.winches.degree if is_wound and self.winches is not None else 0
+        if self.winches is None or self.input != "rest_length" or self._commands_bars:
+            return 0
+        return self.winches.degree
 
     def plant_run(
         self, report: Callable[[float], None] | None = None, traces: bool = False
@@ -587,6 +693,8 @@ class Scene:
             degree=self._degree,
             supports=self._supports,
             support_rate=self._beside.support_rate,
+            bars=self._bars,
+            length_rate=self._length_rate,
             now=self.begin,
             output_step=output_step,
             report=report,

@@ -51,6 +51,7 @@ def simulate(
     seed: int | None = None,
     start: Trajectory | None = None,
     support_motion: object = None,
+    bar_length: object = None,
 ) -> Trajectory:
     """Return the simulated motion of a model, in open loop or under a controller.
 
@@ -99,6 +100,9 @@ def simulate(
     support_motion : Profile, callable or array_like, shape (d, number of fixed nodes), optional
         Displacement of the fixed nodes from their places in the structure, m, in the order of
         ``structure.fixed``. See the notes.
+    bar_length : Profile, callable, float or array_like, shape (β,), optional
+        Lengths of bars that are driven, as telescopic struts are, m; those of the structure if not
+        given. In open loop, and not with moving supports. See the notes.
     method : str or Method
         Method of integration, or ``"auto"``. One of :data:`METHODS`, or a :class:`Method` of your
         own. ``"auto"`` is ``"rk4"`` where ``step`` is given; else it chooses by the largest string
@@ -200,6 +204,14 @@ def simulate(
     are those before the jump, except at the start of the run. Nodes and velocities at the start are
     absolute; velocities of supports there are those before a jump.
 
+    **Driven bars** have the length that ``bar_length`` says, whatever force it takes; it is
+    continuous and positive, and begins with the lengths that bars have at the start. The mass of a
+    bar stays the same and is spread evenly over its length at any time, so that its moment of
+    inertia is that of a uniform rod of this length. That is a strut of many short tubes; in one of
+    two tubes the mass lags behind. If a rate jumps, as at a sudden start and at each kink of a
+    linear profile, an impulse along the bar makes it: velocities at the start are those before it,
+    at any rate of driven bars. ``run.struts`` has lengths, forces and the work of the drives.
+
     If any of these changes, ``run.conserves_energy`` is false, and the energy of a load is that of
     the load at the time.
 
@@ -252,6 +264,7 @@ def simulate(
             faults=faults,
             external_force=external_force,
             support_motion=support_motion,
+            bar_length=bar_length,
             estimator=estimator,
             sensors=sensors,
             seed=seed,

@@ -11,7 +11,8 @@ from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.dynamics.equation import pack_state
 from tenscontrol.dynamics.model import Model
 from tenscontrol.integrate.integrator import largest_frequency, state_scale
-from tenscontrol.integrate.projection import Projector
+from tenscontrol.integrate.projection import Projector, project
+from tenscontrol.simulation.driven_bars import DrivenBars
 from tenscontrol.simulation.moving_supports import MovingSupports
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.structure.bar_geometry import (
@@ -19,7 +20,7 @@ from tenscontrol.structure.bar_geometry import (
     refuse_strings_without_length,
     refuse_wrong_bar_lengths,
 )
-from tenscontrol.structure.structure import member_vectors
+from tenscontrol.structure.structure import Structure, member_vectors
 from tenscontrol.structure.supports import carried_by_supports, refuse_moved_supports
 
 # A start whose bars are off by this part of their length, and stretching by this part of the
@@ -88,12 +89,19 @@ def initial_state(
     held: Callable[[], FloatArray] | None = None,
     *,
     measured: bool = True,
+    bars: DrivenBars | None = None,
+    now: float = 0.0,
 ) -> tuple[FloatArray, str | None]:
     """Return the state at the start, and what was put right, after checking the structure is in it.
 
     ``held`` returns the input at the start, if it is known: forces give the structure its speed.
     ``measured`` says whether bars may be off as in measured shapes: the caller says what was moved.
+    ``bars`` says which lengths bars have now; those that are driven may stretch at any rate, which
+    is that before the start.
     """
+    if bars is not None:
+        lengths = bars.at(now)
+        return _checked_state(model, nodes, velocities, input, held, measured, (bars, lengths))
     if nodes is None and velocities is None:  # depends on nothing but the model
         key = "state at rest", input
         build = lambda: frozen(_checked_state(model, None, None, input, None, True)[0])  # noqa: E731
@@ -108,30 +116,28 @@ def _checked_state(
     input: str,
     held: Callable[[], FloatArray] | None,
     measured: bool,
+    driven: tuple[DrivenBars, FloatArray] | None = None,
 ) -> tuple[FloatArray, str | None]:
     structure = model.structure
+    true = structure.bar_length if driven is None else driven[1]
     N = structure.nodes if nodes is None else nodes
     V = np.zeros_like(N) if velocities is None else velocities
     bars = member_vectors(N, structure.bars)
     length = np.linalg.norm(bars, axis=0)
-    off = float(np.abs(length / structure.bar_length - 1).max(initial=0.0))
+    off = float(np.abs(length / true - 1).max(initial=0.0))
     if off > (MEASURED if measured else _PROJECTED):
+        if driven is not None:
+            _refuse_other_lengths("nodes", length, true)
         refuse_wrong_bar_lengths("nodes", structure, N)
     refuse_moved_supports("nodes", structure, N)
-    rows = structure.fixed_rows
-    moving = rows[V.ravel(order="F")[rows] != 0]
-    if len(moving):
-        node, axis = divmod(int(moving[0]), structure.dimension)
-        if node in structure.fixed:
-            movement = f"the fixed node {node} by {V[:, node]} m/s"
-        else:
-            movement = f"node {node}, on a roller, by {V[axis, node]:g} m/s along {'xyz'[axis]}"
-        raise ValueError(f"velocities move {movement}, expected 0")
+    _refuse_moving_supports(structure, V)
     if input == "rest_length":
         refuse_strings_without_length("nodes", structure, N)
     state = pack_state(structure, N, V)
     along = (bars * member_vectors(V, structure.bars)).sum(axis=0)
-    stretching = np.abs(along) / structure.bar_length
+    stretching = np.abs(along) / true
+    if driven is not None:
+        stretching[driven[0].bars] = 0.0  # at any rate
     worst = float(stretching.max(initial=0.0))
     if off <= _EXACT and worst <= _EXACT * float(np.abs(V).max()):
         return state, None
@@ -146,7 +152,10 @@ def _checked_state(
             f"velocities stretch bar {stretching.argmax()} at {worst:.3g} m/s, expected 0: bars "
             "are rigid. plant.to_velocities(q, rates) gives velocities that bars can have"
         )
-    exact = Projector(equation, True)(state[:, None])
+    if driven is None:
+        exact = Projector(equation, True)(state[:, None])
+    else:
+        exact = _on_lengths(structure, state, true, driven[0].rates(structure, N, V))
     if not exact.size:
         raise ValueError(
             f"in nodes, bars are off by {off:.1e} of their length, and those that share nodes "
@@ -157,4 +166,45 @@ def _checked_state(
     return exact[:, 0], (
         f"bars made rigid: off by {off:.1e} of their length, stretching at {worst:.1e} m/s; nodes "
         f"moved by up to {moved[:half].max():.1e} m and {moved[half:].max():.1e} m/s along an axis"
+    )
+
+
+def _refuse_moving_supports(structure: Structure, velocities: FloatArray) -> None:
+    """Raise a ValueError if what supports hold has a velocity."""
+    rows = structure.fixed_rows
+    moving = rows[velocities.ravel(order="F")[rows] != 0]
+    if not len(moving):
+        return
+    node, axis = divmod(int(moving[0]), structure.dimension)
+    if node in structure.fixed:
+        movement = f"the fixed node {node} by {velocities[:, node]} m/s"
+    else:
+        speed = f"{velocities[axis, node]:g} m/s along {'xyz'[axis]}"
+        movement = f"node {node}, on a roller, by {speed}"
+    raise ValueError(f"velocities move {movement}, expected 0")
+
+
+def _on_lengths(
+    structure: Structure, state: FloatArray, lengths: FloatArray, rates: FloatArray
+) -> FloatArray:
+    """Return a state, one column, with bars of these lengths and rates; empty if there is none."""
+    exact = np.array(project(structure, driven=True)(state, np.concatenate([lengths, rates])))
+    return exact if np.isfinite(exact).all() else exact[:, :0]
+
+
+def refuse_other_lengths(
+    name: str, structure: Structure, nodes: FloatArray, true: FloatArray
+) -> None:
+    """Raise a ValueError if bars of a shape are not as long as they are driven."""
+    length = np.linalg.norm(structure.bar_vectors(nodes), axis=0)
+    if len(true) and np.abs(length / true - 1).max() > _PROJECTED:
+        _refuse_other_lengths(name, length, true)
+
+
+def _refuse_other_lengths(name: str, length: FloatArray, true: FloatArray) -> None:
+    bar = int(np.abs(length / true - 1).argmax())
+    raise ValueError(
+        f"in {name}, bar {bar} is {length[bar]:.9g} m long, but bar_length begins at "
+        f"{true[bar]:.9g} m: begin with the length that it has, or give nodes that have those of "
+        "bar_length"
     )

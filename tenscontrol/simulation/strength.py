@@ -166,6 +166,11 @@ def strength(run: Trajectory, sections: Sections) -> Strength:
 
     validation.instance("sections", sections, Sections, "make one by sections(...) or design(...)")
     refuse_other_members(run.structure, sections)
+    if run.struts is not None:
+        raise ValueError(
+            "run has driven bars, and sections buckle as bars of constant length do: compare "
+            "run.struts.force with the buckling force at run.struts.length"
+        )
     length = distances(run.nodes, run.structure.bars)
     margins = sections.margins(run.tension, run.bar_force_density * length)
     return Strength(run, sections, *(frozen(margin) for margin in margins))

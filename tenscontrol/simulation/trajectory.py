@@ -29,6 +29,7 @@ from tenscontrol.simulation.motion_functions import (
     read_only,
 )
 from tenscontrol.simulation.run_table import data_frame, write_table
+from tenscontrol.simulation.strut_record import StrutRecord
 from tenscontrol.structure.bar_clearance import BarClearance, BarCrossing, BarMotion
 from tenscontrol.structure.structure import Structure
 from tenscontrol.structure.supports import moving_mass
@@ -84,9 +85,11 @@ class Trajectory(Viewable):
         What was put right at the start, and in which intervals functions of time were sampled.
     given : Arguments
         What :func:`simulate` was given in open loop, by name: ``rest_length`` or
-        ``force_density``, ``external_force``, ``support_motion``.
+        ``force_density``, ``external_force``, ``support_motion``, ``bar_length``.
     contacts : ContactRecord or None
         What touched the ground; None without ground.
+    struts : StrutRecord or None
+        Bars whose lengths are driven; None where all have those of the structure.
     scene : Scene or None
         What was simulated. None in a copy, in a run from a file or a batch, and in one that goes on
         from another.
@@ -111,6 +114,7 @@ class Trajectory(Viewable):
     faults: tuple[Fault, ...] = ()
     note: str | None = None
     contacts: ContactRecord | None = None
+    struts: StrutRecord | None = None
     falls: bool = False
     given: Arguments = field(default_factory=Arguments)
     scene: Any = field(default=None, repr=False)
@@ -207,6 +211,8 @@ class Trajectory(Viewable):
         model, functions = self.model, self._of_model
         if functions.moved:
             raise ValueError("forces of bars are not found in a run whose supports move")
+        if self.struts is not None:
+            return read_only(self.struts.force / self.struts.length)
         free, count = model.structure.free, len(self.time)
         columns = [array[:, free] for array in (self.nodes, self.velocities)]
         if model.has_external_force:
@@ -230,6 +236,8 @@ class Trajectory(Viewable):
 
         Raises as :attr:`bar_force_density` does.
         """
+        if self.struts is not None:
+            return self.struts.force
         length = self.structure.bar_length[:, None]  # not the drifted one: bars are rigid
         return read_only(self.bar_force_density * length)
 
@@ -276,10 +284,13 @@ class Trajectory(Viewable):
 
     @cached_property
     def bar_length_error(self) -> FloatArray:
-        """Current length less true length of each bar, m, shape (β, T)."""
-        error = distances(self.nodes, self.structure.bars)
-        error -= self.structure.bar_length[:, None]
-        return read_only(error)
+        """Current length less true length of each bar, m, shape (β, T): driven bars have L(t)."""
+        return read_only(distances(self.nodes, self.structure.bars) - self._true_lengths)
+
+    @property
+    def _true_lengths(self) -> FloatArray:
+        """Lengths that bars are to have, m, shape (β, 1) or (β, T)."""
+        return self.structure.bar_length[:, None] if self.struts is None else self.struts.length
 
     @cached_property
     def _bars(self) -> BarMotion:
@@ -335,7 +346,7 @@ class Trajectory(Viewable):
                 values, largest = getattr(self, quantity), self._largest_momenta()[i]
                 off = float(np.abs(values - values[:, :1]).max())
                 changes[f"{quantity}_change"] = _share(off, largest)
-        stretch = np.abs(self.bar_length_error) / self.structure.bar_length[:, None]
+        stretch = np.abs(self.bar_length_error) / self._true_lengths
         return Health(
             energy_error=energy,
             momentum_change=changes.get("momentum_change"),
@@ -487,6 +498,8 @@ class Trajectory(Viewable):
             lines.append(f"{events:18}{self.work.switches} times")
         if self.contacts is not None:
             lines += self.contacts.summary().splitlines()
+        if self.struts is not None:
+            lines.append(self.struts.summary())
         if self.bar_crossings:
             first = self.bar_crossings[0]
             times, (i, j) = len(self.bar_crossings), first.bars

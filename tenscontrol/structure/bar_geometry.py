@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tenscontrol import validation
-from tenscontrol.arrays import FloatArray
+from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.structure.blocks import restore_block
 from tenscontrol.structure.structure import Structure, member_vectors
 from tenscontrol.warn import warn
@@ -129,3 +129,21 @@ def refuse_strings_without_length(name: str, structure: Structure, nodes: FloatA
             f"{start} and {end} are at the same point, so that its force has no direction; move "
             "one of them"
         )
+
+
+def refuse_other_bar_lengths(name: str, structure: Structure, bars: IntArray) -> None:
+    """Refuse other lengths than those of the structure for bars that cannot have them."""
+    held = bars[np.isin(structure.bars[bars], structure.fixed).all(axis=1)]
+    if len(held):
+        raise ValueError(
+            f"{name} changes the length of bar {held[0]}, whose two ends are fixed: leave it at "
+            f"{structure.bar_length[held[0]]:.9g} m"
+        )
+    for block in structure.blocks:
+        among = np.intersect1d(bars, block.bars)
+        if block.is_redundant and len(among):
+            raise ValueError(
+                f"{name} changes the length of bar {among[0]}, which hangs together with more bars "
+                "than a rigid body needs: their lengths depend on one another. Leave out bars of "
+                "the body, or its lengths as they are"
+            )

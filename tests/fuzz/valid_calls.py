@@ -6,7 +6,7 @@ structures are small, so that a call is cheap; a call that is not has a smaller 
 
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from inspect import signature
 from pathlib import Path
@@ -175,6 +175,7 @@ RESULTS = {
     "simulation.Health",
     "simulation.SimulationError",
     "simulation.StepperState",
+    "simulation.StrutRecord",
     "simulation.Trajectory",
     "sizing.Complexity",
     "sizing.Design",
@@ -404,6 +405,21 @@ def closed_run():
 def dropped_run():
     model = tc.Model(tc.prism(), gravity=9.81, ground=tc.Ground(stiffness=5e3, height=-1e-3))
     return tc.simulate(model, 0.02, force_density=np.full(9, 20.0), step=1e-3)
+
+
+@cache
+def struts_plant():
+    """A prism on three fixed nodes, whose bars are driven."""
+    foot = replace(prism(), fixed=[3, 4, 5])
+    model = tc.Model(foot, tc.LinearStrings(stiffness=200.0))
+    return tc.linearize(model, tc.prestress(foot, min_force_density=20.0), "bar_length")
+
+
+@cache
+def driven_run():
+    plant, time = struts_plant(), [0.0, 0.02]
+    grow = tc.Profile(time, np.outer(plant.equilibrium_input, [1.0, 1.01]), "cubic")
+    return tc.simulate(plant.model, 0.02, rest_length=plant.rest_length, bar_length=grow, step=2e-3)
 
 
 @cache
@@ -1846,6 +1862,16 @@ call("load_run", lambda: {"path": str(run().save(scratch("saved.npz")))}, share=
 call("show_config", share=0.3)
 call("simulation.ControlRecord.summary", on=lambda: closed_run().control)
 call("simulation.ContactRecord.summary", on=lambda: dropped_run().contacts)
+call("simulation.StrutRecord.summary", on=lambda: driven_run().struts)
+call(
+    "shape.strut_path",
+    lambda: {
+        "plant": struts_plant(),
+        "bar_length": np.outer(struts_plant().equilibrium_input, [0.99, 1.0]),
+        "time": [0.0, 1.0],
+    },
+    share=0.1,
+)
 call(
     "Stepper",
     lambda: {
@@ -2238,6 +2264,7 @@ call("plot.tracking", lambda: {"run": closed_run(), "axes": None}, share=0.1)
 call("plot.health", lambda: {"run": run(), "axes": None}, share=0.1)
 call("plot.contacts", lambda: {"run": dropped_run(), "axes": None}, share=0.1)
 call("plot.motors", lambda: {"run": closed_run(), "axes": None}, share=0.1)
+call("plot.struts", lambda: {"run": driven_run(), "axes": None}, share=0.1)
 call(
     "plot.history",
     lambda: {

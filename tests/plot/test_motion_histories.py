@@ -327,3 +327,22 @@ def test_motors_are_drawn_by_group_and_their_energy_together():
     assert panels["torque"].ax.get_ylabel() == "motor torque, N m"
     with pytest.raises(ValueError, match="run has no motors"):
         tc.plot.motors(tc.simulate(model, 0.1, start, **options))
+
+
+def test_driven_bars_are_drawn_apart():
+    """Of two bars the one that is driven: its work, and its look in the drawing of the run."""
+    bars = tc.Structure([[0, 1, 0, 1], [0, 0, 1, 1]], [(0, 1), (2, 3)], [], 1.0)
+    grow = tc.Profile([0.0, 0.1], [[1.0, 1.1], [1.0, 1.0]], "cubic")
+    run = tc.simulate(tc.Model(bars), 0.1, bar_length=grow, step=0.01, error="none")
+    panels = tc.plot.struts(run)
+    assert list(panels["force"].lines) == ["bar 0"]
+    np.testing.assert_array_equal(
+        panels["work"].lines["all drives"][0].get_ydata(), run.struts.work.sum(axis=0)
+    )
+    drawing = tc.plot.structure(run)
+    wide, slim = drawing.bars.get_linewidths()[::-1]
+    assert slim < wide
+    labels = [text.get_text() for text in drawing.ax.get_legend().get_texts()]
+    assert labels == ["bar", "driven bar"]
+    with pytest.raises(ValueError, match="drives no bar"):
+        tc.plot.struts(tc.simulate(tc.Model(bars), 0.1, step=0.01))

@@ -28,7 +28,7 @@ from tenscontrol.control.mpc.sparse import Sparse, SparseSubproblem
 from tenscontrol.control.mpc.stages import StagesSubproblem
 from tenscontrol.docstrings import with_parameters_of
 from tenscontrol.fields import checked
-from tenscontrol.plant.linear_plant import LinearPlant
+from tenscontrol.plant.linear_plant import LinearPlant, refuse_driven_bars
 from tenscontrol.plant.reference import ReferencePreview
 from tenscontrol.properties import cached_property
 from tenscontrol.short_repr import short_repr
@@ -259,6 +259,7 @@ class NMPC(PredictiveController):
     @from_settings(NonlinearSettings)
     def __init__(self, plant: LinearPlant, settings: NonlinearSettings) -> None:
         validation.instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
+        refuse_driven_bars(plant, "NMPC")
         tolerance = settings.linearization_tolerance
         if tolerance and plant.model.contacts is not None:
             raise ValueError(

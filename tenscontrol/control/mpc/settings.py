@@ -362,10 +362,11 @@ def design(plant: LinearPlant, settings: MPCSettings, nonlinear: bool = False) -
     else:
         refuse_unreachable(plant, drifting=False)
     level = float(plant.force_density.max()) or float(np.where(np.isinf(high), 1.0, high).max())
-    if plant.input == "rest_length":
+    if plant.input != "force_density":
         lengths = plant.model.structure.string_length(plant.nodes)
         lengths = to_commanded_strings(plant, "length", lengths)
-        level = float((lengths - plant.string_values).max())
+        assert plant.rest_length is not None  # there is a law
+        level = float((lengths - plant.rest_length).max())
     model = sampled(plant, sample_time, ramp)
     transition, input_matrix = model.augmented
     cross = cross_weight(settings.N, state_weight, input_weight)
@@ -413,7 +414,7 @@ def _terminal_weight(given: object, states: int, added: int) -> FloatArray:
 
 
 def _command_range(plant: LinearPlant, settings: MPCSettings) -> tuple[FloatArray, FloatArray]:
-    if plant.input == "rest_length":
+    if plant.input != "force_density":
         return input_bounds(plant, None, settings.winches)
     return input_bounds(
         plant, settings.max_force_density, settings.winches, settings.min_force_density
@@ -421,13 +422,19 @@ def _command_range(plant: LinearPlant, settings: MPCSettings) -> tuple[FloatArra
 
 
 def _row_blocks(plant: LinearPlant, settings: MPCSettings, penalty: float) -> list[RowBlock]:
+    if plant.input == "bar_length" and (settings.outputs or settings.tracked is not None):
+        raise ValueError(
+            f"{'outputs' if settings.outputs else 'tracked'} is of nodes or forces of bars, which "
+            "MPC does not know as functions of the lengths of bars: leave it out; "
+            "winches.shortest and winches.longest limit the lengths"
+        )
     outputs = [output_block(plant, limit) for limit in settings.outputs]
     has_strength = np.isfinite(validation.limits("max_tension", settings.max_tension)).any()
     if plant.input == "force_density" and not has_strength:
         return outputs
     blocks, strings = [], string_map(plant, plant.input)
     count = len(plant.commanded.strings)
-    if plant.input == "rest_length":
+    if plant.input != "force_density":
         bounds = string_bounds(count, settings.min_force_density, settings.max_force_density)
         high = to_model_strings(plant, "force_density", bounds.high)
         low = to_model_strings(plant, "force_density", bounds.low)

@@ -10,33 +10,43 @@ from tenscontrol.dynamics.force import Columns, Pass, Read, Write, shared
 from tenscontrol.structure.structure import Structure
 
 
-def body_passes(structure: Structure) -> list[Pass]:
-    """Return the passes that turn the forces into accelerations of nodes outside of blocks."""
-    bars = structure.bars[structure.free_bars]
-    passes = [_free_bars(bars[:, 0], bars[:, 1], structure.bar_mass[structure.free_bars])]
-    hinge, tip = structure.hinged_pairs.T
-    passes.append(_swinging_bars(hinge, tip, structure.bar_mass[structure.swinging_bars]))
+def body_passes(structure: Structure, driven: bool = False) -> list[Pass]:
+    """Return the passes that turn the forces into accelerations of nodes outside of blocks.
+
+    Where bars are ``driven``, they read the extension of each bar, an array "e".
+    """
+    bars, (start, end) = structure.free_bars, structure.bars[structure.free_bars].T
+    extension = {"extension": Read("e", bars)} if driven else {}
+    passes = [_free_bars(start, end, structure.bar_mass[bars], extension)]
+    bars, (hinge, tip) = structure.swinging_bars, structure.hinged_pairs.T
+    extension = {"extension": Read("e", bars)} if driven else {}
+    passes.append(_swinging_bars(hinge, tip, structure.bar_mass[bars], extension))
     passes.append(_points(structure.string_nodes, structure.string_node_mass))
     return [over for over in passes if over.count]
 
 
-def _free_bars(start: IntArray, end: IntArray, mass: FloatArray) -> Pass:
+def _free_bars(
+    start: IntArray, end: IntArray, mass: FloatArray, extension: dict[str, Read]
+) -> Pass:
     def accelerate(columns: Columns) -> tuple[Any, ...]:
         B, Bd = (columns[f"{array}_end"] - columns[f"{array}_start"] for array in "pv")
         forces = columns["f_start"], columns["f_end"]
-        return kernel.free_bar(B, Bd, *forces, columns["mass"])[:2]
+        return kernel.free_bar(B, Bd, *forces, columns["mass"], columns.get("extension"))[:2]
 
-    reads = _ends(start, end) | {"f_start": Read("f", start), "f_end": Read("f", end)}
+    reads = _ends(start, end) | {"f_start": Read("f", start), "f_end": Read("f", end)} | extension
     writes = (Write("a", 0, start), Write("a", 1, end))
     return Pass("free_bars", len(start), accelerate, reads, writes, {"mass": shared(mass)})
 
 
-def _swinging_bars(hinge: IntArray, tip: IntArray, mass: FloatArray) -> Pass:
+def _swinging_bars(
+    hinge: IntArray, tip: IntArray, mass: FloatArray, extension: dict[str, Read]
+) -> Pass:
     def accelerate(columns: Columns) -> tuple[Any, ...]:
         B, Bd = (columns[f"{array}_end"] - columns[f"{array}_start"] for array in "pv")
-        return kernel.swinging_bar(B, Bd, columns["f_end"], columns["mass"])[:1]
+        given = columns["f_end"], columns["mass"], columns.get("extension")
+        return kernel.swinging_bar(B, Bd, *given)[:1]
 
-    reads = _ends(hinge, tip) | {"f_end": Read("f", tip)}
+    reads = _ends(hinge, tip) | {"f_end": Read("f", tip)} | extension
     writes = (Write("a", 0, tip),)
     return Pass("swinging_bars", len(tip), accelerate, reads, writes, {"mass": shared(mass)})
 

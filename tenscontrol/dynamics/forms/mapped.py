@@ -42,6 +42,10 @@ def mapped_functions(
         offsets = [ca.MX.sym(name, *structure.nodes.shape) for name in ("offset", "rate")]
         ends = p + offsets[0], v + offsets[1]
         given = ca.vertcat(given, *map(ca.vec, offsets))
+    bodies: dict[str, Any] = {"p": p, "v": v}
+    if layout.lengths:
+        extension = ca.MX.sym("extension", layout.lengths)
+        given, bodies["e"] = ca.vertcat(given, extension), extension.T
     arrays = {"p": ends[0], "v": ends[1], "u": u.T, "taut": taut.T}
     f = sum_on_nodes(chain(*forces.passes()), arrays)
     if load.any():
@@ -50,7 +54,7 @@ def mapped_functions(
         f += varying
     x = ca.vertcat(ca.vec(N), ca.vec(Nd))
     gap, rate = forces.gaps(*ends, u)
-    xdot = ca.vertcat(ca.vec(Nd), _accelerations(structure, {"p": p, "v": v, "f": f}))
+    xdot = ca.vertcat(ca.vec(Nd), _accelerations(structure, bodies | {"f": f}))
     on_free = kernel.free_entries(structure, ca.densify(f[:, free]))
     return (
         Function("slope", [x, given, taut], [xdot]),
@@ -71,7 +75,7 @@ def _symbols(structure: Structure, name: str, fixed: FloatArray) -> tuple[Any, A
 def _accelerations(structure: Structure, arrays: dict[str, Any]) -> Any:
     """Return the accelerations of what supports leave free, m/s², a column."""
     d = structure.dimension
-    passes = body_passes(structure)
+    passes = body_passes(structure, driven="e" in arrays)
     columns = [output for over in passes for output in over.outputs(arrays)]
     ends = [write.at for over in passes for write in over.writes]
     nodes = np.concatenate([np.arange(0), *ends])
@@ -79,7 +83,7 @@ def _accelerations(structure: Structure, arrays: dict[str, Any]) -> Any:
         return kernel.free_entries(structure, ca.horzcat(*columns)[:, np.argsort(nodes).tolist()])
     block = kernel.coupled_block(structure)
     p, v, f = (arrays[name] for name in "pvf")
-    accelerations, _ = kernel.block_motion(structure, block, p, v, f)
+    accelerations, _ = kernel.block_motion(structure, block, p, v, f, arrays.get("e"))
     rows = np.concatenate([(d * nodes[:, None] + np.arange(d)).ravel(), block.rows])
     index = np.full(structure.nodes.size, -1)
     index[rows] = np.arange(len(rows))

@@ -44,7 +44,7 @@ _ARRAYS = "nodes", "velocities", "rest_length", "force_density", "external_force
 
 def refusal(scene: Scene) -> str | None:
     """Return why a scene is run by :func:`simulate` alone; None if many runs of it can be."""
-    for name in ("winches", "estimator", "support_motion", "start"):
+    for name in ("winches", "estimator", "support_motion", "bar_length", "start"):
         if getattr(scene, name) is not None:
             return f"{name} given"
     if scene.faults:
@@ -52,6 +52,8 @@ def refusal(scene: Scene) -> str | None:
     law = scene.law
     if law is None:
         return None
+    if law.input == "bar_length":
+        return "the controller commands lengths of bars"
     try:
         checked_controller(scene.controller, scene.model)
     except (TypeError, ValueError) as error:
