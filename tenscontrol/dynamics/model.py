@@ -468,8 +468,8 @@ class Model:
         form = "flat" if sizes else form
         if form == "auto":
             small = self._prepared.get("small", lambda: _is_small(self._structure))
-            may_loop = compiler() is not None and not length_input
-            form = "flat" if small else "auto" if may_loop else "mapped"
+            no_loops = length_input or (not small and compiler() is None)
+            form = "flat" if small else "mapped" if no_loops else "auto"
         degree = validation.whole_number("degree", degree, 0, _MOST_DEGREE)
         validation.truth("load_input", load_input, "whether the load is an input")
         validation.truth("offset_input", offset_input, "whether supports move")

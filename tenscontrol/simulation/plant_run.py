@@ -269,8 +269,10 @@ class PlantRun:
             np.pad(coefficients, ((0, 0), (0, more))) if more else coefficients, self.now + close
         )
         held = self.packed(coefficients, self.now - origin)
-        jump = self._jump(origin, coefficients)
-        state = self.pushed(state, held, jump)
+        jump = None
+        if self.supports is not None or self.bars is not None:
+            jump = self._jump(origin, coefficients)
+            state = self.pushed(state, held, jump)
         if not self.spans:
             self._prepare(state, held)
             first = np.array([self.now])

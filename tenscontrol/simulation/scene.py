@@ -193,7 +193,8 @@ class Scene:
             raise ValueError("estimator, winches and sample_time go with a controller")
         self._check_strength()
         self._take_over_start()
-        self._check_bars()
+        if self.bar_length is not None or self.controller is not None:
+            self._check_bars()
         self._check_inputs()
         _ = self.loads, self.initial
         self._keep_arrays()
@@ -222,8 +223,9 @@ class Scene:
             others.append("controller")
         elif self._commands_bars:
             others.append("estimator")
-        for name in others:
-            if self._drives_bars and getattr(self, name) is not None:
+        is_driven = self.bar_length is not None or self._commands_bars
+        for name in others if is_driven else ():
+            if getattr(self, name) is not None:
                 raise ValueError(
                     f"bar_length does not go with {name}, which takes bars of constant length: "
                     "leave one of the two out"
@@ -237,10 +239,6 @@ class Scene:
     @property
     def _commands_bars(self) -> bool:
         return getattr(self.controller, "input", None) == "bar_length"
-
-    @property
-    def _drives_bars(self) -> bool:
-        return self.bar_length is not None or self._commands_bars
 
     def _take_over_start(self) -> None:
         """Check the run to go on from, and take its faults and inputs where none are given."""
@@ -414,7 +412,7 @@ class Scene:
 
     @cached_property
     def _bars(self) -> DrivenBars | None:
-        if not self._drives_bars:
+        if self.bar_length is None and (self.controller is None or not self._commands_bars):
             return None
         if self.law is not None:
             given = self.structure.bar_length if self.bar_length is None else self.bar_length
@@ -428,10 +426,9 @@ class Scene:
         return driven_bars(self.structure, self.bar_length, *self._span, stretches)
 
     @cached_property
-    def _length_rate(self) -> FloatArray | None:
+    def _length_rate(self) -> FloatArray:
         """At what rates driven bars stretch before the start, m/s."""
-        if self._bars is None:
-            return None
+        assert self._bars is not None  # else it is not asked for
         if self.start is not None:  # in which any bar may have been driven
             return stretching(
                 self.structure, self.start.nodes[:, :, -1], self.start.velocities[:, :, -1]
@@ -694,7 +691,7 @@ class Scene:
             supports=self._supports,
             support_rate=self._beside.support_rate,
             bars=self._bars,
-            length_rate=self._length_rate,
+            length_rate=None if self._bars is None else self._length_rate,
             now=self.begin,
             output_step=output_step,
             report=report,

@@ -130,7 +130,8 @@ def _checked_state(
             _refuse_other_lengths("nodes", length, true)
         refuse_wrong_bar_lengths("nodes", structure, N)
     refuse_moved_supports("nodes", structure, N)
-    _refuse_moving_supports(structure, V)
+    if V.ravel(order="F")[structure.fixed_rows].any():
+        _refuse_moving_supports(structure, V)
     if input == "rest_length":
         refuse_strings_without_length("nodes", structure, N)
     state = pack_state(structure, N, V)
@@ -173,8 +174,6 @@ def _refuse_moving_supports(structure: Structure, velocities: FloatArray) -> Non
     """Raise a ValueError if what supports hold has a velocity."""
     rows = structure.fixed_rows
     moving = rows[velocities.ravel(order="F")[rows] != 0]
-    if not len(moving):
-        return
     node, axis = divmod(int(moving[0]), structure.dimension)
     if node in structure.fixed:
         movement = f"the fixed node {node} by {velocities[:, node]} m/s"

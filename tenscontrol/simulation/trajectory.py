@@ -285,12 +285,9 @@ class Trajectory(Viewable):
     @cached_property
     def bar_length_error(self) -> FloatArray:
         """Current length less true length of each bar, m, shape (β, T): driven bars have L(t)."""
-        return read_only(distances(self.nodes, self.structure.bars) - self._true_lengths)
-
-    @property
-    def _true_lengths(self) -> FloatArray:
-        """Lengths that bars are to have, m, shape (β, 1) or (β, T)."""
-        return self.structure.bar_length[:, None] if self.struts is None else self.struts.length
+        error = distances(self.nodes, self.structure.bars)
+        error -= self.structure.bar_length[:, None] if self.struts is None else self.struts.length
+        return read_only(error)
 
     @cached_property
     def _bars(self) -> BarMotion:
@@ -346,7 +343,9 @@ class Trajectory(Viewable):
                 values, largest = getattr(self, quantity), self._largest_momenta()[i]
                 off = float(np.abs(values - values[:, :1]).max())
                 changes[f"{quantity}_change"] = _share(off, largest)
-        stretch = np.abs(self.bar_length_error) / self._true_lengths
+        struts = self.struts
+        true = self.structure.bar_length[:, None] if struts is None else struts.length
+        stretch = np.abs(self.bar_length_error) / true
         return Health(
             energy_error=energy,
             momentum_change=changes.get("momentum_change"),
