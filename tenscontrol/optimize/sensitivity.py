@@ -417,7 +417,8 @@ class _Differentiable:
     ) -> None:  # fmt: skip
         if scene.support_motion is not None:
             raise ValueError("run has supports that move, through which no derivative is taken")
-        if scene.bar_length is not None:
+        commands_bars = scene.law is not None and scene.law.input == "bar_length"
+        if scene.bar_length is not None or commands_bars:
             raise ValueError("run has driven bars, through which no derivative is taken")
         self.parameters = parameters_of(scene, to)
         validation.truth("feedback", feedback, "whether the commands of an LQR answer changes")
