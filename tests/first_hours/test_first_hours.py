@@ -43,7 +43,8 @@ def test_a_mast_from_matrices_is_sized_and_stilled(capsys):
 def test_a_robot_from_its_log_is_controlled_in_c(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     names = follow("robot", capsys)
-    assert np.array_equal(log.log().readings, names["log"].readings)
+    # To the tolerance of the run that made it.
+    np.testing.assert_allclose(log.log().readings, names["log"].readings, rtol=0, atol=1e-5)
     for parameter, true in {"stiffness": log.STIFFNESS, "damping": log.DAMPING}.items():
         low, high = re.search(rf"{parameter}.* ([\d.]+) to ([\d.]+)", names["fit"].table()).groups()
         believed = getattr(names["believed"].strings, parameter)
