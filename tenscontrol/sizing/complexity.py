@@ -42,15 +42,15 @@ class Complexity:
         return self.labels[int(self.mass.argmin())]
 
     def table(self) -> str:
-        """Return structures with their members, masses, and how many bars buckling sizes."""
+        """Return structures with their members, masses, how many bars buckling sizes, and gap."""
         rows = [
             [str(label), str(len(sized.structure.bars)), str(len(sized.structure.strings)),
              f"{sized.bar_mass.sum():.4g}", f"{sized.string_mass.sum():.4g}", f"{sized.mass:.4g}",
-             str(sized.bar_limit.count("buckling")), "yes" if sized.restarts_agree else "no"]
+             str(sized.bar_limit.count("buckling")), f"{100 * sized.gap:.2g}"]
             for label, sized in zip(self.labels, self.designs, strict=True)
         ]  # fmt: skip
         names = ["structure", "bars", "strings", "bars kg", "strings kg", "mass kg", "buckling"]
-        return aligned([*names, "restarts agree"], rows)
+        return aligned([*names, "gap %"], rows)
 
     def __repr__(self) -> str:
         return (

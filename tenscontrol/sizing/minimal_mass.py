@@ -10,7 +10,8 @@ import numpy as np
 
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, IntArray, frozen
-from tenscontrol.sizing.area_program import BUCKLING_OR_LEAST, AreaProgram
+from tenscontrol.sizing.area_program import AreaProgram
+from tenscontrol.sizing.branch_and_bound import search
 from tenscontrol.sizing.common_prestress import Wound, wound_once
 from tenscontrol.sizing.materials import Material
 from tenscontrol.sizing.member_groups import area_of_member
@@ -19,21 +20,15 @@ from tenscontrol.statics.equilibrium_matrix import movable_members, sparse_equil
 from tenscontrol.structure.structure import Structure
 from tenscontrol.tables import aligned
 
-# Tangents of the root of a force begin at these parts of the largest force of a bar, one after the
-# other. The error of the mass is the root of the last.
-_FLOORS = (0.03, 1e-8, 1e-13)
-
-# Programs in a row, and the gain of mass at which they end.
-_MOST_PROGRAMS, _GAIN = 50, 1e-10
-
 # Forces that are left over in the program without a solution, part of the largest load.
 _UNBALANCED = 1e-7
 
 # Starts of designs with one prestress.
 _MOST_WOUND = 4
 
-# Members above which one start is enough by default: a program takes seconds.
-_LARGE = 3_000
+# Starts times members by default, and members above which one start is enough: a program takes
+# seconds.
+_WORK, _LARGE = 3_000, 3_000
 
 # Masses of restarts that agree to this part are the same.
 _AGREE = 1e-6
@@ -109,8 +104,10 @@ class Design(Sections):
     string_sized_by, bar_sized_by : ndarray of int, shape (α,), (β,)
         The member whose force does: each itself, or another one of its group.
     restarts : ndarray, shape (r,)
-        The mass that was found from each start, kg. The first is that of yield alone; others are
-        random. The mass is the least of them.
+        The masses that were found from starts, kg. The first is from the forces of yield alone. The
+        mass is the least of them.
+    bound : float
+        Mass that no sections of this shape are below, kg, whatever the forces.
     prestress, bar_prestress : ndarray, shape (α,), (β,), or None
         γ and λ without load, N/m, of a common prestress; ``force_density`` has them in it.
     """
@@ -124,6 +121,7 @@ class Design(Sections):
     string_sized_by: IntArray
     bar_sized_by: IntArray
     restarts: FloatArray
+    bound: float
     prestress: FloatArray | None = None
     bar_prestress: FloatArray | None = None
 
@@ -131,6 +129,11 @@ class Design(Sections):
     def restarts_agree(self) -> bool:
         """Whether all starts end at the same mass, to 1e-6."""
         return bool(self.restarts.max() <= self.restarts.min() * (1 + _AGREE))
+
+    @property
+    def gap(self) -> float:
+        """What may be saved at most, part of the mass: 0 where no sections have less, to 1e-6."""
+        return max(1 - self.bound / self.mass, 0.0)
 
     def table(self) -> str:
         """Return members with area, mass, and the limit, load and member that govern them."""
@@ -193,10 +196,11 @@ def design(
         Whether strings are wound once, before loads come, and left; see Notes. Without, they are
         wound for each load.
     restarts : int, optional
-        How many starts: from the forces of yield alone, near the best so far, and anywhere. Least
-        mass with buckling is no convex problem, so that each may end in another minimum, and many
-        bars have many: where ``restarts_agree`` is False, more starts may find less. By default 8,
-        and 1 above 3,000 members.
+        How many starts at most. Least mass with buckling is no convex problem, so that each may end
+        in another minimum, and many bars have many. The first starts are from the forces of yield
+        alone, up to half of them by branch and bound, and the rest at random. They end before
+        where the bound shows that no mass is less; where ``gap`` is above 0, more may find less. By
+        default 60 up to 50 members, fewer for more, and 1 above 3,000.
     seed : int, optional
         Of the random starts.
 
@@ -216,7 +220,10 @@ def design(
     ``2 l √(S F/(π E))``, where Euler's load ``π² E I/l²`` is reached. Yield is a linear program in
     forces and areas. Buckling is concave in the force: the root is replaced by its tangent, which
     is above it, so that each program gives areas that hold and a mass that falls (Skelton &
-    de Oliveira, Tensegrity Systems, 2009, ch. 4). The weight of the members is no load.
+    de Oliveira, Tensegrity Systems, 2009, ch. 4). Over a range of areas, the root's chord is below
+    it, so that a program gives a mass that none is below; ranges are cut in two where chord and
+    root are furthest apart (branch and bound; Falk & Soland 1969, doi:10.1287/mnsc.15.9.550). The
+    weight of the members is no load.
 
     Each load has forces of its own, in balance in the given shape: those of a structure whose
     strings are wound for it. With ``common_prestress`` there is one self-stress ``x₀``, and load
@@ -253,7 +260,8 @@ def design(
     if validation.number("least_radius", least_radius, "m") < 0:
         raise ValueError(f"least_radius is {least_radius:g} m, expected at least 0")
     if restarts is None:
-        restarts = 8 if len(structure.strings) + len(structure.bars) <= _LARGE else 1
+        members = len(structure.strings) + len(structure.bars)
+        restarts = min(max(_WORK // max(members, 1), 8), 60) if members <= _LARGE else 1
     validation.whole_number("restarts", restarts, least=1)
     validation.whole_number("seed", seed, least=0)
     validation.truth("common_prestress", common_prestress, "whether strings are wound once")
@@ -282,9 +290,9 @@ def design(
     by_yield = program.solve(none, none)
     if by_yield is None:
         _refuse(structure, program, unit)
-    results = _least(program, by_yield, restarts, seed)
-    masses = np.array([result[0] for result in results])
-    results.sort(key=lambda result: result[0])
+    found = search(program, by_yield, restarts, seed)
+    masses = np.array([mass for mass, _ in found.results])
+    results = sorted(found.results, key=lambda result: result[0])
     x = results[0][1]
     if not common_prestress:
         plan = Wound(masses[0], None, x, program.shared(x))
@@ -293,7 +301,7 @@ def design(
         starts = [program.shared(result[1]) for result in results[:_MOST_WOUND]]
         plans = wound_once(program, lengths / modulus, starts)
         plan, masses = plans[0], np.array([wound.mass for wound in plans])
-    return _designed(structure, bars, strings, program, plan, unit, tube, masses)
+    return _designed(structure, bars, strings, program, plan, unit, tube, masses, found.bound)
 
 
 def _program(
@@ -330,74 +338,9 @@ def _program(
     ), unit  # fmt: skip
 
 
-def _improved(
-    program: AreaProgram, x: FloatArray, floors: tuple[float, ...]
-) -> tuple[float, FloatArray]:
-    """Return mass and forces where programs with tangents at the last forces end.
-
-    A bar without force has a steep tangent, so that it stays without. Tangents begin at
-    a floor, part of the largest force: from high to low, more bars come and go.
-    """
-    alpha = len(program.least_pull)
-    best, least = x, program.mass(x)
-    largest = np.abs(x[:, alpha:]).max(initial=1.0)
-    for floor in floors:
-        before = program.mass(x)
-        # Where a pull sizes a bar, a tangent at its area lets pushes rise to what that bears; one
-        # at its pushes lets the area fall. Both hold: one after the other.
-        limits = [BUCKLING_OR_LEAST, slice(None)]
-        tried = 0
-        for _ in range(_MOST_PROGRAMS):
-            area = program.shared(x, limits[tried])[alpha:]
-            area = np.maximum(area, program.per_root * np.sqrt(floor * largest))
-            trial = program.solve(0.5 * program.per_root**2 / area, 0.5 * area, x)
-            if trial is None:
-                raise ArithmeticError("the linear program of least mass lost its solution")
-            mass = program.mass(trial)
-            if mass < before * (1 - _GAIN):
-                x, before, tried = trial, mass, 0
-                continue
-            tried += 1
-            if tried == len(limits):
-                break
-        if before < least:
-            best, least = x, before
-    return least, best
-
-
-def _least(
-    program: AreaProgram, by_yield: FloatArray, restarts: int, seed: int
-) -> list[tuple[float, FloatArray]]:
-    """Return mass and forces from each start.
-
-    The first two start from the forces of yield alone, with tangents at the forces and with those
-    from high floors. Others start near the best, with tangents that are changed at random, or
-    anywhere, in turns.
-    """
-    alpha, beta = len(program.least_pull), len(program.per_push)
-    random = np.random.default_rng(seed)
-    results = [_improved(program, by_yield, _FLOORS[-1:])]
-    for k in range(1, restarts if beta else 1):
-        x = by_yield
-        if k > 1:
-            x = min(results, key=lambda result: result[0])[1]
-            largest = np.abs(x[:, alpha:]).max(initial=1.0)
-            area = program.per_root * np.sqrt(largest)
-            if k % 2 == 0:
-                pushed = program.per_root * np.sqrt(_FLOORS[0] * largest)
-                area = np.maximum(program.shared(x)[alpha:], pushed)
-            area = area * 10 ** random.uniform(-1, 1, beta)
-            start = program.solve(0.5 * program.per_root**2 / area, np.zeros(beta))
-            if start is None:
-                raise ArithmeticError("the linear program of least mass lost its solution")
-            x = start
-        results.append(_improved(program, x, _FLOORS))
-    return results
-
-
 def _designed(
     structure: Structure, bars: Material, strings: Material, program: AreaProgram, plan: Wound,
-    unit: float, tube: Tube | None, masses: FloatArray,
+    unit: float, tube: Tube | None, masses: FloatArray, bound: float,
 ) -> Design:  # fmt: skip
     """Return the design of these forces, shape (K, m), in the unit."""
     x = plan.forces
@@ -440,7 +383,7 @@ def _designed(
         plain.bar_stress, frozen(loaded[:, :alpha]), frozen(loaded[:, alpha:]),
         tuple(limit[:alpha].tolist()), tuple(limit[alpha:].tolist()),
         frozen(load[:alpha]), frozen(load[alpha:]),
-        frozen(by[:alpha]), frozen(by[alpha:] - alpha), frozen(masses),
+        frozen(by[:alpha]), frozen(by[alpha:] - alpha), frozen(masses), bound,
         *(
             frozen(prestress[0]) if len(rest) else None
             for prestress in (rest[:, :alpha], rest[:, alpha:])
