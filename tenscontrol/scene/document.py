@@ -48,6 +48,11 @@ class Document:
         known = TABLES[name].keys if keys is None else keys
         return Table(self, (name,), f"[{name}]{note}", self.values.get(name, {}), known)
 
+    def nested(self, name: str, own: str) -> Table:
+        """Return a table within a table, whose name is the file's own: ``[name.own]``."""
+        title = f"[{name}.{own[:60]}]"
+        return Table(self, (name, own), title, self.values[name][own], TABLES[name].keys)
+
     def entries(self, name: str) -> Iterator[Table]:
         """Return the tables of a list, or the one that is written without being a list."""
         given = self.values.get(name, [])

@@ -87,7 +87,8 @@ def load_scene(file: str | Path, allow_code: bool = False) -> Scene:
         The arguments of :func:`skin` and :func:`subdivide`. A skin comes first; its strings are
         cut too.
     ``[sections]``
-        ``bars`` and ``strings``, names of :data:`tenscontrol.sizing.materials`, and the radii or
+        ``bars`` and ``strings``, names of :data:`tenscontrol.sizing.materials` or of tables
+        ``[materials.name]`` with the arguments of :class:`Material`, and the radii or
         areas of :func:`sections`: bars, and strings if asked for, get the masses of these. They
         serve the whole strings; a skin comes before.
     ``[strings]``

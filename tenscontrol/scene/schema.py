@@ -48,7 +48,7 @@ from tenscontrol.scene.kinds import (
 )
 from tenscontrol.simulation.faults import CutString, LostMeasurement, StuckWinch
 from tenscontrol.simulation.simulate import simulate
-from tenscontrol.sizing.materials import materials
+from tenscontrol.sizing.materials import Material, materials
 from tenscontrol.sizing.sections import sections
 from tenscontrol.statics.prestress import prestress
 from tenscontrol.structure.segments import subdivide
@@ -250,6 +250,7 @@ TABLES: Mapping[str, TableKeys] = MappingProxyType(
             "nodes, bars and strings: from a generator, or listed",
         ),
         "skin": TableKeys(keys_of(skin), "panels of elastic skin between the strings"),
+        "materials": TableKeys(keys_of(Material), "a material of your own, [materials.name]"),
         "sections": TableKeys(
             {
                 "bars": _choice("material of the bars", *materials)._replace(required=True),

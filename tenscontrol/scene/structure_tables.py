@@ -26,7 +26,7 @@ from tenscontrol.scene.schema import (
     MEMBERS,
 )
 from tenscontrol.simulation.start import initial_state
-from tenscontrol.sizing.materials import materials
+from tenscontrol.sizing.materials import Material, materials
 from tenscontrol.sizing.sections import Sections, sections
 from tenscontrol.statics.prestress import Prestress, prestress
 from tenscontrol.structure.bar_geometry import restore_bar_lengths
@@ -53,8 +53,9 @@ def build_structure(document: Document) -> Structure:
         table.need_required()
         with table.checked():
             structure = skin(structure, **table.values)
+    _materials(document)
     if document.has("sections"):
-        structure = _sized(document.table("sections"), structure).structure
+        structure = _sized(document, structure).structure
     if document.has("subdivide"):
         table = document.table("subdivide")
         table.need_required()
@@ -67,16 +68,34 @@ def build_structure(document: Document) -> Structure:
     return structure
 
 
-def _sized(table: Table, structure: Structure) -> Sections:
+def _sized(document: Document, structure: Structure) -> Sections:
     """Return the sections of the members."""
+    table = document.table("sections")
     table.need_required()
     values: dict[str, Any] = {
         key: per_string(table, key, structure) if isinstance(value, dict) else value
         for key, value in table.without("bars", "strings").items()
     }
-    of = {key: materials[table.choice(key, tuple(materials))] for key in ("bars", "strings")}
+    known = {**materials, **_materials(document)}
+    of = {key: known[table.choice(key, tuple(known))] for key in ("bars", "strings")}
     with table.checked():
         return sections(structure, bars=of["bars"], strings=of["strings"], **values)
+
+
+def _materials(document: Document) -> dict[str, Material]:
+    """Return the materials of the file itself by name."""
+    given, own = document.values.get("materials", {}), {}
+    for name, values in given.items():
+        if not isinstance(values, dict):
+            raise document.error(
+                ("materials", name),
+                f"in [materials], {name[:60]} is no table; write [materials.{name[:60]}] on a line",
+            )
+        table = document.nested("materials", name)
+        table.need_required()
+        with table.checked():
+            own[name] = Material(**table.values)
+    return own
 
 
 def _uncut(document: Document) -> Structure:
@@ -145,7 +164,7 @@ def build_law(document: Document, structure: Structure) -> tuple[StringLaw, Stri
     values = {key: per_string(table, key, given) for key in table.without("law", "per")}
     has_sections = document.has("sections") and make is ElasticStrings
     if has_sections and "axial_rigidity" not in values:
-        rigidity = _sized(document.table("sections"), whole_strings(structure)).axial_rigidity
+        rigidity = _sized(document, whole_strings(structure)).axial_rigidity
         values["axial_rigidity"] = (
             rigidity if by_string else to_segments(structure, "axial_rigidity", rigidity)
         )

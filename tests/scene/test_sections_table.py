@@ -54,6 +54,45 @@ def test_strings_that_are_cut_keep_the_rigidity_of_the_whole(tmp_path):
         assert len(rigidity) == 18
 
 
+OWN = """
+[materials.alloy]
+modulus = 60e9
+density = 2700
+yield_stress = 110e6
+[materials."my rope"]
+modulus = 2e9
+density = 1100.0
+yield_stress = 300e6
+"""
+
+
+def with_own_materials():
+    return SCENE.replace('"aluminium"', '"alloy"').replace('"nylon"', '"my rope"') + OWN
+
+
+def test_a_scene_has_materials_of_its_own(tmp_path):
+    scene = load(tmp_path, with_own_materials())
+    area = np.pi * 0.01**2
+    np.testing.assert_allclose(scene.structure.bar_mass, 2700 * area * tc.prism().bar_length)
+    assert scene.model.strings.axial_rigidity[0] == pytest.approx(2e9 * np.pi * 1e-6)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"alloy"', '"aloy"', "did you mean 'alloy'"),
+        ("modulus = 60e9", "modulos = 60e9", r":\d+: \[materials.alloy\] has no key 'modulos'"),
+        ("modulus = 60e9", "modulus = 0", r":\d+: .*\[materials.alloy\].*modulus is 0"),
+        ("modulus = 60e9\n", "", r"\[materials.alloy\] lacks the key modulus"),
+        ("modulus = 60e9", 'modulus = "soft"', "modulus is the text 'soft'"),
+        ("[materials.alloy]", "[materials]\nwood = 1\n[materials.alloy]", "wood is no table"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_with_a_material_is_named(tmp_path, old, new, message):
+    with pytest.raises(ValueError, match=message):
+        load(tmp_path, with_own_materials().replace(old, new, 1))
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
