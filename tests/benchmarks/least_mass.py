@@ -25,6 +25,7 @@ SOFT = tc.Material(modulus=60e9, density=2700.0, yield_stress=110e6)
 ROPE = tc.Material(modulus=2e9, density=1100.0, yield_stress=300e6)
 HARD = tc.Material(modulus=1e20, density=2700.0, yield_stress=110e6)
 LOW = 10.0  # N/m
+RADIUS = 1e-6  # m
 
 
 def random_case(seed):
@@ -50,15 +51,16 @@ def needed(structure, forces):
     push = forces[:, alpha:]
     column = 2 * structure.bar_length * np.sqrt(np.maximum(push, 0) / (np.pi * SOFT.modulus))
     area = np.maximum(np.abs(push) / SOFT.yield_stress, column)
-    strings = ROPE.density * pull.max(axis=0) @ structure.string_length()
-    return strings + SOFT.density * area.max(axis=0) @ structure.bar_length
+    least = np.pi * RADIUS**2
+    strings = ROPE.density * np.maximum(pull.max(axis=0), least) @ structure.string_length()
+    return strings + SOFT.density * np.maximum(area.max(axis=0), least) @ structure.bar_length
 
 
 def over_starts(seed, starts):
     """Check a design of a random structure; return its mass over the least of many starts, gap."""
     structure, loads = random_case(seed)
     found = tc.design(structure, bars=SOFT, strings=ROPE, loads=loads, min_force_density=LOW,
-                      least_radius=1e-6)  # fmt: skip
+                      least_radius=RADIUS)  # fmt: skip
     E = tc.statics.equilibrium_matrix(structure)[structure.free_rows]
     densities = np.hstack([found.force_density, found.bar_force_density])
     assert (found.force_density >= LOW * (1 - 1e-7)).all()
@@ -133,7 +135,7 @@ def over_interior_point(seed):
     """Return the mass by yield alone, under one load, over that of IPOPT."""
     structure, loads = random_case(seed)
     found = tc.design(structure, bars=HARD, strings=ROPE, loads=loads[:1], min_force_density=LOW,
-                      least_radius=1e-6)  # fmt: skip
+                      least_radius=RADIUS)  # fmt: skip
     assert found.restarts_agree
     E = tc.statics.equilibrium_matrix(structure)[structure.free_rows]
     w = loads[0].T.ravel()[structure.free_rows]
