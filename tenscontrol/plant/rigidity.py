@@ -38,33 +38,40 @@ class Rigidity:
         Lowest frequency of each bar along itself, with what is fixed to its ends, Hz.
     frequency : ndarray, shape (k,)
         Of the modes with rigid bars and without damping, Hz, ascending; those at zero are left out.
+        Unstable ones come first, the fastest before all, with 0.
+    growth_rate : ndarray, shape (k,)
+        Rate at which unstable modes grow, 1/s; 0 where a mode vibrates.
     change : ndarray, shape (k,)
-        What elastic bars change of each frequency, to first order, as part of it: negative.
+        What elastic bars change of each frequency, to first order, as part of it: negative. Of an
+        unstable mode, what they change of its growth rate: positive.
     bar : ndarray of int, shape (k,)
         The bar that has the largest part in it.
     """
 
     axial_frequency: FloatArray
     frequency: FloatArray
+    growth_rate: FloatArray
     change: FloatArray
     bar: IntArray
 
     def table(self) -> str:
         """Return the modes as text, with what elastic bars change of each."""
         rows = [
-            [str(i), f"{frequency:.5g}", percent(change, 3), str(bar)]
-            for i, (frequency, change, bar) in enumerate(
-                zip(self.frequency, self.change, self.bar, strict=True)
+            [str(i), f"{frequency:.5g}", f"{rate:.5g}", percent(change, 3), str(bar)]
+            for i, (frequency, rate, change, bar) in enumerate(
+                zip(self.frequency, self.growth_rate, self.change, self.bar, strict=True)
             )
         ]
         lowest = float(self.axial_frequency.min(initial=np.inf))
         title = f"lowest frequency of a bar along itself: {lowest:.5g} Hz"
-        return title + "\n" + aligned(["mode", "rigid bars Hz", "change", "most by bar"], rows)
+        names = ["mode", "rigid bars Hz", "grows 1/s", "change", "most by bar"]
+        return title + "\n" + aligned(names, rows)
 
     def __repr__(self) -> str:
         if not len(self.change):
             return "Rigidity(no modes)"
-        most, lowest = float(self.change.min()), self.axial_frequency.min()
+        most = float(self.change[np.abs(self.change).argmax()])
+        lowest = self.axial_frequency.min()
         return (
             f"Rigidity({len(self.change)} modes, {percent(most)} at most, "
             f"bars from {lowest:.4g} Hz)"
@@ -104,9 +111,9 @@ def rigidity(plant: LinearPlant, axial_rigidity: object, count: int | None = Non
     -----
     In a mode φ with frequency ω the bars bear forces f, which ``K φ − ω² M φ = Jᵀ f`` gives. They
     lengthen by ``f l/EA``, which changes the frequency by ``−½ Σ f² l/EA / (ω² φᵀ M φ)`` of itself,
-    to first order. Mass is spread evenly along a bar, and only its ends move freely, as in a
-    finite element of two nodes. Where more bars meet than lengths are independent, the forces are
-    those of the independent ones.
+    to first order. An unstable mode has ω² below 0 and grows faster. Mass is spread evenly along a
+    bar, and only its ends move freely, as in a finite element of two nodes. Where more bars meet
+    than lengths are independent, the forces are those of the independent ones.
 
     Examples
     --------
@@ -133,13 +140,14 @@ def rigidity(plant: LinearPlant, axial_rigidity: object, count: int | None = Non
         plant = in_coordinates(plant, "minimal")
     r = plant.degrees_of_freedom
     squares, vectors = squared_frequencies(-plant.A[r:, :r])
-    vibrates = squares > _STILL * np.abs(squares).max(initial=0.0)
-    order = np.argsort(squares[vibrates], kind="stable")[:count]
-    squares, vectors = squares[vibrates][order], vectors[:, vibrates][:, order]
+    moves = np.abs(squares) > _STILL * np.abs(squares).max(initial=0.0)
+    order = np.argsort(squares[moves], kind="stable")[:count]
+    squares, vectors = squares[moves][order], vectors[:, moves][:, order]
     lengthened = _lengthened(plant, squares, vectors, stiffness)
     result = Rigidity(
         frozen(_axial_frequencies(structure, stiffness)),
-        frozen(np.sqrt(squares) / (2 * np.pi)),
+        frozen(np.sqrt(np.maximum(squares, 0.0)) / (2 * np.pi)),
+        frozen(np.sqrt(np.maximum(-squares, 0.0))),
         frozen(-0.5 * lengthened.sum(axis=0) / squares),
         frozen(lengthened.argmax(axis=0)),
     )
@@ -188,11 +196,13 @@ def _axial_frequencies(structure: Structure, stiffness: FloatArray) -> FloatArra
 
 def _warn(result: Rigidity) -> None:
     lowest = float(result.axial_frequency.min())
-    near = np.flatnonzero((result.change < -_MATTERS) | (result.frequency > _NEAR * lowest))
+    near = np.flatnonzero((np.abs(result.change) > _MATTERS) | (result.frequency > _NEAR * lowest))
     if len(near):
         i = int(near[0])
+        rate = result.growth_rate[i]
+        where = f"which grows at {rate:.4g}/s" if rate else f"at {result.frequency[i]:.4g} Hz"
         warn(
-            f"elastic bars change mode {i}, at {result.frequency[i]:.4g} Hz, by "
+            f"elastic bars change mode {i}, {where}, by "
             f"{percent(result.change[i])}; bars vibrate along themselves from {lowest:.4g} Hz. "
             "Rigid bars are right below that mode",
             RigidityWarning,

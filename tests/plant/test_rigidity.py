@@ -104,3 +104,50 @@ def test_it_warns_where_bars_are_too_soft_and_refuses_what_is_wrong():
         tc.rigidity(plant, 0.0)
     with pytest.raises(ValueError, match=r"axial_rigidity has shape \(2,\)"):
         tc.rigidity(plant, [1e6, 1e6])
+
+
+def test_unstable_modes_are_reported_as_finite_elements_have_them():
+    """A prism on its base, pressed by more than its strings hold upright."""
+    structure = replace(tc.prism(), fixed=[0, 1, 2])
+    gamma, lam = np.full(9, 20.0), np.full(3, 60.0)
+    force = tc.statics.equilibrium_matrix(structure) @ np.r_[gamma, lam]
+    load = force.reshape(-1, 3).T * (np.arange(6) > 2)
+    stiffness = np.full(9, 60.0)
+    model = tc.Model(structure, strings=tc.LinearStrings(stiffness), external_force=load)
+    plant = tc.linearize(model, tc.OperatingPoint(structure.nodes, gamma, load), "rest_length")
+    errors = []
+    for axial in (np.full(3, 4e5), np.full(3, 16e5)):
+        found = tc.rigidity(plant, axial)
+        grows = found.growth_rate > 0
+        assert 0 < grows.sum() < len(found.frequency) == 6
+        K = truss_stiffness(structure, gamma, lam, stiffness, axial)[9:, 9:]
+        M = np.kron(consistent_mass(structure), np.eye(3))[9:, 9:]
+        squares = eigh(K, M, eigvals_only=True)[:6]
+        rigid = (2 * np.pi * found.frequency) ** 2 - found.growth_rate**2
+        change = np.sqrt(squares / rigid) - 1
+        np.testing.assert_array_equal(change > 0, grows)
+        errors.append(np.abs(change - found.change).max() / np.abs(change).max())
+    assert errors[1] < 0.01
+    assert errors[0] / errors[1] == pytest.approx(4, rel=0.2)
+
+
+def test_deflection_of_finite_elements_differs_by_the_stretch_of_the_bars():
+    """Under a small load, elastic bars add the work of the forces that they bear."""
+    sized, rest = case("held tower")
+    structure = sized.structure
+    gamma, stiffness = np.array(rest.force_density), np.full(len(structure.strings), 2e3)
+    model = tc.Model(structure, strings=tc.LinearStrings(stiffness))
+    load = np.zeros(structure.nodes.shape)
+    load[0, -3:] = 0.1
+    wound = tc.to_rest_length(model, structure.nodes, gamma).rest_length
+    at_rest = tc.equilibrium(model, rest_length=wound)
+    given = tc.deflections(model, at_rest, [load])
+    free, w = structure.free_rows, load.T.ravel()
+    axial = sized.bar_axial_rigidity
+    K = truss_stiffness(structure, gamma, rest.bar_force_density, stiffness, axial)
+    moved = np.linalg.solve(K[np.ix_(free, free)], w[free])
+    rigid = given.linear[:, :, 0].T.ravel()[free]
+    more = w[free] @ (moved - rigid)  # compliance, J
+    push = given.bar_force[:, 0] - rest.bar_force_density * structure.bar_length
+    stretch = (push**2 * structure.bar_length / axial).sum()
+    assert more == pytest.approx(stretch, rel=1e-3)
