@@ -160,6 +160,9 @@ def test_limits_are_refused_in_these_words():
 def test_coming_from():
     names = ran("coming_from")
     assert names["A"].shape == (8, 6)  # coordinates, members
+    assert names["least"].bar_mass.round(4).tolist() == [2.0918] * 4
+    assert round(names["least"].mass, 4) == 8.8580
+    assert names["lowest"].round(4).tolist() == [0.0109, 0.0195, 0.0340]
     assert names["hung"].string_length(names["run"].nodes[..., 0])[0] == 0.5
     off = 1e-3 if absence() else 1e-6  # OSQP in place of the core
     assert names["command"] == pytest.approx(names["plant"].force_density, abs=off)

@@ -189,9 +189,8 @@ class AreaProgram:
             return None
         if answer.status != 0:
             raise ArithmeticError(f"the linear program of least mass ended early: {answer.message}")
-        # Solvers let unknowns go beyond their bounds by a tolerance.
-        inside = np.clip(answer.x, 0.0, program.most)
-        segment_forces = inside[: cases * pieces].reshape(cases, pieces)
+        # Bounds hold to the tolerance of the solver, balance to round-off.
+        segment_forces = answer.x[: cases * pieces].reshape(cases, pieces)
         x = np.asarray(program.segments.start + (self._layout.pulls @ segment_forces.T).T)
         return np.where(np.abs(x) < _ROUND_OFF * np.abs(x).max(initial=0.0), 0.0, x)
 

@@ -63,7 +63,7 @@ def over_starts(seed, starts):
                       least_radius=RADIUS)  # fmt: skip
     E = tc.statics.equilibrium_matrix(structure)[structure.free_rows]
     densities = np.hstack([found.force_density, found.bar_force_density])
-    assert (found.force_density >= LOW * (1 - 1e-7)).all()
+    assert (found.force_density >= LOW * (1 - 1e-5)).all()  # 1e-7 of the largest force
     for load, density in zip(loads, densities, strict=True):
         w = load.T.ravel()[structure.free_rows]
         np.testing.assert_allclose(E @ density, w, atol=1e-6 * np.abs(w).max(initial=0))
