@@ -29,9 +29,13 @@ enum { LINEAR_GROUND, HERTZ_GROUND, SMOOTH_GROUND };
 /* A plane that some nodes can touch. */
 typedef struct {
   int32_t kind, count, first_switch; /* of contacts; -1 where the force is smooth */
+  int32_t damped, rubs;              /* whether it has damping, friction */
   const int32_t *node;
-  double stiffness, damping, friction, slip_speed, height, width, normal[3];
+  double normal[3];
 } Ground;
+
+/* Numbers of a plane: stiffness, damping, friction, slip speed, height, width. */
+enum { GROUND_NUMBERS = 6 };
 
 /* A structure with its strings, loads, supports and ground. */
 typedef struct {
@@ -55,6 +59,7 @@ typedef struct {
   const int32_t *point;
   const double *point_inverse_mass;
   const Ground *ground;
+  const double *ground_numbers; /* (grounds, GROUND_NUMBERS) */
   const int32_t *any_start, *any_end; /* (bars): of all bars, for energies */
   const double *bar_mass, *point_mass; /* (bars), (entries / d): kg */
   /* Bars that share nodes: LDL' of [[M, J'], [J, 0]] in an order without vanishing pivots. The
@@ -165,6 +170,7 @@ typedef struct {
   int32_t count;
   const double *inputs; /* (runs, coefficients of a Drive) */
   const double *stiffness, *damping, *bar_constants, *tip_constants, *point_inverse_mass;
+  const double *ground_numbers;
   /* Of dop853: first and longest step, what a step may err, and slopes and what pulls at the start. */
   const double *step, *longest, *scale, *slope, *taut;
 } Runs;

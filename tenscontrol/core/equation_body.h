@@ -102,10 +102,12 @@ WIDE static void N(pull)(const Scene *s, const Number *p, const Number *v, const
   }
 }
 
-static void N(touch)(const Ground *g, const Number *p, const Number *v, const Number *taut,
-                     Number *f) {
-  const Number k = all(g->stiffness), c = all(g->damping), friction = all(g->friction);
-  const Number slip = all(g->slip_speed), height = all(g->height);
+static void N(touch)(const Scene *s, int plane, const Number *p, const Number *v,
+                     const Number *taut, Number *f) {
+  const Ground *g = s->ground + plane;
+  const Number *own = numbers(s->ground_numbers) + GROUND_NUMBERS * plane;
+  const Number k = own[0], c = own[1], friction = own[2], slip = own[3], height = own[4];
+  const Number width = own[5];
   Number normal[D];
   for (int j = 0; j < D; ++j) normal[j] = all(g->normal[j]);
   for (int i = 0; i < g->count; ++i) {
@@ -119,12 +121,11 @@ static void N(touch)(const Ground *g, const Number *p, const Number *v, const Nu
       N(hertz_ground)(p + at, v + at, taut[i], k, c, friction, slip, height, normal, force);
       break;
     default:
-      if (g->damping == 0) {
-        N(smooth_undamped_ground)(p + at, v + at, k, friction, slip, height, all(g->width), normal,
-                                  force);
+      if (!g->damped) {
+        N(smooth_undamped_ground)(p + at, v + at, k, friction, slip, height, width, normal, force);
         break;
       }
-      N(smooth_ground)(p + at, v + at, k, c, friction, slip, height, all(g->width), normal, force);
+      N(smooth_ground)(p + at, v + at, k, c, friction, slip, height, width, normal, force);
     }
     for (int j = 0; j < D; ++j) f[at + j] += force[j];
   }
@@ -140,8 +141,8 @@ static void N(forces)(const Scene *s, const Number *p, const Number *v, const In
     memset(f, 0, s->entries * sizeof *f);
   if (s->segments) N(pull)(s, p, v, input->strings, taut, f, w);
   for (int i = 0; i < s->grounds; ++i) {
-    const Ground *g = s->ground + i;
-    N(touch)(g, p, v, g->first_switch < 0 ? 0 : taut + s->slacking + g->first_switch, f);
+    const int first = s->ground[i].first_switch;
+    N(touch)(s, i, p, v, first < 0 ? 0 : taut + s->slacking + first, f);
   }
 }
 
@@ -223,7 +224,7 @@ static void N(weighed)(const Scene *s, const Number *p, const Number *ends, cons
   else if (s->slacking) N(pull_by)(s, ends, rates, u, weight, w->f);
   for (int i = 0; i < s->grounds; ++i)
     if (s->ground[i].first_switch >= 0)
-      N(touch)(s->ground + i, ends, rates, weight + s->slacking + s->ground[i].first_switch, w->f);
+      N(touch)(s, i, ends, rates, weight + s->slacking + s->ground[i].first_switch, w->f);
   memset(w->v, 0, s->entries * sizeof(Number));
   N(accelerations)(s, p, w->v, w->f, a, w);
 }
@@ -260,12 +261,13 @@ static void N(gaps)(const Scene *s, const Number *p, const Number *v, const Numb
   }
   for (int i = 0; i < s->grounds; ++i) {
     const Ground *g = s->ground + i;
+    const Number *own = numbers(s->ground_numbers) + GROUND_NUMBERS * i;
     Number normal[D], unused;
     if (g->first_switch < 0) continue;
     for (int j = 0; j < D; ++j) normal[j] = all(g->normal[j]);
     for (int j = 0; j < g->count; ++j) {
       const int at = s->slacking + g->first_switch + j, node = g->node[j];
-      N(ground_gap)(p + node, v + node, all(g->damping), all(g->height), normal, gap + at,
+      N(ground_gap)(p + node, v + node, own[1], own[4], normal, gap + at,
                     rate ? rate + at : &unused);
     }
   }

@@ -21,7 +21,7 @@ static const double MOST_LATE = 1e-3;
 SHARED int velocity_dependent(const Scene *s) {
   if (s->damped) return 1;
   for (int i = 0; i < s->grounds; ++i)
-    if (s->ground[i].count && (s->ground[i].damping > 0 || s->ground[i].friction > 0)) return 1;
+    if (s->ground[i].count && (s->ground[i].damped || s->ground[i].rubs)) return 1;
   return 0;
 }
 

@@ -14,7 +14,7 @@ typedef struct {
   size_t count;
 } Table;
 
-enum { TABLES = 9 };
+enum { TABLES = 10 };
 
 static void tables_of(Scene *s, Drive *drive, const Runs *runs, Table *tables) {
   const size_t strings = s->law == FORCE_DENSITY_HELD ? 0 : s->strings;
@@ -27,6 +27,7 @@ static void tables_of(Scene *s, Drive *drive, const Runs *runs, Table *tables) {
       {&s->bar_constants, runs->bar_constants, FREE_BAR_3_CONSTANTS * (size_t)s->free_bars},
       {&s->tip_constants, runs->tip_constants, SWINGING_BAR_3_CONSTANTS * (size_t)s->swinging_bars},
       {&s->point_inverse_mass, runs->point_inverse_mass, s->points},
+      {&s->ground_numbers, runs->ground_numbers, GROUND_NUMBERS * (size_t)s->grounds},
       {&s->block_mass, 0, factors},
       {&drive->coefficients, runs->inputs, (size_t)drive->count * (drive->degree + 1)},
   };

@@ -33,11 +33,8 @@ class Ground(ctypes.Structure):
     """A plane that some nodes can touch."""
 
     _fields_ = (
-        *((name, _COUNT) for name in ("kind", "count", "first_switch")),
+        *((name, _COUNT) for name in ("kind", "count", "first_switch", "damped", "rubs")),
         ("node", _POINTER),
-        *((name, _NUMBER) for name in (
-            "stiffness", "damping", "friction", "slip_speed", "height", "width",
-        )),
         ("normal", _NUMBER * 3),
     )  # fmt: skip
 
@@ -57,7 +54,7 @@ class Scene(ctypes.Structure):
             "free_row", "place", "load", "segment_start", "segment_end", "segment_string",
             "stiffness", "damping", "bar_start", "bar_end", "bar_row", "bar_constants",
             "hinge", "tip", "tip_row", "tip_constants", "point", "point_inverse_mass", "ground",
-            "any_start", "any_end", "bar_mass", "point_mass",
+            "ground_numbers", "any_start", "any_end", "bar_mass", "point_mass",
             "block_start", "block_end", "entry_start", "entry_end", "right_place", "block_mass",
             "factor_row", "factor_first", "factor_pair", "block_row", "block_place",
         )),
@@ -142,7 +139,7 @@ class Runs(ctypes.Structure):
         ("count", _COUNT),
         *((name, _POINTER) for name in (
             "inputs", "stiffness", "damping", "bar_constants", "tip_constants",
-            "point_inverse_mass", "step", "longest", "scale", "slope", "taut",
+            "point_inverse_mass", "ground_numbers", "step", "longest", "scale", "slope", "taut",
         )),
     )  # fmt: skip
 
@@ -163,6 +160,9 @@ class Changes(ctypes.Structure):
         )),
     )  # fmt: skip
 
+
+#: Numbers of a plane, in this order.
+GROUND_NUMBERS = "stiffness", "damping", "friction", "slip_speed", "height", "width"
 
 #: Columns of changes are a multiple of this many.
 COLUMNS = 8

@@ -16,9 +16,6 @@ typedef struct {
 /* Columns in a matrix are a multiple of this many. */
 enum { COLUMNS = 8 };
 
-/* Numbers of a contact law that changes are of: stiffness, damping, friction, slip speed, height, width. */
-enum { GROUND_NUMBERS = 6 };
-
 /* Changes of what a step depends on beside its start, in columns; null for what does not change. Of a
    cost its derivatives by them, in one column: those by inputs are written, all others are added. */
 typedef struct {

@@ -42,24 +42,24 @@ static void N(pulled)(const Scene *s, const double *u, const double *taut, const
 }
 
 /* The force of the ground on a node, with its derivatives by x, v and the numbers of the law. */
-static void N(touched)(const Ground *g, const double *x, const double *v, double pressing,
-                       double *force, double *by) {
-  const double k = g->stiffness, c = g->damping, friction = g->friction, slip = g->slip_speed;
-  const double *normal = g->normal;
+static void N(touched)(const Ground *g, const double *own, const double *x, const double *v,
+                       double pressing, double *force, double *by) {
+  const double k = own[0], c = own[1], friction = own[2], slip = own[3], height = own[4];
+  const double width = own[5], *normal = g->normal;
   double slopes[D * N(TOUCH)];
   int given = 2 * D + GROUND_NUMBERS - 1;
   memset(by, 0, D * N(TOUCH) * sizeof *by);
   if (g->kind == LINEAR_GROUND) {
-    N(linear_ground_slopes)(x, v, k, c, friction, slip, g->height, pressing, normal, force, slopes);
+    N(linear_ground_slopes)(x, v, k, c, friction, slip, height, pressing, normal, force, slopes);
   } else if (g->kind == HERTZ_GROUND) {
-    N(hertz_ground_slopes)(x, v, k, c, friction, slip, g->height, pressing, normal, force, slopes);
+    N(hertz_ground_slopes)(x, v, k, c, friction, slip, height, pressing, normal, force, slopes);
   } else if (c == 0) { /* nothing is known of damping, which the law leaves out */
-    N(smooth_undamped_ground_slopes)(x, v, k, friction, slip, g->height, g->width, normal, force, slopes);
+    N(smooth_undamped_ground_slopes)(x, v, k, friction, slip, height, width, normal, force, slopes);
     memcpy(by, slopes, D * (2 * D + 1) * sizeof *by);
     memcpy(by + D * (2 * D + 2), slopes + D * (2 * D + 1), D * 4 * sizeof *by);
     return;
   } else {
-    N(smooth_ground_slopes)(x, v, k, c, friction, slip, g->height, g->width, normal, force, slopes);
+    N(smooth_ground_slopes)(x, v, k, c, friction, slip, height, width, normal, force, slopes);
     ++given;
   }
   memcpy(by, slopes, D * given * sizeof *by);
@@ -116,10 +116,11 @@ static void N(differentiated)(const Scene *s, const Input *input, const double *
   if (s->segments) N(pulled)(s, input->strings, taut, at);
   for (int i = 0; i < s->grounds; ++i) {
     const Ground *g = s->ground + i;
+    const double *own = s->ground_numbers + GROUND_NUMBERS * i;
     for (int j = 0; j < g->count; ++j, by += D * N(TOUCH)) {
       const double pressing = g->first_switch < 0 ? 1 : taut[s->slacking + g->first_switch + j];
       double force[D];
-      N(touched)(g, at->p + g->node[j], at->v + g->node[j], pressing, force, by);
+      N(touched)(g, own, at->p + g->node[j], at->v + g->node[j], pressing, force, by);
       for (int k = 0; k < D; ++k) at->f[g->node[j] + k] += force[k];
     }
   }

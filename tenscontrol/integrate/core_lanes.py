@@ -11,10 +11,12 @@ import numpy as np
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.core import records
-from tenscontrol.core.records import pointers
+from tenscontrol.core.records import GROUND_NUMBERS, pointers
 from tenscontrol.dynamics.equation import Equation
+from tenscontrol.dynamics.model import Model
+from tenscontrol.dynamics.model_parameters import MASSES, ground_numbers
 from tenscontrol.integrate.core_run import settings_of
-from tenscontrol.integrate.core_scene import CoreScene
+from tenscontrol.integrate.core_scene import CoreScene, numbers_of_grounds
 from tenscontrol.integrate.dop853 import steps_of, work_of
 from tenscontrol.integrate.fixed_step import not_finite
 from tenscontrol.integrate.integrator import (
@@ -26,22 +28,39 @@ from tenscontrol.integrate.integrator import (
     longest_member,
     speed_scale,
 )
-from tenscontrol.structure.structure import Structure
 
 _PROGRESS = np.dtype(records.Progress)  # which NumPy makes anew each time
 
 
-def tables_of_runs(structure: Structure, given: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+def have_tables(model: Model, given: Mapping[str, FloatArray]) -> bool:
+    """Return whether runs with these parameters differ in tables of the core alone.
+
+    Parameters
+    ----------
+    model : Model
+    given : mapping of str to ndarray, shape (runs, members)
+        By the names of :func:`simulate_many`.
+    """
+    structure = model.structure
+    if set(MASSES) & set(given):
+        carried = given.get("point_mass", structure.point_mass)[..., structure.bar_nodes]
+        if structure.blocks or structure.point_mass[structure.bar_nodes].any() or carried.any():
+            return False  # bars that share nodes, or carry masses, have other tables
+    # Without damping or friction equations are simpler.
+    switched = [name for name in given if name.endswith(("damping", "friction"))]
+    return all(len(np.unique((given[name] > 0).any(axis=1))) == 1 for name in switched)
+
+
+def tables_of_runs(model: Model, given: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
     """Return the tables of the core that parameters of runs change, one row a run.
 
     Parameters
     ----------
-    structure : Structure
-        Whose bars share no nodes where masses are given.
+    model : Model
     given : mapping of str to ndarray, shape (runs, members)
-        By the names of :func:`simulate_many`.
+        Parameters of which :func:`have_tables` is true.
     """
-    tables = {}
+    tables, structure = {}, model.structure
     for name, table in (
         ("stiffness", "stiffness"), ("axial_rigidity", "stiffness"), ("damping", "damping"),
     ):  # fmt: skip
@@ -54,6 +73,13 @@ def tables_of_runs(structure: Structure, given: Mapping[str, FloatArray]) -> dic
         tables["tip_constants"] = np.stack([mass / 3, 3 / mass], axis=2)
     if "point_mass" in given:
         tables["point_inverse_mass"] = 1 / given["point_mass"][:, structure.string_nodes]
+    of_ground = {name: at for name, at in ground_numbers(model).items() if name in given}
+    if of_ground:
+        runs = len(given[next(iter(of_ground))])
+        rows = np.tile(numbers_of_grounds(model.ground), (runs, 1, 1))
+        for name, (law, number) in of_ground.items():
+            rows[:, law, GROUND_NUMBERS.index(number)] = given[name][:, 0]
+        tables["ground_numbers"] = rows
     return {name: np.ascontiguousarray(table) for name, table in tables.items()}
 
 

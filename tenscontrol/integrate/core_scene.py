@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Sequence
 from ctypes import byref
 from typing import Any
 
@@ -12,8 +13,8 @@ import numpy as np
 from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.core import records
 from tenscontrol.core.library import library
-from tenscontrol.core.records import pointers
-from tenscontrol.dynamics.contact_laws import Ground, HertzGround, SmoothGround
+from tenscontrol.core.records import GROUND_NUMBERS, pointers
+from tenscontrol.dynamics.contact_laws import ContactLaw, Ground, HertzGround, SmoothGround
 from tenscontrol.dynamics.equation import Equation
 from tenscontrol.dynamics.forms.elimination import Elimination
 from tenscontrol.dynamics.string_laws import ElasticStrings, LinearStrings
@@ -51,6 +52,12 @@ def _is_known(equation: Equation) -> bool:
         type(law) in _GROUNDS and not isinstance(law.height, ca.Function)
         for law, _, _ in forces.contacts or ()
     )
+
+
+def numbers_of_grounds(laws: Sequence[ContactLaw]) -> FloatArray:
+    """Return the numbers of contact laws, one row a law, shape (laws, numbers)."""
+    rows = [[float(getattr(law, name, 0.0)) for name in GROUND_NUMBERS] for law in laws]
+    return np.reshape(np.array(rows, dtype=float), (len(laws), len(GROUND_NUMBERS)))
 
 
 class CoreScene:
@@ -144,19 +151,19 @@ class CoreScene:
         self._put("tip_constants", np.stack([mass / 3, 3 / mass], axis=1))
 
     def _put_grounds(self, equation: Equation, d: int) -> None:
-        grounds = []
+        grounds, laws = [], []
         for law, nodes, switch in equation.contacts or ():
             ground = records.Ground()
             ground.kind = _GROUNDS.index(type(law))
             ground.count = len(nodes)
             ground.first_switch = -1 if switch is None else switch.start
             self._put("node", d * nodes, ground)
-            for name in ("stiffness", "damping", "friction", "slip_speed", "height"):
-                setattr(ground, name, float(getattr(law, name)))
-            ground.width = getattr(law, "width", 0.0)
+            ground.damped, ground.rubs = law.damping > 0, law.friction > 0
+            laws.append(law)
             ground.normal[:d] = law.up(d).tolist()
             grounds.append(ground)
         self.scene.grounds = len(grounds)
+        self._put("ground_numbers", numbers_of_grounds(laws))
         self.scene.ground = self._array_of(records.Ground, grounds)
 
     def _put_blocks(self, elimination: Elimination, d: int) -> None:

@@ -305,5 +305,8 @@ def _one_plane(model: Model) -> tuple[FloatArray, float]:
         )
     law = model.ground[0]
     if not isinstance(law.height, float):
-        raise ValueError("the ground of the model is curved, expected a plane: a number as height")
+        raise ValueError(
+            "the ground of the model is curved, expected a plane, a number as height: plan with "
+            "the plane that is nearest to it; the ground of the run may be rough"
+        )
     return law.up(model.structure.dimension), law.height

@@ -4,10 +4,11 @@ Run: ``python -m tests.benchmarks.rolling``, about half an hour. On flat ground 
 by winches of 0.2 m/s between 0.35 m and 0.8 m, from any yaw. The gait plans with the nominal ball
 on the nominal ground; friction, the stiffness of the ground, of each string, and the mass of each
 bar are drawn. ``--driven 12`` leaves winches to every second string of the shell, the others are
-springs, and ``--payload 1`` hangs a mass of 1 kg in the middle by twelve springs more. A success
-is five steps within 40 s that end within 45° of the direction. Prints the
-rates of success with their intervals, and the time of a command over the sample time: by the
-clock, as the gait is used in a run, and the processor's for the plan of a whole step at once.
+springs, and ``--payload 1`` hangs a mass of 1 kg in the middle by twelve springs more.
+``--roughness 0.01`` has waves of 0.01 m in any direction on the ground, which the gait does not
+know of. A success is five steps within 40 s that end within 45° of the direction. Prints the rates
+of success with their intervals, and the time of a command over the sample time: by the clock, as
+the gait is used in a run, and the processor's for the plan of a whole step at once.
 """
 
 from __future__ import annotations
@@ -16,15 +17,24 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from time import process_time
 
+import casadi as ca
 import numpy as np
 
 import tenscontrol as tc
 from tests.benchmarks.command_line import options
 
 COUNT, SEED, STEPS, SLOPES = 100, 0, 5, (0.0, 5.0)  # degrees
+PLANE = {"method": "cvodes", "tolerance": 1e-5}
+ROUGH = {
+    "method": "rk4",
+    "step": 5e-4,
+    "project": True,
+    "error": "none",
+}  # cvodes: ten times as long
 SAMPLE, REST_LENGTH, PART, LONGEST = 0.05, 0.55, 2.0, 40.0  # s, m, s, s
 WINCHES = tc.Winches(rate=0.2, shortest=0.35, longest=0.8, ramp=True)
 FACE = [0, 4, 8]
+WAVES = 6, (0.5, 2.0)  # of rough ground, and their lengths, m
 PARAMETERS = {
     "friction": tc.Uniform(0.3, 1.0),
     "ground": tc.Uniform(2e3, 2e4),
@@ -32,19 +42,23 @@ PARAMETERS = {
     "stiffness": tc.Uniform(0.9, 1.1, size=24),
     "yaw": tc.Uniform(-180.0, 180.0),
 }
+WAVINESS = {
+    "length": tc.Uniform(*WAVES[1], size=WAVES[0]),
+    "heading": tc.Uniform(-180.0, 180.0, size=WAVES[0]),
+    "phase": tc.Uniform(-180.0, 180.0, size=WAVES[0]),
+}
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     given = options(
         __doc__, arguments, count=COUNT, steps=STEPS, slopes=SLOPES, driven=24, payload=0.0,
-        processes=1, file="", plans=10,
+        roughness=0.0, processes=1, file="", plans=10,
     )  # fmt: skip
     for slope in given.slopes:
         file = f"{given.file}.{slope:g}" if given.file else None
-        case = Rolling(slope, given.steps, given.driven, given.payload)
-        report = tc.sweep(
-            case, PARAMETERS, given.count, seed=SEED, processes=given.processes, file=file
-        )
+        case = Rolling(slope, given.steps, given.driven, given.payload, given.roughness)
+        drawn = PARAMETERS | (WAVINESS if given.roughness else {})
+        report = tc.sweep(case, drawn, given.count, seed=SEED, processes=given.processes, file=file)
         print(f"slope of {slope:g}°: {report.summary()}\n")
     report_time(given.slopes, given.steps, given.plans)
 
@@ -61,9 +75,10 @@ class Rolling:
     steps: int
     driven: int
     payload: float
+    roughness: float
 
     def __call__(self, parameters: dict, rng: np.random.Generator) -> tc.robustness.Outcome:
-        robot = {"driven": self.driven, "payload": self.payload}
+        robot = {"driven": self.driven, "payload": self.payload, "roughness": self.roughness}
         gait, runs = rolled(self.slope, self.steps, **robot, **parameters)
         moved = (runs[-1].nodes[:, :, -1] - runs[0].nodes[:, :, 0]).mean(axis=1)
         direction, side = np.cross([0.0, 1.0, 0.0], normal(self.slope)), moved[1]
@@ -83,7 +98,7 @@ def normal(slope: float) -> np.ndarray:
     return np.array([-np.sin(angle), 0.0, np.cos(angle)])
 
 
-def modelled(slope, payload=0.0, friction=0.5, ground=5e3, bar_mass=1.0, stiffness=1.0):
+def modelled(slope, payload=0.0, friction=0.5, ground=5e3, bar_mass=1.0, stiffness=1.0, height=0.0):
     """Return the ball on its ground, with masses and stiffnesses as parts of the nominal ones."""
     ball = tc.library.six_bar_ball(bar_length=1.0, bar_mass=0.5 * np.broadcast_to(bar_mass, 6))
     shell = 1000.0 * np.broadcast_to(stiffness, 24)
@@ -91,7 +106,7 @@ def modelled(slope, payload=0.0, friction=0.5, ground=5e3, bar_mass=1.0, stiffne
         ball = with_payload(ball, payload)
         shell = np.append(shell, np.full(12, 1000.0))
     law = tc.LinearStrings(stiffness=shell, damping=10.0)
-    plane = tc.Ground(ground, 0.5, friction, slip_speed=0.02, normal=normal(slope))
+    plane = tc.Ground(ground, 0.5, friction, slip_speed=0.02, normal=normal(slope), height=height)
     return tc.Model(ball, strings=law, gravity=9.81, ground=plane)
 
 
@@ -107,8 +122,22 @@ def with_payload(ball, mass):
     )
 
 
-def rolled(slope, steps, driven=24, payload=0.0, yaw=0.0, **parameters):
+def rough(roughness, length, heading, phase):
+    """Return the height of ground over x and y, m: waves of this root mean square together."""
+    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    angle, shift = np.radians(heading), np.radians(phase)
+    waves = [
+        ca.sin(2 * np.pi / each * (np.cos(way) * x + np.sin(way) * y) + begin)
+        for each, way, begin in zip(length, angle, shift, strict=True)
+    ]
+    return ca.Function("height", [x, y], [roughness * np.sqrt(2 / len(waves)) * sum(waves)])
+
+
+def rolled(slope, steps, driven=24, payload=0.0, yaw=0.0, roughness=0.0, **parameters):
     """Return the gait and its runs, one after the other, until the steps are made."""
+    if roughness:
+        waves = {name: parameters.pop(name) for name in WAVINESS}
+        parameters["height"] = rough(roughness, **waves)
     nominal, up = modelled(slope, payload), normal(slope)
     lengths = nominal.structure.string_length()
     lengths = np.where(np.arange(len(lengths)) < 24, REST_LENGTH, 0.9 * lengths)
@@ -122,8 +151,8 @@ def rolled(slope, steps, driven=24, payload=0.0, yaw=0.0, **parameters):
         start = {"start": runs[-1]} if runs else {"nodes": begin, "rest_length": lengths}
         runs.append(
             tc.simulate(
-                model, PART, controller=gait, winches=WINCHES, method="cvodes", tolerance=1e-5,
-                output_step=SAMPLE, **start,
+                model, PART, controller=gait, winches=WINCHES, output_step=SAMPLE, **start,
+                **(ROUGH if roughness else PLANE),
             )
         )  # fmt: skip
     return gait, runs

@@ -326,7 +326,11 @@ def test_a_model_is_no_scene():
         tc.simulate_many(tc.Model(tc.prism()), {"force_density": [1.0, 2.0]})
 
 
-def test_numbers_of_the_ground_vary():
+@pytest.mark.parametrize(
+    ("friction", "back_end"),
+    [([0.2, 0.9], "core, runs side by side"), ([0.0, 0.9], "a model built for each run")],
+)
+def test_numbers_of_the_ground_vary(friction, back_end):
     ball = tc.library.six_bar_ball()
     floor = tc.Ground(5e3, damping=0.3, friction=0.4, height=float(ball.nodes[2].min()) - 0.01)
     strings = tc.LinearStrings(500.0, damping=1.0)
@@ -334,12 +338,13 @@ def test_numbers_of_the_ground_vary():
     V = np.array([[0.5], [0.0], [0.0]]) * np.ones(12)
     held = {"velocities": V, "rest_length": 0.95 * ball.string_length()}
     how = {"step": 1e-3, "output_step": 0.1}
-    vary = {"ground.friction": np.array([0.0, 0.9]), "ground.stiffness": np.array([3e3, 9e3])}
+    vary = {"ground.friction": np.array(friction), "ground.stiffness": np.array([3e3, 9e3])}
     batch = many(model, 0.2, how, vary, **held)
     assert np.abs(batch.nodes[0] - batch.nodes[1]).max() > 1e-3
+    assert batch.choice.back_end == back_end
 
     def alone(i):
-        ground = replace(floor, friction=[0.0, 0.9][i], stiffness=[3e3, 9e3][i])
+        ground = replace(floor, friction=friction[i], stiffness=[3e3, 9e3][i])
         own = tc.Model(ball, strings=strings, gravity=9.81, ground=ground)
         return tc.simulate(own, 0.2, **held, **how)
 

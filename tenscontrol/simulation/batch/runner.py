@@ -23,6 +23,7 @@ from tenscontrol.integrate.core_lanes import (
     AdaptiveLanes,
     CoreLanes,
     FixedStepLanes,
+    have_tables,
     tables_of_runs,
 )
 from tenscontrol.integrate.core_scene import core_scene
@@ -157,29 +158,22 @@ class Runner:
     def _made_lanes(self, first: int | None) -> CoreLanes | None:
         """Return what integrates several runs at once; None where the core does not know them."""
         scene, structure = self.scene, self.scene.model.structure
-        is_bound = structure.blocks or structure.point_mass[structure.bar_nodes].any()
         if self._method not in (METHODS["rk4"], METHODS["dop853"]):
             return None
         if self._method is METHODS["dop853"] and len(self.spans) > 1:
             return None  # its integrator remembers the span before
-        if first is None or scene.varies_ground or len(np.unique(self._are_damped())) > 1:
+        if first is None or not have_tables(scene.model, scene.given):
             return None
-        if set(MASSES) & set(scene.given) and (is_bound or self._loads_bars()):
-            return None  # bars that share nodes, or carry masses, have other tables
         equation = self._equation(scene.model_of(first), "auto", ())
         core = core_scene(equation)
         if core is None:
             return None
-        alike = core, self._projects, tables_of_runs(structure, scene.given), self.choice.value
+        alike = core, self._projects, tables_of_runs(scene.model, scene.given), self.choice.value
         if self._method is METHODS["rk4"]:
             return FixedStepLanes(*alike)
         limit = free_evaluations(cost_in_core(core.states)) if self._watches else np.inf
         bars, points = (scene.given.get(name, getattr(structure, name)[None]) for name in MASSES)
         return AdaptiveLanes(equation, *alike, moving_masses(structure, bars, points), limit)
-
-    def _loads_bars(self) -> bool:
-        masses = self.scene.given.get("point_mass")
-        return masses is not None and bool(masses[:, self.scene.model.structure.bar_nodes].any())
 
     def _are_damped(self) -> np.ndarray:
         """Which runs have damping, if they differ in it: strings without have simpler equations."""
