@@ -94,6 +94,7 @@ def test_stepping(printed):
         (_, coarse, *rates), (_, fine, *_) = (row(text, name + " " * 4, k) for k in (0, 1))
         assert 0 < fine < coarse < 0.05
         assert min(rates) > 0
+    assert min(row(text, "with parameters of their own")) > 0
 
 
 def test_motor_substeps(printed, monkeypatch):

@@ -9,10 +9,16 @@ from typing import Any
 
 import numpy as np
 
+from tenscontrol import validation
 from tenscontrol.arrays import FloatArray
+from tenscontrol.dynamics.equation import gravity_forces
 from tenscontrol.dynamics.model import Model
 
 MASSES = "bar_mass", "point_mass"
+
+# Numbers that may be zero, and those that may have any sign; all others are positive.
+_FROM_ZERO = {"force_density", "damping", "point_mass", "ground.damping", "ground.friction"}
+_SIGNED = {"nodes", "velocities", "external_force", "load", "gravity", "ground.height"}
 
 # Of contact laws, what is no number.
 _NO_NUMBER = {"normal", "nodes"}
@@ -59,6 +65,29 @@ def ground_numbers(model: Model) -> dict[str, tuple[int, str]]:
 def without_law(name: str) -> str:
     """Return a name without the number of a contact law: ``"ground[1].friction"`` has one."""
     return re.sub(r"^ground\[\d+\]", "ground", name)
+
+
+def constant_forces(model: Model, values: Mapping[str, FloatArray]) -> FloatArray:
+    """Return loads and weights at the nodes, N, shape (runs, d, n), of masses and gravity of runs.
+
+    What is not among the values is that of the model; runs are 1 where nothing is.
+    """
+    structure = model.structure
+    forces = model.built_in_load + gravity_forces(
+        structure,
+        values.get("gravity", model.gravity),
+        values.get("bar_mass", structure.bar_mass),
+        values.get("point_mass", structure.point_mass),
+    )
+    return forces if forces.ndim == 3 else forces[None]
+
+
+def least_value(name: str) -> float:
+    """Return the least number that a parameter, or an input of a run, can be."""
+    kind = without_law(name)
+    if kind in _SIGNED:
+        return -validation.LARGEST
+    return 0.0 if kind in _FROM_ZERO else float(np.finfo(float).tiny)
 
 
 def with_parameters(model: Model, values: Mapping[str, FloatArray]) -> Model:

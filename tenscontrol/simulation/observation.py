@@ -11,14 +11,12 @@ import numpy as np
 from tenscontrol.actuation.driven_strings import follows
 from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.control.controller import BaseController
-from tenscontrol.dynamics.equation import pack_state
-from tenscontrol.dynamics.evaluator import Evaluator
 from tenscontrol.dynamics.model import Model
 from tenscontrol.estimation.kalman_filter import Estimate, FilterStatistics, KalmanFilter
 from tenscontrol.estimation.sensors import Sensors
 from tenscontrol.short_repr import short_repr
+from tenscontrol.simulation.sensor_readings import SensorReadings
 from tenscontrol.status import Status
-from tenscontrol.structure.segments import to_strings
 from tenscontrol.structure.structure import different_members
 
 
@@ -96,37 +94,22 @@ class Observation:
     ) -> None:
         sensors = estimator.sensors if sensors is None else sensors
         _refuse_misfits(estimator, sensors, input, controller, sample, substeps)
-        self._filter, self._sensors = estimator, sensors
-        self._generator = np.random.default_rng(0 if seed is None else seed)
-        # Of its own, so that sensors without a bias read the same.
-        self._bias_generator = np.random.default_rng([0 if seed is None else seed, 1])
-        self._biases = [sensors.draw_bias(self._bias_generator, sample)]
-        self._model = model
-        self._law = None
-        if input == "rest_length" and sensors.string_tension is not None:
-            self._law = Evaluator(model.string_force_density)
+        self._filter = estimator
+        self._readings = SensorReadings(sensors, seed, model, input, estimator.sample_time)
+        self._biases: list[FloatArray] = []
         self._held: FloatArray | None = None
-        self._nothing = np.full(len(sensors.noise), np.nan)
-        # Readings taken, each to arrive so many samples later: the first were before the run.
-        self._taken = [self._nothing] * sensors.delay
         self._rows: list[tuple[FloatArray, Estimate]] = []
         if not goes_on or not len(estimator.statistics.degrees_of_freedom):
             estimator.reset(held=start)
 
     def go_on(self, earlier: EstimateRecord | None, held: FloatArray, samples: int) -> None:
         """Take over readings under way, the input held, and the noise after so many samples."""
-        if earlier is not None and earlier.under_way.shape[1] == len(self._taken):
-            self._taken = list(earlier.under_way.T)
+        under_way = self._readings.under_way
+        if earlier is not None and earlier.under_way.shape[1] == len(under_way):
+            under_way.clear()
+            under_way.extend(earlier.under_way.T)
         self._held = held
-        for _ in range(samples):
-            self._sensors.disturb(np.zeros(len(self._nothing)), self._generator)
-            self._drift()
-        del self._biases[:-1]
-
-    def _drift(self) -> None:
-        """Let the biases walk for a sample."""
-        generator, before = self._bias_generator, self._biases[-1]
-        self._biases.append(self._sensors.draw_bias(generator, self._filter.sample_time, before))
+        self._readings.skip(samples)
 
     def estimate(
         self,
@@ -140,21 +123,8 @@ class Observation:
         ``acceleration`` returns that of the nodes under an input of the strings. A measurement that
         is lost now is missing when it would have arrived.
         """
-        seen = self._sensors.structure.nodes.shape[1]
-        felt = None
-        if self._sensors.needs("acceleration") and self._held is not None:
-            felt = acceleration(self._held)[:, :seen]
-        exact = self._sensors.measure(
-            nodes[:, :seen],
-            self._tension(nodes, velocities),
-            velocities[:, :seen],
-            felt,
-            self._rest_length(),
-        )
-        noisy = self._sensors.disturb(exact + self._biases[-1], self._generator)
-        self._drift()
-        self._taken.append(self._nothing if lost else noisy)
-        reading = self._taken[len(self._rows)]
+        self._biases.append(self._readings.bias)
+        reading = self._readings.take(nodes, velocities, self._held, acceleration, lost)
         estimate = self._filter.update(reading)
         self._rows.append((reading, estimate))
         return estimate
@@ -164,33 +134,12 @@ class Observation:
         self._filter.predict(applied)
         self._held = held
 
-    def _tension(self, nodes: FloatArray, velocities: FloatArray) -> FloatArray | None:
-        """Return the tension of each string of the sensors' structure; None before any input."""
-        if self._sensors.string_tension is None or self._held is None:
-            return None
-        structure = self._model.structure
-        gamma = self._held
-        if self._law is not None:
-            (gamma,) = self._law(pack_state(structure, nodes, velocities), self._held)
-        tension = np.atleast_1d(gamma) * structure.string_length(nodes)
-        return self._of_strings("tension", tension)
-
-    def _rest_length(self) -> FloatArray | None:
-        """Return the rest lengths of the strings of the sensors' structure, if they are held."""
-        if self._held is None or not self._sensors.needs("rest_length"):
-            return None
-        return self._of_strings("rest_length", self._held)
-
-    def _of_strings(self, name: str, values: FloatArray) -> FloatArray:
-        if len(values) == len(self._sensors.structure.strings):
-            return values
-        return to_strings(self._model.structure, name, values)
-
     def record(self, time: FloatArray) -> EstimateRecord:
         """Return measurements and estimates at these times."""
         # The last estimate may be of a sample that was interrupted.
         readings, estimates = zip(*self._rows[: len(time)], strict=True)
-        delay = self._sensors.delay
+        later = [reading for reading, _ in self._rows[len(time) :]]
+        delay, nothing = self._readings.sensors.delay, self._readings.nothing
         names = (
             "nodes", "velocities", "node_deviation", "length_deviation", "state", "bias",
             "bias_deviation",
@@ -205,7 +154,7 @@ class Observation:
             actual_bias=frozen(np.column_stack(self._biases[: len(time)])),
             measurement=frozen(np.column_stack(readings)),
             under_way=frozen(
-                np.reshape(self._taken[len(time) :][:delay], (delay, len(self._nothing))).T
+                np.reshape([*later, *self._readings.under_way][:delay], (delay, len(nothing))).T
             ),
             status=tuple(estimate.status for estimate in estimates),
             statistics=self._filter.statistics,

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.arrays import FloatArray, frozen
-from tenscontrol.dynamics.equation import Equation, unpack_states
+from tenscontrol.dynamics.equation import Equation, free_accelerations, unpack_states
 from tenscontrol.dynamics.evaluator import Evaluator
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.profile import Pieces, polynomial_at
@@ -367,12 +367,8 @@ class PlantRun:
         coefficients = np.pad(coefficients, ((0, 0), (0, more)))
         coefficients = self.faults.without_cut(coefficients, self.now)
         u = self.packed(coefficients, self.now - origin)
-        equation = self._equation
-        gap = Evaluator(equation.gap)(state, u)[0]
-        slope = Evaluator(equation.slope)(state, u, np.atleast_1d(gap > 0).astype(float))[0]
         structure = self.model.structure
-        moved = np.zeros(structure.nodes.size)
-        moved[structure.free_rows] = slope[len(state) // 2 :]
+        moved = free_accelerations(self._equation, state, u)
         if self.supports is not None:
             rows = coefficients[self.offset_rows]
             moved += polynomial_at(rows, np.array([self.now - origin]), 2)[:, 0]

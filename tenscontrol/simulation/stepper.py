@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-import ctypes
+from collections.abc import Mapping
+from copy import deepcopy
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,17 +23,13 @@ from tenscontrol.actuation.driven_strings import (
 from tenscontrol.actuation.winches import Winches
 from tenscontrol.arrays import FloatArray, freeze_arrays
 from tenscontrol.dynamics.model import Model
-from tenscontrol.integrate.core_lanes import FixedStepLanes
-from tenscontrol.integrate.core_run import settings_of
-from tenscontrol.integrate.core_scene import CoreMotion, core_scene
-from tenscontrol.integrate.integrator import IntegrationError
-from tenscontrol.integrate.methods import METHODS
+from tenscontrol.estimation.sensors import Sensors
 from tenscontrol.short_repr import short_repr
 from tenscontrol.simulation.integration import Integration
 from tenscontrol.simulation.scene import Scene
-
-# Steps that the core may take in one call: all of a sample.
-_ALL = 2**31 - 1
+from tenscontrol.simulation.sensor_readings import SensorReadings
+from tenscontrol.simulation.stepped_models import SteppedModels
+from tenscontrol.structure.structure import different_members
 
 # Values that differ by this part of the largest are the same.
 _ROUND_OFF = 1e-12
@@ -51,12 +49,15 @@ class StepperState:
         Rest lengths, m, or force densities, N/m, that the strings have.
     lost : ndarray of bool, shape (count,)
         Whether the motion of a robot has ended.
+    readings : tuple
+        What sensors go on from, one entry a robot; nothing without sensors.
     """
 
     sample: int
     states: FloatArray
     held: FloatArray
     lost: np.ndarray
+    readings: tuple[SensorReadings, ...] = ()
 
     __repr__ = short_repr
 
@@ -74,7 +75,7 @@ class Stepper:
     Parameters
     ----------
     model : Model
-        Without moving supports. Many robots differ in their states and commands alone.
+        Without moving supports.
     sample_time : float
         s.
     step : float
@@ -92,6 +93,15 @@ class Stepper:
     count : int, optional
         Number of robots, whose arrays then have an axis more in front; one robot, without that
         axis, if not given.
+    parameters : dict, optional
+        What robots have in place of the model's, by the names of :func:`simulate_many`, as
+        ``"stiffness"``, ``"bar_mass"`` or ``"ground.friction"``: one number, one a member, shape
+        (members,), one a robot, (count,), or (count, members).
+    sensors : Sensors, optional
+        Whose readings :meth:`step` and :meth:`reset` return, shape (m,) or (count, m), in place of
+        the motion.
+    seed : int, optional
+        Of the noise of sensors, 0 if not given; robot k has that of ``seed + k``.
 
     Raises
     ------
@@ -127,11 +137,15 @@ class Stepper:
         winches: Winches | None = None,
         actuated: object = None,
         count: int | None = None,
+        parameters: Mapping[str, Any] | None = None,
+        sensors: Sensors | None = None,
+        seed: int | None = None,
     ) -> None:
         self._given = {
             "model": model, "sample_time": sample_time, "step": step, "rest_length": rest_length,
             "force_density": force_density, "nodes": nodes, "velocities": velocities,
-            "winches": winches, "actuated": actuated, "count": count,
+            "winches": winches, "actuated": actuated, "count": count, "parameters": parameters,
+            "sensors": sensors, "seed": seed,
         }  # fmt: skip
         validation.instance("model", model, Model, "make one by Model(structure)")
         self.sample_time = validation.positive_number("sample_time", sample_time, "s")
@@ -147,18 +161,24 @@ class Stepper:
         self._refuse_other_passive(self._begin.held)
         self._ramps = winches is not None and winches.ramp
         self._limits = None if winches is None else self._checked_limits(winches)
-        degree = int(self._ramps)
-        load: Any = scenes[0].loads
-        self._equation = model.equation(
-            self.input, load - model.constant_force, "auto", degree=degree
-        )
-        rk4 = METHODS["rk4"]
-        self._core = core_scene(self._equation)
-        self._integrator = rk4.integrator(self._equation, self._step, "step", None)
-        if self._core is not None:
-            self._settings = settings_of("rk4", self.sample_time, 1, rk4.projects, step=self._step)
-            self._lanes = FixedStepLanes(self._core, rk4.projects, {}, self._step)
+        self._models = SteppedModels(model, self.input, int(self._ramps), self._step, self._count)
+        self._every = np.arange(self._count)
+        if parameters is not None:
+            self._models.set(self._every, parameters)
+        self._sensors = None if sensors is None else self._checked_sensors(sensors)
+        self._readings: tuple[SensorReadings, ...] = ()
+        self._seed = 0 if seed is None else validation.whole_number("seed", seed, 0)
         self.reset()
+
+    def _checked_sensors(self, sensors: Sensors) -> Sensors:
+        validation.instance("sensors", sensors, Sensors, "make them by Sensors(structure, ...)")
+        different = different_members(sensors.structure, self._model.structure)
+        if different:
+            raise ValueError(
+                f"sensors are on {sensors.structure!r}, but the model has a structure with "
+                f"{different}"
+            )
+        return sensors
 
     def _scenes(
         self, nodes: Any, velocities: Any, rest_length: Any, force_density: Any
@@ -238,7 +258,10 @@ class Stepper:
     @property
     def state(self) -> StepperState:
         """Where the robots are; set it to go on from there."""
-        return StepperState(self._sample, self._states.copy(), self._held.copy(), self._lost.copy())
+        return StepperState(
+            self._sample, self._states.copy(), self._held.copy(), self._lost.copy(),
+            deepcopy(self._readings),
+        )  # fmt: skip
 
     @state.setter
     def state(self, state: StepperState) -> None:
@@ -252,6 +275,8 @@ class Stepper:
                 )
         self._sample, self._lost = state.sample, state.lost.copy()
         self._states, self._held = state.states.copy(), state.held.copy()
+        if len(state.readings) == len(self._readings):
+            self._readings = deepcopy(state.readings)
 
     @property
     def time(self) -> float:
@@ -292,14 +317,20 @@ class Stepper:
         rates = np.zeros_like(nodes)
         nodes[:, structure.free_rows] = self._states[:, :half]
         rates[:, structure.free_rows] = self._states[:, half:]
-        nodes[self._lost], rates[self._lost] = np.nan, np.nan
+        if self._lost.any():
+            nodes[self._lost], rates[self._lost] = np.nan, np.nan
         shape = (*self._shape, n, d)
         return nodes.reshape(shape).swapaxes(-1, -2), rates.reshape(shape).swapaxes(-1, -2)
 
     @property
     def model(self) -> Model:
-        """The model of all robots."""
+        """The model that robots have without ``parameters``."""
         return self._model
+
+    @property
+    def parameters(self) -> dict[str, FloatArray]:
+        """What robots have in place of the model's, by name, shape (count, members)."""
+        return {name: rows.copy() for name, rows in self._models.parameters.items()}
 
     @property
     def largest_step(self) -> float:
@@ -319,7 +350,13 @@ class Stepper:
         step : float
             s.
         """
-        return Stepper(**self._given | {"step": step})
+        return Stepper(**self._given | {"step": step, "parameters": self._now_given})
+
+    @property
+    def _now_given(self) -> dict[str, FloatArray] | None:
+        """Parameters as they are now."""
+        own = self.parameters
+        return own or None
 
     def turn(self, robots: Any, angles: Any) -> None:
         """Turn robots about the vertical through the mean of their nodes.
@@ -349,8 +386,11 @@ class Stepper:
     def reset(
         self, robots: Any = None, *, nodes: Any = None, velocities: Any = None,
         rest_length: Any = None, force_density: Any = None,
-    ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+        parameters: Mapping[str, Any] | None = None,
+    ) -> Any:  # fmt: skip
         """Put robots back to the start, or to another one; all if none are named.
+
+        Noise begins anew where all robots do, and goes on where some do.
 
         Parameters
         ----------
@@ -358,10 +398,12 @@ class Stepper:
             Those that begin anew, of many. Their time is that of the others.
         nodes, velocities, rest_length, force_density : array_like, optional
             Another start of all robots, m and N/m, as in the constructor.
+        parameters : dict, optional
+            What these robots have from now on, as of the constructor, with one row each.
 
         Returns
         -------
-        nodes, velocities : ndarray
+        nodes, velocities, or readings : ndarray
             As of :meth:`step`.
         """
         start = self._begin
@@ -375,13 +417,45 @@ class Stepper:
             if scenes[0].input != self.input:
                 raise ValueError(f"reset is given another input, expected {self.input}")
             start = self._state_of(scenes)
+        which = self._every if robots is None else self._which(robots)
+        if which.dtype == bool:
+            which = np.flatnonzero(which)
+        if parameters is not None:
+            self._models.set(which, parameters)
         if robots is None:
+            self._readings = ()
             self.state = start
+            if self._sensors is not None:
+                self._readings = tuple(
+                    SensorReadings(
+                        self._sensors, self._seed + robot, self._models.model_of(robot), self.input,
+                        self.sample_time,
+                    )
+                    for robot in range(self._count)
+                )  # fmt: skip
+        else:
+            self._states[which], self._held[which] = start.states[which], start.held[which]
+            self._lost[which] = False
+            if self._sensors is not None:
+                for robot in which.tolist():
+                    self._readings[robot].begin(self._models.model_of(robot))
+        return self._handed_out(which)
+
+    def _handed_out(self, begun: np.ndarray | None = None) -> Any:
+        """Return the motion, or the readings; robots that have begun hold nothing yet."""
+        if self._sensors is None:
             return self._motion()
-        which = self._which(robots)
-        self._states[which], self._held[which] = start.states[which], start.held[which]
-        self._lost[which] = False
-        return self._motion()
+        nodes, velocities = (
+            motion.reshape(self._count, *motion.shape[-2:]) for motion in self._motion()
+        )
+        rows = np.full((self._count, len(self._sensors.noise)), np.nan)
+        for robot in np.flatnonzero(~self._lost).tolist():
+            held = None if begun is not None and robot in begun else self._held[robot]
+            rows[robot] = self._readings[robot].take(
+                nodes[robot], velocities[robot], held,
+                partial(self._models.accelerations, robot, self._states[robot]),
+            )  # fmt: skip
+        return rows.reshape(*self._shape, -1)
 
     def _which(self, robots: Any) -> np.ndarray:
         """Return robots by index or as a mask."""
@@ -392,7 +466,7 @@ class Stepper:
             raise ValueError(f"robots has shape {which.shape}, expected ({self._count},)")
         return which
 
-    def step(self, command: Any) -> tuple[FloatArray, FloatArray]:
+    def step(self, command: Any) -> Any:
         """Advance by a sample under a command.
 
         Parameters
@@ -404,7 +478,8 @@ class Stepper:
         Returns
         -------
         nodes, velocities : ndarray, shape (d, n) or (count, d, n)
-            At the end of the sample, m and m/s; NaN of robots whose motion has ended.
+            At the end of the sample, m and m/s; NaN of robots whose motion has ended. With
+            ``sensors`` what arrives then instead, shape (m,) or (count, m).
 
         Raises
         ------
@@ -425,7 +500,7 @@ class Stepper:
         held, end = self._inputs_in_time(wanted)
         self._advance(held, duration)
         self._held, self._sample = end, self._sample + 1
-        return self._motion()
+        return self._handed_out()
 
     def _inputs(self, held: FloatArray) -> FloatArray:
         return np.asarray(inputs_of(self._actuation, held.T).T)
@@ -449,30 +524,10 @@ class Stepper:
 
     def _advance(self, held: FloatArray, duration: float) -> None:
         """Advance the robots that are not lost."""
-        going = np.flatnonzero(~self._lost)
-        if self._core is not None and len(going) > 1:
-            spans = self._lanes.advance(
-                going, self._states[going], held[going], duration, 1, ctypes.c_int(0)
-            )
-            self._enter(going, spans.states[:, 0])
-            return
-        for robot in going.tolist():
-            self._enter(np.array([robot]), self._one(self._states[robot], held[robot], duration))
-
-    def _one(self, state: FloatArray, held: FloatArray, duration: float) -> FloatArray:
-        """Return the state of one robot at the end of a sample; NaN where there is none."""
-        if self._core is not None:
-            held = np.ascontiguousarray(held)
-            self._settings.duration = duration
-            motion = CoreMotion(
-                self._core, state, held, self._settings, self._core.taut(state, held)
-            )
-            motion.advance(_ALL)
-            return motion.state[None] if motion.is_over else np.full((1, len(state)), np.nan)
-        try:
-            return self._integrator.advance(state, held, duration, 1).states.T
-        except IntegrationError:
-            return np.full((1, len(state)), np.nan)
+        going = np.flatnonzero(~self._lost) if self._lost.any() else self._every
+        if len(going) < self._count:
+            held = held[going]
+        self._enter(going, self._models.advance(going, self._states[going], held, duration))
 
     def _enter(self, robots: np.ndarray, states: FloatArray) -> None:
         """Take new states, and note robots that have none."""
@@ -483,7 +538,7 @@ class Stepper:
         self._lost[robots[~is_good]] = True
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _made_again, (self._given, self.state)
+        return _made_again, (self._given | {"parameters": self._now_given}, self.state)
 
     def __repr__(self) -> str:
         robots = f"{self._count} robots" if self._shape else "one robot"

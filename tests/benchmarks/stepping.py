@@ -9,18 +9,22 @@ The error of a step is the largest distance of a node after 10 samples from wher
 ``FINER`` times finer than the finest brings it, over the size of the ball: the median of some
 robots. Each is judged by itself, as MuJoCo's contacts are not ours. Times are processor time, the
 least of some rounds in turns. The last lines say how many times faster ours is where it errs no
-more than MuJoCo: each of MuJoCo's steps beside our fastest of those.
+more than MuJoCo: each of MuJoCo's steps beside our fastest of those. Then follows what a step costs
+beside the compiled core, in Python: processor time without that of the calls of the core, of robots
+that are alike, of robots with parameters of their own, and of robots with sensors.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from time import process_time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from time import process_time, thread_time_ns
 
 import numpy as np
 
 import tenscontrol as tc
 from tenscontrol.accuracy.peers.rigid_bodies import NodeReader
+from tenscontrol.core.library import library
 from tests.benchmarks.command_line import options
 
 SAMPLE, LENGTH, SPREAD = 0.02, 0.55, 0.02
@@ -70,6 +74,75 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 f"Stepper over {name}, {parts} steps, at {most:.0e}: "
                 + ", ".join(f"{ratio:.1f}" for ratio in times)
             )
+    print(f"\n{'Python, µs a robot and step':34}" + "".join(f"{n:>10,}" for n in given.counts))
+    for name, changes in kinds(model).items():
+        row = [python_time(model, start, count, given.seconds, changes) for count in given.counts]
+        print(f"{name:34}" + "".join(f"{time:>10.1f}" for time in row))
+
+
+def kinds(model: tc.Model) -> dict[str, Callable[[int], dict]]:
+    """Return what robots have beside the model, by their number."""
+    random = np.random.default_rng(0)
+    sensors = tc.Sensors(structure=model.structure, bar_inclination=0.01, gyroscope=0.01)
+    return {
+        "alike": lambda count: {},
+        "with parameters of their own": lambda count: {
+            "parameters": {
+                "stiffness": random.uniform(900.0, 1100.0, (count, 24)),
+                "ground.friction": random.uniform(0.3, 0.9, count),
+                "bar_mass": random.uniform(0.4, 0.6, (count, 6)),
+            }
+        },
+        "with inclinations and gyroscopes": lambda count: {"sensors": sensors},
+    }
+
+
+def python_time(
+    model: tc.Model, start: np.ndarray, count: int, seconds: float,
+    changes: Callable[[int], dict],
+) -> float:  # fmt: skip
+    """Return the processor time of a step beside the core, µs a robot, the least of some."""
+    robots = tc.Stepper(
+        model, SAMPLE, step=SAMPLE / 5, nodes=start, rest_length=LENGTH, count=count,
+        **changes(count),
+    )  # fmt: skip
+    commands, least, taken = commands_of(count, SAMPLES), np.inf, 0.0
+    with core_time() as spent:
+        while taken < seconds:
+            robots.reset()
+            begin, inside = thread_time_ns(), spent[0]
+            for command in commands:
+                robots.step(command)
+            whole = thread_time_ns() - begin
+            taken += whole * 1e-9
+            least = min(least, whole - (spent[0] - inside))
+    return float(least) * 1e-3 / (len(commands) * count)
+
+
+@contextmanager
+def core_time() -> Iterator[list[int]]:
+    """Yield a list of the time within calls of the core, ns."""
+    core, spent = library(), [0]
+
+    def timed(call):
+        def wrapped(*arguments):
+            begin = thread_time_ns()
+            try:
+                return call(*arguments)
+            finally:
+                spent[0] += thread_time_ns() - begin
+
+        return wrapped
+
+    names = "tc_advance", "tc_taut", "tc_advance_runs"
+    calls = {name: getattr(core, name) for name in names}
+    try:
+        for name, call in calls.items():
+            setattr(core, name, timed(call))
+        yield spent
+    finally:
+        for name, call in calls.items():
+            setattr(core, name, call)
 
 
 def ball() -> tc.Model:

@@ -1884,6 +1884,9 @@ call(
         "winches": tc.Winches(rate=0.1, ramp=True),
         "actuated": None,
         "count": None,
+        "parameters": {"stiffness": 90.0, "bar_mass": [1.0, 1.1, 1.2]},
+        "sensors": tc.Sensors(structure=elastic().structure, string_length=0.01),
+        "seed": 1,
     },
     share=0.3,
 )
@@ -1917,7 +1920,13 @@ call("Stepper.with_step", lambda: {"step": 0.005}, stepper)
 call("Stepper.step", lambda: {"command": 0.98 * rest_length()}, stepper)
 call(
     "Stepper.reset",
-    lambda: {"robots": [1], "nodes": nodes(), "velocities": STILL, "rest_length": rest_length()},
+    lambda: {
+        "robots": [1],
+        "nodes": nodes(),
+        "velocities": STILL,
+        "rest_length": rest_length(),
+        "parameters": {"stiffness": [90.0]},
+    },
     steppers,
 )
 call("Scene.simulate", lambda: {"progress": False, "start": None}, scene, 0.05)

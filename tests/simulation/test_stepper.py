@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
+from tenscontrol.dynamics.model_parameters import parameters_of, with_parameters
 from tests.without_core import without_core
 
 SAMPLE, STEP = 0.02, 1e-3
@@ -110,6 +111,86 @@ def test_many_robots_have_the_bits_of_each(winches):
         assert np.array_equal(last[0], N[robot])
         assert np.array_equal(last[1], V[robot])
     assert many.held.shape == (count, 24)
+
+
+PARAMETERS = {
+    "side by side": {
+        "stiffness": [900.0, 1000.0, 1100.0], "damping": [5.0, 10.0, 20.0],
+        "ground.friction": [0.2, 0.5, 0.9], "ground.stiffness": [3e3, 5e3, 9e3],
+        "bar_mass": np.array([0.4, 0.5, 0.6])[:, None] * np.linspace(0.9, 1.1, 6),
+        "gravity": np.array([[0.0, 0.0, -9.0], [0.0, 0.0, -9.81], [0.1, 0.0, -10.0]]),
+    },
+    "one by one": {"damping": [0.0, 10.0, 20.0], "ground.friction": [0.0, 0.5, 0.9]},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", PARAMETERS)
+@pytest.mark.parametrize("winches", ["jumps", "ramp"])
+def test_robots_with_parameters_have_the_bits_of_runs_of_their_models(kind, winches):
+    model, samples = ball(), 4
+    nodes, lengths = start_of(model)
+    commands, given = commands_of(model, samples), PARAMETERS[kind]
+    how = {"nodes": nodes, "rest_length": lengths, "winches": WINCHES[winches], "step": STEP}
+    many = tc.Stepper(model, SAMPLE, count=3, **how)
+    many.step(np.stack([commands[0]] * 3))
+    many.reset(parameters={name: np.array(rows) for name, rows in given.items()})
+    assert (many._models._lanes is not None) == (kind == "side by side")
+    ends = []
+    for command in commands:
+        ends.append(many.step(np.stack([command] * 3)))
+    last, again = ends[-1], pickle.loads(pickle.dumps(many))
+    for robot in range(3):
+        own = {
+            name: np.broadcast_to(rows[robot], parameters_of(model)[name].shape)
+            for name, rows in given.items()
+        }
+        run = tc.simulate(
+            with_parameters(model, own), samples * SAMPLE, method="rk4", output_step=SAMPLE,
+            controller=lambda t, N, V: commands[round(t / SAMPLE)], sample_time=SAMPLE,
+            error="none", **how,
+        )  # fmt: skip
+        assert np.array_equal(last[0][robot], run.nodes[:, :, -1])
+        one = tc.Stepper(model, SAMPLE, parameters=own, **how)
+        assert np.array_equal(stepped(one, commands)[-1][1], run.velocities[:, :, -1])
+    both = np.stack([commands[0]] * 3)
+    assert np.array_equal(again.step(both)[0], many.step(both)[0])
+    assert many.parameters.keys() == given.keys()
+
+
+def test_readings_are_those_of_a_run():
+    model, samples = prism(), 6
+    nodes, lengths = start_of(model)
+    commands = commands_of(model, samples)
+    rest = tc.prestress(model.structure, force_density=17.3205)
+    plant = tc.linearize(model, rest, "rest_length")
+    sensors = tc.Sensors(
+        structure=model.structure, bar_inclination=0.01, gyroscope=0.02, accelerometer=0.1,
+        string_tension=0.5, encoder=0.01, motor=tc.Motor(drum_radius=0.01, zero=0.6),
+        bias={"gyroscope": (0.05, 0.01)}, delay=1, drop_rate=0.1, gravity=9.81,
+    )  # fmt: skip
+    how = {"nodes": nodes, "rest_length": lengths, "step": STEP}
+    run = tc.simulate(
+        model, samples * SAMPLE, controller=lambda t, N, V: commands[round(t / SAMPLE)],
+        sample_time=SAMPLE, seed=3, method="rk4", output_step=SAMPLE, error="none", **how,
+        estimator=tc.KalmanFilter(
+            plant, sensors, sample_time=SAMPLE, rest_length_error=(0.01, 0.001)
+        ),
+    )  # fmt: skip
+    read = run.control.estimate.measurement
+    stepper = tc.Stepper(model, SAMPLE, sensors=sensors, seed=3, **how)
+    first = stepper.reset()
+    kept = stepper.state
+    rows = [first, *(stepper.step(command) for command in commands[:-1])]
+    assert np.array_equal(np.column_stack(rows), read, equal_nan=True)
+    stepper.state = kept
+    again = [stepper.step(command) for command in commands[:-1]]
+    assert np.array_equal(again, rows[1:], equal_nan=True)
+    many = tc.Stepper(model, SAMPLE, sensors=sensors, seed=2, count=2, **how)
+    rows = [many.step(np.stack([command] * 2))[1] for command in commands[:-1]]
+    assert np.array_equal(np.column_stack(rows), read[:, 1:], equal_nan=True)
+    # Another episode of one of them has other noise.
+    assert np.isnan(many.reset([0])[0]).all()  # nothing has arrived: they are late by a sample
+    assert np.isfinite(many.reset([1])).any()
 
 
 def test_without_the_core_it_is_the_same_to_round_off():
@@ -218,6 +299,16 @@ def test_what_does_not_fit_is_refused():
         made(count=2, rest_length=np.stack([lengths, 1.01 * lengths]), actuated=["vertical"])
     with pytest.raises(ValueError, match="winches move rest lengths"):
         tc.Stepper(model, SAMPLE, step=STEP, force_density=20.0, winches=tc.Winches(rate=1.0))
+    with pytest.raises(ValueError, match="parameters is 'friction'"):
+        made(parameters={"friction": 0.5})
+    with pytest.raises(ValueError, match="stiffness"):
+        made(parameters={"stiffness": -1.0})
+    with pytest.raises(ValueError, match=r"parameters\['stiffness'\] has shape \(3,\)"):
+        made(parameters={"stiffness": np.ones(3)})
+    with pytest.raises(ValueError, match="gravity"):
+        made(parameters={"gravity": 9.81})
+    with pytest.raises(ValueError, match="sensors are on"):
+        made(sensors=tc.Sensors(structure=tc.library.snelson_x(), string_length=0.1))
     with pytest.raises(TypeError, match="state"):
         stepper.state = lengths
     with pytest.raises(ValueError, match="robots"):

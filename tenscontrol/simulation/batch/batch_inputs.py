@@ -12,15 +12,15 @@ import numpy as np
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray
 from tenscontrol.control.controller import Controller
-from tenscontrol.dynamics.equation import gravity_forces
 from tenscontrol.dynamics.held_inputs import held_value, refuse_load
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.model_parameters import (
     MASSES,
+    constant_forces,
     law_parameters,
+    least_value,
     parameters_of,
     with_parameters,
-    without_law,
 )
 from tenscontrol.dynamics.profile import Pieces
 from tenscontrol.properties import cached_property
@@ -33,10 +33,6 @@ from tenscontrol.simulation.start import initial_state
 # A start whose bars are off by less than this, as part of their length and of the largest speed,
 # is taken as it is, as in a single run; the others are looked at one by one.
 _EXACT, _NO_LENGTH = 1e-8, 1e-11
-
-# Numbers that may be zero, and those that may have any sign; all others are positive.
-_FROM_ZERO = {"force_density", "damping", "point_mass", "ground.damping", "ground.friction"}
-_SIGNED = {"nodes", "velocities", "external_force", "load", "gravity", "ground.height"}
 
 # What is no parameter of the model.
 _ARRAYS = "nodes", "velocities", "rest_length", "force_density", "external_force", "load"
@@ -168,13 +164,7 @@ class BatchInputs:
         external_force = self.base.external_force
         if "external_force" in given and given["external_force"].any():
             refuse_load(model)
-        c = model.built_in_load + gravity_forces(
-            model.structure,
-            given.get("gravity", model.gravity),
-            given.get("bar_mass", model.structure.bar_mass),
-            given.get("point_mass", model.structure.point_mass),
-        )
-        c = c if c.ndim == 3 else c[None]
+        c = constant_forces(model, given)
         # In the order of a single run, for its bits.
         if "external_force" in given or external_force is not None:
             forces = given.get("external_force", np.asarray(external_force)[None])
@@ -261,10 +251,7 @@ class BatchInputs:
         for name in self.given:
             values = self.some(name, first, last)
             values = values.reshape(len(values), -1) if values.size else np.zeros((1, 0))
-            kind = without_law(name)
-            lowest = 0.0 if kind in _FROM_ZERO else np.finfo(float).tiny
-            if kind in _SIGNED:
-                lowest = -validation.LARGEST
+            lowest = least_value(name)
             fine &= ((values >= lowest) & (values <= validation.LARGEST)).all(axis=1)
         rows = structure.fixed_rows
         at = structure.nodes.ravel(order="F")[rows]

@@ -1,0 +1,180 @@
+"""Models of robots with parameters of their own, advanced over samples by fixed steps."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Mapping
+
+import numpy as np
+
+from tenscontrol import validation
+from tenscontrol.arrays import FloatArray
+from tenscontrol.dynamics.equation import Equation, free_accelerations
+from tenscontrol.dynamics.model import Model
+from tenscontrol.dynamics.model_parameters import (
+    MASSES,
+    constant_forces,
+    least_value,
+    parameters_of,
+    with_parameters,
+)
+from tenscontrol.integrate.core_lanes import FixedStepLanes, have_tables, tables_of_runs
+from tenscontrol.integrate.core_sample import CoreSample
+from tenscontrol.integrate.core_scene import core_scene
+from tenscontrol.integrate.integrator import IntegrationError, Integrator
+from tenscontrol.integrate.methods import METHODS
+
+_RK4 = METHODS["rk4"]
+
+
+class SteppedModels:
+    """Robots of one structure: their models, and what advances them.
+
+    Parameters
+    ----------
+    model : Model
+        Whose parameters robots have that are given no others.
+    input : {"rest_length", "force_density"}
+    degree : int
+        1 where the input ramps over a sample, else 0.
+    step : float
+        Largest step, s.
+    count : int
+        Number of robots.
+    """
+
+    def __init__(self, model: Model, input: str, degree: int, step: float, count: int) -> None:
+        self.model, self.count, self.parameters = model, count, dict[str, FloatArray]()
+        self._input, self._degree, self._step = input, degree, step
+        self._arrange()
+
+    def set(self, robots: np.ndarray, given: Mapping[str, object]) -> None:
+        """Give some robots other parameters, each one number, one a member, or one row a robot.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If they do not fit; then all is as before.
+        """
+        validation.instance("parameters", given, Mapping, "a dict of numbers, by name")
+        usual, changed = parameters_of(self.model), dict(self.parameters)
+        for name, value in given.items():
+            validation.choice("parameters", name, usual)
+            rows = self._rows(f"parameters[{name!r}]", value, usual[name].shape, len(robots))
+            before = changed.get(name, np.tile(usual[name], (self.count, 1)))
+            changed[name] = before.copy()
+            changed[name][robots] = rows
+        doubtful = np.zeros(len(robots), dtype=bool)
+        for name, rows in changed.items():
+            doubtful |= (rows[robots] < least_value(name)).any(axis=1)
+        for robot in robots[doubtful].tolist():  # refuses what is none
+            with_parameters(self.model, {name: rows[robot] for name, rows in changed.items()})
+        self.parameters = changed
+        self._arrange()
+
+    def _rows(self, label: str, value: object, shape: tuple[int, ...], robots: int) -> FloatArray:
+        array = validation.float_array(label, value)
+        if label == "parameters['gravity']" and array.shape[-1:] != shape:
+            raise ValueError(f"{label} has shape {array.shape}, expected {shape} or a row a robot")
+        if array.shape not in {(), shape, (robots,), (robots, *shape)}:
+            raise ValueError(
+                f"{label} has shape {array.shape}, expected a number, {shape}, ({robots},) or "
+                f"{(robots, *shape)}: for all robots, one a member, one a robot, or both"
+            )
+        is_by_robot = array.shape == (robots,) and array.shape != shape
+        return np.broadcast_to(array[:, None] if is_by_robot else array, (robots, *shape))
+
+    def model_of(self, robot: int) -> Model:
+        """Return the model of a robot."""
+        if not self.parameters:
+            return self.model
+        own = {name: rows[robot] for name, rows in self.parameters.items()}
+        return with_parameters(self.model, own)
+
+    # ---- how they are advanced ----
+
+    def _arrange(self) -> None:
+        """Choose what advances the robots: side by side where the core has them all."""
+        self._lanes: FixedStepLanes | None = None
+        self._loads: FloatArray | None = None
+        self._alone: dict[int, CoreSample | Integrator] = {}
+        given = self.parameters
+        if self.count == 1 or not have_tables(self.model, given):
+            return
+        is_loaded = bool({"gravity", *MASSES} & set(given))
+        first = self.model_of(0)
+        equation = first.equation(
+            self._input, None if is_loaded else np.zeros(first.structure.nodes.shape), "auto",
+            degree=self._degree, load_input=is_loaded,
+        )  # fmt: skip
+        core = core_scene(equation)
+        if core is None:
+            return
+        tables = tables_of_runs(self.model, given)
+        self._lanes = FixedStepLanes(core, _RK4.projects, tables, self._step)
+        if is_loaded:
+            self._loads = constant_forces(self.model, given).transpose(0, 2, 1)
+            self._loads = self._loads.reshape(len(self._loads), -1)
+
+    def _equation_of(self, robot: int) -> Equation:
+        own = self.model_of(robot)
+        load = np.zeros(own.structure.nodes.shape)
+        return own.equation(self._input, load, "auto", degree=self._degree)
+
+    def advance(
+        self, robots: np.ndarray, states: FloatArray, inputs: FloatArray, duration: float
+    ) -> FloatArray:
+        """Return the states of some robots after a sample, NaN where there is none.
+
+        Parameters
+        ----------
+        robots : ndarray of int
+        states : ndarray, shape (robots, states)
+        inputs : ndarray, shape (robots, inputs)
+            Of strings, then their rates and a time where they ramp.
+        duration : float
+            s.
+        """
+        if self._lanes is None or (len(robots) == 1 and not self.parameters):
+            ends = [
+                self._one(robot, state, held, duration)
+                for robot, state, held in zip(robots.tolist(), states, inputs, strict=True)
+            ]
+            return np.array(ends).reshape(states.shape)
+        if self._loads is not None:
+            loads, (strings, rates) = self._loads[robots], self._split(inputs)
+            parts = [strings, loads, rates, np.zeros((len(robots), loads.shape[1] + 1))]
+            inputs = np.hstack(parts if self._degree else parts[:2])
+        spans = self._lanes.advance(robots, states, inputs, duration, 1, ctypes.c_int(0))
+        return spans.states[:, 0]
+
+    def _split(self, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
+        strings = len(self.model.structure.strings)
+        return inputs[:, :strings], inputs[:, strings : 2 * strings]
+
+    def _one(self, robot: int, state: FloatArray, u: FloatArray, duration: float) -> FloatArray:
+        """Return the state of a robot at the end of a sample; NaN where there is none."""
+        key = robot if self.parameters else 0  # models that are alike share it
+        alone = self._alone.get(key)
+        if alone is None:
+            equation = self._equation_of(robot)
+            core = core_scene(equation)
+            alone = (
+                _RK4.integrator(equation, self._step, "step", None)
+                if core is None
+                else CoreSample(core, _RK4.projects, self._step, len(u))
+            )
+            self._alone[key] = alone
+        if isinstance(alone, CoreSample):
+            end = alone.advance(state, u, duration)
+            return np.full(len(state), np.nan) if end is None else end
+        try:
+            return np.asarray(alone.advance(state, u, duration, 1).states[:, 0])
+        except IntegrationError:
+            return np.full(len(state), np.nan)
+
+    def accelerations(self, robot: int, state: FloatArray, held: FloatArray) -> FloatArray:
+        """Return the accelerations of the nodes of a robot under a held input, m/s², (d, n)."""
+        ramped = np.concatenate([held, np.zeros(len(held) + 1)]) if self._degree else held
+        moved = free_accelerations(self._equation_of(robot), state, ramped)
+        return moved.reshape(self.model.structure.nodes.shape, order="F")
