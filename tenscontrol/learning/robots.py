@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -11,26 +12,37 @@ from gymnasium.vector.utils import batch_space
 
 from tenscontrol.arrays import FloatArray
 from tenscontrol.learning.tasks import Task
+from tenscontrol.robustness.distributions import Distribution, draw_rows
 from tenscontrol.simulation.stepper import Stepper
 
 # Steps so many times finer tell what a step errs.
 _FINER = 8
+
+# A motion whose bars are off by this part of their length has run away.
+_OFF = 0.1
 
 
 class Robots(VectorEnv):
     """What :func:`vector_env` returns."""
 
     def __init__(
-        self, stepper: Stepper, task: Task, duration: float, turned: bool, render_mode: str | None
+        self,
+        stepper: Stepper,
+        task: Task,
+        duration: float,
+        turned: bool,
+        drawn: Mapping[str, Distribution],
+        autoreset: AutoresetMode,
+        render_mode: str | None,
     ) -> None:
         self._stepper, self._task, self.render_mode = stepper, task, render_mode
-        self._duration = duration
+        self._duration, self._drawn, self._autoreset = duration, drawn, autoreset
         structure = stepper.model.structure
         self._turns = turned and structure.dimension == 3 and not len(structure.fixed_rows)
         self.metadata = {
             "render_modes": ["rgb_array"],
             "render_fps": round(1 / stepper.sample_time),
-            "autoreset_mode": AutoresetMode.NEXT_STEP,
+            "autoreset_mode": autoreset,
         }
         self.num_envs = len(stepper.lost)
         inputs = len(stepper.actuation.lead)
@@ -55,20 +67,23 @@ class Robots(VectorEnv):
     def step(
         self, actions: Any
     ) -> tuple[FloatArray, FloatArray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Advance all robots by a sample; those whose episode is over begin anew instead."""
+        """Advance all robots by a sample; those whose episode was over begin anew instead."""
         stepper, began = self._stepper, self._is_over.copy()
         before, _ = self._motion
         stepper.step(self._command(np.asarray(actions, dtype=float)))
-        lost = stepper.lost & ~began
+        lost = self._have_run_away() & ~began
         self._begin(began)
-        nodes, _ = self._motion = self._kept(before)
+        nodes, _ = self._motion = self._kept(before, lost)
         self._since[~began] += 1
         time = self._since * stepper.sample_time
         reward = np.where(began | lost, 0.0, self._task.reward(time, before, nodes))
         terminated = ~began & (lost | self._task.is_reached(nodes))
         truncated = ~began & ~terminated & (time >= self._duration * (1 - 1e-9))
         self._is_over = terminated | truncated
-        info = {"lost": lost} if lost.any() else {}
+        info: dict[str, Any] = {"lost": lost} if lost.any() else {}
+        if self._autoreset is AutoresetMode.SAME_STEP and self._is_over.any():
+            info |= {"final_obs": self._observation(), "_final_obs": self._is_over.copy()}
+            self._begin(self._is_over.copy())
         return self._observation(), reward, terminated, truncated, info
 
     def step_error(self) -> float:
@@ -98,17 +113,26 @@ class Robots(VectorEnv):
     def _begin(self, which: np.ndarray) -> None:
         """Begin the episodes of some robots."""
         if which.any():
-            self._stepper.reset(which)
+            drawn = draw_rows(self._drawn, self.np_random, int(which.sum()))
+            self._stepper.reset(which, parameters=drawn)
             if self._turns:
                 angles = self.np_random.uniform(-np.pi, np.pi, self.num_envs)
                 self._stepper.turn(which, angles)
         self._since[which], self._is_over[which] = 0, False
         self._motion = self._stepper.nodes, self._stepper.velocities
 
-    def _kept(self, before: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _have_run_away(self) -> np.ndarray:
+        """Which robots have bars that the steps no longer keep on their lengths."""
+        structure, nodes = self._stepper.model.structure, self._stepper.nodes
+        start, end = structure.bars.T
+        with np.errstate(over="ignore", invalid="ignore"):
+            length = np.linalg.norm(nodes[:, :, end] - nodes[:, :, start], axis=1)
+            off = np.abs(length / structure.bar_length - 1).max(axis=1, initial=0.0)
+        return ~(off < _OFF) | self._stepper.lost
+
+    def _kept(self, before: FloatArray, lost: np.ndarray) -> tuple[FloatArray, FloatArray]:
         """Return the motion, of robots that are lost as it was before, at rest."""
         nodes, velocities = self._stepper.nodes, self._stepper.velocities
-        lost = self._stepper.lost
         nodes[lost], velocities[lost] = before[lost], 0.0
         return nodes, velocities
 

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from tenscontrol import validation
 from tenscontrol.actuation.winches import Winches
 from tenscontrol.dynamics.model import Model
 from tenscontrol.learning.tasks import Task
+from tenscontrol.robustness.distributions import Distribution, draw_rows
 from tenscontrol.simulation.stepper import Stepper
 
 if TYPE_CHECKING:
@@ -29,6 +33,8 @@ def vector_env(
     count: int = 16,
     duration: float = 10.0,
     turned: bool = True,
+    vary: Mapping[str, Distribution] | None = None,
+    autoreset: str = "next_step",
     render_mode: str | None = None,
 ) -> VectorEnv:
     """Return many robots on one task as an environment of gymnasium.
@@ -37,8 +43,7 @@ def vector_env(
     lets out (+) over the sample, as part of its largest rate. An observation has the nodes relative
     to their centre, m, velocities, m/s, the values of the inputs, m, and what the task shows of its
     goal. An episode is terminated where the goal is reached or the motion has run away
-    (``info["lost"]``), and truncated after ``duration``. The step after it begins a new one
-    (autoreset at the next step).
+    (``info["lost"]``), and truncated after ``duration``.
 
     Parameters
     ----------
@@ -65,6 +70,12 @@ def vector_env(
     turned : bool
         Whether an episode begins turned about the vertical by a random angle, of structures in
         space without supports.
+    vary : dict, optional
+        Distributions of parameters that a robot draws for each episode, by the names that
+        :class:`tenscontrol.Stepper` has.
+    autoreset : {"next_step", "same_step"}
+        When a new episode begins: at the step after the last, or with it. In the second case the
+        last observation is in ``info["final_obs"]``.
     render_mode : {"rgb_array"}, optional
         ``render()`` then returns a picture of each robot.
 
@@ -93,6 +104,8 @@ def vector_env(
     ((4, 48), (4,))
     """
     try:
+        from gymnasium.vector import AutoresetMode
+
         from tenscontrol.learning.robots import Robots
     except ModuleNotFoundError as error:
         raise ImportError(_INSTALL) from error
@@ -103,13 +116,27 @@ def vector_env(
             "winches have no rate or no range: give Winches(rate=..., shortest=..., longest=...), "
             "which actions are parts of"
         )
+    count, drawn = validation.whole_number("count", count, 1), _checked(vary)
     stepper = Stepper(
         model, sample_time, step=step, rest_length=rest_length, nodes=nodes, winches=winches,
         actuated=actuated, count=count,
+        parameters=draw_rows(drawn, np.random.default_rng(0), count),
     )  # fmt: skip
     task.check(model.structure)
     if render_mode is not None:
         validation.choice("render_mode", render_mode, ("rgb_array",))
     validation.truth("turned", turned, "whether episodes begin at random angles")
     duration = validation.positive_number("duration", duration, "s")
-    return Robots(stepper, task, duration, turned, render_mode)
+    validation.choice("autoreset", autoreset, ("next_step", "same_step"))
+    mode = AutoresetMode[autoreset.upper()]
+    return Robots(stepper, task, duration, turned, drawn, mode, render_mode)
+
+
+def _checked(vary: object) -> dict[str, Distribution]:
+    """Return distributions by name; what has them is checked where parameters are drawn."""
+    if vary is None:
+        return {}
+    validation.instance("vary", vary, Mapping, "a dict of distributions, by name")
+    for name, kind in vary.items():
+        validation.instance(f"vary[{name!r}]", kind, Distribution, "as Uniform(0.3, 0.9)")
+    return dict(vary)

@@ -10,7 +10,7 @@ from typing import Any, final
 import numpy as np
 
 from tenscontrol import validation
-from tenscontrol.arrays import frozen
+from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.fields import Array, converted
 from tenscontrol.short_repr import short_repr
 
@@ -207,6 +207,18 @@ def draw_run(parameters: Mapping[str, Distribution], seed: int, run: int) -> dic
         name: distribution.draw(generator(seed, run, _PARAMETERS, *name.encode()))
         for name, distribution in parameters.items()
     }
+
+
+def draw_rows(
+    parameters: Mapping[str, Distribution], rng: np.random.Generator, count: int
+) -> dict[str, FloatArray] | None:
+    """Return rows of parameters, shape (count, size or 1), one after the other; None for none."""
+    rows = [[kind.draw(rng) for kind in parameters.values()] for _ in range(count)]
+    drawn = zip(*rows, strict=True)
+    return {
+        name: np.reshape(values, (count, -1))
+        for name, values in zip(parameters, drawn, strict=False)
+    } or None
 
 
 def generator(seed: int, *key: int) -> np.random.Generator:

@@ -76,7 +76,12 @@ class SteppedModels:
         array = validation.float_array(label, value)
         if label == "parameters['gravity']" and array.shape[-1:] != shape:
             raise ValueError(f"{label} has shape {array.shape}, expected {shape} or a row a robot")
-        if array.shape not in {(), shape, (robots,), (robots, *shape)}:
+        if array.shape == shape == (robots,) and robots > 1:
+            raise ValueError(
+                f"{label} has shape {shape}, which is one a member and one a robot: give "
+                f"{(robots, 1)} for one a robot, or {(robots, *shape)}"
+            )
+        if array.shape not in {(), shape, (robots,), (robots, 1), (robots, *shape)}:
             raise ValueError(
                 f"{label} has shape {array.shape}, expected a number, {shape}, ({robots},) or "
                 f"{(robots, *shape)}: for all robots, one a member, one a robot, or both"

@@ -1904,6 +1904,8 @@ call(
         "count": 2,
         "duration": 1.0,
         "turned": True,
+        "vary": {"stiffness": tc.Uniform(90.0, 110.0)},
+        "autoreset": "same_step",
         "render_mode": None,
     },
     share=0.1,

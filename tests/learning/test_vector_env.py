@@ -211,3 +211,31 @@ def test_what_does_not_fit_is_refused(monkeypatch):
     monkeypatch.delitem(__import__("sys").modules, "tenscontrol.learning.robots", raising=False)
     with pytest.raises(ImportError, match=r"tenscontrol\[learning\]"):
         made()
+
+
+def test_parameters_are_drawn_for_each_episode():
+    vary = {"ground.friction": tc.Uniform(0.3, 0.9), "stiffness": tc.Uniform(900.0, 1100.0)}
+    env = made(vary=vary, count=24, autoreset="same_step")
+    env.reset(seed=0)
+    first = env.unwrapped._stepper.parameters
+    assert first["stiffness"].shape == (24, 24)
+    assert np.all(np.ptp(first["stiffness"], axis=1) == 0)
+    assert len(np.unique(first["ground.friction"])) == 24
+    for _ in range(4):
+        *_, truncated, info = env.step(np.zeros(env.action_space.shape))
+        assert not truncated.any()
+        assert "final_obs" not in info
+    seen, _, _, truncated, info = env.step(np.zeros(env.action_space.shape))
+    assert truncated.all()
+    assert info["_final_obs"].all()
+    assert np.abs(seen - info["final_obs"]).max() > 1e-3
+    assert not np.any(env.unwrapped._stepper.parameters["stiffness"] == first["stiffness"])
+    again = made(vary=vary, count=24, autoreset="same_step")
+    again.reset(seed=0)
+    assert np.array_equal(again.unwrapped._stepper.parameters["stiffness"], first["stiffness"])
+    with pytest.raises(TypeError, match=r"vary\['stiffness'\]"):
+        made(vary={"stiffness": 3.0})
+    with pytest.raises(ValueError, match="parameters is 'mass'"):
+        made(vary={"mass": tc.Uniform(0.0, 1.0)})
+    with pytest.raises(ValueError, match="autoreset"):
+        made(autoreset="never")
