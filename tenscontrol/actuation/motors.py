@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -198,6 +198,22 @@ def _for_each(label: str, value: object, name: str, array: FloatArray) -> FloatA
             "all strings, or as many"
         )
     return np.broadcast_to(numbers, len(array)).copy()
+
+
+def motor_numbers(motor: Motor | None, count: int) -> dict[str, FloatArray]:
+    """Return the numbers of motors that are there, one a string, by names as ``"motor.torque"``."""
+    numbers = {} if motor is None else vars(motor)
+    return {
+        f"motor.{name}": np.broadcast_to(value, (count,))
+        for name, value in numbers.items()
+        if value is not None and np.any(value)
+    }
+
+
+def with_motor_numbers(motor: Motor, values: Mapping[str, FloatArray]) -> Motor:
+    """Return motors with other numbers, by the names of :func:`motor_numbers`."""
+    changes: dict[str, Any] = {name.removeprefix("motor."): value for name, value in values.items()}
+    return replace(motor, **changes) if changes else motor
 
 
 def each_motor(motor: Motor, count: int) -> EachMotor:

@@ -12,6 +12,8 @@ from typing import Any, final
 import numpy as np
 
 from tenscontrol import validation
+from tenscontrol.actuation.motors import motor_numbers, with_motor_numbers
+from tenscontrol.actuation.winches import Winches
 from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.control.command import ControlWarning
 from tenscontrol.control.controller import Controller
@@ -46,6 +48,8 @@ _OF_RUN = "start", "noise", "delay"
 
 # Factors that act on a parameter of another name.
 _STRING_NODE_MASS, _RIGIDITY = "string_node_mass", {"stiffness": "axial_rigidity"}
+
+_MOTOR = "motor."
 
 _MEMBERS = {"bar_mass": "bar", "point_mass": "node", "gravity": "axis"}
 
@@ -123,6 +127,8 @@ class ClosedLoopCase:
       all or one for each member (point masses: one for each node; gravity: for each axis);
     - ``"ground.stiffness"``, ``"ground.damping"``, ``"ground.friction"`` and other numbers of the
       contact laws: factors, one for all laws or one for each;
+    - ``"motor.torque"``, ``"motor.speed"``, ``"motor.inertia"``, ``"motor.lag"`` and other numbers
+      of :class:`Motor`, of winches that have one: factors, one for all or one for each string;
     - ``"start"``: where the structure starts, coordinates q of the controller's plant, m √kg; for
       a function, internal coordinates about the target;
     - ``"noise"``, with an estimator: a factor on the standard deviations of all readings;
@@ -247,6 +253,7 @@ class ClosedLoopCase:
             run = replace(
                 self.scene,
                 model=self._model(parameters),
+                winches=self._winches(parameters),
                 nodes=nodes,
                 sensors=_varied_sensors(sensors, parameters),
                 seed=None if estimator is None else int(rng.integers(2**63)),
@@ -367,10 +374,26 @@ class ClosedLoopCase:
         """Return the parameters of the model on which factors are drawn."""
         nominal = parameters_of(self.scene.model)
         values: dict[str, FloatArray] = {}
-        for name in (name for name in drawn if name not in _OF_RUN):
+        others = [name for name in drawn if name not in _OF_RUN and not name.startswith(_MOTOR)]
+        for name in others:
             for own, factors in self._factors(name, drawn[name], nominal).items():
                 values[own] = factors * values.get(own, nominal[own])
         return values
+
+    def _winches(self, drawn: Mapping[str, object]) -> Winches | None:
+        """Return the winches with the factors on numbers of their motors that are drawn."""
+        winches, count = self.scene.winches, len(self.structure.strings)
+        motor = None if winches is None else winches.motor
+        nominal, values = motor_numbers(motor, count), dict[str, FloatArray]()
+        for name in (name for name in drawn if name.startswith(_MOTOR)):
+            if name not in nominal:
+                known = ", ".join(map(repr, nominal)) or "none: give Winches(motor=Motor(...))"
+                raise SweepError(f"{name} is drawn, but the motors of the scene have {known}")
+            factors = validation.per_member(name, drawn[name], count, "string")
+            values[name] = factors * nominal[name]
+        if winches is None or motor is None or not values:
+            return winches
+        return replace(winches, motor=with_motor_numbers(motor, values))
 
     def _factors(
         self, name: str, drawn: object, nominal: Mapping[str, FloatArray]

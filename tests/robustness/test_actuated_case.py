@@ -55,6 +55,42 @@ def test_a_stuck_gang_and_a_cut_spring_are_swept():
     assert (report.figure("least_force_density") == 0).all()
 
 
+# ---- motors that are not those of the design ----
+
+
+def test_numbers_of_motors_are_drawn_by_name():
+    prism = tc.prism()
+    model = tc.Model(prism, strings=tc.LinearStrings(100.0, damping=0.5))
+    rest = tc.prestress(prism, force_density=17.3205)
+    plant = tc.linearize(model, rest, input="rest_length")
+    regulator = tc.LQR(plant, sample_time=0.02)
+    motor = tc.Motor(drum_radius=0.01, torque=0.5, speed=20.0, inertia=1e-4)
+    winches = tc.Winches(ramp=True, motor=motor, substeps=10)
+    how = {"winches": winches, "rest_length": plant.rest_length}
+    case = loop_case(prism, model.strings, regulator, 0.2, 5e-3, 0.5, **how)
+    torque = np.linspace(0.3, 0.9, 9)
+    drawn = {"motor.torque": torque, "motor.speed": 0.5, "start": np.full(9, 0.02)}
+    figures = case(drawn, np.random.default_rng(0)).figures
+    own = replace(winches, motor=replace(motor, torque=0.5 * torque, speed=np.full(9, 10.0)))
+    run = tc.simulate(
+        model, 0.2, plant.to_nodes(drawn["start"]), controller=regulator, step=5e-3, winches=own,
+        rest_length=plant.rest_length,
+    )  # fmt: skip
+    assert figures["largest_force_density"] == run.force_density.max()
+    nominal = case({"start": drawn["start"]}, np.random.default_rng(0)).figures
+    assert figures != nominal
+    vary = {"motor.inertia": tc.Uniform(0.5, 2.0)}
+    report = tc.sweep(case, vary, 2, seed=0, executor=Inline())
+    assert report.completed.all()
+    with pytest.raises(
+        tc.robustness.SweepError, match=r"motor.lag is drawn, but the motors .*torq"
+    ):
+        case({"motor.lag": 1.1}, None)
+    without = replace(case, scene=replace(case.scene, winches=None, rest_length=None))
+    with pytest.raises(tc.robustness.SweepError, match=r"give Winches\(motor"):
+        without({"motor.torque": 1.1}, None)
+
+
 # ---- a success that is not a place ----
 
 
