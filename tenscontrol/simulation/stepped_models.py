@@ -141,11 +141,10 @@ class SteppedModels:
             s.
         """
         if self._lanes is None or (len(robots) == 1 and not self.parameters):
-            ends = [
-                self._one(robot, state, held, duration)
-                for robot, state, held in zip(robots.tolist(), states, inputs, strict=True)
-            ]
-            return np.array(ends).reshape(states.shape)
+            ends = np.empty_like(states)
+            for k, robot in enumerate(robots.tolist()):
+                ends[k] = self._one(robot, states[k], inputs[k], duration)
+            return ends
         if self._loads is not None:
             loads, (strings, rates) = self._loads[robots], self._split(inputs)
             parts = [strings, loads, rates, np.zeros((len(robots), loads.shape[1] + 1))]

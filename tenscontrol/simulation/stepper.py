@@ -274,6 +274,7 @@ class Stepper:
                     "stepper of this model and count"
                 )
         self._sample, self._lost = state.sample, state.lost.copy()
+        self._is_any_lost = bool(self._lost.any())
         self._states, self._held = state.states.copy(), state.held.copy()
         if len(state.readings) == len(self._readings):
             self._readings = deepcopy(state.readings)
@@ -312,15 +313,17 @@ class Stepper:
         structure = self._model.structure
         d, n = structure.nodes.shape
         half = self._states.shape[1] // 2
-        nodes = np.empty((self._count, n * d))
-        nodes[:] = structure.nodes.ravel(order="F")
-        rates = np.zeros_like(nodes)
-        nodes[:, structure.free_rows] = self._states[:, :half]
-        rates[:, structure.free_rows] = self._states[:, half:]
-        if self._lost.any():
-            nodes[self._lost], rates[self._lost] = np.nan, np.nan
-        shape = (*self._shape, n, d)
-        return nodes.reshape(shape).swapaxes(-1, -2), rates.reshape(shape).swapaxes(-1, -2)
+        if half == n * d:
+            both = self._states.reshape(self._count, 2, n * d).copy()
+        else:
+            both = np.zeros((self._count, 2, n * d))
+            both[:, 0] = structure.nodes.ravel(order="F")
+            both[:, :, structure.free_rows] = self._states.reshape(self._count, 2, half)
+        if self._is_any_lost:
+            both[self._lost] = np.nan
+        motion = both.reshape(self._count, 2, n, d).swapaxes(2, 3)
+        which = slice(None) if self._shape else 0
+        return motion[which, 0], motion[which, 1]
 
     @property
     def model(self) -> Model:
@@ -436,6 +439,7 @@ class Stepper:
         else:
             self._states[which], self._held[which] = start.states[which], start.held[which]
             self._lost[which] = False
+            self._is_any_lost = bool(self._lost.any())
             if self._sensors is not None:
                 for robot in which.tolist():
                     self._readings[robot].begin(self._models.model_of(robot))
@@ -524,18 +528,25 @@ class Stepper:
 
     def _advance(self, held: FloatArray, duration: float) -> None:
         """Advance the robots that are not lost."""
-        going = np.flatnonzero(~self._lost) if self._lost.any() else self._every
-        if len(going) < self._count:
-            held = held[going]
-        self._enter(going, self._models.advance(going, self._states[going], held, duration))
+        if self._is_any_lost:
+            going = np.flatnonzero(~self._lost)
+            self._enter(
+                going, self._models.advance(going, self._states[going], held[going], duration)
+            )
+        else:
+            self._enter(
+                self._every, self._models.advance(self._every, self._states, held, duration)
+            )
 
     def _enter(self, robots: np.ndarray, states: FloatArray) -> None:
         """Take new states, and note robots that have none."""
-        is_good = np.isfinite(states).all(axis=1) & (np.abs(states) < validation.LARGEST).all(
-            axis=1
-        )
+        if len(robots) == self._count and np.abs(states).max(initial=0.0) < validation.LARGEST:
+            self._states = states
+            return
+        is_good = (np.abs(states) < validation.LARGEST).all(axis=1)  # no NaN is
         self._states[robots[is_good]] = states[is_good]
         self._lost[robots[~is_good]] = True
+        self._is_any_lost = bool(self._lost.any())
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _made_again, (self._given | {"parameters": self._now_given}, self.state)

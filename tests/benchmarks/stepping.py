@@ -1,9 +1,10 @@
 """Samples a second of robots that are stepped, beside MuJoCo, at measured error, in one thread.
 
-Run: ``python -m tests.benchmarks.stepping``, a minute or two. A six-bar ball stands on ground; in
-each sample of 20 ms its 24 strings get rest lengths at random. 1, 16, 256 and 1,024 of them are
+Run: ``python -m tests.benchmarks.stepping``, two or three minutes. A six-bar ball stands on ground;
+in each sample of 20 ms its 24 strings get rest lengths at random. 1, 16, 256 and 1,024 of them are
 stepped by :class:`tenscontrol.Stepper`, by MuJoCo's ``mj_step`` (one robot) and by its ``rollout``
-(several), each with several steps. MuJoCo hands out states, not nodes, which is less work.
+(several), each with several steps; ``--own`` are further ones of the stepper alone. MuJoCo hands
+out states, not nodes, which is less work.
 
 The error of a step is the largest distance of a node after 10 samples from where a step that is
 ``FINER`` times finer than the finest brings it, over the size of the ball: the median of some
@@ -39,17 +40,20 @@ Play = Callable[[Sequence[np.ndarray]], np.ndarray]
 
 def main(arguments: Sequence[str] | None = None) -> None:
     given = options(
-        __doc__, arguments, counts=(1, 16, 256, 1024), parts=(5, 10, 20), rounds=2, seconds=0.4
-    )
+        __doc__, arguments, counts=(1, 16, 256, 1024), parts=(5, 10, 20), own=(3,), rounds=2,
+        seconds=0.4,
+    )  # fmt: skip
     model = ball()
     start = tc.plant.set_down(model, [0, 4, 8])
     methods = {"Stepper": ours(model, start)} | theirs(model, start)
-    errors = {name: errors_of(make, given.parts) for name, make in methods.items()}
+    parts_of = dict.fromkeys(methods, given.parts) | {"Stepper": (*given.own, *given.parts)}
+    finest = FINER * max(given.parts)
+    errors = {name: errors_of(make, parts_of[name], finest) for name, make in methods.items()}
     print(f"{'':22} steps  error of    samples a second of so many robots")
     print(f"{'':22} each   10 samples  " + "".join(f"{count:>10,}" for count in given.counts))
     rates = {}
     for name in methods:
-        for parts in given.parts:
+        for parts in parts_of[name]:
             rates[name, parts] = [0.0] * len(given.counts)
     for place, count in enumerate(given.counts):
         plays = {(name, parts): methods[name](parts, count) for name, parts in rates}
@@ -63,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for name in (each for each in methods if each != "Stepper"):
         for parts in given.parts:
             most = errors[name][parts]
-            able = [own for own in given.parts if errors["Stepper"][own] <= most]
+            able = [own for own in parts_of["Stepper"] if errors["Stepper"][own] <= most]
             if not able:
                 continue
             times = [
@@ -223,7 +227,9 @@ def commands_of(count: int, samples: int) -> list[np.ndarray]:
     return [LENGTH + random.uniform(-SPREAD, SPREAD, (count, 24)) for _ in range(samples)]
 
 
-def errors_of(make: Callable[[int, int], Play], parts: Sequence[int]) -> dict[int, float]:
+def errors_of(
+    make: Callable[[int, int], Play], parts: Sequence[int], finest: int
+) -> dict[int, float]:
     """Return the error of each number of steps a sample, by itself at a finer step."""
     commands = commands_of(JUDGED, SAMPLES)
 
@@ -232,7 +238,7 @@ def errors_of(make: Callable[[int, int], Play], parts: Sequence[int]) -> dict[in
         end = play(commands)
         return play.nodes_of(end) if hasattr(play, "nodes_of") else end
 
-    exact = nodes(FINER * max(parts))
+    exact = nodes(finest)
     size = float(np.ptp(exact[0], axis=1).max())
     return {
         each: float(np.median(np.linalg.norm(nodes(each) - exact, axis=1).max(axis=1)) / size)
