@@ -80,6 +80,14 @@ def test_reference_distance(printed):
     ]  # fmt: skip
 
 
+def test_arm_shape(printed):
+    text = printed("arm_shape", "--runs 1 --stages 2")
+    (nodes, *_), (untold, *_) = (row(text, name) for name in ("told what winches do", "not told"))
+    assert 0 < nodes < 5
+    assert 0 < untold < 10
+    assert row(text, "published") == [2.1]
+
+
 def test_driven_choices(printed):
     text = printed("driven_choices", "--start 25 --count 5 --each")
     assert "silent: 0" in text
