@@ -109,8 +109,7 @@ class SteppedModels:
         is_loaded = bool({"gravity", *MASSES} & set(given))
         first = self.model_of(0)
         equation = first.equation(
-            self._input, None if is_loaded else np.zeros(first.structure.nodes.shape), "auto",
-            degree=self._degree, load_input=is_loaded,
+            self._input, None, "auto", degree=self._degree, load_input=is_loaded
         )  # fmt: skip
         core = core_scene(equation)
         if core is None:
@@ -122,9 +121,7 @@ class SteppedModels:
             self._loads = self._loads.reshape(len(self._loads), -1)
 
     def _equation_of(self, robot: int) -> Equation:
-        own = self.model_of(robot)
-        load = np.zeros(own.structure.nodes.shape)
-        return own.equation(self._input, load, "auto", degree=self._degree)
+        return self.model_of(robot).equation(self._input, None, "auto", degree=self._degree)
 
     def advance(
         self, robots: np.ndarray, states: FloatArray, inputs: FloatArray, duration: float

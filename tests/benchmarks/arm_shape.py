@@ -3,13 +3,14 @@
 Run: ``python -m tests.benchmarks.arm_shape``, two or three minutes. The arm is a tower of five
 stages of four bars, 1.2 m long, held at its base. Winches bend it to a random side by a tenth to a
 fifth of its length. Each bar has a sensor of its inclination, with noise of half a degree; nothing
-tells headings, lengths or places. The arm is not that of the filter: stiffnesses of strings and masses
-of bars are up to 10 % off, and its tip carries up to 0.05 kg at each node, half of all a stage weighs.
+tells headings, lengths or places. The arm is not that of the filter: stiffnesses of strings and
+masses of bars are up to 10 % off, and its tip carries up to what a stage weighs.
 
 Prints the distance of a node from its estimate as part of the length: the root mean square of all
 nodes and samples, and the largest at the end, when the arm is bent. Three filters see the same
-readings: one is told what the winches do, one is not and takes rest lengths as unknown, and one is told
-but reads nothing. Published for an arm of 20 struts with inclinations alone: 2.1 % of its length.
+readings: one is told what the winches do, one is not and takes tensions as less known, and one is
+told but reads nothing. Published for an arm of 20 struts with inclinations alone: 2.1 % of its
+length.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ STAGES, SIDES, PUBLISHED = 5, 4, 0.021
 STIFFNESS, DAMPING, BAR_MASS, TIP_MASS = 3000.0, 2.0, 0.05, 0.05  # N/m, N s/m, kg, kg
 SAMPLE, BENDING, DURATION, NOISE = 0.05, 1.5, 2.5, np.radians(0.5)  # s, s, s, rad
 WOUND, OFF = (0.05, 0.1), 0.1  # part of rest lengths; of stiffnesses and masses
-TOLD, UNTOLD = 0.02, 0.1  # process noise where the winding is known, and where not
+TOLD, UNTOLD = 0.02, 0.1  # parts of tensions: where winding is known, where not
 
 
 class Arm:
@@ -46,7 +47,7 @@ class Arm:
         self.length = float(np.ptp(tower.nodes[2]))
 
     def estimator(self, process_noise: float) -> tc.KalmanFilter:
-        """Return a filter of inclinations that takes disturbances of this size, in m √kg/s."""
+        """Return a filter of inclinations, by the part by which tensions may be off."""
         return tc.KalmanFilter(
             self.plant, self.sensors, sample_time=SAMPLE, process_noise=process_noise, gate=1e-12
         )
