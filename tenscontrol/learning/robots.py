@@ -128,7 +128,7 @@ class Robots(VectorEnv):
         with np.errstate(over="ignore", invalid="ignore"):
             length = np.linalg.norm(nodes[:, :, end] - nodes[:, :, start], axis=1)
             off = np.abs(length / structure.bar_length - 1).max(axis=1, initial=0.0)
-        return ~(off < _OFF) | self._stepper.lost
+        return np.asarray(~(off < _OFF) | self._stepper.lost)
 
     def _kept(self, before: FloatArray, lost: np.ndarray) -> tuple[FloatArray, FloatArray]:
         """Return the motion, of robots that are lost as it was before, at rest."""

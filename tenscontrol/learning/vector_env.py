@@ -132,7 +132,7 @@ def vector_env(
     return Robots(stepper, task, duration, turned, drawn, mode, render_mode)
 
 
-def _checked(vary: object) -> dict[str, Distribution]:
+def _checked(vary: Mapping[str, Distribution] | None) -> dict[str, Distribution]:
     """Return distributions by name; what has them is checked where parameters are drawn."""
     if vary is None:
         return {}
