@@ -492,8 +492,15 @@ class Sensors:
         -------
         bool
         """
+        if part in self._needed:
+            return True
         validation.choice("part", part, Moment._fields)
-        return any(part in kind.needs for kind in self.kinds)
+        return False
+
+    @cached_property
+    def _needed(self) -> frozenset[str]:
+        """The parts of a moment beside the nodes that readings depend on."""
+        return frozenset(part for kind in self.kinds for part in kind.needs)
 
     @cached_property
     def readings(self) -> tuple[str, ...]:
@@ -679,7 +686,8 @@ class Sensors:
             If ``generator`` is none, or ``exact`` has another shape or an infinite entry.
         """
         exact = validation.measured("exact", exact, self.noise.shape, "one entry per number read")
-        validation.float_array("exact", np.nan_to_num(exact, posinf=np.inf, neginf=-np.inf))
+        if np.abs(exact).max(initial=0.0, where=~np.isnan(exact)) > validation.LARGEST:
+            validation.float_array("exact", np.nan_to_num(exact, posinf=np.inf, neginf=-np.inf))
         validation.instance(
             "generator", generator, np.random.Generator, "np.random.default_rng(seed)"
         )

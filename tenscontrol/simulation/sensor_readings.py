@@ -86,7 +86,9 @@ class SensorReadings:
         return self.under_way.popleft()
 
     def _drift(self) -> None:
-        """Let the bias walk for a sample."""
+        """Let the bias walk for a sample, if there is any."""
+        if not self.sensors.bias:
+            return
         self.bias = self.sensors.draw_bias(self._bias_generator, self._sample_time, self.bias)
 
     def _tension(
