@@ -63,6 +63,12 @@ def checked_variation(scene: Scene, vary: object) -> dict[str, FloatArray]:
     """Return what differs from run to run, by name, as arrays with a first axis of runs."""
     if not isinstance(vary, Mapping):
         raise validation.wrong_kind("vary", vary, "a dict of arrays, by name, one entry a run")
+    for name in vary:
+        if isinstance(name, str) and name.startswith("motor."):
+            raise ValueError(
+                f"vary has {name!r}, but many runs at once have no winches: draw it by "
+                "sweep(ClosedLoopCase(scene, ...), {" + repr(name) + ": Uniform(...)}, ...)"
+            )
     shapes = _shapes(scene)
     given = {
         name: _of_runs(f"vary[{name!r}]", value, shapes[validation.choice("vary", name, shapes)])
