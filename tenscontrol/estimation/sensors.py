@@ -500,7 +500,7 @@ class Sensors:
     @cached_property
     def _needed(self) -> frozenset[str]:
         """The parts of a moment beside the nodes that readings depend on."""
-        return frozenset(part for kind in self.kinds for part in kind.needs)
+        return frozenset(name for kind in self.kinds for name in kind.needs)
 
     @cached_property
     def readings(self) -> tuple[str, ...]:
