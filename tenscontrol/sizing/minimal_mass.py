@@ -290,9 +290,9 @@ def design(
     by_yield = program.solve(none, none)
     if by_yield is None:
         _refuse(structure, program, unit)
-    found = search(program, by_yield, restarts, seed)
-    masses = np.array([mass for mass, _ in found.results])
-    results = sorted(found.results, key=lambda result: result[0])
+    outcome = search(program, by_yield, restarts, seed)
+    masses = np.array([mass for mass, _ in outcome.results])
+    results = sorted(outcome.results, key=lambda result: result[0])
     x = results[0][1]
     if not common_prestress:
         plan = Wound(masses[0], None, x, program.shared(x))
@@ -301,7 +301,7 @@ def design(
         starts = [program.shared(result[1]) for result in results[:_MOST_WOUND]]
         plans = wound_once(program, lengths / modulus, starts)
         plan, masses = plans[0], np.array([wound.mass for wound in plans])
-    return _designed(structure, bars, strings, program, plan, unit, tube, masses, found.bound)
+    return _designed(structure, bars, strings, program, plan, unit, tube, masses, outcome.bound)
 
 
 def _program(
