@@ -42,7 +42,8 @@ def fit_ball(names):
     assert len(before.untold) == 1
     scale = np.abs(before.untold[0])  # stiffness, damping, masses and ground alike
     assert_near(scale[:-1], np.full(32, 32**-0.5), 1e-6)
-    assert found.converged and found.identifiability.is_told.all()
+    assert found.converged
+    assert found.identifiability.is_told.all()
     assert_near(found.parameters["stiffness"] / names["stiffness"], np.ones(24), 0.02)
     assert_near(found.parameters["ground.friction"], 0.4, 0.02)
     assert_near(names["check"].root_mean_square, 1.0, 0.1)
