@@ -11,6 +11,7 @@ import numpy as np
 
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, frozen
+from tenscontrol.dynamics.profile import Profile
 from tenscontrol.estimation.sensors import Sensors
 from tenscontrol.fields import converted
 from tenscontrol.files import write_file
@@ -130,6 +131,51 @@ class Log:
             raise ValueError(f"time is {end:g} s, but the first reading is at {self.time[0]:g} s")
         return replace(self, time=self.time[kept], readings=self.readings[kept])
 
+    def windows(self, length: float, run: Trajectory) -> tuple[Log, ...]:
+        """Return the log in windows, each a log of its own with its own start.
+
+        Fitted together, with ``start`` as unknowns, long logs have fewer minima, and a motion that
+        cannot be predicted from its beginning is told by its parts.
+
+        Parameters
+        ----------
+        length : float
+            Of each window, s; the last may be shorter.
+        run : Trajectory
+            The motion, as well as it is known: that of a first model, or fit. Each window begins as
+            its state that is nearest.
+
+        Returns
+        -------
+        tuple of Log
+            Without windows in which nothing was read. A ``delay`` of readings does not reach from
+            one into the next: fit it first.
+        """
+        length = validation.positive_number("length", length, "s")
+        validation.instance("run", run, Trajectory, "make one by simulate(model, ...)")
+        last, end = float(self.time[-1]), float(run.time[-1] - run.time[0])
+        if run.nodes.shape[:2] != self.sensors.structure.nodes.shape or end < last * (1 - 1e-9):
+            raise ValueError(
+                f"run is of {run.structure!r} up to {end:g} s, expected the structure of the "
+                f"sensors up to {last:g} s"
+            )
+        count = max(1, int(np.ceil(last / length - 1e-9)))
+        validation.refuse_time(f"length is {length:g} s", count, "windows", 1e-3)
+        of = np.clip(np.ceil(self.time / length - 1e-9).astype(int) - 1, 0, count - 1)
+        parts = []
+        for i in np.unique(of[~np.isnan(self.readings).all(axis=1)]):
+            begin, rows = i * length, of == i
+            nearest = int(np.abs(run.time - run.time[0] - begin).argmin())
+            held = {self.input: _later(getattr(self, self.input), begin)}
+            parts.append(
+                replace(
+                    self, time=np.maximum(self.time[rows] - begin, 0.0),
+                    readings=self.readings[rows], nodes=run.nodes[:, :, nearest],
+                    velocities=run.velocities[:, :, nearest], **held,
+                )
+            )  # fmt: skip
+        return tuple(parts)
+
     @classmethod
     def of_run(
         cls, run: Trajectory, sensors: Sensors, times: object, seed: int | None = None
@@ -244,6 +290,15 @@ class Log:
             f"Log({len(self.time)} times up to {self.time[-1]:g} s, {numbers} numbers read, "
             f"{self.lost} lost)"
         )
+
+
+def _later(held: Any, begin: float) -> Any:
+    """Return what is held, as it is from a time on."""
+    if isinstance(held, Profile):
+        return Profile(held.time - begin, held.values, held.interpolation)
+    if callable(held):
+        return lambda time: held(time + begin)
+    return held
 
 
 def _columns(sensors: Sensors) -> list[str]:

@@ -896,6 +896,7 @@ call(
     },
 )
 call("Log.until", lambda: {"time": 0.015}, logged)
+call("Log.windows", lambda: {"length": 0.015, "run": differentiable()}, logged, share=0.3)
 call(
     "Log.of_run",
     lambda: {"run": differentiable(), "sensors": read_by(), "times": [0.01, 0.02], "seed": 1},

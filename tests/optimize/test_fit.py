@@ -176,3 +176,27 @@ def test_what_does_not_fit_is_refused():
     shape = 40, len(sensors.noise)
     with pytest.raises(ValueError, match="accelerometers, whose readings are not fitted"):
         tc.fit(model_of(), replace(log, sensors=sensors, readings=np.ones(shape)), ["stiffness"])
+
+
+def test_windows_of_a_log_are_logs_with_their_own_start():
+    model = model_of()
+    wound = tc.Profile([0.0, 0.15, 0.3, 0.5], np.outer(REST, [1.0, 0.95, 1.02, 0.97]))
+    run = tc.simulate(model, 0.5, rest_length=wound, step=2e-3, error="none")
+    sensors = tc.Sensors(structure=PRISM, node_position=1e-3)
+    log = tc.Log.of_run(run, sensors, np.arange(1, 26) * 0.02)
+    windows = log.windows(0.2, run)
+    assert [len(window.time) for window in windows] == [10, 10, 5]
+    for i, window in enumerate(windows):
+        rows = slice(10 * i, 10 * i + len(window.time))
+        np.testing.assert_allclose(window.time, log.time[rows] - 0.2 * i, atol=1e-12)
+        np.testing.assert_array_equal(window.readings, log.readings[rows])
+        np.testing.assert_array_equal(window.velocities, run.velocities[:, :, 100 * i])
+        np.testing.assert_allclose(window.rest_length.at(0.07), wound.at(0.2 * i + 0.07))
+    # Each goes on as the whole did.
+    found = tc.fit(model_of(115.0), windows, ["stiffness"], groups={"stiffness": "all"}, step=2e-3)
+    assert found.parameters["stiffness"][0] == pytest.approx(100.0, rel=1e-3)
+    assert max(found.validate(window).root_mean_square for window in windows) < 0.05
+    lost = replace(log, readings=np.where(log.time[:, None] < 0.21, np.nan, log.readings))
+    assert len(lost.windows(0.2, run)) == 2
+    with pytest.raises(ValueError, match=r"run is of .* up to 0\.1 s, expected"):
+        log.windows(0.2, tc.simulate(model, 0.1, rest_length=wound, step=2e-3, error="none"))
