@@ -85,13 +85,13 @@ def test_implicit_steps_agree_with_differences_and_backward_with_forward():
 def test_implicit_steps_go_through_switches_with_their_order(damping, order):
     """Damping that begins within a step acts over the whole of it: an error of order 1."""
     exact = place_of_pendant(SPEED, REST + 1e-30j, STIFFNESS, damping, MASS).imag / 1e-30
-    counts, errors = 2.0 ** np.arange(6, 10), []
+    counts, errors = 2.0 ** np.arange(6, 9), []
     for count in counts:
         run = pendant(damping=damping, method="energy_momentum", step=TIME / count)
         found = tc.sensitivity(run, ["rest_length"]).nodes["rest_length"]
         errors.append(abs(found[0, 1, 0, 0] - exact))
     assert -np.polyfit(np.log(counts), np.log(errors), 1)[0] == pytest.approx(order, abs=0.3)
-    assert errors[-1] < 5e-4
+    assert errors[-1] < 1e-3
 
 
 def test_implicit_steps_by_tolerance_are_two_halves_each():
