@@ -162,19 +162,19 @@ class Log:
         count = max(1, int(np.ceil(last / length - 1e-9)))
         validation.refuse_time(f"length is {length:g} s", count, "windows", 1e-3)
         of = np.clip(np.ceil(self.time / length - 1e-9).astype(int) - 1, 0, count - 1)
-        parts = []
+        windows = []
         for i in np.unique(of[~np.isnan(self.readings).all(axis=1)]):
             begin, rows = i * length, of == i
             nearest = int(np.abs(run.time - run.time[0] - begin).argmin())
             held = {self.input: _later(getattr(self, self.input), begin)}
-            parts.append(
+            windows.append(
                 replace(
                     self, time=np.maximum(self.time[rows] - begin, 0.0),
                     readings=self.readings[rows], nodes=run.nodes[:, :, nearest],
                     velocities=run.velocities[:, :, nearest], **held,
                 )
             )  # fmt: skip
-        return tuple(parts)
+        return tuple(windows)
 
     @classmethod
     def of_run(
