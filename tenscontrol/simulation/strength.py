@@ -154,8 +154,8 @@ def strength(run: Trajectory, sections: Sections) -> Strength:
     --------
     >>> import tenscontrol as tc
     >>> metal = tc.sizing.materials["aluminium"]
-    >>> sized = tc.sections(tc.prism(), bars=metal, bar_radius=0.005, strings=metal,
-    ...                     string_radius=0.001)
+    >>> sized = tc.sections(tc.prism(), bars=metal, bar_radius=[0.005, 0.006, 0.006],
+    ...                     strings=metal, string_radius=0.001)
     >>> rest = tc.prestress(sized.structure, force_density=1000.0)
     >>> run = tc.simulate(tc.Model(sized.structure), 0.1, force_density=rest.force_density)
     >>> tc.strength(run, sized)

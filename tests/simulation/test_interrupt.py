@@ -82,10 +82,10 @@ def test_open_loop(example, monkeypatch, method, options, number):
 
 
 def test_a_key_that_is_lost_while_a_run_is_built_still_ends_it(example, monkeypatch):
-    def lost(*arguments):
+    def lost(*arguments, **named):
         with suppress(KeyboardInterrupt):  # CasADi does so in its conversions
             signal.raise_signal(signal.SIGINT)
-        return initial_state(*arguments)
+        return initial_state(*arguments, **named)
 
     initial_state = scene.initial_state
     monkeypatch.setattr(scene, "initial_state", lost)
