@@ -54,7 +54,7 @@ sphinx_gallery_conf = {
     "examples_dirs": "../examples",
     "gallery_dirs": "gallery",
     "filename_pattern": r"/.*\.py",
-    "ignore_pattern": r"_study\.py",  # what examples import
+    "ignore_pattern": r"(_study|learn_to_roll)\.py",  # what examples import; needs torch
     "copyfile_regex": r"index\.rst",  # sections, and examples in the order of their difficulty
     "minigallery_sort_order": place_in_gallery,
     "backreferences_dir": "gen_modules",  # galleries of a section need one

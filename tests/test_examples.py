@@ -13,7 +13,8 @@ import pytest
 from tests.examples import NUMBERS
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
-STUDIES = {"stiffness_study.py"}  # which examples import; tests/benchmarks/ tests it
+# One is imported by examples, and tests/benchmarks/ tests it. The other needs torch.
+STUDIES = {"stiffness_study.py", "learn_to_roll.py"}
 
 
 def test_every_example_has_numbers():

@@ -4,7 +4,7 @@ A ball learns to roll
 
 A policy is trained by proximal policy optimization of Stable-Baselines3 until a six-bar ball rolls
 along x. It is then put into ``simulate`` as a controller. With the libraries of
-``requirements.txt``: ``python examples/policy/learn_to_roll.py``, some minutes on one core.
+``learn_to_roll_requirements.txt``: ``python examples/learn_to_roll.py``, some minutes on one core.
 """
 
 import argparse
