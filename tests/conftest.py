@@ -23,7 +23,7 @@ _NO_USERS = (str(Path(tc.__file__).parent), sysconfig.get_path("stdlib"), "sys",
 
 # Property tests draw the same few examples on every run, so that a failure can be repeated;
 # many others with ``pytest --hypothesis-profile=thorough``.
-settings.register_profile("tenscontrol", deadline=None, derandomize=True, max_examples=25)
+settings.register_profile("tenscontrol", deadline=None, derandomize=True, max_examples=12)
 settings.register_profile("thorough", deadline=None, max_examples=500)
 settings.load_profile("tenscontrol")
 

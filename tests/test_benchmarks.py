@@ -89,7 +89,7 @@ def test_arm_shape(printed):
 
 
 def test_driven_choices(printed):
-    text = printed("driven_choices", "--start 25 --count 5 --each")
+    text = printed("driven_choices", "--start 4 --count 2 --each")
     assert "silent: 0" in text
     assert " stable" in text
     assert "one way" in text

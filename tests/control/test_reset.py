@@ -67,6 +67,6 @@ def commands(controller, seed, samples, size):
 def test_reset_is_a_fresh_start(make):
     used, fresh = make(), make()
     # Hard pushes make the solver adapt its step.
-    commands(used, 0, 12, 0.03)
+    commands(used, 0, 6, 0.03)
     used.reset()
-    np.testing.assert_array_equal(commands(used, 1, 6, 0.005), commands(fresh, 1, 6, 0.005))
+    np.testing.assert_array_equal(commands(used, 1, 4, 0.005), commands(fresh, 1, 4, 0.005))

@@ -34,8 +34,7 @@ def read(plant, sensors, z, u):
 
 
 @pytest.mark.parametrize("kinds", [tuple(EVERY), *((kind,) for kind in EVERY)])
-@pytest.mark.parametrize("which", ["held", "by_force"])
-@pytest.mark.parametrize("coordinates", ["internal", "minimal"])
+@pytest.mark.parametrize(("which", "coordinates"), [("held", "minimal"), ("by_force", "internal")])
 def test_derivatives_are_those_of_the_readings(request, kinds, which, coordinates, sensors_of):
     sensors = sensors_of(*kinds)
     plant = tc.plant.in_coordinates(request.getfixturevalue(which), coordinates)

@@ -26,8 +26,7 @@ def built(monkeypatch):
     return names
 
 
-@pytest.mark.parametrize("prediction", ["linear", "nonlinear"])
-@pytest.mark.parametrize("load", [False, True])
+@pytest.mark.parametrize(("prediction", "load"), [("linear", True), ("nonlinear", False)])
 def test_a_second_filter_on_a_plant_builds_nothing(model, built, prediction, load):
     plant = tc.linearize(model, tc.prestress(model.structure, 17.3205), input="rest_length")
     options = {"sample_time": STEP, "prediction": prediction, "load": load}

@@ -84,7 +84,7 @@ def _clustered(structure):
     )
 
 
-@pytest.mark.parametrize("kind", ["fixed", "elastic", "clustered", "payload", "moving load"])
+@pytest.mark.parametrize("kind", ["elastic", "clustered", "moving load"])
 def test_all_that_the_core_knows_can_be_carried(kind):
     tower = tc.prism_tower(8)
     structure = {

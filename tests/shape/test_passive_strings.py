@@ -28,8 +28,11 @@ def values_of(target_or_path, input):
     return getattr(target_or_path, input)
 
 
-@pytest.mark.parametrize("input", ["rest_length", "force_density"])
-@pytest.mark.parametrize("actuated", CHOICES, ids=str)
+@pytest.mark.parametrize(
+    ("actuated", "input"),
+    list(zip(CHOICES, 3 * ["rest_length", "force_density"], strict=True)),
+    ids=str,
+)
 def test_a_shape_and_the_path_to_it_are_what_winches_can_hold(actuated, input):
     model, rest = prism_model(), prism_at_rest()
     plant = tc.linearize(model, rest, input, actuated=actuated)
