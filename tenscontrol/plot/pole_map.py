@@ -209,7 +209,9 @@ def _checked(name: str, values: object) -> np.ndarray:
         with np.errstate(over="ignore"):  # of a longer kind of float: infinite
             array = np.array(values, dtype=complex)
     except (TypeError, ValueError, OverflowError) as error:
-        raise TypeError(f"{name} must be an array of complex numbers: {error}") from None
+        raise TypeError(
+            f"{name} must be an array of complex numbers, as tc.modes(plant).pole: {error}"
+        ) from None
     if array.ndim != 1 or len(array) == 0:
         raise ValueError(f"{name} has shape {array.shape}, expected (k,): one number per pole")
     bad = np.flatnonzero(~np.isfinite(array))

@@ -82,7 +82,11 @@ def test_second_map_in_the_same_axes_holds_both(flat):
         ([1.0, np.nan], ValueError, r"poles\[1\] is \(nan\+0j\), expected a finite number"),
         ([10**400], TypeError, "poles must be an array of complex numbers"),
         ([1e200j], ValueError, r"poles\[[0-9]+\] is 1e\+200, expected at most"),
-        ("abc", TypeError, "poles must be an array of complex numbers"),
+        (
+            "abc",
+            TypeError,
+            r"poles must be an array of complex numbers, as tc\.modes\(plant\)\.pole",
+        ),
     ],
 )
 def test_wrong_poles_are_named(poles, error, message):
