@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,10 +17,16 @@ from tenscontrol.structure.structure import Structure
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-_FORMS = (
-    "indices and groups of strings, {name: strings} with strings that share a winch, or a matrix "
-    "of shape (α, m)"
-)
+
+@dataclass(frozen=True)
+class _Members:
+    """Members that are driven: strings by winches, or bars by drives."""
+
+    noun: str
+    drive: str
+    count: int
+    forms: str  # in which they are given
+    listed: Callable[[str, object], list[int]]  # the members of a list, by the list's name
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,27 +284,13 @@ def actuation_of(structure: Structure, actuated: object, values: FloatArray) -> 
     -------
     Actuation
     """
-    count = len(structure.strings)
-    if actuated is None:
-        return every_string(count)
-    if isinstance(actuated, Actuation):
-        if len(actuated.input) != count:
-            raise ValueError(
-                f"actuated is {actuated!r}, but the structure has {count} strings: take that of a "
-                "plant of the same structure"
-            )
-        return through(actuated, values)
-    names: tuple[str, ...] = ()
-    if isinstance(actuated, Mapping):
-        names = tuple(validation.identifier("a name in actuated", name) for name in actuated)
-        winches = [
-            _ganged(structure, f"actuated[{name!r}]", group) for name, group in actuated.items()
-        ]
-    elif isinstance(actuated, np.ndarray) and actuated.ndim == 2:
-        winches = _columns(actuated, count)
-    else:
-        winches = [{string: 1.0} for string in _listed(structure, "actuated", actuated)]
-    return _together(winches, names, count, values)
+    forms = (
+        "indices and groups of strings, {name: strings} with strings that share a winch, or a "
+        "matrix of shape (α, m)"
+    )
+    listed = partial(_listed, structure, forms)
+    strings = _Members("string", "winch", len(structure.strings), forms, listed)
+    return _actuation_of(strings, actuated, values)
 
 
 def actuation_of_bars(actuated: object, lengths: FloatArray) -> Actuation:
@@ -306,79 +299,76 @@ def actuation_of_bars(actuated: object, lengths: FloatArray) -> Actuation:
     As :func:`actuation_of`, of bars by index: values are their lengths, m, shape (β,).
     """
     count = len(lengths)
+
+    def listed(name: str, given: object) -> list[int]:
+        return [int(number) for number in validation.index_list(name, given, count, "bars")]
+
+    forms = (
+        "indices of bars, {name: bars} with bars that share a drive, or a matrix of shape (β, m)"
+    )
+    return _actuation_of(_Members("bar", "drive", count, forms, listed), actuated, lengths)
+
+
+def _actuation_of(members: _Members, actuated: object, values: FloatArray) -> Actuation:
+    """Return which members are driven, where members have these values."""
     if actuated is None:
-        return every_string(count)
+        return every_string(members.count)
     if isinstance(actuated, Actuation):
-        if len(actuated.input) != count:
+        if len(actuated.input) != members.count:
             raise ValueError(
-                f"actuated is {actuated!r}, but the structure has {count} bars: take that of a "
-                "plant of the same structure"
+                f"actuated is {actuated!r}, but the structure has {members.count} {members.noun}s: "
+                "take that of a plant of the same structure"
             )
-        return through(actuated, lengths)
+        return through(actuated, values)
     names: tuple[str, ...] = ()
     if isinstance(actuated, Mapping):
         names = tuple(validation.identifier("a name in actuated", name) for name in actuated)
         drives = [
-            _ganged_bars(f"actuated[{name!r}]", group, count) for name, group in actuated.items()
+            _ganged(members, f"actuated[{name!r}]", group) for name, group in actuated.items()
         ]
     elif isinstance(actuated, np.ndarray) and actuated.ndim == 2:
-        drives = _columns(actuated, count)
+        drives = _columns(members, actuated)
     else:
-        numbers = validation.index_list("actuated", actuated, count, "bars")
-        drives = [{int(number): 1.0} for number in numbers]
-    return _together(drives, names, count, lengths)
-
-
-def _ganged_bars(name: str, group: object, count: int) -> dict[int, float]:
-    """Return the ratio of each bar of one drive."""
-    ratios = group if isinstance(group, Mapping) else None
-    keys: object = group if ratios is None else list(ratios)
-    bars = [int(number) for number in validation.index_list(name, keys, count, "bars")]
-    if ratios is None:
-        return dict.fromkeys(bars, 1.0)
-    drive = {}
-    for bar, ratio in zip(bars, ratios.values(), strict=True):
-        drive[bar] = validation.number(f"{name}[{bar}]", ratio, "ratio of the bar")
-        if drive[bar] == 0:
-            raise ValueError(f"{name}[{bar}] is 0, by which nothing moves: leave it out")
-    return drive
+        drives = [{number: 1.0} for number in members.listed("actuated", actuated)]
+    return _together(members, drives, names, values)
 
 
 def _together(
-    winches: list[dict[int, float]], names: tuple[str, ...], count: int, values: FloatArray
+    members: _Members, drives: list[dict[int, float]], names: tuple[str, ...], values: FloatArray
 ) -> Actuation:
-    """Return the actuation of winches, each a ratio by string, where strings have these values."""
-    if not winches:
-        raise ValueError(f"actuated is empty, expected {_FORMS}")
+    """Return the actuation of drives, each a ratio by member, where members have these values."""
+    noun, drive, count = members.noun, members.drive, members.count
+    if not drives:
+        raise ValueError(f"actuated is empty, expected {members.forms}")
     of, ratio = np.full(count, -1), np.zeros(count)
     leads = []
-    for number, winch in enumerate(winches):
+    for number, ratios in enumerate(drives):
         name = f"actuated[{names[number]!r}]" if names else "actuated"
-        for string, by in winch.items():
-            if of[string] >= 0:
+        for member, by in ratios.items():
+            if of[member] >= 0:
                 raise ValueError(
-                    f"{name} has string {string}, which another winch drives already; expected one "
-                    "winch a string"
+                    f"{name} has {noun} {member}, which another {drive} drives already; expected "
+                    f"one {drive} a {noun}"
                 )
-            of[string], ratio[string] = number, by
-        positive = [string for string, by in winch.items() if by > 0]
+            of[member], ratio[member] = number, by
+        positive = [member for member, by in ratios.items() if by > 0]
         if not positive:
             raise ValueError(
-                f"{name} has no string with a positive ratio; expected at least one in each "
-                "winch: turn its signs"
+                f"{name} has no {noun} with a positive ratio; expected at least one in each "
+                f"{drive}: turn its signs"
             )
         leads.append(min(positive))
     lead = np.array(leads)
     return through(Actuation(of, ratio, np.zeros(count), lead, names), values)
 
 
-def _listed(structure: Structure, name: str, given: object) -> list[int]:
+def _listed(structure: Structure, forms: str, name: str, given: object) -> list[int]:
     """Return strings that are listed by index, group or mask."""
     if isinstance(given, str):
         given = [given]
     if isinstance(given, list | tuple) and any(isinstance(entry, list | tuple) for entry in given):
         raise ValueError(
-            f"{name} has a list in a list, expected {_FORMS}: strings that share a winch go in a "
+            f"{name} has a list in a list, expected {forms}: strings that share a winch go in a "
             "dict, {'pair': [0, 1]}"
         )
     if not isinstance(given, list | tuple) or not any(isinstance(entry, str) for entry in given):
@@ -396,33 +386,35 @@ def _listed(structure: Structure, name: str, given: object) -> list[int]:
     return list(strings)
 
 
-def _ganged(structure: Structure, name: str, group: object) -> dict[int, float]:
-    """Return the ratio of each string of one winch."""
+def _ganged(members: _Members, name: str, group: object) -> dict[int, float]:
+    """Return the ratio of each member of one drive."""
     if not isinstance(group, Mapping):
         if isinstance(group, int | np.integer) and not isinstance(group, bool):
             group = [group]
-        return dict.fromkeys(_listed(structure, name, group), 1.0)
-    winch: dict[int, float] = {}
+        return dict.fromkeys(members.listed(name, group), 1.0)
+    noun = members.noun
+    ratios: dict[int, float] = {}
     for key, ratio in group.items():
-        by = validation.number(f"{name}[{key!r}]", ratio, "ratio of the string")
+        by = validation.number(f"{name}[{key!r}]", ratio, f"ratio of the {noun}")
         if by == 0:
             raise ValueError(f"{name}[{key!r}] is 0, by which nothing moves: leave it out")
-        for string in _listed(structure, name, [key]):
-            if string in winch:
-                raise ValueError(f"{name} has string {string} twice; expected one ratio a string")
-            winch[string] = by
-    return winch
+        for member in members.listed(name, [key]):
+            if member in ratios:
+                raise ValueError(f"{name} has {noun} {member} twice; expected one ratio a {noun}")
+            ratios[member] = by
+    return ratios
 
 
-def _columns(matrix: np.ndarray, count: int) -> list[dict[int, float]]:
-    """Return the winches of a matrix, shape (α, m), column by column."""
+def _columns(members: _Members, matrix: np.ndarray) -> list[dict[int, float]]:
+    """Return the drives of a matrix, shape (members, m), column by column."""
+    noun, drive, count = members.noun, members.drive, members.count
     array = validation.float_array("actuated", matrix)
     if len(array) != count:
         raise ValueError(
-            f"actuated has shape {array.shape}, expected ({count}, m): one row per string, one "
-            "column per winch"
+            f"actuated has shape {array.shape}, expected ({count}, m): one row per {noun}, one "
+            f"column per {drive}"
         )
     empty = np.flatnonzero(~array.any(axis=0))
     if len(empty):
-        raise ValueError(f"actuated has a column of zeros, {empty[0]}: a winch without strings")
+        raise ValueError(f"actuated has a column of zeros, {empty[0]}: a {drive} without {noun}s")
     return [{int(i): float(column[i]) for i in np.flatnonzero(column)} for column in array.T]
