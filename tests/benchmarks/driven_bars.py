@@ -1,4 +1,4 @@
-"""How exact runs with driven bars are, by method, and the loops of struts.
+"""How exact runs with driven bars are, by method.
 
     python -m tests.benchmarks.driven_bars
 

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 import tenscontrol as tc
+from tests.benchmarks.driven_bars import GRAVITY, SPIN, hoist, swinging
 from tests.known_structures import class2_tower, d_bar
 from tests.oracle import free_rows, node_acceleration
 
-GRAVITY, MASS, SPIN = 9.81, 2.0, 3.0
+MASS = 2.0
 
 
 @pytest.fixture(scope="module")
@@ -63,32 +63,15 @@ def test_work_of_the_drive_is_the_change_of_energy(spinning):
     np.testing.assert_allclose(spinning.bar_force[0], force, atol=1e-9)
 
 
-@pytest.fixture(scope="module")
-def pendulum():
-    """A rod that hangs from a hinge in the plane, 0.7 rad off the vertical."""
-    place = [[0, 1.2 * np.sin(0.7)], [0, -1.2 * np.cos(0.7)]]
-    rod = tc.Structure(place, [(0, 1)], [], MASS, fixed=[0])
-    return tc.Model(rod, gravity=GRAVITY)
-
-
-def _hoist(time):
-    return 1.2 + 0.3 * np.sin(1.7 * time) ** 2
-
-
-def test_a_swinging_rod_of_changing_length_obeys_its_own_equation(pendulum):
+def test_a_swinging_rod_of_changing_length_obeys_its_own_equation():
     """θ̈ = −2 L̇/L θ̇ − 3 g/(2 L) sin θ."""
-
-    def slope(time, y):
-        length, rate = _hoist(time), 0.3 * 1.7 * np.sin(2 * 1.7 * time)
-        return [y[1], -2 * rate / length * y[1] - 1.5 * GRAVITY / length * np.sin(y[0])]
-
-    true = solve_ivp(slope, (0, 2), [0.7, 0], "DOP853", rtol=1e-13, atol=1e-14, dense_output=True)
+    pendulum, true = swinging(2.0)
 
     def off(**how):
-        how = {"bar_length": lambda t: [_hoist(t)], "error": "none"} | how
+        how = {"bar_length": lambda t: [hoist(t)], "error": "none"} | how
         run = tc.simulate(pendulum, 2.0, **how)
         angle = np.arctan2(run.nodes[0, 1], -run.nodes[1, 1])
-        return run, np.abs(angle[::8] - true.sol(run.time[::8])[0]).max()
+        return run, np.abs(angle[::8] - true(run.time[::8])[0]).max()
 
     run, error = off(method="dop853", tolerance=1e-12)
     assert error < 1e-9
