@@ -35,6 +35,17 @@ STILL = np.zeros((3, 6))
 
 
 @contextmanager
+def profiled(look):
+    """Show each call and return to a function."""
+    before = sys.getprofile()
+    sys.setprofile(look)
+    try:
+        yield
+    finally:
+        sys.setprofile(before)
+
+
+@contextmanager
 def files_passed():
     """Collect the files of the package whose functions run."""
     found: set[str] = set()
@@ -48,12 +59,8 @@ def files_passed():
             if name != code.co_filename and "/" in name and code.co_name != "<module>":
                 found.add(name)
 
-    before = sys.getprofile()
-    sys.setprofile(look)
-    try:
+    with profiled(look):
         yield found
-    finally:
-        sys.setprofile(before)
 
 
 @pytest.fixture(scope="module")
@@ -140,12 +147,8 @@ def calls():
         if event == "call" and frame.f_code.co_filename.startswith(PACKAGE):
             names.append(frame.f_code.co_qualname)
 
-    before = sys.getprofile()
-    sys.setprofile(look)
-    try:
+    with profiled(look):
         yield names
-    finally:
-        sys.setprofile(before)
 
 
 def test_what_a_later_run_costs_beside_its_steps(scene):
