@@ -103,6 +103,7 @@ class SteppedModels:
         self._lanes: FixedStepLanes | None = None
         self._loads: FloatArray | None = None
         self._alone: dict[int, CoreSample | Integrator] = {}
+        self._equations: dict[int, Equation] = {}
         given = self.parameters
         if self.count == 1 or not have_tables(self.model, given):
             return
@@ -121,7 +122,13 @@ class SteppedModels:
             self._loads = self._loads.reshape(len(self._loads), -1)
 
     def _equation_of(self, robot: int) -> Equation:
-        return self.model_of(robot).equation(self._input, None, "auto", degree=self._degree)
+        key = robot if self.parameters else 0  # models that are alike share it
+        equation = self._equations.get(key)
+        if equation is None:
+            model = self.model_of(robot)
+            equation = model.equation(self._input, None, "auto", degree=self._degree)
+            self._equations[key] = equation
+        return equation
 
     def advance(
         self, robots: np.ndarray, states: FloatArray, inputs: FloatArray, duration: float
