@@ -227,7 +227,7 @@ def test_coupled_bars(printed):
 
 def test_ground_motions(printed, monkeypatch):
     monkeypatch.delitem(import_module("tests.benchmarks.ground_motions").SCENES, "tower")
-    text = printed("ground_motions", "--duration 0.3 --rest 0.2")
+    text = printed("ground_motions", "--duration 0.3 --rest 0.1")
     for error in re.findall(r"farthest node, m +(.*)", text):
         assert max(map(float, error.split())) < 1e-11
     assert "0 not located" in text
@@ -365,7 +365,7 @@ def test_robustness_together(printed, monkeypatch):
     assert "equal to the last bit: True" in text
 
 
-def test_rolling(printed):
+def test_rolling(printed, nothing_compiled):
     text = printed("rolling", "--count 1 --steps 1 --slopes 5 --plans 1")
     assert row(text, "steps") == [1, 1, 1, 1, 1]
     assert row(text, "slope of 5°: a command takes")[0] > 0
@@ -398,8 +398,8 @@ def test_optimal_goals(printed):
 
 
 def test_sensitivities(printed):
-    text = printed("sensitivities", "--seed 24 --count 2 --steps 200")
-    assert "2 scenes, 0 of more than 200 steps left out; 2 judged, 2 with switches" in text
+    text = printed("sensitivities", "--seed 24 --count 1 --steps 200")
+    assert "1 scenes, 0 of more than 200 steps left out; 1 judged, 1 with switches" in text
     assert "above 1e-7: []; beyond what differences are certain to: []" in text
 
 
@@ -518,7 +518,7 @@ def test_batch(printed, monkeypatch, jax_compiles_quickly, scene):
     module = import_module("tests.benchmarks.batch")
     monkeypatch.setattr(module, "BLOCKS", (5,))
     text = printed(
-        "batch", f"--structures prism --scenes {scene} --runs 5 --duration 0.2 --repeats 1"
+        "batch", f"--structures prism --scenes {scene} --runs 5 --duration 0.1 --repeats 1"
         " --errors 1e-3",
     )  # fmt: skip
     for program in beside(

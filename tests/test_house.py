@@ -86,6 +86,7 @@ def test_names_are_imported_from_the_files_where_they_live():
     assert wrong == []
 
 
+@cache
 def lives_in(folder, name):
     """Whether a name is a module of a folder, or its ``__init__`` defines it."""
     if folder.joinpath(name).with_suffix(".py").exists() or folder.joinpath(name).is_dir():

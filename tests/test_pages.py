@@ -104,7 +104,7 @@ def test_faults(capsys, tmp_path, monkeypatch):
 
 
 def test_ground():
-    names = ran("ground", **{"    15.0,": "    0.5,"})
+    names = ran("ground", **{"    15.0,": "    0.5,", "rough, 1.0,": "rough, 0.4,"})
     assert names["bounced"].nodes[0].max() < 1.05  # in front of the wall
     assert -0.96 < names["landed"].nodes[2].min() < -0.9
     assert names["stance"].contacts.normal_force.sum() == pytest.approx(6 * 9.81, rel=1e-9)
@@ -145,7 +145,7 @@ def test_structures():
 
 def test_figures(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    run = ran("figures")["run"]
+    run = ran("figures", **{"len(run.time), 20)": "len(run.time), 60)"})["run"]
     assert np.abs(run.nodes - run.nodes[:, :, :1]).max() > 0.01
     assert {path.name for path in tmp_path.iterdir()} == {"tower.pdf", "tower.gif"}
 

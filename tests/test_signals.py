@@ -73,7 +73,7 @@ def test_a_loop_that_never_checks_is_ended(number):
 def test_a_result_is_finished():
     with interruptible() as came, finishing():
         signal.raise_signal(signal.SIGINT)
-        time.sleep(1.0)
+        time.sleep(0.6)
     assert came.signal == signal.SIGINT
 
 

@@ -1,7 +1,5 @@
 """Controllers and filters of structures some of whose strings are driven."""
 
-import warnings
-
 import control
 import numpy as np
 import pytest
@@ -204,51 +202,6 @@ def test_nonlinear_mpc_near_the_operating_point_is_linear_mpc(layout):
     moves = [value - plant.rest_length for value in values]
     np.testing.assert_allclose(moves[1], moves[0], rtol=0, atol=2e-2 * np.abs(moves[0]).max())
     np.testing.assert_array_equal(moves[1][plant.actuation.passive], 0.0)
-
-
-def regulator_or_none(plant):
-    """Return a regulator that leaves nothing alone, or None where it says that it cannot."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", RuntimeWarning)
-            return tc.LQR(plant, sample_time=SAMPLE)
-    except (ValueError, RuntimeWarning) as error:
-        if "no string reaches" not in str(error) and "out of reach" not in str(error):
-            raise
-        return None
-
-
-def test_random_choices_of_driven_strings_are_stable_or_refused():
-    """The nonlinear plant moves as the design says, or there is no design, with a reason."""
-    random, ran, refused = np.random.default_rng(0), 0, 0
-    for _ in range(12):  # many more: the benchmark
-        structure = tc.prism_tower(
-            stages=int(random.integers(1, 4)), sides=int(random.integers(3, 5))
-        )
-        model = tc.Model(structure, strings=tc.LinearStrings(500.0, damping=random.uniform(0, 1)))
-        rest = tc.prestress(structure, min_force_density=20.0)
-        count = len(structure.strings)
-        strings = random.permutation(count)[: int(random.integers(1, count // 2))]
-        plant = tc.linearize(model, rest, input="rest_length", actuated=strings)
-        law = regulator_or_none(plant)
-        by_force = tc.linearize(model, rest, actuated=strings)
-        refused += regulator_or_none(by_force) is None
-        if law is None:
-            refused += 1
-            continue
-        ran += 1
-        radius = np.abs(law.poles).max()
-        start = plant.to_nodes(1e-4 * random.normal(size=plant.degrees_of_freedom))
-        run = tc.simulate(model, 4.0, start, controller=law, rest_length=plant.rest_length)
-        states = [plant.measure(run.nodes[..., k], run.velocities[..., k]) for k in (0, -1)]
-        phi, gamma, _ = plant.discretize(SAMPLE)
-        closed = np.linalg.matrix_power(phi - gamma @ law.gain, round(4.0 / SAMPLE))
-        unit = np.repeat([plant.spectral_radius, 1.0], plant.degrees_of_freedom)
-        assert radius < 1
-        off = np.linalg.norm(unit * (states[1] - closed @ states[0]))
-        assert off < 0.05 * np.linalg.norm(unit * states[0])
-    assert ran > 5
-    assert refused > 0
 
 
 def test_a_tower_whose_design_for_all_strings_fails_on_the_driven_ones():

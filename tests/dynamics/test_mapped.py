@@ -110,8 +110,15 @@ def assert_same(found, expected):
         np.testing.assert_allclose(one, other, rtol=0, atol=2e-14 * scale)
 
 
-@pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("name", STRUCTURES)
+@pytest.mark.parametrize(
+    ("name", "law"),
+    [
+        (name, law)
+        for i, name in enumerate(STRUCTURES)
+        for j, law in enumerate(LAWS)
+        if (i + j) % 3 == 0 or name == "swinging"
+    ],
+)
 def test_all_forms_agree(name, law):
     model, held, at = scene(name, law)
     flat = model.equation(held, form="flat")

@@ -10,7 +10,7 @@ import pytest
 import tenscontrol as tc
 from tests.dynamics.scenes import TOP_FORCE_DENSITY, paper_force_density, rest_lengths
 
-SEGMENTS = range(2, 33)
+SEGMENTS = (2, 3, 5, 8, 13, 21, 32)
 BEAD = 0.01
 
 

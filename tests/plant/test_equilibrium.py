@@ -181,7 +181,7 @@ def test_random_structures_come_to_rest(seed):
 
 
 def test_a_long_tower_finds_back_to_its_shape_without_dense_matrices():
-    tower = tc.prism_tower(60)
+    tower = tc.prism_tower(40)
     rest = tc.prestress(tower, 10.0)
     model = tc.Model(tower, strings=tc.LinearStrings(3000.0))
     wound = tc.to_rest_length(model, tower.nodes, rest.force_density).rest_length

@@ -52,7 +52,7 @@ def test_linear_plant_is_the_slope_of_the_full_dynamics(structure, held):
 @pytest.mark.parametrize(
     ("name", "held"),
     [*((name, "rest_length") for name in SCENES),
-     *((name, "force_density") for name in ("d_bar", "arm", "random_3d_2"))],
+     *((name, "force_density") for name in ("arm", "random_3d_2"))],
 )  # fmt: skip
 def test_reduced_dynamics_and_their_slopes_are_exact(name, held):
     structure = SCENES[name]

@@ -15,7 +15,7 @@ def test_a_new_figure_is_shown_by_pyplot(slack_run):
 
 
 def test_a_saved_figure_is_closed(slack_run, tmp_path):
-    for k in range(3):
+    for k in range(2):
         figure = tc.plot.trajectory(slack_run)["coordinates"].ax.figure
         tc.plot.save_figure(figure, tmp_path / f"{k}.png")
     assert plt.get_fignums() == []

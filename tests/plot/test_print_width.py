@@ -20,7 +20,7 @@ def run():
     return tc.simulate(model, 0.05, rest_length=lengths, step=1e-3)
 
 
-@pytest.mark.parametrize(("width", "wide"), [("page", 183.0), (120, 120.0)])
+@pytest.mark.parametrize(("width", "wide"), [("page", 183.0)])
 def test_a_pdf_has_the_width_and_its_fonts(run, tmp_path, width, wide):
     before = rcParams["pdf.fonttype"]
     for name, figure in (

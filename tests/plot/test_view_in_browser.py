@@ -176,10 +176,17 @@ def place_on_screen(browser, node):
     }})()""")
 
 
-def test_a_structure_is_shown_and_a_node_tells_its_number(browser, tmp_path):
+@pytest.fixture(scope="module")
+def page_of_ball(tmp_path_factory):
     ball = tc.library.six_bar_ball()
     gamma = tc.prestress(ball, 20.0).force_density
-    browser.open(tc.plot.view(ball, force_density=gamma).save(tmp_path / "ball.html"))
+    view = tc.plot.view(ball, force_density=gamma)
+    return view.save(tmp_path_factory.mktemp("page") / "ball.html")
+
+
+def test_a_structure_is_shown_and_a_node_tells_its_number(browser, page_of_ball):
+    ball = tc.library.six_bar_ball()
+    browser.open(page_of_ball)
     assert browser.problems == []
     assert_lines(browser, "bars", ball.nodes, ball.bars)
     assert_lines(browser, "strings", ball.nodes, ball.strings)
@@ -196,14 +203,11 @@ def test_a_structure_is_shown_and_a_node_tells_its_number(browser, tmp_path):
     assert "node 7" in browser.run("plot.querySelector('.hovertext').textContent")
 
 
-def test_on_a_phone_nothing_is_cut_or_lies_over_the_drawing(browser, tmp_path):
-    ball = tc.library.six_bar_ball()
-    gamma = tc.prestress(ball, 20.0).force_density
-    page = tc.plot.view(ball, force_density=gamma).save(tmp_path / "ball.html")
+def test_on_a_phone_nothing_is_cut_or_lies_over_the_drawing(browser, page_of_ball):
     metrics = {"width": 390, "height": 800, "deviceScaleFactor": 1, "mobile": True}
     browser.ask("Emulation.setDeviceMetricsOverride", **metrics)
     try:
-        browser.open(page)
+        browser.open(page_of_ball)
         whole = browser.run("((page) => [page.scrollWidth, page.scrollHeight])(document.body)")
         assert whole == [390, 800]  # no scrolling
         box = "document.getElementById({!r}).getBoundingClientRect()"
@@ -217,13 +221,19 @@ def test_on_a_phone_nothing_is_cut_or_lies_over_the_drawing(browser, tmp_path):
 
 
 def test_a_run_is_played_scrubbed_turned_and_coloured(browser, tmp_path):
-    tower = tc.library.class2_tower(stages=3)
+    steel = tc.sizing.materials["steel"]
+    sized = tc.sections(
+        tc.library.class2_tower(stages=3), bars=steel, strings=steel, bar_radius=0.01,
+        string_radius=0.001,
+    )  # fmt: skip
+    tower = sized.structure
     model = tc.Model(tower, strings=tc.LinearStrings(stiffness=2e3))
     plant = tc.linearize(model, tc.prestress(tower, min_force_density=20.0), input="rest_length")
     short = plant.rest_length * np.where(np.arange(len(tower.strings)) % 3, 1.0, 0.8)
     pulled = tc.Profile([0.0, 0.2], np.stack([plant.rest_length, short], axis=1))
     run = tc.simulate(model, 1.0, rest_length=pulled, output_step=0.01)
-    browser.open(run.to_html(tmp_path / "run.html"))
+    held = tc.strength(run, sized)
+    browser.open(tc.plot.view(held).save(tmp_path / "run.html"))
     assert_lines(browser, "bars", run.nodes[..., 0], tower.bars)
     browser.run("document.getElementById('play').click()")
     browser.wait("Number(scrub.value) > 2")
@@ -247,6 +257,10 @@ def test_a_run_is_played_scrubbed_turned_and_coloured(browser, tmp_path):
     choose(browser, "scrub", 20)
     assert browser.run("told.textContent") == f"t = {run.time[20]:.3f} s"
     assert_lines(browser, "bars", run.nodes[..., 20], tower.bars)
+    for trace, margin in (("strings", held.string_margin), ("bars", held.bar_margin)):
+        line = f"plot.data.find((trace) => trace.name === {trace!r}).line"
+        drawn = browser.run(f"Array.from({line}.color)")[::3]
+        np.testing.assert_allclose(drawn, 1 / margin[:, 20], rtol=1e-4)
     slack = run.force_density[:, 20] == 0
     taut = np.isfinite(points(browser, "strings")[0, ::3])
     loose = np.isfinite(points(browser, "slack strings")[0, ::3])
@@ -262,25 +276,9 @@ def test_a_run_is_played_scrubbed_turned_and_coloured(browser, tmp_path):
         drawn = browser.run("Array.from(plot.data[0].line.color)")[::3]
         np.testing.assert_allclose(drawn, values, rtol=1e-4, atol=1e-3)
         assert browser.run("document.querySelector('#scale p').textContent") == name
+        assert browser.run("plot.data[2].line.color") == "#262626"  # of bars
     choose(browser, "color", "")
     assert browser.run("document.getElementById('scale').hidden")
-    assert browser.problems == []
-
-
-def test_bars_of_a_strength_are_coloured_too(browser, tmp_path):
-    steel = tc.sizing.materials["steel"]
-    ball = tc.library.six_bar_ball()
-    sized = tc.sections(ball, bars=steel, strings=steel, bar_radius=0.01, string_radius=0.001)
-    gamma = tc.prestress(ball, 100.0).force_density * np.linspace(0.9, 1.1, 24)
-    run = tc.simulate(tc.Model(sized.structure), 0.1, force_density=gamma, output_step=0.01)
-    found = tc.strength(run, sized)
-    browser.open(tc.plot.view(found).save(tmp_path / "strength.html"))
-    choose(browser, "scrub", 5)
-    for trace, margin in ((0, found.string_margin), (2, found.bar_margin)):
-        drawn = browser.run(f"Array.from(plot.data[{trace}].line.color)")[::3]
-        np.testing.assert_allclose(drawn, 1 / margin[:, 5], rtol=1e-4)
-    choose(browser, "color", "tension, N")
-    assert browser.run("plot.data[2].line.color") == "#262626"
     assert browser.problems == []
 
 

@@ -242,7 +242,6 @@ VALUES = st.recursive(
 )
 
 
-@settings(max_examples=40, deadline=None)
 @given(value=VALUES)
 def test_any_value_comes_back(value):
     writer = _Writer()

@@ -79,7 +79,7 @@ def test_motions_that_keep_lengths_are_the_same(name, monkeypatch):
 @pytest.mark.parametrize("name", [name for name in SHAPES if name not in LARGE])
 def test_prestress_and_stability_are_the_same(name, monkeypatch):
     structure = SHAPES[name]()
-    for asked in ASKED:
+    for asked in ASKED[list(SHAPES).index(name) % 2 :: 2]:
         whole, sparse = both(
             monkeypatch, lambda asked=asked: refused_or(lambda: tc.prestress(structure, **asked))
         )
@@ -110,15 +110,16 @@ def test_prestress_and_stability_are_the_same(name, monkeypatch):
 
 
 MANY = {
-    "class-2 tower": lambda: tc.library.class2_tower(50),
-    "net": lambda: tc.net(14, 14, 0.1, 0.01, fixed="edges"),
-    "net held at corners": lambda: tc.net(14, 14, 0.1, 0.01),
+    "class-2 tower": lambda: tc.library.class2_tower(25),
+    "net": lambda: tc.net(9, 9, 0.1, 0.01, fixed="edges"),
+    "net held at corners": lambda: tc.net(9, 9, 0.1, 0.01),
 }
 
 
 @pytest.mark.parametrize("name", MANY)
 def test_the_lowest_of_many_mechanism_stiffnesses_are_those_of_all(name, monkeypatch):
     module = sys.modules["tenscontrol.statics.stability"]
+    monkeypatch.setattr(MATRIX, "_FEW", -1)
     rest = tc.prestress(MANY[name](), 10.0)
     answers = []
     for many in (10, 10**9):
@@ -219,10 +220,10 @@ def test_clear_mechanisms_are_counted_without_a_basis(structure, monkeypatch):
 
 def test_mechanisms_of_a_large_net_are_counted():
     """Each knot moves out of the plane."""
-    net = tc.net(80, 80, 0.1, 0.01, fixed="edges")
+    net = tc.net(50, 50, 0.1, 0.01, fixed="edges")
     rest = tc.prestress(net, 10.0)
-    assert rest.mechanisms == 78**2
-    assert rest.self_stress_states == len(net.strings) - 4 * 79 - 2 * 78**2
+    assert rest.mechanisms == 48**2
+    assert rest.self_stress_states == len(net.strings) - 4 * 49 - 2 * 48**2
 
 
 @pytest.mark.parametrize("bend", [1e-2, 1e-3, 1e-5])
