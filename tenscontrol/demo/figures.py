@@ -34,7 +34,7 @@ def save_figures(output: Path, results: Found) -> Iterator[Path]:
         yield save_figure(morph_figure(morph), output / "closed_loop.png")
         yield save_figure(_figure(plot.health(morph.run)["energy"].ax), output / "health.png")
     if morph is not None and morph.run.stopped is None:
-        yield plot.animate(morph.run, output / "closed_loop.gif", target=_laid_over(morph), fps=16)
+        yield plot.animate(morph.run, output / "closed_loop.gif", target=_laid_over(morph), fps=12)
 
 
 def morph_figure(morph: Morph) -> Figure:

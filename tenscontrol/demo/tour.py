@@ -127,7 +127,7 @@ def show_lqr(model: Model, plant: LinearPlant) -> LQR:
     )
     start = disturbed(plant)
     run = simulate(model, 8.0, start, controller=regulator, input="force_density", step=STEP,
-                   sample_time=0.01)  # fmt: skip
+                   sample_time=0.01, output_step=0.01)  # fmt: skip
     check()  # part of a run does not show how it settles
     left = distance(plant, run)
     below = run.time[np.flatnonzero(left >= 1e-4)[-1] + 1]

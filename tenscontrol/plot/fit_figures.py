@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from tenscontrol import validation
-from tenscontrol.optimize.fit import Fit, Validation
 from tenscontrol.plot.style import PALETTE, closes_on_error, dress, flat_axes, legend_above
 from tenscontrol.short_repr import short_repr
+
+if TYPE_CHECKING:  # who draws something else does not wait for fits
+    from tenscontrol.optimize.fit import Fit, Validation
 
 # Unknowns beyond are not told apart in a figure.
 _MOST_UNKNOWNS = 80
@@ -73,6 +76,8 @@ def residuals(found: Validation, *, ax: Axes | None = None) -> FitDrawing:
     ['node_position', 'string_length']
     >>> plt.close("all")
     """
+    from tenscontrol.optimize.fit import Validation
+
     validation.instance("found", found, Validation, "give fit(...).residuals[0]")
     ax, log = flat_axes(ax), found.log
     kinds = [log.sensors.readings[i].split()[0] for i in log.sensors.reading_of]
@@ -126,6 +131,8 @@ def intervals(found: Fit, *, ax: Axes | None = None) -> FitDrawing:
     'factor of what was known before, or shift'
     >>> plt.close("all")
     """
+    from tenscontrol.optimize.fit import Fit
+
     validation.instance("found", found, Fit, "make one by fit(model, log, ...)")
     count = len(found.labels)
     if count > _MOST_UNKNOWNS:

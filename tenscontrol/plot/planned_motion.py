@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
 
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray
-from tenscontrol.optimize.optimal_motion import OptimalMotion
 from tenscontrol.plot.histories import Curves, draw_curves, drop_repeated_legends
 from tenscontrol.plot.style import closes_on_error, legend_above, marker_style, timed_panels
+
+if TYPE_CHECKING:  # who draws something else does not wait for optimal motions
+    from tenscontrol.optimize.optimal_motion import OptimalMotion
 
 # Of markers of the plan, points.
 _MARKER = 4.0
@@ -61,6 +64,8 @@ def optimal_motion(
     ['distance', 'input', 'rate', 'tension']
     >>> plt.close(panels["rate"].ax.figure)
     """
+    from tenscontrol.optimize.optimal_motion import OptimalMotion
+
     validation.instance("motion", motion, OptimalMotion, "make one by optimal_motion(model, ...)")
     run = motion.run
     if run is None:
