@@ -29,7 +29,7 @@ def shape(height, degrees):
     return tc.shape_target(
         model,
         [tc.Height(height, TOP, BOTTOM), tc.Twist(np.radians(degrees), TOP, BOTTOM)],
-        force_density=17.32,
+        force_density=17.32,  # N/m, the mean of the top strings
         min_force_density=2.0,
         symmetry=tc.RotationalSymmetry([TOP, BOTTOM]),
     )

@@ -35,7 +35,7 @@ tc.plot.structure(of_height(0.85), ax=drawing.ax)
 # %%
 # Three controllers about the target, with the same sample time and bounds.
 
-plant = tc.linearize(model, tc.prestress(of_height(0.85), force_density=17.320508))
+plant = tc.linearize(model, tc.prestress(of_height(0.85), force_density=10.0))
 controllers = {
     "shape control": tc.FeedbackLinearization(
         plant, reference=path, sample_time=0.02, max_force_density=80.0, frequency=1.2
@@ -47,7 +47,7 @@ controllers = {
 # %%
 # Each of them twice: on actuators that hold forces, and on winches that hold rest lengths.
 
-rest = tc.prestress(prism, force_density=17.320508)  # N/m in the top strings; 30 in the vertical
+rest = tc.prestress(prism, force_density=10.0)  # N/m in the top strings; 17.32 in the vertical
 start = tc.linearize(model, rest).to_nodes(0.003 * np.random.default_rng(0).normal(size=9))
 wound = tc.to_rest_length(model, start, rest.force_density).rest_length
 winches = {"winches": tc.Winches(rate=0.5, shortest=0.1), "rest_length": wound}

@@ -16,7 +16,7 @@ TOP, BOTTOM = [0, 1, 2], [3, 4, 5]
 
 prism = tc.prism()
 model = tc.Model(prism, strings=tc.LinearStrings(stiffness=100.0))
-rest = tc.prestress(prism, force_density=17.320508)  # N/m in the top strings; 30 in the vertical
+rest = tc.prestress(prism, force_density=10.0)  # N/m in the top strings; 17.32 in the vertical
 
 # %%
 # A regular prism of nine strings rests at one twist only, -30° for a left-handed
@@ -26,7 +26,7 @@ rest = tc.prestress(prism, force_density=17.320508)  # N/m in the top strings; 3
 twist = tc.Twist(np.radians(-25.0), TOP, BOTTOM)
 try:
     tc.shape_target(
-        model, twist, force_density=17.320508, symmetry=tc.RotationalSymmetry([TOP, BOTTOM])
+        model, twist, force_density=10.0, symmetry=tc.RotationalSymmetry([TOP, BOTTOM])
     )
 except tc.shape.ShapeError as error:
     print(error)
@@ -38,7 +38,7 @@ except tc.shape.ShapeError as error:
 goal = tc.shape_target(
     model,
     [tc.Height(0.85, TOP, BOTTOM), twist],
-    force_density=17.320508,
+    force_density=10.0,  # N/m, the mean of the top strings
     min_force_density=2.0,
 )
 print(goal)
