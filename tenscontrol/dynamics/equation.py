@@ -11,7 +11,7 @@ import numpy as np
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics.contact_laws import Contacts
-from tenscontrol.dynamics.evaluator import Evaluator, Function, Prepared, builds
+from tenscontrol.dynamics.evaluator import Function, Prepared, builds, evaluate_columns
 from tenscontrol.dynamics.forces import Forces
 from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.properties import cached_property
@@ -300,14 +300,17 @@ def gravity_forces(
     return np.asarray(gravity[..., None] * mass[..., None, :])
 
 
-def free_accelerations(equation: Equation, state: FloatArray, u: FloatArray) -> FloatArray:
-    """Return the accelerations of all entries of the nodes, m/s², 0 where supports hold them."""
+def free_accelerations(equation: Equation, states: FloatArray, u: FloatArray) -> FloatArray:
+    """Return accelerations of all entries of the nodes, m/s², 0 where supports hold them.
+
+    States, inputs and what is returned have a column each.
+    """
     structure = equation.structure
     assert structure is not None  # else nothing has a place
-    gap = Evaluator(equation.gap)(state, u)[0]
-    slope = Evaluator(equation.slope)(state, u, np.atleast_1d(gap > 0).astype(float))[0]
-    accelerations = np.zeros(structure.nodes.size)
-    accelerations[structure.free_rows] = slope[len(state) // 2 :]
+    gap = evaluate_columns(equation.gap, states, u)[0]
+    slope = evaluate_columns(equation.slope, states, u, (gap > 0).astype(float))[0]
+    accelerations = np.zeros((structure.nodes.size, states.shape[1]))
+    accelerations[structure.free_rows] = slope[len(states) // 2 :]
     return accelerations
 
 

@@ -375,12 +375,19 @@ class ColumnEvaluator:
 
     def __init__(self, function: ca.Function) -> None:
         self._rows = [function.size1_out(i) for i in range(function.n_out())]
-        self._one = Evaluator(function)
-        self._chunk = Evaluator(_MAPPED.get(function, lambda: (function, function.map(_CHUNK)))[1])
+        self._one, self._function = Evaluator(function), function
+
+    @cached_property
+    def _chunk(self) -> Evaluator:
+        function = self._function
+        return Evaluator(_MAPPED.get(function, lambda: (function, function.map(_CHUNK)))[1])
 
     def __call__(self, *columns: FloatArray) -> list[FloatArray]:
         """Return arrays of shape (size of the output, T) for arrays (size of the input, T)."""
         count = columns[0].shape[1]
+        if count == 1:
+            outputs = self._one(*(column[:, 0] for column in columns))
+            return [output.reshape(-1, 1).copy() for output in outputs]
         results: list[FloatArray] = [np.empty((rows, count)) for rows in self._rows]
         for start in range(0, count, _CHUNK):
             end = min(start + _CHUNK, count)

@@ -15,7 +15,7 @@ from tenscontrol.actuation.motors import Motor, each_motor
 from tenscontrol.arrays import FloatArray, IntArray, frozen
 from tenscontrol.dynamics import kernel
 from tenscontrol.dynamics.equation import gravity_vector
-from tenscontrol.dynamics.evaluator import Function, SharedEvaluator, builds
+from tenscontrol.dynamics.evaluator import built, evaluate_columns
 from tenscontrol.fields import Field, OptionalArray, converted
 from tenscontrol.properties import cached_property
 from tenscontrol.structure.structure import Structure
@@ -503,6 +503,11 @@ class Sensors:
         return frozenset(name for kind in self.kinds for name in kind.needs)
 
     @cached_property
+    def _parts(self) -> tuple[str, ...]:
+        """The parts of a moment that readings depend on, in its order."""
+        return tuple(name for name in Moment._fields if name == "nodes" or name in self._needed)
+
+    @cached_property
     def readings(self) -> tuple[str, ...]:
         """Names of the readings in the order of y, like ``"string_length 3"``."""
         return tuple(
@@ -617,17 +622,49 @@ class Sensors:
             given["velocities"] = structure.checked_nodes("velocities", velocities)
         if self.needs("acceleration") and acceleration is not None:
             given["acceleration"] = structure.checked_nodes("acceleration", acceleration)
-        return self._read(*Moment(N, **given))[0]
+        rows = {name: value.ravel(order="F")[None] for name, value in given.items()}
+        return np.asarray(self.measure_rows(N.ravel(order="F")[None], **rows)[0])
 
-    @cached_property
-    @builds
-    def _read(self) -> SharedEvaluator:
-        """Function of the parts of a :class:`Moment`, ``-> y``."""
+    def measure_rows(
+        self,
+        nodes: FloatArray,
+        velocities: FloatArray | None = None,
+        acceleration: FloatArray | None = None,
+        tension: FloatArray | None = None,
+        rest_length: FloatArray | None = None,
+    ) -> FloatArray:
+        """Return y without noise and bias of several moments, trusted to fit; see :meth:`measure`.
+
+        Parameters
+        ----------
+        nodes : ndarray, shape (moments, n d)
+            Node positions, m, node by node.
+        velocities, acceleration : ndarray, shape (moments, n d), optional
+            m/s and m/s².
+        tension, rest_length : ndarray, shape (moments, α), optional
+            N and m.
+
+        Returns
+        -------
+        ndarray, shape (moments, m)
+        """
+        moment, columns = Moment(nodes, velocities, acceleration, tension, rest_length), []
+        for i, name in enumerate(self._parts):
+            rows = getattr(moment, name)
+            if rows is None:
+                rows = np.full((len(nodes), self._function.size1_in(i)), np.nan)
+            columns.append(rows.T)
+        return np.asarray(evaluate_columns(self._function, *columns)[0].T)
+
+    @built
+    def _function(self) -> ca.Function:
+        """Return the function of the parts of a moment that are needed, one column each, to y."""
         shape, strings = self.structure.nodes.shape, (len(self.structure.strings), 1)
         sizes = Moment(shape, shape, shape, strings, strings)
         moment = Moment(*(ca.SX.sym(name, *sizes[i]) for i, name in enumerate(Moment._fields)))
         y = ca.densify(symbolic_readings(self, moment))
-        return SharedEvaluator(Function("readings", list(moment), [ca.cse(y)]))
+        inputs = [ca.vec(getattr(moment, name)) for name in self._parts]
+        return ca.Function("readings", inputs, [ca.cse(y)])
 
     def draw_bias(
         self,
@@ -693,12 +730,8 @@ class Sensors:
         )
         count = len(self.readings)
         noise = generator.normal(size=len(self.noise))
-        lost = generator.random() < self.drop_rate
-        corrupt = generator.random(count) < self.outlier_rate
-        off = generator.uniform(*_OFF, size=count) * generator.choice([-1.0, 1.0], size=count)
-        if lost:
-            return np.full(len(noise), np.nan)
-        return np.asarray(exact + self.noise * (noise + (corrupt * off)[self.reading_of]))
+        chance = generator.random(1 + 2 * count), generator.integers(2, size=count)
+        return noisy_readings(self, exact, noise, np.concatenate(chance))
 
     def __repr__(self) -> str:
         biased = dict(self.bias)
@@ -714,6 +747,27 @@ def symbolic_readings(sensors: Sensors, moment: Moment) -> Any:
         kind.read(sensors, moment, getattr(sensors, kind.chooser)) for kind in sensors.kinds
     ]
     return ca.vertcat(*map(ca.vec, readings))
+
+
+def noisy_readings(
+    sensors: Sensors, exact: FloatArray, normal: FloatArray, chance: FloatArray | None
+) -> FloatArray:
+    """Return y with noise, corrupt readings and losses, shape (…, m); what is lost is NaN.
+
+    ``normal`` are standard normal numbers, one an entry; ``chance`` are uniform from 0 to 1, shape
+    (…, 1 + 3 readings): whether all is lost, which readings are corrupt, by how much, and to which
+    side. None: nothing is lost or corrupt.
+    """
+    if chance is None:
+        return np.asarray(exact + sensors.noise * normal)
+    lost, corrupt, size, side = np.split(
+        chance, [1, *(1 + len(sensors.readings) * k for k in (1, 2))], axis=-1
+    )
+    least, most = _OFF
+    off = (least + (most - least) * size) * np.where(side < 0.5, -1.0, 1.0)
+    off *= corrupt < sensors.outlier_rate
+    noisy = exact + sensors.noise * (normal + off[..., sensors.reading_of])
+    return np.where(lost < sensors.drop_rate, np.nan, noisy)
 
 
 def _checked_bias(

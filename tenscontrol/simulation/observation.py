@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,6 +18,9 @@ from tenscontrol.short_repr import short_repr
 from tenscontrol.simulation.sensor_readings import SensorReadings
 from tenscontrol.status import Status
 from tenscontrol.structure.structure import different_members
+
+# The only robot of a run.
+_ALONE = np.zeros(1, dtype=int)
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +98,9 @@ class Observation:
         sensors = estimator.sensors if sensors is None else sensors
         _refuse_misfits(estimator, sensors, input, controller, sample, substeps)
         self._filter = estimator
-        self._readings = SensorReadings(sensors, seed, model, input, estimator.sample_time)
+        seeds = [0 if seed is None else seed]
+        self._readings = SensorReadings(sensors, seeds, input, estimator.sample_time)
+        self._readings.begin_all([model])
         self._biases: list[FloatArray] = []
         self._held: FloatArray | None = None
         self._rows: list[tuple[FloatArray, Estimate]] = []
@@ -104,12 +109,11 @@ class Observation:
 
     def go_on(self, earlier: EstimateRecord | None, held: FloatArray, samples: int) -> None:
         """Take over readings under way, the input held, and the noise after so many samples."""
-        under_way = self._readings.under_way
-        if earlier is not None and earlier.under_way.shape[1] == len(under_way):
-            under_way.clear()
-            under_way.extend(earlier.under_way.T)
-        self._held = held
         self._readings.skip(samples)
+        state = self._readings.state
+        if earlier is not None and earlier.under_way.shape[1] == len(state.under_way):
+            self._readings.state = replace(state, under_way=earlier.under_way.T[:, None])
+        self._held = held
 
     def estimate(
         self,
@@ -123,8 +127,13 @@ class Observation:
         ``acceleration`` returns that of the nodes under an input of the strings. A measurement that
         is lost now is missing when it would have arrived.
         """
-        self._biases.append(self._readings.bias)
-        reading = self._readings.take(nodes, velocities, self._held, acceleration, lost)
+        self._biases.append(self._readings.bias[0])
+        nodes, velocities = (columns.ravel(order="F")[None] for columns in (nodes, velocities))
+        self._readings.take(
+            _ALONE, nodes, velocities, None if self._held is None else self._held[None],
+            lambda held: acceleration(held[0]).ravel(order="F")[None], lost,
+        )  # fmt: skip
+        (reading,) = self._readings.arrived
         estimate = self._filter.update(reading)
         self._rows.append((reading, estimate))
         return estimate
@@ -139,7 +148,7 @@ class Observation:
         # The last estimate may be of a sample that was interrupted.
         readings, estimates = zip(*self._rows[: len(time)], strict=True)
         later = [reading for reading, _ in self._rows[len(time) :]]
-        delay, nothing = self._readings.sensors.delay, self._readings.nothing
+        under_way = self._readings.state.under_way[:, 0]
         names = (
             "nodes", "velocities", "node_deviation", "length_deviation", "state", "bias",
             "bias_deviation",
@@ -153,9 +162,7 @@ class Observation:
             **series,
             actual_bias=frozen(np.column_stack(self._biases[: len(time)])),
             measurement=frozen(np.column_stack(readings)),
-            under_way=frozen(
-                np.reshape([*later, *self._readings.under_way][:delay], (delay, len(nothing))).T
-            ),
+            under_way=frozen(np.reshape([*later, *under_way][: len(under_way)], under_way.shape).T),
             status=tuple(estimate.status for estimate in estimates),
             statistics=self._filter.statistics,
         )

@@ -368,7 +368,7 @@ class PlantRun:
         coefficients = self.faults.without_cut(coefficients, self.now)
         u = self.packed(coefficients, self.now - origin)
         structure = self.model.structure
-        moved = free_accelerations(self._equation, state, u)
+        moved = free_accelerations(self._equation, state[:, None], u[:, None])[:, 0]
         if self.supports is not None:
             rows = coefficients[self.offset_rows]
             moved += polynomial_at(rows, np.array([self.now - origin]), 2)[:, 0]

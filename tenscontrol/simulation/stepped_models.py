@@ -181,8 +181,14 @@ class SteppedModels:
         except IntegrationError:
             return np.full(len(state), np.nan)
 
-    def accelerations(self, robot: int, state: FloatArray, held: FloatArray) -> FloatArray:
-        """Return the accelerations of the nodes of a robot under a held input, m/s², (d, n)."""
-        ramped = np.concatenate([held, np.zeros(len(held) + 1)]) if self._degree else held
-        moved = free_accelerations(self._equation_of(robot), state, ramped)
-        return moved.reshape(self.model.structure.nodes.shape, order="F")
+    def accelerations(self, robots: np.ndarray, states: FloatArray, held: FloatArray) -> FloatArray:
+        """Return the accelerations of nodes under held inputs, m/s², shape (robots, n d)."""
+        if self._degree:
+            held = np.hstack([held, np.zeros((len(held), held.shape[1] + 1))])
+        if not self.parameters:
+            return free_accelerations(self._equation_of(0), states.T, held.T).T
+        moved = [
+            free_accelerations(self._equation_of(robot), states[k, :, None], held[k, :, None])
+            for k, robot in enumerate(robots.tolist())
+        ]
+        return np.hstack(moved).T

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from copy import deepcopy
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -27,7 +26,7 @@ from tenscontrol.estimation.sensors import Sensors
 from tenscontrol.short_repr import short_repr
 from tenscontrol.simulation.integration import Integration
 from tenscontrol.simulation.scene import Scene
-from tenscontrol.simulation.sensor_readings import SensorReadings
+from tenscontrol.simulation.sensor_readings import ReadingsState, SensorReadings
 from tenscontrol.simulation.stepped_models import SteppedModels
 from tenscontrol.structure.structure import different_members
 
@@ -49,15 +48,15 @@ class StepperState:
         Rest lengths, m, or force densities, N/m, that the strings have.
     lost : ndarray of bool, shape (count,)
         Whether the motion of a robot has ended.
-    readings : tuple
-        What sensors go on from, one entry a robot; nothing without sensors.
+    readings : ReadingsState or None
+        What sensors go on from; None without sensors.
     """
 
     sample: int
     states: FloatArray
     held: FloatArray
     lost: np.ndarray
-    readings: tuple[SensorReadings, ...] = ()
+    readings: ReadingsState | None = None
 
     __repr__ = short_repr
 
@@ -165,9 +164,13 @@ class Stepper:
         self._every = np.arange(self._count)
         if parameters is not None:
             self._models.set(self._every, parameters)
-        self._sensors = None if sensors is None else self._checked_sensors(sensors)
-        self._readings: tuple[SensorReadings, ...] = ()
-        self._seed = 0 if seed is None else validation.whole_number("seed", seed, 0)
+        seed = 0 if seed is None else validation.whole_number("seed", seed, 0)
+        self._readings: SensorReadings | None = None
+        if sensors is not None:
+            self._readings = SensorReadings(
+                self._checked_sensors(sensors), range(seed, seed + self._count), self.input,
+                self.sample_time,
+            )  # fmt: skip
         self.reset()
 
     def _checked_sensors(self, sensors: Sensors) -> Sensors:
@@ -260,7 +263,7 @@ class Stepper:
         """Where the robots are; set it to go on from there."""
         return StepperState(
             self._sample, self._states.copy(), self._held.copy(), self._lost.copy(),
-            deepcopy(self._readings),
+            None if self._readings is None else self._readings.state,
         )  # fmt: skip
 
     @state.setter
@@ -276,8 +279,8 @@ class Stepper:
         self._sample, self._lost = state.sample, state.lost.copy()
         self._is_any_lost = bool(self._lost.any())
         self._states, self._held = state.states.copy(), state.held.copy()
-        if len(state.readings) == len(self._readings):
-            self._readings = deepcopy(state.readings)
+        if self._readings is not None and state.readings is not None:
+            self._readings.state = state.readings
 
     @property
     def time(self) -> float:
@@ -309,21 +312,24 @@ class Stepper:
         """The map from the inputs of a command to the strings."""
         return self._actuation
 
-    def _motion(self) -> tuple[FloatArray, FloatArray]:
+    def _all_rows(self, states: FloatArray) -> FloatArray:
+        """Return positions and velocities of all nodes, node by node, shape (2, robots, n d)."""
         structure = self._model.structure
-        d, n = structure.nodes.shape
-        half = self._states.shape[1] // 2
-        if half == n * d:
-            both = self._states.reshape(self._count, 2, n * d).copy()
-        else:
-            both = np.zeros((self._count, 2, n * d))
-            both[:, 0] = structure.nodes.ravel(order="F")
-            both[:, :, structure.free_rows] = self._states.reshape(self._count, 2, half)
+        both = states.reshape(len(states), 2, -1).swapaxes(0, 1)
+        if both.shape[2] == structure.nodes.size:
+            return both.copy()
+        rows = np.zeros((2, len(states), structure.nodes.size))
+        rows[0] = structure.nodes.ravel(order="F")
+        rows[:, :, structure.free_rows] = both
+        return rows
+
+    def _motion(self) -> tuple[FloatArray, FloatArray]:
+        d, n = self._model.structure.nodes.shape
+        both = self._all_rows(self._states)
         if self._is_any_lost:
-            both[self._lost] = np.nan
-        motion = both.reshape(self._count, 2, n, d).swapaxes(2, 3)
-        which = slice(None) if self._shape else 0
-        return motion[which, 0], motion[which, 1]
+            both[:, self._lost] = np.nan
+        nodes, velocities = both.reshape(2, self._count, n, d).swapaxes(2, 3)
+        return (nodes, velocities) if self._shape else (nodes[0], velocities[0])
 
     @property
     def model(self) -> Model:
@@ -426,40 +432,35 @@ class Stepper:
         if parameters is not None:
             self._models.set(which, parameters)
         if robots is None:
-            self._readings = ()
             self.state = start
-            if self._sensors is not None:
-                self._readings = tuple(
-                    SensorReadings(
-                        self._sensors, self._seed + robot, self._models.model_of(robot), self.input,
-                        self.sample_time,
-                    )
-                    for robot in range(self._count)
-                )  # fmt: skip
+            if self._readings is not None:
+                self._readings.begin_all([self._models.model_of(k) for k in range(self._count)])
         else:
             self._states[which], self._held[which] = start.states[which], start.held[which]
             self._lost[which] = False
             self._is_any_lost = bool(self._lost.any())
-            if self._sensors is not None:
-                for robot in which.tolist():
-                    self._readings[robot].begin(self._models.model_of(robot))
-        return self._handed_out(which)
+            if self._readings is not None:
+                self._readings.begin(which, [self._models.model_of(k) for k in which.tolist()])
+        if self._readings is not None:
+            self._read(self._readings, which, None)
+        return self._handed_out()
 
-    def _handed_out(self, begun: np.ndarray | None = None) -> Any:
-        """Return the motion, or the readings; robots that have begun hold nothing yet."""
-        if self._sensors is None:
+    def _handed_out(self) -> Any:
+        """Return the motion, or what has arrived from sensors."""
+        if self._readings is None:
             return self._motion()
-        nodes, velocities = (
-            motion.reshape(self._count, *motion.shape[-2:]) for motion in self._motion()
+        arrived = self._readings.arrived
+        if self._is_any_lost:
+            arrived[self._lost] = np.nan
+        return arrived.reshape(*self._shape, -1)
+
+    def _read(self, readings: SensorReadings, robots: np.ndarray, held: FloatArray | None) -> None:
+        """Let sensors measure robots; None is held before their first sample."""
+        states = self._states[robots]
+        nodes, velocities = self._all_rows(states)
+        readings.take(
+            robots, nodes, velocities, held, partial(self._models.accelerations, robots, states)
         )
-        rows = np.full((self._count, len(self._sensors.noise)), np.nan)
-        for robot in np.flatnonzero(~self._lost).tolist():
-            held = None if begun is not None and robot in begun else self._held[robot]
-            rows[robot] = self._readings[robot].take(
-                nodes[robot], velocities[robot], held,
-                partial(self._models.accelerations, robot, self._states[robot]),
-            )  # fmt: skip
-        return rows.reshape(*self._shape, -1)
 
     def _which(self, robots: Any) -> np.ndarray:
         """Return robots by index or as a mask."""
@@ -504,6 +505,9 @@ class Stepper:
         held, end = self._inputs_in_time(wanted)
         self._advance(held, duration)
         self._held, self._sample = end, self._sample + 1
+        if self._readings is not None:
+            going = np.flatnonzero(~self._lost) if self._is_any_lost else self._every
+            self._read(self._readings, going, end[going])
         return self._handed_out()
 
     def _inputs(self, held: FloatArray) -> FloatArray:

@@ -190,9 +190,16 @@ def test_readings_are_those_of_a_run():
     many = tc.Stepper(model, SAMPLE, sensors=sensors, seed=2, count=2, **how)
     rows = [many.step(np.stack([command] * 2))[1] for command in commands[:-1]]
     assert np.array_equal(np.column_stack(rows), read[:, 1:], equal_nan=True)
-    # Another episode of one of them has other noise.
-    assert np.isnan(many.reset([0])[0]).all()  # nothing has arrived: they are late by a sample
-    assert np.isfinite(many.reset([1])).any()
+    begun = many.reset([0])
+    assert np.isnan(begun[0]).all()  # nothing has arrived: they are late by a sample
+    assert np.array_equal(begun[1], rows[-1], equal_nan=True)  # no time has passed for it
+    # Another episode has other noise, and goes on as a state of it does.
+    kept = pickle.loads(pickle.dumps(many.state))
+    again = many.step(np.stack([commands[0]] * 2))
+    assert np.isfinite(again[0]).any()
+    assert not (again[0] == read[:, 1]).any()
+    many.state = kept
+    assert np.array_equal(again, many.step(np.stack([commands[0]] * 2)), equal_nan=True)
 
 
 def test_without_the_core_it_is_the_same_to_round_off():
