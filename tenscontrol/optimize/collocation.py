@@ -297,7 +297,7 @@ class Collocation:
         limited = np.flatnonzero(np.isfinite(program.rate_limit)).tolist()
         reach = step * ca.DM(program.rate_limit[limited])
         for sign in (-1, 1):
-            rows.append(positive((reach + sign * change[limited]) / program.unit, "rate"))
+            rows.append(positive((reach + sign * ca.vec(change[limited])) / program.unit, "rate"))
         rows.append(program.limits(Instant(w["places"], w["velocities"], w["begin"], rate)))
         self._at_begin = rows[-1].value.numel()
         return stacked(rows), cost

@@ -10,6 +10,7 @@ from tenscontrol.actuation.winches import Winches
 from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics.model import Model
 from tenscontrol.optimize.collocation import STAGES, DiscreteMotion, gauss_points
+from tenscontrol.plant.linear_plant import LinearPlant
 from tenscontrol.shape.equilibrium_path import PathError
 from tenscontrol.shape.shape_path import ShapePath, shape_path
 from tenscontrol.statics.prestress import Prestress
@@ -25,6 +26,7 @@ def guessed_motion(
     ends: tuple[Prestress, Prestress],
     input: str,
     winches: Winches | None,
+    plant: LinearPlant | None,
     duration: float | None,
     least_duration: float,
 ) -> tuple[DiscreteMotion, str]:
@@ -33,7 +35,7 @@ def guessed_motion(
     Its duration is what the winches need on the path, or ``least_duration`` if that is more.
     """
     try:
-        path = _path(model, ends, winches, duration, least_duration)
+        path = _path(model, ends, winches, plant, duration, least_duration)
     except (PathError, ValueError):  # none, or out of the range of winches; ends were checked
         time = duration or least_duration
         return _straight(model, ends, input, time), "straight line"
@@ -45,6 +47,7 @@ def _path(
     model: Model,
     ends: tuple[Prestress, Prestress],
     winches: Winches | None,
+    plant: LinearPlant | None,
     duration: float | None,
     least_duration: float,
 ) -> ShapePath:
@@ -54,7 +57,7 @@ def _path(
     time = None if rated else duration or least_duration
     return shape_path(
         model, *ends, winches=given, duration=time, step=least_duration / _INTERVALS,
-        require_stable=False, place="centre",
+        require_stable=False, place="centre", plant=plant,
     )  # fmt: skip
 
 

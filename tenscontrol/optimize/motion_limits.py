@@ -10,6 +10,12 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol import validation
+from tenscontrol.actuation.driven_strings import (
+    Actuation,
+    bounds_of_inputs,
+    changes_of_inputs,
+    inputs_of,
+)
 from tenscontrol.actuation.motors import each_motor
 from tenscontrol.actuation.winches import Winches
 from tenscontrol.arrays import FloatArray
@@ -18,6 +24,7 @@ from tenscontrol.dynamics.evaluator import Function, builds
 from tenscontrol.dynamics.model import Model
 from tenscontrol.optimize.collocation import Instant, Rows, positive, stacked
 from tenscontrol.shape.force_bounds import checked_bounds
+from tenscontrol.shape.held_strings import HeldStrings
 from tenscontrol.statics.prestress import Prestress
 from tenscontrol.structure.bar_clearance import bar_distances
 from tenscontrol.structure.structure import Structure
@@ -39,15 +46,17 @@ Obstacles = Callable[[Any], Any]
 
 @dataclass(frozen=True, eq=False)
 class StringState:
-    """Expressions of the strings at an instant, shape (α, 1) each."""
+    """Expressions of the strings at an instant, shape (α, 1) where nothing else is said."""
 
     nodes: Any  # (d, n), m
     velocities: Any  # (d, n), m/s
+    input: Any  # rest lengths, m, or force densities, N/m
+    input_rate: Any  # m/s or N/m/s
     length: Any  # m
     rate: Any  # m/s
     force_density: Any  # N/m
     pull: Any  # force that winds each string in, N
-    power: Any  # of the motors, W
+    power: Any  # of the motors, W, shape (m, 1)
 
 
 class MotionLimits:
@@ -55,9 +64,11 @@ class MotionLimits:
 
     Attributes
     ----------
-    input_range : ndarray, shape (2, α)
+    actuation : Actuation
+        From the m inputs, one a winch, to the strings.
+    input_range : ndarray, shape (2, m)
         Least and largest input.
-    rate : ndarray, shape (α,)
+    rate : ndarray, shape (m,)
         Largest rate of the rest lengths, m/s; infinite where there is no limit, and where force
         densities are the input.
     level : float
@@ -67,7 +78,7 @@ class MotionLimits:
     def __init__(
         self,
         model: Model,
-        input: str,
+        driven: HeldStrings,
         winches: Winches | None,
         min_force_density: object,
         max_force_density: object,
@@ -79,29 +90,34 @@ class MotionLimits:
     ) -> None:
         structure = model.structure
         count = len(structure.strings)
-        self._model, self._input, self._structure = model, input, structure
+        self._model, self._input, self._structure = model, driven.input, structure
+        self.actuation = driven.actuation
         self.level, self._size = level, structure.size
-        given = winches if input == "rest_length" else None
-        bounds = checked_bounds(model, min_force_density, max_force_density, given, None)
+        is_wound = self._input == "rest_length"
+        bounds = checked_bounds(
+            model, min_force_density, max_force_density, winches if is_wound else None, driven
+        )
         self.bounds = bounds
         none = np.full(count, np.inf)
         self.tension = validation.limit_per_member("max_tension", max_tension, count, "string")
         validation.positive("max_tension", self.tension, "tension in N")
-        self.power = validation.limit_per_member("max_power", max_power, count, "string")
-        validation.positive("max_power", self.power, "power in W")
+        power = validation.limit_per_member("max_power", max_power, count, "string")
+        validation.positive("max_power", power, "power in W")
+        self.power = _least_by_winch(self.actuation, power)
         largest, self.pull = none, none
         if winches is not None:
             rate = winches.largest_rate
             largest = none if rate is None else np.broadcast_to(rate, count)
             if rate is not None:
                 validation.one_or_per_string("winches.rate", rate, count)
-            self.pull = _most_pull(winches, count)
-        is_wound = input == "rest_length"
-        self.rate, self._length_rate = (largest, none) if is_wound else (none, largest)
-        low, high = (0.0, np.inf) if bounds.rest_length is None else bounds.rest_length
+            self.pull = _most_pull(winches, self.actuation)
+        has_winch = self.actuation.input >= 0
+        self.rate = changes_of_inputs(self.actuation, largest if is_wound else none)
+        self._length_rate = none if is_wound else np.where(has_winch, largest, np.inf)
+        low, high = (np.zeros(count), none) if bounds.rest_length is None else bounds.rest_length
         if not is_wound:
             low, high = bounds.low, bounds.highest
-        self.input_range = np.array([np.full(count, low), np.full(count, high)])
+        self.input_range = np.array(bounds_of_inputs(self.actuation, low, high))
         self._clearance = None
         if min_clearance is not None:
             self._clearance = validation.positive_number("min_clearance", min_clearance, "m")
@@ -132,6 +148,7 @@ class MotionLimits:
         if self._input == "rest_length":
             assert law is not None  # rest lengths are the input
             value = law.rest_length(rest.structure.string_length(), value)
+        value = inputs_of(self.actuation, value)
         places = free_coordinates(structure, rest.structure.nodes)
         symbols = [
             ca.SX.sym(letter, len(vector))
@@ -153,7 +170,7 @@ class MotionLimits:
     def rows(self, now: Instant) -> Rows:
         """Return what holds at an instant."""
         state = self.state(now)
-        rows = [*self._string_rows(now, state), *self._motor_rows(state)]
+        rows = [*self._string_rows(state), *self._motor_rows(state)]
         if self._clearance is not None:
             apart = bar_clearances(self._structure, state.nodes)
             rows.append(positive((apart - self._clearance) / self._size, "min_clearance"))
@@ -171,18 +188,41 @@ class MotionLimits:
         length, rate = (
             row.T for row in kernel.string_motion(structure, nodes, ca.densify(velocities))
         )
+        values, turning = self.strings(now.input), self._moved(now.rate)
         if self._input == "force_density":
-            tension = now.input * length
-            return StringState(nodes, velocities, length, rate, now.input, tension, -tension * rate)
-        assert law is not None  # rest lengths are the input
-        gamma = law.taut_force_density(length, now.input, rate)
-        wound = ca.SX.sym("wound", now.input.numel())
-        stored = law.as_expressions().stored_energy(length, wound)
-        pull = -ca.jtimes(stored, wound, ca.DM.ones(wound.shape))
-        pull = ca.substitute(pull, wound, now.input)
-        return StringState(nodes, velocities, length, rate, gamma, pull, -pull * now.rate)
+            gamma, pull, shortening = values, values * length, rate
+        else:
+            assert law is not None  # rest lengths are the input
+            gamma = law.taut_force_density(length, values, rate)
+            wound = ca.SX.sym("wound", values.numel())
+            stored = law.as_expressions().stored_energy(length, wound)
+            pull = -ca.jtimes(stored, wound, ca.DM.ones(wound.shape))
+            pull, shortening = ca.substitute(pull, wound, values), turning
+        return StringState(
+            nodes, velocities, values, turning, length, rate, gamma, pull,
+            self._by_winch(-pull * shortening),
+        )  # fmt: skip
 
-    def _string_rows(self, now: Instant, state: StringState) -> list[Rows]:
+    def strings(self, inputs: Any) -> Any:
+        """Return expressions of all strings, shape (α, 1), at those of the inputs, (m, 1)."""
+        if self.actuation.is_whole:
+            return inputs
+        return ca.DM(self.actuation.offset) + self._moved(inputs)
+
+    def _moved(self, change: Any) -> Any:
+        """Return by how much strings change where inputs do."""
+        if self.actuation.is_whole:
+            return change
+        return ca.mtimes(ca.sparsify(ca.DM(self.actuation.matrix.toarray())), change)
+
+    def _by_winch(self, values: Any) -> Any:
+        """Return the sums of what the strings of each winch have, shape (m, 1)."""
+        if self.actuation.is_whole:
+            return values
+        is_wound = self.actuation.matrix.toarray().T != 0
+        return ca.mtimes(ca.sparsify(ca.DM(is_wound.astype(float))), values)
+
+    def _string_rows(self, state: StringState) -> list[Rows]:
         """Return limits of force densities and tensions, and that strings are taut."""
         bounds, rows = self.bounds, list[Rows]()
         if self._input == "rest_length":
@@ -192,7 +232,7 @@ class MotionLimits:
             rows.append(Rows(kept, least / self.level, bounds.highest / self.level, label))
             law = self._model.strings
             if law is not None and law.is_damped:  # which pulls while it is too short
-                spare = state.length - now.input - ca.DM(self._least[1])
+                spare = state.length - state.input - ca.DM(self._least[1])
                 rows.append(positive(spare / self._size, "taut strings"))
         tension = state.force_density * state.length
         rows.append(_at_most(tension, self.tension, "max_tension"))
@@ -208,9 +248,16 @@ class MotionLimits:
         ]
 
 
-def _most_pull(winches: Winches, count: int) -> FloatArray:
+def _least_by_winch(actuation: Actuation, values: FloatArray) -> FloatArray:
+    """Return the least value of the strings of each winch, shape (m,)."""
+    least, strings = np.full(len(actuation.lead), np.inf), actuation.driven
+    np.minimum.at(least, actuation.input[strings], values[strings])
+    return least
+
+
+def _most_pull(winches: Winches, actuation: Actuation) -> FloatArray:
     """Return the force that each motor holds, N, or raise for motors that are not planned for."""
-    motor = winches.motor
+    motor, count = winches.motor, len(actuation.input)
     if motor is None:
         return np.full(count, np.inf)
     if motor.inertia.any() or motor.lag.any() or motor.backlash.any():
@@ -219,12 +266,18 @@ def _most_pull(winches: Winches, count: int) -> FloatArray:
             "jump from interval to interval: give motors without them, and see by "
             "simulate(..., controller=...) how yours follow"
         )
-    return each_motor(motor, count).most_tension
+    most = np.where(actuation.input < 0, np.inf, each_motor(motor, count).most_tension)
+    if actuation.is_ganged and np.isfinite(most).any():
+        raise ValueError(
+            "winches.motor has torque, but winds several strings, or by a ratio, in plant: leave "
+            "torque out and give max_tension, or give one motor a string"
+        )
+    return most
 
 
 def _at_most(value: Any, limit: FloatArray, label: str) -> Rows:
     limited = np.flatnonzero(np.isfinite(limit)).tolist()
-    return positive(1 - value[limited] / ca.DM(limit[limited]), label)
+    return positive(1 - ca.vec(value[limited]) / ca.DM(limit[limited]), label)
 
 
 def _column(value: Any) -> Any:

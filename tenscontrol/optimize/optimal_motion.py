@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import casadi as ca
@@ -11,6 +12,14 @@ import numpy as np
 from scipy.integrate import trapezoid
 
 from tenscontrol import validation
+from tenscontrol.actuation.driven_strings import (
+    Actuation,
+    every_string,
+    inputs_of,
+    strings_of,
+    sums_by_input,
+    through,
+)
 from tenscontrol.actuation.winches import Winches
 from tenscontrol.arrays import FloatArray, freeze_arrays, frozen
 from tenscontrol.dynamics.evaluator import Function, builds, evaluate_columns
@@ -27,10 +36,12 @@ from tenscontrol.optimize.collocation import (
 from tenscontrol.optimize.motion_end import MotionEnd
 from tenscontrol.optimize.motion_guess import end_input, guessed_motion
 from tenscontrol.optimize.motion_limits import MotionLimits
+from tenscontrol.plant.linear_plant import LinearPlant
 from tenscontrol.plant.reference import Reference
 from tenscontrol.progress import progress_bar
 from tenscontrol.shape.demands import Demand
 from tenscontrol.shape.force_bounds import refuse_ground
+from tenscontrol.shape.held_strings import HeldStrings, held_strings
 from tenscontrol.shape.shape_path import path_end, refuse_same
 from tenscontrol.shape.target import ShapeTarget, shape_target
 from tenscontrol.simulation.health import HealthLimits
@@ -113,6 +124,8 @@ class OptimalMotion:
     start, goal : Prestress
         Equilibria at both ends.
     input : {"rest_length", "force_density"}
+    actuation : Actuation
+        Which strings are driven.
     minimize : str
         ``"time"``, ``"energy"``, ``"effort"``, or the name of the function that was given.
     status : Status
@@ -148,6 +161,7 @@ class OptimalMotion:
     start: Prestress
     goal: Prestress
     input: str
+    actuation: Actuation
     minimize: str
     status: Status
     message: str
@@ -317,6 +331,7 @@ def optimal_motion(
     max_power: object = None,
     min_clearance: float | None = None,
     obstacles: Callable[[Any], Any] | None = None,
+    plant: LinearPlant | None = None,
     intervals: int = 20,
     tolerance: float = 1e-4,
     refinements: int = 3,
@@ -339,7 +354,8 @@ def optimal_motion(
         :func:`shape_target` finds nearest to the start, with its level of prestress.
     minimize : {"time", "energy", "effort"} or callable
         ``"energy"``: the work that motors give, J; what they take back is lost. ``"effort"``: of
-        rest lengths, ∫ Σ (rate)² dt, m²/s; of force densities, ∫ Σ T² dt, N² s. A function
+        rest lengths, ∫ Σ (rate)² dt over the winches, m²/s; of force densities, ∫ Σ T² dt over the
+        driven strings, N² s. A function
         ``(nodes, velocities, input, rate) -> cost`` in CasADi is integrated over the time: of the
         nodes, m, and their velocities, m/s, shape (d, n), the input of the strings and its rate,
         shape (α, 1).
@@ -348,7 +364,8 @@ def optimal_motion(
         ``"energy"`` and ``"effort"``.
     input : {"rest_length", "force_density"}, optional
         What the actuators set: rest lengths go on without jumps, at a constant rate in each
-        interval; γ may jump. The rest length if the model has a string law, else γ.
+        interval; γ may jump. That of ``plant`` if it is given; else the rest length if the model
+        has a string law, else γ.
     winches : Winches, optional
         Their rates, range and motors: torque holds at any time, without the help of a brake. Where
         γ is the input, the rate is that at which strings get shorter or longer.
@@ -363,6 +380,10 @@ def optimal_motion(
         bars lie in layers.
     obstacles : callable, optional
         ``nodes -> expressions`` in CasADi that are at least 0, m, of the nodes, shape (d, n).
+    plant : LinearPlant, optional
+        Of this model, made with ``actuated``: its passive strings keep the rest lengths, or force
+        densities, that they have in both ends; strings that share a winch move by their ratios, and
+        limits of the winch are the narrowest of its strings. All strings are driven if not given.
     intervals : int
         Of equal length, to begin with.
     tolerance : float
@@ -421,9 +442,14 @@ def optimal_motion(
     refuse_ground(model)
     kind = validation.choice(
         "input",
-        input or ("force_density" if model.strings is None else "rest_length"),
+        input or _usual_input(model, plant),
         ("rest_length", "force_density"),
     )
+    held = held_strings(model, plant)
+    if held is not None and held.input != kind:
+        raise ValueError(
+            f"input is {kind!r}, but that of plant is {held.input!r}: give one of both"
+        )
     if winches is not None:
         validation.instance("winches", winches, Winches, "make them by Winches(rate=...)")
     if min_clearance is not None and model.structure.dimension == 2:
@@ -435,18 +461,19 @@ def optimal_motion(
     duration = _checked_duration(minimize, duration)
     begin = path_end(model, "start", start)
     level = float(begin.force_density.max()) or 1.0
+    driven = _driven(model, begin, kind, held)
     limits = MotionLimits(
-        model, kind, winches, min_force_density, max_force_density, max_tension, max_power,
+        model, driven, winches, min_force_density, max_force_density, max_tension, max_power,
         min_clearance, obstacles, level,
     )  # fmt: skip
     if not isinstance(goal, ShapeTarget | Prestress):
-        goal = _target(model, begin, goal, limits, winches)
+        goal = _target(model, begin, goal, limits, winches, plant)
     ends = begin, path_end(model, "goal", goal)
     refuse_same(model, *ends)
     for name, rest in zip(("start", "goal"), ends, strict=True):
-        _refuse_end(limits, kind, name, rest)
+        _refuse_end(model, limits, driven, name, rest)
     limits.keep_taut(ends)
-    planner = _Planner(model, ends, kind, minimize, duration, limits, winches, tolerance)
+    planner = _Planner(model, ends, kind, minimize, duration, limits, winches, plant, tolerance)
     with progress_bar(1.0 + refinements, progress, "planning", "meshes") as report:
         return planner.run(intervals, refinements, most_iterations, report)
 
@@ -468,9 +495,24 @@ def _checked_duration(minimize: object, duration: float | None) -> float | None:
     return None
 
 
+def _usual_input(model: Model, plant: LinearPlant | None) -> str:
+    if plant is not None:
+        validation.instance("plant", plant, LinearPlant, "make one by linearize(..., actuated=...)")
+        return plant.input
+    return "force_density" if model.strings is None else "rest_length"
+
+
+def _driven(model: Model, begin: Prestress, input: str, held: HeldStrings | None) -> HeldStrings:
+    """Return which strings are driven, where the passive ones have the values of the start."""
+    if held is None:
+        return HeldStrings(every_string(len(model.structure.strings)), input)
+    return HeldStrings(through(held.actuation, end_input(model, begin, input)), input)
+
+
 def _target(
-    model: Model, begin: Prestress, demands: Any, limits: MotionLimits, winches: Winches | None
-) -> ShapeTarget:
+    model: Model, begin: Prestress, demands: Any, limits: MotionLimits, winches: Winches | None,
+    plant: LinearPlant | None,
+) -> ShapeTarget:  # fmt: skip
     """Return the equilibrium that meets demands, at the level of prestress of the start."""
     groups = model.structure.string_groups
     alike = [i for i, group in enumerate(groups) if group == groups[0]]
@@ -484,19 +526,24 @@ def _target(
         winches=None if model.strings is None else winches,
         start=begin.structure.nodes,
         place="centre",
+        plant=plant,
     )
 
 
-def _refuse_end(limits: MotionLimits, input: str, name: str, rest: Prestress) -> None:
+def _refuse_end(
+    model: Model, limits: MotionLimits, driven: HeldStrings, name: str, rest: Prestress
+) -> None:
     gamma = rest.force_density
     limits.bounds.refuse_outside(name, gamma)
     slack = np.flatnonzero(gamma <= _SLACK * gamma.max())
-    if input == "rest_length" and len(slack):
+    if driven.input == "rest_length" and len(slack):
         raise ValueError(
             f"{name} has slack strings, {slack.tolist()}, but strings stay taut on the way: make "
             "it by shape_target(..., min_force_density=...) or prestress(..., "
             "min_force_density=...)"
         )
+    if not driven.actuation.is_whole:
+        driven.refuse_other(name, end_input(model, rest, driven.input))
     limits.refuse_end(name, rest)
 
 
@@ -506,15 +553,16 @@ class _Planner:
     def __init__(
         self, model: Model, ends: tuple[Prestress, Prestress], input: str,
         minimize: str | Callable[..., Any], duration: float | None, limits: MotionLimits,
-        winches: Winches | None, tolerance: float,
+        winches: Winches | None, plant: LinearPlant | None, tolerance: float,
     ) -> None:  # fmt: skip
         self._model, self._ends, self._input, self._limits = model, ends, input, limits
-        self._minimize, self._winches, self._tolerance = minimize, winches, tolerance
+        self._minimize, self._tolerance = minimize, tolerance
         structure = model.structure
         self._size = structure.size
-        self._guess, self._kind = guessed_motion(
-            model, ends, input, winches, duration, self._least_duration(duration)
+        guess, self._kind = guessed_motion(
+            model, ends, input, winches, plant, duration, self._least_duration(duration)
         )
+        self._guess = _with_inputs(guess, partial(inputs_of, limits.actuation))
         self._duration, self._time = duration, self._guess.duration
         self._end = MotionEnd(model, ends[1].structure.nodes, self._size, self._size / self._time)
         self._tie = 0.0
@@ -538,7 +586,7 @@ class _Planner:
 
     @builds
     def _made(self) -> MotionProgram:
-        model, limits, count = self._model, self._limits, len(self._model.structure.strings)
+        model, limits, count = self._model, self._limits, len(self._limits.actuation.lead)
         structure = model.structure
         equation = model.equation(self._input, form="flat")
         half = equation.states // 2
@@ -546,11 +594,11 @@ class _Planner:
             ca.SX.sym(name, size) for name, size in (("n", half), ("v", half), ("u", count))
         )
         taut = np.ones(equation.switches)
-        slope = equation.slope(ca.vertcat(places, velocities), u, taut)[half:]
+        slope = equation.slope(ca.vertcat(places, velocities), limits.strings(u), taut)[half:]
         watt = limits.level * self._size**2 / self._time
         ends = None
         if self._input == "rest_length":
-            ends = np.array([end_input(model, rest, self._input) for rest in self._ends])
+            ends = np.array([self._end_input(rest) for rest in self._ends])
         return MotionProgram(
             acceleration=Function("acceleration", [places, velocities, u], [slope]),
             limits=limits.rows,
@@ -590,7 +638,7 @@ class _Planner:
             return ca.SX(0)
         assert callable(self._minimize)  # checked
         state = self._limits.state(now)
-        value = self._minimize(state.nodes, state.velocities, now.input, now.rate)
+        value = self._minimize(state.nodes, state.velocities, state.input, state.input_rate)
         if isinstance(value, int | float | ca.DM):
             value = ca.SX(value)
         if not isinstance(value, ca.SX) or value.numel() != 1:
@@ -602,18 +650,26 @@ class _Planner:
     def _effort(self, now: Instant, unit: Any) -> Any:
         values = now.rate
         if self._input == "force_density":
-            values = now.input * self._limits.state(now).length
+            state = self._limits.state(now)
+            values = (state.input * state.length)[self._limits.actuation.driven.tolist()]
         return ca.sumsqr(values / unit)
 
     def _usual(self) -> FloatArray:
-        """Return the size of a rate, or of a tension, of each string."""
-        count = len(self._model.structure.strings)
+        """Return the size of a rate of each winch, or of a tension of each driven string."""
         if self._input == "force_density":
+            count = len(self._limits.actuation.driven)
             return np.full(count, self._limits.level * self._size)
-        first, last = (end_input(self._model, rest, self._input) for rest in self._ends)
+        first, last = (self._end_input(rest) for rest in self._ends)
         change = max(float(np.abs(last - first).max()), _NO_WAY * self._size) / self._time
         rate = self._limits.rate
         return np.where(np.isfinite(rate), rate, change)
+
+    def _end_input(self, rest: Prestress) -> FloatArray:
+        return inputs_of(self._limits.actuation, end_input(self._model, rest, self._input))
+
+    def _of_strings(self, motion: DiscreteMotion) -> DiscreteMotion:
+        """Return a motion with what its inputs are to the strings."""
+        return _with_inputs(motion, partial(strings_of, self._limits.actuation))
 
     # ---- meshes ----
 
@@ -662,7 +718,7 @@ class _Planner:
         return mesh.goal_miss <= off and mesh.end_speed <= off / self._best[0].motion.duration
 
     def _replayed(self, motion: DiscreteMotion) -> Trajectory | None:
-        profile = _profile(motion, self._input, None)
+        profile = _profile(self._of_strings(motion), self._input, None)
         inputs: dict[str, Any] = {self._input: profile}
         return simulate(
             self._model,
@@ -693,7 +749,7 @@ class _Planner:
             )
         if status is not Status.OK:
             warn(f"{status}: {message}", OptimalMotionWarning)
-        structure, motion = self._model.structure, solution.motion
+        structure, motion = self._model.structure, self._of_strings(solution.motion)
         nodes = _all_nodes(structure, motion.places, structure.nodes)
         velocities = _all_nodes(structure, motion.velocities, np.zeros_like(structure.nodes))
         inputs = np.column_stack([motion.begin, motion.end[:, -1]])
@@ -706,6 +762,7 @@ class _Planner:
             start=self._ends[0],
             goal=self._ends[1],
             input=self._input,
+            actuation=self._limits.actuation,
             minimize=name if isinstance(name, str) else getattr(name, "__name__", "cost"),
             status=status,
             message=message,
@@ -720,7 +777,7 @@ class _Planner:
             end_speed=last.end_speed,
             meshes=tuple(self._meshes),
             guess=self._kind,
-            **_figures(run, motion, self._input),
+            **_figures(run, motion, self._input, self._limits.actuation),
             _motion=motion,
             _end=self._end,
         )
@@ -738,7 +795,9 @@ class _Planner:
         return np.column_stack([law.force_density(*instant) for instant in pairs])
 
 
-def _figures(run: Trajectory | None, motion: DiscreteMotion, input: str) -> dict[str, float]:
+def _figures(
+    run: Trajectory | None, motion: DiscreteMotion, input: str, actuation: Actuation
+) -> dict[str, float]:
     """Return what the strings and motors did over a replay."""
     if run is None:
         return dict.fromkeys(("least_force_density", "peak_tension", "energy"), np.nan)
@@ -756,11 +815,19 @@ def _figures(run: Trajectory | None, motion: DiscreteMotion, input: str) -> dict
         wound = ((motion.end - motion.begin) / np.diff(_times(motion)))[:, k]
         forces = evaluate_columns(model.of_all_nodes("winding"), states, run.rest_length, wound)[1]
         power = -forces * wound
+    by_winch = sums_by_input(actuation, power)
     return {
         "least_force_density": float(run.force_density.min()),
         "peak_tension": float(tension.max()),
-        "energy": float(trapezoid(np.maximum(power, 0.0), run.time, axis=1).sum()),
+        "energy": float(trapezoid(np.maximum(by_winch, 0.0), run.time, axis=1).sum()),
     }
+
+
+def _with_inputs(
+    motion: DiscreteMotion, convert: Callable[[FloatArray], FloatArray]
+) -> DiscreteMotion:
+    """Return the same motion with its inputs converted."""
+    return replace(motion, begin=convert(motion.begin), end=convert(motion.end))
 
 
 def _times(motion: DiscreteMotion) -> FloatArray:

@@ -996,6 +996,7 @@ call(
             "max_power": np.full(2, 100.0),
             "min_clearance": None,
             "obstacles": lambda nodes: 5.0 - nodes[0, 1],
+            "plant": tc.linearize(along_rail()["model"], on_rail(-0.2), input="rest_length"),
             "refinements": 1,
             "most_iterations": 50,
             "progress": False,

@@ -3,6 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 import tenscontrol as tc
 from tenscontrol.optimize import OptimalMotionWarning
@@ -12,10 +13,10 @@ from tenscontrol.status import Status
 MASS, WAY, FORCE, REACH = 2.0, 0.4, 3.0, 20.0
 
 
-def rail(place):
+def rail(place, reach=REACH):
     """Return the structure with its mass at a place, m."""
     return tc.Structure(
-        [[-REACH, place, REACH], [0.0, 0.0, 0.0]],
+        [[-reach, place, reach], [0.0, 0.0, 0.0]],
         bars=[],
         strings=[[0, 1], [1, 2]],
         bar_mass=None,
@@ -63,6 +64,99 @@ def test_motion_of_least_effort_is_a_cubic():
     np.testing.assert_allclose(motion.cost, 12 * (MASS * WAY) ** 2 / duration**3, rtol=1e-4)
 
 
+# ---- passive and ganged strings ----
+
+
+def test_fastest_motion_against_a_spring_has_one_switch():
+    """Between a string of constant γ and one of tension 0 to F, the mass goes along two circles.
+
+    In the plane of x and velocity over ω, with ω² = γ / m: one about where F balances γ, then one
+    about where nothing does. F is such that they meet in the middle.
+    """
+    gamma, reach = 10.0, 0.4
+    ends = [
+        tc.prestress(rail(x, reach), gamma * np.array([1.0, (reach + x) / (reach - x)]))
+        for x in (-WAY / 2, WAY / 2)
+    ]
+    model = tc.Model(ends[0].structure)
+    plant = tc.linearize(model, ends[0], input="force_density", actuated=[1])
+    largest = np.array([np.inf, 2 * reach * gamma])
+    motion = tc.optimal_motion(model, *ends, plant=plant, max_tension=largest, intervals=10)
+    exact = 2 * np.arccos(reach / (reach + WAY / 2)) / np.sqrt(gamma / MASS)
+    np.testing.assert_allclose(motion.duration, exact, rtol=1e-5)
+    assert motion.status is Status.OK
+    np.testing.assert_array_equal(motion.run.force_density[0], gamma)
+
+
+# Of the strings below, N/m and m. The second one of the winch is wound half as fast as the first.
+STIFFNESS, SPRING, SHIFT, HALF = 40.0, 0.6, 0.975, 0.5
+
+
+def spring_and_winch(x):
+    """Return an equilibrium of a mass at x, m, between a spring and two strings of one winch."""
+    structure = tc.Structure(
+        [[-1.0, x, 1.0, 1.5], np.zeros(4)],
+        bars=[],
+        strings=[[0, 1], [1, 2], [1, 3]],
+        bar_mass=None,
+        fixed=[0, 2, 3, (1, "y")],
+        point_mass=[0.0, MASS, 0.0, 0.0],
+    )
+    length = structure.string_length()
+    wound = (length[1] + length[2] - SHIFT - (length[0] - SPRING)) / (1 + HALF)
+    rest_length = np.array([SPRING, wound, SHIFT + HALF * wound])
+    return tc.prestress(structure, STIFFNESS * (1 - rest_length / length))
+
+
+@pytest.fixture(scope="module")
+def ganged():
+    """Return model, ends and plant of a mass that goes 0.2 m against a spring."""
+    start, goal = spring_and_winch(-0.1), spring_and_winch(0.1)
+    model = tc.Model(start.structure, tc.LinearStrings(STIFFNESS))
+    winch = {"winch": {1: 1.0, 2: HALF}}
+    return model, start, goal, tc.linearize(model, start, input="rest_length", actuated=winch)
+
+
+def test_least_effort_of_a_ganged_winch_is_that_of_the_gramian(ganged):
+    """The state x, ẋ, rest length is linear in the rate: the least ∫ rate² is dᵀ W⁻¹ d."""
+    *scene, plant = ganged
+    duration = 0.9
+    motion = tc.optimal_motion(
+        *scene, plant=plant, minimize="effort", duration=duration, intervals=40
+    )
+    A = np.array([[0.0, 1.0, 0.0], [-3 * STIFFNESS, 0.0, -(1 + HALF) * STIFFNESS], np.zeros(3)])
+    A[1] /= MASS
+    B = np.array([[0.0], [0.0], [1.0]])
+    exponential = expm(np.block([[-A, B @ B.T], [np.zeros((3, 3)), A.T]]) * duration)
+    gramian = exponential[3:, 3:].T @ exponential[:3, 3:]  # Van Loan 1978
+    way = np.array([0.2, 0.0, motion.rest_length[1, -1] - motion.rest_length[1, 0]])
+    np.testing.assert_allclose(motion.cost, way @ np.linalg.solve(gramian, way), rtol=1e-4)
+    wound = motion.run.rest_length
+    np.testing.assert_array_equal(wound[0], wound[0, 0])
+    np.testing.assert_allclose(wound[2], SHIFT + HALF * wound[1], atol=1e-12)
+    assert motion.goal_miss < 1e-6
+
+
+def test_least_work_of_a_ganged_winch_is_what_its_strings_store(ganged):
+    *scene, plant = ganged
+    slow = tc.Winches(rate=[9.0, 9.0, 0.15])  # of the second string, by half of the first's rate
+    motion = tc.optimal_motion(
+        *scene, plant=plant, minimize="energy", duration=1.6, winches=slow, max_power=4.0
+    )
+    stored = []
+    for rest in scene[1:]:
+        length = rest.structure.string_length()
+        stretch = rest.force_density * length / STIFFNESS
+        stored.append(STIFFNESS / 2 * float(stretch @ stretch))
+    np.testing.assert_allclose(motion.cost, stored[1] - stored[0], rtol=1e-6)
+    np.testing.assert_allclose(motion.energy, motion.cost, rtol=1e-3)
+    assert np.abs(motion.rate[1]).max() < 0.3 * (1 + 1e-9)
+    run = motion.run
+    tension = run.force_density * run.model.structure.string_length(run.nodes)
+    power = -(tension[1] + HALF * tension[2]) * np.gradient(run.rest_length[1], run.time)
+    assert power.max() < 4.0 * (1 + 1e-2)
+
+
 # ---- the arm ----
 
 RATE = 0.8
@@ -103,17 +197,17 @@ def test_the_arm_is_at_rest_at_its_goal_within_a_fifth_of_a_second(arm, fastest)
 
 @pytest.fixture(scope="module")
 def coarse(arm):
-    return tc.optimal_motion(*arm, winches=WINCHES, intervals=6, tolerance=1e-2)
+    return tc.optimal_motion(*arm, winches=WINCHES, intervals=4, tolerance=3e-2)
 
 
 def test_identical_calls_take_identical_iterations(arm, coarse):
-    again = tc.optimal_motion(*arm, winches=WINCHES, intervals=6, tolerance=1e-2)
+    again = tc.optimal_motion(*arm, winches=WINCHES, intervals=4, tolerance=3e-2)
     assert repr(again.meshes) == repr(coarse.meshes)
     np.testing.assert_array_equal(again.nodes, coarse.nodes)
 
 
 def test_finer_intervals_are_hardly_faster(fastest, coarse):
-    assert fastest.duration < coarse.duration < 1.03 * fastest.duration
+    assert fastest.duration < coarse.duration < 1.06 * fastest.duration
 
 
 def test_meshes_are_halved_until_the_replay_meets_the_goal(arm):
@@ -160,8 +254,8 @@ def test_a_cost_of_ones_is_the_duration(arm, coarse):
         *arm,
         winches=WINCHES,
         minimize=lambda nodes, velocities, rest_length, rate: 1 + 1e-3 * ca.sumsqr(rate / RATE),
-        intervals=6,
-        tolerance=1e-2,
+        intervals=4,
+        tolerance=3e-2,
     )
     np.testing.assert_allclose(motion.cost, coarse.duration, rtol=1e-2)
     assert motion.minimize == "<lambda>"
@@ -269,6 +363,20 @@ def test_distances_of_bars_are_those_of_the_structure():
 def test_bad_arguments_are_named(arm, arguments, text):
     with pytest.raises((TypeError, ValueError), match=text):
         tc.optimal_motion(*arm, **({"winches": WINCHES} | arguments))
+
+
+def test_what_a_plant_cannot_hold_is_refused(ganged):
+    model, start, goal, plant = ganged
+    other = tc.linearize(model, start, input="rest_length", actuated=[1])
+    motor = tc.Winches(motor=tc.Motor(0.01, torque=1.0))
+    for arguments, text in (
+        ({"plant": other}, "goal has a rest length.*string 2, which is passive"),
+        ({"plant": plant, "input": "force_density"}, "input is 'force_density'"),
+        ({"plant": plant, "winches": motor}, "torque, but winds several strings"),
+        ({"plant": model}, "plant"),
+    ):
+        with pytest.raises((TypeError, ValueError), match=text):
+            tc.optimal_motion(model, start, goal, **({"winches": WINCHES} | arguments))
 
 
 def test_ends_are_checked(arm):
