@@ -14,8 +14,9 @@ from tenscontrol.dynamics.evaluator import BUILDING, Function, builds, on_one_th
 from tenscontrol.interrupt import check
 from tenscontrol.status import Status
 
-# An interval is not shorter or longer than that of the guess by these factors.
-_SHORTEST, _LONGEST = 0.02, 50.0
+# An interval is not shorter or longer than that of the guess by these factors. With more room
+# above, IPOPT runs away to long durations, from which it finds no way back.
+_SHORTEST, _LONGEST = 0.02, 4.0
 
 #: Gauss points of an interval. Three take IPOPT longer than twice as many intervals, and it fails
 #: more often.

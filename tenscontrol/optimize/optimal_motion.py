@@ -62,7 +62,7 @@ COSTS = ("time", "energy", "effort")
 _TIE = 1e-3
 
 # Durations of the guess that are tried one after the other, as parts of the first.
-_SLOWER = (1.0, 2.0)
+_SLOWER = (1.0, 2.0, 10.0)
 
 # Tolerance of the replay, as a part of that of the goal; shapes in each interval of a reference.
 _REPLAY, _SHAPES = 1e-3, 4
@@ -568,7 +568,7 @@ class _Planner:
         self._tie = 0.0
         self._program = self._made()
         self._meshes = list[Mesh]()
-        self._best: tuple[Solution, Trajectory | None] | None = None
+        self._best: tuple[Solution, Trajectory | None, Mesh] | None = None
 
     def _least_duration(self, duration: float | None) -> float:
         """Return the time of a mass on a rail over the way under all the tension at rest, s."""
@@ -676,16 +676,22 @@ class _Planner:
     def run(
         self, intervals: int, refinements: int, most: int, report: Callable[[float], None]
     ) -> OptimalMotion:
-        """Return the motion of the first mesh whose replay meets the goal, or of the finest."""
+        """Return the motion of the first mesh whose replay meets the goal, or of the last."""
         guess = self._guess
         with keeping("meshes solved, their motion is returned", lambda: len(self._meshes)):
             for number in range(refinements + 1):
                 solution, run = self._solved(guess, intervals, most)
-                self._best = solution, run
                 report(number + 1.0)
-                if run is None or self._is_met(self._meshes[-1]):
+                if run is None:
+                    # IPOPT that loses its way on one first mesh finds it on another.
+                    is_lost = solution.status is Status.OUT_OF_ITERATIONS
+                    if number or not is_lost:
+                        break
+                elif self._is_met(solution.motion, self._meshes[-1]):
                     break
-                guess, intervals = solution.motion, 2 * intervals
+                else:
+                    guess = solution.motion
+                intervals *= 2
         return self._result()
 
     def _solved(
@@ -704,18 +710,18 @@ class _Planner:
             if run is not None:
                 speed = np.linalg.norm(run.velocities[:, :, -1], axis=0).max()
                 miss = self._end.distance(run.nodes[:, :, -1]), float(speed)
-        self._meshes.append(
-            Mesh(intervals, solution.iterations, solution.status, self._cost(solution), *miss)
-        )
+        mesh_of = Mesh(intervals, solution.iterations, solution.status, self._cost(solution), *miss)
+        self._meshes.append(mesh_of)
+        if self._best is None or run is not None or self._best[1] is None:
+            self._best = solution, run, mesh_of
         return solution, run
 
     def _cost(self, solution: Solution) -> float:
         return solution.motion.duration if self._minimize == "time" else solution.cost
 
-    def _is_met(self, mesh: Mesh) -> bool:
-        assert self._best is not None  # a mesh was solved
+    def _is_met(self, motion: DiscreteMotion, mesh: Mesh) -> bool:
         off = self._tolerance * self._size
-        return mesh.goal_miss <= off and mesh.end_speed <= off / self._best[0].motion.duration
+        return mesh.goal_miss <= off and mesh.end_speed <= off / motion.duration
 
     def _replayed(self, motion: DiscreteMotion) -> Trajectory | None:
         profile = _profile(self._of_strings(motion), self._input, None)
@@ -733,7 +739,7 @@ class _Planner:
 
     def _result(self) -> OptimalMotion:
         assert self._best is not None  # `run` has solved a mesh, or raised
-        (solution, run), last = self._best, self._meshes[-1]
+        solution, run, last = self._best
         status, message = solution.status, "the replay ends at the goal"
         if run is None:
             worst = next(iter(solution.violations.items()))
@@ -741,7 +747,7 @@ class _Planner:
                 f"IPOPT ended with {solution.message!r}, {worst[0]} violated by {worst[1]:.2g} of "
                 f"its scale. {_ADVICE.get(status, 'Give another goal or limits')}"
             )
-        elif not self._is_met(last):
+        elif not self._is_met(solution.motion, last):
             status = Status.INACCURATE
             message = (
                 f"the replay misses the goal by {last.goal_miss:.2g} m at {last.end_speed:.2g} m/s "

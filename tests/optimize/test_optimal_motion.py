@@ -326,6 +326,20 @@ def test_a_free_prism_gets_lower_wherever_it_turns():
     assert motion.goal_distance(motion.run.nodes)[-1] == motion.goal_miss
 
 
+def test_the_duration_does_not_run_away_from_the_guess():
+    """With 50 times the time of the guess at hand, IPOPT got lost on this mesh."""
+    cross = tc.library.snelson_x()
+    model = tc.Model(cross, tc.LinearStrings(500.0, damping=2.0))
+    rest = tc.prestress(cross, min_force_density=20.0)
+    moved = tc.NodesAt([3], cross.nodes[:, [3]] + 0.1 * np.array([[0.7368005], [-0.67611021]]))
+    motion = tc.optimal_motion(
+        model, rest, moved, winches=tc.Winches(rate=0.5), min_force_density=1.0, intervals=8,
+        refinements=0, tolerance=3e-2,
+    )  # fmt: skip
+    assert motion.status is Status.OK
+    assert motion.duration < 0.38
+
+
 # ---- bars, and bad input ----
 
 
