@@ -25,6 +25,7 @@ from tenscontrol.dynamics.held_inputs import held_value
 from tenscontrol.dynamics.model import Model
 from tenscontrol.plant.input_bounds import rest_length_bounds
 from tenscontrol.plant.stance import convex_hull
+from tenscontrol.shape.faces import lowest_face
 from tenscontrol.structure.bar_clearance import bar_distances
 from tenscontrol.structure.bar_geometry import restore_bar_lengths
 from tenscontrol.validation import direction as unit_vector
@@ -42,6 +43,9 @@ _HALVINGS = 4
 # Largest move of a node in a Newton step, largest change of a rest length between equilibria, and
 # margin that is enough, in sizes.
 _MOVE, STEP, MARGIN = 0.1, 0.01, 0.02
+
+# Nodes this near a face belong to it, in sizes.
+NEAR = 0.02
 
 # Winding that moves the centre of mass by less than this part of itself is in vain, and so is a
 # step that gains less than this part of what its slope promised.
@@ -268,8 +272,8 @@ class TippingPlanner:
             raise ValueError(
                 "the model has no weight, so nothing tips it; build it as Model(..., gravity=9.81)"
             )
-        self._structure, self._down = structure, force / weight
-        self._shares = self._down @ model.constant_force / weight
+        self._structure, self.down = structure, force / weight
+        self._shares = self.down @ model.constant_force / weight
         self.home = held_value(model, rest_length, None)
         self.size = structure.size
         self.gravity = weight / float(structure.bar_mass.sum() + structure.point_mass.sum())
@@ -279,7 +283,7 @@ class TippingPlanner:
             winches.refuse_out_of_range("rest_length", self.home, self.actuation.driven)
         # Of the inputs, as is all that winds.
         bounds = rest_length_bounds(self.home, winches)
-        self._low, self._high = bounds_of_inputs(self.actuation, *bounds)
+        self.bounds = self._low, self._high = bounds_of_inputs(self.actuation, *bounds)
         self._clearance = validation.number("clearance", clearance, "m")
         self._conditions = model.prepared.get("tipping", lambda: _conditions(model))
 
@@ -288,19 +292,23 @@ class TippingPlanner:
         """Rest lengths, nodes and margin, m."""
         return self.rest_length, self.nodes, self.margin
 
+    def standing(self, nodes: FloatArray, down: FloatArray) -> IntArray:
+        """Return the nodes of the face that looks most downward; none of a flat shape."""
+        return lowest_face(nodes, down, NEAR * self.size)
+
     def edges(self, nodes: FloatArray, feet: IntArray) -> dict[tuple[int, ...], FloatArray]:
         """Return the edges of the base, each with the horizontal direction over it."""
         d = len(nodes)
         if len(feet) == d:
             edges = list(combinations(feet.tolist(), d - 1))
         else:
-            places = nearest_plane(nodes[:, feet], self._down)[1] @ nodes[:, feet]
+            places = nearest_plane(nodes[:, feet], self.down)[1] @ nodes[:, feet]
             corners = feet[convex_hull(places)]
             pairs = (
                 corners[:, None] if d == 2 else np.stack([corners, np.roll(corners, -1)], axis=1)
             )
             edges = [tuple(sorted(pair)) for pair in pairs.tolist()]
-        return {edge: across_edge(nodes, feet, edge, self._down)[0] for edge in edges}
+        return {edge: across_edge(nodes, feet, edge, self.down)[0] for edge in edges}
 
     def start(self, nodes: FloatArray, feet: IntArray, edge: tuple[int, ...]) -> None:
         """Go to the equilibrium on these feet near a shape, at the rest lengths of the start.
@@ -313,7 +321,7 @@ class TippingPlanner:
         d, n = nodes.shape
         self.feet, self.edge = feet, edge
         shape = nodes[:, feet]
-        up, tangents = nearest_plane(shape, self._down)
+        up, tangents = nearest_plane(shape, self.down)
         self._up = up
         held = [np.outer(up, unit) for unit in np.eye(len(feet))]
         held += [np.outer(tangent, np.ones(len(feet))) for tangent in tangents]
@@ -406,7 +414,7 @@ class TippingPlanner:
         apart = bar_distances(self._structure, nodes).least if self._clearance else np.inf
         if apart < self._clearance:
             raise StuckError(f"bars would come as near as {apart:.3g} m, less than clearance")
-        across, _ = across_edge(nodes, self.feet, self.edge, self._down)
+        across, _ = across_edge(nodes, self.feet, self.edge, self.down)
         margin = float(across @ (nodes @ self._shares - nodes[:, self.edge[0]]))
         if margin < least:
             raise StuckError("further winding does not move it")
@@ -414,12 +422,12 @@ class TippingPlanner:
 
     def _uphill(self) -> FloatArray:
         """Return by how much each rest length moves the centre of mass over the edge."""
-        across, scale = across_edge(self.nodes, self.feet, self.edge, self._down)
+        across, scale = across_edge(self.nodes, self.feet, self.edge, self.down)
         slope = np.outer(across, self._shares)
         slope[:, self.edge[0]] -= across
         if len(across) == 3:
             beyond = self.nodes @ self._shares - self.nodes[:, self.edge[0]]
-            turned = np.cross(self._down, beyond - (across @ beyond) * across) / scale
+            turned = np.cross(self.down, beyond - (across @ beyond) * across) / scale
             slope[:, self.edge[1]] += turned
             slope[:, self.edge[0]] -= turned
         d, n = slope.shape

@@ -1,0 +1,156 @@
+"""Table of the rest lengths that tip a structure over each edge of each of its faces."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tenscontrol.actuation.driven_strings import changes_of_inputs, inputs_of, strings_of
+from tenscontrol.arrays import FloatArray, IntArray
+from tenscontrol.dynamics.model import Model
+from tenscontrol.plant.stance import convex_hull, set_down
+from tenscontrol.shape.faces import faces
+from tenscontrol.shape.tipping import STEP, StuckError, TippingPlanner, across_edge
+
+_TINY = float(np.finfo(float).tiny)
+
+
+@dataclass(frozen=True, eq=False)
+class Face:
+    """A face of the hull.
+
+    Attributes
+    ----------
+    feet : ndarray of int
+        Its nodes, ascending.
+    corners : ndarray of int
+        Of its polygon, counterclockwise seen from outside; in the plane from one end to the other.
+    edges : list of tuple of int
+    plans : list of tuple of ndarray, or None
+        For each edge inputs, shape (m, K), m, and margins, shape (K,), m, of equilibria; None for
+        an edge that cannot be passed.
+    """
+
+    feet: IntArray
+    corners: IntArray
+    edges: list[tuple[int, ...]]
+    plans: list[tuple[FloatArray, FloatArray] | None]
+
+
+class TippingTable:
+    """Plans of a :class:`TippingPlanner` for all faces and edges, made once on level ground.
+
+    It takes the place of the planner: winding follows a plan from equilibrium to equilibrium. The
+    face that looks most downward, of those in the table, is that on which the structure stands.
+    """
+
+    def __init__(self, planner: TippingPlanner, model: Model, near: float, enough: float) -> None:
+        # Nodes that are ``near`` a face belong to it, m; plans end ``enough`` beyond an edge, m.
+        self.home, self.size, self.gravity = planner.home, planner.size, planner.gravity
+        self.actuation, self.bounds = planner.actuation, planner.bounds
+        self._down, nodes = planner.down, model.structure.nodes
+        self.faces: list[Face] = []
+        for feet, outward in faces(nodes, near):
+            placed = set_down(model, feet)
+            edges = sorted(planner.edges(placed, feet))
+            plans = [_plan(planner, placed, feet, edge, enough) for edge in edges]
+            self.faces.append(Face(feet, _corners(nodes, feet, outward), edges, plans))
+        if not any(plan for face in self.faces for plan in face.plans):
+            raise ValueError(
+                "the gait finds no rest lengths that tip the structure over any edge of any face: "
+                "give the winches a larger range, or change the prestress"
+            )
+        self._face_of = {tuple(face.feet.tolist()): face for face in self.faces}
+
+    def standing(self, nodes: FloatArray, down: FloatArray) -> IntArray:
+        """Return the nodes of the face that looks most downward."""
+        sinks = []
+        for face in self.faces:
+            area = _area(nodes[:, face.corners])
+            sinks.append(float(area @ down) / (float(np.sqrt(area @ area)) + _TINY))
+        return self.faces[int(np.argmax(sinks))].feet
+
+    def edges(self, nodes: FloatArray, feet: IntArray) -> dict[tuple[int, ...], FloatArray]:
+        """Return the edges of a face, each with the horizontal direction over it."""
+        edges = self._face_of[tuple(feet.tolist())].edges
+        return {edge: across_edge(nodes, feet, edge, self._down)[0] for edge in edges}
+
+    def start(self, nodes: FloatArray, feet: IntArray, edge: tuple[int, ...]) -> None:
+        """Begin the plan of an edge of a face; raise StuckError if there is none."""
+        face = self._face_of[tuple(feet.tolist())]
+        plan = face.plans[face.edges.index(edge)]
+        if plan is None:
+            raise StuckError("no rest lengths lead over this edge")
+        self.feet, self.edge = feet, edge
+        self._inputs, self._margins = plan
+        self._passed, self._wound = 0, inputs_of(self.actuation, self.home)
+
+    @property
+    def rest_length(self) -> FloatArray:
+        """Rest lengths now, m."""
+        return strings_of(self.actuation, self._wound)
+
+    @property
+    def margin(self) -> float:
+        """Margin at the last equilibrium of the plan that was passed, m."""
+        return float(self._margins[self._passed])
+
+    def advance(self, most: FloatArray) -> None:
+        """Go on along the plan, with rest lengths changed by this much at most, m.
+
+        Raises
+        ------
+        StuckError
+            At the end of the plan.
+        """
+        most = changes_of_inputs(self.actuation, most)
+        last, left = len(self._margins) - 1, 1.0  # of this sample
+        if self._passed == last:
+            raise StuckError("the plan ends here")
+        while left > 0 and self._passed < last:
+            ahead = self._inputs[:, self._passed + 1] - self._wound
+            takes = float(np.max(np.abs(ahead) / most))
+            if takes <= left:
+                self._wound = self._inputs[:, self._passed + 1]
+                self._passed += 1
+                left -= takes
+            else:
+                self._wound = self._wound + ahead * (left / takes)
+                left = 0.0
+
+
+def _plan(
+    planner: TippingPlanner, nodes: FloatArray, feet: IntArray, edge: tuple[int, ...], enough: float
+) -> tuple[FloatArray, FloatArray] | None:
+    """Return inputs and margins of equilibria over an edge; None if it cannot be passed."""
+    try:
+        planner.start(nodes, feet, edge)
+    except StuckError:
+        return None
+    points = [(planner.rest_length, planner.margin)]
+    while planner.margin < enough:
+        try:
+            planner.advance(STEP * planner.size)
+        except StuckError:
+            break
+        points.append((planner.rest_length, planner.margin))
+    lengths, margins = zip(*points, strict=True)
+    if margins[-1] <= 0:
+        return None
+    return inputs_of(planner.actuation, np.stack(lengths, axis=-1)), np.array(margins)
+
+
+def _corners(nodes: FloatArray, feet: IntArray, outward: FloatArray) -> IntArray:
+    """Return the corners of a face, so that :func:`_area` looks along its outward normal."""
+    basis = np.linalg.svd(outward[None])[2][1:]
+    corners = feet[convex_hull(basis @ nodes[:, feet])]
+    return corners if _area(nodes[:, corners]) @ outward > 0 else corners[::-1]
+
+
+def _area(corners: FloatArray) -> FloatArray:
+    """Return twice the area of a polygon as a vector along its normal; in the plane, a length."""
+    sides = corners[:, 1:] - corners[:, :1]
+    if len(corners) == 2:
+        return np.array([sides[1, 0], -sides[0, 0]])
+    return np.asarray(np.cross(sides[:, :-1], sides[:, 1:], axis=0).sum(axis=1))
