@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from tenscontrol import validation
+from tenscontrol.actuation.driven_strings import changes_of_inputs, inputs_of, strings_of
 from tenscontrol.actuation.winches import Winches
 from tenscontrol.arrays import FloatArray, IntArray, freeze_arrays
 from tenscontrol.dynamics.model import Model
@@ -23,17 +24,18 @@ from tenscontrol.shape.tipping import (
 )
 from tenscontrol.shape.tipping_table import TippingTable
 from tenscontrol.short_repr import short_repr
+from tenscontrol.structure.structure import Structure
 from tenscontrol.validation import direction as unit_vector
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
 # Nodes slower than this part of √(g · size) are still.
-STILL = 0.05
+_STILL = 0.05
 
 # At rest it is where it was still for so long, in √(size / g): nothing that falls is. And so long a
 # structure is waited for that has not tipped, or not come to rest.
-RESTS, PATIENCE = 2 * STILL, 8.0
+_RESTS, _PATIENCE = 2 * _STILL, 8.0
 
 # Where it does not tip, winding goes on until the centre of mass is so far beyond, in sizes.
 FARTHER = 3 * MARGIN
@@ -42,10 +44,10 @@ FARTHER = 3 * MARGIN
 _LEVEL = 1e-6
 
 # Steps that a gait foresees, as if the shape were rigid, and how far ahead it looks, in sizes.
-_FORESEEN, _AHEAD = 2, 2.0
+FORESEEN, AHEAD = 2, 2.0
 
 # An edge is behind if its direction has this part, turned round, of that of the last step.
-_BACK = 0.7
+BACK = 0.7
 
 
 class _Phase(Enum):
@@ -76,6 +78,26 @@ class RollingStep:
     landed: IntArray
 
     __repr__ = short_repr
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+
+@dataclass(frozen=True, eq=False)
+class GaitSettings:
+    """What a gait goes by, for its C code."""
+
+    plans: TippingPlanner | TippingTable
+    structure: Structure
+    up: FloatArray  # normal of the ground
+    direction: FloatArray
+    sample_time: float  # s
+    steps: float  # to make; may be infinite
+    home: FloatArray  # inputs between the steps, shape (m,), m
+    most: FloatArray  # largest changes of the inputs in a sample, shape (m,), m
+    still: float  # slower nodes are still, m/s
+    rests: float  # still for so long is at rest, s
+    patience: float  # s
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -163,29 +185,40 @@ class RollingGait:
         tabulated: bool = False,
     ) -> None:
         planner = TippingPlanner(model, rest_length, winches, clearance, actuated)
-        self._structure, self._normal = model.structure, _normal_of_plane(model)
-        self._planner: TippingPlanner | TippingTable = planner
+        up, size = _normal_of_plane(model), planner.size
+        heading = unit_vector("direction", direction, model.structure.dimension)
+        self.sample_time = validation.positive_number("sample_time", sample_time, "s")
+        count = np.inf if steps is None else validation.whole_number("steps", steps, 1)
+        plans: TippingPlanner | TippingTable = planner
         if validation.truth("tabulated", tabulated, "whether to plan before the run"):
-            if not np.allclose(self._normal, -planner.down, atol=_LEVEL):
+            if not np.allclose(up, -planner.down, atol=_LEVEL):
                 raise ValueError(
                     "tabulated is True, but the ground of the model is inclined to its gravity, "
                     "and a plan then depends on where uphill lies: give a model on level ground, "
                     "or leave it out"
                 )
-            reach = FARTHER * planner.size
-            self._planner = TippingTable(planner, model, NEAR * planner.size, reach)
-        self._direction = unit_vector("direction", direction, model.structure.dimension)
-        self.sample_time = validation.positive_number("sample_time", sample_time, "s")
-        self._steps = np.inf if steps is None else validation.whole_number("steps", steps, 1)
-        size, gravity = self._planner.size, self._planner.gravity
+            plans = TippingTable(planner, model, NEAR * size, FARTHER * size)
         rate = None if winches is None else winches.largest_rate
         most = STEP * size if rate is None else rate * self.sample_time
-        self._most = most * np.ones(len(self._planner.home))
-        self._still, self._moment = STILL * np.sqrt(gravity * size), np.sqrt(size / gravity)
+        moment = float(np.sqrt(size / planner.gravity))
+        self._settings = GaitSettings(
+            plans, model.structure, up, heading, self.sample_time, count,
+            home=inputs_of(planner.actuation, planner.home),
+            most=changes_of_inputs(planner.actuation, most * np.ones(len(planner.home))),
+            still=float(_STILL * np.sqrt(planner.gravity * size)),
+            rests=_RESTS * moment,
+            patience=_PATIENCE * moment,
+        )  # fmt: skip
+        self._planner, self._structure = plans, model.structure
         self.reset()
 
+    @property
+    def settings(self) -> GaitSettings:
+        """What it goes by; its C code is made from it."""
+        return self._settings
+
     def __repr__(self) -> str:
-        way = ", ".join(f"{entry:.3g}" for entry in self._direction)
+        way = ", ".join(f"{entry:.3g}" for entry in self._settings.direction)
         return f"RollingGait({self._structure!r}, along [{way}], every {self.sample_time:g} s)"
 
     def reset(self) -> None:
@@ -194,12 +227,14 @@ class RollingGait:
         self._phase = _Phase.STANDS
         self._since = 0.0
         self._moved_at: float | None = None  # when it was not still, or began
-        self._reached = self._planner.home
+        self._reached = self._settings.home
         self._enough = MARGIN
         self._vain: set[tuple[int, ...]] = set()
         self._begun: FloatArray | None = None  # where the line begins
         self._tipped: RollingStep | None = None  # a step that has not come to rest
-        self._stood = self._moved = np.zeros(len(self._normal))  # where, and in the last step, m
+        self._stood = self._moved = np.zeros(
+            len(self._settings.up)
+        )  # where, and in the last step, m
 
     def applied(self, value: ArrayLike) -> None:
         """Take note of the rest lengths that the winches reached, if not those commanded.
@@ -209,8 +244,9 @@ class RollingGait:
         value : array_like, shape (α,)
             m.
         """
-        home = self._planner.home
-        self._reached = validation.shaped("value", value, home.shape, "one rest length per string")
+        shape, actuation = self._planner.home.shape, self._planner.actuation
+        strings = validation.shaped("value", value, shape, "one rest length per string")
+        self._reached = inputs_of(actuation, strings)
 
     def command(self, time: float, nodes: ArrayLike, velocities: ArrayLike) -> FloatArray:
         """Return rest lengths, m, shape (α,).
@@ -225,32 +261,36 @@ class RollingGait:
         time = validation.number("time", time, "s")
         nodes = self._structure.checked_nodes("nodes", nodes)
         velocities = self._structure.checked_nodes("velocities", velocities)
-        is_still = bool(np.linalg.norm(velocities, axis=0).max() < self._still)
+        settings, actuation = self._settings, self._planner.actuation
+        is_still = bool(np.linalg.norm(velocities, axis=0).max() < settings.still)
         if not is_still or self._moved_at is None:
             self._moved_at = time
-        rests = time - self._moved_at >= RESTS * self._moment
-        is_late = time > self._since + PATIENCE * self._moment
+        rests = time - self._moved_at >= settings.rests
+        is_late = time > self._since + settings.patience
         if self._phase is _Phase.WINDS:
             self._wind(time, self._standing(nodes), is_late)
         elif self._phase is _Phase.LANDS and (rests or is_late):
             self._phase = _Phase.STANDS
         elif self._phase is _Phase.STANDS and rests:
-            off = np.abs(self._reached - self._planner.home).max()
+            off = np.abs(self._reached - settings.home).max()
             feet = self._standing(nodes) if off <= CLOSE * self._planner.size else ()
             if len(feet):
                 self._stand(time, nodes, np.asarray(feet))
-        stands = self._phase is _Phase.STANDS
-        self._reached = self._back() if stands else self._planner.rest_length
-        return self._reached
+        if self._phase is _Phase.STANDS:
+            self._reached = self._back()
+        else:
+            self._reached = inputs_of(actuation, self._planner.rest_length)
+        return strings_of(actuation, self._reached)
 
     def _standing(self, nodes: FloatArray) -> IntArray:
         """Return the nodes of the lowest face; none where the shape has no faces."""
-        return self._planner.standing(nodes, -self._normal)
+        return self._planner.standing(nodes, -self._settings.up)
 
     def _back(self) -> FloatArray:
-        """Return the next rest lengths on the straight way back."""
-        left = self._planner.home - self._reached
-        share = np.min(self._most / np.maximum(np.abs(left), CLOSE * self._planner.size))
+        """Return the next inputs on the straight way back."""
+        left = self._settings.home - self._reached
+        least = CLOSE * self._planner.size
+        share = np.min(self._settings.most / np.maximum(np.abs(left), least))
         return np.asarray(self._reached + min(1.0, float(share)) * left)
 
     def _stand(self, time: float, nodes: FloatArray, feet: IntArray) -> None:
@@ -261,18 +301,18 @@ class RollingGait:
             self.made += (replace(self._tipped, landed=feet),)
             self._vain, self._moved = set(), centre - self._stood
         self._tipped, self._stood = None, centre
-        if len(self.made) >= self._steps:
+        if len(self.made) >= self._settings.steps:
             return
-        along = self._direction @ (centre - self._begun)
-        goal = self._begun + (along + _AHEAD * self._planner.size) * self._direction
+        direction, ahead = self._settings.direction, AHEAD * self._planner.size
+        goal = self._begun + (direction @ (centre - self._begun) + ahead) * direction
         edges = self._planner.edges(nodes, feet)
         # Back where it came from it would only come here again.
-        back = -_BACK * float(np.linalg.norm(self._moved))
-        ahead = [edge for edge, over in edges.items() if over @ self._moved >= back]
-        left = [[edge for edge in some if edge not in self._vain] for some in (ahead, edges)]
+        back = -BACK * float(np.linalg.norm(self._moved))
+        not_back = [edge for edge, over in edges.items() if over @ self._moved >= back]
+        left = [[edge for edge in some if edge not in self._vain] for some in (not_back, edges)]
         edge = min(
             left[0] or left[1] or edges,
-            key=lambda candidate: self._distance(nodes, feet, candidate, goal, _FORESEEN),
+            key=lambda candidate: self._distance(nodes, feet, candidate, goal, FORESEEN),
         )
         try:
             self._planner.start(nodes, feet, edge)
@@ -285,7 +325,7 @@ class RollingGait:
         self, nodes: FloatArray, feet: IntArray, edge: tuple[int, ...], goal: FloatArray, steps: int
     ) -> float:
         """Return how far from the goal the centre is after some steps of a rigid shape, m."""
-        nodes = _rolled(nodes, feet, edge, self._normal)
+        nodes = _rolled(nodes, feet, edge, self._settings.up)
         feet = self._standing(nodes)
         if steps == 1 or len(feet) < len(nodes):
             return float(np.linalg.norm(nodes.mean(axis=1) - goal))
@@ -308,7 +348,7 @@ class RollingGait:
             self._enough = FARTHER
         if planner.margin < self._enough * planner.size:
             try:
-                planner.advance(self._most)
+                planner.advance(self._settings.most)
                 self._since = time
             except StuckError:
                 self._give_up()

@@ -215,10 +215,11 @@ def tipping_path(
             f"feet are {standing.tolist()}, on which the structure does not stand with these nodes "
             f"and this rest_length: {error}"
         ) from None
+    changes = changes_of_inputs(planner.actuation, np.full(len(planner.home), most))
     points, trouble = [planner.point], None
     while planner.margin < enough and trouble is None:
         try:
-            planner.advance(most)
+            planner.advance(changes)
         except StuckError as error:
             trouble = error
         else:
@@ -335,8 +336,8 @@ class TippingPlanner:
         count = len(self._structure.kept_bars) + len(held)
         self._balance(np.concatenate([positions, np.zeros(count)]), self.home, _FIRST, -np.inf)
 
-    def advance(self, most: FloatArray | float) -> None:
-        """Go on to the next equilibrium, with rest lengths changed by this much at most, m.
+    def advance(self, most: FloatArray) -> None:
+        """Go on to the next equilibrium, with inputs changed by this much at most, m.
 
         Raises
         ------
@@ -346,7 +347,6 @@ class TippingPlanner:
         uphill, actuation = self._uphill(), self.actuation
         if not actuation.is_whole:
             uphill = actuation.matrix.T @ uphill
-            most = changes_of_inputs(actuation, most * np.ones(len(self.home)))
         wound = inputs_of(actuation, self.rest_length)
         low, high = wound <= self._low, wound >= self._high
         uphill[(low & (uphill < 0)) | (high & (uphill > 0))] = 0.0

@@ -97,14 +97,13 @@ class TippingTable:
         return float(self._margins[self._passed])
 
     def advance(self, most: FloatArray) -> None:
-        """Go on along the plan, with rest lengths changed by this much at most, m.
+        """Go on along the plan, with inputs changed by this much at most, m.
 
         Raises
         ------
         StuckError
             At the end of the plan.
         """
-        most = changes_of_inputs(self.actuation, most)
         last, left = len(self._margins) - 1, 1.0  # of this sample
         if self._passed == last:
             raise StuckError("the plan ends here")
@@ -129,9 +128,10 @@ def _plan(
     except StuckError:
         return None
     points = [(planner.rest_length, planner.margin)]
+    most = changes_of_inputs(planner.actuation, np.full(len(planner.home), STEP * planner.size))
     while planner.margin < enough:
         try:
-            planner.advance(STEP * planner.size)
+            planner.advance(most)
         except StuckError:
             break
         points.append((planner.rest_length, planner.margin))
