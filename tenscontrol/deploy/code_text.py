@@ -16,9 +16,8 @@ import numpy as np
 
 from tenscontrol.arrays import FloatArray
 from tenscontrol.control.command import Fallback
-from tenscontrol.control.controller import Controller
+from tenscontrol.deploy.code_interface import CodeInterface
 from tenscontrol.deploy.controllers import LawCode
-from tenscontrol.deploy.measurement_code import measurement
 from tenscontrol.dynamics.evaluator import Function, builds
 from tenscontrol.estimation.kalman_filter import KalmanFilter
 from tenscontrol.status import OF_ESTIMATES, Status
@@ -32,23 +31,28 @@ _END = re.compile(r"^(#endif.*|};?)\n+\Z", re.MULTILINE)
 # A status in C is its position, and a fallback its position from 1 times this, added to it.
 _FALLBACK = 32
 
+# What the time is for, of a law on a plant and of a gait.
+_TIME = (
+    "matters only for a reference that moves, and is rounded to a whole sample",
+    "of a clock that never goes back",
+)
+
 _UNIT = {"force_density": "force densities, N/m", "rest_length": "rest lengths, m"}
 
 
 @builds
 def code_files(
-    controller: Controller, law: LawCode, name: str, estimator: KalmanFilter | None
+    interface: CodeInterface, law: LawCode, name: str, estimator: KalmanFilter | None
 ) -> dict[str, str]:
     """Return the texts of all files, by file name; names in C begin with ``name``."""
-    plant = controller.plant
-    functions = _named({"measure": measurement(plant)} | law.functions, name)
-    count = len(controller.bounds[0])
+    functions = _named(interface.functions | law.functions, name)
+    (d, nodes), count = interface.nodes.shape, len(interface.bounds[0])
     prefix = name.upper()
-    sizes = _constants({f"{prefix}_COORDINATES": plant.nodes.size, f"{prefix}_COMMANDS": count})
+    sizes = _constants({f"{prefix}_COORDINATES": d * nodes, f"{prefix}_COMMANDS": count})
     words = {
-        "UNIT": _UNIT[controller.input],
-        "INPUTS": _inputs(controller),
-        "SIZES": f"{sizes}\n#define {prefix}_STEP {controller.sample_time!r} /* sample time, s */",
+        "UNIT": _UNIT[interface.input],
+        "INPUTS": _inputs(interface),
+        "SIZES": f"{sizes}\n#define {prefix}_STEP {interface.sample_time!r} /* sample time, s */",
         "STATUSES": "\n".join(
             f"#define {prefix}_{status.name} {number} /* {status} */"
             for number, status in enumerate(Status)
@@ -59,11 +63,12 @@ def code_files(
             for number, fallback in enumerate(Fallback, 1)
         ),
         "REASON": str(_FALLBACK - 1),
-        "AXES": ", ".join("xyz"[: plant.nodes.shape[0]]),
-        "NODES": str(plant.nodes.shape[1]),
+        "AXES": ", ".join("xyz"[:d]),
+        "NODES": str(nodes),
         "COMMANDS": str(count),
-        "STEP": f"{controller.sample_time:g}",
-        "KIND": type(controller).__name__,
+        "STEP": f"{interface.sample_time:g}",
+        "TIME": _TIME[interface.plant is None],
+        "KIND": interface.kind,
     }
     words["ESTIMATOR"] = ""
     if estimator is not None:
@@ -79,22 +84,22 @@ def code_files(
     texts = {
         f"{name}.h": _template("controller.h", name, words),
         f"{name}.c": code,
-        f"{name}_data.h": _data(controller, law, functions),
+        f"{name}_data.h": _data(interface, law, functions),
         "main.c": _template("main.c", name, {}),
         "README.txt": _template("README.txt", name, words),
-        **_casadi(functions, name),
+        **(_casadi(functions, name) if functions else {}),
     }
     core = files("tenscontrol") / "core"
     return texts | {file: (core / file).read_text(encoding="utf-8") for file in law.sources}
 
 
-def _inputs(controller: Controller) -> str:
+def _inputs(interface: CodeInterface) -> str:
     """Return which number of a command is which input, as a comment; nothing for all strings."""
-    actuation, plant = controller.actuation, controller.plant
+    actuation = interface.actuation
     if actuation.is_whole:
         return ""
     lines = []
-    for number, name in enumerate(plant.input_names):
+    for number, name in enumerate(interface.input_names):
         moved = ", ".join(
             f"string {k}" + (f" by {actuation.ratio[k]:g}" if actuation.ratio[k] != 1 else "")
             for k in np.flatnonzero(actuation.input == number)
@@ -122,23 +127,24 @@ def _named(functions: dict[str, ca.Function], name: str) -> list[ca.Function]:
     return renamed
 
 
-def _data(controller: Controller, law: LawCode, functions: list[ca.Function]) -> str:
+def _data(interface: CodeInterface, law: LawCode, functions: list[ca.Function]) -> str:
     """Return the header of all numbers."""
-    low, high = controller.bounds
+    low, high = interface.bounds
     # Work space for the largest function by CasADi.
     work = {
         f"CASADI_{space.upper()}": max(
-            1, *(getattr(function, f"sz_{space}")() for function in functions)
+            [1, *(getattr(function, f"sz_{space}")() for function in functions)]
         )
         for space in ("arg", "res", "iw", "w")
     }
-    change, check = controller.largest_change, controller.measurement_check
-    structure, d = controller.plant.model.structure, controller.plant.nodes.shape[0]
+    change, check = interface.change, interface.check
+    structure, d = interface.structure, len(interface.nodes)
     rolling = structure.fixed_rows[~np.isin(structure.fixed_rows // d, structure.fixed)]
     constants: dict[str, float | int] = {
         "DIMENSION": d,
-        "STATES": 2 * controller.plant.degrees_of_freedom,
-        "HOLDS_PREVIOUS_INPUT": int(controller.input == "rest_length"),
+        "STATES": interface.state_count,
+        "REDUCED": int(interface.plant is not None),
+        "HOLDS_PREVIOUS_INPUT": int(interface.input == "rest_length"),
         "BARS": check.bars.shape[1],
         "FIXED": len(check.fixed),
         "ROLLERS": len(rolling),
@@ -155,7 +161,7 @@ def _data(controller: Controller, law: LawCode, functions: list[ca.Function]) ->
         "low": low,
         "high": high,
         "change": np.full(len(low), np.inf) if change is None else change,
-        "equilibrium": controller.plant.equilibrium_input,
+        "equilibrium": interface.equilibrium_input,
         "bar_start": check.bars[0],
         "bar_end": check.bars[1],
         "shortest_square": check.squares[0],
@@ -163,7 +169,7 @@ def _data(controller: Controller, law: LawCode, functions: list[ca.Function]) ->
         "fixed_node": check.fixed,
         "place": check.places.ravel(order="F"),
         "rolling": rolling,
-        "held_at": controller.plant.nodes.ravel(order="F")[rolling],
+        "held_at": interface.nodes.ravel(order="F")[rolling],
         **law.arrays,
     }
     if law.table is not None:

@@ -12,18 +12,54 @@ from typing import Any, final
 import numpy as np
 
 from tenscontrol import validation
+from tenscontrol.actuation.driven_strings import Actuation
 from tenscontrol.arrays import FloatArray
 from tenscontrol.control.command import Command
-from tenscontrol.control.controller import Controller
+from tenscontrol.control.controller import BaseController, Controller
 from tenscontrol.deploy.code_text import status_and_fallback
 from tenscontrol.dynamics.machine_code import CompilerError, compiler, link
 from tenscontrol.plant.linear_plant import LinearPlant
 from tenscontrol.status import Status
+from tenscontrol.structure.structure import Structure
 
 _VECTOR = np.ctypeslib.ndpointer(np.float64, flags="C")
 
 # GCC takes a third of the time of -O2 for long straight code.
 OPTIMIZATION = "-O1"
+
+
+class _LoadedCode:
+    """The functions of the library of a generated controller, with their own memory."""
+
+    def __init__(self, name: str, library: bytes) -> None:
+        # One file for each, so that none shares the memory of another. A loaded library stays when
+        # its file is deleted, except on Windows, where the file stays too.
+        with TemporaryDirectory(prefix="tenscontrol-", ignore_cleanup_errors=True) as folder:
+            file = Path(folder) / f"lib{name}.so"  # loaded by this name everywhere
+            file.write_bytes(library)
+            try:
+                loaded = ctypes.CDLL(str(file))
+            except OSError as error:
+                raise CompilerError(
+                    f"the compiled controller cannot be loaded: {error}. The compiler may be one "
+                    "for another machine: see CC"
+                ) from None
+        self.reset, self.run, self.set_applied, self.count = (
+            getattr(loaded, f"{name}_{function}")
+            for function in ("reset", "command", "applied", "iterations")
+        )
+        self.run.argtypes = [ctypes.c_double, _VECTOR, _VECTOR, _VECTOR]
+        self.set_applied.argtypes = [_VECTOR]
+
+    def command(self, time: float, motion: FloatArray, count: int) -> Command:
+        """Return what the code commands at a motion, positions and then velocities."""
+        command = np.zeros(count)
+        number = self.run(time, *np.split(motion, 2), command)
+        return Command(command, *status_and_fallback(number))
+
+    def fall_back(self, status: Status, numbers: int, count: int) -> Command:
+        """Return the fallback: that of the code for a measurement that is not finite."""
+        return replace(self.command(0.0, np.full(numbers, np.nan), count), status=status)
 
 
 @final
@@ -44,29 +80,12 @@ class CompiledController(Controller):
     ) -> None:
         super().__init__(plant, sample_time, *bounds)
         self._made_of = name, library, plant, sample_time, bounds
-        # One file for each, so that none shares the memory of another. A loaded library stays when
-        # its file is deleted, except on Windows, where the file stays too.
-        with TemporaryDirectory(prefix="tenscontrol-", ignore_cleanup_errors=True) as folder:
-            file = Path(folder) / f"lib{name}.so"  # loaded by this name everywhere
-            file.write_bytes(library)
-            try:
-                loaded = ctypes.CDLL(str(file))
-            except OSError as error:
-                raise CompilerError(
-                    f"the compiled controller cannot be loaded: {error}. The compiler may be one "
-                    "for another machine: see CC"
-                ) from None
-        self._reset, self._run, self._set_applied, self._count = (
-            getattr(loaded, f"{name}_{function}")
-            for function in ("reset", "command", "applied", "iterations")
-        )
+        self._code = _LoadedCode(name, library)
         #: Addresses of the functions ``reset`` and ``command`` in C, for loops of compiled code.
         self.entry_points = tuple(
             ctypes.cast(function, ctypes.c_void_p).value or 0
-            for function in (self._reset, self._run)
+            for function in (self._code.reset, self._code.run)
         )
-        self._run.argtypes = [ctypes.c_double, _VECTOR, _VECTOR, _VECTOR]
-        self._set_applied.argtypes = [_VECTOR]
         self.reset()
 
     def another(self) -> CompiledController:
@@ -80,18 +99,18 @@ class CompiledController(Controller):
     @property
     def iterations(self) -> int:
         """Iterations of the solver in the last sample; 0 where none ran."""
-        return int(self._count())
+        return int(self._code.count())
 
     def reset(self) -> None:
         """Forget everything that was measured, planned or applied."""
         super().reset()
-        self._reset()
+        self._code.reset()
 
     def applied(self, value: object) -> None:
         """See :meth:`Controller.applied`."""
         super().applied(value)
         assert self._previous_input is not None  # just set
-        self._set_applied(np.ascontiguousarray(self._previous_input))
+        self._code.set_applied(np.ascontiguousarray(self._previous_input))
 
     def _measure(
         self, nodes: FloatArray, velocities: FloatArray
@@ -100,17 +119,70 @@ class CompiledController(Controller):
         return np.concatenate([nodes.ravel(order="F"), velocities.ravel(order="F")]), None
 
     def _decide(self, time: float, state: FloatArray) -> Command:
-        command = np.zeros(len(self._low))
-        number = self._run(time, *np.split(state, 2), command)
-        return Command(command, *status_and_fallback(number))
+        return self._code.command(time, state, len(self._low))
 
     def _fall_back(self, status: Status) -> Command:
-        # The code falls back for a measurement that is not finite, and returns that status.
-        command = self._decide(0.0, np.full(2 * self.plant.nodes.size, np.nan))
-        return replace(command, status=status)
+        return self._code.fall_back(status, 2 * self.plant.nodes.size, len(self._low))
 
     def __repr__(self) -> str:
         return f"CompiledController({self.plant!r}, every {self.sample_time:g} s)"
+
+
+@final
+class CompiledGait(BaseController):
+    """The compiled C code of a rolling gait, used like any other controller.
+
+    Give it to :func:`simulate` to run the code itself in the loop. Made by
+    :meth:`GeneratedController.compile`.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        library: bytes,
+        structure: Structure,
+        actuation: Actuation,
+        sample_time: float,
+        bounds: tuple[FloatArray, FloatArray],
+    ) -> None:
+        self._of_strings = actuation
+        super().__init__(structure, "rest_length", sample_time, *bounds)
+        self._made_of = name, library, structure, actuation, sample_time, bounds
+        self._code = _LoadedCode(name, library)
+        self.reset()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the compiled code, for processes of like machines; what it remembers stays."""
+        return CompiledGait, self._made_of
+
+    def _driven(self) -> Actuation:
+        return self._of_strings
+
+    def reset(self) -> None:
+        """Forget the steps made and start from the standing shape."""
+        super().reset()
+        self._code.reset()
+
+    def applied(self, value: object) -> None:
+        """See :meth:`BaseController.applied`."""
+        super().applied(value)
+        assert self._previous_input is not None  # just set
+        self._code.set_applied(np.ascontiguousarray(self._previous_input))
+
+    def _measure(
+        self, nodes: FloatArray, velocities: FloatArray
+    ) -> tuple[FloatArray, Status | None]:
+        # The code checks for itself.
+        return np.concatenate([nodes.ravel(order="F"), velocities.ravel(order="F")]), None
+
+    def _decide(self, time: float, state: FloatArray) -> Command:
+        return self._code.command(time, state, len(self._low))
+
+    def _fall_back(self, status: Status) -> Command:
+        return self._code.fall_back(status, 2 * self.structure.nodes.size, len(self._low))
+
+    def __repr__(self) -> str:
+        return f"CompiledGait({self.structure!r}, every {self.sample_time:g} s)"
 
 
 def compiled(name: str, sources: Sequence[Path], timeout: float) -> bytes:

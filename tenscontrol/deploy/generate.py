@@ -11,21 +11,26 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tenscontrol import validation
+from tenscontrol.actuation.driven_strings import Actuation
 from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.control.controller import Controller
 from tenscontrol.control.function_controller import FunctionController
 from tenscontrol.control.lqr import LQR
 from tenscontrol.control.mpc.linear import MPC
 from tenscontrol.control.mpc.nonlinear import NMPC
+from tenscontrol.deploy.code_interface import interface_of, interface_of_gait
 from tenscontrol.deploy.code_text import code_files
-from tenscontrol.deploy.compiled_controller import CompiledController, compiled
+from tenscontrol.deploy.compiled_controller import CompiledController, CompiledGait, compiled
 from tenscontrol.deploy.controllers import LawCode, lqr_code, mpc_code, nmpc_code
 from tenscontrol.deploy.filter_code import with_filter
+from tenscontrol.deploy.gait_code import gait_code
 from tenscontrol.deploy.memory_use import MemoryUse, memory_use
 from tenscontrol.dynamics.evaluator import builds
 from tenscontrol.estimation.kalman_filter import KalmanFilter
 from tenscontrol.files import make_folder, read_file, write_file
 from tenscontrol.plant.linear_plant import LinearPlant, refuse_driven_bars
+from tenscontrol.shape.rolling import RollingGait
+from tenscontrol.structure.structure import Structure
 
 # Names of functions and headers that a controller may not have.
 _TAKEN = {"main", "active_set", "stages", "casadi", "math", "string", "stdio"}
@@ -49,13 +54,17 @@ class GeneratedController:
     name : str
         Prefix of its functions.
     kind : str
-        ``"LQR"``, ``"MPC"`` or ``"NMPC"``.
+        ``"LQR"``, ``"MPC"``, ``"NMPC"`` or ``"RollingGait"``.
     files : tuple of str
         All files of the folder.
     sizes : tuple of int
         Their sizes, bytes.
-    plant : LinearPlant
-        What the controller was designed on.
+    structure : Structure
+        Whose nodes it is given.
+    actuation : Actuation
+        Which strings its commands move.
+    plant : LinearPlant or None
+        What the controller was designed on; None for a gait.
     sample_time : float
         Sample time, s.
     low, high : ndarray, shape (m,)
@@ -67,12 +76,14 @@ class GeneratedController:
     kind: str
     files: tuple[str, ...]
     sizes: tuple[int, ...]
-    plant: LinearPlant
+    structure: Structure
+    actuation: Actuation
+    plant: LinearPlant | None
     sample_time: float
     low: FloatArray
     high: FloatArray
 
-    def compile(self, timeout: float = 600.0) -> CompiledController:
+    def compile(self, timeout: float = 600.0) -> CompiledController | CompiledGait:
         """Compile the code, and return it as a controller for this process.
 
         Each call returns a controller with its own memory.
@@ -84,7 +95,7 @@ class GeneratedController:
 
         Returns
         -------
-        CompiledController
+        CompiledController or CompiledGait
 
         Raises
         ------
@@ -98,6 +109,10 @@ class GeneratedController:
         sources = [file for file in self.files if file.endswith(".c") and file != "main.c"]
         library = compiled(self.name, [self.folder / file for file in sources], timeout)
         bounds = self.low, self.high
+        if self.plant is None:
+            return CompiledGait(
+                self.name, library, self.structure, self.actuation, self.sample_time, bounds
+            )
         return CompiledController(self.name, library, self.plant, self.sample_time, bounds)
 
     def memory(
@@ -142,7 +157,7 @@ class GeneratedController:
 
 
 def generate_c(
-    controller: Controller,
+    controller: Controller | RollingGait,
     folder: object,
     *,
     estimator: KalmanFilter | None = None,
@@ -158,9 +173,9 @@ def generate_c(
 
     Parameters
     ----------
-    controller : LQR, MPC or NMPC
-        An LQR must have a sample time. Later changes, ``follow`` in particular, do not
-        reach the code.
+    controller : LQR, MPC, NMPC or RollingGait
+        An LQR must have a sample time, and a gait be ``tabulated``. Later changes, ``follow`` in
+        particular, do not reach the code.
     folder : path-like
         Is created, or empty, or one that an earlier call wrote: its files are replaced, unless
         they were changed since. Other files there stay.
@@ -183,7 +198,8 @@ def generate_c(
         is no path.
     ValueError
         If an argument does not fit, the controller has a ``time_limit``, an NMPC predicts stiff
-        strings or ramp inputs, or the reference lasts too long for a table.
+        strings or ramp inputs, a gait plans while it runs or is given an estimator, or the
+        reference lasts too long for a table.
     FileExistsError
         If the folder has a file that was changed, another C file, or no file of an earlier call.
     OSError
@@ -214,26 +230,36 @@ def generate_c(
     law = _law_code(controller)
     name = _checked_name(name)
     path = validation.file_path("folder", folder).absolute()
-    if estimator is not None:
-        law = with_filter(law, controller, estimator)
-    texts = code_files(controller, law, name, estimator)
+    if isinstance(controller, RollingGait):
+        if estimator is not None:
+            raise ValueError(
+                "estimator is given, but a gait must know which way is down, and a filter lays "
+                "the shape over that of its operating point: give the gait measured nodes"
+            )
+        interface = interface_of_gait(controller)
+    else:
+        interface = interface_of(controller)
+        if estimator is not None:
+            law = with_filter(law, controller, estimator)
+    texts = code_files(interface, law, name, estimator)
     sums = [f"{_checksum(text.encode())}  {file}" for file, text in texts.items()]
     texts[_LIST] = "\n".join([_HEAD, *sums, ""])
     overwrite = validation.truth("overwrite", overwrite, "whether to replace changed files")
     for file in _replaced(path, set(texts), overwrite):
         (path / file).unlink()
     _write_folder(path, texts, last=f"{name}.h")
-    assert controller.sample_time is not None  # checked with the law
-    low, high = controller.bounds
+    low, high = interface.bounds
     listed = sorted(texts)
     return GeneratedController(
         folder=path,
         name=name,
-        kind=type(controller).__name__,
+        kind=interface.kind,
         files=tuple(listed),
         sizes=tuple((path / file).stat().st_size for file in listed),
-        plant=controller.plant,
-        sample_time=controller.sample_time,
+        structure=interface.structure,
+        actuation=interface.actuation,
+        plant=interface.plant,
+        sample_time=interface.sample_time,
         low=frozen(low),
         high=frozen(high),
     )
@@ -249,6 +275,8 @@ def _law_code(controller: object) -> LawCode:
         return nmpc_code(controller)
     if isinstance(controller, LQR):
         return lqr_code(controller)
+    if isinstance(controller, RollingGait):
+        return gait_code(controller)
     which = (
         f"FunctionController of {controller.label}, which is Python"
         if isinstance(controller, FunctionController)
@@ -256,7 +284,7 @@ def _law_code(controller: object) -> LawCode:
     )
     raise TypeError(
         f"controller is a {which}, expected an LQR with a sample time, an "
-        "MPC or an NMPC: only these can be written as C code"
+        "MPC, an NMPC or a RollingGait: only these can be written as C code"
     )
 
 

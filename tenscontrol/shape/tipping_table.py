@@ -13,7 +13,8 @@ from tenscontrol.plant.stance import convex_hull, set_down
 from tenscontrol.shape.faces import faces
 from tenscontrol.shape.tipping import STEP, StuckError, TippingPlanner, across_edge
 
-_TINY = float(np.finfo(float).tiny)
+# Keeps the direction of a face without area finite.
+TINY = float(np.finfo(float).tiny)
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +50,7 @@ class TippingTable:
         # Nodes that are ``near`` a face belong to it, m; plans end ``enough`` beyond an edge, m.
         self.home, self.size, self.gravity = planner.home, planner.size, planner.gravity
         self.actuation, self.bounds = planner.actuation, planner.bounds
-        self._down, nodes = planner.down, model.structure.nodes
+        self.down, nodes = planner.down, model.structure.nodes
         self.faces: list[Face] = []
         for feet, outward in faces(nodes, near):
             placed = set_down(model, feet)
@@ -68,13 +69,13 @@ class TippingTable:
         sinks = []
         for face in self.faces:
             area = _area(nodes[:, face.corners])
-            sinks.append(float(area @ down) / (float(np.sqrt(area @ area)) + _TINY))
+            sinks.append(float(area @ down) / (float(np.sqrt(area @ area)) + TINY))
         return self.faces[int(np.argmax(sinks))].feet
 
     def edges(self, nodes: FloatArray, feet: IntArray) -> dict[tuple[int, ...], FloatArray]:
         """Return the edges of a face, each with the horizontal direction over it."""
         edges = self._face_of[tuple(feet.tolist())].edges
-        return {edge: across_edge(nodes, feet, edge, self._down)[0] for edge in edges}
+        return {edge: across_edge(nodes, feet, edge, self.down)[0] for edge in edges}
 
     def start(self, nodes: FloatArray, feet: IntArray, edge: tuple[int, ...]) -> None:
         """Begin the plan of an edge of a face; raise StuckError if there is none."""

@@ -254,6 +254,29 @@ def tumbling(horizon=10):
         return tc.MPC(plant, horizon=horizon, sample_time=SAMPLE, winches=winches, max_tension=26.0)
 
 
+@cache
+def rolling_ball():
+    """A ball of six bars on level ground, set down on a face, and its winches."""
+    model = tc.Model(
+        tc.library.six_bar_ball(bar_length=1.0, bar_mass=0.5),
+        strings=tc.LinearStrings(stiffness=1000.0, damping=10.0),
+        gravity=9.81,
+        ground=tc.Ground(stiffness=5e3, damping=0.5, friction=0.5, slip_speed=0.05),
+    )
+    winches = tc.Winches(rate=0.2, shortest=0.35, longest=0.8, ramp=True)
+    return model, tc.plant.set_down(model, [0, 4, 8]), winches
+
+
+@cache
+def rolling_gait():
+    """Every second string of the ball is driven, and plans are from a table."""
+    model, _, winches = rolling_ball()
+    return tc.shape.RollingGait(
+        model, 0.55, [1.0, 0.2, 0.0], 0.05, winches=winches, actuated=list(range(0, 24, 2)),
+        tabulated=True,
+    )  # fmt: skip
+
+
 def shaken(pair, samples=SAMPLES):
     """Run a pair on its nonlinear plant, that starts off its shape and moves."""
     plant, r = pair.plant, pair.plant.degrees_of_freedom

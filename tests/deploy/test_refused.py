@@ -25,7 +25,7 @@ def test_law_in_continuous_time(tmp_path):
 
 @pytest.mark.parametrize("what", [None, 3, scenes.Pair])
 def test_other_controllers(what, tmp_path):
-    with pytest.raises(TypeError, match=r"controller is a \w+, expected an LQR .* or an NMPC"):
+    with pytest.raises(TypeError, match=r"controller is a \w+, expected .* or a RollingGait"):
         tc.generate_c(what, tmp_path)
 
 
@@ -34,8 +34,18 @@ def test_a_controller_that_is_not_written(tmp_path):
     law = tc.FeedbackLinearization(
         plant, reference=None, sample_time=scenes.SAMPLE, max_force_density=60.0, frequency=1.0
     )
-    with pytest.raises(TypeError, match=r"controller is a Feed\w+, expected an LQR .* or an NMPC"):
+    with pytest.raises(TypeError, match=r"controller is a Feed\w+, expected .* or a RollingGait"):
         tc.generate_c(law, tmp_path)
+
+
+def test_gaits_that_plan_while_they_run_or_are_told_by_a_filter(tmp_path):
+    model, _, winches = scenes.rolling_ball()
+    planning = tc.shape.RollingGait(model, 0.55, [1.0, 0.0, 0.0], 0.05, winches=winches)
+    with pytest.raises(ValueError, match=r"RollingGait that plans while it runs.*tabulated=True"):
+        tc.generate_c(planning, tmp_path)
+    with pytest.raises(ValueError, match="estimator is given, but a gait must know which way"):
+        tc.generate_c(scenes.rolling_gait(), tmp_path, estimator=object())
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("kind", [tc.MPC, tc.NMPC])

@@ -135,6 +135,11 @@ def regulator():
     )
 
 
+def gait():
+    """A ball of six bars that rolls by plans from a table."""
+    return scenes.rolling_gait()
+
+
 CONTROLLERS = {
     each.__name__: each
     for each in (
@@ -149,14 +154,33 @@ CONTROLLERS = {
         scenes.nonlinear_with_load,
         scenes.rolling,
         scenes.sliding,
+        gait,
     )
 }
+
+
+def bounds_of(controller):
+    """Least and largest commands."""
+    if isinstance(controller, tc.shape.RollingGait):
+        return controller.settings.plans.bounds
+    return controller.bounds
+
+
+def motion(controller, size, rng):
+    """A shape near the usual one, and velocities at random; a gait stands still at times."""
+    if isinstance(controller, tc.shape.RollingGait):
+        nodes = controller.settings.structure.nodes
+        nodes = nodes + 0.01 * min(size, 1.0) * rng.normal(size=nodes.shape)
+        return nodes, rng.choice([0.0, 0.0, 0.0, size]) * rng.normal(size=nodes.shape)
+    plant = controller.plant
+    nodes = plant.to_nodes(0.02 * min(size, 1.0) * rng.normal(size=plant.degrees_of_freedom))
+    return nodes, size * rng.normal(size=nodes.shape)
 
 
 def samples(controller, count, seed=0):
     """A line for each sample: motions that may be, all that may not, and actuators that stick."""
     rng = np.random.default_rng(seed)
-    plant, commands = controller.plant, len(controller.bounds[0])
+    commands = len(bounds_of(controller)[0])
     lines = ["r"]
 
     def line(what, *parts):
@@ -166,8 +190,7 @@ def samples(controller, count, seed=0):
     nothing = np.zeros(commands)
     for k in range(count):
         size = 10.0 ** rng.uniform(-4, 0.5)
-        nodes = plant.to_nodes(0.02 * min(size, 1.0) * rng.normal(size=plant.degrees_of_freedom))
-        velocities = size * rng.normal(size=nodes.shape)
+        nodes, velocities = motion(controller, size, rng)
         time = k * scenes.SAMPLE
         kind = k % 11
         if kind == 3:
@@ -209,7 +232,7 @@ def check_controller(name, count, flags=CHECKED):
             lines = play(folder, flags, samples(controller, count)).splitlines()
             rows = [line.split()[2:] for line in lines if not line.startswith("applied")]
             commands = np.array(rows, dtype=float)
-            low, high = controller.bounds
+            low, high = bounds_of(controller)
             assert ((low <= commands) & (commands <= high)).all(), "a command beyond its bounds"
             answered += len(rows)
     return answered

@@ -97,6 +97,7 @@ RESULTS = {
     "control.QuadraticProgram",
     "control.QPSolution",
     "deploy.CompiledController",
+    "deploy.CompiledGait",
     "deploy.GeneratedController",
     "deploy.MemoryUse",
     "dynamics.Contacts",
@@ -1743,6 +1744,7 @@ call(
         "winches": tc.Winches(rate=0.1),
         "steps": 3,
         "clearance": 0.01,
+        "tabulated": False,
     },
     share=0.2,
 )

@@ -189,7 +189,8 @@ class TestGait:
     def simulated(self, gait, duration=3.5):
         return tc.simulate(
             ball(), duration, set_down(ball(), FACE), controller=gait, winches=WINCHES,
-            rest_length=REST, method="cvodes", tolerance=1e-5, output_step=0.05,
+            rest_length=REST, method="rk4", step=1e-3, project=True, error="none",
+            output_step=0.05,
         )  # fmt: skip
 
     def test_one_step(self):
@@ -205,6 +206,20 @@ class TestGait:
         assert run.control.winch_rate.max() <= 0.2 * (1 + 1e-9)
         assert run.control.applied[:, -1] == pytest.approx(REST)
         assert np.array_equal(self.simulated(again, 0.5).nodes, run.nodes[:, :, :11])
+
+    @pytest.mark.parametrize("tabulated", [False, True])
+    def test_on_a_mound_it_stands_on_the_lowest_face(self, tabulated):
+        tilt = np.radians(6.0)
+        turn = [[np.cos(tilt), 0, -np.sin(tilt)], [0, 1, 0], [np.sin(tilt), 0, np.cos(tilt)]]
+        nodes = turn @ set_down(ball(), FACE) + 0.2 * uphill(90.0)[:, None]
+        gait = RollingGait(
+            ball(), REST, uphill(0.0), 0.05, winches=WINCHES, tabulated=tabulated
+        )  # fmt: skip
+        first, _ = (gait.command(0.05 * k, nodes, np.zeros((3, 12))) for k in range(2))
+        assert np.all(first == REST)  # it may be about to fall
+        second = gait.command(0.1, nodes, np.zeros((3, 12)))
+        assert np.abs(second - REST).max() == pytest.approx(0.01)
+        assert gait._planner.feet.tolist() == FACE
 
     def test_where_no_edge_can_be_passed_it_stays(self):
         winches = tc.Winches(rate=0.2, shortest=0.53, longest=0.57, ramp=True)
@@ -260,6 +275,11 @@ DUNE = tc.Ground(stiffness=1e3, height=ca.Function("h", [X, Y], [0.1 * X * Y]))
         (lambda: set_down(ball(), [0, 3, 8]), r"feet are \[0, 3, 8\], but node \d+ would be lower"),
         (lambda: gait(ball(), direction=[0.0, 0.0, 0.0]), "direction"),
         (lambda: gait(ball(), steps=0), "steps is 0"),
+        (lambda: gait(ball(5.0), tabulated=True), "tabulated is True, but .* is inclined"),
+        (
+            lambda: gait(ball(), tabulated=True, winches=tc.Winches(shortest=0.54, longest=0.56)),
+            "finds no rest lengths that tip .* over any edge",
+        ),
     ],
 )
 def test_what_does_not_fit_is_refused(call, message):

@@ -4,8 +4,6 @@
 #include <math.h>
 #include <string.h>
 
-#include "controller_casadi.h"
-
 typedef struct {
     int rows;
     const int *start, *column; /* of the entries of each row */
@@ -13,6 +11,10 @@ typedef struct {
 } Matrix;
 
 #include "controller_data.h"
+
+#if REDUCED
+#include "controller_casadi.h"
+#endif
 
 /* ---- common to all laws ---- */
 
@@ -75,6 +77,7 @@ static void add_product(const Matrix *M, const double *x, double *y)
 }
 #endif
 
+#if REDUCED
 /* Work space of functions by CasADi. */
 static casadi_int casadi_integers[CASADI_IW];
 static double casadi_numbers[CASADI_W];
@@ -89,6 +92,14 @@ static void measure(const double *nodes, const double *velocities, double *state
     found[0] = state;
     controller_measure(given, found, casadi_integers, casadi_numbers, 0);
 }
+#else
+/* The nodes, then their velocities. */
+static void measure(const double *nodes, const double *velocities, double *state)
+{
+    copy(state, nodes, CONTROLLER_COORDINATES);
+    copy(state + CONTROLLER_COORDINATES, velocities, CONTROLLER_COORDINATES);
+}
+#endif
 
 /* Whether all numbers are at most so large, and along each axis at most so far apart. */
 static int within_spread(const double *values, double largest, double spread)

@@ -28,7 +28,7 @@ int controller_reset(void);
 /*
  * Decide on the command of the sample that starts now, once a sample.
  *
- *   time        s; matters only for a reference that moves, and is rounded to a whole sample.
+ *   time        s; @TIME@.
  *               One that is not finite counts as a measurement that is not
  *   nodes       positions, m, CONTROLLER_COORDINATES numbers
  *   velocities  m/s, CONTROLLER_COORDINATES numbers
