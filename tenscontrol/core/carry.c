@@ -17,16 +17,10 @@
 
 /* Samples of the path, with equal spaces; parts of the step in which a gap may change its sign once;
    halvings to the zero. */
-enum { PATH = 5, PIECES = 16, HALVINGS = 50 };
+enum { PATH = 3, PIECES = 4, HALVINGS = 50 };
 
-/* Coefficients of the polynomials of degree 4 that are 1 at one sample and 0 at the others. */
-static const double LAGRANGE[PATH][PATH] = {
-    {1, -25. / 3, 70. / 3, -80. / 3, 32. / 3},
-    {0, 16, -208. / 3, 96, -128. / 3},
-    {0, -12, 76, -128, 64},
-    {0, 16. / 3, -112. / 3, 224. / 3, -128. / 3},
-    {0, -1, 22. / 3, -16, 32. / 3},
-};
+/* Coefficients of the polynomials of degree 2 that are 1 at one sample and 0 at the others. */
+static const double LAGRANGE[PATH][PATH] = {{1, -3, 2}, {0, 4, -4}, {0, -1, 2}};
 
 SHARED size_t carry_size(const Scene *s) {
   return 3 * PATH * (size_t)s->switches + 5 * (size_t)s->free;
@@ -110,20 +104,23 @@ SHARED Number carry(Span *span, Truth meant, const Tried *step, Number *x, Numbe
   Number *rooms = span->carried, *weights = rooms + PATH * m;
   Number *y = weights + 2 * PATH * m, *dx = y + 2 * half, *a = dx + 2 * half;
   Number switches = all(0);
+  const Number *scale;
   make_path(span, step);
-  for (int j = 0; j < PATH; ++j) {
-    const double fraction = j / (PATH - 1.);
-    const Number *scale;
-    on_path(span, h, all(fraction), y);
-    gap_at(span, y, step->time + fraction * h, 0, span->gap, span->rate);
-    scale = gap_scales(span, step->time);
-    for (int i = 0; i < m; ++i)
-      rooms[PATH * i + j] = (2 * step->taut[i] - 1) * span->gap[i] + BAND * scale[i];
+  on_path(span, h, all(0.5), y);
+  gap_at(span, y, step->time + 0.5 * h, span->marked, span->gap, 0);
+  scale = gap_scales(span, step->time);
+  for (int i = 0; i < m; ++i) {
+    const Number sign = 2 * step->taut[i] - 1, band = BAND * scale[i];
+    if (!any(span->marked[i] != 0)) continue;
+    rooms[PATH * i] = sign * span->rooms[i] + band;
+    rooms[PATH * i + 1] = sign * span->gap[i] + band;
+    rooms[PATH * i + 2] = sign * span->outside[i] + band;
   }
   memset(weights, 0, 2 * PATH * m * sizeof *weights);
   for (int k = 0; k < WIDTH; ++k) {
     int count = 0;
     for (int i = 0; i < m && is_in(meant, k); ++i)
+      if (lane(span->marked + i, k) != 0)
       count += weigh(rooms, m, i, lane(step->taut + i, k), k, weights);
     put(count, &switches, k);
   }
@@ -145,7 +142,7 @@ SHARED Number carry(Span *span, Truth meant, const Tried *step, Number *x, Numbe
     slope_at(span, x, step->time + h, step->taut, defect);
     for (int i = 0; i < 2 * half; ++i) defect[i] -= step->slope1[i];
   }
-  gap_at(span, x, step->time + h, 0, span->gap, span->rate);
+  gap_at(span, x, step->time + h, 0, span->gap, 0);
   for (int i = 0; i < m; ++i) taut[i] = choice(meant, truth(span->gap[i] > 0), taut[i]);
   return switches;
 }
