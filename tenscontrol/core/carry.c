@@ -112,9 +112,9 @@ SHARED Number carry(Span *span, Truth meant, const Tried *step, Number *x, Numbe
   for (int i = 0; i < m; ++i) {
     const Number sign = 2 * step->taut[i] - 1, band = BAND * scale[i];
     if (!any(span->marked[i] != 0)) continue;
-    rooms[PATH * i] = sign * span->rooms[i] + band;
+    rooms[PATH * i] = sign * span->gap0[i] + band;
     rooms[PATH * i + 1] = sign * span->gap[i] + band;
-    rooms[PATH * i + 2] = sign * span->outside[i] + band;
+    rooms[PATH * i + 2] = sign * span->gap1[i] + band;
   }
   memset(weights, 0, 2 * PATH * m * sizeof *weights);
   for (int k = 0; k < WIDTH; ++k) {

@@ -146,8 +146,9 @@ typedef struct {
   double time, step; /* s */
   int32_t stuck, stalls;
   int64_t tries, rejections, landings, approaches, switches, interpolants, missed,
-      carries, carried;
+      carries, carried, short_tries;
   int32_t kept, every, since; /* ends of steps: how many, every which of them, since the last */
+  int32_t is_short; /* whether the next step by dop853 is of order 5 */
 } Progress;
 
 /* How a motion is integrated. */

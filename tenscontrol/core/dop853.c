@@ -12,6 +12,7 @@
 #include "motion.h"
 
 enum { STAGES = 12, MORE_STAGES = 3, SLOPES = 16, POWERS = 7, ORDER = 8, MOST_STALLS = 50 };
+enum { SHORT_STAGES = 6, SHORT_ORDER = 5 };
 
 /* Steps aim at an error of this part of what it may be; they change by these factors at most. */
 static const double SAFETY = 0.75, LEAST = 0.2, MOST = 10;
@@ -39,6 +40,7 @@ typedef struct {
   Number time, step, longest;  /* s: the step to try next, and the longest */
   Number stuck, stalls, done;  /* whether it can go on, switches in a row, outputs that are reached */
   Number tries, rejections, landings, approaches, switches, interpolants, carries, carried;
+  Number short_tries, is_short; /* tries and approaches of order 5, whether the next is one */
   Number h, error, factor;     /* length and error of the step, and how much longer the next is */
   Number crossed, taken;       /* how many strings may switch in it; what of it is taken, s */
   Number is_inside, is_carried; /* ends on its interpolant; its switches are carried */
@@ -58,14 +60,14 @@ typedef struct {
   Number *x1, *K;           /* end of the step, slopes of its stages */
   /* What pulls in the stages, what pulled at the start of the step; memory of all runs in turn. */
   const Number *pulls;
-  Number *started, *y, *interpolant, *end, *pulling, *defect;
+  Number *started, *y, *interpolant, *end, *pulling, *defect, *short_end, *short_slopes;
   Number reach; /* h of the interpolant */
   Emit *emit;
   void *emitter;
 } Dop853;
 
 /* Memory that is shared by all runs, and the slopes that a step leaves. */
-enum { DOP853_STATES = POWERS + 3, DOP853_TAUTS = 2, STEP_SLOPES = STAGES + 1 };
+enum { DOP853_STATES = POWERS + SHORT_STAGES + 5, DOP853_TAUTS = 2, STEP_SLOPES = STAGES + 1 };
 
 /* A method without a motion, in memory of DOP853_STATES and DOP853_TAUTS. */
 static Dop853 dop853_of(Span *span, const Settings *settings, Emit *emit, void *emitter,
@@ -79,7 +81,9 @@ static Dop853 dop853_of(Span *span, const Settings *settings, Emit *emit, void *
   method.interpolant = method.y + n;
   method.end = method.interpolant + POWERS * n;
   method.defect = method.end + n;
-  method.started = method.defect + n;
+  method.short_end = method.defect + n;
+  method.short_slopes = method.short_end + n;
+  method.started = method.short_slopes + (SHORT_STAGES + 1) * n;
   method.pulling = method.started + m;
   method.emit = emit;
   method.emitter = emitter;
@@ -116,6 +120,34 @@ static void step_of(Dop853 *m, Number h, Number *x1) {
   restore_bars(m->span, x1);
 }
 
+#define SHORT(k)                                                                            \
+  WIDE static void short_sum_##k(const Number *restrict x, Number h, const Number *restrict K, \
+                                 Number *restrict y, int n) {                               \
+    for (int i = 0; i < n; ++i) y[i] = x[i] + h * SHORT_STAGE_##k;                          \
+  }
+SHORT(1) SHORT(2) SHORT(3) SHORT(4) SHORT(5)
+#define SHORT_STAGE(k)                                                                      \
+  do {                                                                                      \
+    short_sum_##k(x, h, K, y, n);                                                           \
+    slope_at(m->span, y, m->now->time + SHORT_TIME_##k * h, m->pulls, K + k * n);           \
+  } while (0)
+
+WIDE static void short_sum_end(const Number *restrict x, Number h, const Number *restrict K,
+                               Number *restrict y, int n) {
+  for (int i = 0; i < n; ++i) y[i] = x[i] + h * SHORT_END;
+}
+
+/* The same of order 5. */
+static void short_step_of(Dop853 *m, Number h, Number *x1) {
+  const int n = m->span->states;
+  const Number *x = m->x;
+  Number *K = m->short_slopes, *y = m->y;
+  memcpy(K, m->slope, n * sizeof *K);
+  SHORT_STAGE(1); SHORT_STAGE(2); SHORT_STAGE(3); SHORT_STAGE(4); SHORT_STAGE(5);
+  short_sum_end(x, h, K, x1, n);
+  restore_bars(m->span, x1);
+}
+
 /* The root mean square of the error over the state, as part of what it may be. */
 WIDE static Number error_of(const Number *restrict K, const Number *restrict scale, Number h,
                             int n) {
@@ -128,6 +160,16 @@ WIDE static Number error_of(const Number *restrict K, const Number *restrict sca
   below = root((fifth + 0.01 * third) * (double)n);
   /* Nothing moves: no error. Squares that overflow: a step far too long. */
   return choice((below > 0) & (below < INFINITY), h * fifth / below, below);
+}
+
+WIDE static Number short_error_of(const Number *restrict K, const Number *restrict scale, Number h,
+                                  int n) {
+  Number sum = all(0);
+  for (int i = 0; i < n; ++i) {
+    const Number a = SHORT_ERROR / scale[i];
+    sum += a * a;
+  }
+  return h * root(sum / (double)n);
 }
 
 static Number factor_of(Number error, double order) {
@@ -188,9 +230,19 @@ static void place_inside(void *by, Number part, Number *x1) {
   restore_bars(m->span, x1);
 }
 
+/* A step of the order that is due. */
+static void step_by_order(Dop853 *m, Number h, Number *x1) {
+  const int n = m->span->states;
+  const Truth is_short = m->now->is_short != 0;
+  if (any(is_short == 0)) step_of(m, h, x1);
+  if (!any(is_short)) return;
+  short_step_of(m, h, m->short_end);
+  for (int i = 0; i < n; ++i) x1[i] = choice(is_short, m->short_end[i], x1[i]);
+}
+
 static void place_by_step(void *by, Number part, Number *x1) {
   Dop853 *m = by;
-  step_of(m, part * m->now->h, x1);
+  step_by_order(m, part * m->now->h, x1);
 }
 
 /* What the interpolant errs at a part of the step, as part of the error estimate. */
@@ -204,7 +256,8 @@ static Number interpolant_error(Number part) {
 /* Evaluations of the equation so far. A landing takes a new start; switches that are carried another
    slope, whether they are or not. */
 static Number evaluations_of(const Adaptive *now) {
-  return 1.0 + (double)STAGES * (now->tries + now->approaches) + (now->landings + now->carries) +
+  return 1.0 + (double)STAGES * (now->tries + now->approaches) -
+         (double)(STAGES - SHORT_STAGES) * now->short_tries + (now->landings + now->carries) +
          (double)MORE_STAGES * now->interpolants;
 }
 
@@ -221,16 +274,27 @@ static Truth try_step(Dop853 *m) {
   const double duration = m->settings->duration;
   Adaptive *now = m->now;
   const Number h = smaller(smaller(now->step, now->longest), duration - now->time);
+  const Truth is_short = now->is_short != 0;
+  Number *slope1 = m->K + STAGES * n;
   Truth good, bad;
   m->pulls = m->taut;
   memcpy(m->K, m->slope, n * sizeof *m->K);
   memcpy(m->started, m->taut, m->span->switches * sizeof *m->taut);
-  step_of(m, h, m->x1);
+  step_by_order(m, h, m->x1);
   now->h = now->taken = h;
   now->is_inside = now->is_carried = now->crossed = all(0);
   now->error = error_of(m->K, m->scale, h, n);
   now->factor = factor_of(now->error, ORDER);
   now->tries += 1;
+  if (any(is_short)) {
+    Number error;
+    slope_at(m->span, m->x1, now->time + h, m->taut, slope1);
+    memcpy(m->short_slopes + SHORT_STAGES * n, slope1, n * sizeof *slope1);
+    error = short_error_of(m->short_slopes, m->scale, h, n);
+    now->error = choice(is_short, error, now->error);
+    now->factor = choice(is_short, factor_of(error, SHORT_ORDER), now->factor);
+    now->short_tries += truth(is_short);
+  }
   good = now->error < 1;
   bad = good == 0;
   if (any(bad)) {
@@ -241,7 +305,7 @@ static Truth try_step(Dop853 *m) {
   }
   if (any(good)) {
     const Tried step = tried_step(m);
-    slope_at(m->span, m->x1, now->time + h, m->taut, m->K + STAGES * n);
+    if (any(good & (is_short == 0))) slope_at(m->span, m->x1, now->time + h, m->taut, slope1);
     now->crossed = only(good, crossings(m->span, &step));
   }
   return good;
@@ -256,7 +320,7 @@ static void write_outputs_until(Dop853 *m, Truth meant, Number until, int is_on_
     const Number next = (now->done + 1) * spacing, past = next - now->time;
     const Truth due = meant & (now->done + 1 < outputs) & (next <= until);
     if (!any(due)) return;
-    if (is_on_path) on_path(m->span, now->h, past / now->h, m->y);
+    if (is_on_path) on_path(m->span, now->taken, past / now->taken, m->y);
     else within(m->x, m->interpolant, past / m->reach, m->y, m->span->states);
     restore_bars(m->span, m->y);
     m->emit(m->emitter, due, now->done, m->y);
@@ -279,13 +343,22 @@ static void write_passed(Dop853 *m, Truth meant, Number after) {
     write_outputs_until(m, inside, until, 0);
   }
   if (any(others)) {
+    const Truth on_short = others & (now->is_short != 0), on_long = others & (on_short == 0);
+    Number *slope1 = m->K + STAGES * m->span->states;
     m->pulls = m->started;
     if (any(others & (now->crossed > 0)))
-      slope_at(m->span, m->x1, now->time + now->taken, m->started, m->K + STAGES * m->span->states);
-    interpolate(m, now->taken);
+      slope_at(m->span, m->x1, now->time + now->taken, m->started, slope1);
+    if (any(on_short)) {
+      const Tried step = {m->x, m->x1, m->slope, slope1, 0, now->time, now->taken};
+      make_path(m->span, &step);
+      write_outputs_until(m, on_short, until, 1);
+    }
+    if (any(on_long)) {
+      interpolate(m, now->taken);
+      now->interpolants += truth(on_long);
+      write_outputs_until(m, on_long, until, 0);
+    }
     m->pulls = m->taut;
-    now->interpolants += truth(others);
-    write_outputs_until(m, others, until, 0);
   }
 }
 
@@ -304,6 +377,7 @@ static void end_steps(Dop853 *m, Truth meant) {
   now->step = choice(meant, now->h * choice(landed, smaller(now->factor, all(1)), now->factor),
                      now->step);
   now->landings += truth(crossed);
+  now->is_short = choice(meant, now->is_carried, now->is_short);
   if (any(landed)) {
     const Number stalls = only(now->taken < SHORTEST * duration, now->stalls + 1);
     now->stalls = choice(landed, stalls, now->stalls);
@@ -374,9 +448,9 @@ static void land_on_first(Dop853 *m, Truth meant) {
   const Tried step = tried_step(m);
   const Number reach = now->longest / STABLE;
   const Number allowed = 2 * LATE_IMPULSE * m->scale[n - 1] * (reach * reach);
-  Cut cut = first_switch(m->span, &step, traces ? all(0) : allowed, 0);
-  const Truth is_cut = cut.found & meant;
-  Truth inside = is_cut & (now->error * interpolant_error(cut.part) < SMOOTH), by_step;
+  Cut cut = first_switch(m->span, meant, &step, traces ? all(0) : allowed, 0);
+  const Truth is_cut = cut.found, is_long = now->is_short == 0;
+  Truth inside = is_cut & is_long & (now->error * interpolant_error(cut.part) < SMOOTH), by_step;
   if (traces) inside = is_cut & (is_cut == 0);
   by_step = is_cut & (inside == 0);
   now->is_inside = truth(inside);
@@ -385,7 +459,11 @@ static void land_on_first(Dop853 *m, Truth meant) {
     now->interpolants += truth(inside);
     go_to(m, &step, cut, inside, place_inside);
   }
-  if (any(by_step)) now->approaches += go_to(m, &step, cut, by_step, place_by_step);
+  if (any(by_step)) {
+    const Number places = go_to(m, &step, cut, by_step, place_by_step);
+    now->approaches += places;
+    now->short_tries += only(is_long == 0, places);
+  }
   if (any(is_cut))
     now->switches += switch_over(m->span, is_cut, m->x1, now->time + now->taken, m->taut);
 }
@@ -394,7 +472,8 @@ static void land_on_first(Dop853 *m, Truth meant) {
    not thrown away. */
 static Truth pass_switches(Dop853 *m, Truth meant) {
   const int may_carry = !velocity_dependent(m->span->scene) && !m->settings->traces;
-  const Truth many = meant & (m->now->crossed > (may_carry ? (double)MANY_SWITCHES : INFINITY));
+  const Number few = choice(m->now->is_short != 0, all(0), all(MANY_SWITCHES));
+  const Truth many = meant & (m->now->crossed > (may_carry ? few : all(INFINITY)));
   Truth thrown = many & (many == 0), carried = thrown, landing;
   if (any(many)) {
     thrown = carry_switches(m, many);
@@ -413,7 +492,8 @@ static Truth pass_switches(Dop853 *m, Truth meant) {
 static void take_up(const Progress *from, double longest, double done, int i, Adaptive *to) {
   const double numbers[] = {from->time, from->step, longest, from->stuck, from->stalls, done,
                             from->tries, from->rejections, from->landings, from->approaches,
-                            from->switches, from->interpolants, from->carries, from->carried};
+                            from->switches, from->interpolants, from->carries, from->carried,
+                            from->short_tries, from->is_short};
   Number *place = (Number *)to;
   for (int k = 0; k < ADAPTIVE_NUMBERS; ++k) put(0, place + k, i);
   for (size_t k = 0; k < sizeof numbers / sizeof *numbers; ++k) put(numbers[k], place + k, i);
@@ -432,6 +512,8 @@ static void put_down(const Adaptive *from, int i, Progress *to) {
   to->interpolants = (int64_t)lane(&from->interpolants, i);
   to->carries = (int64_t)lane(&from->carries, i);
   to->carried = (int64_t)lane(&from->carried, i);
+  to->short_tries = (int64_t)lane(&from->short_tries, i);
+  to->is_short = (int32_t)lane(&from->is_short, i);
 }
 
 #ifndef LANES

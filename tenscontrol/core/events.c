@@ -78,7 +78,7 @@ SHARED Number crossings(Span *span, const Tried *step) {
   const Number h = step->h;
   const Number *scale, *taut = step->taut;
   Number *marks = span->marked;
-  Number *gap0 = span->rooms, *rate0 = span->inside, *gap1 = span->outside, *rate1 = span->within;
+  Number *gap0 = span->gap0, *rate0 = span->inside, *gap1 = span->gap1, *rate1 = span->within;
   Number square = all(0), count = all(0);
   Truth finite;
   if (!m) return count;
@@ -234,13 +234,13 @@ static Number mean_of_chosen(const Span *span, const Number *of) {
   return sum / count;
 }
 
-/* The first switch within a step that is crossed, on its interpolant.
+/* The first switch within a step that is crossed, on its interpolant, in the runs that are meant.
 
    A step that ends past the border by d, where the gap shrinks at r, leaves an impulse of d^2/2r
    times the stiffness, as a force that does not depend on velocities is continuous there. So it may
    end past the border by at most sqrt(allowed r), or the part `least` of the length of the string
    if that is more, and never before it: the next step would be wrong. Other forces jump. */
-SHARED Cut first_switch(Span *span, const Tried *step, Number allowed, double least) {
+SHARED Cut first_switch(Span *span, Truth meant, const Tried *step, Number allowed, double least) {
   const int m = span->switches;
   const Number *scale, h = step->h;
   Number *inside = span->inside, *outside = span->outside, *chosen = span->chosen;
@@ -251,7 +251,7 @@ SHARED Cut first_switch(Span *span, const Tried *step, Number allowed, double le
   do {
     low = all(0), high = all(1);
     for (int i = 0; i < (span->scene->grounds ? ZOOMS_ON_GROUND : ZOOMS); ++i)
-      cut.found = zoom(span, step, &low, &high);
+      cut.found = meant & zoom(span, step, &low, &high);
     rooms_at(span, step, low, 0, inside);
   } while (any(mark_earlier(span, cut.found & (low > 0))));
   rooms_at(span, step, high, 0, outside);

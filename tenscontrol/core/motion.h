@@ -23,6 +23,7 @@ typedef struct {
   Number *gap, *rate, *middle, *scale; /* of the search for switches */
   Number *restored; /* of bars that are put on their lengths */
   Number *coefficients, *rooms, *inside, *outside, *chosen, *leaving, *within, *marked;
+  Number *gap0, *gap1; /* at both ends of the step that was searched last */
   Number *carried; /* of switches in steps that are not cut */
 } Span;
 
@@ -85,7 +86,7 @@ SHARED const Number *gap_scales(Span *span, Number time);
 SHARED void make_path(Span *span, const Tried *step);
 SHARED void on_path(const Span *span, Number h, Number part, Number *x);
 /* Of a step that `crossings` was asked of last. */
-SHARED Cut first_switch(Span *span, const Tried *step, Number allowed, double least);
+SHARED Cut first_switch(Span *span, Truth meant, const Tried *step, Number allowed, double least);
 SHARED Number approach(Span *span, const Tried *step, Cut cut, Place *place, void *by, Number *x,
                        Number *places);
 SHARED Number switch_over(Span *span, Truth meant, const Number *x, Number time, Number *taut);

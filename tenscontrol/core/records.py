@@ -116,9 +116,9 @@ class Progress(ctypes.Structure):
         ("time", _NUMBER), ("step", _NUMBER), ("stuck", _COUNT), ("stalls", _COUNT),
         *((name, ctypes.c_int64) for name in (
             "tries", "rejections", "landings", "approaches", "switches", "interpolants", "missed",
-            "carries", "carried",
+            "carries", "carried", "short_tries",
         )),
-        *((name, _COUNT) for name in ("kept", "every", "since")),
+        *((name, _COUNT) for name in ("kept", "every", "since", "is_short")),
     )  # fmt: skip
 
 

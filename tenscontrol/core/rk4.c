@@ -93,8 +93,7 @@ static Landing land(Rk4 *m, Number crossed, int cuts) {
   }
   slope_at(span, m->x1, m->time + m->left, m->taut, m->slope1);
   if (any(carries == 0)) {
-    Cut cut = first_switch(span, &step, all(0), m->traces ? 0 : LATE);
-    cut.found &= carries == 0;
+    const Cut cut = first_switch(span, carries == 0, &step, all(0), m->traces ? 0 : LATE);
     now.landings = truth(carries == 0);
     now.taken = m->left * approach(span, &step, cut, step_to, m, m->x1, &now.places);
     now.switches = switch_over(span, cut.found, m->x1, m->time + now.taken, m->taut);

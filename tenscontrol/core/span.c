@@ -11,7 +11,7 @@ static size_t restored_size(const Scene *s) {
 
 SHARED size_t span_size(const Scene *s, const Drive *drive) {
   const size_t n = 2 * (size_t)s->free, m = s->switches;
-  return equation_work_size(s) + 2 * (size_t)drive->count + 10 * m + 4 * n + restored_size(s) +
+  return equation_work_size(s) + 2 * (size_t)drive->count + 12 * m + 4 * n + restored_size(s) +
          carry_size(s);
 }
 
@@ -19,7 +19,8 @@ SHARED Number *begin(Span *span, const Scene *s, const Drive *drive, const Lengt
                      Number *work) {
   const int n = 2 * s->free, m = s->switches;
   Number **arrays[] = {&span->gap,     &span->rate,   &span->scale,   &span->rooms,  &span->inside,
-                       &span->outside, &span->chosen, &span->leaving, &span->within, &span->marked};
+                       &span->outside, &span->chosen, &span->leaving, &span->within, &span->marked,
+                       &span->gap0,    &span->gap1};
   span->scene = s;
   span->drive = drive;
   span->lengths = lengths;

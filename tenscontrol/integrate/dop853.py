@@ -35,8 +35,8 @@ from tenscontrol.integrate.integrator import (
 from tenscontrol.integrate.projection import NOT_RIGID, Projector, projection, put_on_lengths
 from tenscontrol.interrupt import check
 
-# Evaluations of a step whose first slope is known, and of its interpolant.
-_STAGES, _MORE_STAGES = 12, 3
+# Evaluations of a step whose first slope is known, of its interpolant, and of a step of order 5.
+_STAGES, _MORE_STAGES, _SHORT_STAGES = 12, 3, 6
 
 # Coefficients of the interpolant.
 _POWERS = 7
@@ -374,13 +374,18 @@ def _not_rigid(spacing: float, states: FloatArray, work: Work) -> IntegrationErr
 
 def work_of(counts: _Motion | Progress) -> Work:
     """Return the work of a motion by the counts of either loop."""
-    carries, carried = (counts.carries, counts.carried) if isinstance(counts, Progress) else (0, 0)
+    carries, carried, short = (
+        (counts.carries, counts.carried, counts.short_tries)
+        if isinstance(counts, Progress)
+        else (0, 0, 0)
+    )  # switches are carried in the core alone
     return Work(
         steps=counts.tries - counts.rejections,
         rejections=counts.rejections,
         evaluations=1
         # A landing takes a new start.
-        + _STAGES * (counts.tries + counts.approaches)
+        + _STAGES * (counts.tries + counts.approaches - short)
+        + _SHORT_STAGES * short
         + counts.landings
         + carries
         + _MORE_STAGES * counts.interpolants,
