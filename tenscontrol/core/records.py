@@ -150,8 +150,16 @@ class Tableau(ctypes.Structure):
     _fields_ = (("stages", _COUNT), *((name, _POINTER) for name in ("a", "b", "c")))
 
 
+class Steps(ctypes.Structure):
+    """Steps that follow one another."""
+
+    _fields_ = (
+        ("count", _COUNT), *((name, _POINTER) for name in ("length", "states", "inputs", "taut")),
+    )  # fmt: skip
+
+
 class Changes(ctypes.Structure):
-    """Changes of what a step depends on, in columns, or derivatives of a cost by them."""
+    """Changes of what steps depend on, in columns, or derivatives of a cost by them."""
 
     _fields_ = (
         ("columns", _COUNT), ("gravity", _NUMBER * 3),

@@ -1,4 +1,4 @@
-/* Small changes of a step, forward, and costs of its end, backward. */
+/* Small changes of steps, forward, and costs of their end, backward. */
 #include "variations.h"
 
 #include <string.h>
@@ -12,6 +12,13 @@
 #define INLINE static inline __attribute__((always_inline))
 #else
 #define INLINE static inline
+#endif
+
+/* The widest registers there are, for columns of changes. */
+#if defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && !defined(__clang__)
+#define WIDER __attribute__((target_clones("avx512f", "avx2", "default")))
+#else
+#define WIDER
 #endif
 
 /* Derivatives of a string's force density by its length, rest length, rate, stiffness, damping. */
@@ -127,107 +134,195 @@ static void point_at(const Scene *s, const double *y, const Input *input, const 
     differentiated_3(s, input, taut, at);
 }
 
-/* What both calls share: the span, the stages of the primal step, and a point. */
+/* What both calls share: the steps, and the states and points of the stages of one of them. */
 typedef struct {
   Span span;
-  Point point;
+  Drive drive; /* of the step */
+  const Tableau *method;
+  const Steps *steps;
   double *states, *slopes; /* (stages, states) */
-  double *rest;            /* memory that is left */
-} Step;
+  double *points;          /* (stages, numbers of a point) */
+  size_t point_size;
+  double *rest; /* memory that is left */
+} Sweep;
 
-static Step step_in(const Scene *s, const Drive *drive, const Tableau *method, double *work) {
-  const size_t n = 2 * (size_t)s->free;
-  Step step;
-  step.rest = begin(&step.span, s, drive, 0, work);
-  step.states = take(&step.rest, method->stages * n);
-  step.slopes = take(&step.rest, method->stages * n);
-  step.point = point_in(s, &step.rest);
-  return step;
+static void begin_sweep(Sweep *sweep, const Scene *s, const Drive *drive, const Tableau *method,
+                        const Steps *steps, double *work) {
+  const size_t n = 2 * (size_t)s->free, stages = method->stages;
+  size_t parts[POINT_PARTS];
+  sweep->drive = *drive;
+  sweep->method = method;
+  sweep->steps = steps;
+  sweep->rest = begin(&sweep->span, s, &sweep->drive, 0, work);
+  sweep->states = take(&sweep->rest, stages * n);
+  sweep->slopes = take(&sweep->rest, stages * n);
+  sweep->point_size = point_sizes(s, parts);
+  sweep->points = take(&sweep->rest, stages * sweep->point_size);
+}
+
+static Point point_of(const Sweep *sweep, int stage) {
+  double *memory = sweep->points + stage * sweep->point_size;
+  return point_in(sweep->span.scene, &memory);
 }
 
 size_t tc_variations_work_size(const Scene *s, const Drive *drive, const Tableau *method,
                                int32_t columns) {
-  const size_t n = 2 * (size_t)s->free, stages = method->stages;
+  const size_t n = 2 * (size_t)s->free, stages = method->stages, strings = s->strings;
+  const size_t entries = s->entries, segments = s->segments;
   size_t parts[POINT_PARTS];
-  const size_t block = (size_t)COLUMNS * (4 * (size_t)s->entries + 3 * (size_t)s->strings + s->segments);
-  const size_t forward = (stages + 1) * n * columns + block + s->unknowns;
-  const size_t backward = stages * n + n + 5 * (size_t)s->entries + 2 * (size_t)s->strings +
-                          s->segments + s->unknowns;
-  return span_size(s, drive) + 2 * stages * n + point_sizes(s, parts) +
+  const size_t forward =
+      n * columns + COLUMNS * (stages * n + n / 2 + 4 * entries + 3 * strings + segments) + s->unknowns;
+  const size_t backward = (stages + 1) * n + 4 * entries + 2 * strings + segments + s->unknowns;
+  return span_size(s, drive) + stages * (2 * n + point_sizes(s, parts)) +
          (forward > backward ? forward : backward);
 }
 
-/* Finds the state at a stage, y, and the derivatives of all members there. */
-static void reach_stage(Step *step, const Tableau *method, int i, double h, const double *state,
-                        const double *taut) {
-  const Scene *s = step->span.scene;
-  const int n = step->span.states, half = s->free;
-  double *y = step->states + (size_t)i * n, *slope = step->slopes + (size_t)i * n;
-  Input input;
-  memcpy(y, state, n * sizeof *y);
-  for (int j = 0; j < i; ++j) {
-    const double weight = h * method->a[i * method->stages + j];
-    const double *other = step->slopes + (size_t)j * n;
-    if (weight == 0) continue;
-    for (int k = 0; k < n; ++k) y[k] += weight * other[k];
+/* Finds the states at the stages of a step, and the derivatives of all members there. */
+static void reach_stages(Sweep *sweep, int k) {
+  const Scene *s = sweep->span.scene;
+  const Tableau *method = sweep->method;
+  const Steps *steps = sweep->steps;
+  const int n = sweep->span.states, half = s->free, stages = method->stages;
+  const size_t numbers = (size_t)sweep->drive.count * (sweep->drive.degree + 1);
+  const double h = steps->length[k], *state = steps->states + (size_t)k * n;
+  const double *taut = steps->taut + (size_t)k * s->switches;
+  const double *inputs = steps->inputs + (numbers + (sweep->drive.degree > 0)) * k;
+  sweep->drive.coefficients = inputs;
+  if (sweep->drive.degree) sweep->drive.begin = inputs[numbers];
+  for (int i = 0; i < stages; ++i) {
+    double *y = sweep->states + (size_t)i * n, *slope = sweep->slopes + (size_t)i * n;
+    const Point at = point_of(sweep, i);
+    Input input;
+    memcpy(y, state, n * sizeof *y);
+    for (int j = 0; j < i; ++j) {
+      const double weight = h * method->a[i * stages + j];
+      const double *other = sweep->slopes + (size_t)j * n;
+      if (weight == 0) continue;
+      for (int m = 0; m < n; ++m) y[m] += weight * other[m];
+    }
+    input = input_at(&sweep->span, method->c[i] * h);
+    point_at(s, y, &input, taut, &at);
+    memcpy(slope, y + half, half * sizeof *slope);
+    for (int m = 0; m < half; ++m) slope[half + m] = at.a[s->free_row ? s->free_row[m] : m];
   }
-  input = input_at(&step->span, method->c[i] * h);
-  point_at(s, y, &input, taut, &step->point);
-  memcpy(slope, y + half, half * sizeof *slope);
-  for (int k = 0; k < half; ++k)
-    slope[half + k] = step->point.a[s->free_row ? s->free_row[k] : k];
 }
 
 static void add_rows(double weight, const double *from, size_t count, double *to) {
   for (size_t k = 0; k < count; ++k) to[k] += weight * from[k];
 }
 
-WIDE void tc_step_tangents(const Scene *s, const Drive *drive, const Tableau *method, double h,
-                           const double *state, const double *taut, const Changes *changes,
-                           double *X, double *work) {
-  Step step = step_in(s, drive, method, work);
-  const int stages = method->stages, P = changes->columns, half = s->free;
-  const size_t size = (size_t)2 * half * P;
-  double *K = take(&step.rest, stages * size), *Y = take(&step.rest, size);
-  for (int i = 0; i < stages; ++i) {
-    double *to = K + i * size;
-    reach_stage(&step, method, i, h, state, taut);
-    memcpy(Y, X, size * sizeof *Y);
-    for (int j = 0; j < i; ++j)
-      if (method->a[i * stages + j] != 0) add_rows(h * method->a[i * stages + j], K + j * size, size, Y);
-    memcpy(to, Y + size / 2, size / 2 * sizeof *to);
-    for (int first = 0; first < P; first += COLUMNS) {
-      if (s->dimension == 2)
-        forward_2(s, &step.point, i, changes, first, Y, to + size / 2, step.rest);
-      else
-        forward_3(s, &step.point, i, changes, first, Y, to + size / 2, step.rest);
-    }
+/* A sum of vectors that follow one another, `apart` numbers from each to the next, by weights times
+   h, added to one. */
+INLINE void combine(const double *first, double h, const double *weights, int count,
+                    const double *vectors, size_t apart, size_t size, double *to) {
+  const double *from = first;
+  int j = 0;
+  while (j < count) {
+    double w[4];
+    const double *v[4];
+    int some = 0;
+    for (; j < count && some < 4; ++j)
+      if (weights[j] != 0) w[some] = h * weights[j], v[some++] = vectors + j * apart;
+    if (some == 4)
+      for (size_t k = 0; k < size; ++k)
+        to[k] = from[k] + w[0] * v[0][k] + w[1] * v[1][k] + w[2] * v[2][k] + w[3] * v[3][k];
+    else
+      for (int m = 0; m < some; ++m, from = to)
+        for (size_t k = 0; k < size; ++k) to[k] = from[k] + w[m] * v[m][k];
+    if (some) from = to;
   }
-  for (int i = 0; i < stages; ++i)
-    if (method->b[i] != 0) add_rows(h * method->b[i], K + i * size, size, X);
+  if (from == first && to != first) memcpy(to, first, size * sizeof *to);
 }
 
-void tc_step_costs(const Scene *s, const Drive *drive, const Tableau *method, double h,
-                   const double *state, const double *taut, Changes *costs, double *mu,
-                   double *work) {
-  Step step = step_in(s, drive, method, work);
+/* Columns of a matrix into a block of their own, and back. */
+static void pack(const double *X, int P, int rows, int first, double *block) {
+  for (int i = 0; i < rows; ++i)
+    memcpy(block + (size_t)COLUMNS * i, X + (size_t)P * i + first, COLUMNS * sizeof *X);
+}
+
+static void unpack(const double *block, int P, int rows, int first, double *X) {
+  for (int i = 0; i < rows; ++i)
+    memcpy(X + (size_t)P * i + first, block + (size_t)COLUMNS * i, COLUMNS * sizeof *X);
+}
+
+/* A block of columns over a step. */
+WIDER static void step_block(const Sweep *sweep, const Lengths *lengths, int k,
+                             const Changes *changes, int first, double *block, double *work) {
+  const Scene *s = sweep->span.scene;
+  const Tableau *method = sweep->method;
+  const int stages = method->stages;
+  const size_t half = (size_t)COLUMNS * s->free, size = 2 * half;
+  const double h = sweep->steps->length[k], *end = sweep->steps->states + (k + 1) * (size_t)(2 * s->free);
+  double *K = work, *places = K + stages * size, *rest = places + half;
+  for (int i = 0; i < stages; ++i) {
+    const Point at = point_of(sweep, i);
+    const double *weights = method->a + i * stages;
+    double *rates = K + i * size; /* which are the slopes of places */
+    combine(block, h, weights, i, K, size, half, places);
+    combine(block + half, h, weights, i, K + half, size, half, rates);
+    if (s->dimension == 2)
+      forward_2(s, &at, i, changes, first, places, rates, rates + half, rest);
+    else
+      forward_3(s, &at, i, changes, first, places, rates, rates + half, rest);
+  }
+  combine(block, h, method->b, stages, K, size, size, block);
+  if (!lengths) return;
+  if (s->dimension == 2)
+    restored_forward_2(s, lengths, end, block);
+  else
+    restored_forward_3(s, lengths, end, block);
+}
+
+void tc_tangents(const Scene *s, const Drive *drive, const Lengths *lengths, const Tableau *method,
+                 const Steps *steps, const Changes *changes, double *X, double *work) {
+  const int P = changes->columns, n = 2 * s->free;
+  Sweep sweep;
+  double *blocks;
+  begin_sweep(&sweep, s, drive, method, steps, work);
+  blocks = take(&sweep.rest, (size_t)n * P);
+  for (int first = 0; first < P; first += COLUMNS) pack(X, P, n, first, blocks + (size_t)n * first);
+  for (int k = 0; k < steps->count; ++k) {
+    reach_stages(&sweep, k);
+    for (int first = 0; first < P; first += COLUMNS)
+      step_block(&sweep, lengths, k, changes, first, blocks + (size_t)n * first, sweep.rest);
+  }
+  for (int first = 0; first < P; first += COLUMNS) unpack(blocks + (size_t)n * first, P, n, first, X);
+}
+
+static void step_cost(Sweep *sweep, int k, Changes *costs, double *mu, double *work) {
+  const Scene *s = sweep->span.scene;
+  const Tableau *method = sweep->method;
   const int stages = method->stages, half = s->free, n = 2 * half;
-  double *later = take(&step.rest, (size_t)stages * n), *kappa = take(&step.rest, n);
-  for (int i = 0; i < stages; ++i) reach_stage(&step, method, i, h, state, taut);
+  const double h = sweep->steps->length[k];
+  double *later = work, *kappa = later + (size_t)stages * n, *rest = kappa + n;
   for (int i = stages - 1; i >= 0; --i) {
+    const Point at = point_of(sweep, i);
     double *own = later + (size_t)i * n;
-    Input input = input_at(&step.span, method->c[i] * h);
     memset(kappa, 0, n * sizeof *kappa);
     add_rows(h * method->b[i], mu, n, kappa);
     for (int j = i + 1; j < stages; ++j)
       if (method->a[j * stages + i] != 0)
         add_rows(h * method->a[j * stages + i], later + (size_t)j * n, n, kappa);
-    if (i < stages - 1) point_at(s, step.states + (size_t)i * n, &input, taut, &step.point);
     if (s->dimension == 2)
-      backward_2(s, &step.point, i, costs, kappa + half, own, step.rest);
+      backward_2(s, &at, k * stages + i, costs, kappa + half, own, rest);
     else
-      backward_3(s, &step.point, i, costs, kappa + half, own, step.rest);
-    for (int k = 0; k < half; ++k) own[half + k] += kappa[k];
+      backward_3(s, &at, k * stages + i, costs, kappa + half, own, rest);
+    for (int m = 0; m < half; ++m) own[half + m] += kappa[m];
   }
   for (int i = 0; i < stages; ++i) add_rows(1, later + (size_t)i * n, n, mu);
+}
+
+void tc_costs(const Scene *s, const Drive *drive, const Lengths *lengths, const Tableau *method,
+              const Steps *steps, Changes *costs, double *mu, double *work) {
+  const size_t n = 2 * (size_t)s->free;
+  Sweep sweep;
+  begin_sweep(&sweep, s, drive, method, steps, work);
+  for (int k = steps->count - 1; k >= 0; --k) {
+    if (lengths && s->dimension == 2)
+      restored_backward_2(s, lengths, steps->states + (k + 1) * n, mu);
+    else if (lengths)
+      restored_backward_3(s, lengths, steps->states + (k + 1) * n, mu);
+    reach_stages(&sweep, k);
+    step_cost(&sweep, k, costs, mu, sweep.rest);
+  }
 }

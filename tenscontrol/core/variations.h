@@ -1,6 +1,6 @@
-/* Small changes of a step, forward, and costs of its end, backward: calls of the core.
+/* Small changes of steps, forward, and costs of their end, backward: calls of the core.
 
-   A step is that of an explicit Runge-Kutta method, with switches that stay as they are. Matrices
+   Steps are those of an explicit Runge-Kutta method, with switches that stay as they are. Matrices
    have one row an entry; columns are next to one another in memory. */
 #ifndef TENSCONTROL_VARIATIONS_H
 #define TENSCONTROL_VARIATIONS_H
@@ -13,11 +13,21 @@ typedef struct {
   const double *a, *b, *c;
 } Tableau;
 
+/* Steps that follow one another, one row each. */
+typedef struct {
+  int32_t count;
+  const double *length; /* (count), s */
+  const double *states; /* (count + 1, states): as each begins, and as the last ends */
+  const double *inputs; /* (count, .): coefficients of a Drive; unless constant, its time `begin` */
+  const double *taut;   /* (count, switches) */
+} Steps;
+
 /* Columns in a matrix are a multiple of this many. */
 enum { COLUMNS = 8 };
 
-/* Changes of what a step depends on beside its start, in columns; null for what does not change. Of a
-   cost its derivatives by them, in one column: those by inputs are written, all others are added. */
+/* Changes of what steps depend on beside their start, in columns; null for what does not change. Of a
+   cost its derivatives by them, in one column: those by inputs are written, (steps, stages, strings),
+   all others are added. */
 typedef struct {
   int32_t columns;
   double gravity[3];          /* m/s^2: weights change with masses */
@@ -33,14 +43,15 @@ typedef struct {
 EXPORTED size_t tc_variations_work_size(const Scene *scene, const Drive *drive,
                                         const Tableau *method, int32_t columns);
 
-/* The derivative X (states, columns) of a state becomes that of the state after a step of length h. */
-EXPORTED void tc_step_tangents(const Scene *scene, const Drive *drive, const Tableau *method,
-                               double h, const double *state, const double *taut,
-                               const Changes *changes, double *X, double *work);
+/* The derivative X (states, columns) of the state before steps becomes that of the state after them.
+   After each, bars that share no nodes are put on their lengths, unless these are null. */
+EXPORTED void tc_tangents(const Scene *scene, const Drive *drive, const Lengths *lengths,
+                          const Tableau *method, const Steps *steps, const Changes *changes,
+                          double *X, double *work);
 
-/* The derivative of a cost by the state after a step becomes that by the state before it. */
-EXPORTED void tc_step_costs(const Scene *scene, const Drive *drive, const Tableau *method, double h,
-                            const double *state, const double *taut, Changes *costs, double *mu,
-                            double *work);
+/* The derivative of a cost by the state after steps becomes that by the state before them. */
+EXPORTED void tc_costs(const Scene *scene, const Drive *drive, const Lengths *lengths,
+                       const Tableau *method, const Steps *steps, Changes *costs, double *mu,
+                       double *work);
 
 #endif

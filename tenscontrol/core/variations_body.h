@@ -288,31 +288,124 @@ INLINE void N(accelerated_forward)(const Scene *s, const Point *at, const N(Row)
   if (s->block_bars) N(coupled_forward)(s, at, dp, dv, df, da, y);
 }
 
-/* Changes of the accelerations, (free, columns), by those of the state Y, (states, columns). */
-WIDE static void N(forward)(const Scene *s, const Point *at, int stage, const Changes *c,
-                            int first, const double *Y, double *to, double *work) {
+/* Changes of the accelerations, (free), by those of the free places and rates. */
+INLINE void N(forward)(const Scene *s, const Point *at, int stage, const Changes *c, int first,
+                       const double *places, const double *rates, double *accelerations,
+                       double *work) {
   const size_t P = c->columns, row = sizeof(N(Row)), n = s->entries;
-  N(Row) *dp = (N(Row) *)work, *dv = dp + n, *df = dv + n, *da = df + n, *dL = da + n;
-  N(Row) *dR = dL + s->strings, *dgamma = dR + s->strings, *dl = dgamma + s->strings;
+  const N(Row) *q = (const N(Row) *)places, *v = (const N(Row) *)rates;
+  N(Row) *to = (N(Row) *)accelerations;
+  N(Row) *all_q = (N(Row) *)work, *all_v = all_q + n, *df = all_v + n, *all_a = df + n;
+  N(Row) *dL = all_a + n, *dR = dL + s->strings, *dgamma = dR + s->strings;
+  N(Row) *dl = dgamma + s->strings;
   double *y = (double *)(dl + s->segments);
-  if (s->free_row) memset(dp, 0, 2 * n * row);
-  for (int i = 0; i < s->free; ++i) {
-    const int to_row = s->free_row ? s->free_row[i] : i;
-    memcpy(dp + to_row, Y + i * P + first, row);
-    memcpy(dv + to_row, Y + (s->free + i) * P + first, row);
+  if (s->free_row) {
+    memset(all_q, 0, 2 * n * row);
+    for (int i = 0; i < s->free; ++i) {
+      memcpy(all_q + s->free_row[i], q + i, row);
+      memcpy(all_v + s->free_row[i], v + i, row);
+    }
+    q = (const N(Row) *)all_q;
+    v = (const N(Row) *)all_v;
   }
   for (size_t i = 0; i < n; ++i)
     if (c->load)
       memcpy(df + i, c->load + i * P + first, row);
     else
       memset(df + i, 0, row);
-  if (s->segments) N(pulled_forward)(s, at, stage, c, first, dp, dv, df, dL, dR, dgamma, dl);
-  N(touched_forward)(s, at, c, first, dp, dv, df);
+  if (s->segments) N(pulled_forward)(s, at, stage, c, first, q, v, df, dL, dR, dgamma, dl);
+  N(touched_forward)(s, at, c, first, q, v, df);
   N(weighed_forward)(s, at, c, first, df);
-  memset(da, 0, n * row);
-  N(accelerated_forward)(s, at, dp, dv, df, da, y);
-  for (int i = 0; i < s->free; ++i)
-    memcpy(to + i * P + first, da + (s->free_row ? s->free_row[i] : i), row);
+  if (!s->free_row) {
+    N(accelerated_forward)(s, at, q, v, df, to, y);
+    return;
+  }
+  N(accelerated_forward)(s, at, q, v, df, all_a, y);
+  for (int i = 0; i < s->free; ++i) memcpy(to + i, all_a + s->free_row[i], row);
+}
+
+/* A bar that is put on its length: its vector b and rate r before, as restore() in lengths.c. */
+typedef struct {
+  double b[D], r[D];
+  double square, scale, along; /* b'b, length over |b|, b'r / b'b */
+} N(Restored);
+
+static inline N(Restored) N(restored_at)(const double *b, const double *r, double length) {
+  N(Restored) bar;
+  double dot = 0;
+  bar.square = 0;
+  for (int k = 0; k < D; ++k) {
+    bar.b[k] = b[k];
+    bar.r[k] = r[k];
+    bar.square += b[k] * b[k];
+    dot += b[k] * r[k];
+  }
+  bar.scale = length / sqrt(bar.square);
+  bar.along = dot / bar.square;
+  return bar;
+}
+
+static inline N(Restored) N(restored_free)(const Scene *s, const Lengths *lengths, int i,
+                                           const double *x) {
+  const double *a = x + s->bar_row[2 * i], *b = x + s->bar_row[2 * i + 1];
+  double bar[D], rate[D];
+  for (int k = 0; k < D; ++k) bar[k] = b[k] - a[k], rate[k] = b[s->free + k] - a[s->free + k];
+  return N(restored_at)(bar, rate, lengths->bar_length[i]);
+}
+
+static inline N(Restored) N(restored_swinging)(const Scene *s, const Lengths *lengths, int i,
+                                               const double *x) {
+  const double *tip = x + s->tip_row[i], *hinge = s->place + s->hinge[i];
+  double bar[D];
+  for (int k = 0; k < D; ++k) bar[k] = tip[k] - hinge[k];
+  return N(restored_at)(bar, tip + s->free, lengths->tip_length[i]);
+}
+
+/* Changes of the vector and rate of a bar become those after it is put on its length. */
+INLINE void N(restore_changes)(const N(Restored) *bar, N(Row) *db, N(Row) *dr) {
+  double stretch[COLUMNS] = {0}, drift[COLUMNS] = {0};
+  for (int k = 0; k < D; ++k)
+    EACH {
+      stretch[j] += bar->b[k] / bar->square * db[k][j];
+      drift[j] += bar->r[k] / bar->square * db[k][j] + bar->b[k] / bar->square * dr[k][j];
+    }
+  EACH drift[j] -= 2 * bar->along * stretch[j];
+  for (int k = 0; k < D; ++k) {
+    const double across = bar->r[k] - bar->along * bar->b[k];
+    EACH {
+      dr[k][j] = (dr[k][j] - bar->along * db[k][j] - bar->b[k] * drift[j] + across * stretch[j]) /
+                 bar->scale;
+      db[k][j] = bar->scale * (db[k][j] - bar->b[k] * stretch[j]);
+    }
+  }
+}
+
+/* Changes of a state, (states), become those after its bars, of which none share nodes, are put on
+   their lengths. */
+INLINE void N(restored_forward)(const Scene *s, const Lengths *lengths, const double *x,
+                                double *changes) {
+  N(Row) *X = (N(Row) *)changes;
+  for (int i = 0; i < s->free_bars; ++i) {
+    const N(Restored) bar = N(restored_free)(s, lengths, i, x);
+    N(Row) *a = X + s->bar_row[2 * i], *b = X + s->bar_row[2 * i + 1], of[2][D], mean[2][D];
+    for (int m = 0; m < 2; ++m)
+      for (int k = 0; k < D; ++k)
+        EACH {
+          of[m][k][j] = b[m * s->free + k][j] - a[m * s->free + k][j];
+          mean[m][k][j] = (b[m * s->free + k][j] + a[m * s->free + k][j]) / 2;
+        }
+    N(restore_changes)(&bar, of[0], of[1]);
+    for (int m = 0; m < 2; ++m)
+      for (int k = 0; k < D; ++k)
+        EACH {
+          a[m * s->free + k][j] = mean[m][k][j] - of[m][k][j] / 2;
+          b[m * s->free + k][j] = mean[m][k][j] + of[m][k][j] / 2;
+        }
+  }
+  for (int i = 0; i < s->swinging_bars; ++i) {
+    const N(Restored) bar = N(restored_swinging)(s, lengths, i, x);
+    N(restore_changes)(&bar, X + s->tip_row[i], X + s->tip_row[i] + s->free);
+  }
 }
 #undef EACH
 
@@ -445,6 +538,46 @@ static void N(pulled_backward)(const Scene *s, const Point *at, int stage, Chang
     }
     N(spread_difference)(of_S, start, end, p);
     N(spread_difference)(of_Sd, start, end, v);
+  }
+}
+
+/* A cost by the vector and rate of a bar on its length becomes that by those before. */
+static inline void N(restore_costs)(const N(Restored) *bar, double *of_b, double *of_r) {
+  double stretch = 0, drift = 0;
+  for (int k = 0; k < D; ++k) {
+    of_b[k] *= bar->scale;
+    of_r[k] /= bar->scale;
+    stretch += (bar->r[k] - bar->along * bar->b[k]) * of_r[k] - bar->b[k] * of_b[k];
+    drift -= bar->b[k] * of_r[k];
+  }
+  stretch -= 2 * bar->along * drift;
+  for (int k = 0; k < D; ++k) {
+    of_b[k] += -bar->along * of_r[k] + (bar->b[k] * stretch + bar->r[k] * drift) / bar->square;
+    of_r[k] += bar->b[k] * drift / bar->square;
+  }
+}
+
+/* The transpose of `restored_forward`. */
+static void N(restored_backward)(const Scene *s, const Lengths *lengths, const double *x,
+                                 double *mu) {
+  for (int i = 0; i < s->free_bars; ++i) {
+    const N(Restored) bar = N(restored_free)(s, lengths, i, x);
+    double *a = mu + s->bar_row[2 * i], *b = mu + s->bar_row[2 * i + 1], of[2][D], sum[2][D];
+    for (int m = 0; m < 2; ++m)
+      for (int k = 0; k < D; ++k) {
+        of[m][k] = (b[m * s->free + k] - a[m * s->free + k]) / 2;
+        sum[m][k] = (b[m * s->free + k] + a[m * s->free + k]) / 2;
+      }
+    N(restore_costs)(&bar, of[0], of[1]);
+    for (int m = 0; m < 2; ++m)
+      for (int k = 0; k < D; ++k) {
+        a[m * s->free + k] = sum[m][k] - of[m][k];
+        b[m * s->free + k] = sum[m][k] + of[m][k];
+      }
+  }
+  for (int i = 0; i < s->swinging_bars; ++i) {
+    const N(Restored) bar = N(restored_swinging)(s, lengths, i, x);
+    N(restore_costs)(&bar, mu + s->tip_row[i], mu + s->tip_row[i] + s->free);
   }
 }
 

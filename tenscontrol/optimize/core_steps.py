@@ -20,6 +20,9 @@ from tenscontrol.optimize.traced_steps import TracedSteps
 # Numbers of contact laws in the order of the core.
 _GROUND = "stiffness", "damping", "friction", "slip_speed", "height", "width"
 
+# Steps in a call, and the costs by inputs at their stages, at most.
+_MOST_STEPS, _MOST_NUMBERS = 512, 2_000_000
+
 
 class Tableau(NamedTuple):
     """An explicit Runge-Kutta method."""
@@ -83,6 +86,9 @@ class CoreSteps:
         ):
             self._tables.damped = 1  # also where it is zero
         self._c = method.c
+        #: Whether it puts bars on their lengths after steps, too.
+        self.projects = steps.projects and not model.structure.blocks
+        self._lengths = ctypes.byref(scene.lengths) if self.projects else None
         self._width = columns[-1].stop if columns else 0
         self._padded = -(-max(self._width, 1) // records.COLUMNS) * records.COLUMNS
         self._pulls = [self._pull(parameter) for parameter in parameters]
@@ -101,48 +107,68 @@ class CoreSteps:
         self._inputs = np.ascontiguousarray(steps.inputs.T)
         self._drive = scene.drive(self._inputs[0])
         self._method = [np.ascontiguousarray(array, dtype=float) for array in method]
-        self._tableau = records.Tableau(
-            len(self._c), *(array.ctypes.data for array in self._method)
-        )
+        self._tableau = records.Tableau(len(self._c), *map(records.address, self._method))
         self._states = np.ascontiguousarray(steps.states.T)
         self._taut = np.ascontiguousarray(steps.taut.T)
-        self._always = tuple(map(ctypes.byref, (self._tables, self._drive, self._tableau)))
-        self._work = np.empty(scene.core.tc_variations_work_size(*self._always, self._padded))
-        self._addresses = [
-            (array.ctypes.data, array.strides[0])
-            for array in (self._inputs, self._states, self._taut)
+        self._length = np.ascontiguousarray(steps.length)
+        scene_and_drive = map(ctypes.byref, (self._tables, self._drive))
+        self._always = *scene_and_drive, self._lengths, ctypes.byref(self._tableau)
+        self._work = np.empty(
+            scene.core.tc_variations_work_size(*self._always[:2], self._always[3], self._padded)
+        )
+        self._rows = [
+            (records.address(array), array.strides[0])
+            for array in (self._length, self._states, self._inputs, self._taut)
         ]
 
+    def most(self, is_back: bool) -> int:
+        """Return how many steps a call may take at most.
+
+        One where something has to be done after each, or at the stages of each.
+        """
+        if self._steps.projects and not self.projects:
+            return 1
+        if not is_back:
+            return 1 if self._profiles else _MOST_STEPS
+        numbers = len(self._c) * len(self._by_input)
+        return max(1, min(_MOST_STEPS, _MOST_NUMBERS // max(numbers, 1)))
+
     def forward(
-        self, k: int, length: float, X: FloatArray, answer: FloatArray | None
+        self, first: int, count: int, part: float | None, X: FloatArray, answer: FloatArray | None
     ) -> FloatArray:
-        """Return the derivative of the state, (states, P), after so much of a step."""
+        """Return the derivative of the state, (states, P), after steps, or a part of one, s."""
         whole = np.zeros((len(X), self._padded))
         whole[:, : self._width] = X
         if answer is not None:
             self._given["input"][:] = self._always_given
         for parameter, columns in self._profiles:
-            self._enter_inputs(self._share(parameter, k, length), columns)
+            share = self._share(parameter, first, 1, part)
+            self._enter_inputs(share, columns)
         if answer is not None:
             self._given["input"][..., : self._width] += answer
-        self._call(self._core.core.tc_step_tangents, k, length, self._changes, whole)
+        self._call(self._core.core.tc_tangents, first, count, part, self._changes, whole)
         return whole[:, : self._width]
 
     def backward(
-        self, k: int, length: float, end: FloatArray, slope: FloatArray
+        self, first: int, count: int, part: float | None, end: FloatArray, slope: FloatArray
     ) -> tuple[FloatArray, FloatArray | None]:
-        """Return a cost by the state before a step, from that after it, and by the input meanwhile.
+        """Return a cost by the state before steps from that after them, and by the input meanwhile.
 
         Those by the values of profiles are added to the slope; those by all else are kept.
         """
         mu, whole = end.copy(), None
-        self._call(self._core.core.tc_step_costs, k, length, self._costs, mu)
+        by_input = None
         if "input" in self._derivatives:
-            by_input = self._derivatives["input"][:, :, 0]
-            whole = by_input.sum(axis=0)
+            by_input = np.empty((count, len(self._c), len(self._by_input)))
+            self._costs.input = records.address(by_input)
+        self._call(self._core.core.tc_costs, first, count, part, self._costs, mu)
+        if by_input is not None:
+            rows = by_input.reshape(-1, by_input.shape[2])
+            whole = rows.sum(axis=0)
             self._by_input += whole
             for parameter, columns in self._profiles:
-                slope[columns] += (self._share(parameter, k, length) @ by_input).T.ravel()
+                share = self._share(parameter, first, count, part)
+                slope[columns] += (rows.T @ share.T).ravel()
         return mu, whole
 
     def take_costs(self, slope: FloatArray) -> None:
@@ -219,23 +245,31 @@ class CoreSteps:
         values[:, every, every] = share.T[:, None]
         self._given["input"][..., columns] = values.reshape(stages, strings, -1)
 
-    def _share(self, parameter: Parameter, k: int, length: float) -> FloatArray:
-        """Return by what the values of a profile count at the stages, (K, stages)."""
-        begin = self._steps.begin[k]
-        time = begin + self._c * length
-        share = shares(parameter, time, np.full(len(time), begin + length / 2))
+    def _share(
+        self, parameter: Parameter, first: int, count: int, part: float | None
+    ) -> FloatArray:
+        """Return by what the values of a profile count at the stages of steps, (K, stages)."""
+        some = slice(first, first + count)
+        begin, length = self._steps.begin[some], self._steps.length[some]
+        if part is not None:
+            length = np.array([part])
+        time = (begin[:, None] + self._c * length[:, None]).ravel()
+        share = shares(parameter, time, np.repeat(begin + length / 2, len(self._c)))
         assert share is not None  # it is a profile
         return share
 
     def _call(
-        self, function: Any, k: int, length: float, record: records.Changes, array: FloatArray
-    ) -> None:
-        inputs, state, taut = (begin + k * stride for begin, stride in self._addresses)
-        self._drive.coefficients = inputs
-        if self._drive.degree:
-            self._drive.begin = self._inputs[k, -1]
+        self, function: Any, first: int, count: int, part: float | None, record: records.Changes,
+        array: FloatArray,
+    ) -> None:  # fmt: skip
+        length, *others = (begin + first * stride for begin, stride in self._rows)
+        lengths = self._lengths
+        if part is not None:  # after which bars are left as they are
+            own, lengths = np.array([part]), None
+            length = records.address(own)
+        steps = records.Steps(count, length, *others)
+        scene, drive, _, method = self._always
         function(
-            *self._always, ctypes.c_double(length), ctypes.c_void_p(state), ctypes.c_void_p(taut),
-            ctypes.byref(record), ctypes.c_void_p(array.ctypes.data),
-            ctypes.c_void_p(self._work.ctypes.data),
+            scene, drive, lengths, method, ctypes.byref(steps), ctypes.byref(record),
+            *records.pointers(array, self._work),
         )  # fmt: skip

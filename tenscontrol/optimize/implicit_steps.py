@@ -61,10 +61,15 @@ class ImplicitSteps:
         """Return the state after so much of a step."""
         return self._solver.end(self._steps, k, length)[1]
 
+    def most(self, _: bool) -> int:
+        """Return how many steps a call may take at most."""
+        return 1
+
     def forward(
-        self, k: int, length: float, X: FloatArray, answer: FloatArray | None
+        self, k: int, _: int, part: float | None, X: FloatArray, answer: FloatArray | None
     ) -> FloatArray:
-        """Return the derivative of the state, (states, P), after so much of a step."""
+        """Return the derivative of the state, (states, P), after a step, or a part of it, s."""
+        length = float(self._steps.length[k]) if part is None else part
         slopes = self._slopes(k, length)
         moved = slopes.by_state @ X
         if answer is not None:
@@ -83,12 +88,13 @@ class ImplicitSteps:
         return np.asarray(slopes.end_by_state @ X - slopes.end_by_unknowns @ unknowns)
 
     def backward(
-        self, k: int, length: float, end: FloatArray, slope: FloatArray
+        self, k: int, _: int, part: float | None, end: FloatArray, slope: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return a cost by the state before a step, from that after it, and by the input meanwhile.
 
         Those by the parameters are added to the slope.
         """
+        length = float(self._steps.length[k]) if part is None else part
         slopes = self._slopes(k, length)
         weight = -slopes.factors.solve(slopes.end_by_unknowns.T @ end, trans="T")
         by_input = slopes.by_input.T @ weight

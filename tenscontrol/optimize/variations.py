@@ -51,11 +51,12 @@ def columns_of(parameters: Sequence[Parameter]) -> list[slice]:
 
 
 class _Leg(NamedTuple):
-    """A step, or a part of one up to a time that is asked for, with its derivatives."""
+    """Steps, or a part of one up to a time that is asked for, with their derivatives."""
 
-    step: int
-    length: float
-    output: int  # -1: the whole step
+    step: int  # the first
+    steps: int  # so many
+    part: float | None  # s; None: whole steps
+    output: int  # of a part
     stages: Slopes | None  # at its stages; None where the stepper finds them
     shares: list[FloatArray | None]  # of each input, at the stages, (s, K)
 
@@ -192,24 +193,24 @@ class Variations:
         X = self._start()
         sensitivities = np.empty((len(self.times), len(X), size))
         sensitivities[self.times <= self.steps.begin[0]] = X
-        last = -1
         at, feedback, answer = self._first_switch, self.feedback, None
-        for leg in self._legs(range(len(self.steps.length))):
+        last = -1
+        for leg in self._legs(is_back=False):
             check()
             if feedback is not None and leg.step != last and feedback.begins(leg.step):
                 answer = feedback.answer(leg.step, X)
             last = leg.step
             reached = self._forward(X, leg, answer)
-            if leg.output >= 0:
+            if leg.part is not None:
                 sensitivities[leg.output] = reached
                 continue
-            X = reached
-            exact = self._exact(leg.step)
+            X, end = reached, leg.step + leg.steps - 1
+            exact = self._exact(end)
             if exact is not None:
                 X = exact @ X
-            for e in range(at[leg.step], at[leg.step + 1]):
+            for e in range(at[end], at[end + 1]):
                 X = X + self._jumped(e, X, answer)
-            sensitivities[self._ends[leg.step]] = X
+            sensitivities[self._ends[end]] = X
         return _finite(sensitivities)
 
     def motion(self) -> FloatArray:
@@ -253,22 +254,23 @@ class Variations:
         mu = np.zeros(costs.shape[1])
         partial = np.zeros_like(mu)
         answered = np.zeros(self.steps.layout.strings)  # cost by the input of the sample
-        for leg in self._legs(range(len(self.steps.length) - 1, -1, -1)):
+        for leg in self._legs(is_back=True):
             check()
-            if leg.output >= 0:
+            if leg.part is not None:
                 end = costs[leg.output]
             else:
-                mu = self._answered_back(leg.step + 1, mu + partial, answered, slope)
-                mu = mu + costs[self._ends[leg.step]].sum(axis=0)
+                last = leg.step + leg.steps - 1
+                mu = self._answered_back(last + 1, mu + partial, answered, slope)
+                mu = mu + costs[self._ends[last]].sum(axis=0)
                 partial = np.zeros_like(mu)
-                for e in range(at[leg.step + 1] - 1, at[leg.step] - 1, -1):
+                for e in range(at[last + 1] - 1, at[last] - 1, -1):
                     mu = self._jumped_back(e, mu, slope, answered)
-                exact = self._exact(leg.step)
+                exact = self._exact(last)
                 end = mu if exact is None else exact.T @ mu
             back, by_input = self._backward(end, leg, slope)
             if self.feedback is not None and by_input is not None:
                 answered += by_input
-            if leg.output >= 0:
+            if leg.part is not None:
                 partial += back
             else:
                 mu = back
@@ -304,37 +306,39 @@ class Variations:
     def _forward(self, X: FloatArray, leg: _Leg, answer: FloatArray | None) -> FloatArray:
         """Return the derivative of the state after a leg."""
         if self._stepper is not None:
-            return self._stepper.forward(leg.step, leg.length, X, answer)
+            return self._stepper.forward(leg.step, leg.steps, leg.part, X, answer)
         a, b, half = self._tableau.a, self._tableau.b, self.derivatives.half
+        length = self._length_of(leg)
         assert leg.stages is not None  # without a stepper
         K = np.empty((len(a), *X.shape))
         flat = K.reshape(len(a), -1)
         for i in range(len(a)):
             Y = X
             if i:
-                Y = X + leg.length * (a[i, :i] @ flat[:i]).reshape(X.shape)
+                Y = X + length * (a[i, :i] @ flat[:i]).reshape(X.shape)
             K[i, :half] = Y[half:]
             np.matmul(leg.stages.by_state[i], Y, out=K[i, half:])
             self._add_to(K[i, half:], leg.stages, leg.shares, i)
             if answer is not None:
                 assert leg.stages.by_input is not None  # it was asked for
                 K[i, half:] += leg.stages.by_input[i] @ answer
-        return np.asarray(X + leg.length * (b @ flat).reshape(X.shape))
+        return np.asarray(X + length * (b @ flat).reshape(X.shape))
 
     def _backward(
         self, end: FloatArray, leg: _Leg, slope: FloatArray
     ) -> tuple[FloatArray, FloatArray | None]:
         """Return a cost by the state before a leg, and by the input; add those by parameters."""
         if self._stepper is not None:
-            return self._stepper.backward(leg.step, leg.length, end, slope)
+            return self._stepper.backward(leg.step, leg.steps, leg.part, end, slope)
         a, b, half = self._tableau.a, self._tableau.b, self.derivatives.half
+        length = self._length_of(leg)
         assert leg.stages is not None  # without a stepper
         back, stages, by_input = end.copy(), len(b), None
         if leg.stages.by_input is not None:
             by_input = np.zeros(leg.stages.by_input.shape[2])
         later = np.zeros((stages, len(end)))
         for i in reversed(range(stages)):
-            kappa = leg.length * (b[i] * end + a[i + 1 :, i] @ later[i + 1 :])
+            kappa = length * (b[i] * end + a[i + 1 :, i] @ later[i + 1 :])
             later[i] = kappa[half:] @ leg.stages.by_state[i]
             later[i, half:] += kappa[:half]
             back += later[i]
@@ -342,6 +346,9 @@ class Variations:
             if by_input is not None and leg.stages.by_input is not None:
                 by_input += kappa[half:] @ leg.stages.by_input[i]
         return back, by_input
+
+    def _length_of(self, leg: _Leg) -> float:
+        return float(self.steps.length[leg.step]) if leg.part is None else leg.part
 
     def _add_to(
         self, rates: FloatArray, slopes: Slopes, counts: list[FloatArray | None], stage: int
@@ -448,7 +455,8 @@ class Variations:
 
     def _exact(self, step: int) -> FloatArray | None:
         """Return the derivative of what puts bars on their lengths at the end of a step."""
-        if not self.steps.projects:
+        is_done = isinstance(self._stepper, CoreSteps) and self._stepper.projects
+        if is_done or not self.steps.projects:
             return None
         known = self._exact_slopes
         if step not in known:
@@ -495,25 +503,36 @@ class Variations:
         )
         return max(1, _MOST_NUMBERS // numbers)
 
-    def _legs(self, order: range) -> Iterator[_Leg]:
-        """Yield the steps in an order, each after its parts, with their derivatives."""
-        parts = self._places[1]
-        is_back, size = order.step < 0, len(order) if self._stepper is not None else self._block
-        for block in range(0, len(order), max(size, 1)):
-            plan = [
-                (k, length, output)
-                for k in order[block : block + size]
-                for length, output in (
-                    [(float(self.steps.length[k]), -1), *parts[k]]
-                    if is_back
-                    else [*parts[k], (float(self.steps.length[k]), -1)]
-                )
-            ]
-            if self._stepper is not None:
-                yield from (_Leg(*leg, None, []) for leg in plan)
-                continue
-            for first in range(0, len(plan), self._block):
-                yield from self._differentiated(plan[first : first + self._block])
+    def _legs(self, is_back: bool) -> Iterator[_Leg]:
+        """Yield the steps in order, or back from the last, each after its parts.
+
+        Steps between which nothing is to be done follow one another in one leg.
+        """
+        plan = list(self._planned(is_back))
+        if self._stepper is not None:
+            yield from plan
+            return
+        for first in range(0, len(plan), self._block):
+            yield from self._differentiated(plan[first : first + self._block])
+
+    def _planned(self, is_back: bool) -> Iterator[_Leg]:
+        parts, count = self._places[1], len(self.steps.length)
+        most = 1 if self._stepper is None else self._stepper.most(is_back)
+        stops = {*self.switches.step.tolist(), count - 1}
+        stops |= {k for k in range(count) if len(self._ends[k])}
+        alone = {k for k in range(count) if parts[k]}
+        stops |= alone | {k - 1 for k in alone}
+        if self.feedback is not None:
+            stops |= {k - 1 for k in range(count) if self.feedback.begins(k)}
+        legs, first = list[list[_Leg]](), 0
+        for k in range(count):
+            if k in stops or k - first + 1 == most:
+                own = [_Leg(k, 1, length, output, None, []) for length, output in parts[k]]
+                whole = _Leg(first, k - first + 1, None, -1, None, [])
+                legs.append([whole, *own] if is_back else [*own, whole])
+                first = k + 1
+        for some in reversed(legs) if is_back else legs:
+            yield from some
 
     def _stages(
         self, of: IntArray, h: FloatArray
@@ -521,11 +540,11 @@ class Variations:
         """Return slopes, states and inputs at the stages of steps that are so long."""
         return stages(self.steps, self.derivatives, self._tableau, of, h)
 
-    def _differentiated(self, plan: list[tuple[int, float, int]]) -> Iterator[_Leg]:
+    def _differentiated(self, plan: list[_Leg]) -> Iterator[_Leg]:
         """Yield legs with the derivatives at their stages: found for all of them together."""
         steps, c = self.steps, self._tableau.c
-        of = np.array([k for k, *_ in plan])
-        h = np.array([length for _, length, _ in plan])
+        of = np.array([leg.step for leg in plan])
+        h = np.array([self._length_of(leg) for leg in plan])
         slopes, states, inputs = self._stages(of, h)
         stages, count = len(c), len(plan)
         derivatives = self.derivatives.at(
@@ -538,11 +557,11 @@ class Variations:
             shares(parameter, time, middle) if parameter.kind == "input" else None
             for parameter in self.parameters
         ]
-        for i, (k, length, output) in enumerate(plan):
+        for i, leg in enumerate(plan):
             own = Slopes(
                 derivatives.by_state[i::count],
                 None if derivatives.by_input is None else derivatives.by_input[i::count],
                 derivatives.by_parameters[i::count],
             )
             own_shares = [None if share is None else share[:, i::count].T for share in by_input]
-            yield _Leg(k, length, output, own, own_shares)
+            yield leg._replace(stages=own, shares=own_shares)
