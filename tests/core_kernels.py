@@ -160,12 +160,14 @@ def slopes() -> str:
     """Return the header of derivatives."""
     texts = [_SLOPES_HEAD]
     for d in (2, 3):
-        B, Bd, start, end = (ca.SX.sym(name, d) for name in ("B", "Bd", "start", "end"))
+        B, Bd, end = (ca.SX.sym(name, d) for name in ("B", "Bd", "end"))
         mass = ca.SX.sym("mass")
-        at_start, at_end, _ = kernel.free_bar(B, Bd, start, end, mass)
-        given = {"bar": B, "rate": Bd, "on_start": start, "on_end": end}
-        outputs = {"start": at_start, "end": at_end}
-        texts.append(_with_slopes(f"free_bar_slopes_{d}", given, {"mass": mass}, outputs))
+        # The sum of the forces moves the centre; their difference turns the bar.
+        _, turning, _ = kernel.free_bar(B, Bd, -end / 2, end / 2, mass)
+        given = {"bar": B, "rate": Bd, "difference": end}
+        texts.append(
+            _with_slopes(f"turning_bar_slopes_{d}", given, {"mass": mass}, {"turning": turning})
+        )
         at_tip, _ = kernel.swinging_bar(B, Bd, end, mass)
         given = {"bar": B, "rate": Bd, "on_tip": end}
         texts.append(

@@ -56,7 +56,7 @@ static size_t point_sizes(const Scene *s, size_t *size) {
   const size_t n = s->entries, m = s->segments, d = s->dimension, strings = s->strings;
   const size_t sizes[POINT_PARTS] = {
       n, n, n, n, m * d, m * d, m, m, m, strings, strings, strings, strings * STRING_SLOPES,
-      touches(s) * d * (2 * d + GROUND_NUMBERS), s->free_bars * 8 * d * d,
+      touches(s) * d * (2 * d + GROUND_NUMBERS), s->free_bars * 3 * d * d,
       s->swinging_bars * 3 * d * d, (size_t)s->factors + s->unknowns + 1, s->unknowns};
   size_t sum = 0;
   for (int i = 0; i < POINT_PARTS; ++i) sum += size[i] = sizes[i];

@@ -71,10 +71,19 @@ static void N(accelerated)(const Scene *s, const Point *at) {
   memset(a, 0, s->entries * sizeof *a);
   for (int i = 0; i < s->free_bars; ++i) {
     const int start = s->bar_start[i], end = s->bar_end[i];
-    double bar[D], rate[D];
-    for (int k = 0; k < D; ++k) bar[k] = p[end + k] - p[start + k], rate[k] = v[end + k] - v[start + k];
-    N(free_bar_slopes)(bar, rate, f + start, f + end, 12 * s->bar_constants[4 * i + 2], a + start,
-                       a + end, at->free_bar + 8 * D * D * i);
+    double bar[D], rate[D], difference[D], turning[D];
+    for (int k = 0; k < D; ++k) {
+      bar[k] = p[end + k] - p[start + k];
+      rate[k] = v[end + k] - v[start + k];
+      difference[k] = f[end + k] - f[start + k];
+    }
+    N(turning_bar_slopes)(bar, rate, difference, 12 * s->bar_constants[4 * i + 2], turning,
+                          at->free_bar + 3 * D * D * i);
+    for (int k = 0; k < D; ++k) {
+      const double mean = s->bar_constants[4 * i] * (f[start + k] + f[end + k]);
+      a[start + k] = mean - turning[k];
+      a[end + k] = mean + turning[k];
+    }
   }
   for (int i = 0; i < s->swinging_bars; ++i) {
     const int hinge = s->hinge[i], tip = s->tip[i];
@@ -252,27 +261,33 @@ INLINE void N(coupled_forward)(const Scene *s, const Point *at, const N(Row) *dp
   }
 }
 
-/* Multiplies a Jacobian (rows, cells), stored by columns, with changes of vectors of D entries. */
-INLINE void N(times)(const double *by, int rows, const N(Row) *const *changes, int count,
-                            N(Row) *to) {
-  for (int i = 0; i < rows; ++i) EACH to[i][j] = 0;
-  for (int m = 0; m < count; ++m)
-    for (int k = 0; k < D; ++k)
-      for (int i = 0; i < rows; ++i)
-        EACH to[i][j] += by[i + rows * (D * m + k)] * changes[m][k][j];
+/* Multiplies a Jacobian (D, 3 D), stored by columns, with changes of three vectors. */
+INLINE void N(times)(const double *by, const N(Row) *const *changes, N(Row) *to) {
+  for (int i = 0; i < D; ++i) {
+    double sum[COLUMNS] = {0};
+    for (int m = 0; m < 3; ++m)
+      for (int k = 0; k < D; ++k) EACH sum[j] += by[i + D * (D * m + k)] * changes[m][k][j];
+    memcpy(to + i, sum, sizeof sum);
+  }
 }
 
 INLINE void N(accelerated_forward)(const Scene *s, const Point *at, const N(Row) *dp,
                                    const N(Row) *dv, N(Row) *df, N(Row) *da, double *y) {
   for (int i = 0; i < s->free_bars; ++i) {
     const int start = s->bar_start[i], end = s->bar_end[i];
-    N(Row) bar[D], rate[D], both[2 * D];
-    const N(Row) *const changes[] = {bar, rate, df + start, df + end};
+    const double inverse = s->bar_constants[4 * i];
+    N(Row) bar[D], rate[D], difference[D], turning[D];
+    const N(Row) *const changes[] = {bar, rate, difference};
     N(differences)(dp, start, end, bar);
     N(differences)(dv, start, end, rate);
-    N(times)(at->free_bar + 8 * D * D * i, 2 * D, changes, 4, both);
-    memcpy(da + start, both, D * sizeof *both);
-    memcpy(da + end, both + D, D * sizeof *both);
+    N(differences)((const N(Row) *)df, start, end, difference);
+    N(times)(at->free_bar + 3 * D * D * i, changes, turning);
+    for (int k = 0; k < D; ++k)
+      EACH {
+        const double mean = inverse * (df[start + k][j] + df[end + k][j]);
+        da[start + k][j] = mean - turning[k][j];
+        da[end + k][j] = mean + turning[k][j];
+      }
   }
   for (int i = 0; i < s->swinging_bars; ++i) {
     const int hinge = s->hinge[i], tip = s->tip[i];
@@ -280,7 +295,7 @@ INLINE void N(accelerated_forward)(const Scene *s, const Point *at, const N(Row)
     const N(Row) *const changes[] = {bar, rate, df + tip};
     N(differences)(dp, hinge, tip, bar);
     N(differences)(dv, hinge, tip, rate);
-    N(times)(at->swinging_bar + 3 * D * D * i, D, changes, 3, da + tip);
+    N(times)(at->swinging_bar + 3 * D * D * i, changes, da + tip);
   }
   for (int i = 0; i < s->points; ++i)
     for (int k = 0; k < D; ++k)
@@ -431,13 +446,17 @@ static void N(accelerated_backward)(const Scene *s, const Point *at, const doubl
                                     double *v, double *f, double *y) {
   for (int i = 0; i < s->free_bars; ++i) {
     const int start = s->bar_start[i], end = s->bar_end[i];
-    double both[2 * D], to[4 * D];
-    memcpy(both, cost + start, D * sizeof *both);
-    memcpy(both + D, cost + end, D * sizeof *both);
-    N(transposed)(at->free_bar + 8 * D * D * i, 2 * D, both, 4 * D, to);
+    double of_turning[D], to[3 * D];
+    for (int k = 0; k < D; ++k) {
+      const double of_force = s->bar_constants[4 * i] * (cost[start + k] + cost[end + k]);
+      of_turning[k] = cost[end + k] - cost[start + k];
+      f[start + k] += of_force;
+      f[end + k] += of_force;
+    }
+    N(transposed)(at->free_bar + 3 * D * D * i, D, of_turning, 3 * D, to);
     N(spread_difference)(to, start, end, p);
     N(spread_difference)(to + D, start, end, v);
-    for (int k = 0; k < D; ++k) f[start + k] += to[2 * D + k], f[end + k] += to[3 * D + k];
+    N(spread_difference)(to + 2 * D, start, end, f);
   }
   for (int i = 0; i < s->swinging_bars; ++i) {
     const int hinge = s->hinge[i], tip = s->tip[i];
