@@ -223,6 +223,27 @@ EXPORTED int32_t tc_advance(const Scene *scene, const Drive *drive, const Length
                             double *slope, double *taut, double *states, double *step_times,
                             double *step_states, double *step_taut, double *work);
 
+/* Spans of one motion, one after the other, and by what dop853 finds its steps and what they may err. */
+typedef struct {
+  int32_t count;
+  const double *inputs;   /* (count, .): coefficients of a Drive; unless constant, its time `begin` */
+  const double *duration; /* (count), s */
+  const int32_t *outputs; /* (count) */
+  double tolerance, length, mass, frequency; /* m, kg, rad/s */
+  double first, whole, stable; /* first step over its rule; longest over duration, over 1 / frequency */
+} Spans;
+
+/* Integrates spans from a state, as `tc_begin` and `tc_advance` do one by one, and returns how many it
+   has come over. It ends before a span that it cannot finish within the budget and the limit, or whose
+   ends of steps have no room left, at its beginning. Of the settings duration, outputs, longest and
+   scale are those of each span. Of each `progress` says the same as ever; its states at outputs,
+   (states, outputs + 1), begin with that at its start, and follow those of the spans before, as its
+   ends of steps do. Work memory is 3 `states` + `switches` more. */
+EXPORTED int32_t tc_advance_spans(const Scene *scene, const Drive *drive, const Lengths *lengths,
+                                  const Settings *settings, const Spans *spans, Progress *progress,
+                                  double *state, double *states, double *step_times,
+                                  double *step_states, double *step_taut, double *work);
+
 /* Finds what runs by dop853 begin with, from the states of `start`, one a row: largest frequencies as
    `tc_frequency` does, (runs), the largest force on an entry that is free, (runs), and slopes and what
    pulls, one row a run. */

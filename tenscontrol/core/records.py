@@ -132,6 +132,17 @@ class Settings(ctypes.Structure):
     )  # fmt: skip
 
 
+class Spans(ctypes.Structure):
+    """Spans of one motion, one after the other."""
+
+    _fields_ = (
+        ("count", _COUNT), *((name, _POINTER) for name in ("inputs", "duration", "outputs")),
+        *((name, _NUMBER) for name in (
+            "tolerance", "length", "mass", "frequency", "first", "whole", "stable",
+        )),
+    )  # fmt: skip
+
+
 class Runs(ctypes.Structure):
     """Runs of one scene, and what they differ in."""
 

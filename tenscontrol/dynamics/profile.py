@@ -250,15 +250,13 @@ class Pieces:
 
     def least(self, start: float, end: float) -> tuple[float, float]:
         """Return the least value between two times, as looked at often, and when that is."""
-        minima = [(np.inf, start)]
         some = self.within(start, end)
         looks = np.linspace(0.0, 1.0, 2 if self.degree < 2 else _LOOKS)
-        ends = np.append(some.start[1:], end)
-        for a, b, origin, c in zip(
-            np.append(start, ends[:-1]), ends, some.origin, some.coefficients, strict=True
-        ):
-            times = a + (b - a) * looks
-            values = polynomial_at(c, times - origin).min(axis=0, initial=np.inf)
+        first, ends = np.append(start, some.start[1:]), np.append(some.start[1:], end)
+        coefficients, minima = some.coefficients.transpose(1, 2, 0), list[tuple[float, float]]()
+        for look in looks:
+            times = first + (ends - first) * look
+            values = polynomial_at(coefficients, times - some.origin).min(axis=0, initial=np.inf)
             minima.append((float(values.min()), float(times[values.argmin()])))
         return min(minima)
 

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Callable
 from time import perf_counter
 
+import numpy as np
+
+from tenscontrol import validation
 from tenscontrol.arrays import FloatArray
 from tenscontrol.core import records
-from tenscontrol.integrate.core_scene import CoreMotion
+from tenscontrol.integrate.core_scene import CoreMotion, CoreScene
 from tenscontrol.integrate.integrator import (
     IntegrationError,
     IntegrationInterrupt,
     IntegrationPause,
     Report,
     Span,
+    SpanInputs,
     StepEnds,
     Work,
 )
@@ -21,6 +26,9 @@ from tenscontrol.interrupt import check
 
 # Steps in the first call, and seconds that a call should take at most.
 _FIRST, _LONGEST = 64, 0.05
+
+# Steps in a call over several spans, at most.
+_MOST_TRIES = 2048
 
 # Ends of steps that are kept at most, and the numbers that they may have, if that is less.
 _MOST_ENDS, _MOST_NUMBERS = 4096, 8_000_000
@@ -103,3 +111,63 @@ def advance_in_core(
         return span()
     except KeyboardInterrupt:
         raise IntegrationInterrupt(progress.time, span()) from None
+
+
+def spans_in_core(
+    scene: CoreScene,
+    state: FloatArray,
+    given: SpanInputs,
+    settings: records.Settings,
+    work_of: Callable[[records.Progress, float], Work],
+    steps: records.Spans | None = None,
+) -> list[Span]:
+    """Return spans that one call of the core finishes, up to the first that needs another look.
+
+    To the bits of what :func:`advance_in_core` makes of them one by one.
+
+    Parameters
+    ----------
+    scene : CoreScene
+    state : ndarray, shape (states,)
+    given : SpanInputs
+    settings : Settings
+    work_of : callable
+        What a span of such a duration, s, has cost.
+    steps : Spans, optional
+        How DOP853 finds its steps.
+    """
+    n, columns = len(state), given.outputs + 1
+    numbers = np.cumsum(n * columns)
+    given = given.first(int(np.searchsorted(numbers, max(_MOST_NUMBERS, numbers[0]), "right")))
+    settings.budget, count = _MOST_TRIES, len(given.duration)
+    spans = records.Spans() if steps is None else steps
+    outputs = given.outputs.astype(np.int32)
+    held, duration = map(np.ascontiguousarray, (given.held, given.duration))
+    spans.count, spans.outputs = count, records.address(outputs)
+    spans.inputs, spans.duration = records.address(held), records.address(duration)
+    progress = (records.Progress * count)()
+    memory = np.empty(int(numbers[count - 1]))
+    room = settings.room
+    ends = [np.empty(shape) for shape in (room, (room, n), (room, scene.switches))]
+    at = ctypes.byref
+    done = scene.core.tc_advance_spans(
+        at(scene.scene), at(scene.drive(held[0])), at(scene.lengths), at(settings), at(spans),
+        at(progress), *records.pointers(
+            state.copy(), memory, *ends, np.empty(scene.work_size + 3 * n + scene.switches)
+        ),
+    )  # fmt: skip
+    kept = np.cumsum([0, *(now.kept for now in progress[:done])])
+    time, states, taut = (array[: kept[-1]].copy() for array in ends)
+    taut_rows = taut if settings.traces else None
+    finished, first = [], 0
+    for k in range(done):
+        size, some = int(n * columns[k]), slice(kept[k], kept[k + 1])
+        whole = memory[first : first + size].reshape(n, -1)
+        first += size
+        if not (np.abs(whole) <= validation.LARGEST).all():
+            break
+        of_steps = None if taut_rows is None else taut_rows[some].T
+        step_ends = StepEnds(time[some], states[some].T, of_steps)
+        work = work_of(progress[k], float(duration[k]))
+        finished.append(Span(whole[:, 1:], work, whole, step_ends))
+    return finished

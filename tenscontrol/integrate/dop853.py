@@ -11,10 +11,16 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.arrays import FloatArray
-from tenscontrol.core.records import Progress
+from tenscontrol.core.records import Progress, Spans
 from tenscontrol.dynamics.equation import Equation
 from tenscontrol.dynamics.evaluator import Evaluator, Function
-from tenscontrol.integrate.core_run import advance_in_core, reached, room_for, settings_of
+from tenscontrol.integrate.core_run import (
+    advance_in_core,
+    reached,
+    room_for,
+    settings_of,
+    spans_in_core,
+)
 from tenscontrol.integrate.core_scene import CoreMotion, core_scene
 from tenscontrol.integrate.events import Step, Switches, crossings
 from tenscontrol.integrate.integrator import (
@@ -25,12 +31,15 @@ from tenscontrol.integrate.integrator import (
     Integrator,
     Report,
     Span,
+    SpanInputs,
     Trace,
     Work,
     checked_tolerance,
     largest_frequency,
+    longest_member,
     scale_under,
     state_scale,
+    structure_mass,
 )
 from tenscontrol.integrate.projection import NOT_RIGID, Projector, projection, put_on_lengths
 from tenscontrol.interrupt import check
@@ -135,11 +144,9 @@ class DOP853(Integrator):
     ) -> Span:
         """See :meth:`Integrator.advance`."""
         state, held, duration, outputs = self._checked(state, held, duration, outputs, report)
-        before, of_strings = self._held, held[: self._equation.layout.strings]
-        # The frequency is found again only where an input has changed by more than a fifth.
-        if before is None or (np.abs(of_strings - before) > 0.2 * np.abs(before)).any():
+        if self._has_changed(held[None])[0]:
             self._frequency = largest_frequency(self._equation, state, held)
-            self._held = of_strings.copy()
+            self._held = held[: self._equation.layout.strings].copy()
         core = self._core
         if core is None:
             scale = state_scale(self._equation, state, held, self._frequency)
@@ -168,6 +175,32 @@ class DOP853(Integrator):
         trace = Trace() if self.traces else None
         given = _Given(held, duration, duration / outputs, longest, allowed, states, trace)
         return self._advance(given, _Motion(state, slope, taut, step), report)
+
+    def _has_changed(self, held: FloatArray) -> Any:
+        """Return which inputs, (K, inputs), differ so much that the frequency is found again."""
+        if self._held is None:
+            return np.ones(len(held), dtype=bool)
+        of_strings = held[:, : self._equation.layout.strings]
+        return (np.abs(of_strings - self._held) > 0.2 * np.abs(self._held)).any(axis=1)
+
+    def advance_spans(self, state: FloatArray, given: SpanInputs) -> list[Span]:
+        """See :meth:`Integrator.advance_spans`."""
+        changed = np.append(self._has_changed(given.held), True)
+        count = int(changed.argmax())
+        if self._core is None or not count:
+            return []
+        stable, whole, first = _step_rules(self._is_shortened)
+        spans = Spans(
+            tolerance=self.tolerance, length=longest_member(self._equation),
+            mass=structure_mass(self._equation), frequency=self._frequency, first=first,
+            whole=whole, stable=stable,
+        )  # fmt: skip
+        room = room_for(len(state)) if self.keeps_steps or self.traces else 0
+        settings = settings_of(
+            "dop853", 0.0, 0, self._project, limit=self.limit, room=room, traces=self.traces
+        )
+        given = given.first(count)
+        return spans_in_core(self._core, state, given, settings, lambda p, _: work_of(p), spans)
 
     def _advance(self, span: _Given, now: _Motion, report: Report | None) -> Span:
         """Return the states at the outputs of a span."""
@@ -356,13 +389,17 @@ def steps_of(
 
     The first moves the state by a hundredth of its scale.
     """
-    # Longest step over the largest frequency and of the span, and the first of the usual.
-    stable, whole, first = (_SHORTER * _STABLE, 0.5, _SHORTER) if is_shortened else (_STABLE, 1, 1)
+    stable, whole, first = _step_rules(is_shortened)
     speed = np.max(np.abs(slope) / scale, axis=-1, initial=0.0)
     return (
         first * np.minimum(0.01 / np.fmax(speed, 1e-300), duration),
         np.minimum(stable / np.maximum(frequency, 1e-300), whole * duration),
     )
+
+
+def _step_rules(is_shortened: bool) -> tuple[float, float, float]:
+    """Return the longest step over 1/ω and over the span, and the first over the usual one."""
+    return (_SHORTER * _STABLE, 0.5, _SHORTER) if is_shortened else (_STABLE, 1.0, 1.0)
 
 
 def _not_rigid(spacing: float, states: FloatArray, work: Work) -> IntegrationError:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from functools import partial
 from math import ceil
 from typing import final
 
@@ -14,7 +15,13 @@ from tenscontrol.arrays import FloatArray
 from tenscontrol.core.records import Progress
 from tenscontrol.dynamics.equation import Equation
 from tenscontrol.dynamics.evaluator import Evaluator, Function
-from tenscontrol.integrate.core_run import advance_in_core, reached, room_for, settings_of
+from tenscontrol.integrate.core_run import (
+    advance_in_core,
+    reached,
+    room_for,
+    settings_of,
+    spans_in_core,
+)
 from tenscontrol.integrate.core_scene import CoreMotion, core_scene
 from tenscontrol.integrate.events import LATE, Step, Switches, crossings
 from tenscontrol.integrate.integrator import (
@@ -23,6 +30,7 @@ from tenscontrol.integrate.integrator import (
     Integrator,
     Report,
     Span,
+    SpanInputs,
     Trace,
     Work,
 )
@@ -238,16 +246,7 @@ class RK4(FixedStep):
         if self.traces or (self.keeps_steps and inner > 1):
             settings.room, settings.traces = room_for(len(state)), self.traces
         motion = CoreMotion(scene, state, held, settings, scene.taut(state, held))
-
-        def work(progress: Progress) -> Work:
-            steps = round(progress.time / step)
-            return Work(
-                steps=steps + progress.landings,
-                evaluations=4 * progress.tries + 2 * progress.landings + progress.carries,
-                switches=progress.switches,
-                missed=progress.missed,
-                carried=progress.carried,
-            )
+        work = partial(_work_in_core, step=step)
 
         def failure(motion: CoreMotion) -> IntegrationError:
             good = round(motion.progress.time / step) - 1
@@ -255,6 +254,24 @@ class RK4(FixedStep):
             return IntegrationError(not_finite(good, step), step * good, outputs_so_far)
 
         return advance_in_core(motion, work, failure, report)
+
+    def advance_spans(self, state: FloatArray, given: SpanInputs) -> list[Span]:
+        """See :meth:`Integrator.advance_spans`."""
+        if self._core is None:
+            return []
+        pairs = zip(given.duration, given.outputs, strict=True)
+        inner = [self.steps_between(float(duration), int(count)) for duration, count in pairs]
+        total = np.array(inner) * given.outputs
+        settings = settings_of("rk4", 0.0, 0, self._project, step=self.step)
+        if self.traces or (self.keeps_steps and max(inner) > 1):
+            settings.room, settings.traces = room_for(len(state)), self.traces
+            if not self.traces and min(inner) == 1:
+                return []  # of some the ends of steps are kept, of some not
+        steps = dict(zip(given.duration.tolist(), (given.duration / total).tolist(), strict=True))
+        return spans_in_core(
+            self._core, state, given, settings,
+            lambda progress, duration: _work_in_core(progress, steps[duration]),
+        )  # fmt: skip
 
     def step_function(self, equation: Equation) -> ca.Function:
         """See :meth:`FixedStep.step_function`."""
@@ -265,6 +282,17 @@ class RK4(FixedStep):
         k3 = equation.slope(x + h / 2 * k2, half, taut)
         k4 = equation.slope(x + h * k3, end, taut)
         return Function("rk4", [x, u, taut, h], [x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)])
+
+
+def _work_in_core(progress: Progress, step: float) -> Work:
+    """Return the work of RK4 in the core, in steps of a length, s."""
+    return Work(
+        steps=round(progress.time / step) + progress.landings,
+        evaluations=4 * progress.tries + 2 * progress.landings + progress.carries,
+        switches=progress.switches,
+        missed=progress.missed,
+        carried=progress.carried,
+    )
 
 
 def not_finite(good: int, step: float) -> str:

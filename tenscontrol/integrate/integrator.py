@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol import validation
-from tenscontrol.arrays import FloatArray
+from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.dynamics.contact_laws import ContactLaw
 from tenscontrol.dynamics.equation import Equation
 from tenscontrol.dynamics.evaluator import Function, SharedEvaluator
@@ -130,6 +130,28 @@ class Span:
     ends: StepEnds | None = None
 
     __repr__ = short_repr
+
+
+@dataclass(frozen=True, eq=False)
+class SpanInputs:
+    """What K spans that follow one another are integrated under.
+
+    Attributes
+    ----------
+    held : ndarray, shape (K, inputs)
+        u at the start of each.
+    duration : ndarray, shape (K,)
+        s.
+    outputs : ndarray of int, shape (K,)
+    """
+
+    held: FloatArray
+    duration: FloatArray
+    outputs: IntArray
+
+    def first(self, count: int) -> SpanInputs:
+        """Return the first of these."""
+        return SpanInputs(*(array[:count] for array in vars(self).values()))
 
 
 @dataclass(frozen=True)
@@ -334,6 +356,19 @@ class Integrator(ABC):
             If the user interrupts; see :func:`tenscontrol.interrupt.check`.
         """
 
+    def advance_spans(self, state: FloatArray, given: SpanInputs) -> list[Span]:
+        """Return spans that follow one another, as far as they are found together.
+
+        They are what :meth:`advance` returns of one after the other, up to the first that it has to
+        be called for: it fails there, or has to look at something anew. That may be the very first.
+
+        Parameters
+        ----------
+        state : ndarray, shape (states,)
+        given : SpanInputs
+        """
+        return []
+
 
 # ---- scales ----
 
@@ -373,11 +408,17 @@ def scale_under(
     """Return the same under forces of which this is the largest, N."""
     assert equation.structure is not None  # it has forces
     half, size = len(state) // 2, longest_member(equation)
-    mass = equation.prepared.get("mass", partial(moving_mass, equation.structure))
+    mass = structure_mass(equation)
     fastest = np.abs(state[half:]).max(initial=0.0)
     scale = np.empty(2 * half)
     scale[:half], scale[half:] = size, speed_scale(size, mass, fastest, force, frequency)
     return scale
+
+
+def structure_mass(equation: Equation) -> float:
+    """Return the mass that moves, kg."""
+    assert equation.structure is not None  # it has a mass
+    return equation.prepared.get("mass", partial(moving_mass, equation.structure))
 
 
 def longest_member(equation: Equation) -> float:

@@ -19,6 +19,7 @@ from tenscontrol.integrate.integrator import (
     MethodChange,
     Report,
     Span,
+    SpanInputs,
     Work,
 )
 
@@ -145,6 +146,19 @@ class Watched(Integrator):
         self._now += duration
         self._is_over = self._now >= self._end - _SAME * duration
         return motion.span()
+
+    def advance_spans(self, state: FloatArray, given: SpanInputs) -> list[Span]:
+        """See :meth:`Integrator.advance_spans`."""
+        if self._is_over or self._spent >= self._budget:
+            return []
+        method, cost = self._method(self._at_work)
+        method.limit = evaluations_within(self._budget - self._spent, cost)
+        spans = method.advance_spans(state, given)
+        for span, duration in zip(spans, given.duration, strict=False):
+            self._spent += cost * span.work.evaluations
+            self._now += float(duration)
+            self._is_over = self._now >= self._end - _SAME * float(duration)
+        return spans
 
     def _go_on(self, span: _Given, motion: _Motion) -> None:
         """Go on by the method at work, up to its budget."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
@@ -69,32 +68,30 @@ def steps_of(run: PlantRun, load: FloatArray) -> TracedSteps:
     """
     strings = len(run.model.structure.strings)
     layout = InputLayout(strings, load.size, degree=run.degree)
-    begin, length, which, states, inputs, taut = [], [], [], [], [], []
-    for i, (before, span) in enumerate(pairwise(run.spans)):
-        assert span.ends is not None  # it was traced
-        assert span.ends.taut is not None  # so these were kept
-        start = float(before.time[-1])
-        starts = np.append(0.0, span.ends.time[:-1])
-        begin.append(start + starts)
-        length.append(np.diff(span.ends.time, prepend=0.0))
-        which.append(np.full(len(starts), i))
-        states.append(np.column_stack([span.begin, span.ends.states[:, :-1]]))
-        taut.append(span.ends.taut)
-        rows = span.coefficients
-        if len(rows) == strings:
-            constant = np.zeros((load.size, rows.shape[1]))
-            constant[:, 0] = load.ravel(order="F")
-            rows = np.vstack([rows, constant])
-        packed = layout.packed(rows, start - span.origin)
-        packed = np.repeat(packed[:, None], len(starts), axis=1)
-        if layout.degree:
-            packed[-1] += starts
-        inputs.append(packed)
-        last = span.ends.states[:, -1:]
+    spans = run.spans[1:]
+    ends = [span.ends for span in spans if span.ends is not None and span.ends.taut is not None]
+    assert len(ends) == len(spans)  # it was traced
+    counts = np.array([len(of_span.time) for of_span in ends])
+    which = np.repeat(np.arange(len(spans)), counts)
+    until, first = np.concatenate([of_span.time for of_span in ends]), np.cumsum(counts) - counts
+    within = np.append(0.0, until[:-1])
+    within[first] = 0.0
+    begins = np.array([before.time[-1] for before in run.spans[:-1]])
+    states = np.hstack([spans[0].begin[:, None], *(of_span.states for of_span in ends)])
+    states[:, first] = np.stack([span.begin for span in spans], axis=1)
+    rows = np.stack([span.coefficients for span in spans])
+    if rows.shape[1] == strings:
+        constant = np.zeros((len(spans), load.size, rows.shape[2]))
+        constant[..., 0] = load.ravel(order="F")
+        rows = np.concatenate([rows, constant], axis=1)
+    inputs = rows.transpose(2, 1, 0).reshape(-1, len(spans))[:, which]
+    if layout.degree:
+        origins = np.array([span.origin for span in spans])
+        inputs = np.vstack([inputs, (begins - origins)[which] + within])
     method = run.methods[-1]
     how = run.integration
     projects = method == "dop853" if how.project is None else how.project
     return TracedSteps(
-        np.concatenate(begin), np.concatenate(length), np.concatenate(which),
-        np.hstack([*states, last]), np.hstack(inputs), np.hstack(taut), projects, method, layout,
+        begins[which] + within, until - within, which, states, inputs,
+        np.hstack([of_span.taut for of_span in ends]), projects, method, layout,
     )  # fmt: skip

@@ -219,7 +219,8 @@ class Variations:
         ends, parts = self._places
         states = np.repeat(steps.states[:, :1], len(self.times), axis=1)
         for k, which in enumerate(ends):
-            states[:, which] = steps.states[:, [k + 1]]
+            if len(which):
+                states[:, which] = steps.states[:, [k + 1]]
         plan = [(k, length, i) for k, own in enumerate(parts) for length, i in own]
         if isinstance(self._stepper, ImplicitSteps):
             for k, length, i in plan:

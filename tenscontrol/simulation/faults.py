@@ -214,6 +214,11 @@ class Faults:
             if isinstance(fault, StuckWinch):
                 _refuse_index(i, fault.string, winches, "strings of the controller")
 
+    @property
+    def cuts(self) -> bool:
+        """Whether strings are cut."""
+        return bool(self._cuts)
+
     def cut_times(self, start: float, end: float) -> list[float]:
         """Return when strings are cut after ``start`` and before ``end``, ascending, s."""
         return sorted({cut.time for cut in self._cuts if start < cut.time < end})

@@ -21,16 +21,21 @@ from tenscontrol.integrate.integrator import (
     IntegrationInterrupt,
     Integrator,
     Span,
+    SpanInputs,
     StepEnds,
     Work,
 )
 from tenscontrol.integrate.methods import METHODS, Choice, choose
 from tenscontrol.integrate.watched import Watched
+from tenscontrol.interrupt import check
 from tenscontrol.simulation.driven_bars import DrivenBars
 from tenscontrol.simulation.faults import Faults
 from tenscontrol.simulation.integration import Integration
 from tenscontrol.simulation.motion_functions import BLOCK, MotionFunctions
 from tenscontrol.simulation.moving_supports import MovingSupports
+
+# Spans from which on they are integrated together, where they can be.
+_FEW_SPANS = 2
 
 
 class StoppedError(Exception):
@@ -238,10 +243,51 @@ class PlantRun:
         close = 1e-9 * duration
         within = self.now + close, end - close
         cuts = sorted({*self.faults.cut_times(*within), *inputs.breaks(*within)})
+        durations, now = list[float](), self.now
         for cut in cuts:
-            state = self._run_span(state, inputs, cut - self.now, close)
-            duration = end - cut
-        return self._run_span(state, inputs, duration, close)
+            durations.append(cut - now)
+            now, duration = now + durations[-1], end - cut
+        durations.append(duration)
+        while durations:
+            count = self._run_spans(state, inputs, durations, close)
+            if count:
+                del durations[:count]
+                state = self.spans[-1].states[:, -1]
+            else:
+                state = self._run_span(state, inputs, durations.pop(0), close)
+        return state
+
+    def _run_spans(
+        self, state: FloatArray, inputs: Pieces, durations: list[float], close: float
+    ) -> int:
+        """Integrate over spans that need no other look than the first; return how many."""
+        moved = self.supports is not None or self.bars is not None or self.faults.cuts
+        if moved or len(durations) < _FEW_SPANS or not self.spans:
+            return 0
+        check()
+        starts = np.array([self.now, *durations[:-1]]).cumsum()
+        piece = inputs.index(starts + close)
+        coefficients = inputs.with_degree(self.degree).coefficients[piece]
+        held = coefficients.transpose(0, 2, 1).reshape(len(piece), -1)
+        if self.degree:
+            held = np.column_stack([held, starts - inputs.origin[piece]])
+        outputs = np.array([self._outputs(duration) for duration in durations])
+        given = SpanInputs(held, np.array(durations), outputs)
+        spans = self.integrator.advance_spans(state, given)
+        for i, span in enumerate(spans):
+            times = self.now + durations[i] * np.arange(1, outputs[i] + 1) / outputs[i]
+            of_input = float(inputs.origin[piece[i]]), coefficients[i], self.lost_energy
+            self._keep(RunSpan(times, span.states, state, *of_input, None, span.whole, span.ends))
+            self.work += span.work
+            self.now += durations[i]
+            state = span.states[:, -1]
+        if spans and self.report is not None:
+            self.report(self.now)
+        return len(spans)
+
+    def _outputs(self, duration: float) -> int:
+        """Return how many states are kept in so long a span."""
+        return max(1, ceil(duration / self.output_step - 1e-9))
 
     def _release(self, state: FloatArray, time: float) -> None:
         """Count the energy that strings store which are cut at a time."""
@@ -279,7 +325,7 @@ class PlantRun:
             self._keep(
                 RunSpan(first, state[:, None], state, origin, coefficients, self.lost_energy)
             )
-        outputs = max(1, ceil(duration / self.output_step - 1e-9))
+        outputs = self._outputs(duration)
 
         def add(span: Span) -> None:
             times = start + duration * np.arange(1, span.states.shape[1] + 1) / outputs

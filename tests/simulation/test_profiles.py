@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
+from tenscontrol.core.library import library
 from tenscontrol.dynamics.equation import pack_state
 from tenscontrol.dynamics.profile import as_pieces
 from tenscontrol.integrate import Method
@@ -409,6 +410,36 @@ def test_the_estimate_of_the_error_knows_the_pieces():
 
 
 HELD = Method("held", ("step",), "knows no time", METHODS["rk4"].make)
+
+
+@pytest.mark.skipif(library() is None, reason="installed without a compiler")
+@pytest.mark.parametrize("method", ["auto", "rk4", "dop853"])
+@pytest.mark.parametrize("interpolation", ["hold", "linear"])
+def test_pieces_in_one_call_are_those_one_by_one(method, interpolation, prism, monkeypatch):
+    random, count = np.random.default_rng(2), 12
+    lengths = prism.string_length()[:, None] * random.uniform(0.95, 1.05, (9, count))
+    lengths[:, 8] *= 0.7  # so much that the frequency is found anew
+    wound = tc.Profile(np.arange(count) / 40, lengths, interpolation)
+    ground = tc.Ground(2e3, damping=0.3, height=float(prism.nodes[2].min()) - 0.02)
+    model = tc.Model(prism, tc.LinearStrings(300.0), gravity=9.81, ground=ground)
+    how = {"method": method} | ({"step": 3e-3} if method == "rk4" else {})
+    limits = tc.HealthLimits(position_error=None, energy_error=None)
+
+    def run():
+        return tc.simulate(model, 0.3, rest_length=wound, limits=limits, **how)
+
+    together, finished = run(), []
+    advance = PlantRun._run_spans
+    monkeypatch.setattr(
+        PlantRun, "_run_spans", lambda *given: finished.append(advance(*given)) or finished[-1]
+    )
+    run()
+    assert sum(finished) > count / 2
+    monkeypatch.setattr(PlantRun, "_run_spans", lambda *_: 0)
+    one_by_one = run()
+    assert together.work == one_by_one.work
+    for name in ("time", "nodes", "velocities", "error"):
+        np.testing.assert_array_equal(getattr(together, name), getattr(one_by_one, name))
 
 
 @pytest.mark.parametrize(
