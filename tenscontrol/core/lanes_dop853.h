@@ -1,10 +1,11 @@
 /* Steps of dop853 of many runs, some side by side, each with its own time and step.
 
-   Some groups of runs, one a lane, are at work together. All try a step; those that may switch in it
-   are then gathered from all groups, so that few lanes are idle while steps are cut. The place of a
-   run that is over goes to the next run, or to the last of those at work. */
+   Some groups of runs, one a lane, are at work together. All try a step. Where most runs of a group
+   may switch in it, their steps are cut at once; others that may are gathered from all groups, so that
+   few lanes are idle while steps are cut. The place of a run that is over goes to the next run, or to
+   the last of those at work. */
 
-enum { GROUPS_AT_WORK = 4, PLACES = GROUPS_AT_WORK * WIDTH };
+enum { GROUPS_AT_WORK = 4, PLACES = GROUPS_AT_WORK * WIDTH, MOST_LANES = (3 * WIDTH + 3) / 4 };
 
 /* Runs at work. A group has what runs change, then what they are given, then that of its step. */
 typedef struct {
@@ -80,7 +81,8 @@ static Truth first_lanes(int count) {
   return is_less > 0;
 }
 
-/* Tries a step in a group; returns in how many places strings may switch in it, and which. */
+/* Tries a step in a group; returns in how many places strings may switch in it and are to be gathered,
+   and which. */
 static int step_group(Pool *pool, int first, int *crossed) {
   Dop853 *method = work_on(pool, group_at(pool, first), pool->run + first);
   const Truth good = first_lanes(pool->count - first) & try_step(method);
@@ -89,7 +91,9 @@ static int step_group(Pool *pool, int first, int *crossed) {
   if (any(whole)) end_steps(method, whole);
   for (int i = 0; i < WIDTH; ++i)
     if (is_in(others, i)) crossed[count++] = first + i;
-  return count;
+  if (count < MOST_LANES) return count;
+  pass_switches(method, others);
+  return 0;
 }
 
 /* Ends the steps of as many runs as there are lanes at switches. */
