@@ -64,10 +64,7 @@ for name, slope in SLOPES.items():
         controller=gait,
         winches=winches,
         rest_length=REST_LENGTH,
-        method="cvodes",
-        tolerance=1e-5,
         output_step=SAMPLE,
-        limits=tc.HealthLimits(position_error=0.1),  # a tenth of the ball, after 15 s on the ground
     )
     moved = direction @ (run.nodes[:, :, -1] - run.nodes[:, :, 0]).mean(axis=1)
     print(

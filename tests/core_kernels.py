@@ -322,7 +322,9 @@ def coefficients() -> str:
     share = ", ".join(repr(float(a)) for a in _interpolant_error())
     lines.append("/* What the interpolant errs at a part of a step, over the error estimate. */")
     lines.append(f"static const double INTERPOLANT_ERROR[] = {{{share}}};")
-    lines.append("/* Those of DOPRI5, II.5: a step of order 5, with the slope at its end for its error. */")
+    lines.append(
+        "/* Those of DOPRI5, II.5: a step of order 5, with the slope at its end for its error. */"
+    )
     for k, (a, c) in enumerate(zip(RK45.A[1:], RK45.C[1:], strict=True), 1):
         lines += [sums(f"SHORT_STAGE_{k}", a), f"#define SHORT_TIME_{k} {float(c)!r}"]
     lines += [sums("SHORT_END", RK45.B), sums("SHORT_ERROR", RK45.E)]

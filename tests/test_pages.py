@@ -104,7 +104,7 @@ def test_faults(capsys, tmp_path, monkeypatch):
 
 
 def test_ground():
-    names = ran("ground", **{"    15.0,": "    0.5,", "rough, 1.0,": "rough, 0.4,"})
+    names = ran("ground", **{"model, 15.0,": "model, 0.5,", "rough, 1.0,": "rough, 0.4,"})
     assert names["bounced"].nodes[0].max() < 1.05  # in front of the wall
     assert -0.96 < names["landed"].nodes[2].min() < -0.9
     assert names["stance"].contacts.normal_force.sum() == pytest.approx(6 * 9.81, rel=1e-9)

@@ -163,8 +163,7 @@ class RollingGait:
     >>> gait = tc.shape.RollingGait(model, 0.55, direction=[1.0, 0.0, 0.0], sample_time=0.05,
     ...                             winches=winches, steps=1)
     >>> nodes = tc.plant.set_down(model, [0, 4, 8])
-    >>> run = tc.simulate(model, 3.5, nodes, controller=gait, winches=winches, rest_length=0.55,
-    ...                   method="cvodes", tolerance=1e-5)
+    >>> run = tc.simulate(model, 3.5, nodes, controller=gait, winches=winches, rest_length=0.55)
     >>> [step.landed.tolist() for step in gait.made]
     [[4, 8, 10]]
     """

@@ -24,13 +24,12 @@ import tenscontrol as tc
 from tests.benchmarks.command_line import options
 
 COUNT, SEED, STEPS, SLOPES = 100, 0, 5, (0.0, 5.0)  # degrees
-PLANE = {"method": "cvodes", "tolerance": 1e-5}
 ROUGH = {
     "method": "rk4",
     "step": 5e-4,
     "project": True,
     "error": "none",
-}  # cvodes: ten times as long
+}
 SAMPLE, REST_LENGTH, PART, LONGEST = 0.05, 0.55, 2.0, 40.0  # s, m, s, s
 WINCHES = tc.Winches(rate=0.2, shortest=0.35, longest=0.8, ramp=True)
 FACE = [0, 4, 8]
@@ -152,7 +151,7 @@ def rolled(slope, steps, driven=24, payload=0.0, yaw=0.0, roughness=0.0, **param
         runs.append(
             tc.simulate(
                 model, PART, controller=gait, winches=WINCHES, output_step=SAMPLE, **start,
-                **(ROUGH if roughness else PLANE),
+                **(ROUGH if roughness else {}),
             )
         )  # fmt: skip
     return gait, runs
