@@ -122,16 +122,28 @@ def kernels() -> str:
 
 def _of_bodies(d: int) -> list[str]:
     B, Bd, start, end = (ca.SX.sym(name, d) for name in ("B", "Bd", "start", "end"))
-    mass = ca.SX.sym("mass")
-    given = {"bar": B, "rate": Bd}
-    at_start, at_end, _ = kernel.free_bar(B, Bd, start, end, mass)
-    at_tip, _ = kernel.swinging_bar(B, Bd, end, mass)
-    return [
-        *with_constants(f"free_bar_{d}", {**given, "on_start": start, "on_end": end}, mass,
-                        {"start": at_start, "end": at_end}),
-        *with_constants(f"swinging_bar_{d}", {**given, "on_tip": end}, mass, {"tip": at_tip}),
-        printed(f"coupled_bar_{d}", {"rate": Bd}, {"right": -kernel.dots(Bd, Bd)}),
-    ]  # fmt: skip
+    mass, extension = ca.SX.sym("mass"), ca.SX.sym("extension")
+    texts, constants = list[str](), list[str]()
+    for name, own in (("", None), ("driven_", extension)):
+        given = {"bar": B, "rate": Bd} | ({} if own is None else {"extension": own})
+        at_start, at_end, _ = kernel.free_bar(B, Bd, start, end, mass, own)
+        at_tip, _ = kernel.swinging_bar(B, Bd, end, mass, own)
+        of_bars = (
+            with_constants(f"{name}free_bar_{d}", {**given, "on_start": start, "on_end": end}, mass,
+                           {"start": at_start, "end": at_end}),
+            with_constants(f"{name}swinging_bar_{d}", {**given, "on_tip": end}, mass,
+                           {"tip": at_tip}),
+        )  # fmt: skip
+        of_masses = [bar[1].replace("driven_", "") for bar in of_bars]
+        if own is None:
+            texts, constants = [text for bar in of_bars for text in bar], of_masses
+        else:  # they take the same of their masses
+            assert of_masses == constants
+            texts += [bar[-1] for bar in of_bars]
+        del given["bar"]
+        right = {"right": -kernel.turning(Bd, own)}
+        texts.append(printed(f"{name}coupled_bar_{d}", given, right))
+    return texts
 
 
 def _of_segments(d: int) -> list[str]:

@@ -136,7 +136,7 @@ SHARED Number carry(Span *span, Truth meant, const Tried *step, Number *x, Numbe
     }
   }
   for (int i = 0; i < 2 * half; ++i) dx[i] += x[i];
-  restore_bars(span, dx);
+  restore_bars(span, dx, step->time + h);
   for (int i = 0; i < 2 * half; ++i) x[i] = choice(meant, dx[i], x[i]);
   if (defect) {
     slope_at(span, x, step->time + h, step->taut, defect);

@@ -71,14 +71,17 @@ typedef struct {
   const double *block_mass;                  /* (factors + unknowns + 1) */
   const int32_t *factor_row, *factor_first, *factor_pair;
   const int32_t *block_row, *block_place;    /* (block_rows): among the entries, the unknowns */
+  /* Where lengths are driven: which of all bars they are. */
+  const int32_t *free_bar, *swinging_bar, *block_bar; /* (free_bars), ... (block_bars) */
 } Scene;
 
 /* The inputs of a span as polynomials in time: coefficients of power 0 of all values, of power 1, and
-   so on. Values are those of strings, then loads on all entries, then displacements of all. */
+   so on. Values are those of strings, then loads on all entries, then displacements of all, then lengths
+   of all bars, m. */
 typedef struct {
   const double *coefficients;
   double begin; /* time of the polynomials at the start of the span, s */
-  int32_t count, degree, is_loaded, is_moved;
+  int32_t count, degree, is_loaded, is_moved, is_driven;
 } Drive;
 
 /* A block of bars that nothing holds: it is turned as one body to keep its angular momentum. */
@@ -90,7 +93,7 @@ typedef struct {
   const double *point_mass;
 } Body;
 
-/* Bars that are put on their lengths after a step, m. */
+/* Bars that are put on their lengths after a step, m, or on those of their drives. */
 typedef struct {
   const double *bar_length, *tip_length; /* (free_bars), (swinging_bars) */
   const double *block_length;            /* (block_bars) */
@@ -200,7 +203,7 @@ EXPORTED void tc_taut(const Scene *scene, const Drive *drive, const double *stat
 EXPORTED double tc_begin(const Scene *scene, const Drive *drive, const double *state, double *taut,
                          double *slope, double *work);
 
-/* Puts the bars of a state on their lengths. */
+/* Puts the bars of a state on their lengths at the start of a span. */
 EXPORTED void tc_restore(const Scene *scene, const Drive *drive, const Lengths *lengths,
                          double *state, double *work);
 

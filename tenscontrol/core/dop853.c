@@ -117,7 +117,7 @@ static void step_of(Dop853 *m, Number h, Number *x1) {
   STAGE(1); STAGE(2); STAGE(3); STAGE(4); STAGE(5); STAGE(6);
   STAGE(7); STAGE(8); STAGE(9); STAGE(10); STAGE(11);
   sum_end(x, h, K, x1, n);
-  restore_bars(m->span, x1);
+  restore_bars(m->span, x1, m->now->time + h);
 }
 
 #define SHORT(k)                                                                            \
@@ -145,7 +145,7 @@ static void short_step_of(Dop853 *m, Number h, Number *x1) {
   memcpy(K, m->slope, n * sizeof *K);
   SHORT_STAGE(1); SHORT_STAGE(2); SHORT_STAGE(3); SHORT_STAGE(4); SHORT_STAGE(5);
   short_sum_end(x, h, K, x1, n);
-  restore_bars(m->span, x1);
+  restore_bars(m->span, x1, m->now->time + h);
 }
 
 /* The root mean square of the error over the state, as part of what it may be. */
@@ -227,7 +227,7 @@ WIDE static void within(const Number *restrict x, const Number *restrict interpo
 static void place_inside(void *by, Number part, Number *x1) {
   Dop853 *m = by;
   within(m->x, m->interpolant, part * m->now->h / m->reach, x1, m->span->states);
-  restore_bars(m->span, x1);
+  restore_bars(m->span, x1, m->now->time + part * m->now->h);
 }
 
 /* A step of the order that is due. */
@@ -322,7 +322,7 @@ static void write_outputs_until(Dop853 *m, Truth meant, Number until, int is_on_
     if (!any(due)) return;
     if (is_on_path) on_path(m->span, now->taken, past / now->taken, m->y);
     else within(m->x, m->interpolant, past / m->reach, m->y, m->span->states);
-    restore_bars(m->span, m->y);
+    restore_bars(m->span, m->y, next);
     m->emit(m->emitter, due, now->done, m->y);
     now->done += truth(due);
   }

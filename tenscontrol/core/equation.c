@@ -170,10 +170,10 @@ SHARED void slope_of(const Scene *s, const Number *state, const Input *input, co
   end_rates = moved(v, input->offset_rate, w.end_rates, s->entries);
   if (s->dimension == 2) {
     forces_2(s, ends, end_rates, input, taut, w.f, &w);
-    accelerations_2(s, p, v, w.f, a, &w);
+    accelerations_2(s, p, v, w.f, input->extension, a, &w);
   } else {
     forces_3(s, ends, end_rates, input, taut, w.f, &w);
-    accelerations_3(s, p, v, w.f, a, &w);
+    accelerations_3(s, p, v, w.f, input->extension, a, &w);
   }
   memcpy(slope, state + s->free, s->free * sizeof(Number));
   if (s->free_row)

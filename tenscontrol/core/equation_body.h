@@ -150,8 +150,8 @@ static inline void N(difference)(const Number *from, int start, int end, Number 
   for (int k = 0; k < D; ++k) to[k] = from[end + k] - from[start + k];
 }
 
-static void N(coupled)(const Scene *s, const Number *p, const Number *v, const Number *f, Number *a,
-                       const Work *w) {
+static void N(coupled)(const Scene *s, const Number *p, const Number *v, const Number *f,
+                       const Number *extension, Number *a, const Work *w) {
   Number *K = w->factors, *y = w->unknowns;
   memcpy(K, s->block_mass, (s->factors + s->unknowns + 1) * sizeof *K);
   for (int i = 0; i < s->block_rows; ++i) y[s->block_place[i]] = f[s->block_row[i]];
@@ -163,17 +163,17 @@ static void N(coupled)(const Scene *s, const Number *p, const Number *v, const N
       K[s->entry_end[D * i + k]] = bar[k];
       K[s->entry_start[D * i + k]] = -bar[k];
     }
-    N(coupled_bar)(rate, y + s->right_place[i]);
+    if (extension) N(driven_coupled_bar)(rate, extension[s->block_bar[i]], y + s->right_place[i]);
+    else N(coupled_bar)(rate, y + s->right_place[i]);
   }
   factorize(s, K);
   solve(s, K, y);
   for (int i = 0; i < s->block_rows; ++i) a[s->block_row[i]] = y[s->block_place[i]];
 }
 
-/* Accelerations of all entries; those that supports hold are left as they are. */
-WIDE static void N(accelerations)(const Scene *s, const Number *restrict p,
-                                  const Number *restrict v, const Number *restrict f,
-                                  Number *restrict a, const Work *w) {
+/* Accelerations of the ends of bars that share no nodes. */
+WIDE static void N(alone)(const Scene *s, const Number *restrict p, const Number *restrict v,
+                          const Number *restrict f, Number *restrict a) {
   for (int i = 0; i < s->free_bars; ++i) {
     const int start = s->bar_start[i], end = s->bar_end[i];
     Number bar[D], rate[D];
@@ -189,10 +189,41 @@ WIDE static void N(accelerations)(const Scene *s, const Number *restrict p,
     N(swinging_bar)(bar, rate, f + s->tip[i], numbers(s->tip_constants) + SWINGING_BAR_2_CONSTANTS * i,
                     a + s->tip[i]);
   }
+}
+
+/* The same where lengths are driven. */
+WIDE static void N(driven_alone)(const Scene *s, const Number *restrict p, const Number *restrict v,
+                                 const Number *restrict f, const Number *restrict extension,
+                                 Number *restrict a) {
+  for (int i = 0; i < s->free_bars; ++i) {
+    const int start = s->bar_start[i], end = s->bar_end[i];
+    Number bar[D], rate[D];
+    N(difference)(p, start, end, bar);
+    N(difference)(v, start, end, rate);
+    N(driven_free_bar)(bar, rate, extension[s->free_bar[i]], f + start, f + end,
+                       numbers(s->bar_constants) + FREE_BAR_2_CONSTANTS * i, a + start, a + end);
+  }
+  for (int i = 0; i < s->swinging_bars; ++i) {
+    Number bar[D], rate[D];
+    N(difference)(p, s->hinge[i], s->tip[i], bar);
+    N(difference)(v, s->hinge[i], s->tip[i], rate);
+    N(driven_swinging_bar)(bar, rate, extension[s->swinging_bar[i]], f + s->tip[i],
+                           numbers(s->tip_constants) + SWINGING_BAR_2_CONSTANTS * i, a + s->tip[i]);
+  }
+}
+
+/* Accelerations of all entries; those that supports hold are left as they are. `extension` is null
+   where lengths of bars are constant. */
+WIDE static void N(accelerations)(const Scene *s, const Number *restrict p,
+                                  const Number *restrict v, const Number *restrict f,
+                                  const Number *restrict extension, Number *restrict a,
+                                  const Work *w) {
+  if (extension) N(driven_alone)(s, p, v, f, extension, a);
+  else N(alone)(s, p, v, f, a);
   for (int i = 0; i < s->points; ++i)
     for (int k = 0; k < D; ++k)
       a[s->point[i] + k] = f[s->point[i] + k] * numbers(s->point_inverse_mass)[i];
-  if (s->block_bars) N(coupled)(s, p, v, f, a, w);
+  if (s->block_bars) N(coupled)(s, p, v, f, extension, a, w);
 }
 
 /* Adds the pull of a few strings, those whose weight is not zero. */
@@ -226,7 +257,7 @@ static void N(weighed)(const Scene *s, const Number *p, const Number *ends, cons
     if (s->ground[i].first_switch >= 0)
       N(touch)(s, i, ends, rates, weight + s->slacking + s->ground[i].first_switch, w->f);
   memset(w->v, 0, s->entries * sizeof(Number));
-  N(accelerations)(s, p, w->v, w->f, a, w);
+  N(accelerations)(s, p, w->v, w->f, 0, a, w);
 }
 
 /* Gaps of a few strings, those that are marked. */

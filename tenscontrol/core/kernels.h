@@ -97,6 +97,77 @@ static inline void coupled_bar_2(const Number *rate, Number *right) {
   *right = t5;
 }
 
+static inline void driven_free_bar_2(const Number *bar, const Number *rate, const Number extension, const Number *on_start, const Number *on_end, const Number *constants, Number *start, Number *end) {
+  const Number t2 = on_start[0] + on_end[0];
+  const Number t4 = t2 * constants[0];
+  const Number t5 = on_end[0] - on_start[0];
+  const Number t7 = t5 * constants[1];
+  const Number t12 = rate[0] * rate[0];
+  const Number t14 = rate[1] * rate[1];
+  const Number t15 = t12 + t14;
+  const Number t17 = t15 - extension;
+  const Number t18 = constants[2] * t17;
+  const Number t19 = bar[0] * t5;
+  const Number t23 = on_end[1] - on_start[1];
+  const Number t24 = bar[1] * t23;
+  const Number t25 = t19 + t24;
+  const Number t27 = t25 / 2.0;
+  const Number t28 = t18 + t27;
+  const Number t29 = bar[0] * bar[0];
+  const Number t30 = bar[1] * bar[1];
+  const Number t31 = t29 + t30;
+  const Number t32 = t28 / t31;
+  const Number t33 = constants[3] * t32;
+  const Number t34 = bar[0] * t33;
+  const Number t35 = t7 - t34;
+  const Number t36 = t4 - t35;
+  start[0] = t36;
+  const Number t38 = on_start[1] + on_end[1];
+  const Number t39 = t38 * constants[0];
+  const Number t40 = t23 * constants[1];
+  const Number t41 = bar[1] * t33;
+  const Number t42 = t40 - t41;
+  const Number t43 = t39 - t42;
+  start[1] = t43;
+  const Number t45 = t4 + t35;
+  end[0] = t45;
+  const Number t47 = t39 + t42;
+  end[1] = t47;
+}
+
+static inline void driven_swinging_bar_2(const Number *bar, const Number *rate, const Number extension, const Number *on_tip, const Number *constants, Number *tip) {
+  const Number t4 = rate[0] * rate[0];
+  const Number t6 = rate[1] * rate[1];
+  const Number t7 = t4 + t6;
+  const Number t9 = t7 - extension;
+  const Number t10 = constants[0] * t9;
+  const Number t11 = bar[0] * on_tip[0];
+  const Number t14 = bar[1] * on_tip[1];
+  const Number t15 = t11 + t14;
+  const Number t16 = t10 + t15;
+  const Number t17 = bar[0] * bar[0];
+  const Number t18 = bar[1] * bar[1];
+  const Number t19 = t17 + t18;
+  const Number t20 = t16 / t19;
+  const Number t21 = bar[0] * t20;
+  const Number t22 = on_tip[0] - t21;
+  const Number t24 = t22 * constants[1];
+  tip[0] = t24;
+  const Number t26 = bar[1] * t20;
+  const Number t27 = on_tip[1] - t26;
+  const Number t28 = t27 * constants[1];
+  tip[1] = t28;
+}
+
+static inline void driven_coupled_bar_2(const Number *rate, const Number extension, Number *right) {
+  const Number t1 = rate[0] * rate[0];
+  const Number t3 = rate[1] * rate[1];
+  const Number t4 = t1 + t3;
+  const Number t6 = t4 - extension;
+  const Number t7 = -t6;
+  *right = t7;
+}
+
 static inline void pulling_length_2(const Number *segment, const Number rest, Number *length) {
   const Number t1 = segment[0] * segment[0];
   const Number t3 = segment[1] * segment[1];
@@ -427,6 +498,105 @@ static inline void coupled_bar_3(const Number *rate, Number *right) {
   const Number t7 = t4 + t6;
   const Number t8 = -t7;
   *right = t8;
+}
+
+static inline void driven_free_bar_3(const Number *bar, const Number *rate, const Number extension, const Number *on_start, const Number *on_end, const Number *constants, Number *start, Number *end) {
+  const Number t2 = on_start[0] + on_end[0];
+  const Number t4 = t2 * constants[0];
+  const Number t5 = on_end[0] - on_start[0];
+  const Number t7 = t5 * constants[1];
+  const Number t12 = rate[0] * rate[0];
+  const Number t14 = rate[1] * rate[1];
+  const Number t15 = t12 + t14;
+  const Number t17 = rate[2] * rate[2];
+  const Number t18 = t15 + t17;
+  const Number t20 = t18 - extension;
+  const Number t21 = constants[2] * t20;
+  const Number t22 = bar[0] * t5;
+  const Number t26 = on_end[1] - on_start[1];
+  const Number t27 = bar[1] * t26;
+  const Number t28 = t22 + t27;
+  const Number t32 = on_end[2] - on_start[2];
+  const Number t33 = bar[2] * t32;
+  const Number t34 = t28 + t33;
+  const Number t36 = t34 / 2.0;
+  const Number t37 = t21 + t36;
+  const Number t38 = bar[0] * bar[0];
+  const Number t39 = bar[1] * bar[1];
+  const Number t40 = t38 + t39;
+  const Number t41 = bar[2] * bar[2];
+  const Number t42 = t40 + t41;
+  const Number t43 = t37 / t42;
+  const Number t44 = constants[3] * t43;
+  const Number t45 = bar[0] * t44;
+  const Number t46 = t7 - t45;
+  const Number t47 = t4 - t46;
+  start[0] = t47;
+  const Number t49 = on_start[1] + on_end[1];
+  const Number t50 = t49 * constants[0];
+  const Number t51 = t26 * constants[1];
+  const Number t52 = bar[1] * t44;
+  const Number t53 = t51 - t52;
+  const Number t54 = t50 - t53;
+  start[1] = t54;
+  const Number t56 = on_start[2] + on_end[2];
+  const Number t57 = t56 * constants[0];
+  const Number t58 = t32 * constants[1];
+  const Number t59 = bar[2] * t44;
+  const Number t60 = t58 - t59;
+  const Number t61 = t57 - t60;
+  start[2] = t61;
+  const Number t63 = t4 + t46;
+  end[0] = t63;
+  const Number t65 = t50 + t53;
+  end[1] = t65;
+  const Number t67 = t57 + t60;
+  end[2] = t67;
+}
+
+static inline void driven_swinging_bar_3(const Number *bar, const Number *rate, const Number extension, const Number *on_tip, const Number *constants, Number *tip) {
+  const Number t4 = rate[0] * rate[0];
+  const Number t6 = rate[1] * rate[1];
+  const Number t7 = t4 + t6;
+  const Number t9 = rate[2] * rate[2];
+  const Number t10 = t7 + t9;
+  const Number t12 = t10 - extension;
+  const Number t13 = constants[0] * t12;
+  const Number t14 = bar[0] * on_tip[0];
+  const Number t17 = bar[1] * on_tip[1];
+  const Number t18 = t14 + t17;
+  const Number t21 = bar[2] * on_tip[2];
+  const Number t22 = t18 + t21;
+  const Number t23 = t13 + t22;
+  const Number t24 = bar[0] * bar[0];
+  const Number t25 = bar[1] * bar[1];
+  const Number t26 = t24 + t25;
+  const Number t27 = bar[2] * bar[2];
+  const Number t28 = t26 + t27;
+  const Number t29 = t23 / t28;
+  const Number t30 = bar[0] * t29;
+  const Number t31 = on_tip[0] - t30;
+  const Number t33 = t31 * constants[1];
+  tip[0] = t33;
+  const Number t35 = bar[1] * t29;
+  const Number t36 = on_tip[1] - t35;
+  const Number t37 = t36 * constants[1];
+  tip[1] = t37;
+  const Number t39 = bar[2] * t29;
+  const Number t40 = on_tip[2] - t39;
+  const Number t41 = t40 * constants[1];
+  tip[2] = t41;
+}
+
+static inline void driven_coupled_bar_3(const Number *rate, const Number extension, Number *right) {
+  const Number t1 = rate[0] * rate[0];
+  const Number t3 = rate[1] * rate[1];
+  const Number t4 = t1 + t3;
+  const Number t6 = rate[2] * rate[2];
+  const Number t7 = t4 + t6;
+  const Number t9 = t7 - extension;
+  const Number t10 = -t9;
+  *right = t10;
 }
 
 static inline void pulling_length_3(const Number *segment, const Number rest, Number *length) {

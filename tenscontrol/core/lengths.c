@@ -5,7 +5,7 @@
 #include "motion.h"
 
 /* Scales the vector from one end of a bar to its length, and removes what its rate has along it. */
-static inline void restore(const Number *bar, const Number *rate, double length, int d,
+static inline void restore(const Number *bar, const Number *rate, Number length, int d,
                            Number *new_bar, Number *new_rate) {
   Number square = all(0), along = all(0), scale;
   for (int k = 0; k < d; ++k) {
@@ -19,11 +19,24 @@ static inline void restore(const Number *bar, const Number *rate, double length,
   }
 }
 
+/* The length of a bar among those of a kind: that of its drive, if lengths are driven. */
+static inline Number length_of(const Input *input, const int32_t *bars, int i, const double *own) {
+  return input->length ? input->length[bars[i]] : all(own[i]);
+}
+
+/* Adds to the rate of a bar what its drive stretches it by. */
+static inline void stretch(const Input *input, const int32_t *bars, int i, int d, const Number *bar,
+                           Number *rate) {
+  if (!input->length) return;
+  for (int k = 0; k < d; ++k)
+    rate[k] += bar[k] * (input->length_rate[bars[i]] / input->length[bars[i]]);
+}
+
 /* Puts bars that share no nodes on their lengths: the nearest state in the metric of the mass.
 
    Rates are scaled by the inverse, so that the cross product of bar and rate stays. Centres, string
    nodes and hinges stay, and momenta with them, to round-off. */
-static void restore_alone(Span *span, Number *x) {
+static void restore_alone(Span *span, const Input *input, Number *x) {
   const Scene *s = span->scene;
   const int d = s->dimension, free = s->free;
   for (int i = 0; i < s->free_bars; ++i) {
@@ -33,7 +46,9 @@ static void restore_alone(Span *span, Number *x) {
       bar[k] = b[k] - a[k];
       rate[k] = b[free + k] - a[free + k];
     }
-    restore(bar, rate, span->lengths->bar_length[i], d, new_bar, new_rate);
+    restore(bar, rate, length_of(input, s->free_bar, i, span->lengths->bar_length), d, new_bar,
+            new_rate);
+    stretch(input, s->free_bar, i, d, new_bar, new_rate);
     for (int k = 0; k < d; ++k) {
       const Number centre = (a[k] + b[k]) / 2, speed = (a[free + k] + b[free + k]) / 2;
       a[k] = centre - new_bar[k] / 2;
@@ -47,7 +62,9 @@ static void restore_alone(Span *span, Number *x) {
     const Number *hinge = numbers(s->place) + s->hinge[i];
     Number bar[3], new_bar[3], new_rate[3];
     for (int k = 0; k < d; ++k) bar[k] = b[k] - hinge[k];
-    restore(bar, b + free, span->lengths->tip_length[i], d, new_bar, new_rate);
+    restore(bar, b + free, length_of(input, s->swinging_bar, i, span->lengths->tip_length), d,
+            new_bar, new_rate);
+    stretch(input, s->swinging_bar, i, d, new_bar, new_rate);
     for (int k = 0; k < d; ++k) {
       b[k] = hinge[k] + new_bar[k];
       b[free + k] = new_rate[k];
@@ -189,7 +206,7 @@ static void turn(const Body *body, const Number *before, Number *x, int free, in
 
 /* Puts bars that share nodes on their lengths: the least change in the metric of the mass. Momenta
    stay. Not a number where they are not found near by. */
-static void restore_blocks(Span *span, Number *x) {
+static void restore_blocks(Span *span, const Input *input, Number *x) {
   const Scene *s = span->scene;
   const Lengths *lengths = span->lengths;
   const int rows = s->block_rows, free = s->free;
@@ -210,7 +227,7 @@ static void restore_blocks(Span *span, Number *x) {
     if (!any(going)) break;
     memset(y, 0, s->unknowns * sizeof *y);
     for (int i = 0; i < s->block_bars; ++i) {
-      const double length = lengths->block_length[i];
+      const Number length = length_of(input, s->block_bar, i, lengths->block_length);
       y[s->right_place[i]] = -(dot_of_bars(s, i, p, p) - length * length) / 2;
     }
     change_of(s, K, y, change);
@@ -224,14 +241,18 @@ static void restore_blocks(Span *span, Number *x) {
     spread_all(s, x, 1, p);
   }
   for (int i = 0; i < s->block_bars; ++i) {
-    const double square = lengths->block_length[i] * lengths->block_length[i];
-    good &= dot_of_bars(s, i, p0, p) >= LEAST_COSINE * square;
+    const Number length = length_of(input, s->block_bar, i, lengths->block_length);
+    good &= dot_of_bars(s, i, p0, p) >= LEAST_COSINE * (length * length);
   }
   good &= last < SMALL * scale;
   factorize_at(s, p, K);
   spread_all(s, x + free, 0, p0);
   memset(y, 0, s->unknowns * sizeof *y);
-  for (int i = 0; i < s->block_bars; ++i) y[s->right_place[i]] = -dot_of_bars(s, i, p, p0);
+  for (int i = 0; i < s->block_bars; ++i) {
+    y[s->right_place[i]] = -dot_of_bars(s, i, p, p0);
+    if (input->length)
+      y[s->right_place[i]] += input->length[s->block_bar[i]] * input->length_rate[s->block_bar[i]];
+  }
   change_of(s, K, y, change);
   for (int i = 0; i < rows; ++i) x[free + lengths->block_free[i]] += change[i];
   for (int i = 0; i < rows; ++i) {
@@ -241,8 +262,11 @@ static void restore_blocks(Span *span, Number *x) {
   for (int i = 0; i < lengths->bodies; ++i) turn(lengths->body + i, before, x, free, s->dimension);
 }
 
-SHARED void restore_bars(Span *span, Number *x) {
+SHARED void restore_bars(Span *span, Number *x, Number time) {
+  Input input;
   if (!span->lengths) return;
-  restore_alone(span, x);
-  if (span->scene->block_bars) restore_blocks(span, x);
+  memset(&input, 0, sizeof input);
+  if (span->drive->is_driven) input = input_at(span, time);
+  restore_alone(span, &input, x);
+  if (span->scene->block_bars) restore_blocks(span, &input, x);
 }

@@ -60,7 +60,7 @@ void tc_restore(const Scene *s, const Drive *drive, const Lengths *lengths, doub
                 double *work) {
   Span span;
   begin(&span, s, drive, lengths, work);
-  restore_bars(&span, state);
+  restore_bars(&span, state, 0);
 }
 
 double tc_frequency(const Scene *s, const Drive *drive, const double *state, double difference,

@@ -10,6 +10,8 @@ typedef struct {
   const Number *strings;              /* rest lengths, m, or force densities, N/m */
   const Number *load;                 /* (entries), N, or null */
   const Number *offset, *offset_rate; /* (entries): displacement with supports, m, m/s, or null */
+  /* (bars): driven lengths L, m, their rates, m/s, and L L'' + L'^2, m^2/s^2, or null */
+  const Number *length, *length_rate, *extension;
 } Input;
 
 /* A span of a motion: a scene, its inputs as polynomials in time, and memory. */
@@ -19,6 +21,7 @@ typedef struct {
   const Lengths *lengths; /* null where bars are left as they are */
   int states, switches;
   Number *values, *rates; /* inputs at one time, and their rates in time */
+  Number *extension;      /* of driven bars */
   Number *work;           /* of the equation */
   Number *gap, *rate, *middle, *scale; /* of the search for switches */
   Number *restored; /* of bars that are put on their lengths */
@@ -55,8 +58,8 @@ SHARED size_t frequency_size(const Scene *scene);
 SHARED Number frequency_of(Span *span, const Number *state, Number difference, const double *vector,
                            Number *work);
 
-/* Of lengths.c: bars on their lengths, if the span has any. */
-SHARED void restore_bars(Span *span, Number *x);
+/* Of lengths.c: bars on their lengths at a time, if the span has any. */
+SHARED void restore_bars(Span *span, Number *x, Number time);
 
 /* A step whose switches are looked for: from x to x1 within h from a time, with slopes at both. */
 typedef struct {

@@ -57,6 +57,7 @@ class Scene(ctypes.Structure):
             "ground_numbers", "any_start", "any_end", "bar_mass", "point_mass",
             "block_start", "block_end", "entry_start", "entry_end", "right_place", "block_mass",
             "factor_row", "factor_first", "factor_pair", "block_row", "block_place",
+            "free_bar", "swinging_bar", "block_bar",
         )),
     )  # fmt: skip
 
@@ -66,7 +67,7 @@ class Drive(ctypes.Structure):
 
     _fields_ = (
         ("coefficients", _POINTER), ("begin", _NUMBER),
-        *((name, _COUNT) for name in ("count", "degree", "is_loaded", "is_moved")),
+        *((name, _COUNT) for name in ("count", "degree", "is_loaded", "is_moved", "is_driven")),
     )  # fmt: skip
 
 

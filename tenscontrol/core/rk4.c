@@ -54,7 +54,7 @@ static void step_to(void *by, Number part, Number *x1) {
   combine(m->x, h, m->k3, m->y, n);
   slope_at(span, m->y, m->time + h, m->taut, m->k4);
   finish(m->x, h, m->k1, m->k2, m->k3, m->k4, x1, n);
-  restore_bars(span, x1);
+  restore_bars(span, x1, m->time + h);
 }
 
 static Tried tried_by(const Rk4 *m) {

@@ -11,8 +11,8 @@ static size_t restored_size(const Scene *s) {
 
 SHARED size_t span_size(const Scene *s, const Drive *drive) {
   const size_t n = 2 * (size_t)s->free, m = s->switches;
-  return equation_work_size(s) + 2 * (size_t)drive->count + 12 * m + 4 * n + restored_size(s) +
-         carry_size(s);
+  return equation_work_size(s) + 2 * (size_t)drive->count + (drive->is_driven ? s->bars : 0) + 12 * m +
+         4 * n + restored_size(s) + carry_size(s);
 }
 
 SHARED Number *begin(Span *span, const Scene *s, const Drive *drive, const Lengths *lengths,
@@ -30,7 +30,8 @@ SHARED Number *begin(Span *span, const Scene *s, const Drive *drive, const Lengt
   work += equation_work_size(s);
   span->values = work;
   span->rates = work + drive->count;
-  work += 2 * drive->count;
+  span->extension = work + 2 * drive->count;
+  work = span->extension + (drive->is_driven ? s->bars : 0);
   for (size_t i = 0; i < sizeof arrays / sizeof *arrays; ++i, work += m) *arrays[i] = work;
   span->middle = work;
   span->coefficients = work + n;
@@ -39,11 +40,31 @@ SHARED Number *begin(Span *span, const Scene *s, const Drive *drive, const Lengt
   return span->carried + carry_size(s);
 }
 
+/* The driven lengths of bars, their rates and accelerations in time. */
+static void put_lengths(Span *span, Number t, const Number *length, Input *input) {
+  const Drive *drive = span->drive;
+  const int n = drive->count, bars = span->scene->bars, first = n - bars, degree = drive->degree;
+  const Number *c = numbers(drive->coefficients) + first;
+  Number *rate = span->rates + first, *extension = span->extension;
+  for (int i = 0; i < bars; ++i) {
+    Number speed = all(0), acceleration = all(0);
+    for (int k = degree; k > 0; --k) speed = speed * t + (double)k * c[k * n + i];
+    for (int k = degree; k > 1; --k)
+      acceleration = acceleration * t + (double)(k * (k - 1)) * c[k * n + i];
+    rate[i] = speed;
+    extension[i] = length[i] * acceleration + speed * speed;
+  }
+  input->length = length;
+  input->length_rate = rate;
+  input->extension = extension;
+}
+
 SHARED Input input_at(Span *span, Number time) {
   const Scene *s = span->scene;
   const Drive *drive = span->drive;
   const int n = drive->count;
-  const Number *c = numbers(drive->coefficients), *values = c, *offset;
+  const int moved = n - s->entries - (drive->is_driven ? s->bars : 0);
+  const Number *c = numbers(drive->coefficients), *values = c;
   Input input;
   if (drive->degree) {
     const Number t = drive->begin + time;
@@ -53,18 +74,19 @@ SHARED Input input_at(Span *span, Number time) {
       for (int i = 0; i < n; ++i) to[i] = to[i] * t + c[k * n + i];
     values = to;
     if (drive->is_moved) {
-      const int first = n - s->entries;
+      const int end = moved + s->entries;
       Number *rate = span->rates;
-      for (int i = first; i < n; ++i) rate[i] = (double)drive->degree * c[drive->degree * n + i];
+      for (int i = moved; i < end; ++i) rate[i] = (double)drive->degree * c[drive->degree * n + i];
       for (int k = drive->degree - 1; k > 0; --k)
-        for (int i = first; i < n; ++i) rate[i] = rate[i] * t + (double)k * c[k * n + i];
+        for (int i = moved; i < end; ++i) rate[i] = rate[i] * t + (double)k * c[k * n + i];
     }
   }
-  offset = values + n - s->entries;
   input.strings = values;
   input.load = drive->is_loaded ? values + s->strings : 0;
-  input.offset = drive->is_moved ? offset : 0;
-  input.offset_rate = drive->is_moved && drive->degree ? span->rates + n - s->entries : 0;
+  input.offset = drive->is_moved ? values + moved : 0;
+  input.offset_rate = drive->is_moved && drive->degree ? span->rates + moved : 0;
+  input.length = input.length_rate = input.extension = 0;
+  if (drive->is_driven) put_lengths(span, drive->begin + time, values + n - s->bars, &input);
   return input;
 }
 

@@ -257,7 +257,7 @@ def block_motion(
     Bd = differences(Nd, structure.bars[block.independent])
     force = ca.vec(F)[block.rows.tolist()]
     own = None if extension is None else extension[:, block.independent.tolist()]
-    solution = SaddlePoint(structure, block, J).solve(force, -_turning(Bd, own).T)
+    solution = SaddlePoint(structure, block, J).solve(force, -turning(Bd, own).T)
     rows = len(block.rows)
     return solution[:rows, :], -solution[rows:, :]
 
@@ -435,13 +435,13 @@ def free_bar(
     less by it. The mass stays spread evenly over the length.
     """
     f = end - start
-    lam = -(mass / 12 * _turning(Bd, extension) + dots(B, f) / 2) / dots(B, B)
+    lam = -(mass / 12 * turning(Bd, extension) + dots(B, f) / 2) / dots(B, B)
     half = scale_columns(f, 3 / mass) + scale_columns(B, 6 / mass * lam)
     centre = scale_columns(start + end, reciprocal(mass))
     return centre - half, centre + half, lam
 
 
-def _turning(Bd: Symbolic, extension: Symbolic | None) -> Symbolic:
+def turning(Bd: Symbolic, extension: Symbolic | None) -> Symbolic:
     """Return ‖ḃ‖² less the extension of driven bars, m²/s², shape (1, k)."""
     return dots(Bd, Bd) if extension is None else dots(Bd, Bd) - extension
 
@@ -455,7 +455,7 @@ def swinging_bar(
     ‖ḃ‖²/(3 ‖b‖²) − bᵀ f/‖b‖²`` with f the force on the free end. ``extension`` is as of
     :func:`free_bar`.
     """
-    lam = -(mass / 3 * _turning(Bd, extension) + dots(B, tip)) / dots(B, B)
+    lam = -(mass / 3 * turning(Bd, extension) + dots(B, tip)) / dots(B, B)
     return scale_columns(tip + scale_columns(B, lam), 3 / mass), lam
 
 

@@ -44,7 +44,7 @@ def core_scene(equation: Equation) -> CoreScene | None:
 def _is_known(equation: Equation) -> bool:
     forces = equation.forces
     layout = equation.layout
-    if forces is None or type(forces.law) not in _LAWS or layout.parameters or layout.lengths:
+    if forces is None or type(forces.law) not in _LAWS or layout.parameters:
         return False
     if any(term is not forces.contacts for term in forces.terms):
         return False
@@ -91,6 +91,11 @@ class CoreScene:
         if structure.blocks:
             self._put_blocks(Elimination(structure), structure.dimension)
         self._put_lengths(structure, free_place)
+        if equation.layout.lengths:
+            self._put("free_bar", structure.free_bars)
+            self._put("swinging_bar", structure.swinging_bars)
+            independent = [block.independent for block in structure.blocks]
+            self._put("block_bar", np.concatenate([np.zeros(0, dtype=int), *independent]))
         self.work_size = core.tc_motion_work_size(byref(self.scene), byref(self.drive(np.zeros(0))))
 
     # ---- tables ----
@@ -228,7 +233,7 @@ class CoreScene:
         begin = float(u[-1]) if layout.degree and len(u) else 0.0
         return records.Drive(
             records.address(u), begin, layout.count, layout.degree, layout.load > 0,
-            layout.offset > 0,
+            layout.offset > 0, layout.lengths > 0,
         )  # fmt: skip
 
     def taut(self, state: FloatArray, u: FloatArray) -> FloatArray:
@@ -262,10 +267,10 @@ class CoreScene:
         )  # fmt: skip
         return gap, rate
 
-    def restored(self, state: FloatArray) -> FloatArray:
-        """Return a state with its bars on their lengths; see :func:`project`."""
+    def restored(self, state: FloatArray, u: FloatArray) -> FloatArray:
+        """Return a state with its bars on their lengths under an input; see :func:`project`."""
         state, work = state.copy(), np.empty(self.work_size)
-        drive = self.drive(np.zeros(0))
+        drive = self.drive(u)
         self.core.tc_restore(
             byref(self.scene), byref(drive), byref(self.lengths), *pointers(state, work)
         )

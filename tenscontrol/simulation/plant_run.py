@@ -151,9 +151,6 @@ class PlantRun:
                 "your own that evaluates the input by equation.ahead(u, t), give "
                 "Method(follows=True)"
             )
-        if self.bars is not None:
-            reason = f"{chosen.reason}; bars are driven, which the compiled core does not know"
-            chosen = replace(chosen, reason=reason)
         self.choice = chosen
         self.integrator = self.integrator_for(chosen.value)
         self.choice = replace(chosen, back_end=self.integrator.back_end)

@@ -6,7 +6,7 @@ import pytest
 import tenscontrol as tc
 from tenscontrol.core.library import library
 from tenscontrol.integrate.core_scene import core_scene
-from tenscontrol.integrate.projection import project
+from tenscontrol.integrate.projection import projection
 from tests import core_kernels
 from tests.random_scenes import random_scene
 from tests.without_core import without_core
@@ -15,14 +15,22 @@ pytestmark = pytest.mark.skipif(library() is None, reason="installed without a c
 
 
 def scene_and_state(seed):
-    """A random scene, its equation, a state near by with any velocities, an input, switches."""
+    """A random scene, its equation, a state near by with any velocities, an input, switches.
+
+    Of every second scene rest lengths and lengths of bars are polynomials in time.
+    """
     scene, rng = random_scene(seed), np.random.default_rng(seed)
     structure = scene.structure
     rows = structure.free_rows
     position = structure.nodes.ravel(order="F")[rows] * (1 + 1e-3 * rng.normal(size=len(rows)))
     state = np.concatenate([position, rng.normal(size=len(rows)) * scene.size])
-    equation = scene.model.equation(scene.input)
     u = np.asarray(scene.value, dtype=float) * np.ones(len(structure.strings))
+    equation = scene.model.equation(scene.input)
+    if seed % 2 and len(structure.bars):
+        equation = scene.model.equation(scene.input, degree=3, length_input=True)
+        values = np.concatenate([u, structure.bar_length])
+        changes = rng.normal(size=(len(values), 3)) * [0.1, 1.0, 1.0]
+        u = equation.layout.packed(values[:, None] * np.c_[np.ones(len(values)), changes], 0.01)
     taut = (rng.random(equation.switches) < 0.7).astype(float)
     return scene, equation, state, u, taut
 
@@ -76,17 +84,17 @@ def test_grounds_are_those_of_the_laws(law, damping, friction, structure):
 
 def test_bars_are_put_on_their_lengths():
     for seed in range(20):
-        scene, equation, state, _, _ = scene_and_state(seed)
+        scene, equation, state, u, _ = scene_and_state(seed)
         if len(scene.structure.bars) == 0:
             continue
         off = state.copy()
         off[: len(off) // 2] += (
             1e-5 * scene.size * np.random.default_rng(0).normal(size=len(off) // 2)
         )
-        wanted = project(scene.structure)(off).full()
-        assert (
-            apart(core_scene(equation).restored(off), wanted) < 1e-7
-        )  # how a bar spins about itself
+        exact = projection(equation)
+        wanted = exact(off, u) if equation.layout.lengths else exact(off)
+        # How a bar spins about itself.
+        assert apart(core_scene(equation).restored(off, u), wanted.full()) < 1e-7
 
 
 def test_what_the_core_does_not_know_is_left_to_casadi():
