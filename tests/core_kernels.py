@@ -126,8 +126,8 @@ def _of_bodies(d: int) -> list[str]:
     texts, constants = list[str](), list[str]()
     for name, own in (("", None), ("driven_", extension)):
         given = {"bar": B, "rate": Bd} | ({} if own is None else {"extension": own})
-        at_start, at_end, _ = kernel.free_bar(B, Bd, start, end, mass, own)
-        at_tip, _ = kernel.swinging_bar(B, Bd, end, mass, own)
+        at_start, at_end, free = kernel.free_bar(B, Bd, start, end, mass, own)
+        at_tip, swinging = kernel.swinging_bar(B, Bd, end, mass, own)
         of_bars = (
             with_constants(f"{name}free_bar_{d}", {**given, "on_start": start, "on_end": end}, mass,
                            {"start": at_start, "end": at_end}),
@@ -140,6 +140,12 @@ def _of_bodies(d: int) -> list[str]:
         else:  # they take the same of their masses
             assert of_masses == constants
             texts += [bar[-1] for bar in of_bars]
+            for kind, ends, density in (
+                ("free", {"on_start": start, "on_end": end}, free),
+                ("swinging", {"on_tip": end}, swinging),
+            ):
+                symbols, result = given | ends | {"mass": mass}, {"force_density": density}
+                texts.append(printed(f"driven_{kind}_bar_force_density_{d}", symbols, result))
         del given["bar"]
         right = {"right": -kernel.turning(Bd, own)}
         texts.append(printed(f"{name}coupled_bar_{d}", given, right))

@@ -144,6 +144,22 @@ EXPORTED void tc_string_energy(const Scene *scene, int32_t times, const Motion *
                                const double *inputs, int32_t is_constant, double *energy,
                                double *work);
 
+/* A quadrature over parts from 0 to 1, whose first share is 0 and whose last is 1. */
+typedef struct {
+  int32_t count;
+  const double *shares, *weights;
+} Quadrature;
+
+/* Finds force densities of bars whose lengths are driven, N/m, (parts + 1, bars), at times of a span, s,
+   (parts + 1), from the states there, (parts + 1, states); and what the drives do between them, J, (parts,
+   bars), by a quadrature along quintics. What pulls and presses is what the states say. Of redundant
+   bars force densities are those of a set that holds the others. */
+EXPORTED void tc_strut_work(const Scene *scene, const Drive *drive, const Quadrature *quadrature,
+                            int32_t parts, const double *times, const double *states,
+                            double *density, double *strut_work, double *work);
+/* Its work memory. */
+EXPORTED size_t tc_strut_work_size(const Scene *scene, const Drive *drive);
+
 /* A motion between two calls: it goes on from here, to the last bit. */
 typedef struct {
   double time, step; /* s */

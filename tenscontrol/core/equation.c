@@ -180,6 +180,18 @@ SHARED void slope_of(const Scene *s, const Number *state, const Input *input, co
     for (int i = 0; i < s->free; ++i) slope[s->free + i] = a[s->free_row[i]];
 }
 
+SHARED void slope_and_bars(const Scene *s, const Number *state, const Input *input,
+                           const Number *taut, Number *slope, Number *density, Number *work) {
+  const Work w = parts_of(s, work);
+  const Number *p, *v;
+  slope_of(s, state, input, taut, slope, work);
+  nodes_of(s, state, &p, &v, &w);
+  if (s->dimension == 2)
+    bar_densities_2(s, p, v, w.f, input->extension, density, &w);
+  else
+    bar_densities_3(s, p, v, w.f, input->extension, density, &w);
+}
+
 SHARED void weighed_accelerations(const Scene *s, const Number *state, const Input *input,
                                   const Number *weight, Number *accelerations, Number *work) {
   const Work w = parts_of(s, work);

@@ -226,6 +226,29 @@ WIDE static void N(accelerations)(const Scene *s, const Number *restrict p,
   if (s->block_bars) N(coupled)(s, p, v, f, extension, a, w);
 }
 
+/* Force densities of driven bars, after their accelerations, which leave those of bars that share nodes
+   among the unknowns. */
+static void N(bar_densities)(const Scene *s, const Number *p, const Number *v, const Number *f,
+                             const Number *extension, Number *density, const Work *w) {
+  Number bar[D], rate[D];
+  memset(density, 0, s->bars * sizeof *density);
+  for (int i = 0; i < s->free_bars; ++i) {
+    const int start = s->bar_start[i], end = s->bar_end[i], j = s->free_bar[i];
+    N(difference)(p, start, end, bar);
+    N(difference)(v, start, end, rate);
+    N(driven_free_bar_force_density)(bar, rate, extension[j], f + start, f + end,
+                                     all(s->bar_mass[j]), density + j);
+  }
+  for (int i = 0; i < s->swinging_bars; ++i) {
+    const int tip = s->tip[i], j = s->swinging_bar[i];
+    N(difference)(p, s->hinge[i], tip, bar);
+    N(difference)(v, s->hinge[i], tip, rate);
+    N(driven_swinging_bar_force_density)(bar, rate, extension[j], f + tip, all(s->bar_mass[j]),
+                                         density + j);
+  }
+  for (int i = 0; i < s->block_bars; ++i) density[s->block_bar[i]] = -w->unknowns[s->right_place[i]];
+}
+
 /* Adds the pull of a few strings, those whose weight is not zero. */
 static void N(pull_by)(const Scene *s, const Number *p, const Number *v, const Number *u,
                        const Number *weight, Number *f) {

@@ -159,6 +159,47 @@ static inline void driven_swinging_bar_2(const Number *bar, const Number *rate, 
   tip[1] = t28;
 }
 
+static inline void driven_free_bar_force_density_2(const Number *bar, const Number *rate, const Number extension, const Number *on_start, const Number *on_end, const Number mass, Number *force_density) {
+  const Number t2 = mass / 12.0;
+  const Number t4 = rate[0] * rate[0];
+  const Number t6 = rate[1] * rate[1];
+  const Number t7 = t4 + t6;
+  const Number t9 = t7 - extension;
+  const Number t10 = t2 * t9;
+  const Number t14 = on_end[0] - on_start[0];
+  const Number t15 = bar[0] * t14;
+  const Number t19 = on_end[1] - on_start[1];
+  const Number t20 = bar[1] * t19;
+  const Number t21 = t15 + t20;
+  const Number t23 = t21 / 2.0;
+  const Number t24 = t10 + t23;
+  const Number t25 = bar[0] * bar[0];
+  const Number t26 = bar[1] * bar[1];
+  const Number t27 = t25 + t26;
+  const Number t28 = t24 / t27;
+  const Number t29 = -t28;
+  *force_density = t29;
+}
+
+static inline void driven_swinging_bar_force_density_2(const Number *bar, const Number *rate, const Number extension, const Number *on_tip, const Number mass, Number *force_density) {
+  const Number t2 = mass / 3.0;
+  const Number t4 = rate[0] * rate[0];
+  const Number t6 = rate[1] * rate[1];
+  const Number t7 = t4 + t6;
+  const Number t9 = t7 - extension;
+  const Number t10 = t2 * t9;
+  const Number t13 = bar[0] * on_tip[0];
+  const Number t16 = bar[1] * on_tip[1];
+  const Number t17 = t13 + t16;
+  const Number t18 = t10 + t17;
+  const Number t19 = bar[0] * bar[0];
+  const Number t20 = bar[1] * bar[1];
+  const Number t21 = t19 + t20;
+  const Number t22 = t18 / t21;
+  const Number t23 = -t22;
+  *force_density = t23;
+}
+
 static inline void driven_coupled_bar_2(const Number *rate, const Number extension, Number *right) {
   const Number t1 = rate[0] * rate[0];
   const Number t3 = rate[1] * rate[1];
@@ -586,6 +627,60 @@ static inline void driven_swinging_bar_3(const Number *bar, const Number *rate, 
   const Number t40 = on_tip[2] - t39;
   const Number t41 = t40 * constants[1];
   tip[2] = t41;
+}
+
+static inline void driven_free_bar_force_density_3(const Number *bar, const Number *rate, const Number extension, const Number *on_start, const Number *on_end, const Number mass, Number *force_density) {
+  const Number t2 = mass / 12.0;
+  const Number t4 = rate[0] * rate[0];
+  const Number t6 = rate[1] * rate[1];
+  const Number t7 = t4 + t6;
+  const Number t9 = rate[2] * rate[2];
+  const Number t10 = t7 + t9;
+  const Number t12 = t10 - extension;
+  const Number t13 = t2 * t12;
+  const Number t17 = on_end[0] - on_start[0];
+  const Number t18 = bar[0] * t17;
+  const Number t22 = on_end[1] - on_start[1];
+  const Number t23 = bar[1] * t22;
+  const Number t24 = t18 + t23;
+  const Number t28 = on_end[2] - on_start[2];
+  const Number t29 = bar[2] * t28;
+  const Number t30 = t24 + t29;
+  const Number t32 = t30 / 2.0;
+  const Number t33 = t13 + t32;
+  const Number t34 = bar[0] * bar[0];
+  const Number t35 = bar[1] * bar[1];
+  const Number t36 = t34 + t35;
+  const Number t37 = bar[2] * bar[2];
+  const Number t38 = t36 + t37;
+  const Number t39 = t33 / t38;
+  const Number t40 = -t39;
+  *force_density = t40;
+}
+
+static inline void driven_swinging_bar_force_density_3(const Number *bar, const Number *rate, const Number extension, const Number *on_tip, const Number mass, Number *force_density) {
+  const Number t2 = mass / 3.0;
+  const Number t4 = rate[0] * rate[0];
+  const Number t6 = rate[1] * rate[1];
+  const Number t7 = t4 + t6;
+  const Number t9 = rate[2] * rate[2];
+  const Number t10 = t7 + t9;
+  const Number t12 = t10 - extension;
+  const Number t13 = t2 * t12;
+  const Number t16 = bar[0] * on_tip[0];
+  const Number t19 = bar[1] * on_tip[1];
+  const Number t20 = t16 + t19;
+  const Number t23 = bar[2] * on_tip[2];
+  const Number t24 = t20 + t23;
+  const Number t25 = t13 + t24;
+  const Number t26 = bar[0] * bar[0];
+  const Number t27 = bar[1] * bar[1];
+  const Number t28 = t26 + t27;
+  const Number t29 = bar[2] * bar[2];
+  const Number t30 = t28 + t29;
+  const Number t31 = t25 / t30;
+  const Number t32 = -t31;
+  *force_density = t32;
 }
 
 static inline void driven_coupled_bar_3(const Number *rate, const Number extension, Number *right) {

@@ -46,7 +46,7 @@ def _loaded() -> tuple[ctypes.CDLL | None, str]:
     if (_FOLDER / "core.h").is_file() and core.tc_sources().decode() != sources_id():
         return None, _OTHER
     core.tc_motion_work_size.restype = core.tc_runs_work_size.restype = ctypes.c_size_t
-    core.tc_variations_work_size.restype = ctypes.c_size_t
+    core.tc_variations_work_size.restype = core.tc_strut_work_size.restype = ctypes.c_size_t
     core.tc_near_bars.restype = ctypes.c_int64
     core.tc_begin.restype = core.tc_frequency.restype = ctypes.c_double
     core.tc_evaluations.restype = ctypes.c_double

@@ -32,7 +32,9 @@ typedef struct {
 
 /* Of equation.c: memory of one evaluation; by inputs at one time xdot, accelerations by the forces of
    what can switch, each counted by a weight, forces on all entries, and gaps: of all that can switch, or at least of
-   what is marked. Where no force depends on velocities, rates of gaps need not be asked for. */
+   what is marked. Where no force depends on velocities, rates of gaps need not be asked for. Where
+   lengths are driven, xdot with the force densities of all bars, N/m: of bars that are redundant, those
+   of a set that holds the others. */
 SHARED size_t equation_work_size(const Scene *scene);
 SHARED void slope_of(const Scene *scene, const Number *state, const Input *input,
                      const Number *taut, Number *slope, Number *work);
@@ -40,6 +42,8 @@ SHARED void weighed_accelerations(const Scene *scene, const Number *state, const
                                   const Number *weight, Number *accelerations, Number *work);
 SHARED void forces_of(const Scene *scene, const Number *state, const Input *input,
                       const Number *taut, Number *forces, Number *work);
+SHARED void slope_and_bars(const Scene *scene, const Number *state, const Input *input,
+                           const Number *taut, Number *slope, Number *density, Number *work);
 SHARED void gap_of(const Scene *scene, const Number *state, const Input *input,
                    const Number *marked, Number *gap, Number *rate, Number *work);
 

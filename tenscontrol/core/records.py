@@ -110,6 +110,12 @@ class Rates(ctypes.Structure):
     _fields_ = (("begin", Motion), ("end", Motion), ("count", _COUNT), ("nodes", _POINTER))
 
 
+class Quadrature(ctypes.Structure):
+    """A quadrature over parts from 0 to 1."""
+
+    _fields_ = (("count", _COUNT), ("shares", _POINTER), ("weights", _POINTER))
+
+
 class Progress(ctypes.Structure):
     """A motion between two calls."""
 

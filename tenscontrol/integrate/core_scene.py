@@ -312,6 +312,27 @@ class CoreScene:
         )  # fmt: skip
         return energy
 
+    def strut_work(
+        self, states: FloatArray, u: FloatArray, times: FloatArray,
+        quadrature: tuple[FloatArray, FloatArray],
+    ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+        """Return force densities of bars that are driven, N/m, and what their drives do, J.
+
+        In states (states, K + 1) at times after that of the input, s, (K + 1), with the shape (β,
+        K + 1), and between them, (β, K), by shares and weights of a quadrature over each part. Of
+        redundant bars the force densities are not those of least norm.
+        """
+        states, (shares, weights) = np.ascontiguousarray(states.T), quadrature
+        parts, bars, drive = len(times) - 1, self.scene.bars, byref(self.drive(u))
+        density, done = np.empty((parts + 1, bars)), np.empty((parts, bars))
+        work = np.empty(self.core.tc_strut_work_size(byref(self.scene), drive))
+        rule = records.Quadrature(len(shares), *map(records.address, (shares, weights)))
+        self.core.tc_strut_work(
+            byref(self.scene), drive, byref(rule), parts,
+            *pointers(np.ascontiguousarray(times), states, density, done, work),
+        )  # fmt: skip
+        return density.T, done.T
+
 
 class CoreMotion:
     """A motion within a span, advanced by the core in parts.

@@ -54,11 +54,7 @@ def assembled(
         functions = replace(functions, stored=contacts.stored_energy.sum(axis=0))
     struts = None
     if run.bars is not None:
-        gamma = inputs
-        if run.input == "rest_length":
-            gamma = functions.of("string_force_density", nodes, velocities, inputs)[0]
-            known["force_density"] = gamma
-        struts = recorded_struts(DenseMotion.of_run(run), nodes, velocities, gamma)
+        struts = recorded_struts(run, functions, nodes, velocities)
     trajectory = Trajectory(
         structure=structure,
         time=frozen(time),

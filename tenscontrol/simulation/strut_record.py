@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -14,7 +15,7 @@ from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.profile import Pieces, polynomial_at
 from tenscontrol.short_repr import short_repr
 from tenscontrol.simulation.dense_motion import SHARES, WEIGHTS, DenseMotion
-from tenscontrol.simulation.motion_functions import BLOCK, by_node
+from tenscontrol.simulation.motion_functions import BLOCK, MotionFunctions, by_node
 from tenscontrol.simulation.plant_run import PlantRun
 
 
@@ -109,28 +110,59 @@ def _of_columns(model: Model) -> ca.Function:
 
 
 def recorded_struts(
-    dense: DenseMotion, nodes: FloatArray, velocities: FloatArray, force_density: FloatArray
+    run: PlantRun, functions: MotionFunctions, nodes: FloatArray, velocities: FloatArray
 ) -> StrutRecord:
     """Return what driven bars did in a run, by the motion between the states kept.
 
-    Of nodes and velocities, (d, n, T), and γ, (α, T), at the times kept.
+    Of nodes and velocities, (d, n, T), at the times kept, and functions of the model there.
     """
-    run = dense.run
     assert run.bars is not None  # else nothing is recorded
     length, rate, acceleration = (run.all_values(run.length_rows, order) for order in range(3))
-    load = run.all_values(run.load_rows) if isinstance(run.load, Pieces) else _column(run.load)
-    motion = by_node(nodes), by_node(velocities)
-    histories = length, rate, acceleration
-    density = driven_bar_forces(run.model, *motion, force_density, load, histories)
-    kept = (*histories, density * length, _work(dense).cumsum(axis=1))
+    work, forces = [np.zeros((len(length), 1))], list[FloatArray]()
+    for i, (before, span) in enumerate(pairwise(run.spans), 1):
+        times = np.append(before.time[-1], span.time)
+        states = np.column_stack([span.begin, span.states])
+        density, done = drive_work(run, i, times, states)
+        if i > 1 and done.shape[1]:  # the run begins after the first jump
+            done[:, 0] += impulse_work(run, i, before.states[:, -1:])
+        work.append(done)
+        forces.append(density if i == 1 else density[:, 1:])
+    if any(block.is_redundant for block in run.model.structure.blocks) or run.core is None:
+        forces = [_bar_forces(run, functions, nodes, velocities, (length, rate, acceleration))]
+    kept = (length, rate, acceleration, np.hstack(forces) * length)
+    kept = (*kept, np.hstack(work).cumsum(axis=1))
     return StrutRecord(frozen(run.bars.bars), *(frozen(history) for history in kept))
 
 
-def _work(dense: DenseMotion) -> FloatArray:
-    """Return what the drives do in each part of a motion, J, shape (β, K)."""
-    run, count = dense.run, len(dense.ends)
-    structure, shares = run.model.structure, len(SHARES)
-    work = np.zeros((len(structure.bars), count))
+def _bar_forces(
+    run: PlantRun, functions: MotionFunctions, nodes: FloatArray, velocities: FloatArray,
+    bars: tuple[FloatArray, FloatArray, FloatArray],
+) -> FloatArray:  # fmt: skip
+    """Return λ at the times kept, N/m, shape (β, T)."""
+    gamma = functions.inputs
+    if run.input == "rest_length":
+        gamma = functions.of("string_force_density", nodes, velocities, gamma)[0]
+    load = run.all_values(run.load_rows) if isinstance(run.load, Pieces) else _column(run.load)
+    return driven_bar_forces(run.model, by_node(nodes), by_node(velocities), gamma, load, bars)
+
+
+def drive_work(
+    run: PlantRun, i: int, times: FloatArray, states: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return λ of driven bars at times of a span of a run, and what drives do between them, J.
+
+    Of states there, (states, K + 1), and with the shapes (β, K + 1) and (β, K). λ is that of the
+    core, of redundant bars not of least norm; without the core it is left out, (β, 0).
+    """
+    span, core, quadrature = run.spans[i], run.core, (SHARES, WEIGHTS)
+    if core is not None:
+        u = run.packed(span.coefficients, float(times[0]) - span.origin)
+        return core.strut_work(states, u, times - times[0], quadrature)
+    count, shares = len(times) - 1, len(SHARES)
+    dense = DenseMotion(
+        run, np.full(count, i), times[:-1], times[1:], states[:, :-1], states[:, 1:]
+    )
+    work = np.zeros((len(run.model.structure.bars), count))
     for first in range(0, count, BLOCK):
         some = np.arange(first, min(first + BLOCK, count))
         k = np.repeat(some, shares)
@@ -139,13 +171,8 @@ def _work(dense: DenseMotion) -> FloatArray:
         load = dense.values(run.load_rows, time, k)[0]
         load = load if isinstance(run.load, Pieces) else _column(run.load)
         power = _powers(run, x, strings[0], load, bars).reshape(len(work), len(some), shares)
-        work[:, some] = power @ WEIGHTS * (dense.ends - dense.begins)[some]
-    first_of = np.flatnonzero(np.diff(dense.of, prepend=-1))
-    for i in range(2, len(run.spans)):  # the run begins after the first jump
-        jump = run.spans[i].jump
-        if jump is not None and jump.bars is not None:
-            work[:, first_of[i]] += _impulse_work(run, i, jump.bars)
-    return work
+        work[:, some] = power @ WEIGHTS * np.diff(times)[some]
+    return work[:, :0], work
 
 
 def _powers(
@@ -164,16 +191,21 @@ def _powers(
     return np.asarray(density * length * rate)
 
 
-def _impulse_work(run: PlantRun, i: int, jump: FloatArray) -> FloatArray:
-    """Return what impulses do by which rates jump at the beginning of a span, J, shape (β,)."""
+def impulse_work(run: PlantRun, i: int, state: FloatArray) -> FloatArray:
+    """Return what impulses do by which rates jump at the beginning of a span, J, shape (β,).
+
+    Of a state before the jump, one column.
+    """
     span, before = run.spans[i], run.spans[i - 1]
+    if span.jump is None or span.jump.bars is None:
+        return np.zeros(len(run.model.structure.bars))
     now = before.time[-1:]
     given = span.coefficients[run.length_rows]
     length, after = (polynomial_at(given, now - span.origin, order) for order in (0, 1))
-    inputs = span.coefficients[:, :, None]
-    x = run.all_nodes(before.states[:, -1:], inputs, now - span.origin)
+    x = run.all_nodes(state, span.coefficients[:, :, None], now - span.origin)
     gamma, load = np.zeros((len(run.model.structure.strings), 1)), np.zeros((len(x) // 2, 1))
-    (nodes, velocities), still, change = np.split(x, 2), np.zeros_like(after), jump[:, None]
+    (nodes, velocities), still = np.split(x, 2), np.zeros_like(after)
+    change = span.jump.bars[:, None]
     impulse, none = (
         driven_bar_forces(run.model, nodes, velocities, gamma, load, (length, still, acceleration))
         for acceleration in (change, still)
