@@ -120,10 +120,12 @@ def test_driven_bars(printed, monkeypatch):
     module = import_module("tests.benchmarks.driven_bars")
     monkeypatch.delitem(module.HOW, "cvodes")
     monkeypatch.setitem(module.HOW, "dop853", [{"tolerance": 1e-12}])
+    monkeypatch.setattr(module, "STRUCTURES", {"tower": module.STRUCTURES["tower"]})
     text = printed("driven_bars", "--duration 0.5")
     assert 3.7 < row(text, "rk4", 2)[3] < 4.3
     _, _, angle, work, length, spin = row(text, "dop853")
     assert max(angle, work, length, spin) < 1e-9
+    assert max(row(text, "tower")[:2]) < 1e-11
 
 
 def test_model_cost(printed):

@@ -25,18 +25,20 @@ from tenscontrol.structure.bar_clearance import BarMotion
 def assembled(
     run: PlantRun,
     control: ControlRecord | None,
-    error: FloatArray | None,
+    errors: FloatArray | None,
     stopped: str | None,
     limits: HealthLimits,
     *,
     given: Arguments,
     note: str | None,
     scene: Any,
+    done: tuple[FloatArray, FloatArray] | None,
 ) -> Trajectory:
     """Return the motion so far; the model evaluates its energies and momenta at all times.
 
     Bars that cross are looked for if there is a limit on it. ``given`` and ``note`` are what the
-    trajectory says of its arguments, ``scene`` what it is a motion of.
+    trajectory says of its arguments, ``scene`` what it is a motion of, ``errors`` those of
+    :func:`estimated_errors`, ``done`` what drives of bars did.
     """
     model, structure, forces = run.model, run.model.structure, run.model.forces(run.input)
     time = np.concatenate([span.time for span in run.spans])
@@ -53,8 +55,9 @@ def assembled(
         contacts, known = _contacts(run, functions, nodes, velocities, time)
         functions = replace(functions, stored=contacts.stored_energy.sum(axis=0))
     struts = None
-    if run.bars is not None:
-        struts = recorded_struts(run, functions, nodes, velocities)
+    if done is not None:
+        off = None if errors is None else errors[1:]
+        struts = recorded_struts(run, done, off, functions, (nodes, velocities))
     trajectory = Trajectory(
         structure=structure,
         time=frozen(time),
@@ -69,7 +72,7 @@ def assembled(
         and forces.conserves_momentum,
         control=control,
         stopped=stopped,
-        error=error,
+        error=None if errors is None else frozen(errors[0]),
         error_limit=limits.position_error or ERROR_LIMIT,
         released_energy=frozen(released),
         falls=free and contacts is None and float(model.constant_force[-1].sum()) < 0,

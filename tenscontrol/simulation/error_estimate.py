@@ -11,10 +11,11 @@ from typing import Protocol
 
 import numpy as np
 
-from tenscontrol.arrays import FloatArray, IntArray, frozen
+from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.integrate.integrator import IntegrationError, Span
 from tenscontrol.properties import cached_property
 from tenscontrol.simulation.plant_run import PlantRun
+from tenscontrol.simulation.strut_record import drive_work, impulse_work
 from tenscontrol.structure.structure import Structure
 
 # With a tolerance, the motion is found again with this part of it, and so many times the difference
@@ -71,12 +72,16 @@ class Stage:
         The inputs as integrators take them, from the beginning on.
     begin : callable, optional
         Takes the state at the end of the stage before to the one that this begins with.
+    work : callable, optional
+        ``(before, times, states) -> work`` of drives of bars, J, shape (β, K): between times from
+        the beginning on, s, (K + 1), of states there, one a column, and an end of the stage before.
     """
 
     length: float
     outputs: int
     held: FloatArray
     begin: Callable[[FloatArray], FloatArray] | None = None
+    work: Callable[[FloatArray, FloatArray, FloatArray], FloatArray] | None = None
 
     @property
     def spacing(self) -> float:
@@ -86,9 +91,11 @@ class Stage:
     def strides(self, step: float, factor: float) -> list[tuple[int, int]]:
         """Return how the outputs are reached in steps by a factor longer: (strides, outputs each).
 
-        A step may pass several outputs. What is left in the end is a shorter stride.
+        A step may pass several outputs. What is left in the end is a shorter stride. Of work, parts
+        twice as long show what its quadrature errs.
         """
-        every = min(self.outputs, max(1, round(factor / _steps(self.spacing, step))))
+        least = 1 if self.work is None else 2
+        every = min(self.outputs, max(least, round(factor / _steps(self.spacing, step))))
         whole, rest = divmod(self.outputs, every)
         return [(whole, every), *([(1, rest)] if rest else [])]
 
@@ -114,7 +121,7 @@ def _common(one: IntArray, other: IntArray) -> IntArray:
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """Positions of a motion at some of its outputs, and how often strings or contacts switched.
+    """Positions of a motion at some of its outputs, what drives of bars did by then, and switches.
 
     Attributes
     ----------
@@ -123,16 +130,24 @@ class Path:
     positions : ndarray, shape (coordinates, k)
         m.
     switches : int
-        As far as it is known.
+        How often strings or contacts switched, as far as it is known.
+    work : ndarray, shape (β, k), optional
+        J, where bars are driven.
     """
 
     columns: IntArray
     positions: FloatArray
     switches: int
+    work: FloatArray | None = None
 
     def at(self, columns: IntArray) -> FloatArray:
         """Return the positions at outputs that are among its own."""
         return self.positions[:, np.searchsorted(self.columns, columns)]
+
+    def work_at(self, columns: IntArray) -> FloatArray:
+        """Return the work at outputs that are among its own, of no bars where none is driven."""
+        work = np.zeros((0, len(self.columns))) if self.work is None else self.work
+        return work[:, np.searchsorted(self.columns, columns)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,16 +192,22 @@ class Motion:
     report: Callable[[float], None] | None = None
 
     def estimated_error(self, limit: float) -> FloatArray:
-        """Return the error of the nodes at each output that was kept, as part of the size.
+        """Return the error of the nodes at each output that was kept, as part of the size."""
+        return self.estimated_errors(limit)[0]
+
+    def estimated_errors(self, limit: float) -> FloatArray:
+        """Return the error of the nodes at each output that was kept, and of the work of drives.
+
+        As part of the size, and in J, one a row.
 
         Under a controller the inputs are replayed. An unstable structure that the loop holds would
         leave under them, where the loop corrects what is wrong. So above a limit it is the errors
         of the stages, added up, if they are less.
         """
         error = self._from_another(limit)
-        if self.starts is not None and len(error) and float(error.max()) > limit:
+        if self.starts is not None and error.size and float(error[0].max()) > limit:
             error = np.minimum(error, self._added(self.starts))
-        return self._without_dips(error)
+        return np.stack([self._without_dips(row) for row in error])
 
     def _without_dips(self, error: FloatArray) -> FloatArray:
         """Return estimates that are at least those of just before: motions may meet for once."""
@@ -222,7 +243,7 @@ class Motion:
                 return self._difference(self._again(_LOOSER))
             if self.value > _TIGHT:
                 error = _SAFETY * self._difference(self._again(_TIGHTER))
-                if np.isfinite(error[-1]):
+                if np.isfinite(error[0, -1]):
                     return error
             return self._difference(self._again(1 / _TIGHTER))
         steps, fewer = (sum(stage.steps(self.value, f) for stage in self.stages) for f in (1, 2))
@@ -230,14 +251,15 @@ class Motion:
             return _SAFETY * self._difference(self._again(0.5))
         coarse = self._again(2)
         error = self._difference(coarse)
-        if not np.isfinite(error[-1]):  # some motions need the steps that they have
+        if not np.isfinite(error[0, -1]):  # some motions need the steps that they have
             return _SAFETY * self._difference(self._again(0.5))
         if self.order > 2 and coarse.switches == self.path.switches:
             divisor = 2 ** self._order_seen(coarse) - 1
-            error[np.maximum.accumulate(error) < _SATURATED] *= min(1.0, _SAFETY / divisor)
-        if self.order > 2 and float(error.max()) > limit:
+            small = np.maximum.accumulate(error[0]) < _SATURATED
+            error[:, small] *= min(1.0, _SAFETY / divisor)
+        if self.order > 2 and float(error[0].max()) > limit:
             finer = _SAFETY * self._difference(self._again(0.5))
-            if _CLEARLY * float(finer.max()) < limit:
+            if _CLEARLY * float(finer[0].max()) < limit:
                 return finer
         return error
 
@@ -252,24 +274,32 @@ class Motion:
         speed = float(np.abs(starts[half:]).max())
         reach = self._size / speed if speed > 0 else 0.0
         rates = starts[half + self.rows]
-        errors, before, first = [], 0.0, 0
+        work = self.path.work_at(self.path.columns)
+        errors, before, first = [], np.zeros((1 + len(work), 1)), 0
         for i, stage in enumerate(self.stages):
             try:
                 span = integrator.advance(starts[:, i], stage.held, stage.length, stage.outputs)
             except IntegrationError:
                 rest = sum(other.outputs for other in self.stages[i:])
-                errors.append(np.full(rest, np.inf))
+                errors.append(np.full((len(before), rest), np.inf))
                 break
             columns = np.arange(first, first + stage.outputs)
-            off = self._distance(self.path.at(columns), span.states[self.rows])
+            off = self._distance(self.path.at(columns), span.states[self.rows])[None]
+            if stage.work is not None:
+                times = stage.spacing * np.arange(stage.outputs + 1)
+                states = np.column_stack([starts[:, i], span.states])
+                done = stage.work(states[:, 0], times, states).cumsum(axis=1)
+                own = work[:, columns] - (work[:, first - 1 : first] if first else 0.0)
+                off = np.vstack([off, np.abs(own - done)])
             errors.append(before + off)
             led = 0.0
             if i + 1 < len(self.stages):
                 end = span.states[half + self.rows, -1:]
                 led = reach * float(self._distance(rates[:, i + 1 : i + 2], end)[0])
-            before += max(float(off[-1]), led)
+            before = before + off[:, -1:]
+            before[0] += max(0.0, led - float(off[0, -1]))
             first += stage.outputs
-        return _SAFETY * np.concatenate(errors)
+        return _SAFETY * np.hstack(errors)
 
     def _order_seen(self, coarse: Path) -> float:
         """Return the order by which differences grow with the step, at most that of the method."""
@@ -292,11 +322,12 @@ class Motion:
         """Return the motion for a value by a factor larger, over a first part of the time."""
         integrator, state = self._integrator_of(factor), self.start
         columns, positions = [np.zeros(0, int)], list[FloatArray]()
+        done, of_work = list[FloatArray](), None
         first, switches, now, left = 0, 0, 0.0, share * sum(stage.length for stage in self.stages)
         for stage in self.stages:
             if left <= 0:
                 break
-            state = state if stage.begin is None else stage.begin(state)
+            before, state = state, state if stage.begin is None else stage.begin(state)
             passed = 0
             for count, every in self._strides(stage, factor):
                 time = every * stage.spacing
@@ -311,6 +342,10 @@ class Motion:
                 except IntegrationError as error:
                     span = error.span
                 reached = span.states.shape[1]
+                if stage.work is not None and reached:
+                    times = passed * stage.spacing + time * np.arange(reached + 1)
+                    states = np.column_stack([state, span.states])
+                    done.append(stage.work(states[:, 0] if passed else before, times, states))
                 now += some * time
                 if self.report is not None:
                     self.report(now)
@@ -321,7 +356,9 @@ class Motion:
                 left = left - some * time if reached == some else 0.0
                 state = span.states[:, -1] if reached else state
             first += stage.outputs
-        return Path(np.concatenate(columns), _joined(positions), switches)
+        if done:
+            of_work = np.hstack(done).cumsum(axis=1)
+        return Path(np.concatenate(columns), _joined(positions), switches, of_work)
 
     def _integrator_of(self, factor: float) -> Resolved:
         """Return the integrator for a value by a factor larger than what was taken."""
@@ -337,21 +374,23 @@ class Motion:
         if self.setting == "step":
             return stage.strides(self.value, factor)
         # Outputs may limit the steps of a tolerance; of many, some tell as much.
-        every = 2 if factor > 1 else max(1, stage.outputs // _LOOKED_AT)
+        is_close = factor > 1 or stage.work is not None
+        every = 2 if is_close else max(1, stage.outputs // _LOOKED_AT)
         return stage.strides(stage.spacing, every)
 
     def _difference(self, other: Path) -> FloatArray:
-        """Return how far the motion is from another at the outputs that were kept.
+        """Return how far the motion is from another at the outputs that were kept, and its work.
 
         At one that the other does not have, it is the larger of those beside.
         """
         columns = _common(self.path.columns, other.columns)
         off = self._distance(self.path.at(columns), other.at(columns))
-        off = np.concatenate([[0.0], off, [np.inf]])
+        work = np.abs(self.path.work_at(columns) - other.work_at(columns))
+        off = np.pad(np.vstack([off, work]), ((0, 0), (1, 1)), constant_values=(0.0, np.inf))
         kept = self.path.columns
         after = np.searchsorted(columns, kept)
         is_met = np.append(columns, -1)[after] == kept
-        return np.maximum(off[after + 1], np.where(is_met, 0.0, off[after]))
+        return np.maximum(off[:, after + 1], np.where(is_met, 0.0, off[:, after]))
 
     def _distance(self, one: FloatArray, other: FloatArray) -> FloatArray:
         """Return the largest distance of a node between positions, as part of the size."""
@@ -371,11 +410,16 @@ class Motion:
         return self.structure.size
 
 
-def estimated_error(
-    run: PlantRun, limit: float, is_controlled: bool, report: Callable[[float], None] | None
+def estimated_errors(
+    run: PlantRun,
+    limit: float,
+    is_controlled: bool,
+    report: Callable[[float], None] | None,
+    work: FloatArray | None,
 ) -> FloatArray | None:
-    """Return an estimate of the error of the nodes at all times kept; None if interrupted.
+    """Return estimates of errors at all times kept, one a row; None if interrupted.
 
+    Of the nodes, as part of the size, and of the work of drives of bars, J, if it is given, (β, T).
     ``limit`` is that up to which the motion is trusted; ``report`` is told the time reached, s.
     """
     stages, half = [], len(run.model.structure.free_rows)
@@ -384,18 +428,33 @@ def estimated_error(
         u = run.packed(span.coefficients, start - span.origin)
         # The motion is kept from after a jump at its start on.
         begin = partial(run.pushed, held=u, jump=span.jump if i else None)
-        stages.append(Stage(float(span.time[-1]) - start, len(span.time), u, begin))
+        done = None if work is None else partial(_work_of_stage, run, i + 1)
+        stages.append(Stage(float(span.time[-1]) - start, len(span.time), u, begin, done))
     positions = _joined([span.states[:half] for span in run.spans[1:]])
     starts = None
     if is_controlled:  # a controller corrects the motion
         starts = np.column_stack([span.begin for span in run.spans[1:]])
     motion = Motion(
         run.model.structure, run.spans[0].begin, stages,
-        Path(np.arange(positions.shape[1]), positions, run.work.switches + run.work.missed),
+        Path(
+            np.arange(positions.shape[1]), positions, run.work.switches + run.work.missed,
+            None if work is None else work[:, 1:],
+        ),
         np.arange(half), run.choice.setting, run.choice.value, run.order, run.integrator_for,
         run.equation.layout.later, starts, report,
     )  # fmt: skip
     try:
-        return frozen(np.concatenate([[0.0], motion.estimated_error(limit)]))
+        return np.pad(motion.estimated_errors(limit), ((0, 0), (1, 0)))
     except KeyboardInterrupt:
         return None
+
+
+def _work_of_stage(
+    run: PlantRun, i: int, before: FloatArray, times: FloatArray, states: FloatArray
+) -> FloatArray:
+    """Return what drives do in a span of a run; see :class:`Stage`."""
+    start = float(run.spans[i - 1].time[-1])
+    work = drive_work(run, i, start + times, states)[1]
+    if i > 1 and not times[0]:  # the run begins after the first jump
+        work[:, 0] += impulse_work(run, i, before)
+    return work

@@ -123,11 +123,14 @@ _SHAPES = {
     "contacts_impulse": "dcT", "contacts_deepest": "c", "contacts_touch": "k",
     "contacts_begin": "k", "contacts_end": "k",
     "struts_bar": "s", **dict.fromkeys(
-        (f"struts_{name}" for name in ("length", "rate", "acceleration", "force", "work")), "bT"
+        (
+            f"struts_{name}"
+            for name in ("length", "rate", "acceleration", "force", "work", "work_error")
+        ), "bT",
     ),
 }  # fmt: skip
 # Of these, NaN says that there was none; deviations and estimates of errors may be infinite.
-_MAY_BE_NAN = ("error", "control_prediction_error", "control_estimate_")
+_MAY_BE_NAN = ("error", "control_prediction_error", "control_estimate_", "struts_work_error")
 # Of a run that ended early the rest may have overflowed.
 _MOTION = ("time", "nodes", "velocities", "rest_length")
 

@@ -22,7 +22,7 @@ from tenscontrol.properties import cached_property
 from tenscontrol.simulation.arguments import Arguments
 from tenscontrol.simulation.assembly import assembled
 from tenscontrol.simulation.driven_bars import DrivenBars, driven_bars, stretching
-from tenscontrol.simulation.error_estimate import estimated_error
+from tenscontrol.simulation.error_estimate import estimated_errors
 from tenscontrol.simulation.faults import Fault, Faults, StuckWinch
 from tenscontrol.simulation.health import ERROR_LIMIT
 from tenscontrol.simulation.health_check import SimulationError, check_health
@@ -37,6 +37,7 @@ from tenscontrol.simulation.start import (
     start_beside_supports,
 )
 from tenscontrol.simulation.strength import refuse_other_members
+from tenscontrol.simulation.strut_record import done_by_drives
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.structure.bar_geometry import refuse_other_bar_lengths
 from tenscontrol.structure.segments import to_segments
@@ -821,11 +822,13 @@ def _trajectory(
     """Return the motion so far, with an estimate of its error if it was not stopped."""
     limits = scene.integration.limits
     with finishing():
-        error, record = None, None if loop is None else loop.record()
+        errors, record = None, None if loop is None else loop.record()
+        done = None if run.bars is None else done_by_drives(run)
         if scene.integration.error == "estimate" and stopped is None:
             limit = limits.position_error or ERROR_LIMIT
-            error = estimated_error(run, limit, loop is not None, report_of_error)
+            work = None if done is None else done[1]
+            errors = estimated_errors(run, limit, loop is not None, report_of_error, work)
         return assembled(
-            run, record, error, stopped, limits, given=scene.given, note=scene.start_note,
-            scene=scene if scene.start is None else None,
+            run, record, errors, stopped, limits, given=scene.given, note=scene.start_note,
+            scene=scene if scene.start is None else None, done=done,
         )  # fmt: skip

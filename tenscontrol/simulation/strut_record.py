@@ -37,6 +37,9 @@ class StrutRecord:
     work : ndarray, shape (β, T)
         What the drives did by each time, J: the integral of :attr:`power`, and what the impulses
         did by which rates jump. By a quadrature of order 8 between the states that are kept.
+    work_error : ndarray, shape (β, T), or None
+        Estimate of the error of :attr:`work`, J, by the motion that the error of the run is found
+        from; None where that is not estimated.
     """
 
     bar: IntArray
@@ -45,6 +48,7 @@ class StrutRecord:
     acceleration: FloatArray
     force: FloatArray
     work: FloatArray
+    work_error: FloatArray | None = None
 
     __repr__ = short_repr
 
@@ -70,9 +74,12 @@ class StrutRecord:
             float(np.abs(values[self.bar]).max(initial=0.0))
             for values in (self.force, self.rate, self.stroke)
         )
+        within = ""
+        if self.work_error is not None:
+            within = f" within {self.work_error[:, -1].sum():.1g} J"
         return (
             f"struts            bar{'s' * (len(self.bar) > 1)} {some}: stroke {stroke:.3g} m, at "
-            f"most {rate:.3g} m/s and {force:.3g} N, {self.work[:, -1].sum():.4g} J in all"
+            f"most {rate:.3g} m/s and {force:.3g} N, {self.work[:, -1].sum():.4g} J in all{within}"
         )
 
 
@@ -109,29 +116,44 @@ def _of_columns(model: Model) -> ca.Function:
     return Function("of_columns", columns, [ca.densify(function(*matrices))])
 
 
-def recorded_struts(
-    run: PlantRun, functions: MotionFunctions, nodes: FloatArray, velocities: FloatArray
-) -> StrutRecord:
-    """Return what driven bars did in a run, by the motion between the states kept.
+def done_by_drives(run: PlantRun) -> tuple[FloatArray, FloatArray]:
+    """Return λ of driven bars in a run and what the drives did, at all times kept, (β, T) each.
 
-    Of nodes and velocities, (d, n, T), at the times kept, and functions of the model there.
+    See :func:`drive_work`.
     """
-    assert run.bars is not None  # else nothing is recorded
-    length, rate, acceleration = (run.all_values(run.length_rows, order) for order in range(3))
-    work, forces = [np.zeros((len(length), 1))], list[FloatArray]()
+    bars = len(run.model.structure.bars)
+    work, forces = [np.zeros((bars, 1))], [np.zeros((bars, 0))]
     for i, (before, span) in enumerate(pairwise(run.spans), 1):
         times = np.append(before.time[-1], span.time)
         states = np.column_stack([span.begin, span.states])
         density, done = drive_work(run, i, times, states)
         if i > 1 and done.shape[1]:  # the run begins after the first jump
-            done[:, 0] += impulse_work(run, i, before.states[:, -1:])
+            done[:, 0] += impulse_work(run, i, before.states[:, -1])
         work.append(done)
         forces.append(density if i == 1 else density[:, 1:])
+    return np.hstack(forces), np.hstack(work).cumsum(axis=1)
+
+
+def recorded_struts(
+    run: PlantRun,
+    done: tuple[FloatArray, FloatArray],
+    work_error: FloatArray | None,
+    functions: MotionFunctions,
+    motion: tuple[FloatArray, FloatArray],
+) -> StrutRecord:
+    """Return what driven bars did in a run.
+
+    By :func:`done_by_drives`, functions of the model at the times kept, and nodes and velocities
+    there, (d, n, T).
+    """
+    assert run.bars is not None  # else nothing is recorded
+    length, rate, acceleration = (run.all_values(run.length_rows, order) for order in range(3))
+    density, work = done
     if any(block.is_redundant for block in run.model.structure.blocks) or run.core is None:
-        forces = [_bar_forces(run, functions, nodes, velocities, (length, rate, acceleration))]
-    kept = (length, rate, acceleration, np.hstack(forces) * length)
-    kept = (*kept, np.hstack(work).cumsum(axis=1))
-    return StrutRecord(frozen(run.bars.bars), *(frozen(history) for history in kept))
+        density = _bar_forces(run, functions, *motion, (length, rate, acceleration))
+    kept = length, rate, acceleration, density * length, work
+    error = None if work_error is None else frozen(work_error)
+    return StrutRecord(frozen(run.bars.bars), *(frozen(history) for history in kept), error)
 
 
 def _bar_forces(
@@ -194,7 +216,7 @@ def _powers(
 def impulse_work(run: PlantRun, i: int, state: FloatArray) -> FloatArray:
     """Return what impulses do by which rates jump at the beginning of a span, J, shape (β,).
 
-    Of a state before the jump, one column.
+    Of the state before the jump, shape (states,).
     """
     span, before = run.spans[i], run.spans[i - 1]
     if span.jump is None or span.jump.bars is None:
@@ -202,7 +224,7 @@ def impulse_work(run: PlantRun, i: int, state: FloatArray) -> FloatArray:
     now = before.time[-1:]
     given = span.coefficients[run.length_rows]
     length, after = (polynomial_at(given, now - span.origin, order) for order in (0, 1))
-    x = run.all_nodes(state, span.coefficients[:, :, None], now - span.origin)
+    x = run.all_nodes(state[:, None], span.coefficients[:, :, None], now - span.origin)
     gamma, load = np.zeros((len(run.model.structure.strings), 1)), np.zeros((len(x) // 2, 1))
     (nodes, velocities), still = np.split(x, 2), np.zeros_like(after)
     change = span.jump.bars[:, None]
