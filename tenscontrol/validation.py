@@ -180,12 +180,12 @@ def _repeated(name: str, array: FloatArray, count: int, member: str) -> FloatArr
     return array
 
 
-def one_or_per_string(name: str, array: FloatArray, count: int) -> None:
-    """Refuse an array that is neither one number nor one per string."""
+def one_or_per_member(name: str, array: FloatArray, count: int, noun: str = "string") -> None:
+    """Refuse an array that is neither one number nor one per string, or other member."""
     if array.shape not in ((), (count,)):
         raise ValueError(
             f"{name} has shape {array.shape}, expected () or ({count},): one number, or one per "
-            "string"
+            f"{noun}"
         )
 
 

@@ -220,7 +220,7 @@ def each_motor(motor: Motor, count: int) -> EachMotor:
     """Return the numbers of each motor, for so many strings, or raise if they do not fit."""
     for name, value in vars(motor).items():
         if value is not None:
-            validation.one_or_per_string(f"motor.{name}", value, count)
+            validation.one_or_per_member(f"motor.{name}", value, count)
 
     def each(value: FloatArray | None, absent: float = np.inf) -> FloatArray:
         return frozen(np.broadcast_to(absent if value is None else value, count))

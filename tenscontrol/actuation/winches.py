@@ -209,7 +209,7 @@ class Winches:
         low = np.asarray(0.0 if self.shortest is None else self.shortest)
         high = np.asarray(np.inf if self.longest is None else self.longest)
         for name, limit in (("shortest", low), ("longest", high)):
-            validation.one_or_per_string(f"winches.{name}", limit, count)
+            validation.one_or_per_member(f"winches.{name}", limit, count)
         return np.full(count, low), np.full(count, high)
 
     def refuse_out_of_range(
@@ -262,7 +262,7 @@ class Winches:
         validation.positive("current", start, "rest length in m")
         validation.positive("wanted", goal, "rest length in m")
         if self.rate is not None:
-            validation.one_or_per_string("rate", self.rate, len(start))
+            validation.one_or_per_member("rate", self.rate, len(start))
         within = np.clip(goal, *self.range(len(start)))
         rate = self.largest_rate
         reach = np.inf if rate is None else rate * sample_time

@@ -109,7 +109,7 @@ class MotionLimits:
             rate = winches.largest_rate
             largest = none if rate is None else np.broadcast_to(rate, count)
             if rate is not None:
-                validation.one_or_per_string("winches.rate", rate, count)
+                validation.one_or_per_member("winches.rate", rate, count)
             self.pull = _most_pull(winches, self.actuation)
         has_winch = self.actuation.input >= 0
         self.rate = changes_of_inputs(self.actuation, largest if is_wound else none)

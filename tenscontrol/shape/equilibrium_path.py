@@ -204,13 +204,19 @@ class TimedPath:
         )
         self.rest_length: FloatArray | None = None
         self.rest_length_rate: FloatArray | None = None
+        self.bar_length: FloatArray | None = None
+        self.bar_length_rate: FloatArray | None = None
         self.shortest: float | None = None
         if continuation.problem.model.strings is not None:
             self.rest_length, winding = (np.stack([r[i] for r in rows], -1) for i in (3, 4))
+            driven, moving = self.rest_length, winding
+            if len(rows[0]) > 5:
+                driven, moving = (np.stack([r[i] for r in rows], -1) for i in (5, 6))
+                self.bar_length = driven
             if rate is not None:
-                limit = np.broadcast_to(rate, (len(winding),))[:, None]
-                jumps = np.diff(self.rest_length, axis=1) * (count - 1)
-                fastest = [float((np.abs(rates) / limit).max()) for rates in (winding, jumps)]
+                limit = np.broadcast_to(rate, (len(moving),))[:, None]
+                jumps = np.diff(driven, axis=1) * (count - 1)
+                fastest = [float((np.abs(rates) / limit).max()) for rates in (moving, jumps)]
                 # Between waypoints the pace was a guess; this is what the shapes need.
                 self.shortest = max(fastest) * (1 + _ROUND_OFF)
                 if duration is not None and duration < self.shortest:
@@ -220,6 +226,7 @@ class TimedPath:
                     )
                 total = self.shortest if duration is None else duration
             self.rest_length_rate = winding / total
+            self.bar_length_rate = None if self.bar_length is None else moving / total
         self.time = total * share
         self.velocities = moves / total
         self.residual = max(motion_of.unbalanced(point) for point in points)
@@ -304,12 +311,17 @@ class PathMotion:
         if model.strings is not None:
             length = kernel.string_lengths(model.structure, N).T
             rows.append(model.strings.taut_rest_length(length, gamma))
+        if problem.held is not None and problem.held.struts is not None:
+            rows.append(problem.bar_lengths)
         rates = [ca.densify(ca.jtimes(row, v, dv)) for row in rows]
         self._read = Function("read", [v, dv], [*rows, *rates])
         self._equations = Function("equations", [v], [problem.equations])
 
     def motion(self, point: Waypoint, speed: float) -> list[FloatArray]:
-        """Return nodes, velocities, γ, and rest lengths with their rates, at ds/dt."""
+        """Return nodes, velocities, γ, and rest lengths with their rates, at ds/dt.
+
+        Then lengths of bars with their rates, where these are driven.
+        """
         outputs = [
             np.array(output.full()).ravel() for output in self._read(point.values, point.slope)
         ]
@@ -317,8 +329,8 @@ class PathMotion:
         shape = self._problem.model.structure.nodes.shape
         nodes, moves = (flat.reshape(shape, order="F") for flat in (outputs[0], outputs[half]))
         quantities = [nodes, speed * moves, outputs[1]]
-        if half == 3:
-            quantities += [outputs[2], speed * outputs[5]]
+        for value, rate in zip(outputs[2:half], outputs[half + 2 :], strict=True):
+            quantities += [value, speed * rate]
         return quantities
 
     def pace(self, point: Waypoint, rate: FloatArray | None) -> float:
@@ -326,7 +338,7 @@ class PathMotion:
         quantities = self.motion(point, 1.0)
         if rate is None:
             return float(np.linalg.norm(quantities[1], axis=0).max())
-        return float((np.abs(quantities[4]) / rate).max())
+        return float((np.abs(quantities[-1]) / rate).max())  # of what drives the shape
 
     def unbalanced(self, point: Waypoint) -> float:
         """Return the largest unbalanced force, N."""

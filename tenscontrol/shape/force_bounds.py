@@ -35,9 +35,10 @@ class ForceLimits:
     level: float | None  # mean γ of the reference strings, N/m
     reference: IntArray
     scale: float  # size of the force densities, N/m
+    strokes: tuple[FloatArray, FloatArray] | None = None  # of bars that are driven, m, (β,) each
 
     def bounded(
-        self, gamma: FloatArray, rest_length: FloatArray | None
+        self, gamma: FloatArray, rest_length: FloatArray | None, bar_length: FloatArray
     ) -> list[tuple[str, str, FloatArray, FloatArray, FloatArray]]:
         """Return name, unit, values and bounds of what the user bounds."""
         rows, b = [], self.bounds
@@ -45,6 +46,8 @@ class ForceLimits:
             rows.append(("force_density", "N/m", gamma, b.low, b.high))
         if rest_length is not None and b.rest_length is not None:
             rows.append(("rest_length", "m", rest_length, *b.rest_length))
+        if self.strokes is not None:
+            rows.append(("bar_length", "m", bar_length, *self.strokes))
         return rows
 
 
@@ -94,19 +97,16 @@ def checked_limits(
             f"the {group!r} strings have both ends fixed, so that their γ has no effect; name "
             "another group by reference=..."
         )
-    level = None
-    if force_density is not None:
-        level = validation.positive_number("force_density", force_density, "N/m")
-        if level < low[strings].mean() or level > high[strings].mean():
-            left = validation.span(low[strings].mean(), high[strings].mean(), "N/m")
-            raise ValueError(
-                f"force_density is {level:g} N/m, but the bounds leave the {group!r} strings "
-                f"{left} in the mean"
-            )
-    elif reference is not None:
-        raise ValueError(f"reference is {reference!r}, but it goes with force_density")
+    strokes = drive_strokes(model, winches, held)
+    level = _checked_level(force_density, reference, (low, high), strings, group)
+    if level is not None and strokes is not None:
+        raise ValueError(
+            "force_density goes with winches that set forces, but plant drives bars, and its "
+            "strings keep their rest lengths: leave it out"
+        )
     loaded = bool(free_coordinates(structure, model.constant_force).any())
-    if level is None and prestress == "centred" and not np.isfinite(high).all():
+    centred = prestress == "centred" and strokes is None
+    if level is None and centred and not np.isfinite(high).all():
         raise ValueError(
             "the level of the prestress is unbounded: give force_density or "
             "max_force_density, or ask for prestress='least'"
@@ -124,7 +124,46 @@ def checked_limits(
         size = structure.size
         candidates.append(float(np.abs(model.constant_force).max()) / size)
     scale = max(value for value in candidates if value)
-    return ForceLimits(bounds, clearance, level, strings, scale)
+    return ForceLimits(bounds, clearance, level, strings, scale, strokes)
+
+
+def _checked_level(
+    force_density: object,
+    reference: str | None,
+    bounds: tuple[FloatArray, FloatArray],
+    strings: IntArray,
+    group: str,
+) -> float | None:
+    """Return the mean γ of the reference strings, N/m, if it is given, or raise."""
+    if force_density is None:
+        if reference is not None:
+            raise ValueError(f"reference is {reference!r}, but it goes with force_density")
+        return None
+    level = validation.positive_number("force_density", force_density, "N/m")
+    least, most = (float(bound[strings].mean()) for bound in bounds)
+    if level < least or level > most:
+        raise ValueError(
+            f"force_density is {level:g} N/m, but the bounds leave the {group!r} strings "
+            f"{validation.span(least, most, 'N/m')} in the mean"
+        )
+    return level
+
+
+def drive_strokes(
+    model: Model, winches: Winches | None, held: HeldStrings | None
+) -> tuple[FloatArray, FloatArray] | None:
+    """Return the shortest and longest length of each bar, m; None where no bar is driven.
+
+    Those that are not driven have no limit.
+    """
+    if held is None or held.struts is None:
+        return None
+    count, passive = len(model.structure.bars), held.struts.passive
+    shortest, longest = np.zeros(count), np.full(count, np.inf)
+    if winches is not None:
+        shortest, longest = (limit.copy() for limit in winches.range(count))
+        shortest[passive], longest[passive] = 0.0, np.inf
+    return shortest, longest
 
 
 def checked_bounds(
@@ -146,7 +185,8 @@ def checked_bounds(
                 "winches bound rest lengths, but the model has no string law; "
                 "build it as Model(structure, strings=LinearStrings(stiffness=...))"
             )
-        if winches.shortest is not None or winches.longest is not None:
+        of_bars = held is not None and held.struts is not None
+        if not of_bars and (winches.shortest is not None or winches.longest is not None):
             shortest, longest = winches.range(count)
             if held is not None:  # passive strings have no winch
                 passive = held.actuation.input < 0

@@ -1,4 +1,4 @@
-"""Passive strings, and strings that share a winch, as equations of a search for shapes."""
+"""What the drives of a plant cannot set, as equations of a search for shapes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from tenscontrol import validation
 from tenscontrol.actuation.driven_strings import Actuation
-from tenscontrol.arrays import FloatArray
+from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.dynamics import kernel
 from tenscontrol.dynamics.model import Model
 from tenscontrol.plant.linear_plant import LinearPlant, refuse_driven_bars
@@ -29,10 +29,28 @@ class HeldStrings:
     actuation : Actuation
     input : {"rest_length", "force_density"}
         What the values are.
+    struts : Actuation, optional
+        That of bars whose lengths are driven. All strings are passive then.
     """
 
     actuation: Actuation
     input: str
+    struts: Actuation | None = None
+
+    @property
+    def driven_bars(self) -> IntArray:
+        """Indices of the bars whose lengths are driven."""
+        return np.zeros(0, dtype=np.int64) if self.struts is None else self.struts.driven
+
+    def bar_rows(self, lengths: Any, orbits: FloatArray, unit: float) -> Any:
+        """Return expressions that vanish where drives can give bars these lengths, of order one.
+
+        Beside the lengths of bars that are not driven. Bars of one orbit, shape (β, orbits), have
+        the same length.
+        """
+        if self.struts is None:
+            return ca.SX(0, 1)
+        return _shared(self.struts, lengths, orbits.argmax(axis=1), unit, set())
 
     def rows(self, model: Model, nodes: Any, gamma: Any, orbits: FloatArray, unit: float) -> Any:
         """Return expressions that vanish where winches can hold γ in a shape, of order one.
@@ -53,17 +71,7 @@ class HeldStrings:
             if key not in written:
                 rows.append(values[i] / unit - float(offset[i]))
             written.add(key)
-        for i in np.setdiff1d(act.driven, act.lead).tolist():
-            lead = int(act.lead[act.input[i]])
-            ends = [(of[j], float(act.ratio[j]), round(float(offset[j]), 9)) for j in (i, lead)]
-            key = (*ends[0], *ends[1])
-            if ends[0] != ends[1] and key not in written:
-                own, first = (
-                    (values[j] / unit - float(offset[j])) / float(act.ratio[j]) for j in (i, lead)
-                )
-                rows.append(own - first)
-            written.add(key)
-        return ca.vertcat(*rows)
+        return ca.vertcat(*rows, _shared(act, values, of, unit, written))
 
     def spring_force_density(self, model: Model) -> FloatArray:
         """Return γ of the passive strings in the shape of the model, N/m."""
@@ -94,13 +102,38 @@ class HeldStrings:
             )
 
 
-def held_strings(model: Model, plant: object) -> HeldStrings | None:
-    """Return what the winches of a plant cannot set; None where they set each string."""
+def _shared(
+    act: Actuation, values: Any, of: IntArray, unit: float, written: set[tuple[float, ...]]
+) -> Any:
+    """Return expressions that vanish where members that share a drive move by their ratios.
+
+    ``of`` is the orbit of each member, and ``written`` says which equations there are.
+    """
+    rows, offset = [ca.SX(0, 1)], act.offset / unit
+    for i in np.setdiff1d(act.driven, act.lead).tolist():
+        lead = int(act.lead[act.input[i]])
+        ends = [(of[j], float(act.ratio[j]), round(float(offset[j]), 9)) for j in (i, lead)]
+        key = (*ends[0], *ends[1])
+        if ends[0] != ends[1] and key not in written:
+            own, first = (
+                (values[j] / unit - float(offset[j])) / float(act.ratio[j]) for j in (i, lead)
+            )
+            rows.append(own - first)
+        written.add(key)
+    return ca.vertcat(*rows)
+
+
+def held_strings(model: Model, plant: object, takes_bars: bool = False) -> HeldStrings | None:
+    """Return what the drives of a plant cannot set; None where they set each string.
+
+    ``takes_bars`` is whether the plant may drive bars.
+    """
     if plant is None:
         return None
     validation.instance("plant", plant, LinearPlant, "make one by linearize(..., actuated=...)")
     assert isinstance(plant, LinearPlant)  # just checked
-    refuse_driven_bars(plant, "a search of shapes")
+    if not takes_bars:
+        refuse_driven_bars(plant, "this search for motions")
     if not same_members(plant.model.structure, model.structure):
         raise ValueError(
             f"plant is of {plant.model.structure!r}, expected one of the structure of the model, "
@@ -108,4 +141,11 @@ def held_strings(model: Model, plant: object) -> HeldStrings | None:
         )
     if plant.input == "rest_length" and model.strings is None:
         raise ValueError("plant has rest lengths as inputs, but the model has no string law")
+    if plant.input == "bar_length":
+        if model.strings is None:
+            raise ValueError("plant has strings that keep rest lengths, but the model has no law")
+        assert plant.rest_length is not None  # it has a law
+        none = np.full(len(plant.rest_length), -1), np.zeros(len(plant.rest_length))
+        passive = Actuation(*none, plant.rest_length, np.zeros(0, dtype=np.int64))
+        return HeldStrings(passive, "rest_length", plant.actuation)
     return None if plant.actuation.is_whole else HeldStrings(plant.actuation, plant.input)

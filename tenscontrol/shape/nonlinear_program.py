@@ -56,7 +56,8 @@ class ShapeProblem:
 
     The nodes of ``start``, shape (d, n), give the size; ``level`` is the scale of the
     force densities, N/m. With a ``symmetry``, only shapes that have it are solutions; with strings
-    that are ``held``, only those in which these have the values that they must have.
+    that are ``held``, only those in which these have the values that they must have. Bars whose
+    lengths are driven may have any.
     """
 
     @builds
@@ -95,15 +96,16 @@ class ShapeProblem:
         for j in structure.free.tolist():
             F[:, j] += body[:d] + _turned(body[d:], arms[:, j])
         unbalanced = ca.vec(F)[structure.free_rows.tolist()]
-        moving = self._bars.argmax(axis=0) if self._bars.size else np.zeros(0, np.int64)
-        stretch = self._stretch(moving)
+        driven = np.zeros(0, dtype=np.int64) if held is None else held.driven_bars
+        stretch = self._stretch(_keeping(self._bars, driven))
         # Equations that the symmetry makes equal are written once.
         self.equations = ca.vertcat(ca.mtimes(_sparse(red.basis.T), unbalanced), stretch)
         self.held = held
         if held is not None:
             unit = self.size if held.input == "rest_length" else level
             rows = held.rows(model, nodes, self.gamma, red.strings, unit)
-            self.equations = ca.vertcat(self.equations, rows)
+            of_bars = held.bar_rows(self.bar_lengths, red.bars, self.size)
+            self.equations = ca.vertcat(self.equations, rows, of_bars)
         self._parts = Function("parts", [self.unknowns], [ca.densify(nodes), self.gamma])
 
     @property
@@ -115,6 +117,12 @@ class ShapeProblem:
         structure = self.model.structure
         chosen = self._bars.sum(axis=1) > 0
         return self._stretch(np.flatnonzero(is_movable(structure, structure.bars) & ~chosen))
+
+    @property
+    def bar_lengths(self) -> Any:
+        """Expression of the lengths of all bars, m, a column."""
+        B = kernel.differences(self.nodes, self.model.structure.bars)
+        return ca.sqrt(kernel.dots(B, B)).T
 
     def _stretch(self, bars: IntArray) -> Any:
         """Return half the excess of squared lengths, in units of the size, one a row."""
@@ -289,6 +297,15 @@ class ShapeProblem:
             (m[:d, None] + turn).ravel(order="F") for m, turn in zip(motions.T, turns, strict=True)
         ]
         return np.column_stack(moved)
+
+
+def _keeping(orbits: FloatArray, driven: IntArray) -> IntArray:
+    """Return a bar of each orbit, shape (β, orbits), that keeps its length."""
+    if not orbits.size:
+        return np.zeros(0, np.int64)
+    keeps = orbits > 0
+    keeps[driven] = False
+    return keeps.argmax(axis=0)[keeps.any(axis=0)]
 
 
 def _determining(structure: Structure, red: Reduction) -> IntArray:

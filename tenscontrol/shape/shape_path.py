@@ -8,7 +8,7 @@ import numpy as np
 
 from tenscontrol import validation
 from tenscontrol.actuation.winches import Winches
-from tenscontrol.arrays import FloatArray, freeze_arrays
+from tenscontrol.arrays import FloatArray, IntArray, freeze_arrays
 from tenscontrol.dynamics.coordinates import coordinates
 from tenscontrol.dynamics.model import Model
 from tenscontrol.plant.linear_plant import LinearPlant
@@ -21,14 +21,19 @@ from tenscontrol.shape.equilibrium_path import (
     Waypoint,
     rest_at,
 )
-from tenscontrol.shape.force_bounds import checked_bounds, refuse_ground
-from tenscontrol.shape.held_strings import held_strings
+from tenscontrol.shape.force_bounds import checked_bounds, drive_strokes, refuse_ground
+from tenscontrol.shape.held_strings import HeldStrings, held_strings
 from tenscontrol.shape.nonlinear_program import ShapeProblem
 from tenscontrol.shape.shape_search import STIFF
-from tenscontrol.shape.target import PLACES, ShapeTarget, moved_as_one_body
+from tenscontrol.shape.target import (
+    PLACES,
+    ShapeTarget,
+    moved_as_one_body,
+    with_lengths_of,
+)
 from tenscontrol.statics.prestress import Prestress
 from tenscontrol.structure.bar_clearance import BarMotion, bar_distances
-from tenscontrol.structure.bar_geometry import refuse_wrong_bar_lengths, restore_bar_lengths
+from tenscontrol.structure.bar_geometry import put_on_lengths, refuse_wrong_bar_lengths
 from tenscontrol.structure.structure import same_members
 from tenscontrol.structure.supports import (
     free_coordinates,
@@ -56,10 +61,12 @@ class ShapePath(Viewable):
         γ, N/m.
     rest_length, rest_length_rate : ndarray, shape (α, T), or None
         m and m/s; None without a string law.
+    bar_length, bar_length_rate : ndarray, shape (β, T)
+        m and m/s; constant but for bars that are driven.
     residual : float
         Largest unbalanced force on a node, N.
     bar_length_error : float
-        Largest departure of a bar from its length, relative.
+        Largest departure of a bar that is not driven from its length, relative.
     stability_margin : float
         The smallest on the way, N/m; see :class:`ShapeTarget`.
     clearance : float
@@ -75,6 +82,8 @@ class ShapePath(Viewable):
     force_density: FloatArray
     rest_length: FloatArray | None
     rest_length_rate: FloatArray | None
+    bar_length: FloatArray
+    bar_length_rate: FloatArray
     residual: float
     bar_length_error: float
     stability_margin: float
@@ -112,9 +121,13 @@ class ShapePath(Viewable):
         if instants.ndim != 1 or not len(instants):
             raise ValueError(f"times has shape {instants.shape}, expected (K,) with K at least 1")
         spline = CubicHermiteSpline(self.time, self.nodes, self.velocities, axis=2)
-        shapes = spline(np.clip(instants, self.time[0], self.time[-1]))
-        structure = self.model.structure
-        exact = [restore_bar_lengths(structure, shapes[:, :, k]) for k in range(len(instants))]
+        within = np.clip(instants, self.time[0], self.time[-1])
+        shapes, structure = spline(within), self.model.structure
+        of_bars = CubicHermiteSpline(self.time, self.bar_length, self.bar_length_rate, axis=1)
+        lengths = of_bars(within).T
+        exact = [
+            put_on_lengths(structure, shapes[:, :, k], lengths[k]) for k in range(len(instants))
+        ]
         gamma = np.array([np.interp(instants, self.time, row) for row in self.force_density])
         return Reference(instants, np.stack(exact, axis=-1), gamma)
 
@@ -159,7 +172,7 @@ class ShapePath(Viewable):
         load = self.model.constant_force
         return tuple(
             linearize(
-                self.model,
+                with_lengths_of(self.model, self.nodes[:, :, k]),
                 OperatingPoint(self.nodes[:, :, k], self.force_density[:, k], load),
                 input=input,
             )
@@ -222,7 +235,8 @@ def shape_path(
     plant : LinearPlant, optional
         Of this model, made with ``actuated``: its passive strings keep their rest lengths, or force
         densities, all the way; strings that share a winch move by their ratios. Both ends are made
-        by ``shape_target(..., plant=plant)``.
+        by ``shape_target(..., plant=plant)``. With ``input="bar_length"``, bars that it drives
+        change their lengths, and ``winches`` limit these and their rates.
 
     Returns
     -------
@@ -265,18 +279,22 @@ def shape_path(
         "require_stable", require_stable, "whether a path through shapes that buckle is refused"
     )
     validation.choice("place", place, PLACES)
-    begin, end = path_end(model, "start", start), path_end(model, "goal", goal)
+    held = held_strings(model, plant, takes_bars=True)
+    driven = None if held is None else held.driven_bars
+    begin, end = (path_end(model, *end, driven) for end in (("start", start), ("goal", goal)))
     step = validation.positive_number("step", step, "s")
     ramp = validation.positive_number("ramp", ramp, "shares of the duration")
     if ramp > 0.5:
         raise ValueError(f"ramp is {ramp:g}, expected at most 0.5: there are two of them")
-    held = held_strings(model, plant)
     bounds = checked_bounds(model, min_force_density, max_force_density, winches, held)
     bounds.refuse_outside("start", begin.force_density)
     bounds.refuse_outside("goal", end.force_density)
     rate = None if winches is None else winches.largest_rate
     if rate is not None:
-        validation.one_or_per_string("winches.rate", rate, len(model.structure.strings))
+        of_bars = held is not None and held.struts is not None
+        members = model.structure.bars if of_bars else model.structure.strings
+        noun = "bar" if of_bars else "string"
+        validation.one_or_per_member("winches.rate", rate, len(members), noun)
     if duration is not None:
         duration = validation.positive_number("duration", duration, "s")
     elif rate is None:
@@ -313,11 +331,12 @@ def shape_path(
     if timed.rest_length is not None:
         bounds.refuse_rest_lengths(timed.rest_length, timed.time)
     structure = model.structure
+    bar_length, bar_rate = _bar_lengths(model, timed, winches, held)
     nodes, velocities = timed.nodes, timed.velocities
     if place == "centre":
         nodes, velocities = _with_centre_kept(model, begin.structure.nodes, nodes, velocities)
     bars = timed.nodes[:, structure.bars[:, 1]] - timed.nodes[:, structure.bars[:, 0]]
-    length = np.linalg.norm(bars, axis=0) / structure.bar_length[:, None]
+    length = np.linalg.norm(bars, axis=0) / bar_length
     return ShapePath(
         model=model,
         time=timed.time,
@@ -326,6 +345,8 @@ def shape_path(
         force_density=timed.force_density,
         rest_length=timed.rest_length,
         rest_length_rate=timed.rest_length_rate,
+        bar_length=bar_length,
+        bar_length_rate=bar_rate,
         residual=timed.residual,
         bar_length_error=float(np.abs(length - 1).max(initial=0.0)),
         stability_margin=margin,
@@ -345,7 +366,8 @@ def _with_centre_kept(
     shapes, rates = [], []
     for N, V in zip(np.moveaxis(nodes, 2, 0), np.moveaxis(velocities, 2, 0), strict=True):
         # Laid over the shape before: then nothing of the step between them is such a motion.
-        last, turned = coordinates(model, last, "nodes").laid_over(N, V)
+        before = coordinates(with_lengths_of(model, last), last, "nodes")
+        last, turned = before.laid_over(N, V)
         fields = left_by_supports(structure, rigid_motions(last))
         momenta = (mass @ fields.reshape(len(mass), -1)).reshape(fields.shape).T
         rate = turned.ravel(order="F")
@@ -355,8 +377,36 @@ def _with_centre_kept(
     return np.stack(shapes, axis=-1), np.stack(rates, axis=-1)
 
 
-def path_end(model: Model, name: str, value: object) -> Prestress:
-    """Return an end of the path as an equilibrium of this model."""
+def _bar_lengths(
+    model: Model, timed: TimedPath, winches: Winches | None, held: HeldStrings | None
+) -> tuple[FloatArray, FloatArray]:
+    """Return the lengths of bars on the way and their rates, (β, T) each.
+
+    Raises an error where a drive leaves its stroke.
+    """
+    time, strokes = timed.time, drive_strokes(model, winches, held)
+    lengths = np.repeat(model.structure.bar_length[:, None], len(time), axis=1)
+    rates = np.zeros_like(lengths)
+    if strokes is None or held is None:
+        return lengths, rates
+    assert timed.bar_length is not None  # bars are driven
+    assert timed.bar_length_rate is not None  # then, too
+    lengths[held.driven_bars] = timed.bar_length[held.driven_bars]
+    rates[held.driven_bars] = timed.bar_length_rate[held.driven_bars]
+    low, high = strokes
+    below = lengths < low[:, None] * (1 - 1e-9)
+    out = np.argwhere(below | (lengths > high[:, None] * (1 + 1e-9)))
+    if len(out):
+        i, k = out[out[:, 1].argmin()]
+        raise ValueError(
+            f"on the way, at {time[k]:.4g} s, bar {i} needs a length of {lengths[i, k]:.6g} m, "
+            f"expected {validation.span(low[i], high[i], 'm')}: the stroke of its drive"
+        )
+    return lengths, rates
+
+
+def path_end(model: Model, name: str, value: object, driven: IntArray | None = None) -> Prestress:
+    """Return an end of the path as an equilibrium of this model, but for lengths of driven bars."""
     rest = value.prestress if isinstance(value, ShapeTarget) else value
     validation.instance(
         name, rest, Prestress, "make one by shape_target(model, ...) or prestress(...)"
@@ -368,7 +418,7 @@ def path_end(model: Model, name: str, value: object) -> Prestress:
             f"{name} is a prestress of {structure!r}, expected one of the structure of the model, "
             f"{ours!r}, with the same members and fixed nodes"
         )
-    refuse_wrong_bar_lengths(name, ours, structure.nodes)
+    refuse_wrong_bar_lengths(name, ours, structure.nodes, driven=driven)
     refuse_moved_supports(name, ours, structure.nodes)
     load = free_coordinates(ours, model.constant_force)
     off = float(np.abs(free_coordinates(ours, rest.external_force) - load).max(initial=0.0))

@@ -105,6 +105,9 @@ class _DemandRows:
             rest_length = model.strings.taut_rest_length(length, problem.gamma)
             shortest, longest = bounds.rest_length
             blocks.append((rest_length / size, shortest / size, longest / size))
+        if limits.strokes is not None:
+            shortest, longest = limits.strokes
+            blocks.append((problem.bar_lengths / size, shortest / size, longest / size))
         if limits.clearance:
             apart = _signed_distances(model.structure, start, problem.nodes)
             least = np.full(apart.numel(), limits.clearance / size)
@@ -205,10 +208,18 @@ class _EquilibriumSearch:
             (level, np.zeros(level.numel()), np.zeros(level.numel())),
             (squares, shortest, np.full(len(shortest), np.inf)),
         ]
+        if problem.held is not None and problem.held.struts is not None:
+            bars, length = (
+                problem.held.driven_bars,
+                np.linalg.norm(structure.bar_vectors(start), axis=0),
+            )
+            lengths, least = problem.bar_lengths[bars.tolist()], _SHORT * length[bars]
+            most = np.full(len(bars), np.inf)
+            self._rows.append((lengths / problem.size, least / problem.size, most))
         home = problem.start(start, self._gamma)[: problem.positions.numel()]
         self._away = ca.sumsqr(problem.positions - ca.DM(home))
         self._forces = ca.SX(0)
-        if limits.level is None:
+        if limits.level is None and limits.strokes is None:  # else rest lengths settle them
             self._forces = _FORCES * _prestress_cost(problem, limits, kind)
 
     def equilibria(self, nodes: FloatArray) -> Iterator[FloatArray]:
@@ -339,7 +350,7 @@ def _finished(
         low, high = low.copy(), high.copy()
         low[passive] = high[passive] = gamma[passive]
     choices = [gamma]
-    if (low <= high).all() and not is_ganged:
+    if (low <= high).all() and not is_ganged and limits.strokes is None:
         chosen = choose_force_density(structure, model.constant_force, limits, low, high, kind)
         choices = ([] if chosen is None else [chosen]) + choices
     rest = _first_balanced(structure, choices, limits, model.constant_force)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from tenscontrol.plant.linear_plant import LinearPlant
 from tenscontrol.plant.reference import STRINGS_MOVE_NO_CENTRE
 from tenscontrol.shape.demands import Demand, centre_kept
 from tenscontrol.shape.force_bounds import ForceLimits, checked_limits, refuse_ground
-from tenscontrol.shape.held_strings import held_strings
+from tenscontrol.shape.held_strings import HeldStrings, held_strings
 from tenscontrol.shape.shape_search import MET, STIFF, Solved, solve_shape
 from tenscontrol.shape.symmetry import RotationalSymmetry
 from tenscontrol.statics.prestress import Prestress
@@ -34,6 +34,9 @@ PLACES = ("anywhere", "centre")
 # A shape that differs from the start by less than this part of its way is the same elsewhere; ways
 # below the second part of the size are none.
 _UNCHANGED, _STAYED = 1e-3, 1e-6
+
+# Lengths of bars that differ by less than this part are the same.
+_SAME_LENGTH = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,10 +91,12 @@ class ShapeTarget:
         γ, N/m.
     rest_length : ndarray, shape (α,), or None
         m, just the length where γ = 0; None without a string law.
+    bar_length : ndarray, shape (β,)
+        m; those of the structure but for bars that are driven.
     residual : float
         Largest unbalanced force on a node, N.
     bar_length_error : float
-        Largest departure of a bar from its length, relative.
+        Largest departure of a bar that is not driven from its length, relative.
     stability_margin : float
         Smallest eigenvalue of the stiffness, N/m: with rest lengths held if the
         model has a string law; else with strings rigid, of what the prestress
@@ -107,6 +112,7 @@ class ShapeTarget:
     nodes: FloatArray
     force_density: FloatArray
     rest_length: FloatArray | None
+    bar_length: FloatArray
     residual: float
     bar_length_error: float
     stability_margin: float
@@ -205,7 +211,9 @@ def shape_target(
     plant : LinearPlant, optional
         Of this model, made with ``actuated``: its passive strings keep their rest lengths, or force
         densities, and stay taut; strings that share a winch move by their ratios. All strings are
-        driven if not given.
+        driven if not given. With ``input="bar_length"``, lengths of the bars that it drives are
+        found, all strings keep their rest lengths, which settles the forces, and ``winches`` bound
+        lengths of bars.
 
     Returns
     -------
@@ -258,7 +266,7 @@ def shape_target(
     if symmetry is not None:
         how = "make one by RotationalSymmetry(cycles)"
         validation.instance("symmetry", symmetry, RotationalSymmetry, how)
-    held = held_strings(model, plant)
+    held = held_strings(model, plant, takes_bars=True)
     limits = checked_limits(
         model,
         force_density,
@@ -272,7 +280,8 @@ def shape_target(
     )
     begin = structure.nodes if start is None else structure.checked_nodes("start", start)
     refuse_moved_supports("start", structure, begin)
-    begin = restore_bar_lengths(structure, begin)
+    if held is None or held.struts is None:
+        begin = restore_bar_lengths(structure, begin)
     refuse_load_without_support(structure, model.constant_force)
     asked = tuple(wanted) + (centre_kept(structure, begin) if place == "centre" else ())
     solved = solve_shape(model, asked, limits, prestress, symmetry, begin, held)
@@ -284,7 +293,7 @@ def shape_target(
             "lower min_force_density",
             None,
         )
-    target = _target(model, asked, limits, solved)
+    target = _target(model, asked, limits, solved, held)
     if target.missed:
         misses = "; ".join(str(check) for check in target.missed)
         why = f" {STRINGS_MOVE_NO_CENTRE}." if len(asked) > len(wanted) else ""
@@ -314,28 +323,46 @@ def shape_target(
     return target
 
 
+def with_lengths_of(model: Model, nodes: FloatArray) -> Model:
+    """Return a model whose bars have the lengths that they have in a shape."""
+    length = np.linalg.norm(model.structure.bar_vectors(nodes), axis=0)
+    if np.allclose(length, model.structure.bar_length, rtol=_SAME_LENGTH, atol=0):
+        return model
+    return model.replace(structure=replace(model.structure, nodes=nodes))
+
+
 def moved_as_one_body(model: Model, before: FloatArray, after: FloatArray) -> float:
     """Return how far nodes move, m, where two shapes differ by a rigid-body motion alone; or 0."""
-    laid = coordinates(model, before, "nodes").laid_over(after, np.zeros_like(after))[0]
+    laid = coordinates(with_lengths_of(model, before), before, "nodes").laid_over(
+        after, np.zeros_like(after)
+    )[0]
     gone, changed = (float(np.linalg.norm(nodes - before, axis=0).max()) for nodes in (after, laid))
     size = float(np.ptp(before, axis=1).max())
     return gone if gone > _STAYED * size and changed < _UNCHANGED * gone else 0.0
 
 
 def _target(
-    model: Model, demands: tuple[Demand, ...], limits: ForceLimits, solved: Solved
+    model: Model,
+    demands: tuple[Demand, ...],
+    limits: ForceLimits,
+    solved: Solved,
+    held: HeldStrings | None,
 ) -> ShapeTarget:
     structure, rest = model.structure, solved.rest
     nodes, gamma = rest.structure.nodes, rest.force_density
     length = np.linalg.norm(structure.bar_vectors(nodes), axis=0)
+    off = np.abs(length / structure.bar_length - 1)
+    if held is not None:
+        off[held.driven_bars] = 0.0
     return ShapeTarget(
         model=model,
         prestress=rest,
         nodes=nodes,
         force_density=gamma,
         rest_length=None if solved.rest_length is None else frozen(solved.rest_length),
+        bar_length=frozen(length),
         residual=rest.residual,
-        bar_length_error=float(np.abs(length / structure.bar_length - 1).max(initial=0.0)),
+        bar_length_error=float(off.max(initial=0.0)),
         stability_margin=solved.margin,
         clearance=bar_distances(structure, nodes).least,
         demands=tuple(_checks(demands, limits, solved)),
@@ -353,7 +380,8 @@ def _checks(demands: tuple[Demand, ...], limits: ForceLimits, solved: Solved) ->
             rows.append(DemandCheck(name, low, high, number + off, over, demand.unit))
             row += 1
     gamma = solved.rest.force_density
-    for name, unit, values, low_, high_ in limits.bounded(gamma, solved.rest_length):
+    lengths = solved.rest.structure.bar_length
+    for name, unit, values, low_, high_ in limits.bounded(gamma, solved.rest_length, lengths):
         scale = limits.scale if unit == "N/m" else float(solved.scales.max(initial=1.0))
         for i, value in enumerate(values.tolist()):
             least, most = float(low_[i]), float(high_[i])

@@ -193,7 +193,8 @@ class Motion:
 
     def estimated_error(self, limit: float) -> FloatArray:
         """Return the error of the nodes at each output that was kept, as part of the size."""
-        return self.estimated_errors(limit)[0]
+        error: FloatArray = self.estimated_errors(limit)[0]
+        return error
 
     def estimated_errors(self, limit: float) -> FloatArray:
         """Return the error of the nodes at each output that was kept, and of the work of drives.
@@ -206,7 +207,7 @@ class Motion:
         """
         error = self._from_another(limit)
         if self.starts is not None and error.size and float(error[0].max()) > limit:
-            error = np.minimum(error, self._added(self.starts))
+            error = np.asarray(np.minimum(error, self._added(self.starts)))
         return np.stack([self._without_dips(row) for row in error])
 
     def _without_dips(self, error: FloatArray) -> FloatArray:

@@ -153,7 +153,7 @@ def recorded_struts(
         density = _bar_forces(run, functions, *motion, (length, rate, acceleration))
     kept = length, rate, acceleration, density * length, work
     error = None if work_error is None else frozen(work_error)
-    return StrutRecord(frozen(run.bars.bars), *(frozen(history) for history in kept), error)
+    return StrutRecord(frozen(run.bars.bars), *map(frozen, kept), work_error=error)
 
 
 def _bar_forces(

@@ -50,9 +50,14 @@ def restore_bar_lengths(structure: Structure, nodes: object) -> FloatArray:
     validation.instance(
         "structure", structure, Structure, "make one by Structure(...) or prism(...)"
     )
+    return put_on_lengths(structure, nodes, structure.bar_length)
+
+
+def put_on_lengths(structure: Structure, nodes: object, lengths: FloatArray) -> FloatArray:
+    """Return the same where bars have these lengths, m, shape (β,)."""
     moved = structure.checked_nodes("nodes", nodes).copy()
     largest = np.abs(moved[:, structure.bar_nodes]).max(initial=0.0)
-    most = _TOLERANCE / np.finfo(float).eps * structure.bar_length.min(initial=np.inf)
+    most = _TOLERANCE / np.finfo(float).eps * lengths.min(initial=np.inf)
     if largest > most:
         raise ValueError(
             f"nodes has entries up to {largest:g} m, expected at most {most:g} m: beyond that, "
@@ -67,15 +72,15 @@ def restore_bar_lengths(structure: Structure, nodes: object) -> FloatArray:
             "direction; move one of them"
         )
     alone = np.concatenate([structure.free_bars, structure.swinging_bars])
-    change = (vectors * (structure.bar_length / length - 1))[:, alone]
+    change = (vectors * (lengths / length - 1))[:, alone]
     share = structure.end_share[alone]
     start, end = structure.bars[alone].T
     moved[:, start] -= share[:, 0] * change
     moved[:, end] += share[:, 1] * change
     for block in structure.blocks:
-        moved = restore_block(structure, block, moved)
+        moved = restore_block(structure, block, moved, lengths)
         length = np.linalg.norm(structure.bar_vectors(moved)[:, block.bars], axis=0)
-        off = np.abs(length / structure.bar_length[block.bars] - 1)
+        off = np.abs(length / lengths[block.bars] - 1)
         if off.max() > _TOLERANCE:  # a mirrored shape of a body, which its redundant bars forbid
             raise ValueError(
                 f"in nodes, the redundant bars among {sorted(block.bars.tolist())} cannot have "
@@ -103,11 +108,17 @@ def rigid_shape(name: str, structure: Structure, nodes: FloatArray) -> FloatArra
 
 
 def refuse_wrong_bar_lengths(
-    name: str, structure: Structure, nodes: FloatArray, tolerance: float = _TOLERANCE
+    name: str,
+    structure: Structure,
+    nodes: FloatArray,
+    tolerance: float = _TOLERANCE,
+    driven: IntArray | None = None,
 ) -> None:
-    """Raise if a bar of this shape has not its length, naming the worst one."""
+    """Raise if a bar of this shape has not its length, naming the worst one that is not driven."""
     length = np.linalg.norm(structure.bar_vectors(nodes), axis=0)
     off = np.abs(length / structure.bar_length - 1)
+    if driven is not None:
+        off[driven] = 0.0
     if off.size and off.max() > tolerance:
         worst = int(off.argmax())
         raise ValueError(

@@ -246,8 +246,10 @@ def _admitted(J: csr_array, motions: FloatArray) -> FloatArray:
     return np.asarray(factors.solve(np.vstack([motions, below]))[: len(motions)])
 
 
-def restore_block(structure: Jointed, block: Block, nodes: FloatArray) -> FloatArray:
-    """Return nodes, shape (d, n), with the bars of a block at their lengths.
+def restore_block(
+    structure: Jointed, block: Block, nodes: FloatArray, lengths: FloatArray
+) -> FloatArray:
+    """Return nodes, shape (d, n), with the bars of a block at these lengths, m, shape (β,).
 
     By Newton's iteration to round-off, each change the least in the metric of the mass. Raises
     ValueError if it does not converge: the shape is too far off.
@@ -258,7 +260,7 @@ def restore_block(structure: Jointed, block: Block, nodes: FloatArray) -> FloatA
     if len(bars) == 0:
         return nodes
     flat, mass = nodes.ravel(order="F"), block_mass(structure, block)
-    length = structure.bar_length[bars]
+    length = lengths[bars]
     best = np.inf
     for _ in range(_MOST):
         nodes = flat.reshape(nodes.shape, order="F")
@@ -342,7 +344,8 @@ def _refuse_dead_centre(structure: Jointed, block: Block) -> None:
     length = structure.bar_length[block.bars]
     flat = nodes.ravel(order="F").copy()
     flat[rows] += _STEP * length.max() / np.abs(motion).max() * motion
-    moved = restore_block(structure, block, flat.reshape(nodes.shape, order="F"))
+    bent = flat.reshape(nodes.shape, order="F")
+    moved = restore_block(structure, block, bent, structure.bar_length)
     start, end = structure.bars[block.bars].T
     off = np.abs(np.linalg.norm(moved[:, end] - moved[:, start], axis=0) / length - 1)
     if off.max() > _OFF:

@@ -52,3 +52,62 @@ def test_a_path_ends_where_strings_go_slack(plant):
     wound = tc.linearize(plant.model, tc.prestress(plant.model.structure, min_force_density=20.0))
     with pytest.raises(ValueError, match="expected 'bar_length'"):
         tc.shape.strut_path(wound, np.outer(lengths, [1.0, 1.1]), [0.0, 1.0])
+
+
+LOW = tc.Height(0.9, top=[0, 1, 2], bottom=[3, 4, 5])
+SEARCHES = {
+    "one drive": (replace(tc.prism(), fixed=[3, 4, 5]), {"all": [0, 1, 2]}, LOW, "anywhere"),
+    "one bar": (replace(tc.prism(), fixed=[3, 4, 5]), [0], tc.Height(0.97, [0], [3]), "anywhere"),
+    "in the air": (tc.prism(), None, LOW, "centre"),
+    "joined": (tc.library.d_bar_3d(), None, tc.Height(1.68, top=[3], bottom=[4]), "anywhere"),
+}
+
+
+@pytest.mark.parametrize("name", SEARCHES)
+def test_lengths_of_bars_are_found_for_a_shape_and_the_path_to_it(name):
+    """Of least energy with the rest lengths of the plant, by another method."""
+    structure, actuated, demand, place = SEARCHES[name]
+    plant = plant_of(structure, actuated)
+    structure, model = plant.model.structure, plant.model
+    target = tc.shape_target(model, demand, plant=plant, place=place)
+    drives = plant.actuation
+    assert np.abs(target.bar_length / structure.bar_length - 1).max() > 0.02
+    found = drives.strings(drives.inputs(target.bar_length))  # those of the bars
+    np.testing.assert_allclose(target.bar_length, found, rtol=1e-12)
+    np.testing.assert_allclose(target.rest_length, plant.rest_length, rtol=1e-12)
+    there = model.replace(structure=replace(structure, nodes=target.nodes))
+    least = tc.equilibrium(there, rest_length=plant.rest_length)
+    np.testing.assert_allclose(least.structure.nodes, target.nodes, atol=1e-7)
+    start = tc.prestress(structure, plant.force_density)
+    path = tc.shape_path(model, start, target, duration=1.0, step=0.1, plant=plant, place=place)
+    assert path.residual < 1e-9
+    assert path.bar_length_error < 1e-12
+    np.testing.assert_allclose(path.bar_length[:, [0, -1]].T, [structure.bar_length,
+                                                               target.bar_length])  # fmt: skip
+    np.testing.assert_allclose(path.rest_length.T, np.tile(plant.rest_length, (len(path.time), 1)))
+    followed = tc.shape.strut_path(plant, path.bar_length, path.time)
+    strings = [structure.string_length(shapes.nodes[:, :, -1]) for shapes in (path, followed)]
+    np.testing.assert_allclose(*strings, rtol=1e-9)
+    between = path.reference([0.43]).nodes[:, :, 0]
+    held = np.setdiff1d(np.arange(len(structure.bars)), drives.driven)
+    length = np.linalg.norm(structure.bar_vectors(between), axis=0)
+    np.testing.assert_allclose(length[held], structure.bar_length[held], rtol=1e-12)
+
+
+def test_strokes_and_rates_of_drives_bound_what_is_found(plant):
+    model, place = plant.model, plant.nodes[:, :1] + [[0.03], [-0.02], [-0.05]]
+    demand, start = tc.NodesAt([0], place), tc.prestress(plant.model.structure, plant.force_density)
+    narrow = tc.Winches(shortest=1.385, longest=1.4)
+    with pytest.raises(tc.shape.ShapeError, match=r"bar_length\[1\] is .* wanted 1.385 to") as off:
+        tc.shape_target(model, demand, winches=narrow, plant=plant)
+    assert off.value.nearest.residual < 1e-9
+    drives = tc.Winches(ramp=True, rate=0.5, shortest=1.2, longest=1.5)
+    target = tc.shape_target(model, demand, winches=drives, plant=plant)
+    path = tc.shape_path(model, start, target, winches=drives, plant=plant)
+    assert np.abs(path.bar_length_rate).max() == pytest.approx(0.5, rel=1e-6)
+    with pytest.raises(ValueError, match=r"bar 1 needs a length of .* stroke of its drive"):
+        tc.shape_path(
+            model, start, target, winches=tc.Winches(rate=0.5, shortest=1.35), plant=plant
+        )
+    with pytest.raises(ValueError, match="force_density goes with winches that set forces"):
+        tc.shape_target(model, demand, force_density=10.0, plant=plant)
