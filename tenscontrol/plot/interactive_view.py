@@ -14,6 +14,7 @@ from tenscontrol.plant.string_outputs import to_model_strings
 from tenscontrol.plot.ground_drawing import ground_surface
 from tenscontrol.plot.structure_drawing import (
     checked_force_density,
+    driven_bars,
     known_actuation,
     passive_strings,
 )
@@ -132,6 +133,7 @@ def _of_run(shown: Trajectory) -> View:
         ground=tuple(grid for grid in surfaces if grid is not None),
         pressed=pressed,
         passive=passive_strings(shown.structure, known_actuation(shown)),
+        struts=driven_bars(shown),
     )
 
 
@@ -144,7 +146,8 @@ def _of_plant(shown: LinearPlant) -> View:
         structure,
         shown.nodes[:, :, None],
         force_density=gamma[:, None],
-        passive=passive_strings(structure, shown.actuation),
+        passive=passive_strings(structure, known_actuation(shown)),
+        struts=driven_bars(shown),
     )
 
 
@@ -156,8 +159,10 @@ def _of_strength(shown: Strength) -> View:
 
 @_view_of.register
 def _of_path(shown: ShapePath) -> View:
-    title = f"path of {shown.time[-1]:g} s"
-    return View(title, shown.model.structure, shown.nodes, shown.time, shown.force_density)
+    title, structure = f"path of {shown.time[-1]:g} s", shown.model.structure
+    return View(
+        title, structure, shown.nodes, shown.time, shown.force_density, struts=driven_bars(shown)
+    )
 
 
 @_view_of.register

@@ -19,6 +19,7 @@ from tenscontrol.plot.structure_drawing import (
     draw,
     draw_arrows,
     frame,
+    known_actuation,
     new_view,
     passive_strings,
 )
@@ -130,7 +131,7 @@ def mode_shapes(
     validation.instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
     validation.instance("modes", modes, Modes, "make them by modes(plant)")
     structure, nodes = plant.model.structure, plant.nodes
-    passive = passive_strings(structure, plant.actuation)
+    passive = passive_strings(structure, known_actuation(plant))
     if modes.shape.shape[:2] != nodes.shape:
         raise ValueError(
             f"modes.shape has shape {modes.shape.shape}, expected {nodes.shape} and one more: "

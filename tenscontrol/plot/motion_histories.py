@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import cycle
-from types import MappingProxyType
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -37,8 +36,8 @@ from tenscontrol.status import Status
 from tenscontrol.structure.structure import Structure
 from tenscontrol.structure.supports import moving_mass
 
-# What is drawn of each driven bar, with units.
-_OF_STRUTS = MappingProxyType({"length": "m", "rate": "m/s", "force": "N", "power": "W"})
+# Curves of a panel by name, its label, and whether values are held between times.
+_Content = tuple[dict[str, FloatArray], str, bool]
 
 # Marks for statuses, told apart by their form.
 _MARKERS = ("v", "x", "s", "d", "P", "^")
@@ -389,23 +388,18 @@ def motors(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, 
     if record is None:
         raise ValueError("run has no motors: simulate it with winches=Winches(motor=Motor(...))")
     groups = _wound_groups(run, len(record.zero))
-    units = {"angle": "rad", "speed": "rad/s", "torque": "N m", "power": "W", "energy": "J"}
-    panels = {}
-    for ax, name, xlabel in timed_panels(axes, list(units)):
-        values = getattr(record, name)
-        total = {"all motors": values.sum(axis=0, keepdims=True)}
-        panels[name] = draw_curves(
-            ax,
-            record.time,
-            total if name == "energy" else _by_group(groups, values, record.angle),
-            f"motor {name}, {units[name]}",
-            held=name == "speed",
-            xlabel=xlabel,
+    units = {"angle": "rad", "speed": "rad/s", "torque": "N m", "power": "W"}
+    content: dict[str, _Content] = {
+        name: (
+            _by_group(groups, getattr(record, name), record.angle),
+            f"motor {name}, {unit}",
+            name == "speed",
         )
-        panels[name] = _with_faults(_in_grey(panels[name]), run)
-    if axes is None:
-        drop_repeated_legends(panels)
-    return panels
+        for name, unit in units.items()
+    }
+    energy = record.energy.sum(axis=0, keepdims=True)
+    content["energy"] = {"all motors": energy}, "motor energy, J", False
+    return _of_drives(run, record.time, content, axes)
 
 
 @closes_on_error
@@ -446,15 +440,31 @@ def struts(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, 
     record = run.struts
     if record is None or not len(record.bar):
         raise ValueError("run drives no bar: simulate it with bar_length=Profile(...)")
+    units = {"length": "m", "rate": "m/s", "force": "N", "power": "W"}
+    content: dict[str, _Content] = {
+        name: (
+            {f"bar {bar}": getattr(record, name)[bar : bar + 1] for bar in record.bar},
+            f"{name}, {unit}",
+            False,
+        )
+        for name, unit in units.items()
+    }
+    content["work"] = {"all drives": record.work.sum(axis=0, keepdims=True)}, "work, J", False
+    return _of_drives(run, run.time, content, axes)
+
+
+def _of_drives(
+    run: Trajectory,
+    time: FloatArray,
+    content: Mapping[str, _Content],
+    axes: Sequence[Axes] | None,
+) -> dict[str, Curves]:
+    """Draw what drives of strings or bars did: curves, label and whether steps, by panel."""
     panels = {}
-    for ax, name, xlabel in timed_panels(axes, [*_OF_STRUTS, "work"]):
-        if name == "work":
-            curves = {"all drives": record.work.sum(axis=0, keepdims=True)}
-        else:
-            values = getattr(record, name)
-            curves = {f"bar {bar}": values[bar : bar + 1] for bar in record.bar}
-        unit = _OF_STRUTS.get(name, "J")
-        panels[name] = draw_curves(ax, run.time, curves, f"{name}, {unit}", xlabel=xlabel)
+    for ax, name, xlabel in timed_panels(axes, list(content)):
+        rows, label, held = content[name]
+        panel = draw_curves(ax, time, rows, label, held=held, xlabel=xlabel)
+        panels[name] = _with_faults(_in_grey(panel), run)
     if axes is None:
         drop_repeated_legends(panels)
     return panels

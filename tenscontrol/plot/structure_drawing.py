@@ -642,11 +642,13 @@ def known_actuation(drawn: object) -> Actuation | None:
 
 
 def driven_bars(drawn: object) -> np.ndarray | None:
-    """Return which bars a plant or a run drives, bool, shape (β,); None where none are."""
+    """Return which bars a plant, a run or a path drives, bool, shape (β,); None where none are."""
     if isinstance(drawn, LinearPlant) and drawn.input == "bar_length":
         return np.asarray(drawn.actuation.input >= 0)
     if isinstance(drawn, Trajectory) and drawn.struts is not None and len(drawn.struts.bar):
         return np.isin(np.arange(len(drawn.structure.bars)), drawn.struts.bar)
+    if isinstance(drawn, ShapePath) and drawn.bar_length_rate.any():
+        return np.asarray(drawn.bar_length_rate.any(axis=1))
     return None
 
 

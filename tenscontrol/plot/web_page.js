@@ -6,7 +6,8 @@
   const d = spec.dimension;
   const names = spec.figure.data.map((trace) => trace.name);
   const driven = names[0]; // "strings" where none is passive
-  const colorable = [driven, "passive strings", "bars"].filter((name) => names.includes(name));
+  const colorable = [driven, "passive strings", "bars", "driven bars"].filter((name) => names.includes(name));
+  const bars = ["bars", "driven bars"].filter((name) => names.includes(name));
 
   function unpacked(text) {
     if (text === null) return null;
@@ -88,10 +89,11 @@
       index = index.map((node, i) => (spec.passive[stringOf(i)] ? -1 : node));
     }
     change[driven] = { ...gathered(at, index), ...color };
-    for (const name of ["bars", "nodes", "supports"]) change[name] = gathered(at, spec.index[name]);
+    for (const name of [...bars, "nodes", "supports"]) change[name] = gathered(at, spec.index[name]);
     if (byShare()) {
       const values = shares().subarray(strings);
-      change.bars.color = Float32Array.from(spec.index.bars, (node, i) => values[Math.floor(i / 3)]);
+      const color = Float32Array.from(spec.index.bars, (node, i) => values[Math.floor(i / 3)]);
+      for (const name of bars) change[name].color = color;
     }
     if (spec.pressed !== null) change["on the ground"] = gathered(at, spec.pressed[now.frame]);
     return change;
@@ -235,7 +237,7 @@
   function choose() {
     const name = byId("color").value;
     const most = spec.colors[name] || 1;
-    const colored = !name ? [] : colorable.filter((each) => byShare() || each !== "bars");
+    const colored = !name ? [] : colorable.filter((each) => byShare() || !bars.includes(each));
     for (const each of colorable) {
       const { color, ...look } = plain[each];
       plot.data[names.indexOf(each)].line = colored.includes(each)

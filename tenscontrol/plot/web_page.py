@@ -52,6 +52,9 @@ _SHARE = "force over strength"
 _INK, _STRING, _SLACK_COLOR, _FAINT = "#262626", "#0072b2", "#8c8c8c", "#cfcfcf"
 _PASSIVE, _PRESSED = "#009e73", "#d55e00"
 
+# Bars whose lengths are driven, and their width as part of that of others.
+_STRUT, _STRUT_WIDTH = "#7f7f7f", 0.7
+
 # Bars are wide and dark, strings thin, pixels; both thinner where there are many.
 _BAR_WIDTH, _STRING_WIDTH, _NODE_SIZE, _FEW, _LEAST_SHARE = 10.0, 4.0, 5.0, 60, 0.35
 
@@ -90,6 +93,8 @@ class View:
         Force over strength, which strings and bars are coloured by.
     passive : ndarray of bool, shape (α,), or None
         Whether a string is one that no winch drives: dashed.
+    struts : ndarray of bool, shape (β,), or None
+        Whether the length of a bar is driven: grey, and slimmer.
     """
 
     what: str
@@ -103,6 +108,7 @@ class View:
     pressed: np.ndarray | None = None
     share: FloatArray | None = None
     passive: np.ndarray | None = None
+    struts: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         """Refuse what is not finite: a motion that ran away."""
@@ -287,10 +293,20 @@ class View:
         held = [*self.members.fixed.tolist(), *(node for node, _ in self.members.rollers)]
         return {
             "strings": _lines(self.members.segments),
-            "bars": _lines(self.members.bars),
+            **self._bar_index,
             "nodes": list(range(self.nodes.shape[1])),
             "supports": sorted(set(held)),
         }
+
+    @cached_property
+    def _bar_index(self) -> dict[str, list[int]]:
+        """The same of the traces of bars: of those that are driven, too, if any are."""
+        every = _lines(self.members.bars)
+        if self.struts is None:
+            return {"bars": every}
+        driven, index = np.repeat(self.struts, 3), np.array(every, dtype=np.int64)
+        kinds = {"bars": ~driven, "driven bars": driven}
+        return {name: np.where(kind, index, -1).tolist() for name, kind in kinds.items()}
 
     def _shape(self, state: int) -> FloatArray:
         """Return node positions, (3, n + 1): the last is none, where lines break."""
@@ -333,13 +349,18 @@ class View:
                 }
                 for springs in passive
             ),
-            base
-            | {
-                "name": "bars",
-                **_at(nodes, self._index["bars"]),
-                "line": {"color": _INK, "width": share * _BAR_WIDTH},
-                "showlegend": len(self.members.bars) > 0,
-            },
+            *(
+                base
+                | {
+                    "name": name,
+                    **_at(nodes, index),
+                    "line": {"color": color, "width": thickness * share * _BAR_WIDTH},
+                    "showlegend": max(index, default=-1) >= 0,
+                }
+                for (name, index), (color, thickness) in zip(
+                    self._bar_index.items(), ((_INK, 1.0), (_STRUT, _STRUT_WIDTH)), strict=False
+                )
+            ),
             dots
             | {
                 "name": "nodes",
@@ -371,7 +392,7 @@ class View:
             },
         ]
         if self.shapes is not None:
-            at_rest = self._index["strings"] + self._index["bars"]
+            at_rest = self._index["strings"] + _lines(self.members.bars)
             if self._dimension == 2:
                 nodes[2] -= _BEHIND * self._size
             line = {"color": _FAINT, "width": width}
@@ -517,7 +538,7 @@ class View:
     def _moved(self, state: int) -> list[dict[str, Any]]:
         """Return the traces that move, in a state."""
         nodes = self._shape(state)
-        lines = [*self._strings(state), _at(nodes, self._index["bars"])]
+        lines = [*self._strings(state), *(_at(nodes, bars) for bars in self._bar_index.values())]
         return [*lines, *(_at(nodes, self._index[name]) for name in ("nodes", "supports"))]
 
     def _displaced(self, mode: int) -> list[dict[str, Any]]:

@@ -344,5 +344,9 @@ def test_driven_bars_are_drawn_apart():
     assert slim < wide
     labels = [text.get_text() for text in drawing.ax.get_legend().get_texts()]
     assert labels == ["bar", "driven bar"]
+    traces = {trace["name"]: trace for trace in tc.plot.view(run).figure()["data"]}
+    ends = [[x for x in traces[name]["x"] if x is not None] for name in ("bars", "driven bars")]
+    assert [len(points) for points in ends] == [2, 2]
+    assert traces["driven bars"]["line"]["width"] < traces["bars"]["line"]["width"]
     with pytest.raises(ValueError, match="drives no bar"):
         tc.plot.struts(tc.simulate(tc.Model(bars), 0.1, step=0.01))
