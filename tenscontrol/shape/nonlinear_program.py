@@ -305,7 +305,8 @@ def _keeping(orbits: FloatArray, driven: IntArray) -> IntArray:
         return np.zeros(0, np.int64)
     keeps = orbits > 0
     keeps[driven] = False
-    return keeps.argmax(axis=0)[keeps.any(axis=0)]
+    chosen: IntArray = keeps.argmax(axis=0)[keeps.any(axis=0)]
+    return chosen
 
 
 def _determining(structure: Structure, red: Reduction) -> IntArray:

@@ -287,7 +287,7 @@ class Motion:
             columns = np.arange(first, first + stage.outputs)
             off = self._distance(self.path.at(columns), span.states[self.rows])[None]
             if stage.work is not None:
-                times = stage.spacing * np.arange(stage.outputs + 1)
+                times: FloatArray = stage.spacing * np.arange(float(stage.outputs + 1))
                 states = np.column_stack([starts[:, i], span.states])
                 done = stage.work(states[:, 0], times, states).cumsum(axis=1)
                 own = work[:, columns] - (work[:, first - 1 : first] if first else 0.0)

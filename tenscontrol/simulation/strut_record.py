@@ -151,9 +151,15 @@ def recorded_struts(
     density, work = done
     if any(block.is_redundant for block in run.model.structure.blocks) or run.core is None:
         density = _bar_forces(run, functions, *motion, (length, rate, acceleration))
-    kept = length, rate, acceleration, density * length, work
-    error = None if work_error is None else frozen(work_error)
-    return StrutRecord(frozen(run.bars.bars), *map(frozen, kept), work_error=error)
+    return StrutRecord(
+        frozen(run.bars.bars),
+        frozen(length),
+        frozen(rate),
+        frozen(acceleration),
+        force=frozen(density * length),
+        work=frozen(work),
+        work_error=None if work_error is None else frozen(work_error),
+    )
 
 
 def _bar_forces(
