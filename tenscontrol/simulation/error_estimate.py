@@ -208,7 +208,7 @@ class Motion:
         error = self._from_another(limit)
         if self.starts is not None and error.size and float(error[0].max()) > limit:
             error = np.asarray(np.minimum(error, self._added(self.starts)))
-        return np.stack([self._without_dips(row) for row in error])
+        return self._without_dips(error)
 
     def _without_dips(self, error: FloatArray) -> FloatArray:
         """Return estimates that are at least those of just before: motions may meet for once."""
@@ -222,9 +222,9 @@ class Motion:
             ]
         )[self.path.columns]
         window = np.minimum((time / ends[-1] * _WINDOWS).astype(int), _WINDOWS - 1)
-        largest = np.zeros(_WINDOWS + 1)
-        np.maximum.at(largest, window + 1, error)
-        least: FloatArray = np.maximum(error, largest[window])
+        largest = np.zeros((len(error), _WINDOWS + 1))
+        np.maximum.at(largest, (slice(None), window + 1), error)
+        least: FloatArray = np.maximum(error, largest[:, window])
         return least
 
     def _from_another(self, limit: float) -> FloatArray:
@@ -385,9 +385,12 @@ class Motion:
         At one that the other does not have, it is the larger of those beside.
         """
         columns = _common(self.path.columns, other.columns)
-        off = self._distance(self.path.at(columns), other.at(columns))
-        work = np.abs(self.path.work_at(columns) - other.work_at(columns))
-        off = np.pad(np.vstack([off, work]), ((0, 0), (1, 1)), constant_values=(0.0, np.inf))
+        off = self._distance(self.path.at(columns), other.at(columns))[None]
+        if self.path.work is not None:
+            work = np.abs(self.path.work_at(columns) - other.work_at(columns))
+            off = np.vstack([off, work])
+        least, most = np.zeros((len(off), 1)), np.full((len(off), 1), np.inf)
+        off = np.hstack([least, off, most])
         kept = self.path.columns
         after = np.searchsorted(columns, kept)
         is_met = np.append(columns, -1)[after] == kept
