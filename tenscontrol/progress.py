@@ -1,4 +1,4 @@
-"""Progress of long runs: a bar, and a note where a run will take long."""
+"""Progress of long runs: a bar, or a note where a run will take long."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""The compiled core: steps of integrators and programs of controllers in C, behind ctypes."""
+"""The compiled core in C, called through ctypes."""

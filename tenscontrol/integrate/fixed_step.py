@@ -1,4 +1,4 @@
-"""Methods with a fixed step: the loop over the steps, and the Runge-Kutta method of order 4."""
+"""Methods with a fixed step, such as the Runge-Kutta method of order 4."""
 
 from __future__ import annotations
 

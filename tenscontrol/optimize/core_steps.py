@@ -1,4 +1,4 @@
-"""Small changes of the steps of a run in the compiled core, forward, and costs backward."""
+"""Propagation of small changes over steps by the compiled core, forward or backward."""
 
 from __future__ import annotations
 

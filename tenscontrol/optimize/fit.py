@@ -1,4 +1,4 @@
-"""Fit of a model to logs, and what logs can tell."""
+"""Fit of a model to logs, with what the logs can tell."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Derivatives of a run by what it depends on: of its motion, and of costs of it."""
+"""Derivatives of a run's motion, or of its costs, by what it depends on."""
 
 from __future__ import annotations
 

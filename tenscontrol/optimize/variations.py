@@ -1,4 +1,4 @@
-"""Small changes of a run, carried over its steps forward, and costs backward."""
+"""Propagation of small changes over the steps of a run, forward or backward."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The linear plant for the design of controllers, and its exact discretizations."""
+"""The linear plant for the design of controllers, with its exact discretizations."""
 
 from __future__ import annotations
 

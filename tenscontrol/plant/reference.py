@@ -1,4 +1,4 @@
-"""Reference trajectories of controllers, and the inputs that hold the plant at their shapes."""
+"""Reference trajectories of controllers, with the inputs that hold their shapes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The file of a sweep: a line of JSON for the sweep itself, and one for each run that is done.
+"""The file of a sweep: lines of JSON, the first of the sweep, each other of a finished run.
 
 A sweep that is made longer adds a line with its new number of runs, ``{"count": 400}``. Lines are
 only ever added, by one sweep at a time.

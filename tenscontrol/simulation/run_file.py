@@ -1,4 +1,4 @@
-"""Runs in files: a NumPy archive of the arrays, and a header in JSON that says what they are."""
+"""Files of runs: NumPy archives with a header in JSON that says what each array is."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Blocks of bars joined at free nodes, and which of their length constraints are independent."""
+"""Blocks of bars joined at free nodes, with their independent length constraints."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Strings divided into segments, and the map between values of strings and of segments."""
+"""Division of strings into segments, with the map between values of both."""
 
 from __future__ import annotations
 

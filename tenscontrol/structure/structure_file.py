@@ -1,4 +1,4 @@
-"""The form of structures in files: one table, which structure files and scenes share."""
+"""The table of a structure that structure files and scenes share."""
 
 from __future__ import annotations
 
