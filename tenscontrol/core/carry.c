@@ -15,9 +15,8 @@
 
 #include "motion.h"
 
-/* Samples of the path, with equal spaces; parts of the step in which a gap may change its sign once;
-   halvings to the zero. */
-enum { PATH = 3, PIECES = 4, HALVINGS = 50 };
+/* Samples of the path: its ends, and the middle. */
+enum { PATH = 3 };
 
 /* Coefficients of the polynomials of degree 2 that are 1 at one sample and 0 at the others. */
 static const double LAGRANGE[PATH][PATH] = {{1, -3, 2}, {0, 4, -4}, {0, -1, 2}};
@@ -26,22 +25,12 @@ SHARED size_t carry_size(const Scene *s) {
   return 3 * PATH * (size_t)s->switches + 5 * (size_t)s->free;
 }
 
-/* Whether a gap with this room at the samples may pass its border: a polynomial of degree 4 leaves
-   the polygon of its values by less than its largest second difference. */
+/* Whether a gap with this room at the samples may pass its border: a parabola leaves
+   the polygon of its values by less than their second difference. */
 static int may_pass(const double *room) {
-  double least = room[0], bend = 0;
+  double least = room[0];
   for (int j = 1; j < PATH; ++j) least = room[j] < least ? room[j] : least;
-  for (int j = 1; j < PATH - 1; ++j) {
-    const double second = fabs(room[j - 1] - 2 * room[j] + room[j + 1]);
-    bend = second > bend ? second : bend;
-  }
-  return least < bend;
-}
-
-static double value_of(const double *coefficients, double t) {
-  double value = 0;
-  for (int k = PATH - 1; k >= 0; --k) value = value * t + coefficients[k];
-  return value;
+  return least < fabs(room[0] - 2 * room[1] + room[2]);
 }
 
 /* Adds the integrals of the Lagrange polynomials, and of them times 1 - t, from 0 to t. */
@@ -56,28 +45,41 @@ static void add_integrals(double sign, double t, double *plain, double *falling)
   }
 }
 
-/* What a string counts at the samples, by its room there; returns how often it switches. */
-static int weights_of(const double *room, double *plain, double *falling) {
-  double c[PATH] = {0}, before = room[0] < 0 ? -1 : 1;
-  int switches = 0;
+/* The times within a step at which a room passes zero, in order; returns how many there are. */
+static int zeros_of(const double *room, double *times) {
+  double c[PATH] = {0}, root[2], half, square, large;
+  int count = 0;
   for (int j = 0; j < PATH; ++j)
     for (int k = 0; k < PATH; ++k) c[k] += room[j] * LAGRANGE[j][k];
-  for (int i = 1; i <= PIECES; ++i) {
-    double low = (i - 1.) / PIECES, high = (double)i / PIECES;
-    /* The last is the sample itself: the string is then as its gap says. */
-    const double after = i < PIECES ? value_of(c, high) : room[PATH - 1];
-    if ((after < 0) == (before < 0)) continue;
-    for (int n = 0; n < HALVINGS; ++n) {
-      const double middle = (low + high) / 2;
-      if ((value_of(c, middle) < 0) == (before < 0)) low = middle;
-      else high = middle;
-    }
-    add_integrals(after < 0 ? -1 : 1, high, plain, falling);
-    before = after;
-    ++switches;
+  half = -c[1] / 2;
+  square = half * half - c[2] * c[0];
+  if (!(square > 0)) return 0;
+  large = half + (half < 0 ? -sqrt(square) : sqrt(square));
+  root[0] = c[0] / large;
+  root[1] = large / c[2];
+  if (root[1] < root[0]) {
+    const double first = root[1];
+    root[1] = root[0];
+    root[0] = first;
   }
-  if (before < 0) add_integrals(1, 1, plain, falling);
-  return switches;
+  for (int i = 0; i < 2; ++i)
+    if (root[i] > 0 && root[i] < 1) times[count++] = root[i];
+  return count;
+}
+
+/* What a string counts at the samples, by its room there; returns how often it switches. */
+static int weights_of(const double *room, double *plain, double *falling) {
+  double times[3];
+  int is_out = room[0] < 0, count = zeros_of(room, times);
+  /* At the end the string is as its gap says, whatever round-off makes of a zero there. */
+  if ((is_out + count) % 2 != (room[PATH - 1] < 0)) {
+    if (count && times[count - 1] > 0.5) --count;
+    else times[count++] = 1;
+  }
+  for (int i = 0; i < count; ++i, is_out = !is_out)
+    add_integrals(is_out ? 1 : -1, times[i], plain, falling);
+  if (is_out) add_integrals(1, 1, plain, falling);
+  return count;
 }
 
 /* Weights of a string at the samples, in one lane; how often it switches. */
@@ -126,12 +128,11 @@ SHARED Number carry(Span *span, Truth meant, const Tried *step, Number *x, Numbe
   }
   memset(dx, 0, 2 * half * sizeof *dx);
   for (int j = 0; j < PATH; ++j) {
-    const double fraction = j / (PATH - 1.);
-    const Input input = input_at(span, step->time + fraction * h);
-    on_path(span, h, all(fraction), y);
+    const Input input = input_at(span, step->time + j / (PATH - 1.) * h);
+    const Number *at = j == 0 ? step->x : j == 1 ? y : step->x1;
     for (int k = 0; k < 2; ++k) {
       Number *to = dx + (k ? 0 : half);
-      weighed_accelerations(span->scene, y, &input, weights + (2 * j + k) * m, a, span->work);
+      weighed_accelerations(span->scene, at, &input, weights + (2 * j + k) * m, a, span->work);
       for (int i = 0; i < half; ++i) to[i] += (k ? h * h : h) * a[i];
     }
   }

@@ -283,9 +283,11 @@ static Truth try_step(Dop853 *m) {
   step_by_order(m, h, m->x1);
   now->h = now->taken = h;
   now->is_inside = now->is_carried = now->crossed = all(0);
-  now->error = error_of(m->K, m->scale, h, n);
-  now->factor = factor_of(now->error, ORDER);
   now->tries += 1;
+  if (any(is_short == 0)) {
+    now->error = error_of(m->K, m->scale, h, n);
+    now->factor = factor_of(now->error, ORDER);
+  }
   if (any(is_short)) {
     Number error;
     slope_at(m->span, m->x1, now->time + h, m->taut, slope1);
