@@ -186,6 +186,19 @@ def optimal_arm(names):
 
 
 @checks
+def optimal_mast(names):
+    motion, work = names["motion"], names["work"]
+    assert_near(work["least work"], motion.energy, 0.5)
+    assert work["least work"] < 0.8 * work["equilibria"]
+    swing = {
+        name: float(np.ptp(run.nodes[2, 0][run.time > names["DURATION"]]))
+        for name, run in names["runs"].items()
+    }
+    assert swing["least work"] < 1e-3
+    assert swing["equilibria"] > 0.02
+
+
+@checks
 def shape_path(names):
     path = names["path"]
     assert_near(names["missed"], 5.0, 1e-6)
