@@ -144,7 +144,7 @@ class Actuators:
                 "hold rest lengths"
             )
         if winches is not None and winches.motor is not None and self._actuation.is_ganged:
-            _refuse_forces(winches.motor)
+            _refuse_both_ways(winches.motor, self._actuation)
         listed = self._plant_run.faults.listed
         stuck = [fault.string for fault in listed if isinstance(fault, StuckWinch)]
         refuse_passive(self._actuation, "a stuck winch in faults", np.array(stuck, dtype=np.int64))
@@ -297,12 +297,18 @@ class Actuators:
         lengths = self._to_plant("rest_length", strings_of(self._actuation, inputs))
         _, force, _, slope, length = self._winding(motion, lengths, np.zeros_like(lengths))
         share = self._to_plant("rest_length", np.ones(self._count))
-        lead = slice(None) if self._actuation.is_whole else self._actuation.lead
-        return (
-            self._to_strings("tension", force.copy())[lead],  # the next call overwrites them
-            self._to_strings("length", slope * share**2)[lead],
-            self._to_strings("length", length.copy())[lead],
-        )
+        tension = self._to_strings("tension", force.copy())  # the next call overwrites them
+        stiffness = self._to_strings("length", slope * share**2)
+        length = self._to_strings("length", length.copy())
+        act = self._actuation
+        if act.is_whole:
+            return tension, stiffness, length
+        if not act.is_ganged:
+            return tension[act.lead], stiffness[act.lead], length[act.lead]
+        driven, taut = act.driven, np.full(len(act.lead), -np.inf)
+        ends = (length[driven] - act.offset[driven]) / act.ratio[driven]
+        np.maximum.at(taut, act.input[driven], ends)  # where the first of its strings pulls
+        return forces_on_inputs(act, tension), sums_by_input(act, act.ratio**2 * stiffness), taut
 
     def end(self) -> WinchMove:
         """Return the move of the sample, with the limits that were met."""
@@ -501,14 +507,17 @@ def winches_of_inputs(winches: Winches, actuation: Actuation, motor: Motor | Non
     return replace(winches, rate=rate, shortest=low, longest=high, motor=motor)
 
 
-def _refuse_forces(motor: Motor) -> None:
-    """Raise if a motor that winds several strings has a torque, by which tensions move it."""
-    if motor.torque is not None and np.isfinite(motor.torque).any():
+def _refuse_both_ways(motor: Motor, actuation: Actuation) -> None:
+    """Raise if a motor that winds strings while it pays out others has a torque."""
+    if motor.torque is None or not np.isfinite(motor.torque).any():
+        return
+    both = np.flatnonzero(actuation.ratio < 0)
+    if len(both):
         raise ValueError(
-            "winches.motor has torque, but winds several strings, or by a ratio, in the plant of "
-            "the controller: such a motor moves them whatever they pull. Leave torque and inertia "
-            "out, and compare run.control.motors.torque with what the motor has; or give one motor "
-            "a string"
+            "winches.motor has torque, but one motor winds some strings while it pays out others "
+            f"(string {both[0]} has the ratio {actuation.ratio[both[0]]:g}): its torque then ends "
+            "both ways, and a brake holds neither. Leave torque and inertia out, and compare "
+            "run.control.motors.torque with what the motor has; or give ratios of one sign"
         )
 
 

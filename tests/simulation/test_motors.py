@@ -1,7 +1,7 @@
 """Motors of a run: torque times speed is work, limits hold, play is a loop, runs go on."""
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -478,3 +478,36 @@ def test_a_cable_of_held_force_works_on_the_structure(name):
     most = 0.01 * 20 / 0.01 / lengths[:, 0]
     assert (held.force_density[:, 0] <= most * (1 + 1e-12)).all()
     assert np.abs(held.control.motors.torque).max() <= 0.01
+
+
+@pytest.mark.parametrize("kind", [{}, {"inertia": 2e-6}])
+def test_a_motor_of_three_strings_is_three_motors_that_do_the_same(kind):
+    """A prism whose lid is wound, by one motor with three times the torque or by three."""
+    prism = tc.prism()
+    model = tc.Model(prism, strings=tc.LinearStrings(stiffness=100.0, damping=2.0))
+    rest = tc.prestress(prism, force_density=10.0)
+    start = tc.to_rest_length(model, prism.nodes, rest.force_density).rest_length
+    runs = []
+    for lid, times in (({"lid": [0, 1, 2]}, 3.0), ([0, 1, 2], 1.0)):
+        plant = tc.linearize(model, rest, input="rest_length", actuated=lid)
+        inputs = plant.equilibrium_input
+        winding = partial(_wound, inputs=inputs)
+        law = tc.FunctionController(
+            prism, winding, input="rest_length", sample_time=0.02, actuated=plant.actuation
+        )
+        numbers = {name: times * value for name, value in kind.items()}
+        motor = tc.Motor(drum_radius=0.01, gear_ratio=20.0, torque=times * 4.5e-3, **numbers)
+        winches = tc.Winches(ramp=True, substeps=4, motor=motor)
+        runs.append(tc.simulate(
+            model, 0.6, controller=law, winches=winches, rest_length=start, step=5e-3, error="none"
+        ))  # fmt: skip
+    one, three = runs
+    assert one.control.motors.torque_limited.sum() > 5
+    assert np.abs(one.rest_length[0] - start[0]).max() < 0.12  # asked: 0.15 m
+    np.testing.assert_allclose(one.rest_length, three.rest_length, rtol=0, atol=1e-9)
+    sums = three.control.motors.torque.sum(axis=0)
+    np.testing.assert_allclose(one.control.motors.torque[0], sums, rtol=0, atol=1e-10)
+
+
+def _wound(time, nodes, velocities, inputs):
+    return inputs - min(0.3 * time, 0.15)
