@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol import validation
-from tenscontrol.actuation.driven_strings import actuation_of
+from tenscontrol.actuation.driven_strings import Actuation, actuation_of
 from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics.contact_laws import Contacts, Ground
 from tenscontrol.dynamics.held_inputs import held_value
@@ -92,8 +92,8 @@ def to_mujoco(
     actuated : sequence of int or str, array_like or Actuation, optional
         The strings that have an actuator, as for :func:`linearize`, and the order of their numbers
         in ``data.ctrl``; all if not given. The others are springs as with ``"none"``. An actuator
-        of MuJoCo pulls at one tendon: of strings that share a winch, give each one, and set
-        ``data.ctrl`` to ``actuation.strings(inputs)`` of these strings.
+        of MuJoCo pulls at one tendon. Strings that share a winch have an actuator each, and the
+        model has the coefficients of the winches: see Notes.
 
     Returns
     -------
@@ -111,6 +111,11 @@ def to_mujoco(
     one pulls on a slack string that lengthens fast enough. MuJoCo's contacts have linear damping,
     as much as takes what ours takes in an impact at 1 m/s, and friction that is viscous below that
     of Coulomb. Constant loads are actuators without control, ``loadi``, after those of strings.
+
+    Of strings that share a winch, or have a ratio, the model has three custom arrays, a number an
+    actuator: with inputs u, one a winch, the values of the strings are ``winch_offset +
+    winch_ratio * u[winch_input]``. ``data.ctrl`` takes these values, or their inverses as above.
+    ``model.numeric("winch_ratio").data`` reads an array.
 
     Examples
     --------
@@ -143,28 +148,30 @@ def to_mujoco(
     kind = "force_density" if rest_length is None else "rest_length"
     initial_state(model, N, V, kind, lambda: held, measured=False)
     load = checked_load(model, external_force)
-    driven = _driven(structure, actuated, actuators, held)
-    return _Document(model, N, V, held, kind, actuators, driven, load, timestep, integrator).text()
+    actuation = _actuation(structure, actuated, actuators, held)
+    driven: list[int] = []
+    if actuation is not None:
+        driven = (actuation.driven if actuation.is_ganged else actuation.lead).tolist()
+    document = _Document(
+        model, N, V, held, kind, actuators, driven, load, timestep, integrator
+    )  # fmt: skip
+    if actuation is not None and actuation.is_ganged:
+        document.add_winches(actuation)
+    return document.text()
 
 
-def _driven(structure: Structure, actuated: object, actuators: str, held: FloatArray) -> list[int]:
-    """Return the strings that have an actuator, in the order of their controls."""
+def _actuation(
+    structure: Structure, actuated: object, actuators: str, held: FloatArray
+) -> Actuation | None:
+    """Return which strings have an actuator; None if none has."""
     if actuators == "none":
         if actuated is not None:
             raise ValueError(
                 "actuated is given, but actuators is 'none': say what data.ctrl sets, for example "
                 "actuators='rest_length'"
             )
-        return []
-    actuation = actuation_of(structure, actuated, held)
-    if actuation.is_ganged:
-        raise ValueError(
-            f"actuated is {actuation!r}, with winches of several strings or a ratio, but an "
-            "actuator of MuJoCo pulls at one tendon: give the strings, "
-            f"actuated={actuation.driven.tolist()}, and set data.ctrl to "
-            "actuation.strings(inputs)[actuation.driven]"
-        )
-    return [int(string) for string in actuation.lead]
+        return None
+    return actuation_of(structure, actuated, held)
 
 
 def _held(model: Model, rest_length: object, force_density: object, actuators: str) -> FloatArray:
@@ -228,6 +235,13 @@ class _Document:
         """Return the whole document."""
         ElementTree.indent(self.root)
         return ElementTree.tostring(self.root, encoding="unicode") + "\n"
+
+    def add_winches(self, actuation: Actuation) -> None:
+        """Add by which coefficients strings share winches, in the order of their actuators."""
+        custom = SubElement(self.root, "custom")
+        for name in ("input", "ratio", "offset"):
+            values = getattr(actuation, name)[self.driven]
+            SubElement(custom, "numeric", name=f"winch_{name}", data=_numbers(values))
 
     def _head(self, step: float, integrator: str) -> None:
         SubElement(self.root, "compiler", angle="radian", autolimits="true")
