@@ -90,7 +90,7 @@ static void to_all(const Scene *s, const double *free, const double *held, doubl
 }
 
 /* The force density of a string and its derivatives; those of one that is slack are 0. */
-static double string_slopes(const Scene *s, int i, double length, double rate, double rest,
+INLINE double string_slopes(const Scene *s, int i, double length, double rate, double rest,
                             double taut, double *by) {
   double gamma, slopes[STRING_SLOPES];
   memset(by, 0, STRING_SLOPES * sizeof *by);
@@ -124,7 +124,7 @@ static double string_slopes(const Scene *s, int i, double length, double rate, d
 #include "variations_body.h"
 #undef D
 
-static void point_at(const Scene *s, const double *y, const Input *input, const double *taut,
+INLINE void point_at(const Scene *s, const double *y, const Input *input, const double *taut,
                      const Point *at) {
   to_all(s, y, s->place, at->p);
   to_all(s, y + s->free, 0, at->v);
@@ -172,43 +172,9 @@ size_t tc_variations_work_size(const Scene *s, const Drive *drive, const Tableau
   size_t parts[POINT_PARTS];
   const size_t forward =
       n * columns + COLUMNS * (stages * n + n / 2 + 4 * entries + 3 * strings + segments) + s->unknowns;
-  const size_t backward = (stages + 1) * n + 4 * entries + 2 * strings + segments + s->unknowns;
+  const size_t backward = (stages + 1) * n + stages + 4 * entries + 2 * strings + segments + s->unknowns;
   return span_size(s, drive) + stages * (2 * n + point_sizes(s, parts)) +
          (forward > backward ? forward : backward);
-}
-
-/* Finds the states at the stages of a step, and the derivatives of all members there. */
-static void reach_stages(Sweep *sweep, int k) {
-  const Scene *s = sweep->span.scene;
-  const Tableau *method = sweep->method;
-  const Steps *steps = sweep->steps;
-  const int n = sweep->span.states, half = s->free, stages = method->stages;
-  const size_t numbers = (size_t)sweep->drive.count * (sweep->drive.degree + 1);
-  const double h = steps->length[k], *state = steps->states + (size_t)k * n;
-  const double *taut = steps->taut + (size_t)k * s->switches;
-  const double *inputs = steps->inputs + (numbers + (sweep->drive.degree > 0)) * k;
-  sweep->drive.coefficients = inputs;
-  if (sweep->drive.degree) sweep->drive.begin = inputs[numbers];
-  for (int i = 0; i < stages; ++i) {
-    double *y = sweep->states + (size_t)i * n, *slope = sweep->slopes + (size_t)i * n;
-    const Point at = point_of(sweep, i);
-    Input input;
-    memcpy(y, state, n * sizeof *y);
-    for (int j = 0; j < i; ++j) {
-      const double weight = h * method->a[i * stages + j];
-      const double *other = sweep->slopes + (size_t)j * n;
-      if (weight == 0) continue;
-      for (int m = 0; m < n; ++m) y[m] += weight * other[m];
-    }
-    input = input_at(&sweep->span, method->c[i] * h);
-    point_at(s, y, &input, taut, &at);
-    memcpy(slope, y + half, half * sizeof *slope);
-    for (int m = 0; m < half; ++m) slope[half + m] = at.a[s->free_row ? s->free_row[m] : m];
-  }
-}
-
-static void add_rows(double weight, const double *from, size_t count, double *to) {
-  for (size_t k = 0; k < count; ++k) to[k] += weight * from[k];
 }
 
 /* A sum of vectors that follow one another, `apart` numbers from each to the next, by weights times
@@ -232,6 +198,30 @@ INLINE void combine(const double *first, double h, const double *weights, int co
     if (some) from = to;
   }
   if (from == first && to != first) memcpy(to, first, size * sizeof *to);
+}
+
+/* Finds the states at the stages of a step, and the derivatives of all members there. */
+WIDE static void reach_stages(Sweep *sweep, int k) {
+  const Scene *s = sweep->span.scene;
+  const Tableau *method = sweep->method;
+  const Steps *steps = sweep->steps;
+  const int n = sweep->span.states, half = s->free, stages = method->stages;
+  const size_t numbers = (size_t)sweep->drive.count * (sweep->drive.degree + 1);
+  const double h = steps->length[k], *state = steps->states + (size_t)k * n;
+  const double *taut = steps->taut + (size_t)k * s->switches;
+  const double *inputs = steps->inputs + (numbers + (sweep->drive.degree > 0)) * k;
+  sweep->drive.coefficients = inputs;
+  if (sweep->drive.degree) sweep->drive.begin = inputs[numbers];
+  for (int i = 0; i < stages; ++i) {
+    double *y = sweep->states + (size_t)i * n, *slope = sweep->slopes + (size_t)i * n;
+    const Point at = point_of(sweep, i);
+    Input input;
+    combine(state, h, method->a + i * stages, i, sweep->slopes, n, n, y);
+    input = input_at(&sweep->span, method->c[i] * h);
+    point_at(s, y, &input, taut, &at);
+    memcpy(slope, y + half, half * sizeof *slope);
+    for (int m = 0; m < half; ++m) slope[half + m] = at.a[s->free_row ? s->free_row[m] : m];
+  }
 }
 
 /* Columns of a matrix into a block of their own, and back. */
@@ -289,27 +279,27 @@ void tc_tangents(const Scene *s, const Drive *drive, const Lengths *lengths, con
   for (int first = 0; first < P; first += COLUMNS) unpack(blocks + (size_t)n * first, P, n, first, X);
 }
 
-static void step_cost(Sweep *sweep, int k, Changes *costs, double *mu, double *work) {
+WIDE static void step_cost(Sweep *sweep, int k, Changes *costs, double *mu, double *work) {
   const Scene *s = sweep->span.scene;
   const Tableau *method = sweep->method;
   const int stages = method->stages, half = s->free, n = 2 * half;
   const double h = sweep->steps->length[k];
-  double *later = work, *kappa = later + (size_t)stages * n, *rest = kappa + n;
+  double *later = work, *kappa = later + (size_t)stages * n, *weights = kappa + n;
+  double *rest = weights + stages;
   for (int i = stages - 1; i >= 0; --i) {
     const Point at = point_of(sweep, i);
     double *own = later + (size_t)i * n;
-    memset(kappa, 0, n * sizeof *kappa);
-    add_rows(h * method->b[i], mu, n, kappa);
-    for (int j = i + 1; j < stages; ++j)
-      if (method->a[j * stages + i] != 0)
-        add_rows(h * method->a[j * stages + i], later + (size_t)j * n, n, kappa);
+    for (int j = i + 1; j < stages; ++j) weights[j] = method->a[j * stages + i];
+    for (int m = 0; m < n; ++m) kappa[m] = h * method->b[i] * mu[m];
+    combine(kappa, h, weights + i + 1, stages - i - 1, own + n, n, n, kappa);
     if (s->dimension == 2)
       backward_2(s, &at, k * stages + i, costs, kappa + half, own, rest);
     else
       backward_3(s, &at, k * stages + i, costs, kappa + half, own, rest);
     for (int m = 0; m < half; ++m) own[half + m] += kappa[m];
   }
-  for (int i = 0; i < stages; ++i) add_rows(1, later + (size_t)i * n, n, mu);
+  for (int i = 0; i < stages; ++i)
+    for (int m = 0; m < n; ++m) mu[m] += later[i * n + m];
 }
 
 void tc_costs(const Scene *s, const Drive *drive, const Lengths *lengths, const Tableau *method,

@@ -7,7 +7,7 @@
 enum { N(TOUCH) = 2 * D + GROUND_NUMBERS };
 
 /* Forces of strings, with their derivatives. */
-static void N(pulled)(const Scene *s, const double *u, const double *taut, const Point *at) {
+INLINE void N(pulled)(const Scene *s, const double *u, const double *taut, const Point *at) {
   const int has_lengths = s->law != FORCE_DENSITY_HELD || s->clustered;
   memset(at->string_length, 0, s->strings * sizeof(double));
   memset(at->string_rate, 0, s->strings * sizeof(double));
@@ -65,7 +65,7 @@ static void N(touched)(const Ground *g, const double *own, const double *x, cons
   memcpy(by, slopes, D * given * sizeof *by);
 }
 
-static void N(accelerated)(const Scene *s, const Point *at) {
+INLINE void N(accelerated)(const Scene *s, const Point *at) {
   const double *p = at->p, *v = at->v, *f = at->f;
   double *a = at->a;
   memset(a, 0, s->entries * sizeof *a);
@@ -114,7 +114,7 @@ static void N(accelerated)(const Scene *s, const Point *at) {
 }
 
 /* Forces and accelerations at a point whose p and v are there, with the derivatives of members. */
-static void N(differentiated)(const Scene *s, const Input *input, const double *taut,
+INLINE void N(differentiated)(const Scene *s, const Input *input, const double *taut,
                               const Point *at) {
   const double *load = input->load ? input->load : s->load;
   double *by = at->touch;
@@ -442,7 +442,7 @@ static inline void N(transposed)(const double *by, int rows, const double *cost,
   }
 }
 
-static void N(accelerated_backward)(const Scene *s, const Point *at, const double *cost, double *p,
+INLINE void N(accelerated_backward)(const Scene *s, const Point *at, const double *cost, double *p,
                                     double *v, double *f, double *y) {
   for (int i = 0; i < s->free_bars; ++i) {
     const int start = s->bar_start[i], end = s->bar_end[i];
@@ -513,7 +513,7 @@ static void N(touched_backward)(const Scene *s, const Point *at, Changes *c, con
     }
 }
 
-static void N(pulled_backward)(const Scene *s, const Point *at, int stage, Changes *c,
+INLINE void N(pulled_backward)(const Scene *s, const Point *at, int stage, Changes *c,
                                const double *f, double *p, double *v, double *of_length,
                                double *of_gamma, double *of_segment) {
   const int has_lengths = s->law != FORCE_DENSITY_HELD || s->clustered;
@@ -601,7 +601,7 @@ static void N(restored_backward)(const Scene *s, const Lengths *lengths, const d
 }
 
 /* The cost by the state, (states), of one by the accelerations, (free). */
-static void N(backward)(const Scene *s, const Point *at, int stage, Changes *c, const double *cost,
+INLINE void N(backward)(const Scene *s, const Point *at, int stage, Changes *c, const double *cost,
                         double *to, double *work) {
   const int n = s->entries;
   double *p = work, *v = p + n, *f = v + n, *a = f + n, *of_length = a + n;

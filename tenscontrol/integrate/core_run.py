@@ -159,12 +159,14 @@ def spans_in_core(
     kept = np.cumsum([0, *(now.kept for now in progress[:done])])
     time, states, taut = (array[: kept[-1]].copy() for array in ends)
     taut_rows = taut if settings.traces else None
+    first = int(numbers[done - 1]) if done else 0
+    is_good = bool((np.abs(memory[:first]) <= validation.LARGEST).all())
     finished, first = [], 0
     for k in range(done):
         size, some = int(n * columns[k]), slice(kept[k], kept[k + 1])
         whole = memory[first : first + size].reshape(n, -1)
         first += size
-        if not (np.abs(whole) <= validation.LARGEST).all():
+        if not (is_good or (np.abs(whole) <= validation.LARGEST).all()):
             break
         of_steps = None if taut_rows is None else taut_rows[some].T
         step_ends = StepEnds(time[some], states[some].T, of_steps)

@@ -16,6 +16,7 @@ from tenscontrol.dynamics.model import Model
 from tenscontrol.integrate.core_scene import CoreScene, core_scene
 from tenscontrol.optimize.parameters import Parameter, load_of_gravity, shares, unit_load
 from tenscontrol.optimize.traced_steps import TracedSteps
+from tenscontrol.properties import cached_property
 
 # Numbers of contact laws in the order of the core.
 _GROUND = "stiffness", "damping", "friction", "slip_speed", "height", "width"
@@ -98,10 +99,6 @@ class CoreSteps:
             if parameter.pieces is not None
         ]
         self._answers = answers
-        self._changes, self._given = self._record(self._padded)
-        for name, value in self._unit_changes().items():
-            self._given[name][..., : self._width] = value
-        self._always_given = self._given["input"].copy() if answers else None
         self._costs, self._derivatives = self._record(1)
         self._by_input = np.zeros(len(model.structure.strings))
         self._inputs = np.ascontiguousarray(steps.inputs.T)
@@ -113,13 +110,30 @@ class CoreSteps:
         self._length = np.ascontiguousarray(steps.length)
         scene_and_drive = map(ctypes.byref, (self._tables, self._drive))
         self._always = *scene_and_drive, self._lengths, ctypes.byref(self._tableau)
-        self._work = np.empty(
-            scene.core.tc_variations_work_size(*self._always[:2], self._always[3], self._padded)
-        )
         self._rows = [
             (records.address(array), array.strides[0])
             for array in (self._length, self._states, self._inputs, self._taut)
         ]
+
+    @cached_property
+    def _forwards(self) -> tuple[records.Changes, dict[str, FloatArray], FloatArray | None]:
+        """Changes by all parameters, with their arrays, and the inputs of them but for answers."""
+        changes, given = self._record(self._padded)
+        for name, value in self._unit_changes().items():
+            given[name][..., : self._width] = value
+        return changes, given, given["input"].copy() if self._answers else None
+
+    @cached_property
+    def _works(self) -> dict[int, FloatArray]:
+        return {}
+
+    def _work(self, columns: int) -> FloatArray:
+        """Return work memory for so many columns."""
+        if columns not in self._works:
+            scene, drive, _, method = self._always
+            size = self._core.core.tc_variations_work_size(scene, drive, method, columns)
+            self._works[columns] = np.empty(size)
+        return self._works[columns]
 
     def most(self, is_back: bool) -> int:
         """Return how many steps a call may take at most.
@@ -139,14 +153,15 @@ class CoreSteps:
         """Return the derivative of the state, (states, P), after steps, or a part of one, s."""
         whole = np.zeros((len(X), self._padded))
         whole[:, : self._width] = X
+        changes, given, always_given = self._forwards
         if answer is not None:
-            self._given["input"][:] = self._always_given
+            given["input"][:] = always_given
         for parameter, columns in self._profiles:
             share = self._share(parameter, first, 1, part)
-            self._enter_inputs(share, columns)
+            self._enter_inputs(share, given["input"][..., columns])
         if answer is not None:
-            self._given["input"][..., : self._width] += answer
-        self._call(self._core.core.tc_tangents, first, count, part, self._changes, whole)
+            given["input"][..., : self._width] += answer
+        self._call(self._core.core.tc_tangents, first, count, part, changes, whole)
         return whole[:, : self._width]
 
     def backward(
@@ -187,19 +202,27 @@ class CoreSteps:
 
     def _record(self, columns: int) -> tuple[records.Changes, dict[str, FloatArray]]:
         """Return a record of changes in so many columns, all zero, and its arrays by name."""
-        scene, structure = self._tables, self._model.structure
-        counts = {
-            "input": (len(self._c), scene.strings), "stiffness": (scene.strings,),
-            "damping": (scene.strings,), "load": (scene.entries,), "bar_mass": (scene.bars,),
-            "point_mass": (structure.nodes.shape[1],), "ground": (scene.grounds, len(_GROUND)),
-        }  # fmt: skip
-        names = {name for name, _ in self._pulls if name} | ({"input"} if self._answers else set())
-        arrays = {name: np.zeros((*counts[name], columns)) for name in names}
+        arrays = {name: np.zeros((*self._counts[name], columns)) for name in self._names}
         record = records.Changes(columns)
-        record.gravity[: structure.dimension] = self._model.gravity.tolist()
+        record.gravity[: self._model.structure.dimension] = self._model.gravity.tolist()
         for name, array in arrays.items():
             setattr(record, name, array.ctypes.data)
         return record, arrays
+
+    @property
+    def _names(self) -> set[str]:
+        """Names of the arrays of a record that are not null."""
+        return {name for name, _ in self._pulls if name} | ({"input"} if self._answers else set())
+
+    @cached_property
+    def _counts(self) -> dict[str, tuple[int, ...]]:
+        """Shapes of all arrays of a record, but for their columns."""
+        scene, nodes = self._tables, self._model.structure.nodes
+        return {
+            "input": (len(self._c), scene.strings), "stiffness": (scene.strings,),
+            "damping": (scene.strings,), "load": (scene.entries,), "bar_mass": (scene.bars,),
+            "point_mass": (nodes.shape[1],), "ground": (scene.grounds, len(_GROUND)),
+        }  # fmt: skip
 
     def _pull(self, parameter: Parameter) -> tuple[str, Callable[[FloatArray], FloatArray]]:
         kind = parameter.kind
@@ -218,9 +241,8 @@ class CoreSteps:
 
     def _unit_changes(self) -> dict[str, FloatArray]:
         """Return the changes by all parameters but inputs in time, by array."""
-        units = {
-            name: np.zeros((*array.shape[:-1], self._width)) for name, array in self._given.items()
-        }
+        counts = self._counts
+        units = {name: np.zeros((*counts[name], self._width)) for name in self._names}
         for parameter, columns, (name, pull) in zip(
             self._parameters, self._columns, self._pulls, strict=True
         ):
@@ -237,13 +259,14 @@ class CoreSteps:
             units[name][..., columns] += by_entry
         return units
 
-    def _enter_inputs(self, share: FloatArray, columns: slice) -> None:
+    @staticmethod
+    def _enter_inputs(share: FloatArray, inputs: FloatArray) -> None:
         """Enter what the values of a profile change of the inputs at the stages of a step."""
-        stages, strings = self._given["input"].shape[:2]
+        stages, strings = inputs.shape[:2]
         values = np.zeros((stages, strings, strings, len(share)))
         every = np.arange(strings)
         values[:, every, every] = share.T[:, None]
-        self._given["input"][..., columns] = values.reshape(stages, strings, -1)
+        inputs[:] = values.reshape(stages, strings, -1)
 
     def _share(
         self, parameter: Parameter, first: int, count: int, part: float | None
@@ -271,5 +294,5 @@ class CoreSteps:
         scene, drive, _, method = self._always
         function(
             scene, drive, lengths, method, ctypes.byref(steps), ctypes.byref(record),
-            *records.pointers(array, self._work),
+            *records.pointers(array, self._work(record.columns)),
         )  # fmt: skip

@@ -69,8 +69,9 @@ def steps_of(run: PlantRun, load: FloatArray) -> TracedSteps:
     strings = len(run.model.structure.strings)
     layout = InputLayout(strings, load.size, degree=run.degree)
     spans = run.spans[1:]
-    ends = [span.ends for span in spans if span.ends is not None and span.ends.taut is not None]
-    assert len(ends) == len(spans)  # it was traced
+    ends = [span.ends for span in spans if span.ends is not None]
+    taut = [of_span.taut for of_span in ends if of_span.taut is not None]
+    assert len(taut) == len(spans)  # it was traced
     counts = np.array([len(of_span.time) for of_span in ends])
     which = np.repeat(np.arange(len(spans)), counts)
     until, first = np.concatenate([of_span.time for of_span in ends]), np.cumsum(counts) - counts
@@ -93,5 +94,5 @@ def steps_of(run: PlantRun, load: FloatArray) -> TracedSteps:
     projects = method == "dop853" if how.project is None else how.project
     return TracedSteps(
         begins[which] + within, until - within, which, states, inputs,
-        np.hstack([of_span.taut for of_span in ends]), projects, method, layout,
+        np.hstack(taut), projects, method, layout,
     )  # fmt: skip

@@ -194,7 +194,7 @@ class Variations:
         sensitivities = np.empty((len(self.times), len(X), size))
         sensitivities[self.times <= self.steps.begin[0]] = X
         at, feedback, answer = self._first_switch, self.feedback, None
-        last = -1
+        ends, last = self._places[0], -1
         for leg in self._legs(is_back=False):
             check()
             if feedback is not None and leg.step != last and feedback.begins(leg.step):
@@ -210,7 +210,7 @@ class Variations:
                 X = exact @ X
             for e in range(at[end], at[end + 1]):
                 X = X + self._jumped(e, X, answer)
-            sensitivities[self._ends[end]] = X
+            sensitivities[ends.get(end, [])] = X
         return _finite(sensitivities)
 
     def motion(self) -> FloatArray:
@@ -218,10 +218,9 @@ class Variations:
         steps = self.steps
         ends, parts = self._places
         states = np.repeat(steps.states[:, :1], len(self.times), axis=1)
-        for k, which in enumerate(ends):
-            if len(which):
-                states[:, which] = steps.states[:, [k + 1]]
-        plan = [(k, length, i) for k, own in enumerate(parts) for length, i in own]
+        for k, which in ends.items():
+            states[:, which] = steps.states[:, [k + 1]]
+        plan = [(k, length, i) for k, own in parts.items() for length, i in own]
         if isinstance(self._stepper, ImplicitSteps):
             for k, length, i in plan:
                 states[:, i] = self._stepper.reached(k, length)
@@ -250,7 +249,7 @@ class Variations:
         ----------
         costs : ndarray, shape (T, states)
         """
-        at = self._first_switch
+        at, ends = self._first_switch, self._places[0]
         slope = np.zeros(sum(parameter.size for parameter in self.parameters))
         mu = np.zeros(costs.shape[1])
         partial = np.zeros_like(mu)
@@ -262,7 +261,7 @@ class Variations:
             else:
                 last = leg.step + leg.steps - 1
                 mu = self._answered_back(last + 1, mu + partial, answered, slope)
-                mu = mu + costs[self._ends[last]].sum(axis=0)
+                mu = mu + costs[ends.get(last, [])].sum(axis=0)
                 partial = np.zeros_like(mu)
                 for e in range(at[last + 1] - 1, at[last] - 1, -1):
                     mu = self._jumped_back(e, mu, slope, answered)
@@ -471,26 +470,19 @@ class Variations:
         return known[step]
 
     @cached_property
-    def _ends(self) -> list[IntArray]:
-        """Which of the times are the end of each step."""
-        return self._places[0]
-
-    @cached_property
-    def _places(self) -> tuple[list[IntArray], list[list[tuple[float, int]]]]:
-        """Return for each step which times are its end, and parts of it that reach others."""
-        steps, count = self.steps, len(self.steps.length)
-        ends: list[list[int]] = [[] for _ in range(count)]
-        parts: list[list[tuple[float, int]]] = [[] for _ in range(count)]
-        close = 1e-9 * steps.length
-        for i, k in enumerate(steps.step_at(self.times)):
-            past = float(self.times[i] - steps.begin[k])
+    def _places(self) -> tuple[dict[int, list[int]], dict[int, list[tuple[float, int]]]]:
+        """Return of steps which times are their end, and parts of them that reach others."""
+        steps = self.steps
+        ends, parts = dict[int, list[int]](), dict[int, list[tuple[float, int]]]()
+        for i, k in enumerate(steps.step_at(self.times).tolist()):
+            past, length = float(self.times[i] - steps.begin[k]), float(steps.length[k])
             if past <= 0:
                 continue
-            if abs(past - steps.length[k]) <= close[k]:
-                ends[k].append(i)
+            if abs(past - length) <= 1e-9 * length:
+                ends.setdefault(k, []).append(i)
             else:
-                parts[k].append((past, i))
-        return [np.array(some, dtype=int) for some in ends], parts
+                parts.setdefault(k, []).append((past, i))
+        return ends, parts
 
     @cached_property
     def _block(self) -> int:
@@ -517,23 +509,22 @@ class Variations:
             yield from self._differentiated(plan[first : first + self._block])
 
     def _planned(self, is_back: bool) -> Iterator[_Leg]:
-        parts, count = self._places[1], len(self.steps.length)
+        ends, parts = self._places
+        count = len(self.steps.length)
         most = 1 if self._stepper is None else self._stepper.most(is_back)
-        stops = {*self.switches.step.tolist(), count - 1}
-        stops |= {k for k in range(count) if len(self._ends[k])}
-        alone = {k for k in range(count) if parts[k]}
-        stops |= alone | {k - 1 for k in alone}
+        stops = {*self.switches.step.tolist(), *ends, *parts, *(k - 1 for k in parts), count - 1}
         if self.feedback is not None:
             stops |= {k - 1 for k in range(count) if self.feedback.begins(k)}
         legs, first = list[list[_Leg]](), 0
-        for k in range(count):
-            if k in stops or k - first + 1 == most:
-                own = [_Leg(k, 1, length, output, None, []) for length, output in parts[k]]
-                whole = _Leg(first, k - first + 1, None, -1, None, [])
+        for stop in sorted(k for k in stops if k >= 0):
+            for k in range(first, stop + 1, most):
+                some = min(most, stop + 1 - k)
+                own = [_Leg(k, 1, *part, None, []) for part in parts.get(stop, []) if k == stop]
+                whole = _Leg(k, some, None, -1, None, [])
                 legs.append([whole, *own] if is_back else [*own, whole])
-                first = k + 1
-        for some in reversed(legs) if is_back else legs:
-            yield from some
+            first = stop + 1
+        for leg in reversed(legs) if is_back else legs:
+            yield from leg
 
     def _stages(
         self, of: IntArray, h: FloatArray
