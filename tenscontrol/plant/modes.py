@@ -91,7 +91,10 @@ class Modes(Viewable):
         """
         lines = ["mode  frequency Hz  damping  kind"]
         for i, label in enumerate(self.label):
-            lines.append(f"{i:4d}  {self.frequency[i]:12.5f}  {self.damping[i]:7.4f}  {label}")
+            grows = ", runs away" if self.damping[i] <= -1 else ""
+            lines.append(
+                f"{i:4d}  {self.frequency[i]:12.5f}  {self.damping[i]:7.4f}  {label}{grows}"
+            )
         return "\n".join(lines)
 
     def __len__(self) -> int:

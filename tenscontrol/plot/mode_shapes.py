@@ -146,7 +146,7 @@ def mode_shapes(
     share = validation.positive_number("scale", scale, "structure sizes")
     size = float(share * np.ptp(nodes, axis=1).max())
     moved = [nodes + size * _at_largest(modes.shape[:, :, mode]) for mode in chosen]
-    panels, top = _panels(axes, len(chosen), nodes)
+    panels, top = _panels(axes, len(chosen), np.concatenate([nodes, *moved], axis=1))
     drawn = []
     for ax, mode, displaced in zip(panels, chosen, moved, strict=True):
         shape = ModeShape(
@@ -157,22 +157,28 @@ def mode_shapes(
         )
         frame(ax, [nodes, *moved], grow=False, fill=0.8)
         ax.set_axis_off()
-        frequency = f"{modes.frequency[mode]:#.4g}" if modes.frequency[mode] > 0 else "0"
-        title = f"mode {mode}: {frequency} Hz\n{modes.label[mode]}"
+        title = f"mode {mode}: {_rate(modes, mode)}\n{modes.label[mode]}"
         ax.set_title(title, fontsize="small", y=top)
         drawn.append(shape)
     return tuple(drawn)
 
 
-def _panels(axes: Sequence[Any] | None, count: int, nodes: FloatArray) -> tuple[list[Any], float]:
-    """Return the axes, and the height of their titles as part of that of the axes."""
-    dimension = len(nodes)
+def _rate(modes: Modes, mode: int) -> str:
+    """Return the frequency of a mode, or the rate at which one grows that runs away."""
+    if modes.damping[mode] <= -1:
+        return f"grows, {modes.pole[mode].real:#.4g} 1/s"
+    return f"{modes.frequency[mode]:#.4g} Hz" if modes.frequency[mode] > 0 else "0 Hz"
+
+
+def _panels(axes: Sequence[Any] | None, count: int, drawn: FloatArray) -> tuple[list[Any], float]:
+    """Return axes that hold points (d, n), and the height of titles as part of that of the axes."""
+    dimension = len(drawn)
     if axes is not None:
         kind = "three-dimensional" if dimension == 3 else "flat"
         return given_axes(axes, count, "one for each mode drawn", kind), 0.97
     # Tall structures stand close together, flat ones have little height. Axes are square and may
     # overlap: nothing is drawn in them but the structure.
-    extent = np.ptp(nodes, axis=1)
+    extent = np.ptp(drawn, axis=1)
     shape = np.array([np.linalg.norm(extent[:-1]), extent[-1]])
     wide, high = np.maximum(shape / shape.max(), _NARROWEST) * _PANEL
     columns = min(count, _COLUMNS)

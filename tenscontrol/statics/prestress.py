@@ -223,11 +223,16 @@ class Prestress(ArrayRecord):
     def __repr__(self) -> str:
         items = [repr(self.structure), f"residual {self.residual:.1e} N"]
         if is_small(self._forces.matrix):  # else they take long
-            items += [f"{self.self_stress_states} self-stress states"]
-            items += [f"{self.mechanisms} mechanisms"]
+            items += [_counted(self.self_stress_states, "self-stress state")]
+            items += [_counted(self.mechanisms, "mechanism")]
         if slack := len(self.slack_strings):
-            items += [f"{slack} slack strings"]
+            items += [_counted(slack, "slack string")]
         return f"Prestress({', '.join(items)})"
+
+
+def _counted(count: int, noun: str) -> str:
+    """Return a number with its noun, in the plural but for one."""
+    return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
 def prestress(
