@@ -18,7 +18,7 @@ import tenscontrol as tc
 soft = tc.Model(tc.prism(), strings=tc.LinearStrings(stiffness=100.0))
 low = tc.Height(0.85, top=[0, 1, 2], bottom=[3, 4, 5])
 goal = tc.shape_target(soft, low, force_density=17.3205)
-start = tc.prestress(tc.prism(), force_density=17.3205)  # N/m in the top strings; 30 in the vertical
+start = tc.prestress(tc.prism(), force_density=17.3205)  # N/m, top strings; 30, vertical
 path = tc.shape_path(soft, start, goal, duration=1.2, step=0.03)
 
 # %%

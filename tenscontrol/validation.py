@@ -116,6 +116,13 @@ def _real_array(name: str, value: object) -> FloatArray:
         return given.astype(float)
 
 
+# What makes an array of one kind from a record of another.
+_CONVERSIONS = {
+    "rest_length": "to_rest_length(model, prestress), or an array",
+    "force_density": "to_force_density(model, nodes, rest_length), or an array",
+}
+
+
 def array_of(name: str, value: object) -> object:
     """Return the array of a record that stands for this argument; other values as they are."""
     if not isinstance(value, ArrayRecord):
@@ -123,8 +130,8 @@ def array_of(name: str, value: object) -> object:
     known = value.stands_for
     if name.rpartition(".")[2] not in known:
         raise TypeError(
-            f"{name} is a {type(value).__name__}, which stands for {', '.join(known)}; give an "
-            "array"
+            f"{name} is a {type(value).__name__}, which stands for {', '.join(known)}; give "
+            f"{_CONVERSIONS.get(name, 'an array')}"
         )
     return getattr(value, known[name.rpartition(".")[2]])
 

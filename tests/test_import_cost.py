@@ -3,6 +3,10 @@
 import subprocess
 import sys
 
+import pytest
+
+import tenscontrol as tc
+
 
 def loaded_by(program):
     """Names of all modules that a program of its own has loaded at its end."""
@@ -52,3 +56,8 @@ def test_a_run_in_open_loop_loads_neither_controllers_nor_files():
     ours = {name for name in modules if name.startswith("tenscontrol.")}
     assert not ours & {f"tenscontrol.{name}" for name in others}
     assert not modules & {"scipy", "tomllib"}
+
+
+def test_a_name_that_is_not_there_has_the_nearest_that_is():
+    with pytest.raises(AttributeError, match="no name simulat; did you mean simulate"):
+        _ = tc.simulat

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from inspect import signature
 from typing import Any, final
 
 import numpy as np
@@ -245,6 +246,20 @@ def _own(name: str, given: object) -> Any:
     return getattr(given, name, None) if callable(getattr(given, "command", None)) else None
 
 
+def _refuse_other_arguments(name: str, called: Callable[..., Any]) -> None:
+    """Refuse a function that cannot be called with a time, nodes and velocities."""
+    try:
+        taken = signature(called)
+    except ValueError:  # of some functions in C nobody knows
+        return
+    try:
+        taken.bind(0.0, None, None)
+    except TypeError as error:
+        raise TypeError(
+            f"{name} has the arguments {taken}, expected (time, nodes, velocities): {error}"
+        ) from None
+
+
 def _called(name: str, given: object) -> Callable[..., Any]:
     """Return what is called at each sample: the method ``command``, or the function itself."""
     if isinstance(given, type):
@@ -255,4 +270,5 @@ def _called(name: str, given: object) -> Callable[..., Any]:
     called: Any = _own("command", given) or given
     if not callable(called):
         raise validation.wrong_kind(name, given, _EXPECTED)
+    _refuse_other_arguments(name, called)
     return called  # type: ignore[no-any-return]

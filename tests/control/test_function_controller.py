@@ -355,6 +355,9 @@ def test_what_is_no_command_is_named(case):
 REFUSED = {
     "a class": (lambda: simulated(Holds), TypeError, r"controller is the class Holds.*Holds\("),
     "a number": (lambda: simulated(3.0), TypeError, r"controller is a float, expected"),
+    "other arguments": (
+        lambda: simulated(lambda t, x: x, sample_time=SAMPLE), TypeError,
+        r"has the arguments \(t, x\), expected \(time, nodes, velocities\)"),
     "no sample time": (
         lambda: simulated(hold, step=None), ValueError, r"give sample_time, or a step"),
     "two sample times": (

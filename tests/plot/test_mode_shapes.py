@@ -73,6 +73,13 @@ def test_titles_say_number_frequency_and_kind(plant, modes):
     assert drawn[2].ax.get_title() == "mode 6: 2.443 Hz\nelastic"
 
 
+def test_a_mode_that_runs_away_has_the_rate_at_which_it_grows(plant, modes):
+    growing = replace(modes, damping=np.full(len(modes), -1.0), pole=np.full(len(modes), 8.0 + 0j))
+    (shape,) = tc.plot.mode_shapes(plant, growing, which=[2])
+    assert shape.ax.get_title().startswith("mode 2: grows, 8.000 1/s")
+    assert "-1.0000  mechanism, runs away" in growing.table()
+
+
 def test_all_panels_have_the_same_limits(plant, modes):
     drawn = tc.plot.mode_shapes(plant, modes, which=[1, 6, 8])
     limits = {(*shape.ax.get_xlim(), *shape.ax.get_ylim(), *shape.ax.get_zlim()) for shape in drawn}
