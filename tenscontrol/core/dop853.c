@@ -1,8 +1,11 @@
 /* Adaptive steps of order 8 by Dormand and Prince, which end at switches: of one run, and of those in
    lanes, each with its own time and step.
 
+   Where many strings switch in a step they are carried, with an error of order 4. The next step is then
+   one of order 5, in half the evaluations, until a step ends without switches or at one.
+
    E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, 2nd ed., II.5
-   (coefficients, error estimate) and II.6 (interpolant). */
+   (coefficients, error estimates) and II.6 (interpolant). */
 #include <float.h>
 #include <math.h>
 #include <string.h>
@@ -137,7 +140,7 @@ WIDE static void short_sum_end(const Number *restrict x, Number h, const Number 
   for (int i = 0; i < n; ++i) y[i] = x[i] + h * SHORT_END;
 }
 
-/* The same of order 5. */
+/* A step of order 5. */
 static void short_step_of(Dop853 *m, Number h, Number *x1) {
   const int n = m->span->states;
   const Number *x = m->x;
@@ -162,6 +165,7 @@ WIDE static Number error_of(const Number *restrict K, const Number *restrict sca
   return choice((below > 0) & (below < INFINITY), h * fifth / below, below);
 }
 
+/* The same of a step of order 5, whose last slope is that at its end. */
 WIDE static Number short_error_of(const Number *restrict K, const Number *restrict scale, Number h,
                                   int n) {
   Number sum = all(0);

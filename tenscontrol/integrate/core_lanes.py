@@ -228,7 +228,7 @@ class AdaptiveLanes(CoreLanes):
 
     counted = (
         "tries", "rejections", "landings", "approaches", "switches", "interpolants", "carries",
-        "carried",
+        "carried", "short_tries",
     )  # fmt: skip
 
     def __init__(

@@ -79,7 +79,9 @@ _MOST_STALLS = 50
 class DOP853(Integrator):
     """Adaptive steps of order 8.
 
-    Where a string can go slack, every step ends at each switch.
+    Where a string can go slack, every step ends at each switch. In the
+    compiled core a step with many of them carries them, and the next is of
+    order 5.
 
     Parameters
     ----------
