@@ -19,7 +19,7 @@ from tenscontrol.shape.force_bounds import ForceLimits, choose_force_density
 from tenscontrol.shape.held_strings import HeldStrings
 from tenscontrol.shape.nonlinear_program import EXACT, MIRRORED, ShapeProblem
 from tenscontrol.shape.symmetry import RotationalSymmetry
-from tenscontrol.statics.prestress import Prestress, prestress
+from tenscontrol.statics.prestress import Prestress, UnbalancedError, prestress
 from tenscontrol.structure.bar_clearance import bar_distances
 from tenscontrol.structure.structure import Structure
 
@@ -325,7 +325,7 @@ def _first_balanced(
 ) -> Prestress | None:
     """Return the first γ that balance: where bars are in line, those chosen may not."""
     for gamma in choices:
-        with suppress(ValueError):
+        with suppress(UnbalancedError):
             return prestress(structure, np.maximum(gamma, limits.bounds.low), external_force=load)
     return None
 

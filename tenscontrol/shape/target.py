@@ -224,7 +224,7 @@ def shape_target(
     ShapeError
         If no such equilibrium is found. Its text says by how much each demand is
         missed; its ``nearest`` is the nearest equilibrium found. Also if the demands ask a free
-        structure only to move as one body, in the same shape.
+        structure only to move as one body, in the same shape, or to do so by more than its size.
     TypeError, ValueError
         If an argument is of the wrong kind or does not fit.
 
@@ -303,8 +303,16 @@ def shape_target(
             "start, larger tolerances, wider bounds or more strings",
             target,
         )
-    gone = moved_as_one_body(model, begin, target.nodes)
-    if gone and wanted:
+    gone, changed = _travel(model, begin, target.nodes)
+    if wanted and gone - changed > structure.size:
+        raise ShapeError(
+            f"the demands are met by a rigid-body motion of more than the size of the structure, "
+            f"{structure.size:.3g} m: nodes go up to {gone:.3g} m, of which the shape found, "
+            f".nearest, gives {changed:.3g} m. {STRINGS_MOVE_NO_CENTRE}. To put the structure there "
+            "by hand, move the nodes of start",
+            target,
+        )
+    if wanted and _is_rigid(begin, gone, changed):
         raise ShapeError(
             f"the demands are met by a rigid-body motion only: the shape found is that of "
             f"start, moved by up to {gone:.3g} m. {STRINGS_MOVE_NO_CENTRE}. To put the structure "
@@ -333,12 +341,21 @@ def with_lengths_of(model: Model, nodes: FloatArray) -> Model:
 
 def moved_as_one_body(model: Model, before: FloatArray, after: FloatArray) -> float:
     """Return how far nodes move, m, where two shapes differ by a rigid-body motion alone; or 0."""
-    laid = coordinates(with_lengths_of(model, before), before, "nodes").laid_over(
-        after, np.zeros_like(after)
-    )[0]
-    gone, changed = (float(np.linalg.norm(nodes - before, axis=0).max()) for nodes in (after, laid))
+    gone, changed = _travel(model, before, after)
+    return gone if _is_rigid(before, gone, changed) else 0.0
+
+
+def _is_rigid(before: FloatArray, gone: float, changed: float) -> bool:
     size = float(np.ptp(before, axis=1).max())
-    return gone if gone > _STAYED * size and changed < _UNCHANGED * gone else 0.0
+    return gone > _STAYED * size and changed < _UNCHANGED * gone
+
+
+def _travel(model: Model, before: FloatArray, after: FloatArray) -> tuple[float, float]:
+    """Return how far a node goes at most, m, and how far where the shapes are laid over."""
+    frame = coordinates(with_lengths_of(model, before), before, "nodes")
+    laid = frame.laid_over(after, np.zeros_like(after))[0]
+    gone, changed = (float(np.linalg.norm(nodes - before, axis=0).max()) for nodes in (after, laid))
+    return gone, changed
 
 
 def _target(

@@ -346,8 +346,8 @@ def prestress(
         hint = "prestress(structure, force_density=<one number>) finds force densities that balance"
         try:
             return balanced(structure, forces, gamma, load, "force_density does not balance", hint)
-        except ValueError as error:
-            raise ValueError(f"{error}{_nearest_balance(structure, forces, gamma)}") from None
+        except UnbalancedError as error:
+            raise UnbalancedError(f"{error}{_nearest_balance(structure, forces, gamma)}") from None
     level = (
         None if given is None else validation.positive_number("force_density", float(given), "N/m")
     )
@@ -631,6 +631,10 @@ def listed(members: IntArray) -> str:
     return ", ".join(map(str, members[:10].tolist())) + more
 
 
+class UnbalancedError(ValueError):
+    """Force densities leave a node with a force."""
+
+
 def _refuse_unbalanced(
     structure: Structure, E: csc_array, densities: FloatArray, w: FloatArray,
     failure: str, hint: str, least: float = 0.0,
@@ -640,7 +644,7 @@ def _refuse_unbalanced(
     scale = max([least, abs(E * densities).max(), np.abs(w).max(initial=0.0)])
     if size.max() > _RESIDUAL_TOLERANCE * scale:
         worst = int(size.argmax())
-        raise ValueError(
+        raise UnbalancedError(
             f"{failure}: node {worst} is left with an unbalanced force of "
             f"{size[worst]:.3g} N, expected less than {_RESIDUAL_TOLERANCE * scale:.1e} N. {hint}"
         )

@@ -102,3 +102,13 @@ def test_a_supported_structure_is_in_space_already():
     np.testing.assert_array_equal(anywhere.nodes, centre.nodes)
     with pytest.raises(ValueError, match="place is 'here', expected one of"):
         shape_target(standing, point, place="here")
+
+
+def test_a_free_structure_is_not_carried_farther_than_its_size():
+    bars = tc.library.d_bar()
+    far = NodesAt([1], bars.nodes[:, [1]] + [[9.0], [0.0]])
+    with pytest.raises(ShapeError, match="more than the size of the structure, 2 m") as error:
+        shape_target(tc.Model(bars), far, force_density=20.0)
+    nearest = error.value.nearest
+    np.testing.assert_allclose(nearest.nodes[0, 1], 9.0)
+    assert nearest.residual < 1e-9
