@@ -514,11 +514,10 @@ def _result(rollouts: Rollouts, theta: FloatArray, readings: Readings, message: 
     count = len(readings.residuals)
     freedom = max(count - int((identifiability.singular >= 1).sum()), 1)
     chi_squared = float((readings.residuals**2).sum() / freedom)
-    # Of data alone, in the directions that it tells.
-    weight = np.where(
-        identifiability.singular >= 1, 1 / np.maximum(identifiability.singular, 1), 0.0
-    )
-    variance = ((identifiability.directions.T * weight) ** 2).sum(axis=1) * chi_squared
+    # Of data alone in the directions that it tells, of the prior in the others.
+    singular = identifiability.singular
+    squares = np.where(singular >= 1, chi_squared, 1.0) / np.maximum(singular, 1) ** 2
+    variance = identifiability.directions.T**2 @ squares
     reach = _INTERVAL * np.sqrt(variance) * rollouts.deviations
     is_scaled = np.zeros(rollouts.size, dtype=bool)
     first = 0

@@ -308,8 +308,8 @@ def shape_target(
         raise ShapeError(
             f"the demands are met by a rigid-body motion of more than the size of the structure, "
             f"{structure.size:.3g} m: nodes go up to {gone:.3g} m, of which the shape found, "
-            f".nearest, gives {changed:.3g} m. {STRINGS_MOVE_NO_CENTRE}. To put the structure there "
-            "by hand, move the nodes of start",
+            f".nearest, gives {changed:.3g} m. {STRINGS_MOVE_NO_CENTRE}. To put the structure "
+            "there by hand, move the nodes of start",
             target,
         )
     if wanted and _is_rigid(begin, gone, changed):
