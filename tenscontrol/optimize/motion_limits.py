@@ -55,7 +55,7 @@ class StringState:
     length: Any  # m
     rate: Any  # m/s
     force_density: Any  # N/m
-    pull: Any  # force that winds each string in, N
+    pull: Any  # force against which each winch winds in, N, shape (m, 1): Gᵀ T
     power: Any  # of the motors, W, shape (m, 1)
 
 
@@ -104,7 +104,7 @@ class MotionLimits:
         power = validation.limit_per_member("max_power", max_power, count, "string")
         validation.positive("max_power", power, "power in W")
         self.power = _least_by_winch(self.actuation, power)
-        largest, self.pull = none, none
+        largest, self.pull = none, np.full(len(self.actuation.lead), np.inf)
         if winches is not None:
             rate = winches.largest_rate
             largest = none if rate is None else np.broadcast_to(rate, count)
@@ -199,7 +199,7 @@ class MotionLimits:
             pull = -ca.jtimes(stored, wound, ca.DM.ones(wound.shape))
             pull, shortening = ca.substitute(pull, wound, values), turning
         return StringState(
-            nodes, velocities, values, turning, length, rate, gamma, pull,
+            nodes, velocities, values, turning, length, rate, gamma, self._on_winches(pull),
             self._by_winch(-pull * shortening),
         )  # fmt: skip
 
@@ -214,6 +214,12 @@ class MotionLimits:
         if self.actuation.is_whole:
             return change
         return ca.mtimes(ca.sparsify(ca.DM(self.actuation.matrix.toarray())), change)
+
+    def _on_winches(self, pulls: Any) -> Any:
+        """Return the forces of strings on the winches: a string counts by its ratio."""
+        if self.actuation.is_whole:
+            return pulls
+        return ca.mtimes(ca.sparsify(ca.DM(self.actuation.matrix.toarray().T)), pulls)
 
     def _by_winch(self, values: Any) -> Any:
         """Return the sums of what the strings of each winch have, shape (m, 1)."""
@@ -256,21 +262,21 @@ def _least_by_winch(actuation: Actuation, values: FloatArray) -> FloatArray:
 
 
 def _most_pull(winches: Winches, actuation: Actuation) -> FloatArray:
-    """Return the force that each motor holds, N, or raise for motors that are not planned for."""
+    """Return the force that each motor holds, N, (m,), or raise for motors not planned for."""
     motor, count = winches.motor, len(actuation.input)
     if motor is None:
-        return np.full(count, np.inf)
+        return np.full(len(actuation.lead), np.inf)
     if motor.inertia.any() or motor.lag.any() or motor.backlash.any():
         raise ValueError(
             "winches have motors with inertia, lag or backlash, and the rates of a planned motion "
             "jump from interval to interval: give motors without them, and see by "
             "simulate(..., controller=...) how yours follow"
         )
-    most = np.where(actuation.input < 0, np.inf, each_motor(motor, count).most_tension)
-    if actuation.is_ganged and np.isfinite(most).any():
+    most = _least_by_winch(actuation, each_motor(motor, count).most_tension)
+    if np.isfinite(most).any() and (actuation.ratio < 0).any():
         raise ValueError(
-            "winches.motor has torque, but winds several strings, or by a ratio, in plant: leave "
-            "torque out and give max_tension, or give one motor a string"
+            "winches.motor has torque, but a motor winds some strings while it pays out others in "
+            "plant: leave torque out, or give ratios of one sign"
         )
     return most
 
