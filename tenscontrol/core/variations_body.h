@@ -53,9 +53,12 @@ static void N(touched)(const Ground *g, const double *own, const double *x, cons
     N(linear_ground_slopes)(x, v, k, c, friction, slip, height, pressing, normal, force, slopes);
   } else if (g->kind == HERTZ_GROUND) {
     N(hertz_ground_slopes)(x, v, k, c, friction, slip, height, pressing, normal, force, slopes);
-  } else if (c == 0) { /* nothing is known of damping, which the law leaves out */
+  } else if (c == 0) { /* the law leaves damping out; what a little of it would do, the other tells */
+    double of_damping[D * N(TOUCH)];
+    N(smooth_ground_slopes)(x, v, k, c, friction, slip, height, width, normal, force, of_damping);
     N(smooth_undamped_ground_slopes)(x, v, k, friction, slip, height, width, normal, force, slopes);
     memcpy(by, slopes, D * (2 * D + 1) * sizeof *by);
+    memcpy(by + D * (2 * D + 1), of_damping + D * (2 * D + 1), D * sizeof *by);
     memcpy(by + D * (2 * D + 2), slopes + D * (2 * D + 1), D * 4 * sizeof *by);
     return;
   } else {

@@ -10,7 +10,6 @@ import numpy as np
 
 from tenscontrol.arrays import FloatArray
 from tenscontrol.core import records
-from tenscontrol.dynamics.contact_laws import SmoothGround
 from tenscontrol.dynamics.equation import Equation
 from tenscontrol.dynamics.model import Model
 from tenscontrol.integrate.core_scene import CoreScene, core_scene
@@ -42,19 +41,9 @@ def core_steps(
     columns: Sequence[slice],
     answers: bool,
 ) -> CoreSteps | None:
-    """Return the steps of a run as the core differentiates them; None where it does not.
-
-    It does not know the derivative of a smooth ground by a damping that is zero.
-    """
+    """Return the steps of a run as the core differentiates them; None where there is none."""
     scene = core_scene(equation)
     if scene is None:
-        return None
-    damped = (
-        model.ground[parameter.law]
-        for parameter in parameters
-        if parameter.kind == "ground" and parameter.field == "damping"
-    )
-    if any(isinstance(law, SmoothGround) and not law.damping for law in damped):
         return None
     return CoreSteps(scene, model, steps, method, parameters, columns, answers)
 
