@@ -258,13 +258,19 @@ class PlantRun:
         self, state: FloatArray, inputs: Pieces, durations: list[float], close: float
     ) -> int:
         """Integrate over spans that need no other look than the first; return how many."""
-        moved = self.supports is not None or self.bars is not None or self.faults.cuts
+        moved = self.supports is not None or self.faults.cuts
         if moved or len(durations) < _FEW_SPANS or not self.spans:
             return 0
         check()
         starts = np.array([self.now, *durations[:-1]]).cumsum()
         piece = inputs.index(starts + close)
         coefficients = inputs.with_degree(self.degree).coefficients[piece]
+        if self.bars is not None:
+            count = self._without_jumps(self.bars, coefficients, starts, inputs.origin[piece])
+            if count < _FEW_SPANS:
+                return 0
+            starts, piece, coefficients = starts[:count], piece[:count], coefficients[:count]
+            durations = durations[:count]
         held = coefficients.transpose(0, 2, 1).reshape(len(piece), -1)
         if self.degree:
             held = np.column_stack([held, starts - inputs.origin[piece]])
@@ -278,9 +284,25 @@ class PlantRun:
             self.work += span.work
             self.now += durations[i]
             state = span.states[:, -1]
+        if spans and self.bars is not None:
+            self.length_rate = self.spans[-1].values(self.length_rows, 1)[:, -1]
         if spans and self.report is not None:
             self.report(self.now)
         return len(spans)
+
+    def _without_jumps(
+        self, bars: DrivenBars, coefficients: FloatArray, starts: FloatArray, origins: FloatArray
+    ) -> int:
+        """Return how many of the first spans begin without a jump of the rate of a bar."""
+        before = self.length_rate
+        for k, (start, origin) in enumerate(zip(starts, origins, strict=True)):
+            rows = coefficients[k, self.length_rows]
+            after = polynomial_at(rows, np.array([start - origin]), 1)[:, 0]
+            if before is not None and bars.jump(before, after) is not None:
+                return k
+            if k + 1 < len(starts):
+                before = polynomial_at(rows, np.array([starts[k + 1] - origin]), 1)[:, 0]
+        return len(starts)
 
     def _outputs(self, duration: float) -> int:
         """Return how many states are kept in so long a span."""
