@@ -25,9 +25,7 @@ rest = tc.prestress(prism, force_density=10.0)  # N/m in the top strings; 17.32 
 
 twist = tc.Twist(np.radians(-25.0), TOP, BOTTOM)
 try:
-    tc.shape_target(
-        model, twist, force_density=10.0, symmetry=tc.RotationalSymmetry([TOP, BOTTOM])
-    )
+    tc.shape_target(model, twist, force_density=10.0, symmetry=tc.RotationalSymmetry([TOP, BOTTOM]))
 except tc.shape.ShapeError as error:
     print(error)
     missed = np.degrees(error.nearest.missed[0].missed)
