@@ -15,6 +15,9 @@ enum { SAMPLES = 6, ZOOMS = 2, ZOOMS_ON_GROUND = 7, CHORDS = 6, POLISHES = 8 };
 /* A gap is flat beyond the border where it falls by less than this part of its slope before. */
 static const double FLAT = 0.1;
 
+/* Parts of a step that are this far from each other have a chord. */
+static const double APART = 1e-6;
+
 /* How late a step may end at most, as part of it. */
 static const double MOST_LATE = 1e-3;
 
@@ -193,8 +196,15 @@ static void rooms_at(Span *span, const Tried *step, Number part, const Number *m
   }
 }
 
-/* Closes in on the first sample that is out, else on the lowest; whether one is out. */
-static Truth zoom(Span *span, const Tried *step, Number *low, Number *high) {
+static Number count_out(const Number *rooms, int count) {
+  Number out = all(0);
+  for (int i = 0; i < count; ++i) out += truth(rooms[i] < 0);
+  return out;
+}
+
+/* Closes in on the first sample that is out, else on the lowest; whether one is out, and how many
+   strings are out there. */
+static Truth zoom(Span *span, const Tried *step, Number *low, Number *high, Number *out) {
   const Number width = (*high - *low) / SAMPLES;
   Number least = all(INFINITY), first = all(0), last = all(1);
   for (int j = 0; j < SAMPLES && any((least < 0) == 0); ++j) {
@@ -207,6 +217,7 @@ static Truth zoom(Span *span, const Tried *step, Number *low, Number *high) {
     first = choice(better, all(j), first);
     last = choice(better, choice(lowest < 0, all(j + 1), all(j + 2 > SAMPLES ? j + 1 : j + 2)), last);
     least = choice(better, lowest, least);
+    *out = choice(better, count_out(span->rooms, span->switches), *out);
   }
   *high = *low + last * width;
   *low += first * width;
@@ -245,13 +256,20 @@ SHARED Cut first_switch(Span *span, Truth meant, const Tried *step, Number allow
   const Number *scale, h = step->h;
   Number *inside = span->inside, *outside = span->outside, *chosen = span->chosen;
   Number low = all(0), high = all(1), near, size, first = all(INFINITY), edge, before, after;
-  Number late = all(0), lowest, left, right, over, under;
+  Number late = all(0), lowest, left, right, over, under, value_before;
   Cut cut;
   make_path(span, step);
   do {
+    Truth is_settled = all(0) > 1;
     low = all(0), high = all(1);
-    for (int i = 0; i < (span->scene->grounds ? ZOOMS_ON_GROUND : ZOOMS); ++i)
-      cut.found = meant & zoom(span, step, &low, &high);
+    for (int i = 0; i < (span->scene->grounds ? ZOOMS_ON_GROUND : ZOOMS) && any(is_settled == 0);
+         ++i) {
+      Number from = low, to = high, out = all(0);
+      const Truth is_out = zoom(span, step, &from, &to, &out);
+      low = choice(is_settled, low, from), high = choice(is_settled, high, to);
+      cut.found = meant & (is_settled | is_out); /* what is settled is found */
+      if (i >= ZOOMS) is_settled |= is_out & (out == 1); /* nothing else can be first */
+    }
     rooms_at(span, step, low, 0, inside);
   } while (any(mark_earlier(span, cut.found & (low > 0))));
   rooms_at(span, step, high, 0, outside);
@@ -281,12 +299,19 @@ SHARED Cut first_switch(Span *span, Truth meant, const Tried *step, Number allow
   /* The Illinois method: the chord of a string that starts at rest on the border is far from its
      slope there, and others that start next to it are not to be passed. */
   left = low, right = high, over = before - cut.aim, under = after - cut.aim;
+  cut.part = high, value_before = under;
   for (int i = 0; i < CHORDS; ++i) {
-    Number value;
-    Truth is_in;
+    const Number part_before = cut.part;
+    Number value, moved_by, secant;
+    Truth is_in, apart;
     cut.part = smaller(larger(left + over * (right - left) / (over - under), left), right);
     rooms_at(span, step, cut.part, chosen, span->rooms);
     value = mean_of_chosen(span, span->rooms) - edge - cut.aim;
+    moved_by = cut.part - part_before;
+    apart = positive(moved_by) > APART;
+    secant = (value - value_before) / choice(apart, moved_by, all(1));
+    cut.speed = choice(apart & (secant < 0), secant, cut.speed);
+    value_before = value;
     is_in = value > 0;
     left = choice(is_in, cut.part, left);
     right = choice(is_in, right, cut.part);
@@ -318,7 +343,7 @@ SHARED Number approach(Span *span, const Tried *step, Cut cut, Place *place, voi
        and beyond it is the stretch that counts. Where it is flat between two places beyond, the
        next is twice as far back. */
     moved_by = fraction - before;
-    apart = positive(moved_by) > (count ? 1e-6 : INFINITY);
+    apart = positive(moved_by) > (count ? APART : INFINITY);
     secant = (gap - gap_before) / choice(apart, moved_by, all(1));
     flat = apart & (larger(gap, gap_before) < 0) & (secant > FLAT * speed);
     speed = choice(apart & (secant < 0) & (flat == 0), secant, speed);

@@ -43,8 +43,9 @@ POLISHES = 8
 # A gap is flat beyond the border where it falls by less than this part of its slope before.
 FLAT = 0.1
 
-# Chords on the interpolant to the place of a switch.
-CHORDS = 6
+# Chords on the interpolant to the place of a switch, and parts of a step so far from each other that
+# they have one.
+CHORDS, _APART = 6, 1e-6
 
 # How late steps of a method without error control end at a switch, as part of the length of the
 # string: the force is wrong by the square of it. And at most, as part of the step.
@@ -127,11 +128,15 @@ class Switches:
         is_crossed = crossed(step.x, step.x1, step.u, step.taut, step.h)[0].copy()
         while True:
             low, high, is_out = 0.0, 1.0, False
-            for _ in range(zooms(self._equation)):
+            for zoom in range(zooms(self._equation)):
                 width = (high - low) / SAMPLES
                 samples = lowest(*within, low + width * _PLACES, is_crossed)[0].ravel().tolist()
                 first, last, is_out = _bracket(samples)
                 low, high = low + first * width, low + last * width
+                if is_out and zoom >= _ZOOMS:
+                    out = (room(*within, high)[0] < 0) & (is_crossed > 0)
+                    if np.count_nonzero(out) == 1:  # nothing else can be first
+                        break
             if not is_out:
                 return None
             inside = room(*within, low)[0].copy()
@@ -158,11 +163,16 @@ class Switches:
         aim = max(-max(late, 0.2 * edge), after) / 2
         # The Illinois method: the chord of a string that starts at rest on the border is far from
         # its slope there, and others that start next to it are not to be passed.
-        left, right, over, under, fraction = low, high, before - aim, after - aim, low
+        left, right, over, under = low, high, before - aim, after - aim
+        fraction, gap = high, under
         for _ in range(CHORDS):
+            place, gap_there = fraction, gap
             chord = over * (right - left) / (over - under) if over != under else 0.0
             fraction = min(max(left + chord, left), right)
             gap = float(chosen @ room(*within, fraction)[0]) - edge - aim
+            if abs(fraction - place) > _APART:
+                secant = (gap - gap_there) / (fraction - place)
+                speed = secant if secant < 0 else speed
             if gap > 0:
                 left, over, under = fraction, gap, under / 2
             else:
@@ -203,7 +213,7 @@ class Switches:
             # to it, and beyond it is the stretch that counts. Where it is flat between two places
             # beyond, the next is twice as far back. Closer places differ by round-off.
             is_flat = False
-            if places and abs(fraction - before) > 1e-6:
+            if places and abs(fraction - before) > _APART:
                 secant = (gap - gap_before) / (fraction - before)
                 is_flat = max(gap, gap_before) < 0 and secant > FLAT * speed
                 speed = secant if secant < 0 and not is_flat else speed
