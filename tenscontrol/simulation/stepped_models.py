@@ -20,7 +20,7 @@ from tenscontrol.dynamics.model_parameters import (
 )
 from tenscontrol.integrate.core_lanes import FixedStepLanes, have_tables, tables_of_runs
 from tenscontrol.integrate.core_sample import CoreSample
-from tenscontrol.integrate.core_scene import core_scene
+from tenscontrol.integrate.core_scene import CoreScene, core_scene
 from tenscontrol.integrate.integrator import IntegrationError, Integrator
 from tenscontrol.integrate.methods import METHODS
 
@@ -46,6 +46,10 @@ class SteppedModels:
     def __init__(self, model: Model, input: str, degree: int, step: float, count: int) -> None:
         self.model, self.count, self.parameters = model, count, dict[str, FloatArray]()
         self._input, self._degree, self._step = input, degree, step
+        self._alone: dict[int, CoreSample | Integrator] = {}
+        self._equations: dict[int, Equation] = {}
+        self._kinds: dict[str, bool] | None = None
+        self._core: CoreScene | None = None
         self._arrange()
 
     def set(self, robots: np.ndarray, given: Mapping[str, object]) -> None:
@@ -69,7 +73,10 @@ class SteppedModels:
             doubtful |= (rows[robots] < least_value(name)).any(axis=1)
         for robot in robots[doubtful].tolist():  # refuses what is none
             with_parameters(self.model, {name: rows[robot] for name, rows in changed.items()})
-        self.parameters = changed
+        was_alike, self.parameters = not self.parameters, changed
+        for robot in range(self.count) if was_alike else robots.tolist():
+            self._alone.pop(robot, None)
+            self._equations.pop(robot, None)
         self._arrange()
 
     def _rows(self, label: str, value: object, shape: tuple[int, ...], robots: int) -> FloatArray:
@@ -102,17 +109,11 @@ class SteppedModels:
         """Choose what advances the robots: side by side where the core has them all."""
         self._lanes: FixedStepLanes | None = None
         self._loads: FloatArray | None = None
-        self._alone: dict[int, CoreSample | Integrator] = {}
-        self._equations: dict[int, Equation] = {}
         given = self.parameters
         if self.count == 1 or not have_tables(self.model, given):
             return
         is_loaded = bool({"gravity", *MASSES} & set(given))
-        first = self.model_of(0)
-        equation = first.equation(
-            self._input, None, "auto", degree=self._degree, load_input=is_loaded
-        )  # fmt: skip
-        core = core_scene(equation)
+        core = self._core_of_all(is_loaded)
         if core is None:
             return
         tables = tables_of_runs(self.model, given)
@@ -120,6 +121,16 @@ class SteppedModels:
         if is_loaded:
             self._loads = constant_forces(self.model, given).transpose(0, 2, 1)
             self._loads = self._loads.reshape(len(self._loads), -1)
+
+    def _core_of_all(self, is_loaded: bool) -> CoreScene | None:
+        """Return the tables of a robot, which stay while all have the same kinds of parameters."""
+        switched = {name: bool((rows[0] > 0).any()) for name, rows in self.parameters.items()}
+        if self._kinds != switched:
+            equation = self.model_of(0).equation(
+                self._input, None, "auto", degree=self._degree, load_input=is_loaded
+            )
+            self._kinds, self._core = switched, core_scene(equation)
+        return self._core
 
     def _equation_of(self, robot: int) -> Equation:
         key = robot if self.parameters else 0  # models that are alike share it

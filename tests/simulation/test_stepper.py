@@ -157,6 +157,15 @@ def test_robots_with_parameters_have_the_bits_of_runs_of_their_models(kind, winc
     both = np.stack([commands[0]] * 3)
     assert np.array_equal(again.step(both)[0], many.step(both)[0])
     assert many.parameters.keys() == given.keys()
+    # Another robot alone gets other numbers: what is prepared for the others stays.
+    prepared, core = dict(many._models._alone), many._models._core
+    many.reset([1], parameters={"ground.friction": 0.7})
+    assert many._models._core is core
+    assert many._models._alone == {k: own for k, own in prepared.items() if k != 1}
+    own = {name: np.array(rows[1]) for name, rows in many.parameters.items()}
+    one = tc.Stepper(model, SAMPLE, parameters=own, **how)
+    ends = one.step(commands[0])[0], many.step(both)[0][1]  # samples differ by round-off
+    assert np.allclose(*ends, rtol=0, atol=1e-12)
 
 
 def test_readings_are_those_of_a_run():
