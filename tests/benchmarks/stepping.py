@@ -3,8 +3,8 @@
 Run: ``python -m tests.benchmarks.stepping``, two or three minutes. A six-bar ball stands on ground;
 in each sample of 20 ms its 24 strings get rest lengths at random. 1, 16, 256 and 1,024 of them are
 stepped by :class:`tenscontrol.Stepper`, by MuJoCo's ``mj_step`` (one robot) and by its ``rollout``
-(several), each with several steps; ``--own`` are further ones of the stepper alone. MuJoCo hands
-out states, not nodes, which is less work.
+(several), each with the same numbers of steps. MuJoCo hands out states, not nodes, which is less
+work.
 
 The error of a step is the largest distance of a node after 10 samples from where a step that is
 ``FINER`` times finer than the finest brings it, over the size of the ball: the median of some
@@ -40,20 +40,19 @@ Play = Callable[[Sequence[np.ndarray]], np.ndarray]
 
 def main(arguments: Sequence[str] | None = None) -> None:
     given = options(
-        __doc__, arguments, counts=(1, 16, 256, 1024), parts=(5, 10, 20), own=(3,), rounds=2,
+        __doc__, arguments, counts=(1, 16, 256, 1024), parts=(3, 4, 5, 6, 8, 10, 20), rounds=4,
         seconds=0.4,
     )  # fmt: skip
     model = ball()
     start = tc.plant.set_down(model, [0, 4, 8])
     methods = {"Stepper": ours(model, start)} | theirs(model, start)
-    parts_of = dict.fromkeys(methods, given.parts) | {"Stepper": (*given.own, *given.parts)}
     finest = FINER * max(given.parts)
-    errors = {name: errors_of(make, parts_of[name], finest) for name, make in methods.items()}
+    errors = {name: errors_of(make, given.parts, finest) for name, make in methods.items()}
     print(f"{'':22} steps  error of    samples a second of so many robots")
     print(f"{'':22} each   10 samples  " + "".join(f"{count:>10,}" for count in given.counts))
     rates = {}
     for name in methods:
-        for parts in parts_of[name]:
+        for parts in given.parts:
             rates[name, parts] = [0.0] * len(given.counts)
     for place, count in enumerate(given.counts):
         plays = {(name, parts): methods[name](parts, count) for name, parts in rates}
@@ -67,7 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for name in (each for each in methods if each != "Stepper"):
         for parts in given.parts:
             most = errors[name][parts]
-            able = [own for own in parts_of["Stepper"] if errors["Stepper"][own] <= most]
+            able = [own for own in given.parts if errors["Stepper"][own] <= most]
             if not able:
                 continue
             times = [
