@@ -43,8 +43,7 @@ POLISHES = 8
 # A gap is flat beyond the border where it falls by less than this part of its slope before.
 FLAT = 0.1
 
-# Chords on the interpolant to the place of a switch, and parts of a step so far from each other that
-# they have one.
+# Chords on the interpolant to the place of a switch, and how far apart parts of a step have one.
 CHORDS, _APART = 6, 1e-6
 
 # How late steps of a method without error control end at a switch, as part of the length of the
