@@ -170,7 +170,7 @@ def of_pages(folder):
     """Write a figure that the code of a page draws, for each of some pages."""
     numbers = {
         "few_motors": 1, "identification": 2, "figures": 2, "optimal_motion": 1,
-        "deployment": 1, "microcontroller": 1,
+        "deployment": 1, "microcontroller": 1, "stepping": 1,
     }  # fmt: skip
     for page, number in numbers.items():
         plt.close("all")
