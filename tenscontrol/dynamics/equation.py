@@ -49,7 +49,7 @@ class InputLayout:
     parameters: tuple[tuple[str, int], ...] = ()
     lengths: int = 0
 
-    @property
+    @cached_property
     def count(self) -> int:
         """Number of values."""
         own = sum(size for _, size in self.parameters)

@@ -67,7 +67,7 @@ def reached(motion: CoreMotion, work: Work) -> Span:
     if not motion.is_over:  # what follows has memory of its own: give back what is left of this
         whole = whole.copy()
     # Of the room for ends of steps most is left as a rule.
-    ends = (array.copy(order="A") for array in motion.ends)
+    ends = [array.copy(order="A") for array in motion.ends]
     return Span(whole[:, 1:], work, whole, StepEnds(*ends))
 
 
