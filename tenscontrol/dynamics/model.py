@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import fields
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -28,6 +28,7 @@ from tenscontrol.dynamics.forms.elimination import members_alone
 from tenscontrol.dynamics.forms.loops import loops_functions
 from tenscontrol.dynamics.forms.mapped import mapped_functions
 from tenscontrol.dynamics.machine_code import compiler, if_compiled
+from tenscontrol.dynamics.shared_equation import with_values
 from tenscontrol.dynamics.string_force import StringForce
 from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.dynamics.symbolic_model import SymbolicModel
@@ -143,6 +144,7 @@ class Model:
             "gravity": self._gravity, "ground": self.ground,
         }  # fmt: skip
         self._prepared = Prepared()
+        self._shared: tuple[Model, tuple[str, ...]] | None = None
 
     @property
     def structure(self) -> Structure:
@@ -484,13 +486,22 @@ class Model:
         if load_input:
             load = np.zeros_like(load)
 
-        def build(form: str) -> Equation:
+        def functions_of(form: str) -> tuple[ca.Function, ...]:
+            if form == "flat" and self._shares(load_input) and not sizes:
+                return self._shared_functions(
+                    lambda model, names: model.equation(
+                        input, external_force, form, degree=degree, load_input=load_input,
+                        offset_input=offset_input, length_input=length_input, parameters=names,
+                    )
+                )  # fmt: skip
             make = {"flat": self._flat_functions, "mapped": mapped_functions}.get(
                 form, loops_functions
             )
-            functions = make(forces, load, layout)
             symbol = ca.SX.sym if form == "flat" else ca.MX.sym
-            slope, gap, force = in_time(functions, layout, law is not None, symbol)
+            return in_time(make(forces, load, layout), layout, law is not None, symbol)
+
+        def build(form: str) -> Equation:
+            slope, gap, force = functions_of(form)
             damped = forces.is_velocity_dependent or "damping" in parameters
             constant = frozen(load) if load.any() else None
             return Equation(slope, gap, force, damped, forces, constant, form, layout)
@@ -509,6 +520,69 @@ class Model:
         if form == "auto":
             return of("auto", lambda: if_compiled(loops) or mapped())
         return of(form, lambda: build(form))
+
+    def sharing(self, other: Model, names: Sequence[str]) -> Model:
+        """Return this model, which takes its equations from another, entering its own parameters.
+
+        Parameters
+        ----------
+        other : Model
+            Which differs in no more than the parameters.
+        names : sequence of str
+            As of :meth:`equation`; where it does not take one of them, nothing is shared.
+        """
+        law = () if self._strings is None else (field.name for field in fields(self._strings))
+        known = {*law, *(() if self._structure.blocks else ("bar_mass", "point_mass"))}
+        if names and known.issuperset(names):
+            self._shared = other, tuple(names)
+        return self
+
+    def shared_function(
+        self, key: Hashable, equation: Equation, build: Callable[[Equation], ca.Function]
+    ) -> ca.Function:
+        """Return a function of an equation of this model, whose second input is u.
+
+        It is built for the equation, or taken from the model that this one shares equations with.
+        """
+        layout = equation.layout
+        if equation.form != "flat" or not self._shares(bool(layout.load)):
+            return build(equation)
+        assert self._shared is not None  # it shares
+        other, names = self._shared
+        general = other.equation(
+            "force_density" if equation.law is None else "rest_length", degree=layout.degree,
+            load_input=bool(layout.load), form="flat", parameters=names,
+        )  # fmt: skip
+        function = other.prepared.get((key, "of parameters", names), lambda: build(general))
+        return with_values(function, 1, general.layout, self._values_of(names))
+
+    def _shares(self, load_input: bool) -> bool:
+        """Whether equations are taken from another model, whose constant load is the same."""
+        if self._shared is None:
+            return False
+        return load_input or np.array_equal(self._shared[0].constant_force, self._constant_force)
+
+    def _shared_functions(
+        self, equation_of: Callable[[Model, tuple[str, ...]], Equation]
+    ) -> tuple[ca.Function, ...]:
+        """Return slope, gap and force of the model that this one shares equations with."""
+        assert self._shared is not None  # it shares
+        general = equation_of(*self._shared)
+        assert general.force is not None  # it is that of a structure
+        values = self._values_of(self._shared[1])
+        functions = zip((general.slope, general.gap, general.force), (1, 1, 2), strict=True)
+        return tuple(with_values(by, u, general.layout, values) for by, u in functions)
+
+    def _values_of(self, names: Sequence[str]) -> dict[str, FloatArray]:
+        """Return parameters of the string law and masses, one number a member."""
+        structure, count = self._structure, len(self._structure.strings)
+        masses = {"bar_mass": structure.bar_mass, "point_mass": structure.point_mass}
+        return {
+            name: masses[name]
+            if name in masses
+            else np.broadcast_to(getattr(self._strings, name), (count,))
+            for name in names
+        }
 
     def _parameter_sizes(
         self, names: Sequence[str], law: StringLaw | None

@@ -99,8 +99,12 @@ class Derivatives:
 
     @cached_property
     def _jacobian(self) -> ca.Function:
-        wanted = self._by_input, bool(self._of)
-        return self._prepared(("slopes", wanted), partial(_jacobian, self.equation, *wanted))
+        by_input, by_load = self._by_input, bool(self._of)
+
+        def build(equation: Equation) -> ca.Function:
+            return _jacobian(equation, by_input, by_load)
+
+        return self._of_equation(("slopes", by_input, by_load), build)
 
     @cached_property
     def _by_law(self) -> ca.Function:
@@ -109,11 +113,18 @@ class Derivatives:
 
     @cached_property
     def _gap(self) -> ca.Function:
-        return self._prepared(("slopes of gaps",), partial(_gap_slopes, self.equation))
+        return self._of_equation(("slopes of gaps",), _gap_slopes)
 
     @cached_property
     def _projection(self) -> tuple[ca.Function, IntArray, IntArray]:
         return self._prepared(("slope of projection",), partial(_projection_slope, self.equation))
+
+    def _of_equation(
+        self, key: tuple[Any, ...], build: Callable[[Equation], ca.Function]
+    ) -> ca.Function:
+        """Return a function of the equation that the model keeps, or shares with another."""
+        name = (*key, self._input, self.equation.layout.degree)
+        return self._prepared(key, lambda: self._model.shared_function(name, self.equation, build))
 
     def _prepared(self, key: tuple[Any, ...], build: Callable[[], _Built]) -> _Built:
         """Return a function that the model keeps."""

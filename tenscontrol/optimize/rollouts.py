@@ -109,6 +109,11 @@ class Rollouts:
                     labels += [f"start {quantity}{which} {k}" for k in range(basis.shape[1])]
         return labels
 
+    @property
+    def _differing(self) -> list[str]:
+        """Parameters by which fitted models differ from the one that is given."""
+        return [unknown.name for unknown in self.unknowns if not unknown.is_beside]
+
     def own(self, theta: FloatArray) -> list[FloatArray]:
         """Return the unknowns of each parameter."""
         return np.split(theta, self.ends)[: len(self.unknowns)]
@@ -117,7 +122,8 @@ class Rollouts:
         """Return the model with the parameters for all unknowns; the last one again if alike."""
         key = theta.tobytes()
         if self._last is None or self._last[0] != key:
-            self._last = key, fitted_model(self.model, self.unknowns, self.own(theta))
+            fitted = fitted_model(self.model, self.unknowns, self.own(theta))
+            self._last = key, fitted.sharing(self.model, self._differing)
         return self._last[1]
 
     def readings(self, theta: FloatArray, share: float, slopes: bool) -> Readings:

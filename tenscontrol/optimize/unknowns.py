@@ -83,6 +83,11 @@ class Unknown:
     is_scaled: bool
 
     @property
+    def is_beside(self) -> bool:
+        """Whether it is no parameter of the model, but of the input or of the readings."""
+        return self.name in _SHIFTED
+
+    @property
     def labels(self) -> list[str]:
         """Name of each unknown."""
         if len(self.base) == 1 and self.name.startswith(("ground", "delay")):
