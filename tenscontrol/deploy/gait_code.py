@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tenscontrol.deploy.controllers import LawCode
-from tenscontrol.shape.rolling import AHEAD, BACK, FARTHER, FORESEEN, RollingGait
+from tenscontrol.shape.rolling import AHEAD, BACK, FARTHER, FORESEEN, LANDED, RollingGait
 from tenscontrol.shape.tipping import CLOSE, MARGIN
 from tenscontrol.shape.tipping_table import TINY, TippingTable
 
@@ -32,6 +32,7 @@ def gait_code(gait: RollingGait) -> LawCode:
         "STEPS": 0 if np.isinf(settings.steps) else int(settings.steps),
         "FORESEEN": FORESEEN,
         "BACK": BACK,
+        "LANDED": LANDED,
         "STILL": settings.still,
         "RESTS": settings.rests,
         "PATIENCE": settings.patience,

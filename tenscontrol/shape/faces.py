@@ -7,16 +7,22 @@ import numpy as np
 from tenscontrol.arrays import FloatArray, IntArray
 
 
-def lowest_face(nodes: FloatArray, down: FloatArray, near: float) -> IntArray:
+def lowest_face(
+    nodes: FloatArray, down: FloatArray, near: float
+) -> tuple[IntArray, float]:  # fmt: skip
     """Return the nodes of the face of the hull that looks most downward; none of a flat shape.
+
+    The second is the cosine of the angle between the face and level ground.
 
     Nodes that are no farther than ``near``, m, from its plane belong to it.
     """
     outward, offsets = _planes(nodes)
     if not len(offsets):
-        return np.zeros(0, dtype=int)
-    lowest = int(np.argmax(outward @ down))
-    return np.flatnonzero(outward[lowest] @ nodes + offsets[lowest] > -near)
+        return np.zeros(0, dtype=int), 0.0
+    sinks = outward @ down
+    lowest = int(np.argmax(sinks))
+    feet = np.flatnonzero(outward[lowest] @ nodes + offsets[lowest] > -near)
+    return feet, float(sinks[lowest])
 
 
 def faces(nodes: FloatArray, near: float) -> list[tuple[IntArray, FloatArray]]:

@@ -43,6 +43,9 @@ FARTHER = 3 * MARGIN
 # Ground is level if the cosines of its normal are off by less than this.
 _LEVEL = 1e-6
 
+# It has tipped where another face is as near to level as this cosine says, 15°.
+LANDED = 0.966
+
 # Steps that a gait foresees, as if the shape were rigid, and how far ahead it looks, in sizes.
 FORESEEN, AHEAD = 2, 2.0
 
@@ -65,7 +68,7 @@ class RollingStep:
     Attributes
     ----------
     time : float
-        When it had tipped: another face looked more downward than the one it stood on, s.
+        When it had tipped: another face was level to 15°, s.
     feet, edge : ndarray of int
         What it stood on, and what it tipped over.
     landed : ndarray of int
@@ -267,12 +270,12 @@ class RollingGait:
         rests = time - self._moved_at >= settings.rests
         is_late = time > self._since + settings.patience
         if self._phase is _Phase.WINDS:
-            self._wind(time, self._standing(nodes), is_late)
+            self._wind(time, *self._standing(nodes), is_late)
         elif self._phase is _Phase.LANDS and (rests or is_late):
             self._phase = _Phase.STANDS
         elif self._phase is _Phase.STANDS and rests:
             off = np.abs(self._reached - settings.home).max()
-            feet = self._standing(nodes) if off <= CLOSE * self._planner.size else ()
+            feet = self._standing(nodes)[0] if off <= CLOSE * self._planner.size else ()
             if len(feet):
                 self._stand(time, nodes, np.asarray(feet))
         if self._phase is _Phase.STANDS:
@@ -281,8 +284,8 @@ class RollingGait:
             self._reached = inputs_of(actuation, self._planner.rest_length)
         return strings_of(actuation, self._reached)
 
-    def _standing(self, nodes: FloatArray) -> IntArray:
-        """Return the nodes of the lowest face; none where the shape has no faces."""
+    def _standing(self, nodes: FloatArray) -> tuple[IntArray, float]:
+        """Return the nodes of the lowest face, none of a flat shape, and how level it is."""
         return self._planner.standing(nodes, -self._settings.up)
 
     def _back(self) -> FloatArray:
@@ -296,9 +299,12 @@ class RollingGait:
         """Count the step that led here, and begin to wind over the best edge."""
         centre = nodes.mean(axis=1)
         self._begun = centre if self._begun is None else self._begun
-        if self._tipped is not None and not np.array_equal(feet, self._tipped.feet):
-            self.made += (replace(self._tipped, landed=feet),)
-            self._vain, self._moved = set(), centre - self._stood
+        if self._tipped is not None:
+            if np.array_equal(feet, self._tipped.feet):  # it fell back
+                self._vain.add(tuple(self._tipped.edge.tolist()))
+            else:
+                self.made += (replace(self._tipped, landed=feet),)
+                self._vain, self._moved = set(), centre - self._stood
         self._tipped, self._stood = None, centre
         if len(self.made) >= self._settings.steps:
             return
@@ -325,17 +331,17 @@ class RollingGait:
     ) -> float:
         """Return how far from the goal the centre is after some steps of a rigid shape, m."""
         nodes = _rolled(nodes, feet, edge, self._settings.up)
-        feet = self._standing(nodes)
+        feet, _ = self._standing(nodes)
         if steps == 1 or len(feet) < len(nodes):
             return float(np.linalg.norm(nodes.mean(axis=1) - goal))
         edges = self._planner.edges(nodes, feet)
         return min(self._distance(nodes, feet, edge, goal, steps - 1) for edge in edges)
 
-    def _wind(self, time: float, lowest: IntArray, is_late: bool) -> None:
+    def _wind(self, time: float, lowest: IntArray, level: float, is_late: bool) -> None:
         """Wind on, or end it where it has tipped or cannot."""
         planner = self._planner
         behind = np.setdiff1d(planner.feet, planner.edge)
-        if len(lowest) and not np.isin(behind, lowest).any():
+        if level > LANDED and not np.isin(behind, lowest).any():
             edge = np.array(planner.edge)
             self._tipped = RollingStep(time, planner.feet, edge, lowest)
             self._phase, self._since = _Phase.LANDS, time

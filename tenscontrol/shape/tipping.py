@@ -293,8 +293,8 @@ class TippingPlanner:
         """Rest lengths, nodes and margin, m."""
         return self.rest_length, self.nodes, self.margin
 
-    def standing(self, nodes: FloatArray, down: FloatArray) -> IntArray:
-        """Return the nodes of the face that looks most downward; none of a flat shape."""
+    def standing(self, nodes: FloatArray, down: FloatArray) -> tuple[IntArray, float]:
+        """Return the nodes of the face that looks most downward, and how level it is."""
         return lowest_face(nodes, down, NEAR * self.size)
 
     def edges(self, nodes: FloatArray, feet: IntArray) -> dict[tuple[int, ...], FloatArray]:

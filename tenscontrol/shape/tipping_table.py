@@ -64,13 +64,14 @@ class TippingTable:
             )
         self._face_of = {tuple(face.feet.tolist()): face for face in self.faces}
 
-    def standing(self, nodes: FloatArray, down: FloatArray) -> IntArray:
-        """Return the nodes of the face that looks most downward."""
+    def standing(self, nodes: FloatArray, down: FloatArray) -> tuple[IntArray, float]:
+        """Return the nodes of the face that looks most downward, and how level it is."""
         sinks = []
         for face in self.faces:
             area = _area(nodes[:, face.corners])
             sinks.append(float(area @ down) / (float(np.sqrt(area @ area)) + TINY))
-        return self.faces[int(np.argmax(sinks))].feet
+        lowest = int(np.argmax(sinks))
+        return self.faces[lowest].feet, sinks[lowest]
 
     def edges(self, nodes: FloatArray, feet: IntArray) -> dict[tuple[int, ...], FloatArray]:
         """Return the edges of a face, each with the horizontal direction over it."""

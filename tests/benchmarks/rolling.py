@@ -181,7 +181,10 @@ def report_time(slopes, steps, plans):
             model, REST_LENGTH, FACE, [1.0, 0.0, 0.0], nodes=nodes, winches=WINCHES
         )
         took.append((process_time() - began) / SAMPLE)
-    print(f"a plan of {path.margin.size} equilibria at once: {np.median(took):.3f} sample times")
+    if plans:
+        print(
+            f"a plan of {path.margin.size} equilibria at once: {np.median(took):.3f} sample times"
+        )
 
 
 if __name__ == "__main__":

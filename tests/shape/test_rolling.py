@@ -133,7 +133,8 @@ class TestPath:
         up = model.ground[0].up(len(nodes))
         for edge, over in planner.edges(nodes, np.array(feet)).items():
             moved = _rolled(nodes, np.array(feet), edge, up)
-            landed = lowest_face(moved, -up, 0.02)
+            landed, level = lowest_face(moved, -up, 0.02)
+            assert level > 0.999
             assert set(edge) < set(landed)
             assert np.abs(up @ moved[:, landed]).max() < 0.03
             assert (up @ moved).min() > -1e-12

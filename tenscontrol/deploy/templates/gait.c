@@ -80,8 +80,8 @@ static int is_foot(int face, int number)
     return has(foot + foot_start[face], foot_start[face + 1] - foot_start[face], number);
 }
 
-/* The face that looks most downward. */
-static int lowest_face(const double *nodes)
+/* The face that looks most downward, and the cosine of its angle to level ground. */
+static int lowest_face(const double *nodes, double *level)
 {
     double deepest = -INFINITY;
     int face, lowest = 0;
@@ -113,6 +113,7 @@ static int lowest_face(const double *nodes)
             lowest = face;
         }
     }
+    *level = deepest;
     return lowest;
 }
 
@@ -177,7 +178,7 @@ static void roll(const double *nodes, int face, int edge, double *rolled)
 /* How far from the goal the centre is after some steps of a rigid shape, m. */
 static double distance(const double *nodes, int face, int edge, const double *goal, int steps)
 {
-    double rolled[CONTROLLER_COORDINATES], least = INFINITY;
+    double rolled[CONTROLLER_COORDINATES], least = INFINITY, level;
     roll(nodes, face, edge, rolled);
     if (steps == 1) {
         double centre[DIMENSION], off[DIMENSION];
@@ -185,7 +186,7 @@ static double distance(const double *nodes, int face, int edge, const double *go
         difference(centre, goal, off);
         return sqrt(dot(off, off));
     }
-    face = lowest_face(rolled);
+    face = lowest_face(rolled, &level);
     for (edge = edge_start[face]; edge < edge_start[face + 1]; edge++)
         least = fmin(least, distance(rolled, face, edge, goal, steps - 1));
     return least;
@@ -218,13 +219,15 @@ static int best_edge(const double *nodes, int face, const double *goal)
 /* Count the step that led here, and begin to wind over the best edge. */
 static void stand(double time, const double *nodes)
 {
-    double centre[DIMENSION], goal[DIMENSION], along;
-    int axis, face = lowest_face(nodes);
+    double centre[DIMENSION], goal[DIMENSION], along, level;
+    int axis, face = lowest_face(nodes, &level);
     centre_of(nodes, centre);
     if (!memory.has_begun)
         copy(memory.begun, centre, DIMENSION);
     memory.has_begun = 1;
-    if (memory.has_tipped && face != memory.tipped_from) {
+    if (memory.has_tipped && face == memory.tipped_from) {
+        memory.vain[edge_number[memory.edge]] = 1; /* it fell back */
+    } else if (memory.has_tipped) {
         memory.made += memory.made < STEPS; /* without end they are not counted */
         memset(memory.vain, 0, sizeof memory.vain);
         difference(centre, memory.stood, memory.moved);
@@ -282,11 +285,14 @@ static void give_up(void)
     memory.phase = STANDS;
 }
 
-/* Whether it has tipped: no foot behind the edge is of the face that is lowest. */
+/* Whether it has tipped: the lowest face is level, and has no foot from behind the edge. */
 static int has_tipped(const double *nodes)
 {
     const int *ends = edge_node + ENDS * memory.edge;
-    int i, face = lowest_face(nodes);
+    double level;
+    int i, face = lowest_face(nodes, &level);
+    if (!(level > LANDED))
+        return 0;
     for (i = foot_start[memory.face]; i < foot_start[memory.face + 1]; i++)
         if (!has(ends, ENDS, foot[i]) && is_foot(face, foot[i]))
             return 0;
