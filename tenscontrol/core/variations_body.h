@@ -139,7 +139,10 @@ INLINE void N(differentiated)(const Scene *s, const Input *input, const double *
   N(accelerated)(s, at);
 }
 
-/* ---- forward: a block of columns ---- */
+/* ---- forward: a block of columns ----
+
+   A loop over columns writes one row and reads numbers of its own: what might share memory with the row
+   would keep it from wide registers. */
 
 #define EACH for (int j = 0; j < COLUMNS; ++j)
 typedef double N(Row)[COLUMNS];
@@ -158,27 +161,42 @@ INLINE void N(pulled_forward)(const Scene *s, const Point *at, int stage, const 
   for (int i = 0; i < s->segments && has_lengths; ++i) {
     const int string = s->segment_string[i];
     const double *S = at->S + D * i, *Sd = at->Sd + D * i, inverse = 1 / at->length[i];
+    const double slowing = at->rate[i] * inverse;
+    double stretch[COLUMNS] = {0}, drift[COLUMNS] = {0};
     N(Row) change[D];
     N(differences)(dp, s->segment_start[i], s->segment_end[i], change);
-    EACH dl[i][j] = 0;
-    for (int k = 0; k < D; ++k) EACH dl[i][j] += S[k] * inverse * change[k][j];
-    EACH dL[string][j] += dl[i][j];
+    for (int k = 0; k < D; ++k) {
+      const double along = S[k] * inverse;
+      EACH stretch[j] += along * change[k][j];
+    }
+    EACH dl[i][j] = stretch[j];
+    EACH dL[string][j] += stretch[j];
     if (!s->damped) continue;
-    for (int k = 0; k < D; ++k) EACH dR[string][j] += Sd[k] * inverse * change[k][j];
+    for (int k = 0; k < D; ++k) {
+      const double turning = Sd[k] * inverse;
+      EACH drift[j] += turning * change[k][j];
+    }
     N(differences)(dv, s->segment_start[i], s->segment_end[i], change);
-    for (int k = 0; k < D; ++k) EACH dR[string][j] += S[k] * inverse * change[k][j];
-    EACH dR[string][j] -= at->rate[i] * inverse * dl[i][j];
+    for (int k = 0; k < D; ++k) {
+      const double along = S[k] * inverse;
+      EACH drift[j] += along * change[k][j];
+    }
+    EACH dR[string][j] += drift[j] - slowing * stretch[j];
   }
   for (int i = 0; i < s->strings; ++i) {
     const double *by = at->by + STRING_SLOPES * i;
     const double *const changes[] = {c->input ? c->input + stage * s->strings * P : 0, c->stiffness,
                                      c->damping};
     const double slopes[] = {by[BY_REST], by[BY_STIFFNESS], by[BY_DAMPING]};
-    EACH dgamma[i][j] = by[BY_LENGTH] * dL[i][j] + by[BY_RATE] * dR[i][j];
+    const double by_length = by[BY_LENGTH], by_rate = by[BY_RATE];
+    double sum[COLUMNS];
+    EACH sum[j] = by_length * dL[i][j] + by_rate * dR[i][j];
     for (int m = 0; m < 3; ++m) {
       const double *row = changes[m] ? changes[m] + i * P + first : 0;
-      if (row && slopes[m] != 0) EACH dgamma[i][j] += slopes[m] * row[j];
+      const double slope = slopes[m];
+      if (row && slope != 0) EACH sum[j] += slope * row[j];
     }
+    EACH dgamma[i][j] = sum[j];
   }
   for (int i = 0; i < s->segments; ++i) {
     const int start = s->segment_start[i], end = s->segment_end[i], string = s->segment_string[i];
@@ -190,12 +208,13 @@ INLINE void N(pulled_forward)(const Scene *s, const Point *at, int stage, const 
       EACH dw[j] = (dw[j] * at->string_length[string] + at->gamma[string] * dL[string][j] -
                     weight * dl[i][j]) / at->length[i];
     N(differences)(dp, start, end, change);
-    for (int k = 0; k < D; ++k)
-      EACH {
-        const double pull = dw[j] * S[k] + weight * change[k][j];
-        df[start + k][j] += pull;
-        df[end + k][j] -= pull;
-      }
+    for (int k = 0; k < D; ++k) {
+      const double along = S[k];
+      double pull[COLUMNS];
+      EACH pull[j] = dw[j] * along + weight * change[k][j];
+      EACH df[start + k][j] += pull[j];
+      EACH df[end + k][j] -= pull[j];
+    }
   }
 }
 
@@ -226,8 +245,10 @@ INLINE void N(touched_forward)(const Scene *s, const Point *at, const Changes *c
     for (int contact = 0; contact < s->ground[i].count; ++contact, by += D * N(TOUCH)) {
       const int node = s->ground[i].node[contact];
       for (int k = 0; k < D; ++k) {
-        for (int m = 0; m < D; ++m)
-          EACH df[node + k][j] += by[k + D * m] * dp[node + m][j] + by[k + D * (D + m)] * dv[node + m][j];
+        for (int m = 0; m < D; ++m) {
+          const double by_place = by[k + D * m], by_rate = by[k + D * (D + m)];
+          EACH df[node + k][j] += by_place * dp[node + m][j] + by_rate * dv[node + m][j];
+        }
         for (int m = 0; m < GROUND_NUMBERS && c->ground; ++m) {
           const double *change = c->ground + (size_t)(GROUND_NUMBERS * i + m) * c->columns + first;
           EACH df[node + k][j] += by[k + D * (2 * D + m)] * change[j];
@@ -269,7 +290,10 @@ INLINE void N(times)(const double *by, const N(Row) *const *changes, N(Row) *to)
   for (int i = 0; i < D; ++i) {
     double sum[COLUMNS] = {0};
     for (int m = 0; m < 3; ++m)
-      for (int k = 0; k < D; ++k) EACH sum[j] += by[i + D * (D * m + k)] * changes[m][k][j];
+      for (int k = 0; k < D; ++k) {
+        const double slope = by[i + D * (D * m + k)];
+        EACH sum[j] += slope * changes[m][k][j];
+      }
     memcpy(to + i, sum, sizeof sum);
   }
 }
@@ -285,12 +309,12 @@ INLINE void N(accelerated_forward)(const Scene *s, const Point *at, const N(Row)
     N(differences)(dv, start, end, rate);
     N(differences)((const N(Row) *)df, start, end, difference);
     N(times)(at->free_bar + 3 * D * D * i, changes, turning);
-    for (int k = 0; k < D; ++k)
-      EACH {
-        const double mean = inverse * (df[start + k][j] + df[end + k][j]);
-        da[start + k][j] = mean - turning[k][j];
-        da[end + k][j] = mean + turning[k][j];
-      }
+    for (int k = 0; k < D; ++k) {
+      double mean[COLUMNS];
+      EACH mean[j] = inverse * (df[start + k][j] + df[end + k][j]);
+      EACH da[start + k][j] = mean[j] - turning[k][j];
+      EACH da[end + k][j] = mean[j] + turning[k][j];
+    }
   }
   for (int i = 0; i < s->swinging_bars; ++i) {
     const int hinge = s->hinge[i], tip = s->tip[i];
@@ -380,21 +404,19 @@ static inline N(Restored) N(restored_swinging)(const Scene *s, const Lengths *le
 }
 
 /* Changes of the vector and rate of a bar become those after it is put on its length. */
-INLINE void N(restore_changes)(const N(Restored) *bar, N(Row) *db, N(Row) *dr) {
+INLINE void N(restore_changes)(N(Restored) bar, N(Row) *db, N(Row) *dr) {
+  const double inverse = 1 / bar.scale;
   double stretch[COLUMNS] = {0}, drift[COLUMNS] = {0};
   for (int k = 0; k < D; ++k)
     EACH {
-      stretch[j] += bar->b[k] / bar->square * db[k][j];
-      drift[j] += bar->r[k] / bar->square * db[k][j] + bar->b[k] / bar->square * dr[k][j];
+      stretch[j] += bar.b[k] / bar.square * db[k][j];
+      drift[j] += bar.r[k] / bar.square * db[k][j] + bar.b[k] / bar.square * dr[k][j];
     }
-  EACH drift[j] -= 2 * bar->along * stretch[j];
+  EACH drift[j] -= 2 * bar.along * stretch[j];
   for (int k = 0; k < D; ++k) {
-    const double across = bar->r[k] - bar->along * bar->b[k];
-    EACH {
-      dr[k][j] = (dr[k][j] - bar->along * db[k][j] - bar->b[k] * drift[j] + across * stretch[j]) /
-                 bar->scale;
-      db[k][j] = bar->scale * (db[k][j] - bar->b[k] * stretch[j]);
-    }
+    const double b = bar.b[k], across = bar.r[k] - bar.along * b;
+    EACH dr[k][j] = inverse * (dr[k][j] - bar.along * db[k][j] - b * drift[j] + across * stretch[j]);
+    EACH db[k][j] = bar.scale * (db[k][j] - b * stretch[j]);
   }
 }
 
@@ -412,17 +434,16 @@ INLINE void N(restored_forward)(const Scene *s, const Lengths *lengths, const do
           of[m][k][j] = b[m * s->free + k][j] - a[m * s->free + k][j];
           mean[m][k][j] = (b[m * s->free + k][j] + a[m * s->free + k][j]) / 2;
         }
-    N(restore_changes)(&bar, of[0], of[1]);
+    N(restore_changes)(bar, of[0], of[1]);
     for (int m = 0; m < 2; ++m)
-      for (int k = 0; k < D; ++k)
-        EACH {
-          a[m * s->free + k][j] = mean[m][k][j] - of[m][k][j] / 2;
-          b[m * s->free + k][j] = mean[m][k][j] + of[m][k][j] / 2;
-        }
+      for (int k = 0; k < D; ++k) {
+        EACH a[m * s->free + k][j] = mean[m][k][j] - of[m][k][j] / 2;
+        EACH b[m * s->free + k][j] = mean[m][k][j] + of[m][k][j] / 2;
+      }
   }
   for (int i = 0; i < s->swinging_bars; ++i) {
     const N(Restored) bar = N(restored_swinging)(s, lengths, i, x);
-    N(restore_changes)(&bar, X + s->tip_row[i], X + s->tip_row[i] + s->free);
+    N(restore_changes)(bar, X + s->tip_row[i], X + s->tip_row[i] + s->free);
   }
 }
 #undef EACH

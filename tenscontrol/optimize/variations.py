@@ -519,7 +519,9 @@ class Variations:
         for stop in sorted(k for k in stops if k >= 0):
             for k in range(first, stop + 1, most):
                 some = min(most, stop + 1 - k)
-                own = [_Leg(k, 1, *part, None, []) for part in parts.get(stop, []) if k == stop]
+                own = [
+                    _Leg(k, 1, *reached, None, []) for reached in parts.get(stop, []) if k == stop
+                ]
                 whole = _Leg(k, some, None, -1, None, [])
                 legs.append([whole, *own] if is_back else [*own, whole])
             first = stop + 1
