@@ -141,9 +141,7 @@ def test_motors_wind_several_strings(plant):
 def test_motors_that_pull_both_ways_have_no_torque_limit(plant):
     law = tc.LQR(plant, sample_time=0.02)
     winches = tc.Winches(ramp=True, motor=tc.Motor(drum_radius=0.01, torque=5.0))
-    with pytest.raises(
-        ValueError, match=r"string 7 has the ratio -0\.5"
-    ):
+    with pytest.raises(ValueError, match=r"string 7 has the ratio -0\.5"):
         tc.simulate(
             plant.model, 0.1, controller=law, winches=winches, rest_length=plant.rest_length
         )

@@ -56,8 +56,12 @@ def test_a_path_ends_where_strings_go_slack(plant):
 
 LOW = tc.Height(0.9, top=[0, 1, 2], bottom=[3, 4, 5])
 SEARCHES = {
-    "one drive": (replace(tc.prism(), fixed=[3, 4, 5]), {"all": [0, 1, 2]}, LOW, "anywhere"),
-    "one bar": (replace(tc.prism(), fixed=[3, 4, 5]), [0], tc.Height(0.97, [0], [3]), "anywhere"),
+    "a pair": (
+        replace(tc.prism(), fixed=[3, 4, 5]),
+        {"pair": [0, 1]},
+        tc.Height(0.97, [0], [3]),
+        "anywhere",
+    ),
     "in the air": (tc.prism(), None, LOW, "centre"),
     "joined": (tc.library.d_bar_3d(), None, tc.Height(1.68, top=[3], bottom=[4]), "anywhere"),
 }
