@@ -223,7 +223,7 @@ class Motion:
         )[self.path.columns]
         window = np.minimum((time / ends[-1] * _WINDOWS).astype(int), _WINDOWS - 1)
         largest = np.zeros((len(error), _WINDOWS + 1))
-        np.maximum.at(largest, (slice(None), window + 1), error)
+        np.maximum.at(largest.T, window + 1, error.T)
         least: FloatArray = np.maximum(error, largest[:, window])
         return least
 
