@@ -543,6 +543,15 @@ class Model:
         """Return a function of an equation of this model, whose second input is u.
 
         It is built for the equation, or taken from the model that this one shares equations with.
+
+        Parameters
+        ----------
+        key : hashable
+            Of the function, the same in all models.
+        equation : Equation
+            Of this model.
+        build : callable
+            ``equation -> function``.
         """
         layout = equation.layout
         if equation.form != "flat" or not self._shares(bool(layout.load)):

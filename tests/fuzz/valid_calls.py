@@ -215,6 +215,8 @@ WITHIN = {
     *(f"learning.{task}.{name}" for task in ("Rolling", "Track") for name in ("check", "reward")),
     "learning.Track.seen",
     "Model.of_parameters",
+    "Model.shared_function",
+    "Model.sharing",
     "plot.View.open",
     "plant.Deflections.force_table",
     "plant.Deflections.table",
