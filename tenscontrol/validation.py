@@ -60,7 +60,8 @@ def _brief(value: object) -> str:
 def float_array(name: str, value: object) -> FloatArray:
     """Return ``value`` as a finite float array, or say which entry is none or is too large."""
     array = _real_array(name, value)
-    if not are_finite(array):
+    # As a rule the squares tell, in a third of the time; what is not a number makes both false.
+    if not (np.vdot(array, array) <= LARGEST**2 or np.abs(array).max(initial=0.0) <= LARGEST):
         bad = np.argwhere(~(np.abs(array) <= LARGEST))
         where = "" if array.ndim == 0 else f"[{', '.join(str(i) for i in bad[0])}]"
         entry = array[tuple(bad[0])]
@@ -71,12 +72,6 @@ def float_array(name: str, value: object) -> FloatArray:
             f"{array.size - int(np.isfinite(array).sum())} of {array.size} entries are not finite"
         )
     return array
-
-
-def are_finite(array: FloatArray) -> bool:
-    """Return whether all entries are numbers of at most ``LARGEST`` in size."""
-    # As a rule their squares tell, in a third of the time; what is not a number makes it false.
-    return bool(np.vdot(array, array) <= LARGEST**2 or np.abs(array).max(initial=0.0) <= LARGEST)
 
 
 def vector(name: str, value: object) -> FloatArray:

@@ -544,7 +544,7 @@ class Stepper:
 
     def _enter(self, robots: np.ndarray, states: FloatArray) -> None:
         """Take new states, and note robots that have none."""
-        if len(robots) == self._count and validation.are_finite(states):
+        if len(robots) == self._count and np.vdot(states, states) <= validation.LARGEST**2:
             self._states = states
             return
         is_good = (np.abs(states) < validation.LARGEST).all(axis=1)  # no NaN is
