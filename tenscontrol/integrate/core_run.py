@@ -105,7 +105,9 @@ def advance_in_core(
                 raise failure(motion)
             if report is not None:
                 report(progress.time)
-            if not motion.is_over and motion.is_paused:
+            if motion.is_over:
+                break
+            if motion.is_paused:
                 raise IntegrationPause(progress.time, motion.state, span())
             budget = int(min(max(budget * _LONGEST / (taken + 1e-9), 1), 8 * budget))
         return span()

@@ -508,7 +508,7 @@ class PlantRun:
             span.coefficients is one or np.array_equal(span.coefficients[rows], one[rows])
             for span in self.spans
         ):  # one column, read at all times
-            first, count = frozen(one[rows, :1]), sum(len(s.time) for s in self.spans)
+            first, count = frozen(one[rows, :1]), sum([len(s.time) for s in self.spans])
             return np.broadcast_to(first, (len(first), count))
         values = np.hstack([s.values(rows, order) for s in self.spans])
         values.setflags(write=False)
