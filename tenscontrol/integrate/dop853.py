@@ -36,10 +36,9 @@ from tenscontrol.integrate.integrator import (
     Work,
     checked_tolerance,
     largest_frequency,
-    longest_member,
+    length_and_mass,
     scale_under,
     state_scale,
-    structure_mass,
 )
 from tenscontrol.integrate.projection import NOT_RIGID, Projector, projection, put_on_lengths
 from tenscontrol.interrupt import check
@@ -64,6 +63,9 @@ _STABLE = 4.0
 
 # Where it limits the steps, this is what a tenth of the tolerance makes of them: its eighth root.
 _SHORTER = 0.75
+
+# Longest step over 1/ω and over the span, and the first over the usual; then of shortened steps.
+_STEP_RULES = {False: (_STABLE, 1.0, 1.0), True: (_SHORTER * _STABLE, 0.5, _SHORTER)}
 
 # What ending late at a switch may change of velocities, as part of what a step may err.
 _LATE = 0.003
@@ -191,11 +193,11 @@ class DOP853(Integrator):
         count = int(changed.argmax())
         if self._core is None or not count:
             return []
-        stable, whole, first = _step_rules(self._is_shortened)
+        stable, whole, first = _STEP_RULES[self._is_shortened]
+        length, mass = length_and_mass(self._equation)
         spans = Spans(
-            tolerance=self.tolerance, length=longest_member(self._equation),
-            mass=structure_mass(self._equation), frequency=self._frequency, first=first,
-            whole=whole, stable=stable,
+            tolerance=self.tolerance, length=length, mass=mass, frequency=self._frequency,
+            first=first, whole=whole, stable=stable,
         )  # fmt: skip
         room = room_for(len(state)) if self.keeps_steps or self.traces else 0
         settings = settings_of(
@@ -391,17 +393,12 @@ def steps_of(
 
     The first moves the state by a hundredth of its scale.
     """
-    stable, whole, first = _step_rules(is_shortened)
+    stable, whole, first = _STEP_RULES[is_shortened]
     speed = np.max(np.abs(slope) / scale, axis=-1, initial=0.0)
     return (
         first * np.minimum(0.01 / np.fmax(speed, 1e-300), duration),
         np.minimum(stable / np.maximum(frequency, 1e-300), whole * duration),
     )
-
-
-def _step_rules(is_shortened: bool) -> tuple[float, float, float]:
-    """Return the longest step over 1/ω and over the span, and the first over the usual one."""
-    return (_SHORTER * _STABLE, 0.5, _SHORTER) if is_shortened else (_STABLE, 1.0, 1.0)
 
 
 def _not_rigid(spacing: float, states: FloatArray, work: Work) -> IntegrationError:

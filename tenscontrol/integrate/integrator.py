@@ -407,23 +407,21 @@ def scale_under(
 ) -> FloatArray:
     """Return the same under forces of which this is the largest, N."""
     assert equation.structure is not None  # it has forces
-    half, size = len(state) // 2, longest_member(equation)
-    mass = structure_mass(equation)
+    half, (size, mass) = len(state) // 2, length_and_mass(equation)
     fastest = np.abs(state[half:]).max(initial=0.0)
     scale = np.empty(2 * half)
     scale[:half], scale[half:] = size, speed_scale(size, mass, fastest, force, frequency)
     return scale
 
 
-def structure_mass(equation: Equation) -> float:
-    """Return the mass that moves, kg."""
-    assert equation.structure is not None  # it has a mass
-    return equation.prepared.get("mass", partial(moving_mass, equation.structure))
+def length_and_mass(equation: Equation) -> tuple[float, float]:
+    """Return the length of the longest bar or straight piece of string, m, and what moves, kg."""
+    return equation.prepared.get("length and mass", partial(_length_and_mass, equation.structure))
 
 
 def longest_member(equation: Equation) -> float:
     """Return the length of the longest bar or straight piece of string, m."""
-    return equation.prepared.get("longest member", lambda: _longest_member(equation.structure))
+    return length_and_mass(equation)[0]
 
 
 def speed_scale(
@@ -437,11 +435,11 @@ def speed_scale(
     return np.where(speed > 0, speed, size)
 
 
-def _longest_member(structure: Structure | None) -> float:
+def _length_and_mass(structure: Structure | None) -> tuple[float, float]:
     assert structure is not None  # asked of what has members only
     nodes, members = structure.nodes, np.vstack([structure.bars, structure.segments])
     ends = nodes[:, members[:, 1]] - nodes[:, members[:, 0]]
-    return float(np.linalg.norm(ends, axis=0).max())
+    return float(np.linalg.norm(ends, axis=0).max()), moving_mass(structure)
 
 
 def largest_frequency(equation: Equation, state: FloatArray, held: FloatArray) -> float:

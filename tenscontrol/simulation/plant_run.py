@@ -246,7 +246,9 @@ class PlantRun:
             now, duration = now + durations[-1], end - cut
         durations.append(duration)
         while durations:
-            count = self._run_spans(state, inputs, durations, close)
+            count = 0
+            if len(durations) >= _FEW_SPANS and self.spans:
+                count = self._run_spans(state, inputs, durations, close)
             if count:
                 del durations[:count]
                 state = self.spans[-1].states[:, -1]
@@ -259,7 +261,7 @@ class PlantRun:
     ) -> int:
         """Integrate over spans that need no other look than the first; return how many."""
         moved = self.supports is not None or self.faults.cuts
-        if moved or len(durations) < _FEW_SPANS or not self.spans:
+        if moved:
             return 0
         check()
         starts = np.array([self.now, *durations[:-1]]).cumsum()
