@@ -264,8 +264,8 @@ EXPORTED int32_t tc_advance_spans(const Scene *scene, const Drive *drive, const 
                                   double *step_states, double *step_taut, double *work);
 
 /* Finds what runs by dop853 begin with, from the states of `start`, one a row: largest frequencies as
-   `tc_frequency` does, (runs), the largest force on an entry that is free, (runs), and slopes and what
-   pulls, one row a run. */
+   `tc_frequency` does, (runs), or null where they are known, the largest force on an entry that is
+   free, (runs), and slopes and what pulls, one row a run. */
 EXPORTED void tc_begin_runs(const Scene *scene, const Drive *drive, const Runs *runs,
                             const double *start, const double *difference, const double *vector,
                             double *frequency, double *force, double *slope, double *taut,

@@ -201,10 +201,12 @@ WIDE static void dense(const Number *restrict x, const Number *restrict x1,
     to[n + i] = h * f[i] - step;
     to[2 * n + i] = 2 * step - h * (f1[i] + f[i]);
   }
-  for (int i = 0; i < n; ++i) to[3 * n + i] = h * DENSE_0;
-  for (int i = 0; i < n; ++i) to[4 * n + i] = h * DENSE_1;
-  for (int i = 0; i < n; ++i) to[5 * n + i] = h * DENSE_2;
-  for (int i = 0; i < n; ++i) to[6 * n + i] = h * DENSE_3;
+  for (int i = 0; i < n; ++i) {
+    to[3 * n + i] = h * DENSE_0;
+    to[4 * n + i] = h * DENSE_1;
+    to[5 * n + i] = h * DENSE_2;
+    to[6 * n + i] = h * DENSE_3;
+  }
 }
 
 /* The coefficients of the interpolant of a step of length h to x1. */

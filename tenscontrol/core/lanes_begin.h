@@ -36,10 +36,10 @@ void LANES_NAME(begin)(const Scene *scene, const Drive *drive, const Runs *runs,
       largest = larger(positive(on_free), largest);
       not_finite += on_free * 0;
     }
-    frequencies = frequency_of(span, x, differences, vector, rest);
+    frequencies = frequency ? frequency_of(span, x, differences, vector, rest) : all(0);
     largest += not_finite;
     for (int i = 0; i < WIDTH && first + i < runs->count; ++i) {
-      frequency[first + i] = lane(&frequencies, i);
+      if (frequency) frequency[first + i] = lane(&frequencies, i);
       force[first + i] = lane(&largest, i);
       take_row(slopes, i, n, slope, first + i);
       take_row(pulls, i, m, taut, first + i);

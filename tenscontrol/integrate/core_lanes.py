@@ -17,7 +17,7 @@ from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.model_parameters import MASSES, ground_numbers
 from tenscontrol.integrate.core_run import settings_of
 from tenscontrol.integrate.core_scene import CoreScene, numbers_of_grounds
-from tenscontrol.integrate.dop853 import steps_of, work_of
+from tenscontrol.integrate.dop853 import have_changed, steps_of, work_of
 from tenscontrol.integrate.fixed_step import not_finite
 from tenscontrol.integrate.integrator import (
     IntegrationError,
@@ -28,6 +28,9 @@ from tenscontrol.integrate.integrator import (
     longest_member,
     speed_scale,
 )
+
+# Evaluations of a try, its interpolant and its landing, at most.
+_MOST_OF_A_TRY = 20
 
 _PROGRESS = np.dtype(records.Progress)  # which NumPy makes anew each time
 
@@ -137,8 +140,12 @@ class CoreLanes:
         """
         raise NotImplementedError
 
+    def over_spans(self, first: int, last: int) -> CoreLanes:
+        """Return the same for some runs, to be advanced over several spans one after another."""
+        return self
+
     def work_of(self, counts: FloatArray) -> Work:
-        """Return the work of a run by what it counted."""
+        """Return the work of a run by what it counted, in all its spans."""
         raise NotImplementedError
 
     def _calls(self, runs: IntArray, states: FloatArray, held: FloatArray) -> _Calls:
@@ -208,7 +215,7 @@ class FixedStepLanes(CoreLanes):
 class AdaptiveLanes(CoreLanes):
     """Runs by dop853, each in steps of its own; see :class:`CoreLanes`.
 
-    A run that does not reach the end is left to an integrator of its own, from its start.
+    A run that does not reach the end of a span is left to an integrator of its own, from its start.
 
     Parameters
     ----------
@@ -224,19 +231,22 @@ class AdaptiveLanes(CoreLanes):
         Evaluations after which a run goes on no longer.
     is_shortened : bool
         Whether they are as after :meth:`DOP853.shorten`.
+    memory : optional
+        Of the spans before, where runs are advanced over several.
     """
 
     counted = (
         "tries", "rejections", "landings", "approaches", "switches", "interpolants", "carries",
-        "carried", "short_tries",
+        "carried", "short_tries", "spans",
     )  # fmt: skip
 
     def __init__(
         self, equation: Equation, scene: CoreScene, project: bool,
         tables: Mapping[str, FloatArray], tolerance: float, mass: FloatArray, limit: float,
-        is_shortened: bool = False,
+        is_shortened: bool = False, memory: _Memory | None = None,
     ) -> None:  # fmt: skip
         super().__init__(scene, project, tables)
+        self._memory = memory
         self._equation, self._tolerance, self._mass = equation, tolerance, mass
         self._limit, self._is_shortened = limit, is_shortened
 
@@ -246,8 +256,13 @@ class AdaptiveLanes(CoreLanes):
     ) -> LaneSpans:  # fmt: skip
         """See :meth:`CoreLanes.advance`."""
         half, calls = states.shape[1] // 2, self._calls(runs, states, held)
-        vector, size = first_vector(self._equation), longest_member(self._equation)
-        frequency, force, slope, taut = calls.begin(differences(states), vector)
+        size, memory = longest_member(self._equation), self._memory
+        asked = differences(states), first_vector(self._equation)
+        if memory is None:
+            frequency, (force, slope, taut) = calls.begin(*asked)
+        else:
+            of_strings = held[:, : self._equation.layout.strings]
+            frequency, (force, slope, taut) = memory.begin(calls, runs, of_strings, *asked)
         mass = self._mass[runs] if len(self._mass) > 1 else self._mass
         with np.errstate(over="ignore", invalid="ignore"):  # such runs do not reach the end
             fastest = np.abs(states[:, half:]).max(axis=1, initial=0.0)
@@ -263,14 +278,26 @@ class AdaptiveLanes(CoreLanes):
             & (np.abs(states) <= validation.LARGEST).all(axis=1)
             & np.isfinite(reached).all(axis=(1, 2))
         )
+        counted = [progress[name] for name in self.counted[:-1]]
+        counts = np.stack([*counted, np.ones(len(runs))], axis=1)
+        if memory is not None:
+            reaches_end &= memory.spent_less(self._limit, runs, progress)
         reached[~reaches_end] = np.nan
-        counts = np.stack([progress[name] for name in self.counted], axis=1).astype(float)
         return LaneSpans(reached, progress["time"], reaches_end, counts)
 
     def work_of(self, counts: FloatArray) -> Work:
         """See :meth:`CoreLanes.work_of`."""
         by_name = dict(zip(self.counted, map(int, counts), strict=True))
-        return work_of(records.Progress(**by_name))
+        more_spans = by_name.pop("spans") - 1  # each begins with an evaluation
+        return work_of(records.Progress(**by_name)) + Work(evaluations=more_spans)
+
+    def over_spans(self, first: int, last: int) -> AdaptiveLanes:
+        """See :meth:`CoreLanes.over_spans`; as an integrator of their own, runs remember."""
+        memory = _Memory(first, last - first, self._equation.layout.strings)
+        return AdaptiveLanes(
+            self._equation, self._scene, self._project, self._tables, self._tolerance, self._mass,
+            self._limit, self._is_shortened, memory,
+        )  # fmt: skip
 
     def of_tolerance(self, tolerance: float, is_shortened: bool) -> AdaptiveLanes:
         """Return the same with another tolerance, and shorter first and longest steps or not."""
@@ -278,6 +305,44 @@ class AdaptiveLanes(CoreLanes):
             self._equation, self._scene, self._project, self._tables, tolerance, self._mass,
             self._limit, is_shortened,
         )  # fmt: skip
+
+
+class _Memory:
+    """What runs by :class:`DOP853` remember from span to span, and what they have spent.
+
+    Parameters
+    ----------
+    first, count : int
+        Number of the first of the runs, and how many follow one another.
+    strings : int
+    """
+
+    def __init__(self, first: int, count: int, strings: int) -> None:
+        self._first = first
+        self._frequency = np.full(count, np.nan)
+        self._of_strings = np.zeros((count, strings))  # for which it was found
+        self._tries = np.zeros(count)
+
+    def begin(
+        self, calls: _Calls, runs: IntArray, of_strings: FloatArray, difference: FloatArray,
+        vector: FloatArray,
+    ) -> tuple[FloatArray, tuple[FloatArray, FloatArray, FloatArray]]:  # fmt: skip
+        """Return what :meth:`_Calls.begin` does; frequencies are found where inputs changed."""
+        at = runs - self._first
+        frequency, before = self._frequency[at], self._of_strings[at]
+        changed = np.isnan(frequency) | have_changed(
+            np.broadcast_to(of_strings, before.shape), before
+        )
+        anew, rest = calls.begin(difference, vector, bool(changed.any()))
+        self._frequency[at] = frequency = np.where(changed, anew, frequency)
+        self._of_strings[at] = np.where(changed[:, None], of_strings, before)
+        return frequency, rest
+
+    def spent_less(self, limit: float, runs: IntArray, progress: np.ndarray) -> np.ndarray:
+        """Return which runs have surely taken fewer evaluations than a limit, with a span more."""
+        at = runs - self._first
+        self._tries[at] += progress["tries"] + progress["approaches"]
+        return np.asarray(_MOST_OF_A_TRY * self._tries[at] < limit)
 
 
 class _Calls:
@@ -295,21 +360,22 @@ class _Calls:
             self._tables["inputs"] = np.ascontiguousarray(inputs)
 
     def begin(
-        self, difference: FloatArray, vector: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return largest frequencies and forces, shape (runs,), slopes and what pulls."""
+        self, difference: FloatArray, vector: FloatArray, finds_frequency: bool = True
+    ) -> tuple[FloatArray, tuple[FloatArray, FloatArray, FloatArray]]:
+        """Return largest frequencies, (runs), NaN if not found; forces, slopes, what pulls."""
         scene, count = self._scene, len(self._states)
+        frequency = np.full(count, np.nan)
         arrays = (
-            np.empty(count), np.empty(count), np.empty_like(self._states),
-            np.empty((count, scene.switches)),
+            np.empty(count), np.empty_like(self._states), np.empty((count, scene.switches)),
         )  # fmt: skip
         runs = self._runs({})
         work = self._work(settings_of("dop853", 1.0, 1, False), runs)
         scene.core.tc_begin_runs(
             ctypes.byref(scene.scene), ctypes.byref(self._drive), ctypes.byref(runs),
-            *pointers(self._states, difference, vector, *arrays, work),
+            *pointers(self._states, difference, vector),
+            *(pointers(frequency) if finds_frequency else [None]), *pointers(*arrays, work),
         )  # fmt: skip
-        return arrays
+        return frequency, arrays
 
     def advance(
         self, settings: records.Settings, own: Mapping[str, FloatArray], stop: ctypes.c_int

@@ -73,6 +73,9 @@ _LATE = 0.003
 # Steps end at a switch on their interpolant where it errs less than this part of what they may err.
 _SMOOTH = 0.3
 
+# The frequency is found again where an input has changed by more than this part of it.
+_CHANGED = 0.2
+
 # Switches in a row without any time between them, at most.
 _MOST_STALLS = 50
 
@@ -184,8 +187,7 @@ class DOP853(Integrator):
         """Return which inputs, (K, inputs), differ so much that the frequency is found again."""
         if self._held is None:
             return np.ones(len(held), dtype=bool)
-        of_strings = held[:, : self._equation.layout.strings]
-        return (np.abs(of_strings - self._held) > 0.2 * np.abs(self._held)).any(axis=1)
+        return have_changed(held[:, : self._equation.layout.strings], self._held)
 
     def advance_spans(self, state: FloatArray, given: SpanInputs) -> list[Span]:
         """See :meth:`Integrator.advance_spans`."""
@@ -406,6 +408,11 @@ def _not_rigid(spacing: float, states: FloatArray, work: Work) -> IntegrationErr
     time = spacing * states.shape[1]
     stopped = f"dop853 stopped after {time:.6g} s: {NOT_RIGID}"
     return IntegrationError(stopped, time, Span(states, work))
+
+
+def have_changed(of_strings: FloatArray, before: FloatArray) -> np.ndarray:
+    """Return which inputs of strings, (K, strings), ask for another frequency than those before."""
+    return np.asarray((np.abs(of_strings - before) > _CHANGED * np.abs(before)).any(axis=1))
 
 
 def work_of(counts: _Motion | Progress) -> Work:

@@ -16,6 +16,7 @@ from tenscontrol.dynamics.equation import pack_state, unpack_states
 from tenscontrol.integrate import Projector, watched
 from tenscontrol.integrate.dop853 import cost_in_core
 from tenscontrol.interrupt import InterruptionWarning
+from tenscontrol.simulation.batch.runner import Runner
 from tests.random_scenes import random_scene
 
 needs_core = pytest.mark.skipif(library() is None, reason="no core")
@@ -159,22 +160,38 @@ def test_random_scenes_in_lanes_have_the_bits_of_single_runs(seed):
 
 
 @needs_core
-def test_runs_that_lanes_leave_go_on_by_the_methods_of_single_runs(monkeypatch):
+@pytest.mark.parametrize("follows_profile", [False, True])
+def test_runs_that_lanes_leave_go_on_by_the_methods_of_single_runs(monkeypatch, follows_profile):
     prism = tc.prism()
     N, V, lengths = scene(prism)
     model = tc.Model(prism, strings=tc.LinearStrings(100.0))
+    vary = {"nodes": N, "velocities": V}
+    if follows_profile:  # several spans, some of which runs are over when they leave
+        ends = np.outer(lengths[0], [1.0, 0.7, 1.0])
+        given = {"rest_length": tc.Profile([0.0, 0.05, 0.12], ends)}
+        held = [given["rest_length"]] * RUNS
+    else:
+        given, held = {}, lengths
+        vary["rest_length"] = lengths
 
     def alone(i):
-        return tc.simulate(model, 0.3, N[i], V[i], rest_length=lengths[i], **ADAPTIVE)
+        return tc.simulate(model, 0.3, N[i], V[i], rest_length=held[i], **ADAPTIVE)
 
-    # What the first method may spend covers half of the runs.
+    # What the first method may spend covers half of the runs, or a part of each.
     evaluations = [alone(i).work.evaluations for i in range(RUNS)]
-    cost = cost_in_core(2 * prism.nodes.size)
-    monkeypatch.setattr(watched, "_FREE", cost * float(np.median(evaluations)))
-    vary = {"nodes": N, "velocities": V, "rest_length": lengths}
-    batch = many(model, 0.3, ADAPTIVE, vary, threads=1)
+    share = cost_in_core(2 * prism.nodes.size) * (0.5 if follows_profile else 1.0)
+    monkeypatch.setattr(watched, "_FREE", share * float(np.median(evaluations)))
+    left, replay = [], Runner._replay
+    monkeypatch.setattr(
+        Runner, "_replay", lambda runner, *of: left.append(of) or replay(runner, *of)
+    )
+    batch = many(model, 0.3, ADAPTIVE, vary, threads=1, **given)
+    assert batch.choice.back_end == "core, runs side by side"
     runs = {i: alone(i) for i in range(RUNS)}
-    assert {run.work.rejections > 0 for run in runs.values()} == {True, False}
+    if follows_profile:
+        assert left
+    else:
+        assert {run.work.rejections > 0 for run in runs.values()} == {True, False}
     assert_same(batch, runs)
 
 
@@ -236,13 +253,15 @@ def test_parameters_that_vary_give_the_bits_of_models_with_them(name, method):
     assert_same(batch, {i: alone(i) for i in (1, RUNS - 1)})
 
 
-def test_loads_and_profiles_are_those_of_single_runs():
+@pytest.mark.parametrize("how", [{"step": 0.01}, {"tolerance": 1e-5}])
+def test_loads_and_profiles_are_those_of_single_runs(how):
     prism = tc.prism()
     N, V, lengths = scene(prism)
     loads = np.random.default_rng(3).standard_normal((RUNS, 3, 6))
-    profile = tc.Profile([0.0, 0.05, 0.12], np.outer(lengths[0], [1.0, 0.95, 1.0]))
+    # In the second span the input differs by more than a fifth from that of the first.
+    profile = tc.Profile([0.0, 0.05, 0.12], np.outer(lengths[0], [1.0, 0.75, 1.0]))
     model = tc.Model(prism, strings=tc.LinearStrings(100.0), external_force=True)
-    how = {"step": 0.01, "output_step": 0.05}
+    how = {**how, "output_step": 0.05}
     vary = {"nodes": N, "velocities": V, "external_force": loads}
     batch = many(model, 0.15, how, vary, rest_length=profile, external_force=0)
     runs = {

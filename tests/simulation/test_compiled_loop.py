@@ -65,6 +65,7 @@ def codes(tower, prism, tmp_path_factory):
         ("tower", {"step": 5e-3, "output_step": 0.01}),
         ("tower", {"method": "dop853", "tolerance": 1e-8, "output_step": 0.01}),
         ("prism", {"step": 5e-3, "output_step": 0.02}),
+        ("prism", {"tolerance": 1e-4, "output_step": 0.02}),
     ],
 )
 def test_numbers_are_those_of_single_runs(name, how, codes, request):

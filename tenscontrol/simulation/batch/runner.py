@@ -160,8 +160,6 @@ class Runner:
         scene, structure = self.scene, self.scene.model.structure
         if self._method not in (METHODS["rk4"], METHODS["dop853"]):
             return None
-        if self._method is METHODS["dop853"] and len(self.spans) > 1:
-            return None  # its integrator remembers the span before
         if first is None or not have_tables(scene.model, scene.given):
             return None
         equation = self._equation(scene.model_of(first), "auto", ())
@@ -336,7 +334,9 @@ class Runner:
         column = 1
         if not self._has_no_memory:
             self._threads.__dict__.pop("made", None)
-        loops = self._loops(last - first)
+        loops, lanes = self._loops(last - first), self._lanes
+        if lanes is not None and len(self.spans) > 1:
+            lanes = lanes.over_spans(first, last)
         for number, span in enumerate(self.spans):
             if not len(at) or self._stop.value:
                 break
@@ -346,7 +346,7 @@ class Runner:
                 at, states, held = self._commanded(loops, at, at - first, states, held, number)
                 if not len(at):
                     break
-            kept, ended = self._advance(at, states, held, span)
+            kept, ended = self._advance(lanes, at, states, held, number)
             if not self._ends_alone:
                 self._keep(at, column, kept)
                 column += span.outputs
@@ -394,29 +394,73 @@ class Runner:
         return at, states, held
 
     def _advance(
-        self, at: IntArray, states: FloatArray, held: FloatArray, span: InputSpan
-    ) -> tuple[FloatArray, np.ndarray]:
+        self, lanes: CoreLanes | None, at: IntArray, states: FloatArray, held: FloatArray,
+        number: int,
+    ) -> tuple[FloatArray, np.ndarray]:  # fmt: skip
         """Return the states at the outputs of a span, and which runs ended in it."""
-        lanes = self._lanes
+        span = self.spans[number]
         if lanes is None:
             return self._one_by_one(at, states, held, span)
+        if not isinstance(lanes, FixedStepLanes):
+            return self._advance_adaptively(lanes, at, states, held, number)
         spans = lanes.advance(at, states, held, span.length, span.outputs, self._stop)
-        kept, ended = spans.states, ~spans.reaches_end
-        if isinstance(lanes, FixedStepLanes):
-            for i in np.flatnonzero(ended) if not self._stop.value else ():
-                why = lanes.failure(spans.time[i], span.length, span.outputs)
-                self._end(at[i], span.start + spans.time[i], why)
-            counted = np.arange(len(at))
-        else:
-            counted, others = np.flatnonzero(spans.reaches_end), np.flatnonzero(ended)
-            kept[others], ended[others] = self._one_by_one(
-                at[others], states[others], _rows(held, others), span
-            )
+        ended = ~spans.reaches_end
+        for i in np.flatnonzero(ended) if not self._stop.value else ():
+            why = lanes.failure(spans.time[i], span.length, span.outputs)
+            self._end(at[i], span.start + spans.time[i], why)
+        self._count(lanes, at, spans.counts)
+        return spans.states, ended
+
+    def _advance_adaptively(
+        self, lanes: CoreLanes, at: IntArray, states: FloatArray, held: FloatArray, number: int
+    ) -> tuple[FloatArray, np.ndarray]:
+        """Return the same of runs side by side, but for those that have come to be alone."""
+        span = self.spans[number]
+        kept = np.full((len(at), span.outputs, states.shape[1]), np.nan)
+        ended = np.ones(len(at), dtype=bool)
+        is_alone = np.isin(at, list(self._work)) if number else np.zeros(len(at), dtype=bool)
+        in_lanes = np.flatnonzero(~is_alone)
+        if len(in_lanes):
+            spans = lanes.advance(
+                at[in_lanes], states[in_lanes], _rows(held, in_lanes), span.length, span.outputs,
+                self._stop,
+            )  # fmt: skip
+            kept[in_lanes], ended[in_lanes] = spans.states, ~spans.reaches_end
+            self._count(lanes, at[in_lanes[spans.reaches_end]], spans.counts[spans.reaches_end])
+            for run in at[in_lanes[~spans.reaches_end]] if number else ():
+                self._replay(int(run), number)
+        others = np.flatnonzero(ended)
+        kept[others], ended[others] = self._one_by_one(
+            at[others], states[others], _rows(held, others), span
+        )
+        return kept, ended
+
+    def _count(self, lanes: CoreLanes, runs: IntArray, counts: FloatArray) -> None:
+        """Enter what lanes counted of runs."""
         for name, of in (("switches", self.switches), ("missed", self.missed)):
             if name in lanes.counted:
-                of[at[counted]] += spans.counts[counted, lanes.counted.index(name)].astype(int)
-        self._counts[at[counted]] += spans.counts[counted]
-        return kept, ended
+                of[runs] += counts[:, lanes.counted.index(name)].astype(int)
+        self._counts[runs] += counts
+
+    def _replay(self, run: int, number: int) -> None:
+        """Bring an integrator of its own to where a run has come to, after so many spans."""
+        integrator, work = self._of_run(run), Work()
+        state = self.scene.states(run, run + 1)[0][0]
+        for passed, span in enumerate(self.spans[:number]):
+            if self._stop.value:
+                return
+            u = self._inputs(run, passed)
+            advanced = integrator.advance(state, u, span.length, span.outputs)
+            state, work = advanced.states[:, -1], work + advanced.work
+        self._work[run] = work
+
+    def _inputs(self, run: int, number: int) -> FloatArray:
+        """Return the inputs of a run in a span, with the commands that it had."""
+        held: FloatArray = self.scene.held_inputs(run, run + 1, self.spans[number], self._shares)[0]
+        if self.command is not None:
+            command = self.command[run, :, number]
+            held[: len(command)] = command
+        return held
 
     def _one_by_one(
         self, at: IntArray, states: FloatArray, held: FloatArray, span: InputSpan
@@ -622,14 +666,9 @@ class Runner:
     def _estimated_error(
         self, run: int, start: FloatArray, resolved: Callable[[int, float], Resolved]
     ) -> FloatArray:
-        scene, structure = self.scene, self.scene.model.structure
-        stages = []
+        structure, stages = self.scene.model.structure, []
         for number, span in enumerate(self.spans):
-            held = scene.held_inputs(run, run + 1, span, self._shares)[0]
-            if self.command is not None:
-                command = self.command[run, :, number]
-                held[: len(command)] = command
-            stages.append(Stage(span.length, span.outputs, held))
+            stages.append(Stage(span.length, span.outputs, self._inputs(run, number)))
         columns = np.arange(sum(span.outputs for span in self.spans))
         if self._ends_alone:
             columns = columns[-1:]
