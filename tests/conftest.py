@@ -1,6 +1,7 @@
 """What all tests share."""
 
 import gc
+import os
 import signal
 import sys
 import sysconfig
@@ -8,6 +9,9 @@ import threading
 import warnings
 from pathlib import Path
 from types import SimpleNamespace
+
+if "PYTEST_XDIST_WORKER" in os.environ:
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # each worker has a core for itself
 
 import numpy as np
 import pytest

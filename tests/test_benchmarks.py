@@ -2,7 +2,6 @@
 
 import re
 import sys
-from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -34,7 +33,6 @@ def test_every_benchmark_is_tested():
     assert there == tested - {
         "batch_controlled",
         "every_benchmark_is_tested",
-        "robustness_together",
     }
 
 
@@ -347,17 +345,7 @@ def test_deploy(printed):
     assert min(code, numbers) > 1
 
 
-@needs("distributed", "distributed")
 def test_robustness(printed, monkeypatch):
-    distributed = import_module("distributed")
-    in_threads = partial(distributed.LocalCluster, processes=False)
-    monkeypatch.setattr(distributed, "LocalCluster", in_threads)
-    text = printed("robustness", "--count 2 --duration 0.2")
-    assert text.count("2 of 2 runs done") == 2
-    assert text.count("equal to 1 process to the last bit: yes") == 2
-
-
-def test_robustness_together(printed, monkeypatch):
     monkeypatch.setenv("TENSCONTROL_COMPILER", "none")
     module = import_module("tests.benchmarks.robustness")
     monkeypatch.setattr(module, "MANY", 2)

@@ -192,9 +192,9 @@ def test_messages_name_functions_where_they_are_found():
     for path in Path(tc.__file__).parent.rglob("*.py"):
         for node in ast.walk(tree(path)):
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-                texts = [each for each in ast.walk(node) if isinstance(each, ast.Constant)]
                 if not re.search("Error$|^warn$", node.func.id):
                     continue
+                texts = [each for each in ast.walk(node) if isinstance(each, ast.Constant)]
                 for text in (str(each.value) for each in texts):
                     found = re.findall(r"(?<![\w.`])(\w+)\(", text)
                     wrong += [(path.name, name) for name in found if name in inside]

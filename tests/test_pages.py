@@ -184,7 +184,7 @@ def test_interop():
 
 
 def test_optimal_motion():
-    names = ran("optimal_motion")
+    names = ran("optimal_motion", **{"0.4, tolerance=1e-3": "0.4, tolerance=1e-2"})
     motion, path = names["motion"], names["path"]
     assert motion.duration < 0.2
     assert motion.end_speed < 1e-3

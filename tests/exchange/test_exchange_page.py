@@ -13,7 +13,7 @@ def test_the_page_on_other_programs_runs(tmp_path, monkeypatch, capsys):
     pytest.importorskip("mujoco", reason="MuJoCo comes with the extra test")
     monkeypatch.chdir(tmp_path)
     blocks = re.findall(r".. code-block:: python\n\n((?:   .*\n|\n)+)", PAGE.read_text("utf-8"))
-    assert len(blocks) == 5
+    assert len(blocks) == 6
     names: dict = {}
     exec(textwrap.dedent("".join(blocks)), names)
     assert capsys.readouterr().out.splitlines()[1] == "Structure(12 nodes, 6 bars, 24 strings)"
