@@ -130,10 +130,15 @@ def differences(
         ends = [run.nodes[:, :, -1] for run in runs]
         found.append((8 * (ends[0] - ends[1]) - (ends[2] - ends[3])) / (12 * size))
         if len(found) > 1:
-            apart = np.abs(found[-1] - found[-2]).max() / np.abs(found[-1]).max()
+            apart = _relative(np.abs(found[-1] - found[-2]).max(), np.abs(found[-1]).max())
             if apart < certain:
-                certain, best = float(apart), found[-1]
+                certain, best = apart, found[-1]
     return best, certain
+
+
+def _relative(error: float, size: float) -> float:
+    """Return an error as part of a size; of a motion that does not depend on anything, itself."""
+    return float(error / size if size else error)
 
 
 def _pieces(run: tc.Trajectory) -> tuple[int, ...]:
@@ -177,8 +182,8 @@ def comparison(seed: int, most_steps: int, implicit: bool = False) -> Comparison
     reference, certain = differences(scene, direction, run, implicit)
     error = np.inf
     if np.isfinite(certain):
-        error = np.abs(along - reference).max() / np.abs(reference).max()
-    adjoint = abs(back - forth) / size
+        error = _relative(np.abs(along - reference).max(), np.abs(reference).max())
+    adjoint = _relative(abs(back - forth), size)
     return Comparison(
         seed, run.steps, run.work.switches, float(error), certain, float(adjoint), seconds,
         run_seconds,
