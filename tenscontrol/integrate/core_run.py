@@ -95,7 +95,8 @@ def advance_in_core(
         return reached(motion, work_of(progress))
 
     try:
-        while not motion.is_over:
+        is_over = motion.is_over
+        while not is_over:
             check()
             began = perf_counter()
             budget = min(budget, motion.most_steps)
@@ -105,9 +106,8 @@ def advance_in_core(
                 raise failure(motion)
             if report is not None:
                 report(progress.time)
-            if motion.is_over:
-                break
-            if motion.is_paused:
+            is_over = motion.is_over
+            if not is_over and motion.is_paused:
                 raise IntegrationPause(progress.time, motion.state, span())
             budget = int(min(max(budget * _LONGEST / (taken + 1e-9), 1), 8 * budget))
         return span()
