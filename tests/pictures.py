@@ -170,16 +170,28 @@ def of_pages(folder):
     """Write a figure that the code of a page draws, for each of some pages."""
     numbers = {
         "few_motors": 1, "identification": 2, "figures": 2, "optimal_motion": 1,
-        "deployment": 1, "microcontroller": 1, "stepping": 1,
+        "deployment": 1, "microcontroller": 1, "stepping": 1, "interop": 1,
     }  # fmt: skip
     for page, number in numbers.items():
         plt.close("all")
         names = {}
         with tempfile.TemporaryDirectory() as written, contextlib.chdir(written):
             for block in blocks(page):
-                if block.language == "python" and number not in plt.get_fignums():
+                if block.language != "python" or block.fragment:
+                    continue
+                if number not in plt.get_fignums():
                     exec(compile(block.code, page, "exec"), names)
         plt.figure(number).savefig(folder / f"{page}.png", dpi=110, bbox_inches="tight")
+    plt.close("all")
+
+
+def without_code(folder):
+    """Write the figures of two pages whose code draws none."""
+    drawn = tc.plot.structure(tc.prism(), labels=True)
+    drawn.ax.figure.savefig(folder / "theory.png", dpi=110, bbox_inches="tight")
+    run = tc.load_scene(PROJECT / "examples" / "scenes" / "prism_fault.toml").simulate()
+    figure = next(iter(tc.plot.trajectory(run).values())).ax.figure
+    figure.savefig(folder / "scenes.png", dpi=110, bbox_inches="tight")
     plt.close("all")
 
 
@@ -217,6 +229,7 @@ if __name__ == "__main__":
     rolling_ball(IMAGES / "rolling_ball.gif")
     first_pages(IMAGES)
     of_pages(IMAGES)
+    without_code(IMAGES)
     view_in_browser(IMAGES)
     projects(IMAGES)
     for title, errors in trust(IMAGES).items():
