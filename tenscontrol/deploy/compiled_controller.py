@@ -62,8 +62,36 @@ class _LoadedCode:
         return replace(self.command(0.0, np.full(numbers, np.nan), count), status=status)
 
 
+class _RunByCode(BaseController):
+    """A controller whose loaded code checks, measures and decides for itself."""
+
+    _code: _LoadedCode
+
+    def reset(self) -> None:
+        """Forget everything that was measured, planned or applied."""
+        super().reset()
+        self._code.reset()
+
+    def applied(self, value: object) -> None:
+        """See :meth:`BaseController.applied`."""
+        super().applied(value)
+        assert self._previous_input is not None  # just set
+        self._code.set_applied(np.ascontiguousarray(self._previous_input))
+
+    def _measure(
+        self, nodes: FloatArray, velocities: FloatArray
+    ) -> tuple[FloatArray, Status | None]:
+        return np.concatenate([nodes.ravel(order="F"), velocities.ravel(order="F")]), None
+
+    def _decide(self, time: float, state: FloatArray) -> Command:
+        return self._code.command(time, state, len(self._low))
+
+    def _fall_back(self, status: Status) -> Command:
+        return self._code.fall_back(status, 2 * self.structure.nodes.size, len(self._low))
+
+
 @final
-class CompiledController(Controller):
+class CompiledController(_RunByCode, Controller):
     """The compiled C code of a controller, used like any other controller.
 
     Give it to :func:`simulate` to run the code itself in the loop. Made by
@@ -101,35 +129,12 @@ class CompiledController(Controller):
         """Iterations of the solver in the last sample; 0 where none ran."""
         return int(self._code.count())
 
-    def reset(self) -> None:
-        """Forget everything that was measured, planned or applied."""
-        super().reset()
-        self._code.reset()
-
-    def applied(self, value: object) -> None:
-        """See :meth:`Controller.applied`."""
-        super().applied(value)
-        assert self._previous_input is not None  # just set
-        self._code.set_applied(np.ascontiguousarray(self._previous_input))
-
-    def _measure(
-        self, nodes: FloatArray, velocities: FloatArray
-    ) -> tuple[FloatArray, Status | None]:
-        # The code checks and measures for itself.
-        return np.concatenate([nodes.ravel(order="F"), velocities.ravel(order="F")]), None
-
-    def _decide(self, time: float, state: FloatArray) -> Command:
-        return self._code.command(time, state, len(self._low))
-
-    def _fall_back(self, status: Status) -> Command:
-        return self._code.fall_back(status, 2 * self.plant.nodes.size, len(self._low))
-
     def __repr__(self) -> str:
         return f"CompiledController({self.plant!r}, every {self.sample_time:g} s)"
 
 
 @final
-class CompiledGait(BaseController):
+class CompiledGait(_RunByCode):
     """The compiled C code of a rolling gait, used like any other controller.
 
     Give it to :func:`simulate` to run the code itself in the loop. Made by
@@ -157,29 +162,6 @@ class CompiledGait(BaseController):
 
     def _driven(self) -> Actuation:
         return self._of_strings
-
-    def reset(self) -> None:
-        """Forget the steps made and start from the standing shape."""
-        super().reset()
-        self._code.reset()
-
-    def applied(self, value: object) -> None:
-        """See :meth:`BaseController.applied`."""
-        super().applied(value)
-        assert self._previous_input is not None  # just set
-        self._code.set_applied(np.ascontiguousarray(self._previous_input))
-
-    def _measure(
-        self, nodes: FloatArray, velocities: FloatArray
-    ) -> tuple[FloatArray, Status | None]:
-        # The code checks for itself.
-        return np.concatenate([nodes.ravel(order="F"), velocities.ravel(order="F")]), None
-
-    def _decide(self, time: float, state: FloatArray) -> Command:
-        return self._code.command(time, state, len(self._low))
-
-    def _fall_back(self, status: Status) -> Command:
-        return self._code.fall_back(status, 2 * self.structure.nodes.size, len(self._low))
 
     def __repr__(self) -> str:
         return f"CompiledGait({self.structure!r}, every {self.sample_time:g} s)"
