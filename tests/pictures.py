@@ -41,8 +41,6 @@ def rolled(duration):
         controller=gait,
         winches=winches,
         rest_length=REST_LENGTH,
-        method="cvodes",
-        tolerance=1e-5,
         output_step=SAMPLE,
     )
 
