@@ -7,14 +7,11 @@ import numpy as np
 from tenscontrol.arrays import FloatArray, IntArray
 
 
-def lowest_face(
-    nodes: FloatArray, down: FloatArray, near: float
-) -> tuple[IntArray, float]:  # fmt: skip
+def lowest_face(nodes: FloatArray, down: FloatArray, near: float) -> tuple[IntArray, float]:
     """Return the nodes of the face of the hull that looks most downward; none of a flat shape.
 
-    The second is the cosine of the angle between the face and level ground.
-
-    Nodes that are no farther than ``near``, m, from its plane belong to it.
+    Nodes that are no farther than ``near``, m, from its plane belong to it. The second is the
+    cosine of the angle between the face and level ground.
     """
     outward, offsets = _planes(nodes)
     if not len(offsets):

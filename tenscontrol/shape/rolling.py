@@ -234,9 +234,8 @@ class RollingGait:
         self._vain: set[tuple[int, ...]] = set()
         self._begun: FloatArray | None = None  # where the line begins
         self._tipped: RollingStep | None = None  # a step that has not come to rest
-        self._stood = self._moved = np.zeros(
-            len(self._settings.up)
-        )  # where, and in the last step, m
+        # Where it stood, and how far it moved in the last step, m.
+        self._stood = self._moved = np.zeros(len(self._settings.up))
 
     def applied(self, value: ArrayLike) -> None:
         """Take note of the rest lengths that the winches reached, if not those commanded.
