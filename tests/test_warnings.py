@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
+from tenscontrol.core import library
 from tenscontrol.warn import warn
 
 
@@ -69,3 +70,11 @@ def test_measured_shapes_warn_at_the_line_too():
         tc.linearize(tc.Model(prism), at, require_equilibrium=False)
     assert [each.filename for each in told] == [__file__]
     assert np.isfinite(told[0].lineno)
+
+
+@pytest.mark.skipif(library.absence() != "", reason="there is no compiled core")
+def test_a_core_of_other_sources_is_named(monkeypatch):
+    monkeypatch.setattr(library, "sources_id", lambda: "others")
+    monkeypatch.setattr(library, "_loaded", library._loaded.__wrapped__)
+    with pytest.warns(RuntimeWarning, match="built from other sources .* run pip install again"):
+        assert library.library.__wrapped__() is None

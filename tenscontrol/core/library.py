@@ -10,6 +10,8 @@ from functools import cache
 from importlib import import_module
 from pathlib import Path
 
+from tenscontrol.warn import warn
+
 #: What the library is called.
 NAME = "_core.dll" if sys.platform == "win32" else "_core.so"
 
@@ -28,7 +30,10 @@ _OTHER = (
 @cache
 def library() -> ctypes.CDLL | None:
     """Return the core, or None where there is none; :func:`absence` says why."""
-    return _loaded()[0]
+    core, missing = _loaded()
+    if missing == _OTHER:
+        warn(f"{_OTHER}; until then runs go without it, and are slower", RuntimeWarning)
+    return core
 
 
 def absence() -> str:
