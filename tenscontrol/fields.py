@@ -61,11 +61,12 @@ def instance_of(name: str, value: object, kind: str, how: str) -> object:
 def check_fields(record: Any) -> None:
     """Check the fields of a frozen record in their order, and keep read-only arrays."""
     kind: Any = type(record)
-    for declared in _declared(kind):
-        name, how = declared.name, declared.metadata
+    for name, check, details, is_optional in _declared(kind):
         given = value = getattr(record, name)
-        if "check" in how and not (given is None and "optional" in how):
-            value = how["check"](name, given, *how["details"])
+        if given is None and is_optional:
+            continue
+        if check is not None:
+            value = check(name, given, *details)
         if isinstance(value, np.ndarray):
             value = frozen(value)
         if value is not given:
@@ -73,6 +74,9 @@ def check_fields(record: Any) -> None:
 
 
 @cache
-def _declared(kind: Any) -> tuple[Any, ...]:
-    """Return the fields of a class, which `dataclasses` finds anew each time."""
-    return fields(kind)
+def _declared(kind: Any) -> tuple[tuple[str, Callable[..., object] | None, Any, bool], ...]:
+    """Return the fields of a class with their checks, and whether None passes those."""
+    found = [(declared.name, declared.metadata) for declared in fields(kind)]
+    return tuple(
+        (name, how.get("check"), how.get("details", ()), "optional" in how) for name, how in found
+    )

@@ -42,8 +42,9 @@ LONGEST_WAIT = 86_400.0
 _MOST_BYTES = 4e9
 
 
-# To Python and NumPy they are whole numbers.
-_NO_NUMBERS = (bool, np.timedelta64)
+# Kinds of numbers; the last are whole numbers to Python and NumPy.
+_WHOLE, _REAL, _TRUTH = (int, np.integer), (float, np.floating), (bool, np.bool_)
+_NUMBERS, _NO_NUMBERS = (*_WHOLE, *_REAL), (bool, np.timedelta64)
 
 _KIND = {"b": "bool", "c": "complex", "U": "text (str)", "S": "bytes", "M": "datetime"}
 
@@ -60,8 +61,7 @@ def _brief(value: object) -> str:
 def float_array(name: str, value: object) -> FloatArray:
     """Return ``value`` as a finite float array, or say which entry is none or is too large."""
     array = _real_array(name, value)
-    # As a rule the squares tell, in a third of the time; what is not a number makes both false.
-    if not (np.vdot(array, array) <= LARGEST**2 or np.abs(array).max(initial=0.0) <= LARGEST):
+    if not is_bounded(array):
         bad = np.argwhere(~(np.abs(array) <= LARGEST))
         where = "" if array.ndim == 0 else f"[{', '.join(str(i) for i in bad[0])}]"
         entry = array[tuple(bad[0])]
@@ -72,6 +72,13 @@ def float_array(name: str, value: object) -> FloatArray:
             f"{array.size - int(np.isfinite(array).sum())} of {array.size} entries are not finite"
         )
     return array
+
+
+def is_bounded(array: FloatArray) -> bool:
+    """Return whether all entries are finite numbers, and none is too large."""
+    # As a rule the squares tell, in a third of the time; what is not a number makes both false.
+    squares = np.vdot(array, array)
+    return bool(squares <= LARGEST**2 or np.abs(array).max(initial=0.0) <= LARGEST)
 
 
 def vector(name: str, value: object) -> FloatArray:
@@ -284,8 +291,7 @@ def positive_number(name: str, value: object, unit: str, most: float = LARGEST) 
     """Return a positive finite number of at most ``most``."""
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
-    kinds = int | float | np.integer | np.floating
-    if isinstance(value, _NO_NUMBERS) or not isinstance(value, kinds):
+    if isinstance(value, _NO_NUMBERS) or not isinstance(value, _NUMBERS):
         raise TypeError(f"{name} is {_brief(value)}, expected a positive number in {unit}")
     try:
         number = float(value)
@@ -303,8 +309,8 @@ def whole_number(name: str, value: Any, least: int, most: int = LARGEST_WHOLE) -
     """Return an integer from ``least`` to ``most``; a float may stand for one."""
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
-    is_whole = isinstance(value, int | np.integer)
-    if isinstance(value, float | np.floating):
+    is_whole = isinstance(value, _WHOLE)
+    if isinstance(value, _REAL):
         is_whole = bool(value == np.floor(value))
     if isinstance(value, _NO_NUMBERS) or not is_whole:
         raise TypeError(f"{name} is {_brief(value)}, expected a whole number of at least {least}")
@@ -337,7 +343,7 @@ def identifier(name: str, value: object) -> str:
 
 def truth(name: str, value: object, meaning: str) -> bool:
     """Return True or False, and refuse what only looks like it."""
-    if not isinstance(value, bool | np.bool_):
+    if not isinstance(value, _TRUTH):
         raise TypeError(
             f"{name} is {_brief(value)} ({type(value).__name__}), expected True or False: {meaning}"
         )

@@ -252,7 +252,12 @@ typedef struct {
   double first, whole, stable; /* first step over its rule; longest over duration, over 1 / frequency */
 } Spans;
 
-/* Integrates spans from a state, as `tc_begin` and `tc_advance` do one by one, and returns how many it
+/* Finds what a motion by dop853 begins with, as `tc_begin` does, and by tolerance to stable of `rules`
+   its steps: `scale` (states) becomes what they may err. Sets step, longest and scale of the settings. */
+EXPORTED void tc_start(const Scene *scene, const Drive *drive, const Spans *rules, Settings *settings,
+                       const double *state, double *taut, double *slope, double *scale, double *work);
+
+/* Integrates spans from a state, as `tc_start` and `tc_advance` do one by one, and returns how many it
    has come over. It ends before a span that it cannot finish within the budget and the limit, or whose
    ends of steps have no room left, at its beginning. Of the settings duration, outputs, longest and
    scale are those of each span. Of each `progress` says the same as ever; its states at outputs,

@@ -124,9 +124,8 @@ int32_t tc_advance(const Scene *scene, const Drive *drive, const Lengths *length
 
 /* What the steps of dop853 may err, and how long they are, from a state: the rules of
    integrator.scale_under and dop853.steps_of. */
-static void set_steps(const Spans *spans, const Span *span, const double *state, double force,
+static void set_steps(const Spans *spans, int half, const double *state, double force,
                       const double *slope, double *scale, Settings *settings) {
-  const int half = span->states / 2;
   const double duration = settings->duration;
   double fastest = 0, speed, rate = 0;
   for (int i = half; i < 2 * half; ++i) fastest = fmax(fabs(state[i]), fastest);
@@ -141,6 +140,12 @@ static void set_steps(const Spans *spans, const Span *span, const double *state,
   settings->step = spans->first * fmin(0.01 / fmax(rate, 1e-300), duration);
   settings->longest = fmin(spans->stable / fmax(spans->frequency, 1e-300), spans->whole * duration);
   settings->scale = scale;
+}
+
+void tc_start(const Scene *scene, const Drive *drive, const Spans *rules, Settings *settings,
+              const double *state, double *taut, double *slope, double *scale, double *work) {
+  const double force = tc_begin(scene, drive, state, taut, slope, work);
+  set_steps(rules, scene->free, state, force, slope, scale, settings);
 }
 
 int32_t tc_advance_spans(const Scene *scene, const Drive *drive, const Lengths *lengths,
@@ -175,7 +180,7 @@ int32_t tc_advance_spans(const Scene *scene, const Drive *drive, const Lengths *
       done = advance_by_rk4(&span, &own, now, &kept, x, taut, rest);
     } else {
       const double force = begin_dop853(&span, x, taut, slope, rest);
-      set_steps(spans, &span, x, force, slope, scale, &own);
+      set_steps(spans, scene->free, x, force, slope, scale, &own);
       now->step = own.step;
       done = advance_by_dop853(&span, &own, now, &kept, x, slope, taut, rest);
       own.limit -= tc_evaluations(now);

@@ -100,8 +100,8 @@ class Motion(ctypes.Structure):
     @classmethod
     def of(cls, array: Any) -> Motion:
         """Return the record of an array (d, n, T) of floats, which has to outlive it."""
-        size, strides = array.itemsize, array.strides
-        return cls(address(array), *[stride // size for stride in strides])
+        size, (axis, node, time) = array.itemsize, array.strides
+        return cls(address(array), axis // size, node // size, time // size)
 
 
 class Rates(ctypes.Structure):

@@ -189,6 +189,8 @@ class Pieces:
     def is_constant(self) -> bool:
         """Whether nothing ever changes."""
         c = self.coefficients
+        if len(c) == 1:
+            return c.shape[2] == 1 or not c[:, :, 1:].any()
         return not c[:, :, 1:].any() and bool((c == c[:1]).all())
 
     def index(self, time: FloatArray) -> IntArray:
@@ -216,7 +218,7 @@ class Pieces:
 
     def piece(self, time: float) -> tuple[float, FloatArray]:
         """Return origin and coefficients, shape (rows, degree + 1), that hold from a time on."""
-        i = self.index(np.array(time))
+        i = 0 if len(self.start) == 1 else self.index(np.array(time))
         return float(self.origin[i]), self.coefficients[i]
 
     def derivative(self, order: int = 1) -> Pieces:

@@ -97,7 +97,7 @@ class StringLaw(ABC):
                 validation.positive(name, np.atleast_1d(values), "number")
             object.__setattr__(self, name, frozen(values))
 
-    @property
+    @cached_property
     def is_damped(self) -> bool:
         """Whether any string has damping."""
         symbolic = isinstance(self.damping, ca.SX)

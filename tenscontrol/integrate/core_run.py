@@ -43,16 +43,13 @@ def settings_of(
     outputs: int,
     project: bool,
     step: float = 0.0,
-    longest: float = 0.0,
-    scale: FloatArray | None = None,
     limit: float = float("inf"),
     room: int = 0,
     traces: bool = False,
 ) -> records.Settings:
     """Return the settings of a span for the core."""
     return records.Settings(
-        _METHODS.index(method), project, traces, outputs, 0, room, duration, step, longest, limit,
-        None if scale is None else records.address(scale),
+        _METHODS.index(method), project, traces, outputs, 0, room, duration, step, 0.0, limit, None,
     )  # fmt: skip
 
 
@@ -162,13 +159,13 @@ def spans_in_core(
     time, states, taut = (array[: kept[-1]].copy() for array in ends)
     taut_rows = taut if settings.traces else None
     first = int(numbers[done - 1]) if done else 0
-    is_good = bool((np.abs(memory[:first]) <= validation.LARGEST).all())
+    is_good = validation.is_bounded(memory[:first])
     finished, first = [], 0
     for k in range(done):
         size, some = int(n * columns[k]), slice(kept[k], kept[k + 1])
         whole = memory[first : first + size].reshape(n, -1)
         first += size
-        if not (is_good or (np.abs(whole) <= validation.LARGEST).all()):
+        if not (is_good or validation.is_bounded(whole)):
             break
         of_steps = None if taut_rows is None else taut_rows[some].T
         step_ends = StepEnds(time[some], states[some].T, of_steps)

@@ -236,20 +236,14 @@ class CoreScene:
             layout.offset > 0, layout.lengths > 0,
         )  # fmt: skip
 
-    def taut(self, state: FloatArray, u: FloatArray) -> FloatArray:
-        """Return which strings pull and contacts press, 1 or 0 each, shape (switches,)."""
-        taut, work = np.zeros(self.switches), np.empty(self.work_size)
-        self.core.tc_taut(byref(self.scene), byref(self.drive(u)), *pointers(state, taut, work))
-        return taut
-
-    def begin(self, state: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-        """Return what pulls and presses in a state, ẋ, and the largest force on a free entry, N."""
+    def largest_force(self, state: FloatArray, u: FloatArray) -> float:
+        """Return the largest force on a free entry in a state, N."""
         taut, slope = np.zeros(self.switches), np.empty(self.states)
         work = np.empty(self.work_size)
         force = self.core.tc_begin(
             byref(self.scene), byref(self.drive(u)), *pointers(state, taut, slope, work),
         )  # fmt: skip
-        return taut, slope, float(force)
+        return float(force)
 
     def slope(self, state: FloatArray, u: FloatArray, taut: FloatArray) -> FloatArray:
         """Return ẋ for fixed switches, shape (states,)."""
@@ -343,10 +337,8 @@ class CoreMotion:
     state, u : ndarray
         x and the input at the start.
     settings : Settings
-    taut : ndarray, shape (switches,)
-        What pulls and presses at the start.
-    slope : ndarray, shape (states,), optional
-        ẋ at the start, for DOP853.
+    rules : Spans, optional
+        Of the steps of DOP853.
 
     Attributes
     ----------
@@ -359,13 +351,11 @@ class CoreMotion:
 
     def __init__(
         self, scene: CoreScene, state: FloatArray, u: FloatArray, settings: records.Settings,
-        taut: FloatArray, slope: FloatArray | None = None,
+        rules: records.Spans | None = None,
     ) -> None:  # fmt: skip
         self._scene, self._u, self._settings = scene, u, settings
         self._drive = scene.drive(u)
         self.state = state.copy()
-        self._taut = taut
-        self._slope = np.zeros(0) if slope is None else slope
         self._states = np.empty((len(state), settings.outputs + 1))
         self._states[:, 0] = state
         self._step_times = np.empty(settings.room)
@@ -373,8 +363,17 @@ class CoreMotion:
         self._step_taut = np.empty((settings.room, scene.switches))
         self._traced: list[tuple[FloatArray, ...]] = []  # ends of steps of the calls before
         self.done = 0
+        self._taut, self._work = np.zeros(scene.switches), np.empty(scene.work_size)
+        self._slope, self._scale = np.empty((2, 0 if rules is None else len(state)))
+        if rules is None:
+            given = pointers(self.state, self._taut, self._work)
+            scene.core.tc_taut(byref(scene.scene), byref(self._drive), *given)
+        else:
+            scene.core.tc_start(
+                byref(scene.scene), byref(self._drive), byref(rules), byref(settings),
+                *pointers(self.state, self._taut, self._slope, self._scale, self._work),
+            )  # fmt: skip
         self.progress = records.Progress(step=settings.step, every=1)
-        self._work = np.empty(scene.work_size)
 
     @property
     def whole(self) -> FloatArray:

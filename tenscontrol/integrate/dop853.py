@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.arrays import FloatArray
-from tenscontrol.core.records import Progress, Spans
+from tenscontrol.core.records import Progress, Settings, Spans
 from tenscontrol.dynamics.equation import Equation
 from tenscontrol.dynamics.evaluator import Evaluator, Function
 from tenscontrol.integrate.core_run import (
@@ -37,7 +37,6 @@ from tenscontrol.integrate.integrator import (
     checked_tolerance,
     largest_frequency,
     length_and_mass,
-    scale_under,
     state_scale,
 )
 from tenscontrol.integrate.projection import NOT_RIGID, Projector, projection, put_on_lengths
@@ -151,26 +150,13 @@ class DOP853(Integrator):
     ) -> Span:
         """See :meth:`Integrator.advance`."""
         state, held, duration, outputs = self._checked(state, held, duration, outputs, report)
-        if self._has_changed(held[None])[0]:
+        of_strings = held[: self._equation.layout.strings]
+        if self._held is None or have_changed(of_strings[None], self._held)[0]:
             self._frequency = largest_frequency(self._equation, state, held)
-            self._held = held[: self._equation.layout.strings].copy()
-        core = self._core
-        if core is None:
-            scale = state_scale(self._equation, state, held, self._frequency)
-            taut = self._switches.taut(state, held)
-            slope = self._slope(state, held, taut)[0].copy()
-        else:
-            taut, slope, force = core.begin(state, held)
-            scale = scale_under(self._equation, state, force, self._frequency)
-        steps = steps_of(slope, scale, self._frequency, duration, self._is_shortened)
-        step, longest = map(float, steps)
-        allowed = self.tolerance * scale
-        if core is not None:
-            settings = settings_of(
-                "dop853", duration, outputs, self._project, step, longest, allowed, self.limit,
-                room_for(len(state)) if self.keeps_steps or self.traces else 0, self.traces,
-            )  # fmt: skip
-            motion = CoreMotion(core, state, held, settings, taut, slope)
+            self._held = of_strings.copy()
+        if self._core is not None:
+            settings = self._settings(duration, outputs)
+            motion = CoreMotion(self._core, state, held, settings, self._rules())
             span = advance_in_core(motion, work_of, _core_failure, report)
             if not np.isfinite(span.states.sum()):
                 good = np.isfinite(span.states).all(axis=0)
@@ -178,35 +164,46 @@ class DOP853(Integrator):
                     duration / outputs, span.states[:, : int(good.argmin())], span.work
                 )
             return span
+        scale = state_scale(self._equation, state, held, self._frequency)
+        taut = self._switches.taut(state, held)
+        slope = self._slope(state, held, taut)[0].copy()
+        steps = steps_of(slope, scale, self._frequency, duration, self._is_shortened)
+        step, longest = map(float, steps)
+        allowed = self.tolerance * scale
         states = np.empty((outputs, self._equation.states))
         trace = Trace() if self.traces else None
         given = _Given(held, duration, duration / outputs, longest, allowed, states, trace)
         return self._advance(given, _Motion(state, slope, taut, step), report)
 
-    def _has_changed(self, held: FloatArray) -> Any:
-        """Return which inputs, (K, inputs), differ so much that the frequency is found again."""
-        if self._held is None:
-            return np.ones(len(held), dtype=bool)
-        return have_changed(held[:, : self._equation.layout.strings], self._held)
-
     def advance_spans(self, state: FloatArray, given: SpanInputs) -> list[Span]:
         """See :meth:`Integrator.advance_spans`."""
-        changed = np.append(self._has_changed(given.held), True)
-        count = int(changed.argmax())
-        if self._core is None or not count:
+        if self._core is None or self._held is None:
             return []
+        of_strings = given.held[:, : self._equation.layout.strings]
+        count = int(np.append(have_changed(of_strings, self._held), True).argmax())
+        if not count:
+            return []
+        return spans_in_core(
+            self._core, state, given.first(count), self._settings(0.0, 0), lambda p, _: work_of(p),
+            self._rules(),
+        )  # fmt: skip
+
+    def _settings(self, duration: float, outputs: int) -> Settings:
+        """Return the settings of a span in the core."""
+        room = room_for(self._equation.states) if self.keeps_steps or self.traces else 0
+        return settings_of(
+            "dop853", duration, outputs, self._project, limit=self.limit, room=room,
+            traces=self.traces,
+        )  # fmt: skip
+
+    def _rules(self) -> Spans:
+        """Return by what the core finds steps, and what they may err."""
         stable, whole, first = _STEP_RULES[self._is_shortened]
         length, mass = length_and_mass(self._equation)
-        spans = Spans(
+        return Spans(
             tolerance=self.tolerance, length=length, mass=mass, frequency=self._frequency,
             first=first, whole=whole, stable=stable,
         )  # fmt: skip
-        room = room_for(len(state)) if self.keeps_steps or self.traces else 0
-        settings = settings_of(
-            "dop853", 0.0, 0, self._project, limit=self.limit, room=room, traces=self.traces
-        )
-        given = given.first(count)
-        return spans_in_core(self._core, state, given, settings, lambda p, _: work_of(p), spans)
 
     def _advance(self, span: _Given, now: _Motion, report: Report | None) -> Span:
         """Return the states at the outputs of a span."""

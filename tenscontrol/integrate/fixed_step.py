@@ -245,7 +245,7 @@ class RK4(FixedStep):
         settings = settings_of("rk4", duration, outputs, self._project, step=self.step)
         if self.traces or (self.keeps_steps and inner > 1):
             settings.room, settings.traces = room_for(len(state)), self.traces
-        motion = CoreMotion(scene, state, held, settings, scene.taut(state, held))
+        motion = CoreMotion(scene, state, held, settings)
         work = partial(_work_in_core, step=step)
 
         def failure(motion: CoreMotion) -> IntegrationError:

@@ -304,7 +304,7 @@ class Integrator(ABC):
             validation.positive_number("duration", duration, "s"),
             validation.whole_number("outputs", outputs, 1, int(_MOST_NUMBERS / max(size, 1))),
         )
-        if not (np.abs(checked[0]) <= validation.LARGEST).all():
+        if not validation.is_bounded(checked[0]):
             nothing = Span(np.empty((size, 0)), Work())
             raise IntegrationError(
                 f"the state has run away, beyond {validation.LARGEST:g}", 0.0, nothing
@@ -395,7 +395,7 @@ def state_scale(
         return 1 + np.abs(state)
     core = core_scene(equation)
     if core is not None:
-        return scale_under(equation, state, core.begin(state, held)[2], frequency)
+        return scale_under(equation, state, core.largest_force(state, held), frequency)
     q, v = np.split(state, 2)
     taut = _shared(equation, "gap", lambda: equation.gap)(state, held)[0] > 0
     on_free = _shared(equation, "force", lambda: force)(q, v, held, taut)[0]

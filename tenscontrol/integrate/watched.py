@@ -125,7 +125,8 @@ class Watched(Integrator):
         report: Report | None = None,
     ) -> Span:
         """See :meth:`Integrator.advance`."""
-        state, held, duration, outputs = self._checked(state, held, duration, outputs, report)
+        duration = validation.positive_number("duration", duration, "s")
+        outputs = validation.whole_number("outputs", outputs, 1)
         if self._is_over:  # a part of the motion again
             method, _ = self._method(self._at_work)
             method.limit = np.inf

@@ -15,7 +15,7 @@ from tenscontrol.simulation.contacts import ContactRecord, record_contacts
 from tenscontrol.simulation.control_record import ControlRecord
 from tenscontrol.simulation.dense_motion import DenseMotion, States
 from tenscontrol.simulation.health import ERROR_LIMIT, HealthLimits
-from tenscontrol.simulation.motion_functions import MotionFunctions
+from tenscontrol.simulation.motion_functions import MotionFunctions, read_only
 from tenscontrol.simulation.plant_run import PlantRun
 from tenscontrol.simulation.strut_record import recorded_struts
 from tenscontrol.simulation.trajectory import Trajectory
@@ -40,11 +40,10 @@ def assembled(
     trajectory says of its arguments, ``scene`` what it is a motion of, ``errors`` those of
     :func:`estimated_errors`, ``done`` what drives of bars did.
     """
-    model, structure, forces = run.model, run.model.structure, run.model.forces(run.input)
+    model, structure, forces = run.model, run.model.structure, run.equation.forces
+    assert forces is not None  # a model has some
     time = np.concatenate([span.time for span in run.spans])
-    released = np.repeat(
-        [span.released for span in run.spans], [len(span.time) for span in run.spans]
-    )
+    released = np.concatenate([np.full(len(span.time), span.released) for span in run.spans])
     nodes, velocities = run.all_motion()
     inputs = run.all_values(run.string_rows)
     load = _load(run)
@@ -60,7 +59,7 @@ def assembled(
         struts = recorded_struts(run, done, off, functions, (nodes, velocities))
     trajectory = Trajectory(
         structure=structure,
-        time=frozen(time),
+        time=read_only(time),
         nodes=nodes,
         velocities=velocities,
         rest_length=inputs if run.input == "rest_length" else None,
@@ -74,7 +73,7 @@ def assembled(
         stopped=stopped,
         error=None if errors is None else frozen(errors[0]),
         error_limit=limits.position_error or ERROR_LIMIT,
-        released_energy=frozen(released),
+        released_energy=read_only(released),
         falls=free and contacts is None and float(model.constant_force[-1].sum()) < 0,
         contacts=contacts,
         struts=struts,

@@ -506,7 +506,8 @@ class PlantRun:
     def all_values(self, rows: slice, order: int = 0) -> FloatArray:
         """Return some of the inputs at all times kept, or their rates, read-only."""
         one = self.spans[0].coefficients
-        if not (order or one[rows, 1:].any()) and all(
+        is_held = not order and (one.shape[1] == 1 or not one[rows, 1:].any())
+        if is_held and all(
             span.coefficients is one or np.array_equal(span.coefficients[rows], one[rows])
             for span in self.spans
         ):  # one column, read at all times

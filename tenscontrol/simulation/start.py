@@ -102,11 +102,19 @@ def initial_state(
     if bars is not None:
         lengths = bars.at(now)
         return _checked_state(model, nodes, velocities, input, held, measured, (bars, lengths))
-    if nodes is None and velocities is None:  # depends on nothing but the model
-        key = "state at rest", input
-        build = lambda: frozen(_checked_state(model, None, None, input, None, True)[0])  # noqa: E731
-        return model.prepared.get(key, build), None
+    if nodes is None and velocities is None:
+        return _state_at_rest(model, input), None
     return _checked_state(model, nodes, velocities, input, held, measured)
+
+
+def _state_at_rest(model: Model, input: str) -> FloatArray:
+    """Return the state at rest in the shape of the structure, which depends on the model alone."""
+
+    def build() -> FloatArray:
+        nodes = model.structure.nodes
+        return frozen(_checked_state(model, nodes, np.zeros_like(nodes), input, None, True)[0])
+
+    return model.prepared.get(("state at rest", input), build)
 
 
 def _checked_state(
@@ -122,19 +130,15 @@ def _checked_state(
     true = structure.bar_length if driven is None else driven[1]
     N = structure.nodes if nodes is None else nodes
     V = np.zeros_like(N) if velocities is None else velocities
-    bars = member_vectors(N, structure.bars)
-    length = np.linalg.norm(bars, axis=0)
-    off = float(np.abs(length / true - 1).max(initial=0.0))
-    if off > (MEASURED if measured else _PROJECTED):
-        if driven is not None:
-            _refuse_other_lengths("nodes", length, true)
-        refuse_wrong_bar_lengths("nodes", structure, N)
-    refuse_moved_supports("nodes", structure, N)
-    if V.ravel(order="F")[structure.fixed_rows].any():
-        _refuse_moving_supports(structure, V)
-    if input == "rest_length":
-        refuse_strings_without_length("nodes", structure, N)
+    bars, off = member_vectors(N, structure.bars), 0.0
     state = pack_state(structure, N, V)
+    if nodes is None and driven is None:
+        half = len(state) // 2
+        state[:half] = _state_at_rest(model, input)[:half]
+    else:
+        off = _checked_shape(structure, N, bars, input, measured, None if driven is None else true)
+    if len(structure.fixed_rows) and V.ravel(order="F")[structure.fixed_rows].any():
+        _refuse_moving_supports(structure, V)
     along = (bars * member_vectors(V, structure.bars)).sum(axis=0)
     stretching = np.abs(along) / true
     if driven is not None:
@@ -168,6 +172,26 @@ def _checked_state(
         f"bars made rigid: off by {off:.1e} of their length, stretching at {worst:.1e} m/s; nodes "
         f"moved by up to {moved[:half].max():.1e} m and {moved[half:].max():.1e} m/s along an axis"
     )
+
+
+def _checked_shape(
+    structure: Structure, nodes: FloatArray, bars: FloatArray, input: str, measured: bool,
+    driven: FloatArray | None,
+) -> float:  # fmt: skip
+    """Return by which part of its length a bar is off at most, after checks of a shape.
+
+    ``bars`` are the vectors along them, ``driven`` their lengths where those are driven.
+    """
+    true, length = structure.bar_length if driven is None else driven, np.linalg.norm(bars, axis=0)
+    off = float(np.abs(length / true - 1).max(initial=0.0))
+    if off > (MEASURED if measured else _PROJECTED):
+        if driven is not None:
+            _refuse_other_lengths("nodes", length, true)
+        refuse_wrong_bar_lengths("nodes", structure, nodes)
+    refuse_moved_supports("nodes", structure, nodes)
+    if input == "rest_length":
+        refuse_strings_without_length("nodes", structure, nodes)
+    return off
 
 
 def _refuse_moving_supports(structure: Structure, velocities: FloatArray) -> None:

@@ -204,7 +204,7 @@ class _Intervals:
         """Return the intervals between states."""
         rates = None if velocities is None else (velocities[:, :, :-1], velocities[:, :, 1:])
         moves, follows = (nodes[:, :, :-1], nodes[:, :, 1:]), np.arange(len(time) - 1) > 0
-        return cls(time[:-1], np.diff(time), moves, rates, follows, origin)
+        return cls(time[:-1], time[1:] - time[:-1], moves, rates, follows, origin)
 
     @classmethod
     def joined(cls, motions: list[_Intervals]) -> _Intervals:
@@ -289,6 +289,9 @@ class _Intervals:
                 len(ends), *pointers(ends), c_double(_FASTER), c_int64(room),
                 *pointers(near, speed, work),
             )  # fmt: skip
+            if not count:  # as a rule
+                none = np.zeros(0, dtype=int)
+                return none, none, speed
             if count <= room:
                 p, k = near[:count].T.astype(int)
                 return p, k, self._strays(speed)

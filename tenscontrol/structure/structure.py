@@ -617,7 +617,8 @@ class Structure(Viewable):
 
 def member_vectors(nodes: FloatArray, pairs: IntArray) -> FloatArray:
     """Return the vectors between pairs of nodes (d, n, ...), (d, pairs, ...), from start to end."""
-    return np.asarray(nodes[:, pairs[:, 1]] - nodes[:, pairs[:, 0]])
+    ends = nodes.take(pairs, axis=1)
+    return np.asarray(ends[:, :, 1] - ends[:, :, 0])
 
 
 def same_members(one: Structure, other: Structure | None, feet: IntArray | tuple[()] = ()) -> bool:
