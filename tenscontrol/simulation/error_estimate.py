@@ -26,8 +26,9 @@ _TIGHTER, _SAFETY, _LOOSER = 0.1, 2.0, 8.0
 # A tenth of so tight a tolerance is lost in round-off: ten times it is taken.
 _TIGHT = 1e-12
 
-# Of a span with more outputs, the motion found again is looked at as often as this.
-_LOOKED_AT = 128
+# The motion found again is looked at at all outputs, as a state between two steps may be less accurate
+# than both: of a large structure at this many at least, and of so many numbers at most.
+_LOOKED_AT, _NUMBERS = 128, 2_000_000
 
 # Parts of the time in which an estimate is at least that in the part before.
 _WINDOWS = 20
@@ -374,9 +375,10 @@ class Motion:
     def _strides(self, stage: Stage, factor: float) -> list[tuple[int, int]]:
         if self.setting == "step":
             return stage.strides(self.value, factor)
-        # Outputs may limit the steps of a tolerance; of many, some tell as much.
+        # Outputs may limit the steps of a tolerance.
         is_close = factor > 1 or stage.work is not None
-        every = 2 if is_close else max(1, stage.outputs // _LOOKED_AT)
+        most = max(_LOOKED_AT, _NUMBERS // len(self.rows))
+        every = 2 if is_close else ceil(stage.outputs / most)
         return stage.strides(stage.spacing, every)
 
     def _difference(self, other: Path) -> FloatArray:

@@ -77,6 +77,19 @@ def test_the_estimate_with_a_tolerance_is_near_the_error(example, method, tolera
     assert 0.5 < run.error.max() / off(run, exact).max() < 8
 
 
+def test_states_between_steps_are_estimated_too():
+    """Damping takes errors of steps away, and leaves those of states between them."""
+    prism = tc.prism()
+    model = tc.Model(prism, strings=tc.LinearStrings(1000.0, damping=20.0))
+    gamma = np.repeat([17.3205, 17.3205, 9.0], 3)
+    given = {"rest_length": tc.to_rest_length(model, prism.nodes, gamma).rest_length}
+    exact = tc.simulate(model, 5.0, **given, method="dop853", tolerance=1e-12, error="none")
+    run = tc.simulate(model, 5.0, **given, method="dop853", tolerance=1e-4)
+    true = off(run, exact)
+    assert true.max() > 100 * true[-1]
+    assert (true <= np.maximum(3 * run.error, 1e-9)).all()
+
+
 def test_a_motion_that_magnifies_errors_says_until_when_it_is_right():
     """A ball pulled out of shape turns over and over; strings fall slack."""
     ball = tc.library.six_bar_ball()
