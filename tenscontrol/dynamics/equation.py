@@ -89,8 +89,12 @@ class InputLayout:
         return columns
 
     def later(self, u: FloatArray, time: float) -> FloatArray:
-        """Return u that begins a time later, in numbers."""
-        return np.append(u[:-1], u[-1] + time) if self.degree else u
+        """Return u, shape (..., inputs), that begins a time later, in numbers."""
+        if not self.degree:
+            return u
+        later = u.copy()
+        later[..., -1] += time
+        return later
 
     def packed(self, coefficients: FloatArray, time: float) -> FloatArray:
         """Return u of coefficients of ascending powers, shape (count, degree + 1), at a time."""

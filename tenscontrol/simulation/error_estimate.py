@@ -113,7 +113,7 @@ def _steps(time: float, step: float) -> int:
 
 def _joined(parts: Sequence[FloatArray]) -> FloatArray:
     """Return arrays beside one another; one alone is not copied."""
-    return parts[0] if len(parts) == 1 else np.hstack(parts)
+    return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1)
 
 
 def _common(one: IntArray, other: IntArray) -> IntArray:
@@ -128,7 +128,7 @@ class Path:
     ----------
     columns : ndarray of int, shape (k,)
         Outputs, counted from 0 over all stages, ascending.
-    positions : ndarray, shape (coordinates, k)
+    positions : ndarray, shape (coordinates, k) or (runs, coordinates, k)
         m.
     switches : int
         How often strings or contacts switched, as far as it is known.
@@ -143,7 +143,7 @@ class Path:
 
     def at(self, columns: IntArray) -> FloatArray:
         """Return the positions at outputs that are among its own."""
-        return self.positions[:, np.searchsorted(self.columns, columns)]
+        return self.positions[..., np.searchsorted(self.columns, columns)]
 
     def work_at(self, columns: IntArray) -> FloatArray:
         """Return the work at outputs that are among its own, of no bars where none is driven."""
@@ -211,6 +211,14 @@ class Motion:
             error = np.asarray(np.minimum(error, self._added(self.starts)))
         return self._without_dips(error)
 
+    def errors_by_tolerance(self) -> FloatArray:
+        """Return the errors of several runs with a tolerance, one a row.
+
+        Starts, positions, inputs of stages, and states that the integrator takes and returns then
+        have a first axis of runs. Not finite at the end where another run has to be looked for.
+        """
+        return self._without_dips(self._by_tolerance())
+
     def _without_dips(self, error: FloatArray) -> FloatArray:
         """Return estimates that are at least those of just before: motions may meet for once."""
         ends = np.cumsum([stage.length for stage in self.stages])
@@ -243,11 +251,10 @@ class Motion:
         if self.setting == "tolerance":
             if self.order <= 2:
                 return self._difference(self._again(_LOOSER))
-            if self.value > _TIGHT:
-                error = _SAFETY * self._difference(self._again(_TIGHTER))
-                if np.isfinite(error[0, -1]):
-                    return error
-            return self._difference(self._again(1 / _TIGHTER))
+            error = self._by_tolerance()
+            if self.value > _TIGHT and not np.isfinite(error[0, -1]):
+                return self._difference(self._again(1 / _TIGHTER))
+            return error
         steps, fewer = (sum(stage.steps(self.value, f) for stage in self.stages) for f in (1, 2))
         if fewer > _FEWER * steps:  # inputs change with each step
             return _SAFETY * self._difference(self._again(0.5))
@@ -264,6 +271,12 @@ class Motion:
             if _CLEARLY * float(finer[0].max()) < limit:
                 return finer
         return error
+
+    def _by_tolerance(self) -> FloatArray:
+        """Return the error by a motion with a tenth of the tolerance, if that can be had."""
+        if self.value > _TIGHT:
+            return _SAFETY * self._difference(self._again(_TIGHTER))
+        return self._difference(self._again(1 / _TIGHTER))
 
     def _added(self, starts: FloatArray) -> FloatArray:
         """Return the errors made in the stages, each from the state at its beginning, added up.
@@ -343,7 +356,7 @@ class Motion:
                     span = integrator.advance(state, inputs, some * time, some)
                 except IntegrationError as error:
                     span = error.span
-                reached = span.states.shape[1]
+                reached = span.states.shape[-1]
                 if stage.work is not None and reached:
                     times = passed * stage.spacing + time * np.arange(reached + 1)
                     states = np.column_stack([state, span.states])
@@ -352,11 +365,11 @@ class Motion:
                 if self.report is not None:
                     self.report(now)
                 columns.append(first + passed - 1 + every * np.arange(1, reached + 1))
-                positions.append(span.states[self.rows])
+                positions.append(span.states[..., self.rows, :])
                 switches += span.work.switches + span.work.missed
                 passed += every * some
                 left = left - some * time if reached == some else 0.0
-                state = span.states[:, -1] if reached else state
+                state = span.states[..., -1] if reached else state
             first += stage.outputs
         if done:
             of_work = np.hstack(done).cumsum(axis=1)
@@ -387,7 +400,7 @@ class Motion:
         At one that the other does not have, it is the larger of those beside.
         """
         columns = _common(self.path.columns, other.columns)
-        off = self._distance(self.path.at(columns), other.at(columns))[None]
+        off = np.atleast_2d(self._distance(self.path.at(columns), other.at(columns)))
         if self.path.work is not None:
             work = np.abs(self.path.work_at(columns) - other.work_at(columns))
             off = np.vstack([off, work])
@@ -401,8 +414,8 @@ class Motion:
     def _distance(self, one: FloatArray, other: FloatArray) -> FloatArray:
         """Return the largest distance of a node between positions, as part of the size."""
         with np.errstate(over="ignore", invalid="ignore"):
-            squares = np.add.reduceat((one - other) ** 2, self._first_of_nodes)
-            apart = np.sqrt(squares.max(axis=0))
+            squares = np.add.reduceat((one - other) ** 2, self._first_of_nodes, axis=-2)
+            apart = np.sqrt(squares.max(axis=-2))
         return np.where(np.isfinite(apart), apart / self._size, np.inf)
 
     @cached_property

@@ -8,6 +8,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import replace
 from functools import partial
 from threading import local
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -37,7 +38,7 @@ from tenscontrol.properties import cached_property
 from tenscontrol.simulation.arguments import Arguments
 from tenscontrol.simulation.batch.batch_inputs import BatchInputs, InputSpan
 from tenscontrol.simulation.batch.compiled_loop import MOST_CONTROLLERS, CompiledLoops
-from tenscontrol.simulation.batch.sample import Sample, SampledRun
+from tenscontrol.simulation.batch.sample import Sample, SampledRun, TightenedRuns
 from tenscontrol.simulation.error_estimate import Motion, Path, Resolved, Stage
 from tenscontrol.simulation.health import ERROR_LIMIT
 from tenscontrol.simulation.motion_functions import MotionFunctions, by_node
@@ -259,6 +260,7 @@ class Runner:
         def estimate(some: IntArray) -> int:
             first, last = int(some.min()), int(some.max()) + 1
             starts = self.scene.states(first, last)[0][some - first]
+            self._errors |= self._errors_by_tolerance(some, starts)
             resolved = self._again_at_once(some, starts)
             for run, start in zip(some.tolist(), starts, strict=True):
                 if self._stop.value:
@@ -280,21 +282,30 @@ class Runner:
     def _again_at_once(
         self, runs: IntArray, starts: FloatArray
     ) -> Callable[[int, float], Resolved]:
-        """Return what integrates runs of a sample again: at once what was integrated so."""
-        in_lanes = np.setdiff1d(runs, list(self._work))
-        if self._lanes is None or len(self.spans) > 1 or not len(in_lanes):
+        """Return what integrates runs of a sample again: at once those in fixed steps."""
+        if not isinstance(self._lanes, FixedStepLanes) or len(self.spans) > 1:
             return self._resolved
-        first, last = int(runs.min()), int(runs.max()) + 1
-        states = starts[np.searchsorted(runs, in_lanes)]
-        held = _rows(self.scene.held_inputs(first, last, self.spans[0], False), in_lanes - first)
-        sample = Sample(self._lanes, in_lanes, states, held, self._resolved, self._stop)
+        held = self._inputs_of(runs, 0)
+        return partial(
+            SampledRun, Sample(self._lanes, runs, starts, held, self._resolved, self._stop)
+        )
 
-        def resolved(run: int, value: float) -> Resolved:
-            return (self._resolved if run in self._work else partial(SampledRun, sample))(
-                run, value
-            )
-
-        return resolved
+    def _errors_by_tolerance(self, runs: IntArray, starts: FloatArray) -> dict[int, FloatArray]:
+        """Return :meth:`error` of those of a sample that lanes find by a tolerance at once."""
+        lanes = self._lanes
+        in_lanes = np.setdiff1d(runs, [*self._work, *self._errors])
+        if not isinstance(lanes, AdaptiveLanes) or not len(in_lanes):
+            return {}
+        motion = self._motion(
+            in_lanes, starts[np.searchsorted(runs, in_lanes)],
+            [self._inputs_of(in_lanes, number) for number in range(len(self.spans))],
+            partial(TightenedRuns, lanes, in_lanes, self._stop),
+        )  # fmt: skip
+        errors = np.pad(motion.errors_by_tolerance(), ((0, 0), (1, 0)))
+        # Under a controller errors above the limit are those of the stages, added up.
+        most = np.inf if self.command is None else ERROR_LIMIT
+        is_known = np.isfinite(errors[:, -1]) & (errors.max(axis=1) <= most)
+        return dict(zip(in_lanes[is_known].tolist(), errors[is_known], strict=True))
 
     def _in_threads(
         self, threads: int, calls: Iterator[Callable[[], int]], report: Callable[[int], None]
@@ -456,10 +467,18 @@ class Runner:
 
     def _inputs(self, run: int, number: int) -> FloatArray:
         """Return the inputs of a run in a span, with the commands that it had."""
-        held: FloatArray = self.scene.held_inputs(run, run + 1, self.spans[number], self._shares)[0]
+        inputs: FloatArray = self._inputs_of(np.array([run]), number)[0]
+        return inputs
+
+    def _inputs_of(self, runs: IntArray, number: int) -> FloatArray:
+        """Return the same of some runs, shape (1 or runs, inputs)."""
+        first, last = int(runs.min()), int(runs.max()) + 1
+        held = self.scene.held_inputs(first, last, self.spans[number], self._shares)
+        held = _rows(held, runs - first)
         if self.command is not None:
-            command = self.command[run, :, number]
-            held[: len(command)] = command
+            commands = self.command[runs, :, number]
+            held = np.broadcast_to(held, (len(runs), held.shape[1])).copy()
+            held[:, : commands.shape[1]] = commands
         return held
 
     def _one_by_one(
@@ -666,28 +685,48 @@ class Runner:
     def _estimated_error(
         self, run: int, start: FloatArray, resolved: Callable[[int, float], Resolved]
     ) -> FloatArray:
-        structure, stages = self.scene.model.structure, []
-        for number, span in enumerate(self.spans):
-            stages.append(Stage(span.length, span.outputs, self._inputs(run, number)))
+        inputs = [self._inputs(run, number) for number in range(len(self.spans))]
+        motion = self._motion(run, start, inputs, partial(resolved, run))
+        return np.concatenate([[0.0], motion.estimated_error(ERROR_LIMIT)])
+
+    def _motion(
+        self, run: Any, start: FloatArray, inputs: list[FloatArray],
+        integrator: Callable[[float], Resolved],
+    ) -> Motion:  # fmt: skip
+        """Return the motion of a run by its number, or those of several, to be found again.
+
+        ``start`` and the inputs of each span have a first axis of runs for several.
+        """
+        structure = self.scene.model.structure
+        stages = [
+            Stage(span.length, span.outputs, held)
+            for span, held in zip(self.spans, inputs, strict=True)
+        ]
         columns = np.arange(sum(span.outputs for span in self.spans))
         if self._ends_alone:
             columns = columns[-1:]
         is_known = self._from >= 0
-        positions = by_node(self.nodes[run])[is_known, 1:]
-        starts = None
-        whole = len(self.kept) == structure.nodes.shape[1]
-        if self.command is not None and whole and not self._ends_alone:
-            first = np.cumsum([0, *(span.outputs for span in self.spans[:-1])])
-            halves = (by_node(history[run])[:, first] for history in (self.nodes, self.velocities))
-            starts = np.vstack([array[structure.free_rows] for array in halves])
-        motion = Motion(
-            structure, start, stages,
-            Path(columns, positions, int(self.switches[run] + self.missed[run])),
-            self._from[is_known], self.choice.setting, self.choice.value,
-            (self.how.chosen or METHODS[self._methods_of(run)[-1]]).order,
-            partial(resolved, run), self._later, starts,
+        nodes = self.nodes[run].swapaxes(-3, -2)
+        positions = nodes.reshape(*nodes.shape[:-3], -1, nodes.shape[-1])[..., is_known, 1:]
+        starts, switches, order = None, 0, METHODS["dop853"].order
+        if np.ndim(run) == 0:
+            switches = int(self.switches[run] + self.missed[run])
+            order = (self.how.chosen or METHODS[self._methods_of(run)[-1]]).order
+            starts = self._starts_of_spans(run)
+        return Motion(
+            structure, start, stages, Path(columns, positions, switches), self._from[is_known],
+            self.choice.setting, self.choice.value, order, integrator, self._later, starts,
         )  # fmt: skip
-        return np.concatenate([[0.0], motion.estimated_error(ERROR_LIMIT)])
+
+    def _starts_of_spans(self, run: int) -> FloatArray | None:
+        """Return the states at which a controller corrects a run, one a column, if all are kept."""
+        structure = self.scene.model.structure
+        whole = len(self.kept) == structure.nodes.shape[1]
+        if self.command is None or not whole or self._ends_alone:
+            return None
+        first = np.cumsum([0, *(span.outputs for span in self.spans[:-1])])
+        halves = (by_node(history[run])[:, first] for history in (self.nodes, self.velocities))
+        return np.vstack([array[structure.free_rows] for array in halves])
 
     @cached_property
     def _later(self) -> Callable[[FloatArray, float], FloatArray]:
