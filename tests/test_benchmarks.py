@@ -329,10 +329,11 @@ def test_nmpc_large(printed, nothing_compiled):
             assert found[name][5] == pytest.approx(1.0, abs=1e-3)
 
 
-def test_nmpc_commits(printed):
-    text = printed("nmpc_commits", "--old . --starts 1 --back_ends interpreted")
-    assert "interpreted: virtual machine and virtual machine, 24 samples each" in text
-    assert "closed-loop costs agree to 0.0e+00" in text
+def test_mpc_commits(printed):
+    case = "--kinds NMPC --structures prism --inputs forces --horizons 3"
+    text = printed("mpc_commits", f"{case} --starts 1 --samples 3 --interpreted")
+    assert "NMPC, prism, forces, 3 samples: 18 states, 9 inputs; cost 1.000000" in text
+    assert row(text, "  prepare()  median")[0] > 0
 
 
 @needs_compiler

@@ -5,25 +5,15 @@ the prism is moved to a new height (no bound active) and recovers from a push (b
 Then MPC by winches on a tower of prisms, along the stages: processor time and growth of memory of
 its making, and times of commands: the first, those until 0.2 s after pushes that make
 limits active, and the others.
-
-With ``--other FOLDER``, another checkout of the project, whole commands of the two are timed in
-processes that take turns: of the prism and of a ball of six bars, by force densities and by
-winches, that recover from pushes.
 """
 
 from __future__ import annotations
 
-import json
-import os
 import resource
-import subprocess
-import sys
-import warnings
 from collections.abc import Sequence
 from time import process_time
 
 import numpy as np
-from scipy.linalg import expm
 
 import tenscontrol as tc
 from tenscontrol.demo import tour as demo
@@ -40,19 +30,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         arguments,
         duration=4.0,
         lengths=LENGTHS,
-        other="",
-        worker="",
-        rounds=3,
         tower=5,
         horizon=20,
         push=0.002,
     )
-    if given.worker:
-        print(json.dumps(commands(given.worker)))
-        return
-    if given.other:
-        against(given.other, given.rounds)
-        return
     scenes = {
         "ramp": scene(push=0.01, target=0.85, duration=given.duration),
         "push": scene(push=0.1, target=1.0, duration=given.duration),
@@ -136,67 +117,6 @@ def recovery(plant, mpc, push):
         off = mpc.command(*found[-1]).value - plant.equilibrium_input
         state = transition @ state + by_input @ off
     return found
-
-
-def against(other, rounds):
-    """Print times of whole commands here against those of another checkout."""
-    here = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
-    print("processor time of a whole command, of this checkout and the other in turn")
-    print("  scene                    median  / other's  p99 / median")
-    for name in SCENES:
-        times = {here: [], other: []}
-        for _ in range(rounds):
-            for folder, found in times.items():
-                environment = {**os.environ, "PYTHONPATH": folder}
-                run = subprocess.run(
-                    [sys.executable, os.path.abspath(__file__), "--worker", name],
-                    cwd=folder, env=environment, capture_output=True, text=True, check=True,
-                )  # fmt: skip
-                found += json.loads(run.stdout)
-        median, late = np.median(times[here]), np.percentile(times[here], 99)
-        ratio = median / np.median(times[other])
-        print(f"  {name:22s} {1e3 * median:6.3f} ms {ratio:10.3f} {late / median:13.2f}")
-
-
-SCENES = ("prism, forces", "prism, winches", "ball, forces", "ball, winches")
-
-
-def commands(name):
-    """Return times of commands, s, along the motion of a closed loop; of the public names alone."""
-    body, by = name.split(", ")
-    structure = tc.prism() if body == "prism" else tc.library.six_bar_ball(bar_length=1.0)
-    rest = tc.prestress(structure, force_density=20.0)
-    model = tc.Model(structure, strings=tc.LinearStrings(stiffness=1e3))
-    given = {"horizon": 20, "sample_time": demo.SAMPLE}
-    if by == "winches":
-        plant = tc.linearize(model, rest, input="rest_length")
-        given["winches"] = tc.Winches(rate=0.3)
-    else:
-        plant = tc.linearize(tc.Model(structure), rest)
-        given |= {"max_force_density": 1.1 * float(plant.force_density.max()), "R": 1e-3}
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        mpc = tc.MPC(plant, **given)
-    r, rng, times = plant.degrees_of_freedom, np.random.default_rng(0), []
-    size = 0.003 if by == "winches" else 0.01
-    transition = expm(demo.SAMPLE * np.block([[plant.A, plant.B], [np.zeros((plant.B.shape[1],
-                      sum(plant.B.shape)))]]))  # fmt: skip
-    for start in range(4):
-        mpc.reset()
-        state = size * rng.normal(size=2 * r)
-        for k in range(60):
-            nodes = plant.to_nodes(state[:r])
-            speeds = (plant.basis @ state[r:]).reshape(nodes.shape, order="F")
-            began = process_time()
-            command = mpc.command(demo.SAMPLE * k, nodes, speeds)
-            times.append(process_time() - began)
-            if command.status != "ok":
-                raise SystemExit(f"a program was not solved: {command}")
-            off = command.value - plant.equilibrium_input
-            state = (transition @ np.concatenate([state, off]))[: 2 * r]
-        if start == 0:
-            times.clear()  # warms up
-    return times
 
 
 def scene(push, target, duration):
