@@ -3,9 +3,10 @@
 Run: ``python -m tests.benchmarks.mpc_commits --old PYTHON``, with the interpreter of the other
 installation: another commit, or one without the core. Each case has a process in either, and they
 take turns: the same closed loops with their own prediction, pushed at the start and in every
-sample. Printed are the times of the processor here, and their ratios to those there, by
-percentiles: of ``prepare()``, of the command after it, and of both. "Making" is the time from the
-plant to the controller. Costs are those of all loops, here over there.
+sample. Each loop is repeated, and of each sample the shortest time counts. Printed are the times
+of the processor here, and their ratios to those there, by percentiles over samples: of
+``prepare()``, of the command after it, and of both. "Making" is the time from the plant to the
+controller. Costs are those of all loops, here over there.
 """
 
 from __future__ import annotations
@@ -88,8 +89,8 @@ class Installation:
             stdin=subprocess.PIPE, stdout=subprocess.PIPE,
         )  # fmt: skip
         self.making, self.states, self.inputs = self._answer()
-        self.cost = 0.0
-        self.times: list[tuple[float, float]] = []
+        self.costs: dict[int, float] = {}
+        self.times: dict[int, np.ndarray] = {}
 
     def _answer(self) -> list:
         assert self._process.stdout is not None
@@ -103,9 +104,8 @@ class Installation:
         self._process.stdin.write(json.dumps([seed, samples]) + "\n")
         self._process.stdin.flush()
         cost, times = self._answer()
-        self.cost += cost
-        if seed:  # the first warms up
-            self.times += times
+        self.costs[seed] = cost
+        self.times[seed] = np.minimum(times, self.times.get(seed, np.inf))
 
     def end(self) -> None:
         self._process.communicate()
@@ -115,7 +115,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     given = options(
         __doc__, arguments, old=sys.executable, kinds=("MPC", "NMPC"),
         structures=tuple(STRUCTURES), inputs=("forces", "winches"), horizons=(10, 20, 40),
-        starts=5, samples=40, interpreted=False,
+        starts=3, samples=40, repeats=4, interpreted=False,
     )  # fmt: skip
     for kind in given.kinds:
         for name in given.structures:
@@ -129,17 +129,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def compare(label: str, case: Sequence[object], given) -> None:
     """Print the times of a case here, and over those of the other installation."""
     here, there = both = Installation(sys.executable, case), Installation(given.old, case)
-    for seed in range(given.starts + 1):
-        for installation in both if seed % 2 else both[::-1]:
-            installation.run(seed, given.samples)
+    for turn in range(given.repeats):
+        for seed in range(given.starts):
+            for installation in both if turn % 2 else both[::-1]:
+                installation.run(seed, given.samples)
     for installation in both:
         installation.end()
+    cost, other_cost = (sum(installation.costs.values()) for installation in both)
     print(
         f"{label}: {here.states} states, {here.inputs} inputs; "
-        f"cost {here.cost / there.cost:.6f}; "
+        f"cost {cost / other_cost:.6f}; "
         f"making {here.making:.2f} s, {here.making / there.making:.2f}"
     )
-    found, other = (1e3 * np.array(installation.times) for installation in both)
+    found, other = (1e3 * np.vstack([*installation.times.values()]) for installation in both)
     rows = {"command": (found[:, 1], other[:, 1])}
     if case[2] == "NMPC":
         rows["prepare()"] = found[:, 0], other[:, 0]
