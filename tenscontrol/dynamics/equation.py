@@ -11,7 +11,7 @@ import numpy as np
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics.contact_laws import Contacts
-from tenscontrol.dynamics.evaluator import Function, Prepared, builds, evaluate_columns
+from tenscontrol.dynamics.evaluator import Function, Prepared, evaluate_columns
 from tenscontrol.dynamics.forces import Forces
 from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.properties import cached_property
@@ -316,17 +316,6 @@ def free_accelerations(equation: Equation, states: FloatArray, u: FloatArray) ->
     accelerations = np.zeros((structure.nodes.size, states.shape[1]))
     accelerations[structure.free_rows] = slope[len(states) // 2 :]
     return accelerations
-
-
-@builds
-def smooth_equation(slope: ca.Function) -> Equation:
-    """Return the equation of a smooth ``(x, u) -> xdot``, dense columns, without a structure."""
-    x, u = (ca.SX.sym(name, slope.size1_in(i)) for i, name in enumerate("xu"))
-    taut, none = ca.SX.sym("taut", 0), ca.SX(0, 1)
-    return Equation(
-        slope=Function("slope", [x, u, taut], [slope(x, u)]),
-        gap=Function("gap", [x, u], [none, none]),
-    )
 
 
 def in_time(

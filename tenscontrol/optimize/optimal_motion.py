@@ -565,7 +565,6 @@ class _Planner:
         self._guess = _with_inputs(guess, partial(inputs_of, limits.actuation))
         self._duration, self._time = duration, self._guess.duration
         self._end = MotionEnd(model, ends[1].structure.nodes, self._size, self._size / self._time)
-        self._tie = 0.0
         self._program = self._made()
         self._meshes = list[Mesh]()
         self._best: tuple[Solution, Trajectory | None, Mesh] | None = None

@@ -4,10 +4,20 @@ import casadi as ca
 import numpy as np
 
 import tenscontrol as tc
-from tenscontrol.dynamics.equation import pack_state
+from tenscontrol.dynamics.equation import Equation, pack_state
 from tenscontrol.dynamics.evaluator import Evaluator
 from tests.dynamics.scenes import paper_force_density, random_structure, rest_lengths
 from tests.oracle import HeldForceDensity, HeldRestLength, RigidBars
+
+
+def smooth_equation(slope):
+    """Return the equation of a smooth ``(x, u) -> xdot``, dense columns, without a structure."""
+    x, u = (ca.SX.sym(name, slope.size1_in(i)) for i, name in enumerate("xu"))
+    taut, none = ca.SX.sym("taut", 0), ca.SX(0, 1)
+    return Equation(
+        slope=ca.Function("slope", [x, u, taut], [slope(x, u)]),
+        gap=ca.Function("gap", [x, u], [none, none]),
+    )
 
 
 def march(step, x, u, h, count, taut=None):

@@ -6,10 +6,11 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.dynamics import Equation
-from tenscontrol.dynamics.equation import pack_state, smooth_equation, unpack_states
+from tenscontrol.dynamics.equation import pack_state, unpack_states
 from tenscontrol.integrate import IntegrationError
 from tenscontrol.integrate.cvodes import CVODES
 from tests.dynamics.scenes import paper_force_density, rest_lengths
+from tests.integrate.stepping import smooth_equation
 from tests.integrate.test_rk4 import explosion, oscillator
 from tests.oracle import HeldRestLength, RigidBars
 

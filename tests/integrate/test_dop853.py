@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.dynamics.equation import smooth_equation
 from tenscontrol.dynamics.evaluator import Evaluator
 from tenscontrol.integrate import CVODES, DOP853, RK4, EnergyMomentum, IntegrationError
 from tenscontrol.integrate.dop853 import _DormandPrince, _factors, _interpolant_error
 from tests.dynamics.scenes import paper_force_density, rest_lengths
+from tests.integrate.stepping import smooth_equation
 from tests.integrate.test_rk4 import explosion, oscillator
 from tests.oracle import HeldRestLength, RigidBars
 

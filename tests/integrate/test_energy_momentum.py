@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.dynamics.equation import pack_state, smooth_equation
+from tenscontrol.dynamics.equation import pack_state
 from tenscontrol.dynamics.evaluator import evaluate_columns
 from tenscontrol.integrate import DOP853, EnergyMomentum, IntegrationError
 from tenscontrol.integrate.energy_momentum import step_equations
@@ -18,6 +18,7 @@ from tests.dynamics.scenes import (
     rest_lengths,
     side_by_side,
 )
+from tests.integrate.stepping import smooth_equation
 from tests.integrate.test_rk4 import fitted_order, oscillator
 from tests.oracle import HeldForceDensity, HeldRestLength, RigidBars
 

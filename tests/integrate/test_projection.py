@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 import tenscontrol as tc
-from tenscontrol.dynamics.equation import pack_state, smooth_equation, unpack_states
+from tenscontrol.dynamics.equation import pack_state, unpack_states
 from tenscontrol.integrate.projection import project, projected
 from tests.dynamics.scenes import any_motion, paper_force_density, random_structure
 from tests.integrate.stepping import (
@@ -15,6 +15,7 @@ from tests.integrate.stepping import (
     moving,
     records,
     rk4,
+    smooth_equation,
     smooth_motion,
     supported_structure,
 )

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given, strategies as st
 
 import tenscontrol as tc
-from tenscontrol.dynamics.equation import smooth_equation
 from tenscontrol.integrate import RK4, IntegrationError
 from tests.dynamics.scenes import paper_force_density, rest_lengths
+from tests.integrate.stepping import smooth_equation
 from tests.oracle import HeldForceDensity, HeldRestLength, RigidBars
 
 STEPS = np.array([8e-3, 4e-3, 2e-3, 1e-3])

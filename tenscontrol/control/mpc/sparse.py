@@ -73,8 +73,6 @@ class LimitRows:
 
         self._problem, self.level = problem, problem.level
         N, count = problem.length, len(problem.low)
-        # The rows of the first change, which the previous input moves.
-        self.first_change = None if problem.change is None else slice(N * count, (N + 1) * count)
         now, earlier = identity(N), eye(N, k=-1)
         first = csc_array(([1.0], ([0], [0])), shape=(N, 1))
         soft = np.zeros(0, dtype=int) if problem.rows is None else problem.rows.soft
