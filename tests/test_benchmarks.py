@@ -329,9 +329,9 @@ def test_nmpc_large(printed, nothing_compiled):
             assert found[name][5] == pytest.approx(1.0, abs=1e-3)
 
 
-def test_mpc_commits(printed):
+def test_installations(printed):
     case = "--kinds NMPC --structures prism --inputs forces --horizons 3"
-    text = printed("mpc_commits", f"{case} --starts 1 --samples 3 --repeats 1 --interpreted")
+    text = printed("installations", f"{case} --starts 1 --samples 3 --repeats 1 --interpreted")
     assert "NMPC, prism, forces, 3 samples: 18 states, 9 inputs; cost 1.000000" in text
     assert row(text, "  prepare()  median")[0] > 0
 

@@ -62,11 +62,13 @@ EXPONENTS, FITTED = (1.0, 3.0), 4
 
 def main(arguments: Sequence[str] | None = None) -> None:
     given = options(
-        __doc__, arguments, stages=STAGES, whole=WHOLE, seconds=60.0, gigabytes=2.0, last="MPC step"
-    )
+        __doc__, arguments, structures=tuple(STRUCTURES), stages=STAGES, whole=WHOLE,
+        seconds=60.0, gigabytes=2.0, last="MPC step",
+    )  # fmt: skip
     budget = {"seconds": given.seconds, "memory": 1e9 * given.gigabytes}
     every = list(ROUTINES)
-    for what, (generate, last) in STRUCTURES.items():
+    for what in given.structures:
+        generate, last = STRUCTURES[what]
         names = every[: min(every.index(given.last), every.index(last)) + 1]
         print(f"{what}, members:")
         print(table(growth(generate, given.stages, names, budget)) + "\n")
