@@ -336,6 +336,16 @@ def test_installations(printed):
     assert row(text, "  prepare()  median")[0] > 0
 
 
+@pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="Linux alone tells the memory")
+def test_many_models(printed):
+    text = printed("many_models", "--count 12")
+    rows = np.array([list(map(float, line.split())) for line in text.splitlines()[1:]])
+    memory, mappings, files = rows[4:, 1:4].T  # the first ones import
+    assert np.ptp(memory) < 4.0  # MB
+    assert np.ptp(mappings) < 10
+    assert np.ptp(files) == 0
+
+
 @needs_compiler
 @pytest.mark.skipif(which("size") is None, reason="there is no program size")
 def test_deploy(printed):
@@ -532,12 +542,12 @@ def test_towers(printed, monkeypatch, jax_compiles_quickly):
     module = import_module("tests.benchmarks.towers")
     print_memory = module.print_memory  # each row is a process of its own
     monkeypatch.setattr(module, "print_memory", lambda stages, rows: print_memory(stages, rows[:1]))
-    text = printed("towers", "--stages 3 --errors 1e-3 --repeats 1 --steps 4e-3 5e-4")
+    text = printed("towers", "--stages 3 --errors 1e-3 --repeats 1 --steps 4e-3 5e-4 --tolerances 1e-6")
     assert "tower of 3 stages, 60 members, 55 switches" in text
     for program in beside("tenscontrol, default call", "NumPy RK4", "JAX RK4"):
         assert cheapest(text, program)[0][1] <= 1e-3
     for step in ("0.004", "0.0005"):
-        found, missed, of_all, error, estimate, naive = row(text, f"rk4, {step} s")
+        found, missed, of_all, error, estimate, naive = row(text, f"rk4, {step} ")
         assert found > missed >= 0
         assert 0.95 < of_all < 1.05
         assert 0 < error < naive or step == "0.004"

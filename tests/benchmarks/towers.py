@@ -6,8 +6,9 @@ members a stage is wound in by 3 %, and it moves for 0.1 s. Three tables a tower
 - The cheapest run of each program that reaches an error, m, at the end: of ours a second
   ``tc.simulate`` with its defaults and its tolerance, of the others their integration alone,
   compiled before.
-- Switches that ``rk4`` locates, and that it says it missed, over the converged count; its error and
-  the estimate of it, m, beside that of RK4 in NumPy, which locates none, in the same step.
+- Switches that each method locates, and that it says it missed, over the converged count; its error
+  and the estimate of it, m, beside that of RK4 in NumPy, which locates none, in the same step; and
+  the orders that are fitted to both. ``--switches`` prints this table alone.
 - Processor time and the largest memory of a process of its own that makes the tower and runs it
   once, at the settings of the first table for 1e-6 m, and of one that only makes the tower.
 
@@ -55,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Print the tables."""
     given = options(
         __doc__, arguments, stages=(100, 1000), errors=(1e-3, 1e-6), repeats=5,
-        steps=(4e-3, 1e-3, 2.5e-4), longest=30.0,
+        steps=(4e-3, 1e-3, 2.5e-4), tolerances=(1e-4, 1e-6, 1e-8), longest=30.0, switches=False,
     )  # fmt: skip
     for stages in given.stages:
         case = tower(stages)
@@ -66,9 +67,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print(f"\ntower of {stages} stages, {members} members, {exact.work.switches} switches; at "
               f"a thousand times the tolerance {coarse.work.switches}", flush=True)  # fmt: skip
         judge = farthest(exact.nodes[:, :, -1:])
-        rows = reported(programs(stages), judge, given.errors, given.repeats, given.longest)
-        print_switches(case, exact, given.steps, judge)
-        print_memory(stages, [row for row in rows if row.error == min(given.errors)])
+        print_switches(case, exact, given.steps, given.tolerances, judge)
+        if not given.switches:
+            rows = reported(programs(stages), judge, given.errors, given.repeats, given.longest)
+            print_memory(stages, [row for row in rows if row.error == min(given.errors)])
 
 
 def tower(stages: int) -> tc.Scene:
@@ -103,24 +105,30 @@ def print_switches(
     case: tc.Scene,
     exact: tc.Trajectory,
     steps: Sequence[float],
+    tolerances: Sequence[float],
     judge: Callable[[np.ndarray], float],
 ) -> None:
-    """Print what ``rk4`` finds and misses, and its error beside that of naive steps."""
+    """Print what methods find and miss, and their errors beside those of naive steps."""
     count = max(1, exact.work.switches)
     size = float(np.ptp(case.model.structure.nodes, axis=1).max())  # an estimate is a part of it
     naive = numpy_rk4(case, np.array([DURATION]), steps)
-    rows = []
-    for step in steps:
-        run = simulated(case, method="rk4", step=step)
+    settings = [{"method": "rk4", "step": step} for step in steps]
+    settings += [{"tolerance": tolerance} for tolerance in tolerances]
+    rows, errors = [], []
+    for setting in settings:
+        run = simulated(case, **setting)
         found, missed = run.work.switches, run.work.missed
-        cells = [
-            judge(run.nodes[:, :, -1:]),
-            size * float(run.error[-1]),
-            judge(naive.prepare(step)()),
-        ]
-        rows.append([f"rk4, {step:g} s", str(found), str(missed), f"{(found + missed) / count:.3f}",
-                     *(f"{x:.1e}" for x in cells)])  # fmt: skip
+        cells = [judge(run.nodes[:, :, -1:]), size * float(run.error[-1])]
+        if "step" in setting:
+            cells.append(judge(naive.prepare(setting["step"])()))
+            errors.append((cells[0], cells[2]))
+        label = ", ".join(map(str, setting.values()))
+        rows.append([label, str(found), str(missed), f"{(found + missed) / count:.3f}",
+                     *(f"{x:.1e}" for x in cells), *[""] * (3 - len(cells))])  # fmt: skip
     print(aligned(["", "found", "missed", "of all", "error", "estimate", "naive rk4"], rows))
+    if len(steps) > 1:
+        located, unlocated = np.polyfit(np.log(steps), np.log(errors), 1)[0]
+        print(f"fitted order: {located:.2f}, naive {unlocated:.2f}", flush=True)
 
 
 def print_memory(stages: int, rows: Sequence[Row]) -> None:
