@@ -113,6 +113,7 @@ static void N(touch)(const Scene *s, int plane, const Number *p, const Number *v
   for (int i = 0; i < g->count; ++i) {
     const int at = g->node[i];
     Number force[D];
+    if (taut && !any(taut[i] != 0)) continue;
     switch (g->kind) {
     case LINEAR_GROUND:
       N(linear_ground)(p + at, v + at, taut[i], k, c, friction, slip, height, normal, force);
@@ -321,6 +322,7 @@ static void N(gaps)(const Scene *s, const Number *p, const Number *v, const Numb
     for (int j = 0; j < D; ++j) normal[j] = all(g->normal[j]);
     for (int j = 0; j < g->count; ++j) {
       const int at = s->slacking + g->first_switch + j, node = g->node[j];
+      if (marked && !any(marked[at] != 0)) continue;
       N(ground_gap)(p + node, v + node, own[1], own[4], normal, gap + at,
                     rate ? rate + at : &unused);
     }

@@ -66,12 +66,12 @@ static void middle_of(Span *span, const Tried *step) {
   }
 }
 
-/* Gaps of a state at rest. */
-static void gap_at_rest(Span *span, const Number *x, Number time, Number *gap) {
+/* Gaps of a state at rest, of what is marked. */
+static void gap_at_rest(Span *span, const Number *x, Number time, const Number *marked, Number *gap) {
   const int half = span->states / 2;
   memcpy(span->middle, x, half * sizeof *x);
   memset(span->middle + half, 0, half * sizeof *x);
-  gap_at(span, span->middle, time, 0, gap, span->rate);
+  gap_at(span, span->middle, time, marked, gap, span->rate);
 }
 
 /* Marks strings that may switch within a step with 1, and with 2 those that come back in; returns how
@@ -98,7 +98,7 @@ SHARED Number crossings(Span *span, const Tried *step) {
     marks[i] = marked(all(0), is_out | meet, is_out);
   }
   if (velocity_dependent(span->scene)) {
-    Number *gap = span->gap, *end_gap = span->rooms;
+    Number *gap = span->gap, *end_gap = span->rooms, *slack = span->chosen;
     /* The border of a damped string has other tangents than its stretch: look at the middle. */
     middle_of(span, step);
     gap_at(span, span->middle, step->time + h / 2, 0, gap, span->rate);
@@ -109,8 +109,9 @@ SHARED Number crossings(Span *span, const Tried *step) {
     }
     /* A slack string pulls as soon as its stretch grows through zero, however soon the damping lets
        it go again. At rest nothing is damped, and the gap is the stretch. */
-    gap_at_rest(span, step->x, step->time, gap);
-    gap_at_rest(span, step->x1, step->time + h, end_gap);
+    for (int i = 0; i < m; ++i) slack[i] = 1 - taut[i];
+    gap_at_rest(span, step->x, step->time, slack, gap);
+    gap_at_rest(span, step->x1, step->time + h, slack, end_gap);
     scale = gap_scales(span, step->time);
     for (int i = 0; i < m; ++i) {
       const Number band = BAND * scale[i], room0 = band - gap[i], room1 = band - end_gap[i];

@@ -507,7 +507,8 @@ class Stepper:
         self._held, self._sample = end, self._sample + 1
         if self._readings is not None:
             going = np.flatnonzero(~self._lost) if self._is_any_lost else self._every
-            self._read(self._readings, going, end[going])
+            if len(going):
+                self._read(self._readings, going, end[going])
         return self._handed_out()
 
     def _inputs(self, held: FloatArray) -> FloatArray:
@@ -534,9 +535,9 @@ class Stepper:
         """Advance the robots that are not lost."""
         if self._is_any_lost:
             going = np.flatnonzero(~self._lost)
-            self._enter(
-                going, self._models.advance(going, self._states[going], held[going], duration)
-            )
+            if len(going):
+                ends = self._models.advance(going, self._states[going], held[going], duration)
+                self._enter(going, ends)
         else:
             self._enter(
                 self._every, self._models.advance(self._every, self._states, held, duration)

@@ -285,10 +285,16 @@ def test_a_robot_that_is_lost_does_not_stop_the_others():
     assert stepper.lost.tolist() == [False, True]
     assert np.isfinite(nodes[0]).all()
     assert np.isnan(nodes[1]).all()
-    alone = tc.Stepper(model, 0.5, step=0.05, rest_length=lengths)
+    for _ in range(20):  # on, when none is left
+        nodes, _ = stepper.step([0.5 * lengths] * 2)
+    assert stepper.lost.all()
+    assert np.isnan(nodes).all()
+    sensors = tc.Sensors(structure=model.structure, gyroscope=0.1)
+    alone = tc.Stepper(model, 0.5, step=0.05, rest_length=lengths, sensors=sensors)
     for _ in range(20):
-        alone.step(0.5 * lengths)
+        readings = alone.step(0.5 * lengths)
     assert alone.lost
+    assert np.isnan(readings).all()
     alone.reset()
     assert not alone.lost
 
