@@ -58,6 +58,21 @@ class Distribution(ABC):
         numbers = np.asarray(self._numbers(rng), dtype=float)
         return float(numbers) if self.size is None else numbers.tolist()
 
+    def of_run(self, run: int, rng: np.random.Generator) -> Drawn:
+        """Return what a run gets.
+
+        Parameters
+        ----------
+        run : int
+            Its index.
+        rng : numpy.random.Generator
+
+        Returns
+        -------
+        float or list of float
+        """
+        return self.draw(rng)
+
     def settings(self) -> dict[str, Any]:
         """Return the kind and its settings, as they stand in the file of a sweep.
 
@@ -193,6 +208,22 @@ class OneOf(Distribution):
         return rng.choice(self.values, self.size)
 
 
+@final
+@dataclass(frozen=True, eq=False)
+class GivenValues(Distribution):
+    """Values that are no draws: one, or one row, for each run in turn."""
+
+    values: Array = converted()
+
+    def of_run(self, run: int, rng: np.random.Generator) -> Drawn:
+        """Return the value of the run, which no random number changes."""
+        value: Drawn = self.values[run].tolist()
+        return value
+
+    def _numbers(self, rng: np.random.Generator) -> Any:
+        return rng.choice(self.values)
+
+
 def one_number(name: str, value: object) -> float:
     """Return a finite number, or raise an error that names it."""
     array = validation.float_array(name, value)
@@ -204,7 +235,7 @@ def one_number(name: str, value: object) -> float:
 def draw_run(parameters: Mapping[str, Distribution], seed: int, run: int) -> dict[str, Drawn]:
     """Return the parameters of a run, which hang on the seed and the index alone."""
     return {
-        name: distribution.draw(generator(seed, run, _PARAMETERS, *name.encode()))
+        name: distribution.of_run(run, generator(seed, run, _PARAMETERS, *name.encode()))
         for name, distribution in parameters.items()
     }
 

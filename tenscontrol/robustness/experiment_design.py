@@ -8,8 +8,8 @@ from math import prod
 import numpy as np
 
 from tenscontrol import validation
-from tenscontrol.arrays import FloatArray
-from tenscontrol.robustness.distributions import Distribution, draw_run
+from tenscontrol.arrays import FloatArray, frozen
+from tenscontrol.robustness.distributions import Distribution, GivenValues, draw_run
 
 
 def grid(values: Mapping[str, object]) -> dict[str, FloatArray]:
@@ -23,7 +23,8 @@ def grid(values: Mapping[str, object]) -> dict[str, FloatArray]:
     Returns
     -------
     dict of str to ndarray, shape (runs,) or (runs, members)
-        What :func:`simulate_many` takes as ``vary``. The last name changes fastest.
+        What :func:`simulate_many` takes as ``vary``, and :func:`sweep` as ``parameters``. The last
+        name changes fastest.
 
     Raises
     ------
@@ -43,19 +44,24 @@ def grid(values: Mapping[str, object]) -> dict[str, FloatArray]:
     for name, given in values.items():
         if not isinstance(name, str) or not name:
             raise TypeError(f"values has the key {name!r}, expected a name")
-        array = validation.float_array(f"values[{name!r}]", given)
-        if array.ndim not in (1, 2) or not len(array):
-            raise ValueError(
-                f"values[{name!r}] has shape {array.shape}, expected (k,) or (k, members) with k "
-                "at least 1: what it takes one after the other"
-            )
-        choices[name] = array
+        choices[name] = _rows(f"values[{name!r}]", given)
     runs = prod(map(len, choices.values()))
     validation.whole_number("the number of runs", runs, 1, validation.MOST_RUNS)
     places = np.unravel_index(np.arange(runs), tuple(map(len, choices.values())))
     return {
         name: array[place] for (name, array), place in zip(choices.items(), places, strict=True)
     }
+
+
+def _rows(name: str, value: object) -> FloatArray:
+    """Return values in turn, numbers or rows of them, as an array."""
+    array = validation.float_array(name, value)
+    if array.ndim not in (1, 2) or not len(array):
+        raise ValueError(
+            f"{name} has shape {array.shape}, expected (k,) or (k, members) with k at least 1: "
+            "what it takes one after the other"
+        )
+    return array
 
 
 def draws(
@@ -95,6 +101,27 @@ def draws(
     seed = validation.whole_number("seed", seed, 0, validation.LARGEST_SEED)
     runs = [draw_run(distributions, seed, run) for run in range(count)]
     return {name: np.array([run[name] for run in runs]) for name in distributions}
+
+
+def parameters_of_runs(parameters: object, count: object) -> tuple[dict[str, Distribution], int]:
+    """Return what runs get by name, distributions or values of each run, and how many they are."""
+    if not isinstance(parameters, Mapping):
+        raise validation.wrong_kind("parameters", parameters, "a dict of distributions")
+    given, longest = dict(parameters), validation.MOST_RUNS
+    for name, value in given.items():
+        if isinstance(value, Distribution) or not isinstance(value, np.ndarray | list | tuple):
+            continue
+        rows = _rows(f"parameters[{name!r}]", value)
+        if longest not in (validation.MOST_RUNS, len(rows)):
+            raise ValueError(
+                f"parameters[{name!r}] has {len(rows)} runs, but those before it have {longest}: "
+                "give one value, or row, a run, as grid(...) returns them"
+            )
+        longest = len(rows)
+        given[name] = GivenValues(frozen(rows), size=rows.shape[1] if rows.ndim == 2 else None)
+    if count is None and any(isinstance(each, GivenValues) for each in given.values()):
+        count = longest
+    return checked_distributions(given), validation.whole_number("count", count, 1, longest)
 
 
 def checked_distributions(parameters: object) -> dict[str, Distribution]:

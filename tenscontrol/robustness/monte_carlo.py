@@ -15,7 +15,7 @@ from tenscontrol.progress import progress_bar
 from tenscontrol.robustness import store
 from tenscontrol.robustness.closed_loop_case import ClosedLoopCase, Outcome
 from tenscontrol.robustness.distributions import Distribution
-from tenscontrol.robustness.experiment_design import checked_distributions
+from tenscontrol.robustness.experiment_design import parameters_of_runs
 from tenscontrol.robustness.pool import do_runs, spread, workers
 from tenscontrol.robustness.store import Record
 from tenscontrol.robustness.sweep_report import SweepError, SweepReport, collected
@@ -27,8 +27,8 @@ _WORTHWHILE = 48
 
 def sweep(
     case: Callable[..., Outcome],
-    parameters: Mapping[str, Distribution],
-    count: int,
+    parameters: Mapping[str, Any],
+    count: int | None = None,
     *,
     seed: int,
     executor: Executor | None = None,
@@ -37,7 +37,7 @@ def sweep(
     file: str | os.PathLike[str] | None = None,
     progress: bool = False,
 ) -> SweepReport:
-    """Run a Monte Carlo study: many runs with random parameters, and how many succeed.
+    """Run a Monte Carlo study: many runs with random or given parameters, and how many succeed.
 
     The random numbers of a run depend on the seed and the index of the run only. On one machine,
     any executor with any number of workers gives the same report, bit by bit.
@@ -50,10 +50,11 @@ def sweep(
         own :class:`numpy.random.Generator`, for noise. It is pickled, and loaded
         anew for each run, or for the runs that a :class:`ClosedLoopCase` does together. A run in
         which it raises is a failure and is kept as such; :class:`SweepError` stops the sweep.
-    parameters : mapping of str to Distribution
-        What to draw for each run: :class:`Uniform`, :class:`Normal`, :class:`OneOf`.
-    count : int
-        Number of runs.
+    parameters : mapping of str to Distribution or array_like
+        What to draw for each run: :class:`Uniform`, :class:`Normal`, :class:`OneOf`; or what each
+        run gets, shape (runs,) or (runs, size), as :func:`grid` returns it.
+    count : int, optional
+        Number of runs. Not needed where values are given for each run, and at most as many.
     seed : int
         What the random numbers start from, at least 0.
     executor : concurrent.futures.Executor, optional
@@ -118,10 +119,17 @@ def sweep(
     ...         case, {"stiffness": tc.Uniform(0.7, 1.3, size=9)}, 4, seed=0, executor=executor)
     >>> report
     SweepReport(ClosedLoopCase, 4 of 4 runs, seed 0)
+
+    On a grid, how far does the factor move it?
+
+    >>> with ThreadPoolExecutor(1) as executor:
+    ...     report = tc.sweep(
+    ...         case, tc.grid({"stiffness": [0.3, 0.6, 1.0]}), seed=0, executor=executor)
+    >>> report.parameters["stiffness"].tolist(), report.figure("final_error").round(4).tolist()
+    ([0.3, 0.6, 1.0], [0.0, 0.0, 0.0])
     """
     pickled = _pickled(case)
-    distributions = checked_distributions(parameters)
-    count = validation.whole_number("count", count, 1, validation.MOST_RUNS)
+    distributions, count = parameters_of_runs(parameters, count)
     seed = validation.whole_number("seed", seed, 0, validation.LARGEST_SEED)
     validation.truth("progress", progress, "whether to show a progress bar")
     processes, in_flight = _checked_workers(executor, processes, in_flight)

@@ -79,13 +79,17 @@ def test_numbers_of_motors_are_drawn_by_name():
     assert figures["largest_force_density"] == run.force_density.max()
     nominal = case({"start": drawn["start"]}, np.random.default_rng(0)).figures
     assert figures != nominal
-    vary = {"motor.inertia": tc.Uniform(0.5, 2.0)}
-    report = tc.sweep(case, vary, 2, seed=0, executor=Inline())
+    grid = tc.grid({"motor.torque": [0.1, 1.0], "motor.inertia": [2.0]})
+    vary = grid | {"start": tc.Uniform(0.02, 0.02, size=9)}
+    report = tc.sweep(case, vary, seed=0, executor=Inline())
     assert report.completed.all()
+    for k, figures in enumerate(report.figures["largest_force_density"]):
+        drawn = {name: values[k] for name, values in report.parameters.items()}
+        assert figures == case(drawn, None).figures["largest_force_density"]
     with pytest.raises(tc.robustness.SweepError, match=r"lag is drawn, but .*torque"):
         case({"motor.lag": 1.1}, None)
     open_loop = tc.Scene(model, 0.2, rest_length=plant.rest_length)
-    with pytest.raises(ValueError, match=r"vary has 'motor.torque', .* by sweep\(ClosedLoopCase"):
+    with pytest.raises(ValueError, match=r"vary has 'motor.torque', .* to sweep\(ClosedLoopCase"):
         tc.simulate_many(open_loop, {"motor.torque": [0.4, 0.5]})
     without = replace(case, scene=replace(case.scene, winches=None, rest_length=None))
     with pytest.raises(tc.robustness.SweepError, match=r"give Winches\(motor"):

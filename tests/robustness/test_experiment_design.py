@@ -25,6 +25,29 @@ def test_draws_are_those_of_a_sweep():
         np.testing.assert_array_equal(rows[name], report.parameters[name])
 
 
+def test_a_sweep_takes_the_values_of_a_grid(tmp_path):
+    rows = tc.grid({"mass": [0.8, 1.2], "pair": [[1.0, 2.0], [3.0, 4.0]]})
+    given = rows | {"delay": tc.Normal(0.0, 0.1)}
+    file = tmp_path / "sweep.jsonl"
+    how = {"seed": 3, "executor": Inline(), "file": file}
+    first = tc.sweep(noisy, given, 2, **how)
+    report = tc.sweep(noisy, given, **how)
+    assert (len(first), len(report)) == (2, 4)
+    for name, values in rows.items():
+        np.testing.assert_array_equal(report.parameters[name], values)
+    drawn = tc.draws({"delay": given["delay"]}, 4, seed=3)["delay"]
+    np.testing.assert_array_equal(report.parameters["delay"], drawn)
+    assert tc.robustness.SweepReport.load(file) == report
+    with pytest.raises(ValueError, match="belongs to another sweep: parameter 'mass'"):
+        tc.sweep(noisy, given | {"mass": rows["mass"][::-1]}, **how)
+    with pytest.raises(ValueError, match="count is 5, expected a whole number of at most 4"):
+        tc.sweep(noisy, given, 5, **how)
+    with pytest.raises(ValueError, match=r"'pair'\] has 3 runs, but those before it have 4"):
+        tc.sweep(noisy, rows | {"pair": rows["pair"][:3]}, **how)
+    with pytest.raises(TypeError, match="count is None"):
+        tc.sweep(noisy, {"mass": given["delay"]}, **how)
+
+
 def test_a_grid_of_grounds_has_the_runs_of_simulate():
     prism = tc.prism()
     ground = tc.Ground(stiffness=2e3, damping=0.3, friction=0.5, slip_speed=0.05)

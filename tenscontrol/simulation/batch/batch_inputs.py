@@ -66,8 +66,11 @@ def checked_variation(scene: Scene, vary: object) -> dict[str, FloatArray]:
     for name in vary:
         if isinstance(name, str) and name.startswith("motor."):
             raise ValueError(
-                f"vary has {name!r}, but many runs at once have no winches: draw it by "
-                "sweep(ClosedLoopCase(scene, ...), {" + repr(name) + ": Uniform(...)}, ...)"
+                f"vary has {name!r}, but many runs at once have no winches: give factors on it to "
+                "sweep(ClosedLoopCase(scene, ...), grid({"
+                + repr(name)
+                + ": [0.8, 1.2]}), ...), or "
+                "Uniform(...) in place of the grid"
             )
     shapes = _shapes(scene)
     given = {
