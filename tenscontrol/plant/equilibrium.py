@@ -139,6 +139,9 @@ def equilibrium(
     Newton steps on the conditions of optimality. Where IPOPT does not end, strings stiffer than the
     softest get their stiffness step by step, and clustered ones the sharp bends at their nodes.
 
+    A structure that nothing holds keeps its centre of mass. Without loads it keeps its attitude
+    too: turned as one body, the shape would be farther from that at the start, counted by masses.
+
     On **ground**, its stored energy joins that of the strings, and nodes that touch where there is
     friction keep their places along it: those that touch at the start, and those that are met on
     the way, from where they come to rest. A structure in the air is first let down along the
@@ -206,6 +209,8 @@ def equilibrium(
     if model.contacts is None:
         refuse_load_without_support(structure, load)
         end, _ = _minimize(model, kind, held, load, start, strained)
+        if not len(structure.fixed_rows):
+            end = _moved_back(structure, start, end, turns=not load.any())
         settled = _settled(structure, end)
         gamma = _pulling(model, kind, held, load, settled, least)
     else:
@@ -268,13 +273,29 @@ def _crossings(structure: Structure, start: FloatArray, end: FloatArray) -> tupl
     """Return the bars that pass through each other on the straight way between two shapes."""
     if len(structure.bars) < 2 or structure.dimension == 2:
         return ()
-    if len(structure.fixed_rows) == 0:  # turned back to where it was
-        middle = start.mean(axis=1, keepdims=True)
-        around_mean = end - end.mean(axis=1, keepdims=True)
-        U, _, Vt = np.linalg.svd(around_mean @ (start - middle).T)
-        mirror = np.diag([1.0, 1.0, np.sign(np.linalg.det(Vt.T @ U.T))])
-        end = Vt.T @ mirror @ U.T @ around_mean + middle
+    if not len(structure.fixed_rows):
+        end = _moved_back(structure, start, end, turns=True)
     return BarMotion(structure, np.array([0.0, 1.0]), np.stack([start, end], axis=-1)).crossings
+
+
+def _moved_back(
+    structure: Structure, start: FloatArray, end: FloatArray, turns: bool
+) -> FloatArray:
+    """Return a shape moved, and turned where it may be, as one body to be nearest to the start.
+
+    Nearest in the metric of the masses at nodes, half a bar at each end: the centre of mass stays.
+    The turn is that of Kabsch, Acta Crystallographica A 32 (1976), without a reflection.
+    """
+    mass = structure.point_mass.copy()
+    np.add.at(mass, structure.bars, structure.bar_mass[:, None] / 2)
+    centre, centre_found = (nodes @ mass[:, None] / mass.sum() for nodes in (start, end))
+    around = end - centre_found
+    if turns:
+        U, _, Vt = np.linalg.svd((mass * around) @ (start - centre).T)
+        proper = np.ones(len(start))
+        proper[-1] = np.sign(np.linalg.det(U @ Vt))
+        around = (Vt.T * proper) @ U.T @ around
+    return np.asarray(around + centre)
 
 
 def _stood(
