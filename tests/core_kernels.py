@@ -180,17 +180,15 @@ def slopes() -> str:
     for d in (2, 3):
         B, Bd, end = (ca.SX.sym(name, d) for name in ("B", "Bd", "end"))
         mass = ca.SX.sym("mass")
+        given = {"bar": B, "rate": Bd, "force": end}
         # The sum of the forces moves the centre; their difference turns the bar.
-        _, turning, _ = kernel.free_bar(B, Bd, -end / 2, end / 2, mass)
-        given = {"bar": B, "rate": Bd, "difference": end}
-        texts.append(
-            _with_slopes(f"turning_bar_slopes_{d}", given, {"mass": mass}, {"turning": turning})
-        )
-        at_tip, _ = kernel.swinging_bar(B, Bd, end, mass)
-        given = {"bar": B, "rate": Bd, "on_tip": end}
-        texts.append(
-            _with_slopes(f"swinging_bar_slopes_{d}", given, {"mass": mass}, {"tip": at_tip})
-        )
+        *_, free = kernel.free_bar(B, Bd, -end / 2, end / 2, mass)
+        _, swinging = kernel.swinging_bar(B, Bd, end, mass)
+        for name, density in (("free", free), ("swinging", swinging)):
+            result = {"force_density": density}
+            texts.append(
+                _with_slopes(f"{name}_bar_force_density_slopes_{d}", given, {"mass": mass}, result)
+            )
         for name, law, symbols in _ground_laws():
             x, v, normal = (ca.SX.sym(letter, d) for letter in ("x", "v", "n"))
             pressing = ca.SX.sym("pressing")

@@ -116,18 +116,11 @@ SHARED void factorize(const Scene *s, Number *K) {
   }
 }
 
-/* Solves by the factors; the right-hand side becomes the solution. */
-SHARED void solve(const Scene *s, const Number *K, Number *y) {
-  const Number *inverse = K + s->factors;
-  const int32_t *row = s->factor_row, *first = s->factor_first;
-  for (int c = 0; c < s->unknowns; ++c)
-    for (int k = first[c]; k < first[c + 1]; ++k) y[row[k]] -= K[k] * inverse[c] * y[c];
-  for (int c = s->unknowns - 1; c >= 0; --c) {
-    Number sum = y[c];
-    for (int k = first[c]; k < first[c + 1]; ++k) sum -= K[k] * y[row[k]];
-    y[c] = sum * inverse[c];
-  }
-}
+#define SOLVE solve_by
+#define FACTOR Number
+#define ENTRY Number
+#include "solve_body.h"
+SHARED void solve(const Scene *s, const Number *K, Number *y) { solve_by(s, K, y); }
 
 #define D 2
 #include "equation_body.h"

@@ -10,16 +10,6 @@
 #define LANES_NAME_begin begin_by_all
 #include "lanes_body.h"
 
-#ifdef HAS_WIDE_LANES
-static int has_avx512(void) {
-  return __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq");
-}
-#define WIDEST(by_avx512, by_avx2, by_all) \
-  (has_avx512() ? by_avx512 : __builtin_cpu_supports("avx2") ? by_avx2 : by_all)
-#else
-#define WIDEST(by_avx512, by_avx2, by_all) by_all
-#endif
-
 size_t tc_runs_work_size(const Scene *scene, const Drive *drive, const Settings *settings,
                          const Runs *runs) {
   return WIDEST(avx512_size, avx2_size, all_size)(scene, drive, settings, runs);

@@ -8,6 +8,17 @@
 #define HAS_WIDE_LANES
 #endif
 
+/* The choice of the widest instructions that the machine has. */
+#ifdef HAS_WIDE_LANES
+static inline int has_avx512(void) {
+  return __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq");
+}
+#define WIDEST(by_avx512, by_avx2, by_all) \
+  (has_avx512() ? by_avx512 : __builtin_cpu_supports("avx2") ? by_avx2 : by_all)
+#else
+#define WIDEST(by_avx512, by_avx2, by_all) by_all
+#endif
+
 typedef void AdvanceRuns(const Scene *scene, const Drive *drive, const Lengths *lengths,
                          const Settings *settings, const Runs *runs, const double *start,
                          double *states, Progress *progress, const volatile int32_t *stop,

@@ -68,7 +68,7 @@ static size_t shared_size(const Scene *scene, const Drive *drive, const Runs *ru
 }
 
 /* Copies what is a run's own into a lane of what is of several. */
-static void put_own(Batch *batch, int run, Number *own, int i) {
+static inline void put_own(Batch *batch, int run, Number *own, int i) {
   Table tables[TABLES];
   tables_of(&batch->scene, &batch->drive, batch->runs, tables);
   for (int j = 0; j < TABLES; ++j)
@@ -78,7 +78,7 @@ static void put_own(Batch *batch, int run, Number *own, int i) {
 }
 
 /* Makes the scene that of the runs of which this is their own. */
-static void use_own(Batch *batch, const Number *own) {
+static inline void use_own(Batch *batch, const Number *own) {
   Table tables[TABLES];
   tables_of(&batch->scene, &batch->drive, batch->runs, tables);
   for (int k = 0; k < TABLES; ++k)
@@ -96,7 +96,7 @@ static void take_row(const Number *from, int i, int count, double *rows, size_t 
   for (int k = 0; k < count; ++k) rows[row * count + k] = lane(from + k, i);
 }
 
-static void copy_lane(const Number *from, int i, Number *to, int j, int count) {
+static inline void copy_lane(const Number *from, int i, Number *to, int j, int count) {
   for (int k = 0; k < count; ++k) put(lane(from + k, i), to + k, j);
 }
 

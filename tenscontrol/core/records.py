@@ -176,13 +176,20 @@ class Steps(ctypes.Structure):
     )  # fmt: skip
 
 
+class Profile(ctypes.Structure):
+    """Values of strings at some times, and by what each counts at the stages of steps."""
+
+    _fields_ = (("first", _COUNT), ("values", _COUNT), ("share", _POINTER))
+
+
 class Changes(ctypes.Structure):
     """Changes of what steps depend on, in columns, or derivatives of a cost by them."""
 
     _fields_ = (
         ("columns", _COUNT), ("gravity", _NUMBER * 3),
         *((name, _POINTER) for name in (
-            "input", "stiffness", "damping", "load", "bar_mass", "point_mass", "ground",
+            "profile", "by_values", "input", "stiffness", "damping", "load", "bar_mass",
+            "point_mass", "ground",
         )),
     )  # fmt: skip
 

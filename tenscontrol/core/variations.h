@@ -25,18 +25,26 @@ typedef struct {
 /* Columns in a matrix are a multiple of this many. */
 enum { COLUMNS = 8 };
 
+/* Values that strings have at so many times: (strings, values) columns from the first on, and by what
+   each value counts at the stages of steps, (steps, stages, values). */
+typedef struct {
+  int32_t first, values;
+  const double *share; /* null where they count by 1 */
+} Profile;
+
 /* Changes of what steps depend on beside their start, in columns; null for what does not change. Of a
-   cost its derivatives by them, in one column: those by inputs are written, (steps, stages, strings),
-   all others are added. */
+   cost its derivatives by them, in one column, which are added. */
 typedef struct {
   int32_t columns;
-  double gravity[3];          /* m/s^2: weights change with masses */
-  double *input;              /* (stages, strings, columns): rest lengths, m, or force densities */
+  double gravity[3];           /* m/s^2: weights change with masses */
+  const Profile *profile;      /* of rest lengths, m, or force densities */
+  double *by_values;           /* (strings, values), of a cost */
+  double *input;               /* (strings, columns): the same of all stages, beside the profile */
   double *stiffness, *damping; /* (strings, columns) */
-  double *load;               /* (entries, columns), N */
-  double *bar_mass;           /* (bars, columns), kg */
-  double *point_mass;         /* (entries / d, columns), kg */
-  double *ground;             /* (grounds, GROUND_NUMBERS, columns) */
+  double *load;                /* (entries, columns), N */
+  double *bar_mass;            /* (bars, columns), kg */
+  double *point_mass;          /* (entries / d, columns), kg */
+  double *ground;              /* (grounds, GROUND_NUMBERS, columns) */
 } Changes;
 
 /* Work memory of the calls below, as a count of numbers. */
@@ -51,7 +59,17 @@ EXPORTED void tc_tangents(const Scene *scene, const Drive *drive, const Lengths 
 
 /* The derivative of a cost by the state after steps becomes that by the state before them. */
 EXPORTED void tc_costs(const Scene *scene, const Drive *drive, const Lengths *lengths,
-                       const Tableau *method, const Steps *steps, Changes *costs, double *mu,
+                       const Tableau *method, const Steps *steps, const Changes *costs, double *mu,
                        double *work);
+
+/* The same by the instructions of one kind of machines. */
+typedef size_t VariationsSize(const Scene *scene, const Drive *drive, const Tableau *method,
+                              int32_t columns);
+typedef void Variations(const Scene *scene, const Drive *drive, const Lengths *lengths,
+                        const Tableau *method, const Steps *steps, const Changes *changes,
+                        double *X, double *work);
+VariationsSize variations_size_by_all, variations_size_by_avx2, variations_size_by_avx512;
+Variations tangents_by_all, tangents_by_avx2, tangents_by_avx512;
+Variations costs_by_all, costs_by_avx2, costs_by_avx512;
 
 #endif

@@ -82,14 +82,16 @@ class CoreSteps:
         self._width = columns[-1].stop if columns else 0
         self._padded = -(-max(self._width, 1) // records.COLUMNS) * records.COLUMNS
         self._pulls = [self._pull(parameter) for parameter in parameters]
-        self._profiles = [
-            (parameter, own)
-            for parameter, own in zip(parameters, columns, strict=True)
-            if parameter.pieces is not None
-        ]
         self._answers = answers
+        #: The input among the parameters, its columns, and how many values a string has.
+        self._profile = next((by for by in parameters if by.kind == "input"), None)
+        strings, own = len(model.structure.strings), slice(0, 0)
+        if self._profile is not None:
+            own = columns[list(parameters).index(self._profile)]
+        self._by_values = np.zeros((strings, (own.stop - own.start) // max(strings, 1)))
+        self._record_of_profile = records.Profile(own.start, self._by_values.shape[1])
         self._costs, self._derivatives = self._record(1)
-        self._by_input = np.zeros(len(model.structure.strings))
+        self._costs.by_values = records.address(self._by_values)
         self._inputs = np.ascontiguousarray(steps.inputs.T)
         self._drive = scene.drive(self._inputs[0])
         self._method = [np.ascontiguousarray(array, dtype=float) for array in method]
@@ -105,12 +107,12 @@ class CoreSteps:
         ]
 
     @cached_property
-    def _forwards(self) -> tuple[records.Changes, dict[str, FloatArray], FloatArray | None]:
-        """Changes by all parameters, with their arrays, and the inputs of them but for answers."""
+    def _forwards(self) -> tuple[records.Changes, dict[str, FloatArray]]:
+        """Changes by all parameters, with their arrays."""
         changes, given = self._record(self._padded)
         for name, value in self._unit_changes().items():
             given[name][..., : self._width] = value
-        return changes, given, given["input"].copy() if self._answers else None
+        return changes, given
 
     @cached_property
     def _works(self) -> dict[int, FloatArray]:
@@ -124,16 +126,12 @@ class CoreSteps:
             self._works[columns] = np.empty(size)
         return self._works[columns]
 
-    def most(self, is_back: bool) -> int:
-        """Return how many steps a call may take at most.
-
-        One where something has to be done after each, or at the stages of each.
-        """
+    @property
+    def most(self) -> int:
+        """How many steps a call may take at most: one where something has to be done after each."""
         if self._steps.projects and not self.projects:
             return 1
-        if not is_back:
-            return 1 if self._profiles else _MOST_STEPS
-        numbers = len(self._c) * len(self._by_input)
+        numbers = len(self._c) * self._by_values.shape[1]
         return max(1, min(_MOST_STEPS, _MOST_NUMBERS // max(numbers, 1)))
 
     def forward(
@@ -142,49 +140,36 @@ class CoreSteps:
         """Return the derivative of the state, (states, P), after steps, or a part of one, s."""
         whole = np.zeros((len(X), self._padded))
         whole[:, : self._width] = X
-        changes, given, always_given = self._forwards
+        changes, given = self._forwards
         if answer is not None:
-            given["input"][:] = always_given
-        for parameter, columns in self._profiles:
-            share = self._share(parameter, first, 1, part)
-            self._enter_inputs(share, given["input"][..., columns])
-        if answer is not None:
-            given["input"][..., : self._width] += answer
+            given["input"][:, : self._width] = answer
         self._call(self._core.core.tc_tangents, first, count, part, changes, whole)
         return whole[:, : self._width]
 
     def backward(
-        self, first: int, count: int, part: float | None, end: FloatArray, slope: FloatArray
+        self, first: int, count: int, part: float | None, end: FloatArray, _: FloatArray
     ) -> tuple[FloatArray, FloatArray | None]:
-        """Return a cost by the state before steps from that after them, and by the input meanwhile.
+        """Return a cost by the state before steps from that after them, and by answers meanwhile.
 
-        Those by the values of profiles are added to the slope; those by all else are kept.
+        Those by parameters are kept, and added to the slope by :meth:`take_costs`.
         """
-        mu, whole = end.copy(), None
-        by_input = None
-        if "input" in self._derivatives:
-            by_input = np.empty((count, len(self._c), len(self._by_input)))
-            self._costs.input = records.address(by_input)
+        mu, by_input = end.copy(), None
+        if self._answers:
+            by_input = self._derivatives["input"]
+            by_input[:] = 0.0
         self._call(self._core.core.tc_costs, first, count, part, self._costs, mu)
-        if by_input is not None:
-            rows = by_input.reshape(-1, by_input.shape[2])
-            whole = rows.sum(axis=0)
-            self._by_input += whole
-            for parameter, columns in self._profiles:
-                share = self._share(parameter, first, count, part)
-                slope[columns] += (rows.T @ share.T).ravel()
-        return mu, whole
+        return mu, None if by_input is None else by_input[:, 0]
 
     def take_costs(self, slope: FloatArray) -> None:
         """Add what steps backward have kept to the slope, and forget it."""
         for parameter, columns, (name, pull) in zip(
             self._parameters, self._columns, self._pulls, strict=True
         ):
-            if parameter.kind == "input" and parameter.pieces is None:
-                slope[columns] += self._by_input
-            elif name and parameter.kind != "input":
+            if parameter.kind == "input":
+                slope[columns] += self._by_values.ravel()
+            elif name:
                 slope[columns] += pull(self._derivatives[name][..., 0])
-        for array in (*self._derivatives.values(), self._by_input):
+        for array in (*self._derivatives.values(), self._by_values):
             array[:] = 0
 
     # ---- changes ----
@@ -196,6 +181,8 @@ class CoreSteps:
         record.gravity[: self._model.structure.dimension] = self._model.gravity.tolist()
         for name, array in arrays.items():
             setattr(record, name, array.ctypes.data)
+        if self._profile is not None:
+            record.profile = ctypes.addressof(self._record_of_profile)
         return record, arrays
 
     @property
@@ -208,14 +195,14 @@ class CoreSteps:
         """Shapes of all arrays of a record, but for their columns."""
         scene, nodes = self._tables, self._model.structure.nodes
         return {
-            "input": (len(self._c), scene.strings), "stiffness": (scene.strings,),
+            "input": (scene.strings,), "stiffness": (scene.strings,),
             "damping": (scene.strings,), "load": (scene.entries,), "bar_mass": (scene.bars,),
             "point_mass": (nodes.shape[1],), "ground": (scene.grounds, len(_GROUND)),
         }  # fmt: skip
 
     def _pull(self, parameter: Parameter) -> tuple[str, Callable[[FloatArray], FloatArray]]:
         kind = parameter.kind
-        if kind in ("input", "bar_mass", "point_mass"):
+        if kind in ("bar_mass", "point_mass"):
             return kind, np.asarray
         if kind == "strings":
             return "damping" if parameter.field == "damping" else "stiffness", np.asarray
@@ -229,57 +216,43 @@ class CoreSteps:
         return "", np.asarray
 
     def _unit_changes(self) -> dict[str, FloatArray]:
-        """Return the changes by all parameters but inputs in time, by array."""
+        """Return the changes by all parameters but the input, by array."""
         counts = self._counts
-        units = {name: np.zeros((*counts[name], self._width)) for name in self._names}
+        names = {name for name, _ in self._pulls if name}
+        units = {name: np.zeros((*counts[name], self._width)) for name in names}
         for parameter, columns, (name, pull) in zip(
             self._parameters, self._columns, self._pulls, strict=True
         ):
-            if not name or parameter.pieces is not None:
+            if not name:
                 continue
             shape = units[name].shape[:-1]
             size = int(np.prod(shape))
             whole = np.eye(size).reshape(size, *shape)
-            if parameter.kind == "input":  # the same at all stages
-                whole = np.repeat(np.eye(shape[1])[:, None], shape[0], axis=1)
-                units[name][..., columns] += np.moveaxis(whole, 0, -1)
-                continue
             by_entry = np.array([pull(entry) for entry in whole]).reshape(*shape, parameter.size)
             units[name][..., columns] += by_entry
         return units
 
-    @staticmethod
-    def _enter_inputs(share: FloatArray, inputs: FloatArray) -> None:
-        """Enter what the values of a profile change of the inputs at the stages of a step."""
-        stages, strings = inputs.shape[:2]
-        values = np.zeros((stages, strings, strings, len(share)))
-        every = np.arange(strings)
-        values[:, every, every] = share.T[:, None]
-        inputs[:] = values.reshape(stages, strings, -1)
-
-    def _share(
-        self, parameter: Parameter, first: int, count: int, part: float | None
-    ) -> FloatArray:
-        """Return by what the values of a profile count at the stages of steps, (K, stages)."""
-        some = slice(first, first + count)
-        begin, length = self._steps.begin[some], self._steps.length[some]
-        if part is not None:
-            length = np.array([part])
+    def _shares(self, first: int, count: int, length: FloatArray) -> FloatArray | None:
+        """Return by what values of a profile count at the stages of steps, (count stages, K)."""
+        if self._profile is None:
+            return None
+        begin = self._steps.begin[first : first + count]
         time = (begin[:, None] + self._c * length[:, None]).ravel()
-        share = shares(parameter, time, np.repeat(begin + length / 2, len(self._c)))
-        assert share is not None  # it is a profile
-        return share
+        share = shares(self._profile, time, np.repeat(begin + length / 2, len(self._c)))
+        return None if share is None else np.ascontiguousarray(share.T)
 
     def _call(
         self, function: Any, first: int, count: int, part: float | None, record: records.Changes,
         array: FloatArray,
     ) -> None:  # fmt: skip
-        length, *others = (begin + first * stride for begin, stride in self._rows)
-        lengths = self._lengths
+        at, *others = (begin + first * stride for begin, stride in self._rows)
+        length, lengths = self._length[first : first + count], self._lengths
         if part is not None:  # after which bars are left as they are
-            own, lengths = np.array([part]), None
-            length = records.address(own)
-        steps = records.Steps(count, length, *others)
+            length, lengths = np.array([part]), None
+            at = records.address(length)
+        share = self._shares(first, count, length)
+        self._record_of_profile.share = None if share is None else records.address(share)
+        steps = records.Steps(count, at, *others)
         scene, drive, _, method = self._always
         function(
             scene, drive, lengths, method, ctypes.byref(steps), ctypes.byref(record),

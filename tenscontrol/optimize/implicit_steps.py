@@ -61,8 +61,9 @@ class ImplicitSteps:
         """Return the state after so much of a step."""
         return self._solver.end(self._steps, k, length)[1]
 
-    def most(self, _: bool) -> int:
-        """Return how many steps a call may take at most."""
+    @property
+    def most(self) -> int:
+        """How many steps a call may take at most."""
         return 1
 
     def forward(

@@ -511,7 +511,7 @@ class Variations:
     def _planned(self, is_back: bool) -> Iterator[_Leg]:
         ends, parts = self._places
         count = len(self.steps.length)
-        most = 1 if self._stepper is None else self._stepper.most(is_back)
+        most = 1 if self._stepper is None else self._stepper.most
         stops = {*self.switches.step.tolist(), *ends, *parts, *(k - 1 for k in parts), count - 1}
         if self.feedback is not None:
             stops |= {k - 1 for k in range(count) if self.feedback.begins(k)}

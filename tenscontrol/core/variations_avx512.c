@@ -1,0 +1,20 @@
+/* Small changes of steps by AVX-512, where the compiler knows it; the machine is asked by lanes.c. */
+#include "variations.h"
+
+#include "lanes.h"
+
+#ifdef HAS_WIDE_LANES
+#ifdef __clang__
+#pragma clang attribute push(__attribute__((target("avx512f,avx512dq"))), apply_to = function)
+#else
+#pragma GCC target("avx512f,avx512dq")
+#endif
+#undef WIDE
+#define WIDE
+#define LANES 8
+#define LANES_NAME(name) name##_by_avx512
+#include "variations_lanes.h"
+#ifdef __clang__
+#pragma clang attribute pop
+#endif
+#endif

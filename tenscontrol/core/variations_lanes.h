@@ -1,0 +1,498 @@
+/* Small changes of steps: included by files that say by which instructions.
+
+   The derivatives of all members at the stages of steps are found of several steps at once, which are
+   in lanes, since what each begins with is known. Then step follows step: several columns of changes
+   are in lanes as they are multiplied with these derivatives. */
+#include <string.h>
+
+#include "carry.c"
+#include "equation.c"
+#include "events.c"
+#include "frequency.c"
+#include "lengths.c"
+#include "span.c"
+
+#include "lanes_tables.h"
+#include "slopes.h"
+
+/* Derivatives of a string's tension, N (of its force density, N/m, where no length is needed): by its
+   length, rest length, stiffness, and where it is damped rate and damping. */
+enum { BY_LENGTH, BY_REST, BY_STIFFNESS, BY_RATE, BY_DAMPING };
+
+/* Of the mass of a bar, what each end has of the acceleration of itself and of the other. */
+static const double OWN = 1.0 / 3, OTHER = 1.0 / 6;
+
+/* Put in line, so that what it is given stays in registers. */
+#if defined(__GNUC__)
+#define INLINE static inline __attribute__((always_inline))
+#else
+#define INLINE static inline
+#endif
+
+/* Where the derivatives of members are among those of a point, and how many numbers these are. */
+typedef struct {
+  int of_string, of_contact, of_bar, of_block_bar; /* numbers of each */
+  size_t along, turning, weight, string, contact, free_bar, swinging_bar, block_bar, factors,
+      acceleration, size;
+} Layout;
+
+static Layout layout_of(const Scene *s) {
+  const size_t d = s->dimension, m = s->segments;
+  size_t contacts = 0;
+  Layout at;
+  for (int i = 0; i < s->grounds; ++i) contacts += s->ground[i].count;
+  at.of_string = s->damped ? 5 : 3;
+  at.of_contact = (int)(1 + d * (2 * d + GROUND_NUMBERS)); /* whether it presses, and slopes */
+  at.of_bar = (int)(4 * d + 1);        /* its vector, force density, and slopes of that */
+  at.of_block_bar = (int)(2 * d + 1);  /* its rate, acceleration and force density */
+  at.along = 0;                        /* (segments, d): its direction */
+  at.turning = at.along + m * d;       /* (segments, d): the rate of its length by its vector */
+  at.weight = at.turning + (s->damped ? m * d : 0); /* (segments): pull by vector */
+  at.string = at.weight + m;
+  at.contact = at.string + at.of_string * (size_t)s->strings;
+  at.free_bar = at.contact + at.of_contact * contacts;
+  at.swinging_bar = at.free_bar + at.of_bar * (size_t)s->free_bars;
+  at.block_bar = at.swinging_bar + at.of_bar * (size_t)s->swinging_bars;
+  at.factors = at.block_bar + at.of_block_bar * (size_t)s->block_bars;
+  at.acceleration = at.factors + (s->block_bars ? s->factors + s->unknowns + 1 : 0);
+  at.size = at.acceleration + s->entries;
+  return at;
+}
+
+/* Free entries into all entries; those that supports hold are 0. */
+static void spread_free(const Scene *s, const double *free, double *all_entries) {
+  if (s->free_row) memset(all_entries, 0, s->entries * sizeof *all_entries);
+  for (int i = 0; i < s->free; ++i) all_entries[s->free_row ? s->free_row[i] : i] = free[i];
+}
+
+static void from_all(const Scene *s, const Number *all_entries, Number *free) {
+  for (int i = 0; i < s->free; ++i) free[i] = all_entries[s->free_row ? s->free_row[i] : i];
+}
+
+/* The force density of a string and its derivatives; those of one that is slack are 0. */
+static Number string_slopes(const Scene *s, int i, Number length, Number rate, Number rest,
+                            Number taut, Number *by) {
+  const Number k = numbers(s->stiffness)[i], c = numbers(s->damping)[i];
+  Number gamma, slopes[5];
+  if (s->damped) {
+    if (s->law == LINEAR_STRINGS)
+      linear_damped_force_density_slopes(length, rest, rate, k, c, &gamma, slopes);
+    else
+      elastic_damped_force_density_slopes(length, rest, rate, k, c, &gamma, slopes);
+    by[BY_RATE] = slopes[2] * taut;
+    by[BY_STIFFNESS] = slopes[3] * taut;
+    by[BY_DAMPING] = slopes[4] * taut;
+  } else {
+    if (s->law == LINEAR_STRINGS)
+      linear_undamped_force_density_slopes(length, rest, k, &gamma, slopes);
+    else
+      elastic_undamped_force_density_slopes(length, rest, k, &gamma, slopes);
+    by[BY_STIFFNESS] = slopes[2] * taut;
+  }
+  by[BY_LENGTH] = slopes[0] * taut;
+  by[BY_REST] = slopes[1] * taut;
+  return gamma * taut;
+}
+
+/* What is at a point, or changes of it, in lanes. */
+typedef struct {
+  Number *p, *v, *f, *a;                                  /* (entries) */
+  Number *length;                                         /* (segments) */
+  Number *string_length, *string_rate, *tension, *input;  /* (strings) */
+  Number *unknowns;                                       /* of bars that share nodes */
+} Point;
+
+/* A cost by what is at a point. */
+typedef struct {
+  double *p, *v, *f, *a, *tension, *unknowns;
+} Cost;
+
+/* By what values of a profile count at one time; by nothing before the first and from the end on. */
+typedef struct {
+  const double *share;
+  int first, end;
+} Shares;
+
+static size_t point_size(const Scene *s) {
+  return 4 * (size_t)s->entries + s->segments + 4 * (size_t)s->strings + s->unknowns;
+}
+
+static Point point_in(const Scene *s, Number **memory) {
+  Number *work = *memory;
+  Point point;
+  Number **arrays[] = {&point.p, &point.v, &point.f, &point.a};
+  Number **of_strings[] = {&point.string_length, &point.string_rate, &point.tension, &point.input};
+  for (int i = 0; i < 4; ++i, work += s->entries) *arrays[i] = work;
+  for (int i = 0; i < 4; ++i, work += s->strings) *of_strings[i] = work;
+  point.length = work;
+  point.unknowns = work + s->segments;
+  *memory += point_size(s);
+  return point;
+}
+
+#define SOLVE solve_columns
+#define FACTOR double
+#define ENTRY Number
+#include "solve_body.h"
+#define SOLVE solve_numbers
+#define FACTOR double
+#define ENTRY double
+#include "solve_body.h"
+
+#define D 2
+#include "variations_body.h"
+#undef D
+#define D 3
+#include "variations_body.h"
+#undef D
+
+/* What both calls share: the steps, and the derivatives of members at the stages of those in the lanes. */
+typedef struct {
+  Batch batch; /* of the steps in the lanes */
+  const Scene *scene;
+  const Tableau *method;
+  const Steps *steps;
+  Layout at;
+  double *twice;  /* (stages + 1, stages): what accelerations count by in places, of the end, too */
+  double *points; /* (steps, stages, numbers of a point) */
+  Point now;
+  Number *inputs, *taut, *q, *v, *accelerations, *x;
+  Number *rest; /* memory that is left */
+} Sweep;
+
+static size_t sweep_size(const Scene *s, const Drive *drive, const Tableau *method, const Layout *at) {
+  const Runs alike = {0};
+  const size_t stages = method->stages;
+  return shared_size(s, drive, &alike) + s->switches + (stages + 4) * s->free + point_size(s) +
+         at->size + stages * at->size;
+}
+
+static size_t forward_size(const Scene *s, const Tableau *method, int columns) {
+  return ((size_t)columns / WIDTH * 2 + method->stages + 2) * s->free + point_size(s);
+}
+
+/* Numbers of a row of a cost, whole registers of them. */
+static size_t padded(const Scene *s) { return ((size_t)s->free + WIDTH - 1) / WIDTH * WIDTH; }
+
+static size_t backward_size(const Scene *s, const Tableau *method) {
+  return 2 * (method->stages + 2) * padded(s) + 4 * (size_t)s->entries + s->strings + s->unknowns;
+}
+
+size_t LANES_NAME(variations_size)(const Scene *s, const Drive *drive, const Tableau *method,
+                                   int32_t columns) {
+  const Layout at = layout_of(s);
+  const size_t stages = method->stages, backward = backward_size(s, method) / WIDTH + 1;
+  const size_t forward = forward_size(s, method, columns);
+  return WIDTH * (2 + sweep_size(s, drive, method, &at) + (forward > backward ? forward : backward)) +
+         (stages + 1) * stages;
+}
+
+static Number *taken(Number **memory, size_t count) {
+  Number *block = *memory;
+  *memory += count;
+  return block;
+}
+
+static void begin_sweep(Sweep *sweep, const Scene *s, const Drive *drive, const Tableau *method,
+                        const Steps *steps, double *work) {
+  const int n = method->stages;
+  const size_t half = s->free;
+  const Runs own = {.count = steps->count, .inputs = steps->inputs};
+  Number *rest;
+  sweep->scene = s;
+  sweep->method = method;
+  sweep->steps = steps;
+  sweep->at = layout_of(s);
+  sweep->twice = work;
+  for (int i = 0; i <= n; ++i)
+    for (int j = 0; j < n; ++j) {
+      const double *weights = i < n ? method->a + i * n : method->b;
+      double sum = 0, size = 0;
+      for (int k = 0; k < n; ++k) {
+        const double term = weights[k] * method->a[k * n + j];
+        sum += term;
+        size += fabs(term);
+      }
+      sweep->twice[i * n + j] = fabs(sum) > 1e-14 * size ? sum : 0; /* or else it is round-off */
+    }
+  rest = share(&sweep->batch, s, drive, 0, &own, aligned(work + (n + 1) * n));
+  sweep->inputs = taken(&rest, (size_t)drive->count * (drive->degree + 1));
+  sweep->batch.drive.coefficients = (const double *)sweep->inputs;
+  sweep->batch.drive.begin = 0; /* times are those of the polynomials */
+  sweep->taut = taken(&rest, s->switches);
+  sweep->accelerations = taken(&rest, n * half);
+  sweep->q = taken(&rest, 2 * half);
+  sweep->v = taken(&rest, 2 * half);
+  sweep->now = point_in(s, &rest);
+  sweep->x = taken(&rest, sweep->at.size);
+  sweep->points = (double *)taken(&rest, n * sweep->at.size);
+  sweep->rest = rest;
+}
+
+static const double *point_of(const Sweep *sweep, int step, int stage) {
+  return sweep->points + ((size_t)step * sweep->method->stages + stage) * sweep->at.size;
+}
+
+/* Places and rates a part c of h after others, by so many accelerations, (count, half), of which each
+   counts once in the rates and twice in the places. */
+static void advance_by(const Number *q0, const Number *v0, double c, Number h, const double *once,
+                       const double *twice, int count, const Number *accelerations, size_t half,
+                       Number *q, Number *v) {
+  const Number drift = c * h, square = h * h;
+  int j = 0, begun = 0;
+  do {
+    const Number *a[4], *from_q = begun ? q : q0, *from_v = begun ? v : v0;
+    Number w[4], ww[4], drifting = begun ? all(0) : drift;
+    int some = 0;
+    for (; j < count && some < 4; ++j)
+      if (once[j] != 0 || twice[j] != 0) {
+        w[some] = once[j] * h;
+        ww[some] = twice[j] * square;
+        a[some++] = accelerations + j * half;
+      }
+    if (some == 4)
+      for (size_t k = 0; k < half; ++k) {
+        const Number rate = from_v[k], one = a[0][k], two = a[1][k], three = a[2][k], four = a[3][k];
+        q[k] = from_q[k] + drifting * rate + ww[0] * one + ww[1] * two + ww[2] * three + ww[3] * four;
+        v[k] = rate + w[0] * one + w[1] * two + w[2] * three + w[3] * four;
+      }
+    else
+      for (size_t k = 0; k < half; ++k) {
+        Number rate = from_v[k], place = from_q[k] + drifting * rate;
+        for (int m = 0; m < some; ++m) {
+          rate += w[m] * a[m][k];
+          place += ww[m] * a[m][k];
+        }
+        q[k] = place;
+        v[k] = rate;
+      }
+    begun = 1;
+  } while (j < count);
+}
+
+/* Finds the derivatives of all members at the stages of some steps, at most as many as there are lanes. */
+static void reach_stages(Sweep *sweep, int first, int count) {
+  const Scene *lanes = &sweep->batch.scene;
+  const Tableau *method = sweep->method;
+  const Steps *steps = sweep->steps;
+  const Drive *drive = &sweep->batch.drive;
+  const Point *now = &sweep->now;
+  const size_t size = sweep->at.size, half = lanes->free;
+  const int stages = method->stages, numbers_of_input = drive->count * (drive->degree + 1);
+  Number h = all(0), begin = all(0);
+  for (int i = 0; i < WIDTH; ++i) {
+    const int k = first + (i < count ? i : count - 1);
+    const double *inputs = steps->inputs + (size_t)(numbers_of_input + (drive->degree > 0)) * k;
+    put(steps->length[k], &h, i);
+    put_row(steps->states, k, 2 * lanes->free, sweep->q, i);
+    put_row(steps->taut, k, lanes->switches, sweep->taut, i);
+    for (int m = 0; m < numbers_of_input; ++m) put(inputs[m], sweep->inputs + m, i);
+    if (drive->degree) put(inputs[numbers_of_input], &begin, i);
+  }
+  if (lanes->free_row) {
+    memcpy(now->p, lanes->place, lanes->entries * sizeof(Number));
+    memset(now->v, 0, lanes->entries * sizeof(Number));
+  }
+  for (int i = 0; i < stages; ++i) {
+    Number *q = sweep->v, *v = q + half, *to = sweep->accelerations + i * half;
+    const Input input = input_at(&sweep->batch.span, begin + method->c[i] * h);
+    Point there = *now;
+    advance_by(sweep->q, sweep->q + half, method->c[i], h, method->a + i * stages,
+               sweep->twice + i * stages, i, sweep->accelerations, half, q, v);
+    if (lanes->free_row) {
+      for (size_t m = 0; m < half; ++m) now->p[lanes->free_row[m]] = q[m];
+      for (size_t m = 0; m < half; ++m) now->v[lanes->free_row[m]] = v[m];
+    } else {
+      there.p = q;
+      there.v = v;
+    }
+    if (lanes->dimension == 2) differentiated_2(lanes, &sweep->at, &input, sweep->taut, &there, sweep->x);
+    else differentiated_3(lanes, &sweep->at, &input, sweep->taut, &there, sweep->x);
+    from_all(lanes, now->a, to);
+    for (int step = 0; step < count; ++step)
+      take_row(sweep->x, step, (int)size, sweep->points, (size_t)step * stages + i);
+  }
+}
+
+/* ---- forward ---- */
+
+/* Columns of a matrix into a block of their own, and back. */
+static void pack(const double *X, int columns, int rows, int first, Number *block) {
+  for (int i = 0; i < rows; ++i) block[i] = *numbers(X + (size_t)columns * i + first);
+}
+
+static void unpack(const Number *block, int columns, int rows, int first, double *X) {
+  for (int i = 0; i < rows; ++i) *(Number *)(X + (size_t)columns * i + first) = block[i];
+}
+
+/* Changes of the inputs of strings at a stage: null if there are none. */
+static const Number *input_forward(const Scene *s, const Changes *c, int first, size_t stage,
+                                   Number *input) {
+  const Profile *profile = c->profile;
+  if (!profile && !c->input) return 0;
+  for (int i = 0; i < s->strings; ++i)
+    input[i] = c->input ? *numbers(c->input + (size_t)c->columns * i + first) : all(0);
+  for (int j = 0; j < WIDTH && profile; ++j) {
+    const int column = first + j - profile->first;
+    if (column >= 0 && column < s->strings * profile->values) {
+      const int string = column / profile->values, value = column % profile->values;
+      const double share = profile->share ? profile->share[stage * profile->values + value] : 1;
+      put(lane(input + string, j) + share, input + string, j);
+    }
+  }
+  return input;
+}
+
+/* A block of columns over a step. */
+static void step_block(const Sweep *sweep, const Lengths *lengths, int k, int in_lanes,
+                       const Changes *changes, int first, Number *block, Number *memory) {
+  const Scene *s = sweep->scene;
+  const Tableau *method = sweep->method;
+  const int stages = method->stages;
+  const size_t half = s->free;
+  const Number h = all(sweep->steps->length[k]);
+  const Point now = point_in(s, &memory);
+  Number *q = taken(&memory, half), *v = taken(&memory, half), *accelerations = memory;
+  Point there = now;
+  if (s->free_row)
+    memset(now.p, 0, 2 * s->entries * sizeof *now.p);
+  else {
+    there.p = q;
+    there.v = v;
+  }
+  for (int i = 0; i < stages; ++i) {
+    const double *x = point_of(sweep, in_lanes, i);
+    const Number *input = input_forward(s, changes, first, (size_t)k * stages + i, now.input);
+    Number *to = accelerations + i * half;
+    advance_by(block, block + half, method->c[i], h, method->a + i * stages,
+               sweep->twice + i * stages, i, accelerations, half, q, v);
+    if (s->free_row) {
+      for (size_t m = 0; m < half; ++m) now.p[s->free_row[m]] = q[m];
+      for (size_t m = 0; m < half; ++m) now.v[s->free_row[m]] = v[m];
+    } else {
+      there.a = to;
+    }
+    if (s->dimension == 2) forward_2(s, &sweep->at, x, changes, first, input, &there);
+    else forward_3(s, &sweep->at, x, changes, first, input, &there);
+    if (s->free_row) from_all(s, now.a, to);
+  }
+  advance_by(block, block + half, 1, h, method->b, sweep->twice + stages * stages, stages,
+             accelerations, half, block, block + half);
+  if (!lengths) return;
+  {
+    const double *end = sweep->steps->states + (size_t)(k + 1) * 2 * half;
+    if (s->dimension == 2) restored_forward_2(s, lengths, end, block);
+    else restored_forward_3(s, lengths, end, block);
+  }
+}
+
+void LANES_NAME(tangents)(const Scene *s, const Drive *drive, const Lengths *lengths,
+                          const Tableau *method, const Steps *steps, const Changes *changes,
+                          double *X, double *work) {
+  const int columns = changes->columns, n = 2 * s->free;
+  Sweep sweep;
+  Number *blocks;
+  begin_sweep(&sweep, s, drive, method, steps, work);
+  blocks = taken(&sweep.rest, (size_t)n * (columns / WIDTH));
+  for (int first = 0; first < columns; first += WIDTH)
+    pack(X, columns, n, first, blocks + (size_t)n * (first / WIDTH));
+  for (int k = 0; k < steps->count; k += WIDTH) {
+    const int some = steps->count - k < WIDTH ? steps->count - k : WIDTH;
+    reach_stages(&sweep, k, some);
+    for (int i = 0; i < some; ++i)
+      for (int first = 0; first < columns; first += WIDTH)
+        step_block(&sweep, lengths, k + i, i, changes, first,
+                   blocks + (size_t)n * (first / WIDTH), sweep.rest);
+  }
+  for (int first = 0; first < columns; first += WIDTH)
+    unpack(blocks + (size_t)n * (first / WIDTH), columns, n, first, X);
+}
+
+/* ---- backward ---- */
+
+static Shares shares_of(const Changes *c, size_t stage) {
+  static const double one = 1;
+  Shares shares = {&one, 0, 0};
+  if (!c->profile) return shares;
+  shares.end = c->profile->values;
+  if (!c->profile->share) return shares;
+  shares.share = c->profile->share + stage * shares.end;
+  while (shares.end > 0 && shares.share[shares.end - 1] == 0) --shares.end;
+  while (shares.first < shares.end && shares.share[shares.first] == 0) ++shares.first;
+  return shares;
+}
+
+/* Adds a vector, times a weight, to another; both are whole registers of numbers. */
+static void add_to(double *to, double weight, const double *vector, size_t size) {
+  for (size_t k = 0; k < size; k += WIDTH)
+    *(Number *)(to + k) += weight * *numbers(vector + k);
+}
+
+/* The cost by the state after a step becomes that by the state before it, (2, padded). */
+static void step_cost(const Sweep *sweep, int k, int in_lanes, const Changes *costs, double *mu,
+                      double *memory) {
+  const Scene *s = sweep->scene;
+  const Tableau *method = sweep->method;
+  const int stages = method->stages;
+  const size_t size = padded(s), half = s->free;
+  const double h = sweep->steps->length[k], *twice = sweep->twice;
+  double *of_q = memory, *of_v = of_q + stages * size, *of_a = of_v + stages * size;
+  Cost by;
+  double **arrays[] = {&by.p, &by.v, &by.f, &by.a};
+  memory = of_a + size;
+  for (int i = 0; i < 4; ++i, memory += s->entries) *arrays[i] = memory;
+  by.tension = memory;
+  by.unknowns = memory + s->strings;
+  for (int i = stages - 1; i >= 0; --i) {
+    const Shares shares = shares_of(costs, (size_t)k * stages + i);
+    const double *x = point_of(sweep, in_lanes, i);
+    memset(of_a, 0, size * sizeof *of_a);
+    add_to(of_a, h * h * twice[stages * stages + i], mu, size);
+    add_to(of_a, h * method->b[i], mu + size, size);
+    for (int j = i + 1; j < stages; ++j) {
+      const double once = h * method->a[j * stages + i], both = h * h * twice[j * stages + i];
+      if (both != 0) add_to(of_a, both, of_q + j * size, size);
+      if (once != 0) add_to(of_a, once, of_v + j * size, size);
+    }
+    spread_free(s, of_a, by.a);
+    if (s->dimension == 2) backward_2(s, &sweep->at, x, costs, &shares, &by);
+    else backward_3(s, &sweep->at, x, costs, &shares, &by);
+    for (size_t m = 0; m < half; ++m) {
+      const int row = s->free_row ? s->free_row[m] : (int)m;
+      of_q[i * size + m] = by.p[row];
+      of_v[i * size + m] = by.v[row];
+    }
+    for (size_t m = half; m < size; ++m) of_q[i * size + m] = of_v[i * size + m] = 0;
+  }
+  add_to(mu + size, h, mu, size);
+  for (int i = 0; i < stages; ++i) {
+    add_to(mu, 1, of_q + i * size, size);
+    add_to(mu + size, 1, of_v + i * size, size);
+    add_to(mu + size, h * method->c[i], of_q + i * size, size);
+  }
+}
+
+void LANES_NAME(costs)(const Scene *s, const Drive *drive, const Lengths *lengths,
+                       const Tableau *method, const Steps *steps, const Changes *costs, double *mu,
+                       double *work) {
+  const size_t half = s->free, size = padded(s);
+  Sweep sweep;
+  double *of_state;
+  begin_sweep(&sweep, s, drive, method, steps, work);
+  of_state = (double *)sweep.rest;
+  memset(of_state, 0, 2 * size * sizeof *of_state);
+  memcpy(of_state, mu, half * sizeof *mu);
+  memcpy(of_state + size, mu + half, half * sizeof *mu);
+  for (int k = (steps->count - 1) / WIDTH * WIDTH; k >= 0; k -= WIDTH) {
+    const int some = steps->count - k < WIDTH ? steps->count - k : WIDTH;
+    reach_stages(&sweep, k, some);
+    for (int i = some - 1; i >= 0; --i) {
+      const double *end = steps->states + (size_t)(k + i + 1) * 2 * half;
+      if (lengths && s->dimension == 2) restored_backward_2(s, lengths, end, of_state, size);
+      else if (lengths) restored_backward_3(s, lengths, end, of_state, size);
+      step_cost(&sweep, k + i, i, costs, of_state, of_state + 2 * size);
+    }
+  }
+  memcpy(mu, of_state, half * sizeof *mu);
+  memcpy(mu + half, of_state + size, half * sizeof *mu);
+}
