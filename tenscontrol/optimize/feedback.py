@@ -31,6 +31,7 @@ class Feedback:
     scene : Scene
         Under an LQR.
     steps : TracedSteps
+        Of a part of the run.
     gain : slice, optional
         Columns of the derivatives that are those by K.
 
@@ -47,6 +48,7 @@ class Feedback:
         self._matrix = law.actuation.matrix.toarray()
         ticks = sample_times(scene)
         close = 1e-9 * (ticks[-1] - ticks[0] + scene.duration)
+        ticks = ticks[(ticks > steps.begin[0] - close) & (ticks < steps.end - close)]
         first = np.searchsorted(steps.begin, ticks - close)
         self._sample_of = {int(k): i for i, k in enumerate(first)}
         self._check(first, ticks)

@@ -21,7 +21,7 @@ from tenscontrol.estimation.sensors import Moment, Sensors, symbolic_readings
 from tenscontrol.integrate.projection import Projector
 from tenscontrol.optimize.log import Log
 from tenscontrol.optimize.parameters import Parameter
-from tenscontrol.optimize.sensitivity import variations_of
+from tenscontrol.optimize.run_variations import RunVariations
 from tenscontrol.optimize.unknowns import Unknown, fitted_model, parameter_of
 from tenscontrol.properties import cached_property
 from tenscontrol.simulation.health import HealthLimits
@@ -152,7 +152,7 @@ class Rollouts:
         if self.start is not None:
             shape = model.structure.nodes.shape
             carried += [Parameter(name, name, shape) for name in ("nodes", "velocities")]
-        variations = variations_of(scene, carried if slopes else (), kept)
+        variations = RunVariations(scene, carried if slopes else (), kept)
         inputs = _at(scene, kept)
         states = variations.motion()
         law = _law_values(model, log.input)

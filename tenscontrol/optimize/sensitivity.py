@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, overload
@@ -14,17 +14,15 @@ from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, IntArray, frozen
 from tenscontrol.dynamics.equation import unpack_states
 from tenscontrol.integrate.methods import Choice
-from tenscontrol.optimize.derivatives import Derivatives
-from tenscontrol.optimize.feedback import feedback_of, regulator_of
-from tenscontrol.optimize.implicit_steps import halved
-from tenscontrol.optimize.parameters import Parameter, parameters_of
-from tenscontrol.optimize.traced_steps import steps_of
-from tenscontrol.optimize.variations import IMPLICIT, Variations, columns_of, stable
+from tenscontrol.optimize.feedback import regulator_of
+from tenscontrol.optimize.parameters import parameters_of
+from tenscontrol.optimize.run_variations import RunVariations
+from tenscontrol.optimize.variations import IMPLICIT
 from tenscontrol.properties import cached_property
 from tenscontrol.simulation.batch.simulate_many import Batch
 from tenscontrol.simulation.health import HealthLimits
 from tenscontrol.simulation.integration import Integration
-from tenscontrol.simulation.scene import Scene, traced
+from tenscontrol.simulation.scene import Scene
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.tables import aligned
 
@@ -35,10 +33,6 @@ _METHODS = ("rk4", "dop853", IMPLICIT)
 # switches that they pass over costs a motion little, and its derivatives per cents. The second is
 # about the least that double precision is good for.
 _TIGHTER, _TIGHTEST = 1e-3, 1e-12
-
-# A switch that is passed slower than this part of the largest speed of its kind may not be met at
-# all by a run next to it.
-_GRAZING = 1e-3
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -245,7 +239,7 @@ def sensitivity(
     names = tuple(parameter.name for parameter in work.parameters)
     return Sensitivity(
         run, frozen(work.times), MappingProxyType(nodes), MappingProxyType(velocities),
-        len(work.variations.switches.step), work.grazing, names, feedback,
+        work.variations.switches, work.variations.grazing, names, feedback,
     )  # fmt: skip
 
 
@@ -270,8 +264,8 @@ def _of_batch(batch: Batch, to: object, times: object, feedback: bool) -> BatchS
         for arrays, own in zip((nodes, velocities), _derivatives(work), strict=True):
             for name, by in own.items():
                 arrays[name][run] = by
-        switches[run] = len(work.variations.switches.step)
-        grazing[run] = work.grazing
+        switches[run] = work.variations.switches
+        grazing[run] = work.variations.grazing
     for array in (*nodes.values(), *velocities.values(), switches):
         array.setflags(write=False)
     return BatchSensitivity(
@@ -339,7 +333,7 @@ def gradient(
     """
     validation.function("cost", cost, "(time, nodes, velocities) -> a number in CasADi")
     work = _differentiable(run, to, times, feedback)
-    states, structure = work.states, run.structure
+    states, structure = work.variations.motion(), run.structure
     function = _cost_function(cost, structure.nodes.shape)
     value, costs = 0.0, np.zeros(states.T.shape)
     nodes, velocities = unpack_states(structure, states)
@@ -358,8 +352,8 @@ def gradient(
         parameter.name: frozen(derivatives[columns].reshape(parameter.shape))
         for parameter, columns in zip(work.parameters, work.variations.columns, strict=True)
     }
-    switches = len(work.variations.switches.step)
-    return Gradient(run, value, MappingProxyType(slope), switches, work.grazing)
+    of_run = work.variations
+    return Gradient(run, value, MappingProxyType(slope), of_run.switches, of_run.grazing)
 
 
 def _cost_function(cost: Callable[[Any, Any, Any], Any], shape: tuple[int, ...]) -> ca.Function:
@@ -373,22 +367,6 @@ def _cost_function(cost: Callable[[Any, Any, Any], Any], shape: tuple[int, ...])
         )
     slopes = (ca.gradient(value, variable) for variable in (nodes, velocities))
     return ca.Function("cost", [time, nodes, velocities], [value, *slopes])
-
-
-def variations_of(
-    scene: Scene, parameters: Sequence[Parameter], times: FloatArray, feedback: bool = False
-) -> Variations:
-    """Return what carries the variations of a scene by a method that can be traced."""
-    plant = traced(scene)
-    load = plant.load if isinstance(plant.load, np.ndarray) else scene.model.constant_force
-    steps = steps_of(plant, load)
-    degree = steps.layout.degree
-    derivatives = Derivatives(scene.model, scene.input, degree, parameters, feedback)
-    if steps.method == IMPLICIT and scene.integration.step is None:
-        steps = halved(steps, derivatives)
-    steps = stable(steps, derivatives)
-    answers = feedback_of(scene, steps, parameters, columns_of(parameters)) if feedback else None
-    return Variations(steps, derivatives, parameters, times, answers)
 
 
 def _differentiable(
@@ -405,7 +383,7 @@ def _differentiable(
     if run.stopped is not None:
         raise ValueError(f"run {run.stopped}, expected one that reached its end")
     at = _checked_times(run.time, times)
-    return _Differentiable(scene, run.choice, to, at, feedback, looser)
+    return _Differentiable(scene, run.choice, to, at, feedback, run.steps, looser)
 
 
 class _Differentiable:
@@ -413,7 +391,7 @@ class _Differentiable:
 
     def __init__(
         self, scene: Scene, choice: Choice, to: object, times: FloatArray, feedback: bool,
-        looser: bool = False,
+        steps: int = 0, looser: bool = False,
     ) -> None:  # fmt: skip
         if scene.support_motion is not None:
             raise ValueError("run has supports that move, through which no derivative is taken")
@@ -430,23 +408,8 @@ class _Differentiable:
         able = _traceable(scene, choice)
         if looser:
             able = replace(able, integration=_looser(able.integration))
-        self.variations = variations_of(able, self.parameters, self.times, feedback)
-
-    @property
-    def states(self) -> FloatArray:
-        """States at the times, shape (states, T)."""
-        return self.variations.motion()
-
-    @property
-    def grazing(self) -> tuple[float, ...]:
-        """Times of switches that are passed slowly, s."""
-        switches, steps = self.variations.switches, self.variations.steps
-        if not len(switches.step):
-            return ()
-        speed = np.abs(steps.states[len(steps.states) // 2 :]).max()
-        slow = np.abs(switches.rate) < _GRAZING * speed
-        ends = (steps.begin + steps.length)[switches.step[slow]]
-        return tuple(float(t) for t in ends)
+        expected = steps * (scene.integration.tolerance / able.integration.tolerance) ** (1 / 8)
+        self.variations = RunVariations(able, self.parameters, times, feedback, expected)
 
 
 def _traceable(scene: Scene, choice: Choice) -> Scene:

@@ -96,15 +96,6 @@ def stable(steps: TracedSteps, derivatives: Derivatives) -> TracedSteps:
     return cut
 
 
-def _finite(array: FloatArray) -> FloatArray:
-    if not np.isfinite(array).all():
-        raise ValueError(
-            "the derivatives of the run grow beyond all bounds: it cannot be predicted so far. "
-            "Take a shorter one"
-        )
-    return array
-
-
 def _rates(steps: TracedSteps, derivatives: Derivatives) -> FloatArray:
     """Return the largest rate of small changes at the beginning of each step, 1/s, about."""
     half, count = derivatives.half, len(steps.length)
@@ -149,7 +140,7 @@ def stages(
 
 @dataclass(frozen=True, eq=False)
 class Variations:
-    """The derivative of a run, step by step: of the steps as they were taken, landings included.
+    """The derivative of a part of a run, step by step, as these were taken, landings included.
 
     At a switch the motions before and after differ where the slope jumps: ``X + (f⁺ − f⁻)(g_x X +
     g_p)/ġ``, of each string that switches there (I. A. Hiskens & M. A. Pai, *Trajectory
@@ -161,7 +152,7 @@ class Variations:
     derivatives : Derivatives
     parameters : sequence of Parameter
     times : ndarray, shape (T,)
-        At which derivatives are asked for, s, ascending.
+        At which derivatives are asked for in the part, s, ascending.
     feedback : Feedback, optional
         By which commands answer changes of the state.
     """
@@ -187,13 +178,16 @@ class Variations:
         """Which columns of a derivative are those of each parameter."""
         return columns_of(self.parameters)
 
-    def forward(self) -> FloatArray:
-        """Return the derivatives of x at the times, shape (T, states, P)."""
-        size = sum(parameter.size for parameter in self.parameters)
-        X = self._start()
-        sensitivities = np.empty((len(self.times), len(X), size))
+    def forward(
+        self, X: FloatArray, sensitivities: FloatArray, answer: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray | None]:
+        """Return the derivative of x after the part from that before it.
+
+        Those at the times are entered in ``sensitivities``, shape (T, states, P). ``answer`` is
+        what the command before the part made of the inputs; that at its end is returned, too.
+        """
         sensitivities[self.times <= self.steps.begin[0]] = X
-        at, feedback, answer = self._first_switch, self.feedback, None
+        at, feedback = self._first_switch, self.feedback
         ends, last = self._places[0], -1
         for leg in self._legs(is_back=False):
             check()
@@ -211,7 +205,7 @@ class Variations:
             for e in range(at[end], at[end + 1]):
                 X = X + self._jumped(e, X, answer)
             sensitivities[ends.get(end, [])] = X
-        return _finite(sensitivities)
+        return X, answer
 
     def motion(self) -> FloatArray:
         """Return the states at the times, shape (states, T)."""
@@ -242,18 +236,23 @@ class Variations:
             inputs[-1] += self.times - steps.begin[of]
         return self.derivatives.slope(states, inputs, steps.taut[:, of])
 
-    def backward(self, costs: FloatArray) -> FloatArray:
-        """Return derivatives of a cost by the parameters, shape (P,), from those by x at the times.
+    def backward(
+        self, mu: FloatArray, costs: FloatArray, slope: FloatArray, answered: FloatArray
+    ) -> FloatArray:
+        """Return a cost by x before the part from that after it, and add those by parameters.
 
         Parameters
         ----------
+        mu : ndarray, shape (states,)
         costs : ndarray, shape (T, states)
+            By x at the times.
+        slope : ndarray, shape (P,)
+            Those by parameters are added to it.
+        answered : ndarray, shape (α,)
+            By the input of the sample that is under way; changed.
         """
         at, ends = self._first_switch, self._places[0]
-        slope = np.zeros(sum(parameter.size for parameter in self.parameters))
-        mu = np.zeros(costs.shape[1])
         partial = np.zeros_like(mu)
-        answered = np.zeros(self.steps.layout.strings)  # cost by the input of the sample
         for leg in self._legs(is_back=True):
             check()
             if leg.part is not None:
@@ -277,8 +276,7 @@ class Variations:
         if self._stepper is not None:
             self._stepper.take_costs(slope)
         mu = self._answered_back(0, mu + partial, answered, slope)
-        mu = mu + costs[self.times <= self.steps.begin[0]].sum(axis=0)
-        return _finite(np.asarray(slope + mu @ self._start()))
+        return np.asarray(mu + costs[self.times <= self.steps.begin[0]].sum(axis=0))
 
     def _answered_back(
         self, step: int, mu: FloatArray, answered: FloatArray, slope: FloatArray
@@ -390,8 +388,8 @@ class Variations:
 
     # ---- starts and switches ----
 
-    def _start(self) -> FloatArray:
-        """Return the derivative of the state at the start, shape (states, P)."""
+    def start(self) -> FloatArray:
+        """Return the derivative of the state at the start of the run, shape (states, P)."""
         half, structure = self.derivatives.half, self.derivatives.structure
         X = np.zeros((2 * half, sum(parameter.size for parameter in self.parameters)))
         exact = self.derivatives.projected(self.steps.states[:, :1])

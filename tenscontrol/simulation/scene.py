@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import KW_ONLY, dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -38,6 +38,7 @@ from tenscontrol.simulation.start import (
 )
 from tenscontrol.simulation.strength import refuse_other_members
 from tenscontrol.simulation.strut_record import done_by_drives
+from tenscontrol.simulation.traced_run import TracedRun
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.structure.bar_geometry import refuse_other_bar_lengths
 from tenscontrol.structure.segments import to_segments
@@ -51,6 +52,8 @@ if TYPE_CHECKING:
     from tenscontrol.estimation.sensors import Sensors
     from tenscontrol.plant.linear_plant import LinearPlant
     from tenscontrol.simulation.closed_loop import ClosedLoop
+
+_Run = TypeVar("_Run", bound=PlantRun)
 
 # States kept of an adaptive run, unless the user says otherwise, and numbers in them at most.
 _OUTPUTS, _NUMBERS = 1000, 50_000_000
@@ -667,21 +670,22 @@ class Scene:
             return 0
         return self.winches.degree
 
-    def plant_run(
-        self, report: Callable[[float], None] | None = None, traces: bool = False
-    ) -> PlantRun:
+    def plant_run(self, report: Callable[[float], None] | None = None) -> PlantRun:
         """Return the plant side of a run, at its start.
 
         Parameters
         ----------
         report : callable, optional
             It is told the time reached, s.
-        traces : bool
-            Whether all steps are kept; see :attr:`Integrator.traces`.
         """
+        return self._run_of(PlantRun, report)
+
+    def _run_of(
+        self, kind: type[_Run], report: Callable[[float], None] | None = None, **options: Any
+    ) -> _Run:
         output_step = self._output_step
         is_few = self.duration < _FEW_OUTPUTS * output_step
-        return PlantRun(
+        return kind(
             self.model,
             self.input,
             self.loads,
@@ -700,8 +704,12 @@ class Scene:
             keeps_steps=is_few
             and self.law is None
             and self.integration.limits.crossings is not None,
-            traces=traces,
+            **options,
         )
+
+    def traced_run(self) -> TracedRun:
+        """Return the same of a run of which all steps are kept."""
+        return self._run_of(TracedRun)
 
     @property
     def _output_step(self) -> float:
@@ -737,17 +745,16 @@ class Scene:
         return f"Scene({', '.join(parts)}, {self.structure.nodes.shape[1]} nodes)"
 
 
-def traced(scene: Scene) -> PlantRun:
-    """Return the motion of a scene with all of its steps, by a method that can be traced."""
-    run = scene.plant_run(traces=True)
+def trace(scene: Scene, run: TracedRun) -> None:
+    """Run a scene by a method that can be traced."""
     if scene.law is None:
         assert scene.inputs is not None  # held in open loop
         run.run(scene.state, scene.inputs, scene.duration)
-        return run
-    estimator = scene.estimator
-    with scene.law.in_use, nullcontext() if estimator is None else estimator.in_use:
-        _loop(scene, run).run(scene.state)
-    return run
+    else:
+        estimator = scene.estimator
+        with scene.law.in_use, nullcontext() if estimator is None else estimator.in_use:
+            _loop(scene, run).run(scene.state)
+    run.end_part()
 
 
 def run_scene(scene: Scene, progress: bool) -> Trajectory:

@@ -1,0 +1,152 @@
+"""Propagation of small changes along a whole run, part by part."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tenscontrol.arrays import FloatArray
+from tenscontrol.optimize.derivatives import Derivatives
+from tenscontrol.optimize.feedback import feedback_of
+from tenscontrol.optimize.implicit_steps import halved
+from tenscontrol.optimize.parameters import Parameter
+from tenscontrol.optimize.traced_steps import steps_of
+from tenscontrol.optimize.variations import IMPLICIT, Variations, columns_of, stable
+from tenscontrol.simulation.plant_run import PlantRun
+from tenscontrol.simulation.scene import Scene, trace
+
+# Memory of the steps of a part, bytes, and how often each number of a step is there at most.
+_MOST_BYTES, _COPIES = 2**28, 4
+
+# A switch that is passed slower than this part of the largest speed of its kind may not be met at
+# all by a run next to it.
+_GRAZING = 1e-3
+
+
+class RunVariations:
+    """The derivative of the run of a scene by a method that can be traced.
+
+    Of long runs the steps are not kept. They are found again, part by part, to the last bit.
+
+    Parameters
+    ----------
+    scene : Scene
+    parameters : sequence of Parameter
+    times : ndarray, shape (T,)
+        At which derivatives are asked for, s, ascending.
+    feedback : bool
+        Whether the commands of an LQR answer changes.
+    expected : float
+        About how many steps there will be.
+    most : float, optional
+        How many are kept at a time, about.
+    """
+
+    def __init__(
+        self, scene: Scene, parameters: Sequence[Parameter], times: FloatArray,
+        feedback: bool = False, expected: float = 0.0, most: float | None = None,
+    ) -> None:  # fmt: skip
+        self.parameters, self.times = parameters, times
+        self._scene, self._feedback = scene, feedback
+        self._run = run = scene.traced_run()
+        self.derivatives = Derivatives(scene.model, scene.input, run.degree, parameters, feedback)
+        numbers = self.derivatives.equation
+        of_step = 8 * _COPIES * (numbers.states + numbers.inputs + numbers.switches)
+        run.most = max(_MOST_BYTES / of_step, 256) if most is None else most
+        run.expected, run.take = expected, self._take
+        self._states: list[FloatArray] = []
+        self._ends, self._slow = list[int](), list[tuple[float, float]]()  # times and rates
+        self._speed, self.switches = 0.0, 0
+        trace(scene, run)
+        run.take = None
+
+    @property
+    def columns(self) -> list[slice]:
+        """Which columns of a derivative are those of each parameter."""
+        return columns_of(self.parameters)
+
+    @property
+    def grazing(self) -> tuple[float, ...]:
+        """Times of switches that are passed slowly, s."""
+        return tuple(time for time, rate in self._slow if rate < _GRAZING * self._speed)
+
+    def motion(self) -> FloatArray:
+        """Return the states at the times, shape (states, T)."""
+        return np.hstack(self._states)
+
+    def slopes(self) -> FloatArray:
+        """Return ẋ at the times, shape (states, T)."""
+        return np.hstack([self._part(i).slopes() for i in range(len(self._ends))])
+
+    def forward(self) -> FloatArray:
+        """Return the derivatives of x at the times, shape (T, states, P)."""
+        part = self._part(0)
+        X, answer = part.start(), None
+        sensitivities = np.empty((len(self.times), *X.shape))
+        for i in range(len(self._ends)):
+            part = self._part(i)
+            X, answer = part.forward(X, sensitivities[self._of(i)], answer)
+        return _finite(sensitivities)
+
+    def backward(self, costs: FloatArray) -> FloatArray:
+        """Return derivatives of a cost by the parameters, shape (P,), from those by x at the times.
+
+        Parameters
+        ----------
+        costs : ndarray, shape (T, states)
+        """
+        slope = np.zeros(sum(parameter.size for parameter in self.parameters))
+        mu, answered = np.zeros(costs.shape[1]), np.zeros(len(self._scene.structure.strings))
+        for i in reversed(range(len(self._ends))):
+            part = self._part(i)
+            mu = part.backward(mu, costs[self._of(i)], slope, answered)
+        return _finite(np.asarray(slope + mu @ part.start()))
+
+    # ---- parts ----
+
+    def _take(self, run: PlantRun) -> None:
+        """Look at a part of the run, and keep the last."""
+        part = self._variations(run, len(self._ends))
+        switches, steps = part.switches, part.steps
+        self._states.append(part.motion())
+        self.switches += len(switches.step)
+        ends = (steps.begin + steps.length)[switches.step]
+        self._slow += zip(ends.tolist(), np.abs(switches.rate).tolist(), strict=True)
+        self._speed = max(self._speed, float(np.abs(steps.states[len(steps.states) // 2 :]).max()))
+        self._last = len(self._ends) - 1, part
+
+    def _part(self, i: int) -> Variations:
+        """Return the derivative of a part; the last one again if it is that."""
+        if self._last[0] != i:
+            del self._last  # or there were two at a time
+            self._last = i, self._variations(self._run.again(i), i)
+        return self._last[1]
+
+    def _of(self, i: int) -> slice:
+        """Return which of the times are in a part."""
+        return slice(self._ends[i - 1] if i else 0, self._ends[i])
+
+    def _variations(self, run: PlantRun, i: int) -> Variations:
+        scene, derivatives = self._scene, self.derivatives
+        load = run.load if isinstance(run.load, np.ndarray) else scene.model.constant_force
+        steps = steps_of(run, load)
+        if steps.method == IMPLICIT and scene.integration.step is None:
+            steps = halved(steps, derivatives)
+        steps = stable(steps, derivatives)
+        if i == len(self._ends):
+            close = max(1e-9 * float(steps.length[-1]), 1e-12 * scene.duration)
+            self._ends.append(int(np.searchsorted(self.times, steps.end + close, side="right")))
+        answers = None
+        if self._feedback:
+            answers = feedback_of(scene, steps, self.parameters, self.columns)
+        return Variations(steps, derivatives, self.parameters, self.times[self._of(i)], answers)
+
+
+def _finite(array: FloatArray) -> FloatArray:
+    if not np.isfinite(array).all():
+        raise ValueError(
+            "the derivatives of the run grow beyond all bounds: it cannot be predicted so far. "
+            "Take a shorter one"
+        )
+    return array

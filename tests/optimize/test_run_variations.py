@@ -1,0 +1,71 @@
+"""Derivatives of long runs, whose steps are found again part by part."""
+
+import numpy as np
+import pytest
+
+import tenscontrol as tc
+from tenscontrol.optimize.parameters import parameters_of
+from tenscontrol.optimize.run_variations import RunVariations
+from tenscontrol.simulation.health import HealthLimits
+from tenscontrol.simulation.integration import Integration
+
+LENGTHS = 0.9 * tc.prism().string_length()
+TIMES = np.array([0.0, 0.1, 0.25, 0.3, 0.4])
+
+
+class KeptVariations(RunVariations):
+    """The same with all parts kept in memory."""
+
+    def _take(self, run):
+        super()._take(run)
+        self.known = [*getattr(self, "known", []), self._last[1]]
+
+    def _part(self, i):
+        return self.known[i]
+
+
+def scene_of(kind):
+    """A prism whose damped strings go slack: held, wound, under a law, fixed or implicit steps."""
+    prism = tc.prism()
+    model = tc.Model(prism, tc.LinearStrings(100.0, damping=0.5))
+    how = {"method": "dop853", "tolerance": 1e-10}
+    given = {"rest_length": LENGTHS}
+    plant = tc.linearize(model, tc.prestress(prism, force_density=10.0), input="rest_length")
+    rates = 0.5 * np.random.default_rng(1).normal(size=plant.coordinates.count)
+    velocities = plant.to_velocities(np.zeros(len(rates)), rates)
+    if kind == "wound":
+        wound = np.outer(LENGTHS, 1 + 0.1 * np.sin(np.arange(9)))
+        given = {"rest_length": tc.Profile(np.linspace(0, 0.4, 9), wound, "cubic")}
+    if kind == "law":
+        law = tc.LQR(plant, sample_time=0.1)
+        given = {"controller": law, "rest_length": plant.equilibrium_input}
+    if kind in ("rk4", "energy_momentum"):
+        how = {"method": kind, "step": 4e-3}
+    limits = HealthLimits(crossings=None)
+    integration = Integration(**how, error="none", output_step=0.02, limits=limits)
+    return tc.Scene(model, 0.4, velocities=velocities, integration=integration, **given)
+
+
+@pytest.mark.parametrize("kind", ["held", "wound", "law", "rk4", "energy_momentum"])
+def test_steps_that_are_found_again_have_the_same_derivatives_to_the_last_bit(kind):
+    scene, feedback = scene_of(kind), kind == "law"
+    names = ["gain" if feedback else "rest_length", "velocities", "stiffness"]
+    parameters = parameters_of(scene, names)
+    whole = RunVariations(scene, parameters, TIMES, feedback)
+    costs = np.random.default_rng(2).normal(size=whole.motion().T.shape)
+    results, most = [], 10 if feedback else 30
+    for make in (RunVariations, KeptVariations):
+        variations = make(scene, parameters, TIMES, feedback, expected=200, most=most)
+        assert len(variations._ends) > 3
+        results.append(
+            (variations.motion(), variations.forward(), variations.slopes(),
+             variations.backward(costs), np.array(variations.grazing))
+        )  # fmt: skip
+    for again, kept in zip(*results, strict=True):
+        np.testing.assert_array_equal(again, kept)
+    # Steps of a fixed length are those of the whole run, others are cut where parts begin.
+    close = 1e-10 if kind in ("rk4", "energy_momentum") else 1e-6
+    for again, once in zip(results[0], (whole.motion(), whole.forward()), strict=False):
+        np.testing.assert_allclose(again, once, atol=close * np.abs(once).max())
+    forward = np.einsum("ts,tsp->p", costs, results[0][1])
+    np.testing.assert_allclose(results[0][3], forward, atol=1e-11 * np.abs(forward).max())
