@@ -199,6 +199,12 @@ def on_one_thread(function: Callable[_Arguments, _Value]) -> Callable[_Arguments
     return limited
 
 
+_IN_USE = (
+    "{} is in use by another thread, and it keeps state between calls. Give each thread a copy, for "
+    "example by copy.deepcopy or pickle"
+)
+
+
 class Exclusive:
     """Refuses a second thread while one is inside; the same thread may enter again.
 
@@ -220,10 +226,7 @@ class Exclusive:
         if self._user != me:
             # No other thread can come between these two lines: nothing is called.
             if self._user:
-                raise RuntimeError(
-                    f"{self._what} is in use by another thread, and it keeps state between "
-                    "calls. Give each thread a copy, for example by copy.deepcopy or pickle"
-                )
+                raise RuntimeError(_IN_USE.format(self._what))
             self._user = me
             if self._limits:
                 _ONE_THREAD.__enter__()
@@ -319,7 +322,7 @@ class Evaluator(_Guarded):
         self._buffer, self._run = function.buffer()
         self._inputs: list[FloatArray] = []
         self._outputs: list[FloatArray] = []
-        self._in_use = Exclusive("this Evaluator")
+        self._is_in_use = False
         self.calls = 0
         for i in range(function.n_in()):
             self._inputs.append(_dense(function.sparsity_in(i)))
@@ -339,11 +342,17 @@ class Evaluator(_Guarded):
 
     def __call__(self, *arguments: Any) -> list[FloatArray]:
         """Evaluate and return one array per output: a vector, or a matrix in Fortran order."""
-        with self._in_use:
+        # A quarter of the time of a small function is saved by no Exclusive here.
+        if self._is_in_use:
+            raise RuntimeError(_IN_USE.format("this Evaluator"))
+        self._is_in_use = True
+        try:
             for target, argument in zip(self._inputs, arguments, strict=True):
                 target[...] = argument
             self._run()
             self.calls += 1
+        finally:
+            self._is_in_use = False
         return self._outputs
 
 
