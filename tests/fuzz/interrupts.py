@@ -343,7 +343,8 @@ def interrupt_sweep(name, sender, delay, number):
         )  # fmt: skip
         if multiprocessing.active_children():
             raise LostError("a worker is left")
-        done = list(store.read(file)[1].values()) if file.exists() else []
+        is_begun = file.exists() and file.stat().st_size > 0  # a new file is empty at first
+        done = list(store.read(file)[1].values()) if is_begun else []
         if found is None:
             if done:
                 raise LostError(f"{len(done)} runs were done, and KeyboardInterrupt came instead")
