@@ -5,15 +5,18 @@
 
 import re
 import runpy
+import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import pytest
 
 from tests.examples import NUMBERS
+from tests.learning_libraries import learning_libraries
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
-# One is imported by examples, and tests/benchmarks/ tests it. The other needs torch.
+# One is imported by examples, and tests/benchmarks/ tests it. The other runs with stand-ins below.
 STUDIES = {"stiffness_study.py", "learn_to_roll.py"}
 
 
@@ -41,3 +44,13 @@ def test_quick_examples_run(example, monkeypatch):
     assert len(plt.get_fignums()) >= (int(thumbnail[1]) if thumbnail else 1)
     plt.close("all")
     NUMBERS[path.name](names)
+
+
+def test_a_few_samples_of_learning_to_roll(monkeypatch, capsys):
+    if find_spec("stable_baselines3") is None:
+        for name, module in learning_libraries().items():
+            monkeypatch.setitem(sys.modules, name, module)
+    main = runpy.run_path(str(EXAMPLES / "learn_to_roll.py"))["main"]
+    monkeypatch.setitem(main.__globals__, "EPISODE", 0.5)
+    main(["--samples", "20", "--robots", "2"])
+    assert "in 0.5 s of simulate the ball goes" in capsys.readouterr().out
