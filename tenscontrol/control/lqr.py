@@ -14,15 +14,15 @@ from tenscontrol.control.controller import (
     Controller,
     warn_of_unreached,
 )
-from tenscontrol.plant.controllability import refuse_empty, refuse_unreachable
+from tenscontrol.plant.controllability import AT_BOUND, refuse_empty, refuse_unreachable
 from tenscontrol.plant.input_bounds import input_bounds, largest_change
 from tenscontrol.plant.linear_plant import NO_JUMP, LinearPlant, named_system, sampled
 from tenscontrol.plant.riccati import cross_weight, natural_weights, regulator
 from tenscontrol.status import Status
 from tenscontrol.warn import warn
 
-# Room of an input from its bound over the largest input, below which it has none; names listed.
-_AT_BOUND, _LISTED = 1e-9, 3
+# Names of inputs that a warning lists.
+_LISTED = 3
 
 
 @final
@@ -168,7 +168,7 @@ class LQR(Controller):
         """Warn of inputs that the law uses, and that can go one way only."""
         u, (low, high) = self.plant.equilibrium_input, self.bounds
         room = np.minimum(u - low, high - u)
-        at_bound = room <= _AT_BOUND * np.abs(u).max(initial=0.0)
+        at_bound = room <= AT_BOUND * np.abs(u).max(initial=0.0)
         names = [
             self.plant.input_names[i] for i in np.flatnonzero(at_bound & self.gain.any(axis=1))
         ]

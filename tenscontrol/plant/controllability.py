@@ -44,6 +44,9 @@ _NO_PUSH = 1e-13
 # Of the largest acceleration of a large plant; its square is left with the square of this, at most.
 _CLOSE = 1e-2
 
+# An input nearer to a bound than this part of the largest is at it.
+AT_BOUND = 1e-9
+
 # Modes that a warning names.
 _LISTED = 4
 
@@ -423,6 +426,46 @@ def _own_modes(A: FloatArray, space: FloatArray) -> tuple[np.ndarray, np.ndarray
         np.r_[np.zeros(zero.shape[1], complex), poles[others]],
         np.hstack([zero, shapes[:, others]]),
     )
+
+
+@on_one_thread
+def pushed_one_way(plant: LinearPlant, low: FloatArray, high: FloatArray) -> float | None:
+    """Return the real pole, 1/s, of a motion that does not decay and is pushed one way only.
+
+    Inputs at a bound go one way. No law holds the plant where a real left eigenvector w of a pole
+    s ≥ 0 has wᵀB u ≥ 0 for all of them: Brammer, SIAM J. Control 10 (1972), doi:10.1137/0310026.
+    The largest such pole; None where there is none.
+    """
+    from scipy import linalg
+    from scipy.optimize import linprog
+
+    u = plant.equilibrium_input
+    near = AT_BOUND * np.abs(u).max(initial=0.0)
+    rises, falls = high - u > near, u - low > near
+    B = normalized_input(plant)
+    if (rises == falls).all() or B.shape[1] != len(u):
+        return None
+    unit, _ = state_units(plant)
+    A = plant.A * unit / unit[:, None] * unit[0]
+    both, one_way = B[:, rises & falls], (B * np.where(rises, 1, -1))[:, rises != falls]
+    poles = linalg.eigvals(A)
+    is_real = (np.abs(poles.imag) < _SAME_POLE) & (poles.real > -_SAME_POLE)
+    # Round-off splits a pole of several states; those of them at rest are at 0.
+    candidates = np.where(np.abs(poles.real) < _SAME_POLE, 0.0, poles.real)[is_real]
+    for pole in np.unique(candidates)[::-1]:
+        directions, sizes = _left_directions(A - pole * np.eye(len(A)))
+        vectors = directions[:, sizes <= _SAME_POLE]
+        directions, sizes = _left_directions(vectors.T @ both)
+        vectors = vectors @ directions[:, sizes <= _TOLERANCE]
+        pushes = one_way.T @ vectors
+        pushes[np.abs(pushes) < _TOLERANCE] = 0.0
+        if not pushes.any():
+            continue
+        bounds = np.vstack([pushes, -pushes]), np.repeat([1.0, 0.0], len(pushes))
+        best = linprog(-pushes.sum(axis=0), *bounds, bounds=(None, None))
+        if best.status == 0 and best.fun < -0.5:
+            return float(pole / unit[0])
+    return None
 
 
 def refuse_empty(plant: LinearPlant) -> None:

@@ -9,9 +9,9 @@ the nonlinear plant, a little off its shape.
 A design that is made promises a motion: that of its closed linear loop. The nonlinear loop must
 come within a part of the start of it (``--close``). What is not promised has a reason: an error, or
 a warning of the modes that are left alone, or of strings that are slack where they are driven by
-force and so go one way only. MPC knows those bounds: it must not leave the shape. ``SILENT`` is a
-loop that does something else than promised without a word. Prints a line a case with ``--each``,
-and a table.
+force and so go one way only. MPC knows those bounds: it must not leave the shape, but where it
+warns that no law can hold it. ``SILENT`` is a loop that does something else than promised without
+a word. Prints a line a case with ``--each``, and a table.
 """
 
 from __future__ import annotations
@@ -175,7 +175,9 @@ def case_of(
     room = np.minimum(plant.equilibrium_input - low, high - plant.equilibrium_input)
     one_way = bool((room <= 1e-9 * np.abs(plant.equilibrium_input).max()).any())
     if off > close and one_way:
-        kept = "one way" in said if name == "LQR" else np.linalg.norm(unit * last) < KEPT * most
+        kept = "one way" in said
+        if name == "MPC":
+            kept = "no law can hold" in said or np.linalg.norm(unit * last) < KEPT * most
         return Case(seed, name, kind, layout, "one way" if kept else "SILENT", figures)
     if off > close:
         return Case(seed, name, kind, layout, "SILENT", figures)

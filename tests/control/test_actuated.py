@@ -292,3 +292,19 @@ def test_a_function_commands_what_is_driven(ramp):
     )  # fmt: skip
     gamma = held.command(0.0, model.structure.nodes, 0 * model.structure.nodes).value
     assert gamma.tolist() == [31.0, 17.0, 17.0, 17.0, 17.0, 17.0, 20.0, 17.0, 17.0]
+
+
+@pytest.mark.parametrize(
+    ("gravity", "what"), [(9.81, r"grows by a factor e in 0.26 s"), (None, "drifts")]
+)
+def test_mpc_says_where_no_law_within_its_bounds_can_hold_a_shape(gravity, what):
+    """An upright rod of pole √(3g/2L), between slack strings that can only pull."""
+    rod = tc.Structure(
+        [[0.0, 0.0, -1.0, 1.0], [0.0, 1.0, 0.0, 0.0]], [[0, 1]], [[1, 2], [1, 3]], 1.0,
+        fixed=[0, 2, 3],
+    )  # fmt: skip
+    model = tc.Model(rod, gravity=gravity)
+    rest = tc.prestress(rod, force_density=[0.0, 0.0], external_force=model.constant_force)
+    with pytest.warns(tc.control.ControlWarning, match=f"{what} one way only, so no law"):
+        tc.MPC(tc.linearize(model, rest, actuated=[0]), horizon=8, sample_time=SAMPLE)
+    tc.MPC(tc.linearize(model, rest), horizon=8, sample_time=SAMPLE)  # held from both sides

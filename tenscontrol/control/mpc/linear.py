@@ -29,6 +29,7 @@ from tenscontrol.control.mpc.settings import (
 from tenscontrol.control.mpc.sparse import QuadraticProgram, Sparse, SparseProgram
 from tenscontrol.control.mpc.stages import StagesProgram
 from tenscontrol.docstrings import with_parameters_of
+from tenscontrol.plant.controllability import pushed_one_way
 from tenscontrol.plant.linear_plant import LinearPlant
 from tenscontrol.plant.reference import Preview, ReferencePreview
 from tenscontrol.short_repr import short_repr
@@ -176,6 +177,7 @@ class MPC(PredictiveController):
         rest lengths between samples, would undo it: see :func:`held_loop`. If no string reaches
         a mode that does not decay, naming it: see ``left_alone``.
     ControlWarning
+        If inputs at a bound push a motion that grows or drifts one way only.
         If a reference is farther than the linear plant holds: on the plant linearized in its last
         shape, the LQR of the program comes to rest more than 2 % of the size off, or lets errors
         grow by a factor e in 2 s or less. If a reference breaks a soft limit.
@@ -208,6 +210,7 @@ class MPC(PredictiveController):
         )
         for text in self._concerns(self._law.path):
             warn(text, ControlWarning)
+        self._warn_of_one_way()
         self._program = self._law.program()
         self._sparse: Sparse | None = None  # for other solvers, once it is asked for
         # The data of a reference that rests, which no sample changes.
@@ -216,6 +219,19 @@ class MPC(PredictiveController):
         converts = plant.input == "force_density" and plant.model.strings is not None
         if converts and plant.actuation.is_whole:
             warn_of_held_lengths(plant, designed.problem.feedback, settings.sample_time)
+
+    def _warn_of_one_way(self) -> None:
+        """Warn of a motion that no law within the bounds can hold."""
+        pole = pushed_one_way(self.plant, *self.bounds)
+        if pole is None:
+            return
+        what = "drifts" if pole == 0 else f"grows by a factor e in {1 / pole:.2g} s"
+        warn(
+            f"inputs at a bound push a motion that {what} one way only, so no law can hold this "
+            "shape: tighten slack strings, drive strings that pull the other way, or choose "
+            "another shape",
+            ControlWarning,
+        )
 
     def _concerns(self, path: ReferencePreview) -> list[str]:
         concerns = super()._concerns(path)
