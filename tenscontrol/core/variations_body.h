@@ -177,69 +177,87 @@ INLINE Number N(times)(const double *by, const Number *change) {
   return sum;
 }
 
-/* The change of a string's tension, or of its force density times its length. */
-INLINE Number N(tension_forward)(const Scene *s, const double *by, const Changes *c, int i,
-                                 int first, const Number *input, Number length, Number rate) {
-  const size_t place = (size_t)c->columns * i + first;
-  Number sum = by[BY_LENGTH] * length;
-  if (s->damped) sum += by[BY_RATE] * rate;
-  if (input) sum += by[BY_REST] * input[i];
+/* What a string's own numbers change of its tension, or of its force density times its length. */
+INLINE Number N(own_tension)(const Scene *s, const double *by, const Changes *c, int string, int first) {
+  const size_t place = (size_t)c->columns * string + first;
+  Number sum = all(0);
   if (c->stiffness) sum += by[BY_STIFFNESS] * *numbers(c->stiffness + place);
-  if (c->damping) sum += by[BY_DAMPING] * *numbers(c->damping + place);
+  if (c->damping && s->damped) sum += by[BY_DAMPING] * *numbers(c->damping + place);
   return sum;
 }
 
-INLINE void N(pull_forward)(const Scene *s, const Layout *at, const double *x, int i,
-                            const Number *S, Number axial, Number *f) {
-  const double *along = x + at->along + D * i, weight = x[at->weight + i];
-  for (int k = 0; k < D; ++k) {
-    const Number pull = along[k] * axial + weight * S[k];
-    f[s->segment_start[i] + k] += pull;
-    f[s->segment_end[i] + k] -= pull;
-  }
-}
-
-/* Changes of the length and rate of a segment. */
-INLINE Number N(stretch_forward)(const Scene *s, const Layout *at, const double *x, int i,
-                                 const Point *change, Number *S, Number *rate) {
-  const double *along = x + at->along + D * i;
-  Number Sd[D];
-  N(difference)(change->p, s->segment_start[i], s->segment_end[i], S);
-  if (s->damped) {
-    N(difference)(change->v, s->segment_start[i], s->segment_end[i], Sd);
-    *rate = N(times)(x + at->turning + D * i, S) + N(times)(along, Sd);
+/* The change of a segment's length, of its vector S, and of its rate. */
+INLINE Number N(stretch_forward)(const double *along, const double *turning, const Number *p0,
+                                 const Number *p1, const Number *v0, const Number *v1, Number *S,
+                                 Number *rate) {
+  for (int k = 0; k < D; ++k) S[k] = p1[k] - p0[k];
+  if (turning) {
+    Number Sd[D];
+    for (int k = 0; k < D; ++k) Sd[k] = v1[k] - v0[k];
+    *rate = N(times)(turning, S) + N(times)(along, Sd);
   }
   return N(times)(along, S);
 }
 
-INLINE void N(pulled_forward)(const Scene *s, const Layout *at, const double *x, const Changes *c,
-                              int first, const Number *input, const Point *change) {
-  Number S[D], rate = all(0);
-  if (!s->clustered) {
-    for (int i = 0; i < s->segments; ++i) {
-      const double *by = x + at->string + at->of_string * i;
-      const Number length = N(stretch_forward)(s, at, x, i, change, S, &rate);
-      N(pull_forward)(s, at, x, i, S, N(tension_forward)(s, by, c, i, first, input, length, rate),
-                      change->f);
-    }
-    return;
+INLINE void N(pull_forward)(const double *along, double weight, const Number *S, Number axial,
+                            Number *f0, Number *f1) {
+  for (int k = 0; k < D; ++k) {
+    const Number pull = along[k] * axial + weight * S[k];
+    f0[k] += pull;
+    f1[k] -= pull;
   }
+}
+
+/* Strings of one segment each. */
+INLINE void N(pulled_forward)(const Scene *s, const Layout *at, const double *x, const Changes *c,
+                              int first, const Number *input, const Point *change, const int damped) {
+  const int count = s->segments, slopes = damped ? 5 : 3, has_own = c->stiffness || c->damping;
+  const int32_t *start = s->segment_start, *end = s->segment_end;
+  const double *along = x + at->along, *turning = damped ? x + at->turning : 0;
+  const double *weight = x + at->weight, *by = x + at->string;
+  const Number *p = change->p, *v = change->v;
+  Number *f = change->f, S[D], rate = all(0);
+  for (int i = 0; i < count; ++i, along += D, by += slopes) {
+    const int from = start[i], to = end[i];
+    Number axial = by[BY_LENGTH] * N(stretch_forward)(along, turning, p + from, p + to, v + from,
+                                                      v + to, S, &rate);
+    if (damped) axial += by[BY_RATE] * rate;
+    if (input) axial += by[BY_REST] * input[i];
+    if (has_own) axial += N(own_tension)(s, by, c, i, first);
+    N(pull_forward)(along, weight[i], S, axial, f + from, f + to);
+    if (damped) turning += D;
+  }
+}
+
+/* Strings that run over several segments. */
+static void N(clusters_forward)(const Scene *s, const Layout *at, const double *x, const Changes *c,
+                                int first, const Number *input, const Point *change) {
+  const double *along = x + at->along, *turning = s->damped ? x + at->turning : 0;
+  const Number *p = change->p, *v = change->v;
+  Number S[D], rate = all(0);
   memset(change->string_length, 0, s->strings * sizeof(Number));
   memset(change->string_rate, 0, s->strings * sizeof(Number));
   for (int i = 0; i < s->segments; ++i) {
-    const int string = s->segment_string[i];
-    change->length[i] = N(stretch_forward)(s, at, x, i, change, S, &rate);
+    const int from = s->segment_start[i], to = s->segment_end[i], string = s->segment_string[i];
+    change->length[i] = N(stretch_forward)(along + D * i, turning ? turning + D * i : 0, p + from,
+                                           p + to, v + from, v + to, S, &rate);
     change->string_length[string] += change->length[i];
     change->string_rate[string] += rate;
   }
-  for (int i = 0; i < s->strings; ++i)
-    change->tension[i] = N(tension_forward)(s, x + at->string + at->of_string * i, c, i, first,
-                                            input, change->string_length[i], change->string_rate[i]);
+  for (int i = 0; i < s->strings; ++i) {
+    const double *by = x + at->string + at->of_string * i;
+    Number tension = by[BY_LENGTH] * change->string_length[i];
+    if (s->damped) tension += by[BY_RATE] * change->string_rate[i];
+    if (input) tension += by[BY_REST] * input[i];
+    change->tension[i] = tension + N(own_tension)(s, by, c, i, first);
+  }
   for (int i = 0; i < s->segments; ++i) {
-    N(difference)(change->p, s->segment_start[i], s->segment_end[i], S);
-    N(pull_forward)(s, at, x, i, S,
-                    change->tension[s->segment_string[i]] - x[at->weight + i] * change->length[i],
-                    change->f);
+    const int from = s->segment_start[i], to = s->segment_end[i];
+    const double weight = x[at->weight + i];
+    N(difference)(p, from, to, S);
+    N(pull_forward)(along + D * i, weight, S,
+                    change->tension[s->segment_string[i]] - weight * change->length[i],
+                    change->f + from, change->f + to);
   }
 }
 
@@ -302,27 +320,27 @@ static void N(coupled_forward)(const Scene *s, const Layout *at, const double *x
 /* The change of what a bar and its own force turn its vector by: 3/m of these. */
 INLINE void N(turned_forward)(const double *bar, const Number *vector, const Number *rate,
                               const Number *force, double twice, Number *turning) {
-  const double density = bar[D], *by = bar + D + 1;
-  const Number change = N(times)(by, vector) + N(times)(by + D, rate) + N(times)(by + 2 * D, force);
-  for (int k = 0; k < D; ++k)
-    turning[k] = force[k] + twice * (density * vector[k] + bar[k] * change);
+  const double density = twice * bar[D], *by = bar + D + 1;
+  const Number change = twice * (N(times)(by, vector) + N(times)(by + D, rate) + N(times)(by + 2 * D, force));
+  for (int k = 0; k < D; ++k) turning[k] = force[k] + density * vector[k] + bar[k] * change;
 }
 
 INLINE void N(accelerated_forward)(const Scene *s, const Layout *at, const double *x,
                                    const Point *change) {
-  const Number *f = change->f;
+  const Number *p = change->p, *v = change->v, *f = change->f;
+  const double *bar = x + at->free_bar, *constants = s->bar_constants;
   Number *a = change->a, vector[D], rate[D], force[D], turning[D];
-  for (int i = 0; i < s->free_bars; ++i) {
+  for (int i = 0; i < s->free_bars; ++i, bar += 4 * D + 1, constants += 4) {
     const int start = s->bar_start[i], end = s->bar_end[i];
-    const double inverse = s->bar_constants[4 * i];
-    N(difference)(change->p, start, end, vector);
-    N(difference)(change->v, start, end, rate);
+    const double inverse = constants[0], thrice = constants[1];
+    N(difference)(p, start, end, vector);
+    N(difference)(v, start, end, rate);
     N(difference)(f, start, end, force);
-    N(turned_forward)(x + at->free_bar + at->of_bar * i, vector, rate, force, 2, turning);
+    N(turned_forward)(bar, vector, rate, force, 2, turning);
     for (int k = 0; k < D; ++k) {
-      const Number sum = f[start + k] + f[end + k];
-      a[start + k] = inverse * (sum - 3 * turning[k]);
-      a[end + k] = inverse * (sum + 3 * turning[k]);
+      const Number mean = inverse * (f[start + k] + f[end + k]), turn = thrice * turning[k];
+      a[start + k] = mean - turn;
+      a[end + k] = mean + turn;
     }
   }
   for (int i = 0; i < s->swinging_bars; ++i) {
@@ -343,7 +361,9 @@ static void N(forward)(const Scene *s, const Layout *at, const double *x, const 
                        int first, const Number *input, const Point *change) {
   for (int i = 0; i < s->entries; ++i)
     change->f[i] = c->load ? *numbers(c->load + (size_t)c->columns * i + first) : all(0);
-  if (s->segments) N(pulled_forward)(s, at, x, c, first, input, change);
+  if (s->clustered) N(clusters_forward)(s, at, x, c, first, input, change);
+  else if (s->damped) N(pulled_forward)(s, at, x, c, first, input, change, 1);
+  else if (s->segments) N(pulled_forward)(s, at, x, c, first, input, change, 0);
   if (s->grounds) N(touched_forward)(s, at, x, c, first, change);
   if (c->bar_mass || c->point_mass) N(weighed_forward)(s, x + at->acceleration, c, first, change->f);
   N(accelerated_forward)(s, at, x, change);

@@ -233,41 +233,53 @@ static const double *point_of(const Sweep *sweep, int step, int stage) {
   return sweep->points + ((size_t)step * sweep->method->stages + stage) * sweep->at.size;
 }
 
+/* Adds so many accelerations to places and rates, each counted by a weight in both. */
+INLINE void add_accelerations(int count, const Number *const *a, const Number *in_place,
+                              const Number *in_rate, Number drift, const Number *q0,
+                              const Number *v0, size_t half, Number *q, Number *v) {
+  for (size_t k = 0; k < half; ++k) {
+    Number rate = v0[k], place = q0[k] + drift * rate;
+    for (int m = 0; m < count; ++m) {
+      const Number acceleration = a[m][k];
+      place += in_place[m] * acceleration;
+      rate += in_rate[m] * acceleration;
+    }
+    q[k] = place;
+    v[k] = rate;
+  }
+}
+
 /* Places and rates a part c of h after others, by so many accelerations, (count, half), of which each
    counts once in the rates and twice in the places. */
 static void advance_by(const Number *q0, const Number *v0, double c, Number h, const double *once,
                        const double *twice, int count, const Number *accelerations, size_t half,
                        Number *q, Number *v) {
-  const Number drift = c * h, square = h * h;
-  int j = 0, begun = 0;
+  enum { AT_ONCE = 5 };
+  const Number *a[AT_ONCE];
+  Number in_place[AT_ONCE], in_rate[AT_ONCE], drift = c * h;
+  int left = 0, j = 0;
+  for (int i = 0; i < count; ++i) left += once[i] != 0 || twice[i] != 0;
   do {
-    const Number *a[4], *from_q = begun ? q : q0, *from_v = begun ? v : v0;
-    Number w[4], ww[4], drifting = begun ? all(0) : drift;
-    int some = 0;
-    for (; j < count && some < 4; ++j)
+    const int passes = (left + AT_ONCE - 1) / AT_ONCE, some = passes ? (left + passes - 1) / passes : 0;
+    for (int m = 0; m < some; ++j)
       if (once[j] != 0 || twice[j] != 0) {
-        w[some] = once[j] * h;
-        ww[some] = twice[j] * square;
-        a[some++] = accelerations + j * half;
+        in_place[m] = twice[j] * h * h;
+        in_rate[m] = once[j] * h;
+        a[m++] = accelerations + j * half;
       }
-    if (some == 4)
-      for (size_t k = 0; k < half; ++k) {
-        const Number rate = from_v[k], one = a[0][k], two = a[1][k], three = a[2][k], four = a[3][k];
-        q[k] = from_q[k] + drifting * rate + ww[0] * one + ww[1] * two + ww[2] * three + ww[3] * four;
-        v[k] = rate + w[0] * one + w[1] * two + w[2] * three + w[3] * four;
-      }
-    else
-      for (size_t k = 0; k < half; ++k) {
-        Number rate = from_v[k], place = from_q[k] + drifting * rate;
-        for (int m = 0; m < some; ++m) {
-          rate += w[m] * a[m][k];
-          place += ww[m] * a[m][k];
-        }
-        q[k] = place;
-        v[k] = rate;
-      }
-    begun = 1;
-  } while (j < count);
+    switch (some) { /* so that weights stay in registers */
+    case 0: add_accelerations(0, a, in_place, in_rate, drift, q0, v0, half, q, v); break;
+    case 1: add_accelerations(1, a, in_place, in_rate, drift, q0, v0, half, q, v); break;
+    case 2: add_accelerations(2, a, in_place, in_rate, drift, q0, v0, half, q, v); break;
+    case 3: add_accelerations(3, a, in_place, in_rate, drift, q0, v0, half, q, v); break;
+    case 4: add_accelerations(4, a, in_place, in_rate, drift, q0, v0, half, q, v); break;
+    default: add_accelerations(5, a, in_place, in_rate, drift, q0, v0, half, q, v);
+    }
+    left -= some;
+    q0 = q;
+    v0 = v;
+    drift = all(0);
+  } while (left > 0);
 }
 
 /* Finds the derivatives of all members at the stages of some steps, at most as many as there are lanes. */
@@ -325,22 +337,40 @@ static void unpack(const Number *block, int columns, int rows, int first, double
   for (int i = 0; i < rows; ++i) *(Number *)(X + (size_t)columns * i + first) = block[i];
 }
 
-/* Changes of the inputs of strings at a stage: null if there are none. */
-static const Number *input_forward(const Scene *s, const Changes *c, int first, size_t stage,
-                                   Number *input) {
+/* Where the columns of a block are among the values of a profile, and how its inputs change beside. */
+typedef struct {
+  Number *input; /* (strings); null if none changes */
+  int lanes;     /* that are values of the profile, from the first on */
+  int first, string[WIDTH], value[WIDTH];
+  double beside[WIDTH];
+} Inputs;
+
+static Inputs inputs_forward(const Scene *s, const Changes *c, int first, Number *input) {
   const Profile *profile = c->profile;
-  if (!profile && !c->input) return 0;
-  for (int i = 0; i < s->strings; ++i)
-    input[i] = c->input ? *numbers(c->input + (size_t)c->columns * i + first) : all(0);
+  Inputs inputs = {.input = 0, .lanes = 0, .first = 0};
   for (int j = 0; j < WIDTH && profile; ++j) {
     const int column = first + j - profile->first;
-    if (column >= 0 && column < s->strings * profile->values) {
-      const int string = column / profile->values, value = column % profile->values;
-      const double share = profile->share ? profile->share[stage * profile->values + value] : 1;
-      put(lane(input + string, j) + share, input + string, j);
-    }
+    if (column < 0 || column >= s->strings * profile->values) continue;
+    if (!inputs.lanes) inputs.first = j;
+    inputs.string[inputs.lanes] = column / profile->values;
+    inputs.value[inputs.lanes++] = column % profile->values;
   }
-  return input;
+  if (!inputs.lanes && !c->input) return inputs;
+  inputs.input = input;
+  for (int i = 0; i < s->strings; ++i)
+    input[i] = c->input ? *numbers(c->input + (size_t)c->columns * i + first) : all(0);
+  for (int m = 0; m < inputs.lanes; ++m)
+    inputs.beside[m] = lane(input + inputs.string[m], inputs.first + m);
+  return inputs;
+}
+
+/* Enters what values of a profile change of the inputs at a stage. */
+static void enter_values(const Inputs *inputs, const Profile *profile, size_t stage) {
+  for (int m = 0; m < inputs->lanes; ++m) {
+    const double share =
+        profile->share ? profile->share[stage * profile->values + inputs->value[m]] : 1;
+    put(inputs->beside[m] + share, inputs->input + inputs->string[m], inputs->first + m);
+  }
 }
 
 /* A block of columns over a step. */
@@ -353,6 +383,7 @@ static void step_block(const Sweep *sweep, const Lengths *lengths, int k, int in
   const Number h = all(sweep->steps->length[k]);
   const Point now = point_in(s, &memory);
   Number *q = taken(&memory, half), *v = taken(&memory, half), *accelerations = memory;
+  const Inputs inputs = inputs_forward(s, changes, first, now.input);
   Point there = now;
   if (s->free_row)
     memset(now.p, 0, 2 * s->entries * sizeof *now.p);
@@ -362,8 +393,9 @@ static void step_block(const Sweep *sweep, const Lengths *lengths, int k, int in
   }
   for (int i = 0; i < stages; ++i) {
     const double *x = point_of(sweep, in_lanes, i);
-    const Number *input = input_forward(s, changes, first, (size_t)k * stages + i, now.input);
     Number *to = accelerations + i * half;
+    if (i == 0 || (inputs.lanes && changes->profile->share))
+      enter_values(&inputs, changes->profile, (size_t)k * stages + i);
     advance_by(block, block + half, method->c[i], h, method->a + i * stages,
                sweep->twice + i * stages, i, accelerations, half, q, v);
     if (s->free_row) {
@@ -372,8 +404,8 @@ static void step_block(const Sweep *sweep, const Lengths *lengths, int k, int in
     } else {
       there.a = to;
     }
-    if (s->dimension == 2) forward_2(s, &sweep->at, x, changes, first, input, &there);
-    else forward_3(s, &sweep->at, x, changes, first, input, &there);
+    if (s->dimension == 2) forward_2(s, &sweep->at, x, changes, first, inputs.input, &there);
+    else forward_3(s, &sweep->at, x, changes, first, inputs.input, &there);
     if (s->free_row) from_all(s, now.a, to);
   }
   advance_by(block, block + half, 1, h, method->b, sweep->twice + stages * stages, stages,

@@ -33,6 +33,7 @@ _METHODS = ("rk4", "dop853", IMPLICIT)
 # switches that they pass over costs a motion little, and its derivatives per cents. The second is
 # about the least that double precision is good for.
 _TIGHTER, _TIGHTEST = 1e-3, 1e-12
+_LIMITS = HealthLimits(crossings=None)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -407,7 +408,7 @@ class _Differentiable:
         self.times, self.structure = times, scene.structure
         able = _traceable(scene, choice)
         if looser:
-            able = replace(able, integration=_looser(able.integration))
+            able = able.integrated(_looser(able.integration))
         expected = steps * (scene.integration.tolerance / able.integration.tolerance) ** (1 / 8)
         self.variations = RunVariations(able, self.parameters, times, feedback, expected)
 
@@ -429,9 +430,7 @@ def _traceable(scene: Scene, choice: Choice) -> Scene:
     if method == "dop853":
         tolerance = max(how.tolerance * _TIGHTER, min(how.tolerance, _TIGHTEST))
         changed = {"tolerance": tolerance, "output_step": scene.duration}
-    limits = HealthLimits(crossings=None)
-    integration = replace(how, method=method, error="none", limits=limits, **changed)
-    return replace(scene, integration=integration)
+    return scene.integrated(replace(how, method=method, error="none", limits=_LIMITS, **changed))
 
 
 def _looser(how: Integration) -> Integration:

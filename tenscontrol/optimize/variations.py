@@ -392,6 +392,8 @@ class Variations:
         """Return the derivative of the state at the start of the run, shape (states, P)."""
         half, structure = self.derivatives.half, self.derivatives.structure
         X = np.zeros((2 * half, sum(parameter.size for parameter in self.parameters)))
+        if not any(parameter.kind in ("nodes", "velocities") for parameter in self.parameters):
+            return X
         exact = self.derivatives.projected(self.steps.states[:, :1])
         whole = np.eye(2 * half) if exact is None else exact[0]
         d, n = structure.nodes.shape

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
+from copy import copy
 from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -669,6 +670,12 @@ class Scene:
         if self.winches is None or self.input != "rest_length" or self._commands_bars:
             return 0
         return self.winches.degree
+
+    def integrated(self, integration: Integration) -> Scene:
+        """Return the same scene by another integration, without its checks once more."""
+        scene = copy(self)
+        object.__setattr__(scene, "integration", integration)
+        return scene
 
     def plant_run(self, report: Callable[[float], None] | None = None) -> PlantRun:
         """Return the plant side of a run, at its start.
