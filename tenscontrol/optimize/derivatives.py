@@ -46,12 +46,15 @@ class Slopes:
     by_state : ndarray, shape (K, half, states)
     by_input : ndarray, shape (K, half, α), or None
     by_parameters : ndarray, shape (K, half, P)
-        By all parameters but start and input.
+        By all parameters but start, input and motion of supports.
+    by_supports : ndarray, shape (K, half, 3 d n), or None
+        By what moves with supports, by its rates, and by a load on all nodes.
     """
 
     by_state: FloatArray
     by_input: FloatArray | None
     by_parameters: FloatArray
+    by_supports: FloatArray | None = None
 
 
 class Derivatives:
@@ -69,19 +72,22 @@ class Derivatives:
     parameters : sequence of Parameter
     by_input : bool
         Whether derivatives by the input are needed where it is no parameter.
+    moves : bool
+        Whether supports move.
     """
 
     def __init__(
         self, model: Model, input: str, degree: int, parameters: Sequence[Parameter],
-        by_input: bool = False,
+        by_input: bool = False, moves: bool = False,
     ) -> None:  # fmt: skip
         self._model, self._input = model, input
-        options: dict[str, Any] = {"degree": degree, "load_input": True}
+        options: dict[str, Any] = {"degree": degree, "load_input": True, "offset_input": moves}
         equation = model.equation(input, **options)
         if equation.form == "loops":  # without derivatives
             equation = model.equation(input, form="mapped", **options)
         self.equation = equation
         self._by_input = by_input or any(by.kind == "input" for by in parameters)
+        self._by_supports = any(by.kind == "supports" for by in parameters)
         self._of = [parameter for parameter in parameters if parameter.kind not in BESIDE]
         self._laws = [
             parameter for parameter in self._of if parameter.kind in ("strings", "ground")
@@ -99,12 +105,13 @@ class Derivatives:
 
     @cached_property
     def _jacobian(self) -> ca.Function:
-        by_input, by_load = self._by_input, bool(self._of)
+        by_supports = self._by_supports
+        by_input, by_load = self._by_input, bool(self._of) or by_supports
 
         def build(equation: Equation) -> ca.Function:
-            return _jacobian(equation, by_input, by_load)
+            return _jacobian(equation, by_input, by_load, by_supports)
 
-        return self._of_equation(("slopes", by_input, by_load), build)
+        return self._of_equation(("slopes", by_input, by_load, by_supports), build)
 
     @cached_property
     def _by_law(self) -> ca.Function:
@@ -123,12 +130,12 @@ class Derivatives:
         self, key: tuple[Any, ...], build: Callable[[Equation], ca.Function]
     ) -> ca.Function:
         """Return a function of the equation that the model keeps, or shares with another."""
-        name = (*key, self._input, self.equation.layout.degree)
+        name = (*key, self._input, self.equation.layout)
         return self._prepared(key, lambda: self._model.shared_function(name, self.equation, build))
 
     def _prepared(self, key: tuple[Any, ...], build: Callable[[], _Built]) -> _Built:
         """Return a function that the model keeps."""
-        key = (*key, self._input, self.equation.layout.degree)
+        key = (*key, self._input, self.equation.layout)
         return self._model.prepared.get(key, build)
 
     @property
@@ -145,24 +152,36 @@ class Derivatives:
         """Return ẋ, shape (states, K), of states, inputs and switches, one a column."""
         return evaluate_columns(self.equation.slope, x, u, taut)[0]
 
-    def at(self, x: FloatArray, u: FloatArray, taut: FloatArray, slope: FloatArray) -> Slopes:
-        """Return the derivatives at states, inputs, switches and their ẋ, one a column."""
+    def at(
+        self, x: FloatArray, u: FloatArray, taut: FloatArray, slope: FloatArray,
+        carried: FloatArray | None = None,
+    ) -> Slopes:  # fmt: skip
+        """Return the derivatives at states, inputs, switches and their ẋ, one a column.
+
+        ``carried`` are the accelerations of nodes with supports, (d n, K), m/s².
+        """
         outputs = iter(evaluate_columns(self._jacobian, x, u, taut))
         half, count = self.half, x.shape[1]
         by_state = _stacked(next(outputs), half)
         by_input = _stacked(next(outputs), half) if self._by_input else None
-        if not self._of:
-            return Slopes(by_state, by_input, np.zeros((count, half, 0)))
-        by_load = _stacked(next(outputs), half)
-        return Slopes(by_state, by_input, by_load @ self._forces(x, u, taut, slope))
+        by_parameters, by_supports = np.zeros((count, half, 0)), None
+        if self._of or self._by_supports:
+            by_load = _stacked(next(outputs), half)
+        if self._of:
+            by_parameters = by_load @ self._forces(x, u, taut, slope, carried)
+        if self._by_supports:
+            by_motion = _stacked(next(outputs), half)
+            by_supports = np.concatenate([by_motion, by_load], axis=2)
+        return Slopes(by_state, by_input, by_parameters, by_supports)
 
     def by_state(self, x: FloatArray, u: FloatArray, taut: FloatArray) -> FloatArray:
         """Return the derivatives of the accelerations by the state, shape (K, half, states)."""
         return _stacked(evaluate_columns(self._jacobian, x, u, taut)[0], self.half)
 
     def _forces(
-        self, x: FloatArray, u: FloatArray, taut: FloatArray, slope: FloatArray
-    ) -> FloatArray:
+        self, x: FloatArray, u: FloatArray, taut: FloatArray, slope: FloatArray,
+        carried: FloatArray | None,
+    ) -> FloatArray:  # fmt: skip
         """Return what parameters change of the forces on all nodes, shape (K, d n, P)."""
         structure, count = self._model.structure, x.shape[1]
         d, n = structure.nodes.shape
@@ -173,6 +192,8 @@ class Derivatives:
             of_laws = iter(np.split(values, ends, axis=2))
         moved = np.zeros((d * n, count))
         moved[structure.free_rows] = slope[self.half :]
+        if carried is not None:
+            moved += carried
         excess = self._model.gravity[:, None, None] - moved.reshape(n, d, count).swapaxes(0, 1)
         parts: list[FloatArray] = []
         for parameter in self._of:
@@ -210,6 +231,13 @@ class Derivatives:
         half = self.half
         N = _all_nodes(model, x[:half], model.structure.nodes)
         V = _all_nodes(model, x[half:], np.zeros(model.structure.nodes.shape))
+        layout = equation.layout
+        if layout.offset:
+            rows = slice(layout.count - layout.offset, layout.count)
+            N, V = (
+                nodes + ca.reshape(layout.values(u, order)[rows], *N.shape)
+                for order, nodes in enumerate((N, V))
+            )
         on_nodes = forces.on_nodes(N, V, equation.of_strings(u), None, taut)
         slopes = ca.jacobian(ca.vec(on_nodes), ca.vertcat(*symbols))
         values = law_values(model, self._input, self._laws)
@@ -222,24 +250,28 @@ class Derivatives:
         """Return what switches at the ends of steps, one a column; ``changes`` are 1, −1 or 0."""
         step, which = np.nonzero(changes.T)
         if not len(step):
-            no_states, no_inputs = (
-                np.zeros((0, len(x))),
-                np.zeros((0, self.equation.layout.strings)),
+            layout, nothing = self.equation.layout, np.zeros(0)
+            no_states, no_inputs, no_offsets = (
+                np.zeros((0, size)) for size in (len(x), layout.strings, layout.offset)
             )
-            nothing = np.zeros(0)
-            return Switches(step, which, no_states, no_inputs, nothing, no_states, nothing)
+            return Switches(
+                step, which, no_states, no_inputs, no_offsets, nothing, no_states, nothing
+            )
         x, u, before = (array[:, step] for array in (x, u, taut))
         after = before.copy()
         after[which, np.arange(len(step))] += changes[which, step]
         slope = self.slope(x, u, before)
         jump = self.slope(x, u, after) - slope
         m = self.equation.switches
-        by_state, by_input, by_time, scale = evaluate_columns(self._gap, x, u)
+        by_state, by_input, by_offset, by_time, scale = evaluate_columns(self._gap, x, u)
         every = np.arange(len(step))
         by_state = _stacked(by_state, m)[every, which]
-        by_input = _stacked(by_input, m)[every, which]
+        by_input, by_offset = (
+            _stacked(entries, m)[every, which] for entries in (by_input, by_offset)
+        )
         rate = (by_state * slope.T).sum(axis=1) + by_time[which, every]
-        return Switches(step, which, by_state, by_input, rate, jump.T, scale[which, every])
+        scales = scale[which, every]
+        return Switches(step, which, by_state, by_input, by_offset, rate, jump.T, scales)
 
     def projected(self, x: FloatArray) -> FloatArray | None:
         """Return the derivative of putting bars on their lengths, shape (K, states, states)."""
@@ -262,6 +294,8 @@ class Switches:
     by_state : ndarray, shape (E, states)
         Derivative of the gap.
     by_input : ndarray, shape (E, α)
+    by_offset : ndarray, shape (E, d n), or (E, 0) where supports stand
+        By what moves with supports.
     rate : ndarray, shape (E,)
         Of the gap along the motion just before, m/s.
     jump : ndarray, shape (E, states)
@@ -274,6 +308,7 @@ class Switches:
     which: Any
     by_state: FloatArray
     by_input: FloatArray
+    by_offset: FloatArray
     rate: FloatArray
     jump: FloatArray
     scale: FloatArray
@@ -286,7 +321,7 @@ def _stacked(columns: FloatArray, rows: int) -> FloatArray:
     return np.ascontiguousarray(columns.T.reshape(count, width, rows).swapaxes(1, 2))
 
 
-def _jacobian(equation: Equation, by_input: bool, by_load: bool) -> ca.Function:
+def _jacobian(equation: Equation, by_input: bool, by_load: bool, by_supports: bool) -> ca.Function:
     """Return ``(x, u, taut) -> columns of the derivatives of the accelerations``."""
     x, u, taut, _ = equation.symbols()
     rates = equation.slope(x, u, taut)[equation.states // 2 :]
@@ -297,6 +332,14 @@ def _jacobian(equation: Equation, by_input: bool, by_load: bool) -> ca.Function:
         outputs.append(by_held[:, :strings])
     if by_load:
         outputs.append(by_held[:, strings : strings + load])
+    if by_supports:
+        layout = equation.layout
+        places = by_held[:, layout.count - layout.offset : layout.count]
+        rates_of = type(x)(*places.shape)
+        if layout.degree:  # c₁ counts by the time, and as the rate
+            second = by_held[:, 2 * layout.count - layout.offset : 2 * layout.count]
+            rates_of = second - u[-1] * places
+        outputs.append(ca.horzcat(places, rates_of))
     return Function("slopes", [x, u, taut], [ca.densify(ca.vec(output)) for output in outputs])
 
 
@@ -306,7 +349,11 @@ def _gap_slopes(equation: Equation) -> ca.Function:
     gap = equation.gap(x, u)[0]
     by_held, strings = ca.jacobian(gap, u), equation.layout.strings
     by_time = by_held[:, -1] if equation.layout.degree else type(x)(*gap.shape)
-    outputs = [ca.jacobian(gap, x), by_held[:, :strings], by_time, equation.gap_scale(u)]
+    layout = equation.layout
+    by_offset = by_held[:, layout.count - layout.offset : layout.count]
+    outputs = [
+        ca.jacobian(gap, x), by_held[:, :strings], by_offset, by_time, equation.gap_scale(u)
+    ]  # fmt: skip
     return Function("gap_slopes", [x, u], [ca.densify(ca.vec(output)) for output in outputs])
 
 

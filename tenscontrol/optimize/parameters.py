@@ -17,7 +17,7 @@ from tenscontrol.dynamics.profile import Pieces, Profile, polynomial_at
 from tenscontrol.simulation.scene import Scene
 
 #: Kinds of parameters that the equation of motion does not have.
-BESIDE = frozenset({"nodes", "velocities", "input", "gain"})
+BESIDE = frozenset({"nodes", "velocities", "input", "supports", "gain"})
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,11 +27,12 @@ class Parameter:
     Attributes
     ----------
     name : str
-    kind : {"nodes", "velocities", "input", "strings", "ground", "bar_mass", "point_mass", \
-"gravity", "external_force", "gain"}
+    kind : {"nodes", "velocities", "input", "supports", "strings", "ground", "bar_mass", \
+"point_mass", "gravity", "external_force", "gain"}
     shape : tuple of int
     pieces : Pieces, optional
-        Of an input that is a profile: what the values at its K times count by, one row each.
+        Of an input or a motion that is a profile: what the values at its K times count by, one row
+        each.
     law : int
         Which contact law, of the ground.
     field : str
@@ -88,6 +89,8 @@ def known_parameters(scene: Scene) -> dict[str, Parameter]:
         Parameter(name, "ground", (), law=law, field=number)
         for name, (law, number) in ground_numbers(model).items()
     ]
+    if scene.supports is not None and not callable(scene.support_motion):
+        parameters.append(_of_supports(scene))
     if isinstance(scene.law, LQR):
         parameters.append(Parameter("gain", "gain", scene.law.gain.shape))
     return {parameter.name: parameter for parameter in parameters}
@@ -105,8 +108,7 @@ def _input(scene: Scene) -> Parameter:
     """Return the input of the strings: constant, at the times of a profile, or a sample."""
     count, given = len(scene.structure.strings), getattr(scene, scene.input)
     if scene.law is None and isinstance(given, Profile) and given.values.ndim == 2:
-        unit = Profile(given.time, np.eye(len(given.time)), given.interpolation)
-        return Parameter(scene.input, "input", (count, len(given.time)), unit.pieces)
+        return Parameter(scene.input, "input", (count, len(given.time)), _unit_pieces(given))
     if scene.law is None:
         return Parameter(scene.input, "input", (count,))
     ticks = sample_times(scene)
@@ -114,17 +116,33 @@ def _input(scene: Scene) -> Parameter:
     return Parameter(scene.input, "input", (count, len(ticks)), unit.pieces)
 
 
-def shares(parameter: Parameter, time: FloatArray, within: FloatArray) -> FloatArray | None:
-    """Return by what the values of a profile count at times, shape (K, T).
+def _of_supports(scene: Scene) -> Parameter:
+    """Return the motion of supports: a displacement, or displacements at the times of a profile."""
+    shape, given = (scene.structure.dimension, len(scene.structure.fixed)), scene.support_motion
+    if isinstance(given, Profile):
+        pieces = _unit_pieces(given)
+        return Parameter("support_motion", "supports", (*shape, len(given.time)), pieces)
+    return Parameter("support_motion", "supports", shape)
 
-    By the pieces of the times ``within``, of which they may be the ends. None for an input that is
-    one number a string.
+
+def _unit_pieces(profile: Profile) -> Pieces:
+    return Profile(profile.time, np.eye(len(profile.time)), profile.interpolation).pieces
+
+
+def shares(
+    parameter: Parameter, time: FloatArray, within: FloatArray, order: int = 0
+) -> FloatArray | None:
+    """Return by what the values of a profile count at times, shape (K, T), or those of its rates.
+
+    By the pieces of the times ``within``, of which they may be the ends. None for what is one
+    number an entry.
     """
     pieces = parameter.pieces
     if pieces is None:
         return None
     i = pieces.index(within)
-    return polynomial_at(pieces.coefficients[i].transpose(1, 2, 0), time - pieces.origin[i])
+    coefficients = pieces.coefficients[i].transpose(1, 2, 0)
+    return polynomial_at(coefficients, time - pieces.origin[i], order)
 
 
 def unit_load(model: Model) -> FloatArray:

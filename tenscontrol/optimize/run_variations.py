@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from tenscontrol.arrays import FloatArray
+from tenscontrol.dynamics.equation import unpack_states
+from tenscontrol.dynamics.profile import polynomial_at
 from tenscontrol.optimize.derivatives import Derivatives
 from tenscontrol.optimize.feedback import feedback_of
 from tenscontrol.optimize.implicit_steps import halved
 from tenscontrol.optimize.parameters import Parameter
+from tenscontrol.optimize.support_changes import SupportChanges
 from tenscontrol.optimize.traced_steps import steps_of
 from tenscontrol.optimize.variations import IMPLICIT, Variations, columns_of, stable
 from tenscontrol.simulation.plant_run import PlantRun
@@ -50,7 +53,13 @@ class RunVariations:
         self.parameters, self.times = parameters, times
         self._scene, self._feedback = scene, feedback
         self._run = run = scene.traced_run()
-        self.derivatives = Derivatives(scene.model, scene.input, run.degree, parameters, feedback)
+        self.derivatives = Derivatives(
+            scene.model, scene.input, run.degree, parameters, feedback, scene.supports is not None
+        )
+        self._changes: SupportChanges | None = None
+        for parameter in parameters:
+            if parameter.kind == "supports" and scene.supports is not None:
+                self._changes = SupportChanges(scene.structure, scene.supports, parameter)
         numbers = self.derivatives.equation
         of_step = 8 * _COPIES * (numbers.states + numbers.inputs + numbers.switches)
         run.most = max(_MOST_BYTES / of_step, 256) if most is None else most
@@ -103,6 +112,62 @@ class RunVariations:
             mu = part.backward(mu, costs[self._of(i)], slope, answered)
         return _finite(np.asarray(slope + mu @ part.start()))
 
+    # ---- all nodes ----
+
+    def nodes(self) -> tuple[FloatArray, FloatArray]:
+        """Return nodes and velocities at the times, shape (d, n, T) each."""
+        nodes, velocities = unpack_states(self._scene.structure, self.motion())
+        supports = self._scene.supports
+        if supports is None:
+            return nodes, velocities
+        moved = supports.displacement
+        piece = moved.index(self._within)
+        coefficients = moved.coefficients[piece].transpose(1, 2, 0)
+        offset, rate = (
+            polynomial_at(coefficients, self.times - moved.origin[piece], order) for order in (0, 1)
+        )
+        return (
+            nodes + offset.reshape(nodes.shape, order="F"),
+            velocities + rate.reshape(nodes.shape, order="F"),
+        )
+
+    def whole(self, sensitivities: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return derivatives of all nodes and velocities, node by node, (T, d n, P) each.
+
+        From those of x at the times, shape (T, states, P).
+        """
+        structure, half = self._scene.structure, self.derivatives.half
+        count, _, width = sensitivities.shape
+        whole = np.zeros((2, count, structure.nodes.size, width))
+        whole[:, :, structure.free_rows] = sensitivities[:, :half], sensitivities[:, half:]
+        for columns, changes in self._displaced():
+            whole[..., columns] += changes
+        return whole[0], whole[1]
+
+    def cost_of_supports(self, by_nodes: FloatArray, by_velocities: FloatArray) -> FloatArray:
+        """Return derivatives of a cost by what supports displace at the times, shape (P,).
+
+        From those by all nodes and velocities, node by node, shape (T, d n) each.
+        """
+        slope = np.zeros(sum(parameter.size for parameter in self.parameters))
+        for columns, (places, rates) in self._displaced():
+            slope[columns] = np.tensordot(by_nodes, places, 2)
+            slope[columns] += np.tensordot(by_velocities, rates, 2)
+        return slope
+
+    def _displaced(self) -> Iterator[tuple[slice, tuple[FloatArray, FloatArray]]]:
+        """Yield columns with what they displace of nodes and velocities at the times."""
+        for parameter, columns in zip(self.parameters, self.columns, strict=True):
+            if parameter.kind == "supports" and self._changes is not None:
+                places, rates = (self._changes.at(self.times, self._within, i) for i in (0, 1))
+                yield columns, (places, rates)
+
+    @property
+    def _within(self) -> FloatArray:
+        """Times in the pieces that the times end, s; that at the start begins one."""
+        close = 1e-9 * self._scene.duration
+        return np.where(self.times > self._scene.begin + close, self.times - close, self.times)
+
     # ---- parts ----
 
     def _take(self, run: PlantRun) -> None:
@@ -130,7 +195,7 @@ class RunVariations:
     def _variations(self, run: PlantRun, i: int) -> Variations:
         scene, derivatives = self._scene, self.derivatives
         load = run.load if isinstance(run.load, np.ndarray) else scene.model.constant_force
-        steps = steps_of(run, load)
+        steps = steps_of(run, load, scene.state)
         if steps.method == IMPLICIT and scene.integration.step is None:
             steps = halved(steps, derivatives)
         steps = stable(steps, derivatives)
@@ -140,7 +205,9 @@ class RunVariations:
         answers = None
         if self._feedback:
             answers = feedback_of(scene, steps, self.parameters, self.columns)
-        return Variations(steps, derivatives, self.parameters, self.times[self._of(i)], answers)
+        return Variations(
+            steps, derivatives, self.parameters, self.times[self._of(i)], answers, self._changes
+        )
 
 
 def _finite(array: FloatArray) -> FloatArray:

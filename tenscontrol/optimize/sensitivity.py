@@ -12,7 +12,6 @@ import numpy as np
 
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, IntArray, frozen
-from tenscontrol.dynamics.equation import unpack_states
 from tenscontrol.integrate.methods import Choice
 from tenscontrol.optimize.feedback import regulator_of
 from tenscontrol.optimize.parameters import parameters_of
@@ -192,7 +191,8 @@ def sensitivity(
         What to differentiate by: ``"nodes"`` and ``"velocities"`` at the start; the input,
         ``"rest_length"`` or ``"force_density"``; parameters of the string law, as ``"stiffness"``
         and ``"damping"``; ``"bar_mass"``, ``"point_mass"``, ``"gravity"``, ``"external_force"``;
-        and those of the ground, as ``"ground.stiffness"``, or ``"ground[1].friction"`` of several;
+        those of the ground, as ``"ground.stiffness"``, or ``"ground[1].friction"`` of several;
+        ``"support_motion"``, a displacement or the values of a :class:`Profile`, (d, fixed, K);
         with ``feedback`` the ``"gain"`` of an LQR.
     times : float or array_like, shape (T,), optional
         Ascending, s; the end of the run if not given.
@@ -208,14 +208,15 @@ def sensitivity(
     ------
     TypeError, ValueError
         If an argument is of the wrong kind, a name is not one of the run's parameters, or the run
-        cannot be differentiated: by another method, with moving supports, or a copy or from a file.
+        cannot be differentiated: by another method, with driven bars, or a copy or from a file.
 
     Notes
     -----
     Of an input that is a :class:`Profile` the derivatives are those by its values, shape (α, K); of
     a controller's, by a change over each of its samples, with its commands as they were. A change
     of the nodes or velocities at the start is projected onto what keeps the bars' lengths, as
-    :func:`simulate` does. A change of a mass changes its weight, too.
+    :func:`simulate` does. A change of a mass changes its weight, too. A displacement of supports
+    moves the nodes with it that bars join to them, at the start, too.
 
     Where a damped string goes taut, its force jumps, and the derivatives with it. Elsewhere forces
     are continuous. The steps are those of the run, or of a thousandth of its tolerance: a pair of
@@ -277,16 +278,15 @@ def _of_batch(batch: Batch, to: object, times: object, feedback: bool) -> BatchS
 
 def _derivatives(work: _Differentiable) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
     """Return the derivatives of nodes and velocities by each parameter."""
-    half, structure = work.variations.derivatives.half, work.structure
-    sensitivities = work.variations.forward()
+    structure, variations = work.structure, work.variations
+    whole = variations.whole(variations.forward())
     nodes, velocities = dict[str, FloatArray](), dict[str, FloatArray]()
     d, n = structure.nodes.shape
-    for parameter, columns in zip(work.parameters, work.variations.columns, strict=True):
-        for rows, into in ((slice(half), nodes), (slice(half, None), velocities)):
-            own = np.zeros((n * d, len(sensitivities), parameter.size))
-            own[structure.free_rows] = sensitivities[:, rows, columns].swapaxes(0, 1)
-            whole = own.reshape(n, d, len(sensitivities), *parameter.shape).swapaxes(0, 1)
-            into[parameter.name] = frozen(whole)
+    for parameter, columns in zip(work.parameters, variations.columns, strict=True):
+        for rows, into in zip(whole, (nodes, velocities), strict=True):
+            own = rows[..., columns].swapaxes(0, 1)
+            own = own.reshape(n, d, len(rows), *parameter.shape).swapaxes(0, 1)
+            into[parameter.name] = frozen(own)
     return nodes, velocities
 
 
@@ -334,21 +334,21 @@ def gradient(
     """
     validation.function("cost", cost, "(time, nodes, velocities) -> a number in CasADi")
     work = _differentiable(run, to, times, feedback)
-    states, structure = work.variations.motion(), run.structure
+    structure = run.structure
     function = _cost_function(cost, structure.nodes.shape)
-    value, costs = 0.0, np.zeros(states.T.shape)
-    nodes, velocities = unpack_states(structure, states)
-    rows = structure.free_rows
+    value, count = 0.0, len(work.times)
+    nodes, velocities = work.variations.nodes()
+    costs = np.zeros((2, count, nodes[:, :, 0].size))
     for i, time in enumerate(work.times):
         one, by_nodes, by_velocities = function(time, nodes[:, :, i], velocities[:, :, i])
         value += float(one)
-        by = [
-            np.asarray(matrix.full()).ravel(order="F")[rows] for matrix in (by_nodes, by_velocities)
-        ]
-        costs[i] = np.concatenate(by)
+        for by, matrix in zip(costs, (by_nodes, by_velocities), strict=True):
+            by[i] = matrix.full().ravel(order="F")
     if not (np.isfinite(value) and np.isfinite(costs).all()):
         raise ValueError("cost or its slope is not finite at the motion of the run")
-    derivatives = work.variations.backward(costs)
+    of_states = np.concatenate(costs[:, :, structure.free_rows], axis=1)
+    derivatives = work.variations.backward(of_states)
+    derivatives = derivatives + work.variations.cost_of_supports(*costs)
     slope = {
         parameter.name: frozen(derivatives[columns].reshape(parameter.shape))
         for parameter, columns in zip(work.parameters, work.variations.columns, strict=True)
@@ -394,8 +394,11 @@ class _Differentiable:
         self, scene: Scene, choice: Choice, to: object, times: FloatArray, feedback: bool,
         steps: int = 0, looser: bool = False,
     ) -> None:  # fmt: skip
-        if scene.support_motion is not None:
-            raise ValueError("run has supports that move, through which no derivative is taken")
+        if scene.supports is not None and (feedback or choice.method == IMPLICIT):
+            through = "a feedback" if feedback else "steps of the method 'energy_momentum'"
+            raise ValueError(
+                f"run has supports that move, and through {through} no derivative is taken then"
+            )
         commands_bars = scene.law is not None and scene.law.input == "bar_length"
         if scene.bar_length is not None or commands_bars:
             raise ValueError("run has driven bars, through which no derivative is taken")

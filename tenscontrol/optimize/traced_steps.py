@@ -2,13 +2,39 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.dynamics.equation import InputLayout
+from tenscontrol.dynamics.profile import polynomial_at
+from tenscontrol.properties import cached_property
 from tenscontrol.simulation.plant_run import PlantRun
+
+
+@dataclass(frozen=True, eq=False)
+class Push:
+    """A jump of the velocity of supports, and what it made of the state.
+
+    Attributes
+    ----------
+    state : ndarray, shape (states,)
+        Before it.
+    held, pushed : ndarray, shape (inputs,)
+        u, and the same with the impulse on the nodes as a load.
+    jump : ndarray, shape (d n,)
+        Of the velocities that nodes have with supports, node by node, m/s.
+    is_first : bool
+        Whether it begins the run.
+    """
+
+    state: FloatArray
+    held: FloatArray
+    pushed: FloatArray
+    jump: FloatArray
+    is_first: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +56,8 @@ class TracedSteps:
         Whether bars are put on their lengths after each step.
     method : {"rk4", "dop853"}
     layout : InputLayout
+    pushes : mapping of int to Push
+        Of spans that begin with one.
     """
 
     begin: FloatArray
@@ -41,6 +69,30 @@ class TracedSteps:
     projects: bool
     method: str
     layout: InputLayout
+    pushes: Mapping[int, Push] = field(default_factory=dict)
+
+    def push_at(self, step: int) -> Push | None:
+        """Return the push with which a step begins, if it does."""
+        if step and self.span[step] == self.span[step - 1]:
+            return None
+        return self.pushes.get(int(self.span[step]))
+
+    @cached_property
+    def pushed_steps(self) -> list[int]:
+        """Steps that begin with a push."""
+        if not self.pushes:
+            return []
+        first = np.flatnonzero(np.diff(self.span, prepend=-1)).tolist()
+        return [k for k in first if int(self.span[k]) in self.pushes]
+
+    def support_motion(self, inputs: FloatArray, order: int) -> FloatArray:
+        """Return E of inputs, one a column, or its derivative of an order, (d n, K)."""
+        layout, count = self.layout, inputs.shape[1]
+        rows = slice(layout.count - layout.offset, layout.count)
+        powers = layout.degree + 1
+        coefficients = inputs[: powers * layout.count].reshape(powers, layout.count, count)
+        time = inputs[-1] if layout.degree else np.zeros(count)
+        return polynomial_at(coefficients[:, rows].swapaxes(0, 1), time, order)
 
     @property
     def end(self) -> float:
@@ -61,13 +113,16 @@ class TracedSteps:
         return change
 
 
-def steps_of(run: PlantRun, load: FloatArray) -> TracedSteps:
+def steps_of(run: PlantRun, load: FloatArray, start: FloatArray) -> TracedSteps:
     """Return the steps of a run that was traced.
 
-    The inputs have the load on all nodes, N, (d, n), behind those of the strings.
+    The inputs have the load on all nodes, N, (d, n), behind those of the strings. ``start`` is the
+    state before the run.
     """
     strings = len(run.model.structure.strings)
-    layout = InputLayout(strings, load.size, degree=run.degree)
+    layout = InputLayout(
+        strings, load.size, load.size * (run.supports is not None), degree=run.degree
+    )
     spans = run.spans[1:]
     ends = [span.ends for span in spans if span.ends is not None]
     taut = [of_span.taut for of_span in ends if of_span.taut is not None]
@@ -89,10 +144,20 @@ def steps_of(run: PlantRun, load: FloatArray) -> TracedSteps:
     if layout.degree:
         origins = np.array([span.origin for span in spans])
         inputs = np.vstack([inputs, (begins - origins)[which] + within])
+    pushes = dict[int, Push]()
+    for i, span in enumerate(spans):
+        if span.jump is not None and span.jump.supports is not None and run.supports is not None:
+            before = run.spans[i]
+            is_first = before.ends is None
+            state = start if is_first else before.states[:, -1]
+            held = run.packed(span.coefficients, begins[i] - span.origin)
+            pushed = held.copy()
+            pushed[strings : strings + load.size] -= run.supports.force(span.jump.supports)
+            pushes[i] = Push(state, held, pushed, span.jump.supports, is_first)
     method = run.methods[-1]
     how = run.integration
     projects = method == "dop853" if how.project is None else how.project
     return TracedSteps(
         begins[which] + within, until - within, which, states, inputs,
-        np.hstack(taut), projects, method, layout,
+        np.hstack(taut), projects, method, layout, pushes,
     )  # fmt: skip

@@ -17,7 +17,8 @@ from tenscontrol.optimize.derivatives import Derivatives, Slopes, Switches
 from tenscontrol.optimize.feedback import Feedback
 from tenscontrol.optimize.implicit_steps import ImplicitSteps
 from tenscontrol.optimize.parameters import BESIDE, Parameter, shares
-from tenscontrol.optimize.traced_steps import TracedSteps
+from tenscontrol.optimize.support_changes import SupportChanges
+from tenscontrol.optimize.traced_steps import Push, TracedSteps
 from tenscontrol.properties import cached_property
 
 # Numbers of the derivatives that are held at a time.
@@ -155,6 +156,8 @@ class Variations:
         At which derivatives are asked for in the part, s, ascending.
     feedback : Feedback, optional
         By which commands answer changes of the state.
+    supports : SupportChanges, optional
+        What the parameter of a motion of supports changes.
     """
 
     steps: TracedSteps
@@ -162,6 +165,7 @@ class Variations:
     parameters: Sequence[Parameter]
     times: FloatArray
     feedback: Feedback | None = None
+    supports: SupportChanges | None = None
 
     @cached_property
     def switches(self) -> Switches:
@@ -171,7 +175,7 @@ class Variations:
         if steps.layout.degree:
             ends = ends.copy()
             ends[-1] += steps.length
-        return self.derivatives.at_switches(steps.states[:, 1:], ends, steps.taut, steps.switched)
+        return self.derivatives.at_switches(self._ends, ends, steps.taut, steps.switched)
 
     @cached_property
     def columns(self) -> list[slice]:
@@ -186,13 +190,16 @@ class Variations:
         Those at the times are entered in ``sensitivities``, shape (T, states, P). ``answer`` is
         what the command before the part made of the inputs; that at its end is returned, too.
         """
-        sensitivities[self.times <= self.steps.begin[0]] = X
         at, feedback = self._first_switch, self.feedback
         ends, last = self._places[0], -1
+        X = self._pushed(0, X)
+        sensitivities[self.times <= self.steps.begin[0]] = X
         for leg in self._legs(is_back=False):
             check()
-            if feedback is not None and leg.step != last and feedback.begins(leg.step):
-                answer = feedback.answer(leg.step, X)
+            if leg.step != last:
+                X = self._pushed(leg.step, X) if leg.step else X
+                if feedback is not None and feedback.begins(leg.step):
+                    answer = feedback.answer(leg.step, X)
             last = leg.step
             reached = self._forward(X, leg, answer)
             if leg.part is not None:
@@ -213,7 +220,7 @@ class Variations:
         ends, parts = self._places
         states = np.repeat(steps.states[:, :1], len(self.times), axis=1)
         for k, which in ends.items():
-            states[:, which] = steps.states[:, [k + 1]]
+            states[:, which] = self._ends[:, [k]]
         plan = [(k, length, i) for k, own in parts.items() for length, i in own]
         if isinstance(self._stepper, ImplicitSteps):
             for k, length, i in plan:
@@ -260,6 +267,7 @@ class Variations:
             else:
                 last = leg.step + leg.steps - 1
                 mu = self._answered_back(last + 1, mu + partial, answered, slope)
+                mu = self._pushed_back(last + 1, mu, slope)
                 mu = mu + costs[ends.get(last, [])].sum(axis=0)
                 partial = np.zeros_like(mu)
                 for e in range(at[last + 1] - 1, at[last] - 1, -1):
@@ -276,7 +284,8 @@ class Variations:
         if self._stepper is not None:
             self._stepper.take_costs(slope)
         mu = self._answered_back(0, mu + partial, answered, slope)
-        return np.asarray(mu + costs[self.times <= self.steps.begin[0]].sum(axis=0))
+        mu = mu + costs[self.times <= self.steps.begin[0]].sum(axis=0)
+        return self._pushed_back(0, mu, slope)
 
     def _answered_back(
         self, step: int, mu: FloatArray, answered: FloatArray, slope: FloatArray
@@ -296,6 +305,8 @@ class Variations:
         derivatives = self.derivatives
         if self.steps.method == IMPLICIT:
             return ImplicitSteps(self.steps, derivatives, self.parameters, self.columns)
+        if self.steps.layout.offset:
+            return None
         return core_steps(
             derivatives.model, derivatives.equation, self.steps, self._tableau, self.parameters,
             self.columns, self.feedback is not None,
@@ -364,6 +375,10 @@ class Variations:
                     rates[:, columns][:, k :: len(share[stage])] += (
                         share[stage, k] * by_input[stage]
                     )
+            elif parameter.kind == "supports":
+                assert slopes.by_supports is not None  # it was asked for
+                assert share is not None  # what is displaced and pushed
+                rates[:, columns] += slopes.by_supports[stage] @ share[stage]
             elif parameter.kind not in BESIDE:
                 own = slopes.by_parameters[stage]
                 rates[:, columns] += own[:, first : first + parameter.size]
@@ -382,9 +397,66 @@ class Variations:
                 slope[columns] += (
                     by_input if share is None else np.outer(by_input, share[stage]).ravel()
                 )
+            elif parameter.kind == "supports":
+                assert slopes.by_supports is not None  # it was asked for
+                assert share is not None  # what is displaced and pushed
+                slope[columns] += (kappa @ slopes.by_supports[stage]) @ share[stage]
             elif parameter.kind not in BESIDE:
                 slope[columns] += own[first : first + parameter.size]
                 first += parameter.size
+
+    # ---- supports that kink ----
+
+    def _pushed(self, step: int, X: FloatArray) -> FloatArray:
+        """Return the derivative of the state after the push with which a step may begin."""
+        push = self.steps.push_at(step)
+        if push is None:
+            return X
+        slopes, counts = self._push_slopes(step, push)
+        pushed, half = X.copy(), self.derivatives.half
+        pushed[half:] += slopes.by_state[0] @ X
+        self._add_to(pushed[half:], slopes, counts, 0)
+        return pushed
+
+    def _pushed_back(self, step: int, mu: FloatArray, slope: FloatArray) -> FloatArray:
+        """Return a cost by x before the push with which a step may begin; add by parameters."""
+        push = self.steps.push_at(step) if step < len(self.steps.length) else None
+        if push is None:
+            return mu
+        slopes, counts = self._push_slopes(step, push)
+        of_velocities = mu[self.derivatives.half :]
+        self._add_sources(slope, slopes, counts, 0, of_velocities)
+        return np.asarray(mu + of_velocities @ slopes.by_state[0])
+
+    def _push_slopes(self, step: int, push: Push) -> tuple[Slopes, list[FloatArray | None]]:
+        """Return derivatives of what a push adds to velocities: accelerations are affine in it."""
+        taut, x = np.ones((len(self.steps.taut), 1)), push.state[:, None]
+        both = []
+        for u, jump in ((push.held, 0.0), (push.pushed, push.jump[:, None])):
+            inputs = u[:, None]
+            slope = self.derivatives.slope(x, inputs, taut)
+            carried = self.steps.support_motion(inputs, 2) + jump
+            both.append(self.derivatives.at(x, inputs, taut, slope, carried))
+        before, after = both
+        slopes = Slopes(
+            after.by_state - before.by_state,
+            None if before.by_input is None else np.zeros_like(before.by_input),
+            after.by_parameters - before.by_parameters,
+            before.by_supports,
+        )
+        begin, length = float(self.steps.begin[step]), float(self.steps.length[step])
+        now = np.array([begin])
+        counts: list[FloatArray | None] = []
+        for parameter in self.parameters:
+            share = None
+            if parameter.kind == "input":
+                share = shares(parameter, now, now + length / 2)
+                share = None if share is None else share.T
+            elif parameter.kind == "supports" and self.supports is not None:
+                earlier = None if push.is_first else begin - 1e-6 * length
+                share = self.supports.impulse(begin, earlier, begin + length / 2)
+            counts.append(share)
+        return slopes, counts
 
     # ---- starts and switches ----
 
@@ -410,6 +482,9 @@ class Variations:
         k = switches.step[e]
         begin, length = steps.begin[[k]], steps.length[k]
         for parameter, columns in zip(self.parameters, self.columns, strict=True):
+            if parameter.kind == "supports" and self.supports is not None:
+                displaced = self.supports.at(begin + length, begin + length / 2)[0]
+                yield columns, switches.by_offset[e] @ displaced
             if parameter.kind != "input":
                 continue
             share = shares(parameter, begin + length, begin + length / 2)
@@ -441,6 +516,18 @@ class Variations:
     # ---- what is prepared ----
 
     @cached_property
+    def _ends(self) -> FloatArray:
+        """States at the ends of steps, shape (states, K), before a push."""
+        ends, steps = self.steps.states[:, 1:], self.steps
+        pushes = [(k, steps.push_at(k)) for k in steps.pushed_steps if k]
+        if pushes:
+            ends = ends.copy()
+        for k, push in pushes:
+            assert push is not None  # it is one of those
+            ends[:, k - 1] = push.state
+        return ends
+
+    @cached_property
     def _tableau(self) -> Tableau:
         return tableau(self.steps.method)
 
@@ -463,7 +550,7 @@ class Variations:
             known.clear()
             block = self._block
             first = step // block * block
-            some = self.derivatives.projected(self.steps.states[:, first + 1 : first + 1 + block])
+            some = self.derivatives.projected(self._ends[:, first : first + block])
             if some is None:
                 return None
             known |= {first + i: derivative for i, derivative in enumerate(some)}
@@ -489,7 +576,11 @@ class Variations:
         """Number of steps whose derivatives are held at a time."""
         half, stages = self.derivatives.half, len(self._tableau.b)
         width = 2 * half + len(self.derivatives.structure.strings)
-        width += sum(parameter.size for parameter in self.parameters if parameter.kind != "input")
+        for parameter in self.parameters:
+            if parameter.kind == "supports":
+                width += 3 * self.steps.layout.offset * parameter.size // max(half, 1)
+            elif parameter.kind != "input":
+                width += parameter.size
         numbers = stages * half * width
         validation.refuse_memory(
             "the derivative of a step", 1, "steps", 8 * numbers, ". Use a smaller structure"
@@ -541,21 +632,23 @@ class Variations:
         h = np.array([self._length_of(leg) for leg in plan])
         slopes, states, inputs = self._stages(of, h)
         stages, count = len(c), len(plan)
+        all_inputs = np.hstack(inputs)
         derivatives = self.derivatives.at(
-            np.hstack(states), np.hstack(inputs), np.tile(steps.taut[:, of], stages),
-            np.hstack(slopes),
+            np.hstack(states), all_inputs, np.tile(steps.taut[:, of], stages), np.hstack(slopes),
+            steps.support_motion(all_inputs, 2) if steps.layout.offset else None,
         )  # fmt: skip
         time = (steps.begin[of] + c[:, None] * h).ravel()
         middle = np.tile(steps.begin[of] + h / 2, stages)
-        by_input = [
-            shares(parameter, time, middle) if parameter.kind == "input" else None
-            for parameter in self.parameters
-        ]
+        by_input: list[FloatArray | None] = []
+        for parameter in self.parameters:
+            share = shares(parameter, time, middle) if parameter.kind == "input" else None
+            share = None if share is None else share.T
+            if parameter.kind == "supports" and self.supports is not None:
+                share = self.supports.inputs(time, middle)
+            by_input.append(share)
         for i, leg in enumerate(plan):
             own = Slopes(
-                derivatives.by_state[i::count],
-                None if derivatives.by_input is None else derivatives.by_input[i::count],
-                derivatives.by_parameters[i::count],
+                *(None if by is None else by[i::count] for by in vars(derivatives).values())
             )
-            own_shares = [None if share is None else share[:, i::count].T for share in by_input]
+            own_shares = [None if share is None else share[i::count] for share in by_input]
             yield leg._replace(stages=own, shares=own_shares)

@@ -10,6 +10,7 @@ from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.profile import Pieces, as_pieces
 from tenscontrol.structure.blocks import node_mass
+from tenscontrol.structure.structure import Structure
 from tenscontrol.structure.supports import carried_by_supports
 
 # A support whose place changes by more than this part of the size at once jumps; supports whose
@@ -32,6 +33,11 @@ class MovingSupports:
         structure = model.structure
         self._mass = kron(node_mass(structure), eye_array(structure.dimension)).tocsr()
 
+    @property
+    def mass(self) -> Any:
+        """Mass matrix of all nodes, node by node, sparse, kg."""
+        return self._mass
+
     def inputs(self, load: FloatArray | Pieces) -> Pieces:
         """Return the load less M Ë, N, and E below it."""
         if not isinstance(load, Pieces):
@@ -49,10 +55,8 @@ def support_offset(model: Model, value: object, start: float, end: float) -> Pie
 
     None for the motion of no node where none is fixed.
     """
-    from scipy.sparse import csr_array, eye_array, kron
-
     structure = model.structure
-    d, n = structure.nodes.shape
+    d = structure.dimension
     fixed, size = structure.fixed, structure.size
     numbers: Any = getattr(value, "values", value)  # of a profile
     if not len(fixed) and np.size(numbers) == 0:
@@ -86,7 +90,16 @@ def support_offset(model: Model, value: object, start: float, end: float) -> Pie
                 f"support_motion moves the fixed node {carried[node]} along {axis}, but bars lead "
                 f"from it to node {node}, which a roller holds along {axis}"
             )
+    return given.mapped(moved_by_supports(structure))
+
+
+def moved_by_supports(structure: Structure) -> Any:
+    """Return by what displacements of the fixed nodes move all nodes, node by node, sparse."""
+    from scipy.sparse import csr_array, eye_array, kron
+
+    carried, fixed = carried_by_supports(structure), structure.fixed
     nodes = np.flatnonzero(carried >= 0)
-    shape = n, len(fixed)
-    moves = csr_array((np.ones(len(nodes)), (nodes, column[nodes])), shape=shape)
-    return given.mapped(kron(moves, eye_array(d)).tocsr())
+    shape = len(carried), len(fixed)
+    column = np.searchsorted(fixed, carried[nodes])
+    moves = csr_array((np.ones(len(nodes)), (nodes, column)), shape=shape)
+    return kron(moves, eye_array(structure.dimension)).tocsr()

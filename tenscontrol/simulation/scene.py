@@ -409,7 +409,8 @@ class Scene:
         return load_in_time(self.model, self.external_force, *self._span)
 
     @cached_property
-    def _supports(self) -> MovingSupports | None:
+    def supports(self) -> MovingSupports | None:
+        """What moves with supports, None where they stand."""
         if self.support_motion is None:
             return None
         offset = support_offset(self.model, self.support_motion, *self._span)
@@ -444,7 +445,7 @@ class Scene:
     @cached_property
     def _beside(self) -> Start:
         return start_beside_supports(
-            self.model, self._supports, self.begin, self.start, self.nodes, self.velocities
+            self.model, self.supports, self.begin, self.start, self.nodes, self.velocities
         )
 
     @cached_property
@@ -486,7 +487,7 @@ class Scene:
         """Weights and external loads on the nodes, N, shape (d, n); ValueError if these change."""
         for name, changes in (
             ("external_force", isinstance(self.loads, Pieces)),
-            ("support_motion", self._supports is not None),
+            ("support_motion", self.supports is not None),
         ):
             if changes:
                 raise ValueError(f"{name} changes in time, expected a constant load")
@@ -700,7 +701,7 @@ class Scene:
             self.integration,
             self._faults,
             degree=self._degree,
-            supports=self._supports,
+            supports=self.supports,
             support_rate=self._beside.support_rate,
             bars=self._bars,
             length_rate=None if self._bars is None else self._length_rate,
