@@ -86,7 +86,7 @@ class Derivatives:
         if equation.form == "loops":  # without derivatives
             equation = model.equation(input, form="mapped", **options)
         self.equation = equation
-        self._by_input = by_input or any(by.kind == "input" for by in parameters)
+        self._by_input = by_input or any(by.kind in ("input", "motor") for by in parameters)
         self._by_supports = any(by.kind == "supports" for by in parameters)
         self._of = [parameter for parameter in parameters if parameter.kind not in BESIDE]
         self._laws = [

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tenscontrol import validation
+from tenscontrol.actuation.motors import motor_numbers
 from tenscontrol.arrays import FloatArray
 from tenscontrol.control.lqr import LQR
 from tenscontrol.dynamics.equation import gravity_forces
@@ -17,7 +18,11 @@ from tenscontrol.dynamics.profile import Pieces, Profile, polynomial_at
 from tenscontrol.simulation.scene import Scene
 
 #: Kinds of parameters that the equation of motion does not have.
-BESIDE = frozenset({"nodes", "velocities", "input", "supports", "gain"})
+BESIDE = frozenset({"nodes", "velocities", "input", "supports", "motor", "gain"})
+
+
+# Numbers of motors that rest lengths depend on, beside torque and inertia.
+_OF_MOTORS = "motor.drum_radius", "motor.gear_ratio", "motor.speed", "motor.lag", "motor.backlash"
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +33,7 @@ class Parameter:
     ----------
     name : str
     kind : {"nodes", "velocities", "input", "supports", "strings", "ground", "bar_mass", \
-"point_mass", "gravity", "external_force", "gain"}
+"point_mass", "gravity", "external_force", "motor", "gain"}
     shape : tuple of int
     pieces : Pieces, optional
         Of an input or a motion that is a profile: what the values at its K times count by, one row
@@ -91,6 +96,7 @@ def known_parameters(scene: Scene) -> dict[str, Parameter]:
     ]
     if scene.supports is not None and not callable(scene.support_motion):
         parameters.append(_of_supports(scene))
+    parameters += _of_motors(scene)
     if isinstance(scene.law, LQR):
         parameters.append(Parameter("gain", "gain", scene.law.gain.shape))
     return {parameter.name: parameter for parameter in parameters}
@@ -114,6 +120,22 @@ def _input(scene: Scene) -> Parameter:
     ticks = sample_times(scene)
     unit = Profile(ticks, np.eye(len(ticks)), "hold")
     return Parameter(scene.input, "input", (count, len(ticks)), unit.pieces)
+
+
+def _of_motors(scene: Scene) -> list[Parameter]:
+    """Return numbers by which winches follow commands: positive, of each string its own."""
+    winches, law = scene.winches, scene.law
+    if winches is None or law is None or scene.input != "rest_length":
+        return []
+    motor, count = winches.motor, len(scene.structure.strings)
+    driven = law.input == "bar_length" or not law.actuation.is_whole
+    if driven or len(law.commanded.strings) != count or (motor and motor.inertia.any()):
+        return []
+    numbers = {} if motor is None else motor_numbers(motor, count)
+    names = [name for name in _OF_MOTORS if (numbers.get(name, 0.0) > np.zeros(count)).all()]
+    if winches.rate is not None:
+        names.append("winches.rate")
+    return [Parameter(name, "motor", (count,), field=name.split(".")[1]) for name in names]
 
 
 def _of_supports(scene: Scene) -> Parameter:

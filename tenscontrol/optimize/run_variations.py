@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,10 +13,12 @@ from tenscontrol.dynamics.profile import polynomial_at
 from tenscontrol.optimize.derivatives import Derivatives
 from tenscontrol.optimize.feedback import feedback_of
 from tenscontrol.optimize.implicit_steps import halved
+from tenscontrol.optimize.motor_changes import MotorChanges
 from tenscontrol.optimize.parameters import Parameter
 from tenscontrol.optimize.support_changes import SupportChanges
 from tenscontrol.optimize.traced_steps import steps_of
 from tenscontrol.optimize.variations import IMPLICIT, Variations, columns_of, stable
+from tenscontrol.simulation.actuators import Actuators
 from tenscontrol.simulation.plant_run import PlantRun
 from tenscontrol.simulation.scene import Scene, trace
 
@@ -56,6 +59,7 @@ class RunVariations:
         self.derivatives = Derivatives(
             scene.model, scene.input, run.degree, parameters, feedback, scene.supports is not None
         )
+        self._motors: MotorChanges | None = None
         self._changes: SupportChanges | None = None
         for parameter in parameters:
             if parameter.kind == "supports" and scene.supports is not None:
@@ -67,8 +71,13 @@ class RunVariations:
         self._states: list[FloatArray] = []
         self._ends, self._slow = list[int](), list[tuple[float, float]]()  # times and rates
         self._speed, self.switches = 0.0, 0
-        trace(scene, run)
+        loop = trace(scene, run)
         run.take = None
+        of_motors = [parameter for parameter in parameters if parameter.kind == "motor"]
+        if of_motors and loop is not None and scene.winches is not None:
+            assert isinstance(loop.actuators, Actuators)  # bars have no such numbers
+            self._motors = MotorChanges(loop.actuators, scene.winches, of_motors)
+            self._last = self._last[0], replace(self._last[1], motors=self._motors)
 
     @property
     def columns(self) -> list[slice]:
@@ -206,8 +215,9 @@ class RunVariations:
         if self._feedback:
             answers = feedback_of(scene, steps, self.parameters, self.columns)
         return Variations(
-            steps, derivatives, self.parameters, self.times[self._of(i)], answers, self._changes
-        )
+            steps, derivatives, self.parameters, self.times[self._of(i)], answers, self._changes,
+            self._motors,
+        )  # fmt: skip
 
 
 def _finite(array: FloatArray) -> FloatArray:

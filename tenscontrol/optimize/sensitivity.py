@@ -193,6 +193,8 @@ def sensitivity(
         and ``"damping"``; ``"bar_mass"``, ``"point_mass"``, ``"gravity"``, ``"external_force"``;
         those of the ground, as ``"ground.stiffness"``, or ``"ground[1].friction"`` of several;
         ``"support_motion"``, a displacement or the values of a :class:`Profile`, (d, fixed, K);
+        numbers of winches, ``"winches.rate"``, ``"motor.drum_radius"``, ``"motor.gear_ratio"``,
+        ``"motor.speed"``, ``"motor.lag"`` and ``"motor.backlash"``, where rest lengths are held;
         with ``feedback`` the ``"gain"`` of an LQR.
     times : float or array_like, shape (T,), optional
         Ascending, s; the end of the run if not given.
@@ -216,7 +218,9 @@ def sensitivity(
     a controller's, by a change over each of its samples, with its commands as they were. A change
     of the nodes or velocities at the start is projected onto what keeps the bars' lengths, as
     :func:`simulate` does. A change of a mass changes its weight, too. A displacement of supports
-    moves the nodes with it that bars join to them, at the start, too.
+    moves the nodes with it that bars join to them, at the start, too. Numbers of motors, all
+    positive, change what strings are given under the same commanded rest lengths, as long as no
+    motor meets its torque. Motors with inertia, and those of ganged strings, have no derivatives.
 
     Where a damped string goes taut, its force jumps, and the derivatives with it. Elsewhere forces
     are continuous. The steps are those of the run, or of a thousandth of its tolerance: a pair of
@@ -403,6 +407,12 @@ class _Differentiable:
         if scene.bar_length is not None or commands_bars:
             raise ValueError("run has driven bars, through which no derivative is taken")
         self.parameters = parameters_of(scene, to)
+        of_motors = [by.name for by in self.parameters if by.kind == "motor"]
+        if of_motors and choice.method == IMPLICIT:
+            raise ValueError(
+                f"no derivative by {of_motors[0]} is taken through steps of the method "
+                "'energy_momentum'"
+            )
         validation.truth("feedback", feedback, "whether the commands of an LQR answer changes")
         if feedback:
             regulator_of(scene)

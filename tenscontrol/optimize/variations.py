@@ -16,6 +16,7 @@ from tenscontrol.optimize.core_steps import CoreSteps, Tableau, core_steps
 from tenscontrol.optimize.derivatives import Derivatives, Slopes, Switches
 from tenscontrol.optimize.feedback import Feedback
 from tenscontrol.optimize.implicit_steps import ImplicitSteps
+from tenscontrol.optimize.motor_changes import MotorChanges
 from tenscontrol.optimize.parameters import BESIDE, Parameter, shares
 from tenscontrol.optimize.support_changes import SupportChanges
 from tenscontrol.optimize.traced_steps import Push, TracedSteps
@@ -158,6 +159,8 @@ class Variations:
         By which commands answer changes of the state.
     supports : SupportChanges, optional
         What the parameter of a motion of supports changes.
+    motors : MotorChanges, optional
+        What the numbers of motors change.
     """
 
     steps: TracedSteps
@@ -166,6 +169,7 @@ class Variations:
     times: FloatArray
     feedback: Feedback | None = None
     supports: SupportChanges | None = None
+    motors: MotorChanges | None = None
 
     @cached_property
     def switches(self) -> Switches:
@@ -305,7 +309,7 @@ class Variations:
         derivatives = self.derivatives
         if self.steps.method == IMPLICIT:
             return ImplicitSteps(self.steps, derivatives, self.parameters, self.columns)
-        if self.steps.layout.offset:
+        if self.steps.layout.offset or self.motors is not None:
             return None
         return core_steps(
             derivatives.model, derivatives.equation, self.steps, self._tableau, self.parameters,
@@ -375,6 +379,10 @@ class Variations:
                     rates[:, columns][:, k :: len(share[stage])] += (
                         share[stage, k] * by_input[stage]
                     )
+            elif parameter.kind == "motor":
+                assert slopes.by_input is not None  # it was asked for
+                assert share is not None  # of each rest length
+                rates[:, columns] += slopes.by_input[stage] * share[stage]
             elif parameter.kind == "supports":
                 assert slopes.by_supports is not None  # it was asked for
                 assert share is not None  # what is displaced and pushed
@@ -397,6 +405,9 @@ class Variations:
                 slope[columns] += (
                     by_input if share is None else np.outer(by_input, share[stage]).ravel()
                 )
+            elif parameter.kind == "motor":
+                assert slopes.by_input is not None  # it was asked for
+                slope[columns] += (kappa @ slopes.by_input[stage]) * share[stage]
             elif parameter.kind == "supports":
                 assert slopes.by_supports is not None  # it was asked for
                 assert share is not None  # what is displaced and pushed
@@ -452,6 +463,8 @@ class Variations:
             if parameter.kind == "input":
                 share = shares(parameter, now, now + length / 2)
                 share = None if share is None else share.T
+            elif parameter.kind == "motor" and self.motors is not None:
+                share = self.motors.at(parameter, now, now + length / 2).T
             elif parameter.kind == "supports" and self.supports is not None:
                 earlier = None if push.is_first else begin - 1e-6 * length
                 share = self.supports.impulse(begin, earlier, begin + length / 2)
@@ -485,6 +498,9 @@ class Variations:
             if parameter.kind == "supports" and self.supports is not None:
                 displaced = self.supports.at(begin + length, begin + length / 2)[0]
                 yield columns, switches.by_offset[e] @ displaced
+            if parameter.kind == "motor" and self.motors is not None:
+                moved = self.motors.at(parameter, begin + length, begin + length / 2)
+                yield columns, switches.by_input[e] * moved[:, 0]
             if parameter.kind != "input":
                 continue
             share = shares(parameter, begin + length, begin + length / 2)
@@ -645,6 +661,8 @@ class Variations:
             share = None if share is None else share.T
             if parameter.kind == "supports" and self.supports is not None:
                 share = self.supports.inputs(time, middle)
+            if parameter.kind == "motor" and self.motors is not None:
+                share = self.motors.at(parameter, time, middle).T
             by_input.append(share)
         for i, leg in enumerate(plan):
             own = Slopes(

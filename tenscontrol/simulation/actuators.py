@@ -236,8 +236,10 @@ class Actuators:
         if self._drive is None:
             motion = None if self._earlier is None else self._earlier.at_end
             start = inputs(desired if self._current is None else self._current)
-            self._new_drive = partial(Drive, self._winches, start, self._sample_time, motion)
-            self._drive = self._new_drive()
+            self._new_drive = partial(
+                Drive, rest_length=start, sample_time=self._sample_time, motion=motion
+            )
+            self._drive = self._new_drive(self._winches)
         self._weak.append(0)
         self._moves.append((inputs(desired), stuck))
         return self._move_of_strings(self._drive.begin(inputs(desired), stuck))
@@ -414,6 +416,32 @@ class Actuators:
             self._rest_length_error(segments),
         )  # fmt: skip
 
+    def followed(self, winches: Winches) -> Pieces:
+        """Return the rest lengths of the strings by other winches that are told the same.
+
+        No torque limits them. Of winches that drive each string of the plant on its own.
+        """
+        drive = self._new_drive(winches)
+        whole = self._actuation.is_whole and not self._by_segment
+        assert whole  # refused by those who ask
+
+        def pull(rest_length: FloatArray, _: float) -> _Forces:
+            return np.zeros_like(rest_length), np.ones_like(rest_length), rest_length
+
+        begins, coefficients = list[float](), list[FloatArray]()
+        for begin, move in zip(self._begins, self._moves, strict=True):
+            drive.begin(*move)
+            for i in range(drive.ticks):
+                begins.append(begin + i * self._sample_time / drive.ticks)
+                coefficients.append(drive.tick(i + 1, begins[-1], pull).rest_length)
+        start = np.array(begins)
+        return Pieces(np.concatenate([[-np.inf], start[1:]]), start, np.stack(coefficients))
+
+    @property
+    def meets_torque(self) -> bool:
+        """Whether a motor met its torque so far."""
+        return any(self._weak)
+
     def _rest_length_error(self, segments: DenseMotion) -> float:
         """Estimate the error of rest lengths, m, that follows from few parts of a sample.
 
@@ -424,7 +452,9 @@ class Actuators:
         if drive is None or drive.ticks == 1 or len(segments.ends) == 1:
             return 0.0
         assert self._motor is not None  # asked for by the record of the motors
-        finer, end, reached, times = self._new_drive(finer=2), segments.ends[-1], [], []
+        assert self._winches is not None  # of the drive
+        finer, end = self._new_drive(self._winches, finer=2), segments.ends[-1]
+        reached, times = list[FloatArray](), list[float]()
         tick, limited = self._sample_time / finer.ticks, np.isfinite(self._motor.torque).any()
 
         def pull(ends: list[FloatArray], rest_length: FloatArray, later: float) -> _Forces:

@@ -74,6 +74,11 @@ class ClosedLoop:
         # Of a subdivision, the nodes of its parent come first.
         self._seen = controller.structure.nodes.shape[1]
 
+    @property
+    def actuators(self) -> Actuators | StrutDrives:
+        """What applies the commands."""
+        return self._actuators
+
     def _begin(self, state: FloatArray) -> None:
         """Let controller and estimator begin, or go on."""
         run, controller, start = self._run, self._controller, self._start

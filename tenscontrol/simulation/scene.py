@@ -753,16 +753,19 @@ class Scene:
         return f"Scene({', '.join(parts)}, {self.structure.nodes.shape[1]} nodes)"
 
 
-def trace(scene: Scene, run: TracedRun) -> None:
-    """Run a scene by a method that can be traced."""
+def trace(scene: Scene, run: TracedRun) -> ClosedLoop | None:
+    """Run a scene by a method that can be traced; return the loop, if it has one."""
+    loop = None
     if scene.law is None:
         assert scene.inputs is not None  # held in open loop
         run.run(scene.state, scene.inputs, scene.duration)
     else:
         estimator = scene.estimator
         with scene.law.in_use, nullcontext() if estimator is None else estimator.in_use:
-            _loop(scene, run).run(scene.state)
+            loop = _loop(scene, run)
+            loop.run(scene.state)
     run.end_part()
+    return loop
 
 
 def run_scene(scene: Scene, progress: bool) -> Trajectory:
