@@ -37,7 +37,11 @@ _TIME = (
     "of a clock that never goes back",
 )
 
-_UNIT = {"force_density": "force densities, N/m", "rest_length": "rest lengths, m"}
+_UNIT = {
+    "force_density": "force densities, N/m",
+    "rest_length": "rest lengths, m",
+    "bar_length": "lengths of bars, m",
+}
 
 
 @builds
@@ -98,17 +102,18 @@ def _inputs(interface: CodeInterface) -> str:
     actuation = interface.actuation
     if actuation.is_whole:
         return ""
+    noun = "bar" if interface.input == "bar_length" else "string"
     lines = []
     for number, name in enumerate(interface.input_names):
         moved = ", ".join(
-            f"string {k}" + (f" by {actuation.ratio[k]:g}" if actuation.ratio[k] != 1 else "")
+            f"{noun} {k}" + (f" by {actuation.ratio[k]:g}" if actuation.ratio[k] != 1 else "")
             for k in np.flatnonzero(actuation.input == number)
         )
         lines += wrap(f"{number}: {name}: {moved}", 96, subsequent_indent="      ")
     text = "\n".join([f" *   {line}" for line in lines])
     return (
-        "\n/*\n * What the numbers of a command set, and which strings move, by which ratio.\n"
-        f" * Other strings are passive.\n *\n{text}\n */\n"
+        f"\n/*\n * What the numbers of a command set, and which {noun}s move, by which ratio.\n"
+        f" * Other {noun}s are passive.\n *\n{text}\n */\n"
     )
 
 
@@ -144,7 +149,7 @@ def _data(interface: CodeInterface, law: LawCode, functions: list[ca.Function]) 
         "DIMENSION": d,
         "STATES": interface.state_count,
         "REDUCED": int(interface.plant is not None),
-        "HOLDS_PREVIOUS_INPUT": int(interface.input == "rest_length"),
+        "HOLDS_PREVIOUS_INPUT": int(interface.input != "force_density"),
         "BARS": check.bars.shape[1],
         "FIXED": len(check.fixed),
         "ROLLERS": len(rolling),

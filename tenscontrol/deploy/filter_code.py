@@ -15,6 +15,7 @@ from tenscontrol.dynamics.evaluator import Function
 from tenscontrol.estimation.correction import MOST_REPEATS, SETTLED, Gate
 from tenscontrol.estimation.filter_design import FilterDesign
 from tenscontrol.estimation.kalman_filter import NOTHING_KNOWN, WIDER, KalmanFilter
+from tenscontrol.plant.driven_lengths import MOST_LENGTH, known_at_rest, known_size
 from tenscontrol.plant.reduced_dynamics import near_symbol, reduced_motion, settled
 from tenscontrol.structure.structure import different_members
 
@@ -63,6 +64,9 @@ def with_filter(law: LawCode, controller: Controller, estimator: object) -> LawC
         "FILTER_WIDER": WIDER,
         "FILTER_NOTHING_KNOWN": NOTHING_KNOWN,
         "FILTER_TINY": float(np.finfo(float).tiny),
+        "FILTER_KNOWN": known_size(plant),
+        "FILTER_DRIVES_BARS": int(plant.input == "bar_length"),
+        "FILTER_MOST_LENGTH": MOST_LENGTH,
     }
     arrays = {
         "reading_noise": sensors.noise,
@@ -73,8 +77,10 @@ def with_filter(law: LawCode, controller: Controller, estimator: object) -> LawC
         "start_state": design.start,
         "start_covariance": design.start_covariance.ravel(),
         "process_covariance": design.process_covariance.ravel(),
-        "filter_rest": plant.equilibrium_input,
+        "filter_rest": known_at_rest(plant, plant.equilibrium_input),
     }
+    if design.start_input is not None:
+        arrays["start_input"] = design.start_input
     matrices = {}
     functions = {"outputs": design.outputs, "shape": _shape(design)}
     if design.motion is None:
@@ -98,9 +104,13 @@ def with_filter(law: LawCode, controller: Controller, estimator: object) -> LawC
 
 
 def _shape(design: FilterDesign) -> ca.Function:
-    """Return ``z -> (vec N, vec V)`` of all states of a filter; not finite for no shape."""
+    """Return ``(z, u) -> (vec N, vec V)`` of all states of a filter; not finite for no shape."""
     plant = design.plant
-    z, near = ca.SX.sym("z", len(design.start)), near_symbol(plant)
-    N, V = reduced_motion(plant, z[: design.extra.states], near)
+    z, u, near = (
+        ca.SX.sym("z", len(design.start)),
+        ca.SX.sym("u", known_size(plant)),
+        near_symbol(plant),
+    )
+    N, V = reduced_motion(plant, z[: design.extra.states], near, u)
     outputs = [ca.densify(ca.vec(motion)) for motion in (N, V)]
-    return Function("shape", [z], settled(plant, z, near, outputs))
+    return Function("shape", [z, u], settled(plant, z, near, outputs, u))

@@ -28,7 +28,7 @@ from tenscontrol.deploy.memory_use import MemoryUse, memory_use
 from tenscontrol.dynamics.evaluator import builds
 from tenscontrol.estimation.kalman_filter import KalmanFilter
 from tenscontrol.files import make_folder, read_file, write_file
-from tenscontrol.plant.linear_plant import LinearPlant, refuse_driven_bars
+from tenscontrol.plant.linear_plant import LinearPlant
 from tenscontrol.shape.rolling import RollingGait
 from tenscontrol.structure.structure import Structure
 
@@ -267,8 +267,6 @@ def generate_c(
 
 @builds
 def _law_code(controller: object) -> LawCode:
-    if isinstance(controller, LQR | MPC):
-        refuse_driven_bars(controller.plant, "generate_c")
     if isinstance(controller, MPC):
         return mpc_code(controller)
     if isinstance(controller, NMPC):

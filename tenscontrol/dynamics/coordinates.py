@@ -248,7 +248,7 @@ class Coordinates:
         nodes, turn = laid_along_supports(self.structure, self.nodes, self._mass, nodes)
         return nodes, turn @ velocities
 
-    def to_nodes(self, q: object) -> FloatArray:
+    def to_nodes(self, q: object, bar_length: object = None) -> FloatArray:
         """Return node positions with exact bar lengths whose coordinates are q.
 
         The displacement that the basis says is added, and one that q does not see, along the
@@ -261,6 +261,8 @@ class Coordinates:
         ----------
         q : array_like, shape (r,)
             m √kg; in ``"nodes"`` coordinates m.
+        bar_length : array_like, shape (β,), optional
+            Of bars that are driven, m; those of the structure if not given.
 
         Returns
         -------
@@ -278,11 +280,11 @@ class Coordinates:
         if self.kind == "nodes":
             return nodes
         alone, axes = self._alone
-        length = self.structure.bar_length[alone]
+        lengths = self._lengths_of_bars(bar_length)
         vectors = self.structure.bar_vectors(nodes)[:, alone]
         along = (vectors * axes).sum(axis=0)
         across = vectors - along * axes
-        room = length**2 - (across**2).sum(axis=0)
+        room = lengths[alone] ** 2 - (across**2).sum(axis=0)
         if room.size and room.min() <= 0:
             raise ValueError(
                 f"q turns bar {alone[int(room.argmin())]} by a right angle or more from the "
@@ -290,16 +292,20 @@ class Coordinates:
             )
         self._stretch(nodes, (np.sqrt(room) - along) * axes)
         for normal in self._normals:
-            nodes = self._with_lengths(nodes, normal)
+            nodes = self._with_lengths(nodes, normal, lengths)
         return nodes
 
-    def to_velocities(self, q: object, rates: object) -> FloatArray:
+    def to_velocities(
+        self, q: object, rates: object, bar_length: object = None, bar_length_rate: object = None
+    ) -> FloatArray:
         """Return node velocities with rates q̇ that keep the bar lengths in the shape of q.
 
         Parameters
         ----------
         q, rates : array_like, shape (r,)
             m √kg and m √kg/s; in ``"nodes"`` coordinates m and m/s.
+        bar_length, bar_length_rate : array_like, shape (β,), optional
+            Of bars that are driven, m and m/s; those of the structure, and 0, if not given.
 
         Returns
         -------
@@ -311,23 +317,40 @@ class Coordinates:
         ValueError
             As :meth:`to_nodes`.
         """
-        shape, structure = self.to_nodes(q), self.structure
+        shape, structure = self.to_nodes(q, bar_length), self.structure
         rates = validation.shaped("rates", rates, (self.count,), f"one per {self.kind} coordinate")
         velocities = self._columns(self.displacements(rates))
         if self.kind == "nodes":
             return velocities
+        growth = self._growth(bar_length, bar_length_rate)
         alone, axes = self._alone
         vectors = structure.bar_vectors(shape)[:, alone]
-        change = structure.bar_vectors(velocities)[:, alone]
+        change = (vectors * structure.bar_vectors(velocities)[:, alone]).sum(axis=0)
         along = (vectors * axes).sum(axis=0)
-        self._stretch(velocities, -(vectors * change).sum(axis=0) / along * axes)
+        self._stretch(velocities, (growth[alone] - change) / along * axes)
         for normal in self._normals:
             bars, rows, flat = normal.block.independent, normal.block.rows, velocities.ravel("F")
             vectors = structure.bar_vectors(shape)[:, bars]
             change = (vectors * structure.bar_vectors(velocities)[:, bars]).sum(axis=0)
-            flat[rows] -= normal.displacement(normal.factors(vectors), change)
+            flat[rows] -= normal.displacement(normal.factors(vectors), change - growth[bars])
             velocities = self._columns(flat)
         return velocities
+
+    def _lengths_of_bars(self, bar_length: object) -> FloatArray:
+        """Return the length of each bar, m."""
+        if bar_length is None:
+            return self.structure.bar_length
+        count = len(self.structure.bars)
+        lengths = validation.shaped("bar_length", bar_length, (count,), "one per bar, m")
+        return validation.positive("bar_length", lengths, "length in m")
+
+    def _growth(self, bar_length: object, bar_length_rate: object) -> FloatArray:
+        """Return L L̇ of each bar, m²/s."""
+        count = len(self.structure.bars)
+        if bar_length_rate is None:
+            return np.zeros(count)
+        rate = validation.shaped("bar_length_rate", bar_length_rate, (count,), "one per bar, m/s")
+        return self._lengths_of_bars(bar_length) * rate
 
     def displaced(self, z: Any) -> tuple[Any, Any]:
         """Return expressions of positions and velocities, (d n, 1), as the basis alone says, SX.
@@ -340,7 +363,9 @@ class Coordinates:
         T = ca.sparsify(ca.DM(np.where(np.abs(self.basis) > 1e-14, self.basis, 0.0)))
         return ca.DM(self.nodes.ravel(order="F")) + ca.mtimes(T, z[:r]), ca.mtimes(T, z[r:])
 
-    def kept_lengths(self, places: Any, rates: Any, near: Any = None) -> tuple[Any, Any]:
+    def kept_lengths(
+        self, places: Any, rates: Any, near: Any = None, bars: tuple[Any, Any] | None = None
+    ) -> tuple[Any, Any]:
         """Return expressions of positions and velocities, shape (d, n), with exact bar lengths.
 
         As :meth:`to_nodes` and :meth:`to_velocities`; no numbers where those raise.
@@ -352,8 +377,11 @@ class Coordinates:
         near : casadi.SX, optional
             Symbol for :meth:`hidden`, to be put in later: expressions and their first derivatives
             are then exact, and much shorter where bars share nodes.
+        bars : (casadi.SX, casadi.SX), optional
+            Lengths of all bars, m, and their rates, m/s, columns, where they are driven.
         """
         structure = self.structure
+        length, growth = self._driven(bars)
         shape = structure.nodes.shape
         N, V = (ca.SX(ca.reshape(entries, *shape)) for entries in (places, rates))
         share = structure.end_share
@@ -363,15 +391,15 @@ class Coordinates:
             vector, change = N[:, end] - N[:, start], V[:, end] - V[:, start]
             along = ca.dot(vector, axis)
             across = vector - along * axis
-            reach = ca.sqrt(structure.bar_length[bar] ** 2 - ca.dot(across, across))
+            reach = ca.sqrt(length[bar] ** 2 - ca.dot(across, across))
             whole = across + reach * axis
-            stretch, rate = reach - along, -ca.dot(whole, change) / reach
+            stretch, rate = reach - along, (growth[bar] - ca.dot(whole, change)) / reach
             for node, weight in ((start, -share[bar, 0]), (end, share[bar, 1])):
                 N[:, node] += weight * stretch * axis
                 V[:, node] += weight * rate * axis
         if not self._joined:
             return N, V
-        hidden = self.hidden(places, rates) if near is None else near
+        hidden = self.hidden(places, rates, bars) if near is None else near
         for block in self._joined:
             rows, count = block.rows.tolist(), len(block.rows)
             whole, speeds = ca.vec(N), ca.vec(V)
@@ -382,14 +410,15 @@ class Coordinates:
             if near is not None:
                 # Nothing is left of lengths to correct, but of their derivatives.
                 step = self._normal_step(block)
-                _, excess, _ = self._lengths(ca.reshape(whole, *shape), block)
+                _, excess, _ = self._lengths(ca.reshape(whole, *shape), block, length)
                 whole[rows] -= step(corrected, excess)
-                J, _, _ = self._lengths(ca.reshape(whole, *shape), block)
-                speeds[rows] -= step(corrected, ca.mtimes(J, speeds[rows]))
+                J, _, _ = self._lengths(ca.reshape(whole, *shape), block, length)
+                grown = growth[block.independent.tolist()]
+                speeds[rows] -= step(corrected, ca.mtimes(J, speeds[rows]) - grown)
             N, V = ca.reshape(whole, *shape), ca.reshape(speeds, *shape)
         return N, V
 
-    def hidden(self, places: Any, rates: Any) -> Any:
+    def hidden(self, places: Any, rates: Any, bars: tuple[Any, Any] | None = None) -> Any:
         """Return what keeps the lengths of bars that share nodes, SX: empty where none do.
 
         For each block its places, and the displacements and velocities in its normal space, m and
@@ -398,15 +427,19 @@ class Coordinates:
         Parameters
         ----------
         places, rates : casadi.SX, shape (d n, 1)
+        bars : (casadi.SX, casadi.SX), optional
+            As for :meth:`kept_lengths`.
         """
         shape, moved, columns = self.structure.nodes.shape, places, [ca.SX(0, 1)]
+        length, growth = self._driven(bars)
         for block in self._joined:
             places, rows, step = ca.SX(moved), block.rows.tolist(), self._normal_step(block)
             for _ in range(_STEPS):
-                _, excess, _ = self._lengths(ca.reshape(places, *shape), block)
+                _, excess, _ = self._lengths(ca.reshape(places, *shape), block, length)
                 places[rows] -= step(places[rows], excess)
-            J, _, worst = self._lengths(ca.reshape(places, *shape), block)
-            speeds = -step(places[rows], ca.mtimes(J, rates[rows]))
+            J, _, worst = self._lengths(ca.reshape(places, *shape), block, length)
+            grown = growth[block.independent.tolist()]
+            speeds = -step(places[rows], ca.mtimes(J, rates[rows]) - grown)
             corrected = ca.if_else(worst <= _EXACT, places[rows], np.nan)
             columns += [corrected, corrected - moved[rows], speeds]
         return ca.vertcat(*columns)
@@ -416,10 +449,17 @@ class Coordinates:
         """Number of entries of :meth:`hidden`."""
         return 3 * sum(len(block.rows) for block in self._joined)
 
-    def _lengths(self, N: Any, block: Block) -> tuple[Any, Any, Any]:
+    def _driven(self, bars: tuple[Any, Any] | None) -> tuple[Any, Any]:
+        """Return L and L L̇ of all bars, as expressions or numbers."""
+        if bars is None:
+            length = ca.DM(self.structure.bar_length)
+            return length, ca.DM(*length.shape)
+        return bars[0], bars[0] * bars[1]
+
+    def _lengths(self, N: Any, block: Block, length: Any) -> tuple[Any, Any, Any]:
         """Return J and half the excess of squared lengths of a block, and the worst part, SX."""
         structure, bars = self.structure, block.independent
-        square = ca.DM(structure.bar_length[bars] ** 2)
+        square = length[bars.tolist()] ** 2
         B = kernel.differences(N, structure.bars[bars])
         excess = (kernel.dots(B, B).T - square) / 2
         J = kernel.block_rows(structure, bars, block.rows, N)
@@ -447,10 +487,12 @@ class Coordinates:
         solution = kernel.eliminated(matrix[order, order], right[order])[back]
         return Function("normal_step", [places, change], [solution[: len(rows)]])
 
-    def _with_lengths(self, nodes: FloatArray, normal: NormalEquations) -> FloatArray:
+    def _with_lengths(
+        self, nodes: FloatArray, normal: NormalEquations, lengths: FloatArray
+    ) -> FloatArray:
         """Return nodes displaced along the normal space until the bars of a block are exact."""
         structure, block, bars = self.structure, normal.block, normal.block.independent
-        square = structure.bar_length[bars] ** 2
+        square = lengths[bars] ** 2
         flat, best = nodes.ravel(order="F"), np.inf
         for _ in range(_MOST):
             vectors = structure.bar_vectors(nodes)[:, bars]

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import casadi as ca
 import numpy as np
 
 from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics.evaluator import Evaluator
+from tenscontrol.estimation.filter_design import FilterDesign
 from tenscontrol.estimation.sensors import Sensors
-from tenscontrol.plant.linear_plant import LinearPlant
 
 # The correction is repeated about its own result until it moves by less than this part of the
 # standard deviation before it, but not more often than this.
@@ -99,17 +98,14 @@ class Gate:
 
 
 class Correction:
-    """Measurement update without memory, with outputs ``(z, u) -> (y, ∂y/∂z)`` and a gate."""
+    """Measurement update without memory, by the outputs and the gate of a design."""
 
-    def __init__(
-        self, plant: LinearPlant, sensors: Sensors, outputs: ca.Function, gate: float
-    ) -> None:
-        self._outputs = Evaluator(outputs)
-        self._noise = sensors.noise**2
-        self._reading_of = sensors.reading_of
-        self._rest = plant.equilibrium_input
-        self.gate = Gate(sensors, gate)
-        self._plant, self._r = plant, plant.degrees_of_freedom
+    def __init__(self, design: FilterDesign) -> None:
+        self._outputs = Evaluator(design.outputs)
+        self._noise = design.sensors.noise**2
+        self._reading_of = design.sensors.reading_of
+        self.gate = Gate(design.sensors, design.settings.gate)
+        self._design = design
 
     def fit(
         self,
@@ -117,15 +113,14 @@ class Correction:
         usable: np.ndarray,
         z: FloatArray,
         P: FloatArray,
-        previous_input: FloatArray | None,
+        held: FloatArray,
     ) -> Fit:
         """Return the most likely state by the readings y, shape (m,), that are near enough.
 
         First each of the usable readings is gated against the prediction z with its covariance P.
         Of those that pass, the one farthest from all others and the prediction together is
-        refused, until every one agrees with the rest. The previous input acts on the tensions.
+        refused, until every one agrees with the rest. What is held acts on the tensions.
         """
-        held = self._rest if previous_input is None else previous_input
         innovation, C = self._innovation(y, z, held)
         passed = usable & self.gate.passes(innovation, C @ P @ C.T + np.diag(self._noise))
         while passed.any():
@@ -169,7 +164,7 @@ class Correction:
             new = prior + gain @ linear
             moved = float(np.max(np.abs(new - z) / size))
             z = new
-            if not self.reaches(z):
+            if not self.reaches(z, held):
                 return None, linear, weight
             if moved < SETTLED:
                 break
@@ -179,12 +174,12 @@ class Correction:
         nis = float(linear @ weight @ linear)
         return Fit(z, 0.5 * (P + P.T), passed, nis), linear, weight
 
-    def reaches(self, z: FloatArray) -> bool:
+    def reaches(self, z: FloatArray, held: FloatArray | None) -> bool:
         """Whether the coordinates reach the shape: no bar is turned by a right angle."""
         if not np.isfinite(z).all():
             return False
         try:
-            self._plant.to_nodes(z[: self._r])
+            self._design.nodes(z, held)
         except ValueError:
             return False
         return True

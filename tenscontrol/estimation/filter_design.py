@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol import validation
+from tenscontrol.actuation.driven_strings import inputs_of
 from tenscontrol.actuation.winches import Winches
 from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.estimation.extra_states import ExtraStates
@@ -22,16 +23,17 @@ from tenscontrol.estimation.observability import (
 )
 from tenscontrol.estimation.sensors import Sensors
 from tenscontrol.fields import check_fields, checked
+from tenscontrol.plant.driven_lengths import known_at_rest, lengths_of
 from tenscontrol.plant.linear_plant import (
+    NO_JUMP,
     LinearPlant,
     Sampled,
     acceleration_response,
-    refuse_driven_bars,
     sampled,
 )
 from tenscontrol.plant.modes import Modes
 from tenscontrol.plant.reduced_dynamics import refuse_lost_place, sampled_dynamics
-from tenscontrol.plant.reference import reduced_shape
+from tenscontrol.plant.reference import reduced_shape, refuse_passive_bars
 from tenscontrol.plant.riccati import filter_riccati
 from tenscontrol.structure.bar_geometry import rigid_shape
 from tenscontrol.structure.structure import different_members
@@ -106,7 +108,8 @@ class FilterDesign:
 
     States are those of the plant and ``extra``, s in all. Covariances have the shape (s, s),
     ``outputs`` is ``(z, u) -> (y, ∂y/∂z)``, and ``motion`` is ``(z, u) -> (z⁺, ∂z⁺/∂z, ∂z⁺/∂u)``
-    over a substep, None for a linear prediction.
+    over a substep, None for a linear prediction. ``u`` are inputs, or what :func:`known_size` says
+    of lengths of bars.
     """
 
     plant: LinearPlant
@@ -117,10 +120,21 @@ class FilterDesign:
     process_covariance: FloatArray
     start_covariance: FloatArray
     start: FloatArray
+    start_input: FloatArray | None  # what inputs do at the start; None if that is not known
     outputs: ca.Function
     motion: ca.Function | None
     unseen: FloatArray  # all states that are left alone, orthonormal columns
     left_alone: Modes
+
+    def nodes(self, z: FloatArray, held: FloatArray | None) -> FloatArray:
+        """Return the nodes of a state, or raise where it is no shape of the structure."""
+        lengths, _ = lengths_of(self.plant, held)
+        return self.plant.to_nodes(z[: self.plant.degrees_of_freedom], lengths)
+
+    def velocities(self, z: FloatArray, held: FloatArray | None) -> FloatArray:
+        """Return the velocities of the nodes of a state."""
+        q, rates = np.split(z[: self.extra.states], 2)
+        return self.plant.to_velocities(q, rates, *lengths_of(self.plant, held))
 
 
 def filter_design(
@@ -128,11 +142,12 @@ def filter_design(
 ) -> tuple[FilterDesign, FloatArray, tuple[FloatArray, FloatArray, np.ndarray, float]]:
     """Return the design of a filter, the derivative C of its readings, and the Riccati solution."""
     validation.instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
-    refuse_driven_bars(plant, "KalmanFilter")
     validation.instance("sensors", sensors, Sensors, "make them by Sensors(structure=..., ...)")
     sample_time, substeps = settings.sample_time, settings.substeps
     plant.refuse_long_sample_time(sample_time)
-    if settings.winches is not None and plant.input != "rest_length":
+    if plant.input == "bar_length":
+        _refuse_bars(sensors, settings)
+    elif settings.winches is not None and plant.input != "rest_length":
         raise ValueError(
             f"winches set rest lengths, but plant has input={plant.input!r}; linearize with "
             "input='rest_length'"
@@ -184,6 +199,7 @@ def filter_design(
     more = extra.size - extra.states
     none = np.zeros((more, plant.B.shape[1]))
     lost = np.hstack([directions, np.pad(apart.modes, ((0, more), (0, 0)))])
+    first, start_input = _start_state(plant, start)
     design = FilterDesign(
         plant=plant,
         sensors=sensors,
@@ -198,7 +214,8 @@ def filter_design(
         ),
         process_covariance=drive @ drive.T,
         start_covariance=_start(plant, sensors, settings, extra, pull),
-        start=np.r_[_start_state(plant, start), np.zeros(more)],
+        start=np.r_[first, np.zeros(more)],
+        start_input=start_input,
         outputs=output_function(plant, sensors, extra),
         motion=motion,
         unseen=frozen(np.linalg.qr(lost)[0]),
@@ -326,13 +343,37 @@ def _pull(plant: LinearPlant) -> float:
     return pull
 
 
-def _start_state(plant: LinearPlant, nodes: object) -> FloatArray:
+def _refuse_bars(sensors: Sensors, settings: FilterSettings) -> None:
+    """Refuse what does not go with bars that are driven."""
+    if settings.prediction == "nonlinear":
+        raise ValueError(
+            "prediction is 'nonlinear', which takes bars of constant length, but lengths of bars "
+            "are the input of plant: give prediction='linear', and linearize near the motion"
+        )
+    if settings.winches is None or not settings.winches.ramp:
+        raise ValueError(NO_JUMP)
+    if sensors.needs("acceleration"):
+        raise ValueError(
+            "sensors have an accelerometer, which feels the jerks of drives of bars as their rates "
+            "jump from sample to sample, but plant has input='bar_length': leave accelerometer out"
+        )
+
+
+def _start_state(plant: LinearPlant, nodes: object) -> tuple[FloatArray, FloatArray | None]:
+    """Return z at the start, and what inputs do; None where that is not known."""
+    is_driven, structure = plant.input == "bar_length", plant.model.structure
     if nodes is None:
-        return np.zeros(len(plant.A))
-    structure = plant.model.structure
-    shape = rigid_shape("start", structure, structure.checked_nodes("start", nodes))
+        known = known_at_rest(plant, plant.equilibrium_input) if is_driven else None
+        return np.zeros(len(plant.A)), known
+    shape, known = structure.checked_nodes("start", nodes), None
+    if is_driven:
+        refuse_passive_bars(plant, "start", shape)
+        length = np.linalg.norm(structure.bar_vectors(shape), axis=0)
+        known = known_at_rest(plant, inputs_of(plant.actuation, length))
+    else:
+        shape = rigid_shape("start", structure, shape)
     q = reduced_shape(plant, "start", shape, _START_TOLERANCE)
-    return np.concatenate([q, np.zeros_like(q)])
+    return np.concatenate([q, np.zeros_like(q)]), known
 
 
 def _start(

@@ -19,6 +19,7 @@ from tenscontrol.estimation.observability_report import Observability, observabi
 from tenscontrol.estimation.sensors import Sensors
 from tenscontrol.estimation.smoother import Pass, SmoothedMotion, smoothed
 from tenscontrol.plant.controllability import warn_of_left_alone
+from tenscontrol.plant.driven_lengths import MOST_LENGTH, known_at_rest
 from tenscontrol.plant.linear_plant import LinearPlant, acceleration_response
 from tenscontrol.plant.modes import Modes
 from tenscontrol.short_repr import short_repr
@@ -186,7 +187,8 @@ class KalmanFilter:
     A filter restored from a pickle starts anew.
 
     The input of the plant must be what the actuators hold between samples: for winches linearize
-    with ``input="rest_length"``, whatever the controller commands. With internal coordinates, the
+    with ``input="rest_length"``, whatever the controller commands, and for driven bars with
+    ``input="bar_length"``. With internal coordinates, the
     filter adds the rigid-body motions that the readings observe. Undamped modes that are neither
     observed nor reached by strings are left out: see :attr:`left_alone`. Motions of the structure
     as one body are left out too, if readings show their rates alone. :meth:`observability` lists
@@ -214,7 +216,8 @@ class KalmanFilter:
         deviation of that acceleration, in the same unit. A larger one follows faster and filters
         less.
     prediction : {"linear", "nonlinear"}
-        Prediction by the plant, near its operating point, or by the equations of motion.
+        Prediction by the plant, near its operating point, or by the equations of motion. Of driven
+        bars ``"linear"``.
     gate : float
         Probability that a good reading is refused, above 0 and below 1.
     patience : int
@@ -228,7 +231,7 @@ class KalmanFilter:
         distance.
     winches : Winches, optional
         Winches with ramps, ``Winches(substeps=...)``, which the prediction follows. Their limits
-        do not matter.
+        do not matter. Drives of bars need them, ``Winches(ramp=True)``.
     rest_length_error : (float, float), optional
         Rest lengths that differ from those that the filter is told, by an unknown error each:
         its standard deviation at the start, m, and that of its random walk in a second, m/√s. It
@@ -341,9 +344,7 @@ class KalmanFilter:
         self._design = design
         self._size = len(design.start)
         self._motion = None if design.motion is None else Evaluator(design.motion)
-        self._correction = Correction(
-            design.plant, design.sensors, design.outputs, design.settings.gate
-        )
+        self._correction = Correction(design)
         structure, T = design.plant.model.structure, design.plant.basis
         by_node = T.reshape(-1, structure.dimension, T.shape[1]).swapaxes(0, 1)
         ends = structure.segments
@@ -422,7 +423,7 @@ class KalmanFilter:
 
     @property
     def input(self) -> str:
-        """Kind of input: ``"force_density"`` or ``"rest_length"``."""
+        """Kind of input: ``"force_density"``, ``"rest_length"`` or ``"bar_length"``."""
         return self.plant.input
 
     @property
@@ -447,7 +448,7 @@ class KalmanFilter:
             Its covariance; by ``start_spread`` of the constructor if not given.
         held : array_like, shape (α,), optional
             Input at the start, as for :meth:`predict`. If not given, the first sample uses no
-            tensions and has no ramp.
+            tensions and has no ramp; lengths of bars are then those of the shape at the start.
 
         Raises
         ------
@@ -455,11 +456,17 @@ class KalmanFilter:
             If an argument does not fit, or the covariance is not symmetric with
             eigenvalues of at least 0.
         """
+        # Inputs since the moment of the state, each with what known forces add to the state in its
+        # sample; the previous one acts on the tensions then.
+        self._inputs: deque[tuple[FloatArray, FloatArray | None]] = deque()
+        self._previous_input = self._design.start_input
+        if held is not None:
+            self._previous_input = known_at_rest(self.plant, self._checked_input(held))
         z, P = self._design.start, self._design.start_covariance
         if state is not None:
             z = validation.shaped("state", state, (self._size,), "displacements, rates and load")
             try:
-                self.plant.to_nodes(z[: self.plant.degrees_of_freedom])
+                self._design.nodes(z, self._previous_input)
             except ValueError as error:
                 raise ValueError(
                     f"state is not a possible shape of the structure: {error}"
@@ -467,10 +474,6 @@ class KalmanFilter:
         if covariance is not None:
             P = _checked_covariance(covariance, self._size)
         self._z, self._P = z, P
-        # Inputs since the moment of the state, each with what known forces add to the state in its
-        # sample; the previous one acts on the tensions then.
-        self._inputs: deque[tuple[FloatArray, FloatArray | None]] = deque()
-        self._previous_input = None if held is None else self._checked_input(held)
         self._mostly_refused = 0
         self._anew: list[bool] = []  # of the samples of a log: whether it began again there
         self._tally = Tally(len(self.sensors.readings))
@@ -511,10 +514,10 @@ class KalmanFilter:
         for held, push in self._inputs:
             z, P, _ = self._advanced(z, P, previous, held, push)
             previous = held
-        if not self._correction.reaches(z):
+        if not self._correction.reaches(z, previous):
             self._start_over(after=True)
-            z, P = self._z, self._P
-        return self._estimate(z, P)
+            z, P, previous = self._z, self._P, self._previous_input
+        return self._estimate(z, P, previous)
 
     @exclusive
     def predict(self, held: object, force: object = None) -> None:
@@ -524,7 +527,7 @@ class KalmanFilter:
         ----------
         held : array_like, shape (α,)
             γ, N/m, or rest lengths, m, that the actuators hold until the next sample, or reach
-            by then: the applied input, not the command.
+            by then: the applied input, not the command. Of driven bars their lengths, shape (β,).
         force : array_like, shape (d, n), optional
             Known forces on the nodes until then, N, on average: of contacts that are measured, for
             a plant whose model does not have them. To first order.
@@ -534,7 +537,7 @@ class KalmanFilter:
         TypeError, ValueError
             If it does not fit or is not finite.
         """
-        self._inputs.append((self._checked_input(held), self._pushed(force)))
+        self._inputs.append((self._known(self._checked_input(held)), self._pushed(force)))
         if len(self._inputs) <= self.sensors.delay:
             return
         previous = self._previous_input
@@ -543,7 +546,8 @@ class KalmanFilter:
             self._z, self._P, previous, self._previous_input, push
         )
         spread = np.diag(self._P) / np.diag(self._design.start_covariance)
-        if not self._correction.reaches(self._z) or spread.max() > NOTHING_KNOWN:
+        reaches = self._correction.reaches(self._z, self._previous_input)
+        if not reaches or spread.max() > NOTHING_KNOWN:
             self._start_over()
 
     def smooth(self, readings: object, held: object, *, previous: object = None) -> SmoothedMotion:
@@ -572,7 +576,7 @@ class KalmanFilter:
         TypeError, ValueError
             If an argument does not fit, or a smoothed state is no shape of the structure.
         """
-        count, inputs = len(self.sensors.noise), self.plant.B.shape[1]
+        count, inputs = len(self.sensors.noise), len(self.plant.actuation.input)
         log = np.asarray(readings)
         if log.ndim != 2 or log.shape[0] != count or not log.shape[1]:
             raise ValueError(
@@ -595,14 +599,17 @@ class KalmanFilter:
             if started_anew:
                 passes[i] = replace(passes[i], transition=None)
         states = smoothed(passes)
-        for k, (z, _) in enumerate(states):
-            if not self._correction.reaches(z):
+        for k, ((z, _), sample) in enumerate(zip(states, passes, strict=True)):
+            if not self._correction.reaches(z, sample.held):
                 raise ValueError(
                     f"readings lead to a smoothed state at sample {k} that is no shape of the "
                     "structure: give prediction='nonlinear', or the shape at the start"
                 )
-        estimates_by_all = [forward._estimate(z, P) for z, P in states]
-        filtered = [forward._estimate(sample.z, sample.P) for sample in passes]
+        estimates_by_all = [
+            forward._estimate(*state, sample.held)
+            for state, sample in zip(states, passes, strict=True)
+        ]
+        filtered = [forward._estimate(sample.z, sample.P, sample.held) for sample in passes]
 
         def series(name: str, estimates: list[Estimate]) -> FloatArray:
             return frozen(np.stack([getattr(estimate, name) for estimate in estimates], axis=-1))
@@ -626,16 +633,37 @@ class KalmanFilter:
         before = self._tally.restarts
         self.update(y)
         corrected = self._tally.restarts
-        z, P = self._z, self._P
+        z, P, previous = self._z, self._P, self._previous_input
         self.predict(held)
         self._anew.append(corrected > before)
         lost = self._tally.restarts > corrected
-        return Pass(z, P, self._z, self._P, None if lost else self._transition)
+        return Pass(z, P, self._z, self._P, None if lost else self._transition, previous)
 
     def _checked_input(self, held: object) -> FloatArray:
         shape = self.plant.actuation.input.shape
-        strings = validation.shaped("held", held, shape, "one per string")
-        return inputs_of(self.plant.actuation, strings)
+        if self.input != "bar_length":
+            strings = validation.shaped("held", held, shape, "one per string")
+            return inputs_of(self.plant.actuation, strings)
+        lengths = inputs_of(
+            self.plant.actuation, validation.shaped("held", held, shape, "one per bar")
+        )
+        most = MOST_LENGTH * self.plant.equilibrium_input
+        wrong = np.flatnonzero((lengths <= 0) | (lengths > most))
+        if len(wrong):
+            i = wrong[0]
+            raise ValueError(
+                f"held[{i}] is {lengths[i]:.3g} m, expected a length of a bar above 0 and at most "
+                f"{most[i]:.3g} m"
+            )
+        return lengths
+
+    def _known(self, inputs: FloatArray) -> FloatArray:
+        """Return what inputs do that are reached by the next sample, see :func:`known_size`."""
+        if self.input != "bar_length":
+            return inputs
+        before = self._inputs[-1][0] if self._inputs else self._previous_input
+        assert before is not None  # lengths of bars are always known
+        return np.concatenate([inputs, (inputs - before[: len(inputs)]) / self.sample_time])
 
     def _pushed(self, force: object) -> FloatArray | None:
         """Return what known forces add to the state in a sample, shape (2r,)."""
@@ -655,14 +683,17 @@ class KalmanFilter:
         if self._previous_input is None:
             usable &= ~gate.needs_input
             y = np.where(gate.needs_input[self.sensors.reading_of], np.nan, y)
-        correction = self._correction.fit(y, usable, self._z, self._P, self._previous_input)
+        held = self._previous_input
+        if held is None:
+            held = self.plant.equilibrium_input
+        correction = self._correction.fit(y, usable, self._z, self._P, held)
         if 2 * int(correction.passed.sum()) < int(usable.sum()):
             self._mostly_refused += 1
             late = self._mostly_refused - self._design.settings.patience
             if late >= 0:
                 self._P = self._design.start_covariance * WIDER**late
                 self._tally.start_over()
-                correction = self._correction.fit(y, usable, self._z, self._P, self._previous_input)
+                correction = self._correction.fit(y, usable, self._z, self._P, held)
         elif usable.any():
             self._mostly_refused = 0
         entries = int(correction.passed[self.sensors.reading_of].sum())
@@ -680,6 +711,7 @@ class KalmanFilter:
         design, start = self._design, held if previous is None else previous
         if self._motion is None:
             moved, rest = design.sampled, self.plant.equilibrium_input
+            start, held = start[: len(rest)], held[: len(rest)]
             transition = moved.transition
             with np.errstate(over="ignore", invalid="ignore"):  # an input may be of any size
                 z = transition @ z + moved.by_input @ (held - rest) + moved.drift
@@ -700,13 +732,19 @@ class KalmanFilter:
     def _start_over(self, after: bool = False) -> None:
         """Start from the operating point: the estimate is of no shape of the structure."""
         self._z, self._P = np.zeros_like(self._z), self._design.start_covariance
+        if self.input != "bar_length":
+            self._previous_input = None
+        else:  # bars have the lengths that they have
+            if self._inputs:
+                self._previous_input, _ = self._inputs[-1]
+            if not self._correction.reaches(self._z, self._previous_input):
+                self._previous_input = known_at_rest(self.plant, self.plant.equilibrium_input)
         self._inputs.clear()
-        self._previous_input = None
         self._tally.start_over(after)
 
-    def _estimate(self, z: FloatArray, P: FloatArray) -> Estimate:
+    def _estimate(self, z: FloatArray, P: FloatArray, held: FloatArray | None) -> Estimate:
         r, T = self.plant.degrees_of_freedom, self.plant.basis
-        nodes = self.plant.to_nodes(z[:r])
+        nodes = self._design.nodes(z, held)
         structure, shape = self.plant.model.structure, self.plant.nodes.shape
         strings = structure.string_vectors(nodes)
         along = strings / np.maximum(np.linalg.norm(strings, axis=0), np.finfo(float).tiny)
@@ -723,7 +761,7 @@ class KalmanFilter:
         )  # fmt: skip
         return Estimate(
             nodes=frozen(nodes),
-            velocities=frozen(self.plant.to_velocities(z[:r], z[r : 2 * r])),
+            velocities=frozen(self._design.velocities(z, held)),
             bias=frozen(bias[0]),
             bias_deviation=frozen(bias[1]),
             rest_length_error=frozen(wound[0]),

@@ -15,6 +15,7 @@ from tenscontrol.dynamics.evaluator import Function
 from tenscontrol.estimation.extra_states import ExtraStates
 from tenscontrol.estimation.sensors import KINDS, Moment, Sensors, symbolic_readings
 from tenscontrol.plant.controllability import LeftSpace, left_spaces, own_modes, reached_states
+from tenscontrol.plant.driven_lengths import known_at_rest, known_size
 from tenscontrol.plant.linear_plant import LinearPlant, state_units
 from tenscontrol.plant.linearize import in_coordinates
 from tenscontrol.plant.modes import Modes, modes_of
@@ -67,15 +68,15 @@ def output_function(
 
 def _output_function(plant: LinearPlant, sensors: Sensors, extra: ExtraStates) -> ca.Function:
     structure = plant.model.structure
-    z, u = ca.SX.sym("z", extra.size), ca.SX.sym("u", plant.B.shape[1])
+    z, u = ca.SX.sym("z", extra.size), ca.SX.sym("u", known_size(plant))
     near = near_symbol(plant)
-    N, V = reduced_motion(plant, z[: extra.states], near)
+    N, V = reduced_motion(plant, z[: extra.states], near, u)
     held = model_input(plant, extra.input(z, u))
     tension, rest_length = (ca.SX(len(structure.strings), 1) for _ in range(2))
     if sensors.needs("tension"):
         length, rate = (row.T for row in kernel.string_motion(structure, N, V))
         gamma = held
-        if plant.input == "rest_length":
+        if plant.string_input == "rest_length":
             law = plant.model.strings
             assert law is not None  # linearize needs one for this input
             gamma = law.symbolic_force_density(length, gamma, rate)
@@ -83,8 +84,8 @@ def _output_function(plant: LinearPlant, sensors: Sensors, extra: ExtraStates) -
     if sensors.needs("rest_length"):
         if plant.input != "rest_length":
             raise ValueError(
-                "sensors read encoders, but plant has the input 'force_density', and holds no rest "
-                "lengths: linearize with input='rest_length'"
+                f"sensors read encoders, but plant has the input {plant.input!r}, and winds no "
+                "strings: linearize with input='rest_length'"
             )
         rest_length = held
     acceleration = ca.SX(*structure.nodes.shape)
@@ -95,7 +96,7 @@ def _output_function(plant: LinearPlant, sensors: Sensors, extra: ExtraStates) -
     if extra.biased:
         y = y + extra.bias(z, y.numel())
     y = ca.cse(ca.densify(y))  # before its derivatives: they then have little in common but that
-    results = settled(plant, z, near, [y, ca.densify(ca.jacobian(y, z))])
+    results = settled(plant, z, near, [y, ca.densify(ca.jacobian(y, z))], u)
     return Function("readings", [z, u], results)
 
 
@@ -104,7 +105,8 @@ def output_derivative(
 ) -> FloatArray:
     """Return C = ∂y/∂z of all states at the operating point, shape (m, s)."""
     function = output_function(plant, sensors, extra)
-    return np.array(function(np.zeros(function.size1_in(0)), plant.equilibrium_input)[1].full())
+    known = known_at_rest(plant, plant.equilibrium_input)
+    return np.array(function(np.zeros(function.size1_in(0)), known)[1].full())
 
 
 def observed_plant(plant: LinearPlant, sensors: Sensors) -> LinearPlant:
@@ -142,7 +144,11 @@ def _observed_plant(plant: LinearPlant, sensors: Sensors) -> LinearPlant:
 def _restricted(plant: LinearPlant, keep: FloatArray) -> LinearPlant:
     """Return the plant on the space of orthonormal columns of its coordinates, shape (r, k)."""
     within = plant.coordinates.within(keep)
-    return replace(plant, coordinates=within, A=None, B=None, drift=None)
+    rate = plant.rate_input
+    if rate is not None:  # of the rates of bars
+        felt = keep.T @ rate[plant.degrees_of_freedom :]
+        rate = frozen(np.vstack([np.zeros_like(felt), felt]))
+    return replace(plant, coordinates=within, rate_input=rate, A=None, B=None, drift=None)
 
 
 def unseen(plant: LinearPlant, sensors: Sensors, C: FloatArray) -> UnseenStates:

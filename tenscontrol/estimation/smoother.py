@@ -59,7 +59,8 @@ class SmoothedMotion:
 class Pass:
     """A sample of the filter: its state after the correction, and the prediction from there.
 
-    ``transition`` is None where the filter started anew, and nothing leads to the next sample.
+    ``held`` is what inputs did at the sample, if that is known. ``transition`` is None where the
+    filter started anew, and nothing leads to the next sample.
     """
 
     z: FloatArray
@@ -67,6 +68,7 @@ class Pass:
     next_state: FloatArray
     next_covariance: FloatArray
     transition: FloatArray | None
+    held: FloatArray | None = None
 
 
 def smoothed(passes: Sequence[Pass]) -> list[tuple[FloatArray, FloatArray]]:

@@ -65,8 +65,8 @@ def refuse_driven_bars(plant: LinearPlant, who: str) -> None:
     """Raise if lengths of bars are the input of a plant, for whom or what cannot take it."""
     if plant.input == "bar_length":
         raise ValueError(
-            f"{who} takes no plant with input='bar_length': LQR, MPC and simulate do. Linearize by "
-            "input='rest_length' or 'force_density'"
+            f"{who} takes no plant with input='bar_length': LQR, MPC, KalmanFilter and simulate "
+            "do. Linearize by input='rest_length' or 'force_density'"
         )
 
 
@@ -235,6 +235,11 @@ class LinearPlant:
         assert self.rest_length is not None  # linearize needs a string law for this input
         return self.rest_length
 
+    @property
+    def string_input(self) -> str:
+        """What strings are held at, ``"force_density"`` or ``"rest_length"``."""
+        return "rest_length" if self.input == "bar_length" else self.input
+
     @cached_property
     def slack(self) -> IntArray:
         """Strings of the model that are slack at the operating point, by rest lengths; indices.
@@ -299,13 +304,15 @@ class LinearPlant:
         """Return z of a motion; see :meth:`Coordinates.measure`."""
         return self.coordinates.measure(nodes, velocities)
 
-    def to_nodes(self, q: object) -> FloatArray:
+    def to_nodes(self, q: object, bar_length: object = None) -> FloatArray:
         """Return node positions of reduced coordinates; see :meth:`Coordinates.to_nodes`."""
-        return self.coordinates.to_nodes(q)
+        return self.coordinates.to_nodes(q, bar_length)
 
-    def to_velocities(self, q: object, rates: object) -> FloatArray:
+    def to_velocities(
+        self, q: object, rates: object, bar_length: object = None, bar_length_rate: object = None
+    ) -> FloatArray:
         """Return node velocities; see :meth:`Coordinates.to_velocities`."""
-        return self.coordinates.to_velocities(q, rates)
+        return self.coordinates.to_velocities(q, rates, bar_length, bar_length_rate)
 
     def discretize(self, sample_time: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the exact zero-order-hold model ``z⁺ = Φ z + Γ v + d``.

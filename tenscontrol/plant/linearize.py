@@ -327,7 +327,6 @@ def in_coordinates(plant: LinearPlant, kind: str) -> LinearPlant:
     LinearPlant(15 minimal coordinates, input force_density, 9 inputs)
     """
     validation.instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
-    refuse_driven_bars(plant, "in_coordinates")
 
     def build() -> LinearPlant:
         gamma = to_model_strings(plant, "force_density", plant.force_density)

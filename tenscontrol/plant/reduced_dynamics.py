@@ -15,6 +15,7 @@ from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics import kernel
 from tenscontrol.dynamics.contact_laws import ContactLaw
 from tenscontrol.dynamics.evaluator import Function, on_one_thread
+from tenscontrol.plant.driven_lengths import length_symbols
 from tenscontrol.plant.linear_plant import LinearPlant, kept, refuse_driven_bars
 from tenscontrol.plant.modes import modes as all_modes  # `reduce` has an argument of this name
 from tenscontrol.plant.string_outputs import model_input, string_forces
@@ -498,16 +499,27 @@ def near_symbol(plant: LinearPlant) -> Any:
     return ca.SX.sym("near", plant.coordinates.hidden_size)
 
 
-def settled(plant: LinearPlant, z: Any, near: Any, expressions: list[Any]) -> list[Any]:
-    """Return expressions, or their first derivatives, in z alone: the symbol near put in."""
+def settled(
+    plant: LinearPlant, z: Any, near: Any, expressions: list[Any], known: Any = None
+) -> list[Any]:
+    """Return expressions, or their first derivatives, in z alone: the symbol near put in.
+
+    ``known`` as for :func:`reduced_motion`.
+    """
     if near.numel() == 0:
         return expressions
     frame = plant.coordinates
-    corrected = frame.hidden(*frame.displaced(z[: len(plant.A)]))
+    displaced = frame.displaced(z[: len(plant.A)])
+    corrected = frame.hidden(*displaced, length_symbols(plant, known))
     return list(ca.substitute(expressions, [near], [corrected]))
 
 
-def reduced_motion(plant: LinearPlant, z: Any, near: Any = None) -> tuple[Any, Any]:
-    """Return expressions of node positions and velocities, shape (d, n), of a state z (SX)."""
+def reduced_motion(
+    plant: LinearPlant, z: Any, near: Any = None, known: Any = None
+) -> tuple[Any, Any]:
+    """Return expressions of node positions and velocities, shape (d, n), of a state z (SX).
+
+    ``known`` is what inputs do, see :func:`known_size`: bars may be driven.
+    """
     frame = plant.coordinates
-    return frame.kept_lengths(*frame.displaced(z), near)
+    return frame.kept_lengths(*frame.displaced(z), near, length_symbols(plant, known))

@@ -432,7 +432,7 @@ def _reached(plant: LinearPlant, reference: Reference, name: str) -> FloatArray:
     names = [f"{name} at {time:g} s" for time in reference.time]
     for shape_name, N in zip(names, shapes, strict=True):
         if plant.input == "bar_length":
-            _refuse_passive_bars(plant, shape_name, N)
+            refuse_passive_bars(plant, shape_name, N)
         else:
             refuse_wrong_bar_lengths(shape_name, structure, N, _OFF)
         refuse_moved_supports(shape_name, structure, N, _OFF)
@@ -488,8 +488,11 @@ def reduced_shape(plant: LinearPlant, name: str, nodes: FloatArray, off: float) 
     Strings may then be ``off`` in their lengths, as a part of the size.
     """
     q = plant.measure(nodes, np.zeros_like(nodes))[: plant.degrees_of_freedom]
+    lengths = None
+    if plant.input == "bar_length":
+        lengths = np.linalg.norm(plant.model.structure.bar_vectors(nodes), axis=0)
     try:
-        reached = plant.to_nodes(q)
+        reached = plant.to_nodes(q, lengths)
     except ValueError as cause:
         raise ValueError(f"{name} is out of reach of the operating point: {cause}") from cause
     length = plant.model.structure.string_length
@@ -511,7 +514,7 @@ def _refined(time: FloatArray, sample_time: float) -> FloatArray:
     return np.concatenate([*blocks, time[-1:]])
 
 
-def _refuse_passive_bars(plant: LinearPlant, name: str, nodes: FloatArray) -> None:
+def refuse_passive_bars(plant: LinearPlant, name: str, nodes: FloatArray) -> None:
     """Raise if a shape asks a bar that is not driven for another length."""
     structure, actuation = plant.model.structure, plant.actuation
     length = np.linalg.norm(structure.bar_vectors(nodes), axis=0)

@@ -31,7 +31,12 @@ def to_commanded_strings(plant: LinearPlant, quantity: str, values: FloatArray) 
 
 
 def model_input(plant: LinearPlant, u: Any) -> Any:
-    """Return the expression of the values of the model's strings from the inputs of a plant."""
+    """Return the expression of the values of the model's strings from the inputs of a plant.
+
+    Where lengths of bars are the input, those of the operating point.
+    """
+    if plant.input == "bar_length":
+        return ca.DM(plant.rest_length)
     if plant.commanded is plant.model.structure and plant.actuation.is_whole:
         return u
     offset = to_model_strings(plant, plant.input, plant.actuation.offset)

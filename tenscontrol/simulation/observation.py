@@ -77,9 +77,9 @@ class EstimateRecord:
 class Observation:
     """Sensors of a simulated motion and the filter that estimates it, checked to go together.
 
-    ``sensors`` are those of the estimator if None; ``start`` are the rest lengths at the start, m,
-    shape (α,), if they are known; ``substeps`` those of the winches; ``goes_on`` whether the
-    estimator is as another run left it.
+    ``sensors`` are those of the estimator if None; ``input`` is that of the strings; ``start`` are
+    the rest lengths at the start, m, shape (α,), if they are known, or the lengths of driven bars;
+    ``substeps`` those of the winches; ``goes_on`` whether the estimator is as another run left it.
     """
 
     def __init__(
@@ -96,7 +96,8 @@ class Observation:
         goes_on: bool,
     ) -> None:
         sensors = estimator.sensors if sensors is None else sensors
-        _refuse_misfits(estimator, sensors, input, controller, sample, substeps)
+        moved = "bar_length" if controller.input == "bar_length" else input
+        _refuse_misfits(estimator, sensors, moved, controller, sample, substeps)
         self._filter = estimator
         seeds = [0 if seed is None else seed]
         self._readings = SensorReadings(sensors, seeds, input, estimator.sample_time)
@@ -184,8 +185,7 @@ def _refuse_misfits(
     if estimator.input != input:
         raise ValueError(
             f"estimator was designed for the input {estimator.input}, but the actuators hold "
-            f"{input} "
-            f"between samples: design it on linearize(model, rest, input={input!r})"
+            f"{input} between samples: design it on linearize(model, rest, input={input!r})"
         )
     if estimator.substeps != substeps:
         raise ValueError(

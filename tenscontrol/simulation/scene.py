@@ -224,10 +224,8 @@ class Scene:
     def _check_bars(self) -> None:
         """Refuse driven bars where something else takes them for rigid."""
         others = ["support_motion"]
-        if self.controller is not None and not self._commands_bars:
+        if not self._commands_bars:
             others.append("controller")
-        elif self._commands_bars:
-            others.append("estimator")
         is_driven = self.bar_length is not None or self._commands_bars
         for name in others if is_driven else ():
             if getattr(self, name) is not None:

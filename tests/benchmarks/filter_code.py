@@ -1,4 +1,4 @@
-"""A Kalman filter and an LQR as C code, in one closed loop with those of Python.
+"""A Kalman filter and a controller as C code, in one closed loop with those of Python.
 
 Run: ``python -m tests.benchmarks.filter_code``. Needs a C compiler. Readings are lost, infinite,
 far off, or all wrong for so long that the filter starts anew. Printed are the largest difference
@@ -24,12 +24,16 @@ from tests.benchmarks.command_line import options
 VECTOR = np.ctypeslib.ndpointer(np.float64, flags="C")
 STEP = 0.02
 
-# Arguments of the filter, and samples.
+RAMP = tc.Winches(ramp=True, rate=2.0, shortest=0.3, longest=3.0)
+
+# Arguments of the filter, and samples. Of driven bars the loop is linear.
 LOOPS = {
     "linear": ({}, 5000),
     "nonlinear": ({"prediction": "nonlinear"}, 1000),
     "nonlinear, late, ramps": ({"prediction": "nonlinear", "delay": 2, "substeps": 4}, 600),
     "linear, late, ramps": ({"delay": 3, "substeps": 4}, 600),
+    "driven bars": ({}, 5000),
+    "driven bars, late, MPC": ({"delay": 2}, 600),
 }
 
 
@@ -38,6 +42,22 @@ def plant_of():
     model = tc.Model(tc.prism(), strings=tc.LinearStrings(100.0, damping=0.5))
     rest = tc.prestress(model.structure, force_density=17.320508)
     return tc.linearize(model, rest, input="rest_length")
+
+
+@cache
+def strut_plant():
+    """Joined bars that are driven."""
+    structure = tc.library.d_bar_3d()
+    model = tc.Model(structure, tc.LinearStrings(300.0, damping=2.0))
+    return tc.linearize(model, tc.prestress(structure, min_force_density=20.0), "bar_length")
+
+
+def strut_filter(plant, delay=0):
+    sensors = tc.Sensors(
+        structure=plant.model.structure, string_length=1e-3, string_tension=0.1, bar_direction=0.01,
+        gyroscope=0.02, bias={"gyroscope": (0.02, 1e-3)}, delay=delay,
+    )  # fmt: skip
+    return tc.KalmanFilter(plant, sensors, sample_time=STEP, winches=RAMP)
 
 
 def filter_of(plant, prediction="linear", delay=0, substeps=1, strings=(0, 4)):
@@ -63,6 +83,22 @@ def simulated():
 def regulator_of(plant):
     Q, R = tc.energy_weights(plant, by_mode=True)
     return tc.LQR(plant, Q, 10 * R, sample_time=STEP)
+
+
+def strut_law(plant, name):
+    if "MPC" in name:
+        return tc.MPC(plant, horizon=4, sample_time=STEP, winches=RAMP)
+    return tc.LQR(plant, sample_time=STEP, winches=RAMP)
+
+
+def following(design, z, held, previous):
+    """Return the true state a sample later, and what inputs do then."""
+    if design.plant.input != "bar_length":
+        return np.array(simulated().motion(z, held)[0]).ravel(), held
+    moved, rest = design.sampled, design.plant.equilibrium_input
+    known = np.concatenate([held, (held - previous[: len(held)]) / STEP])
+    before = previous[: len(held)] - rest
+    return moved.transition @ z + moved.by_previous @ before + moved.by_input @ (held - rest), known
 
 
 class Code:
@@ -115,19 +151,22 @@ def spoilt(y, noise, k, rng):
 
 def compare(name, samples, folder):
     """Return the largest difference of nodes, velocities and commands, and the statuses."""
-    plant = plant_of()
-    estimator, law = filter_of(plant, **LOOPS[name][0]), regulator_of(plant)
+    if name.startswith("driven bars"):
+        plant = strut_plant()
+        estimator, law = strut_filter(plant, **LOOPS[name][0]), strut_law(plant, name)
+    else:
+        plant = plant_of()
+        estimator, law = filter_of(plant, **LOOPS[name][0]), regulator_of(plant)
+        assert simulated().extra == estimator.design.extra
     code = Code(tc.generate_c(law, folder, estimator=estimator))
     design, rng = estimator.design, np.random.default_rng(3)
-    truth = simulated()
-    assert truth.extra == design.extra
-    z, late = np.zeros(len(design.start)), []
-    z[:9] = 5e-3 * rng.normal(size=9)
+    z, late, r = np.zeros(len(design.start)), [], plant.degrees_of_freedom
+    z[:r] = 5e-3 * rng.normal(size=r)
     kick = 1e-2 * np.linalg.cholesky(design.process_covariance + 1e-18 * np.eye(len(z)))
     worst, statuses, noise = np.zeros(3), set(), estimator.sensors.noise
-    held = plant.rest_length
+    known = plant.rest_length if design.start_input is None else design.start_input
     for k in range(samples):
-        y = np.array(truth.outputs(z, held)[0]).ravel()
+        y = np.array(design.outputs(z, known)[0]).ravel()
         late.append(spoilt(y + noise * rng.normal(size=len(y)), noise, k, rng))
         read = late[max(0, k - estimator.sensors.delay)]
         estimate = estimator.update(read)
@@ -142,7 +181,8 @@ def compare(name, samples, folder):
         worst = np.maximum(worst, off)
         estimator.predict(held)
         code.predict(held)
-        z = np.array(truth.motion(z, held)[0]).ravel() + kick @ rng.normal(size=len(z))
+        z, known = following(design, z, held, known)
+        z = z + kick @ rng.normal(size=len(z))
     return worst, statuses
 
 

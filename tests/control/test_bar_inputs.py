@@ -149,12 +149,6 @@ REFUSED = {
     "jump": (lambda plant: tc.LQR(plant), "lengths of bars cannot jump"),
     "step": (lambda plant: tc.MPC(plant, horizon=5, sample_time=0.02), "cannot jump"),
     "NMPC": (lambda plant: tc.NMPC(plant, horizon=5, sample_time=0.02), "NMPC takes no plant"),
-    "filter": (
-        lambda plant: tc.KalmanFilter(
-            plant, tc.Sensors(structure=plant.model.structure, node_position=1e-3), sample_time=0.02
-        ),
-        "KalmanFilter takes no plant",
-    ),
     "reduce": (lambda plant: tc.plant.reduce(plant, modes=3), "reduce takes no plant"),
     "bounds": (
         lambda plant: tc.LQR(plant, sample_time=0.02, winches=RAMP, max_force_density=9.0),
@@ -166,10 +160,6 @@ REFUSED = {
             outputs=[tc.OutputLimit(np.eye(18), high=2.0)],
         ),
         "outputs is of nodes",
-    ),
-    "code": (
-        lambda plant: tc.generate_c(tc.LQR(plant, sample_time=0.02, winches=RAMP), "nowhere"),
-        "generate_c takes no plant",
     ),
 }  # fmt: skip
 

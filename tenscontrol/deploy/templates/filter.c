@@ -4,9 +4,12 @@
 /* State at the moment that was measured, and its covariance, by rows. */
 static double filter_state[FILTER_STATES], filter_covariance[FILTER_STATES * FILTER_STATES];
 
-/* Inputs since that moment, the oldest first, and the one that acted until then. */
-static double filter_inputs[FILTER_DELAY + 1][CONTROLLER_COMMANDS];
-static double filter_previous[CONTROLLER_COMMANDS];
+/*
+ * Inputs since that moment, the oldest first, and the one that acted until then. Of lengths of bars,
+ * those and then their rates, m/s.
+ */
+static double filter_inputs[FILTER_DELAY + 1][FILTER_KNOWN];
+static double filter_previous[FILTER_KNOWN];
 static int filter_waiting, filter_has_previous, filter_mostly_refused, filter_is_fresh;
 static int filter_is_ready;
 
@@ -28,19 +31,18 @@ static void call(int (*function)(const double **, double **, casadi_int *, doubl
     const double *given[CASADI_ARG] = {0};
     double *found[CASADI_RES] = {0};
     given[0] = z;
-    if (u)
-        given[1] = u;
+    given[1] = u;
     found[0] = first;
     found[1] = second;
     function(given, found, casadi_integers, casadi_numbers, 0);
 }
 
 /* Whether the coordinates reach the shape; its nodes are then in shape_nodes. */
-static int reaches(const double *z)
+static int reaches(const double *z, const double *held)
 {
     if (!all_finite(z, FILTER_STATES))
         return 0;
-    call(controller_shape, z, NULL, shape_nodes, shape_velocities);
+    call(controller_shape, z, held, shape_nodes, shape_velocities);
     return all_finite(shape_nodes, CONTROLLER_COORDINATES);
 }
 
@@ -203,7 +205,7 @@ static int use(const double *y, const int *entries, int count, const double *hel
             moved = fmax(moved, fabs(next[i] - z[i]) / size);
         }
         copy(z, next, FILTER_STATES);
-        if (!reaches(z))
+        if (!reaches(z, held))
             return 0;
         if (moved < FILTER_SETTLED)
             break;
@@ -298,7 +300,7 @@ static int status_of(const Fit *fit, const int *usable, const int *lost, int *mo
 
 static int correct_sample(const double *readings)
 {
-    double y[FILTER_NUMBERS];
+    double y[FILTER_NUMBERS], predicted[FILTER_STATES];
     int usable[FILTER_READINGS], lost[FILTER_READINGS], i, status, mostly, any = 0;
     const double *held = filter_has_previous ? filter_previous : filter_rest;
     Fit fit;
@@ -317,6 +319,7 @@ static int correct_sample(const double *readings)
     }
     for (i = 0; i < FILTER_READINGS; i++)
         any |= usable[i];
+    copy(predicted, filter_state, FILTER_STATES);
     fit = correct(y, usable, held);
     status = status_of(&fit, usable, lost, &mostly);
     if (mostly) {
@@ -325,6 +328,7 @@ static int correct_sample(const double *readings)
             double wider = pow(FILTER_WIDER, late < 100 ? late : 100);
             for (i = 0; i < FILTER_STATES * FILTER_STATES; i++)
                 filter_covariance[i] = start_covariance[i] * wider;
+            copy(filter_state, predicted, FILTER_STATES);
             fit = correct(y, usable, held);
             filter_is_fresh = 1;
         }
@@ -404,13 +408,25 @@ static void start_over(void)
 {
     memset(filter_state, 0, sizeof filter_state);
     copy(filter_covariance, start_covariance, FILTER_STATES * FILTER_STATES);
-    filter_waiting = filter_has_previous = 0;
+#if FILTER_DRIVES_BARS /* which have the lengths that they have */
+    if (filter_waiting > 0)
+        copy(filter_previous, filter_inputs[filter_waiting - 1], FILTER_KNOWN);
+    if (!reaches(filter_state, filter_previous))
+        copy(filter_previous, filter_rest, FILTER_KNOWN);
+#else
+    filter_has_previous = 0;
+#endif
+    filter_waiting = 0;
 }
 
 int controller_estimator_reset(void)
 {
     start_over();
     copy(filter_state, start_state, FILTER_STATES);
+#if FILTER_DRIVES_BARS
+    copy(filter_previous, start_input, FILTER_KNOWN);
+    filter_has_previous = 1;
+#endif
     filter_mostly_refused = filter_is_fresh = 0;
     filter_is_ready = 1;
     return CONTROLLER_OK;
@@ -436,11 +452,11 @@ int controller_estimate(const double *readings, double *nodes, double *velocitie
         advance(z, NULL, previous, filter_inputs[i]);
         previous = filter_inputs[i];
     }
-    if (!reaches(z)) {
+    if (!reaches(z, previous)) {
         start_over();
         copy(z, filter_state, FILTER_STATES);
         status = CONTROLLER_RESTARTED;
-        reaches(z);
+        reaches(z, filter_previous);
     }
     copy(nodes, shape_nodes, CONTROLLER_COORDINATES);
     copy(velocities, shape_velocities, CONTROLLER_COORDINATES);
@@ -450,25 +466,40 @@ int controller_estimate(const double *readings, double *nodes, double *velocitie
 int controller_predict(const double *held)
 {
     int i, blown = 0;
+    double *known;
+#if FILTER_DRIVES_BARS
+    const double *before;
+#endif
     if (!all_finite(held, CONTROLLER_COMMANDS))
         return CONTROLLER_INPUT_NOT_FINITE;
     if (!filter_is_ready)
         controller_estimator_reset();
-    copy(filter_inputs[filter_waiting++], held, CONTROLLER_COMMANDS);
+#if FILTER_DRIVES_BARS
+    for (i = 0; i < CONTROLLER_COMMANDS; i++)
+        if (!(held[i] > 0.0 && held[i] <= FILTER_MOST_LENGTH * filter_rest[i]))
+            return CONTROLLER_MEASUREMENT_NOT_PLAUSIBLE;
+#endif
+    known = filter_inputs[filter_waiting++];
+    copy(known, held, CONTROLLER_COMMANDS);
+#if FILTER_DRIVES_BARS
+    before = filter_waiting > 1 ? filter_inputs[filter_waiting - 2] : filter_previous;
+    for (i = 0; i < CONTROLLER_COMMANDS; i++)
+        known[CONTROLLER_COMMANDS + i] = (held[i] - before[i]) / CONTROLLER_STEP;
+#endif
     if (filter_waiting <= FILTER_DELAY)
         return CONTROLLER_OK;
     advance(filter_state, filter_covariance,
             filter_has_previous ? filter_previous : filter_inputs[0], filter_inputs[0]);
-    copy(filter_previous, filter_inputs[0], CONTROLLER_COMMANDS);
+    copy(filter_previous, filter_inputs[0], FILTER_KNOWN);
     filter_has_previous = 1;
     filter_waiting--;
     for (i = 0; i < filter_waiting; i++)
-        copy(filter_inputs[i], filter_inputs[i + 1], CONTROLLER_COMMANDS);
+        copy(filter_inputs[i], filter_inputs[i + 1], FILTER_KNOWN);
     for (i = 0; i < FILTER_STATES; i++) {
         int k = i * (FILTER_STATES + 1);
         blown |= filter_covariance[k] > FILTER_NOTHING_KNOWN * start_covariance[k];
     }
-    if (blown || !reaches(filter_state)) {
+    if (blown || !reaches(filter_state, filter_previous)) {
         start_over();
         filter_is_fresh = 1;
     }

@@ -26,6 +26,7 @@ int controller_estimate(const double *readings, double *nodes, double *velocitie
  *
  *   held        what the actuators hold until then, CONTROLLER_COMMANDS numbers, @HELD@
  *
- * Returns CONTROLLER_OK, or CONTROLLER_INPUT_NOT_FINITE, and then nothing was changed.
+ * Returns CONTROLLER_OK; or CONTROLLER_INPUT_NOT_FINITE, or CONTROLLER_MEASUREMENT_NOT_PLAUSIBLE of a
+ * length that a bar cannot have, and then nothing was changed.
  */
 int controller_predict(const double *held);
