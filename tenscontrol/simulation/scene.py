@@ -226,8 +226,7 @@ class Scene:
         others = ["support_motion"]
         if not self._commands_bars:
             others.append("controller")
-        is_driven = self.bar_length is not None or self._commands_bars
-        for name in others if is_driven else ():
+        for name in others if self.drives_bars else ():
             if getattr(self, name) is not None:
                 raise ValueError(
                     f"bar_length does not go with {name}, which takes bars of constant length: "
@@ -238,6 +237,11 @@ class Scene:
                 "bar_length changes in time, but the controller commands it: expected the lengths "
                 "at the start, m, one per bar"
             )
+
+    @property
+    def drives_bars(self) -> bool:
+        """Whether lengths of bars are given, or commanded."""
+        return self.bar_length is not None or self._commands_bars
 
     @property
     def _commands_bars(self) -> bool:

@@ -35,12 +35,16 @@ from tenscontrol.simulation.start import initial_state
 _EXACT, _NO_LENGTH = 1e-8, 1e-11
 
 # What is no parameter of the model.
-_ARRAYS = "nodes", "velocities", "rest_length", "force_density", "external_force", "load"
+_ARRAYS = (
+    "nodes", "velocities", "rest_length", "force_density", "external_force", "load", "bar_length",
+)  # fmt: skip
 
 
 def refusal(scene: Scene) -> str | None:
     """Return why a scene is run by :func:`simulate` alone; None if many runs of it can be."""
-    for name in ("winches", "estimator", "support_motion", "bar_length", "start"):
+    if scene.drives_bars:
+        return "bars are driven"
+    for name in ("winches", "estimator", "support_motion", "start"):
         if getattr(scene, name) is not None:
             return f"{name} given"
     if scene.faults:
@@ -48,8 +52,6 @@ def refusal(scene: Scene) -> str | None:
     law = scene.law
     if law is None:
         return None
-    if law.input == "bar_length":
-        return "the controller commands lengths of bars"
     try:
         checked_controller(scene.controller, scene.model)
     except (TypeError, ValueError) as error:
@@ -98,6 +100,8 @@ def _shapes(scene: Scene) -> dict[str, tuple[int, ...]]:
     shapes: dict[str, tuple[int, ...]] = {"nodes": nodes, "velocities": nodes}
     if scene.controller is None:
         shapes[scene.input] = (len(scene.structure.strings),)
+    if scene.drives_bars:
+        shapes["bar_length"] = (len(scene.structure.bars),)
     shapes["external_force"] = nodes
     without = () if scene.input == "rest_length" else law_parameters(model)
     members = {name: value.shape for name, value in parameters_of(model).items()}
@@ -192,7 +196,7 @@ class BatchInputs:
 
     def scene_of(self, run: int) -> Scene:
         """Return the scene of a run alone, refusing numbers that do not fit."""
-        names = "nodes", "velocities", "external_force", self.input
+        names = "nodes", "velocities", "external_force", "bar_length", self.input
         own = {name: self.given[name][run] for name in names if name in self.given}
         return replace(self.base, model=self.model_of(run) if self.varied else self.model, **own)
 

@@ -615,6 +615,12 @@ class Runner:
         vars(trajectory).update(_bars=self.bars(run))
         return trajectory
 
+    def lack(self) -> str | None:
+        """Return why a run cannot be had as a trajectory; None if it can."""
+        if self.scene.model.ground or not self.scene.pieces.is_constant:
+            return "has ground, or inputs that change in time: simulate gives its trajectory"
+        return None
+
     def bars(self, run: int) -> BarMotion:
         """Return the bars over a run, up to where it is good; all nodes were kept."""
         finite = np.isfinite(self.nodes[run]).all(axis=(0, 1))

@@ -1,8 +1,9 @@
 """Many runs of one scene at once: starts, inputs, loads and parameters that differ from run to run.
 
 Runs go in blocks to threads. By dop853 and rk4 a block is a call of the compiled core, which takes
-steps of several runs by one instruction. Else each run is a call of the integrator. The numbers are
-those of single runs, to the last bit.
+steps of several runs by one instruction. Else each run is a call of the integrator. Runs with
+driven bars go one after another by :func:`simulate`. The numbers are those of single runs, to the
+last bit.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from tenscontrol.short_repr import short_repr
 from tenscontrol.simulation.batch.batch_inputs import BatchInputs, checked_variation, refusal
 from tenscontrol.simulation.batch.compiled_loop import checked_controller
 from tenscontrol.simulation.batch.runner import Runner
+from tenscontrol.simulation.batch.single_runs import SingleRuns
 from tenscontrol.simulation.health import ERROR_LIMIT, AccuracyWarning, HealthLimits
 from tenscontrol.simulation.health_check import check_health, finer
 from tenscontrol.simulation.scene import Scene
@@ -106,7 +108,7 @@ class Batch:
     command: FloatArray | None = None
     commands_not_ok: IntArray | None = None
     error: FloatArray | None = None
-    _runner: Runner | None = field(default=None, repr=False)
+    _runner: Runner | SingleRuns | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         for value in vars(self).values():  # not copied: they may be large
@@ -126,8 +128,8 @@ class Batch:
         Raises
         ------
         ValueError
-            If the run did not reach the end, not all nodes were kept, there is ground, or inputs
-            change in time other than by a controller.
+            If the run did not reach the end, or not all nodes were kept. Of runs that are done
+            together, if there is ground, or inputs change in time other than by a controller.
         SimulationError
             If the motion passes a limit with ``action="raise"``.
         """
@@ -136,13 +138,11 @@ class Batch:
             how = "make them by HealthLimits(bar_length_error=...)"
             validation.instance("limits", limits, HealthLimits, how)
         assert self._runner is not None  # made by simulate_many
-        scene, why = self._runner.scene, None
+        why = self._runner.lack()
         if not self.completed[run]:
             why = f"ended early: {self.messages[run]}"
         elif len(self.kept_nodes) < self.structure.nodes.shape[1]:
             why = "has some of its nodes only: leave keep_nodes out"
-        elif scene.model.ground or not scene.pieces.is_constant:
-            why = "has ground, or inputs that change in time: simulate gives its trajectory"
         if why is not None:
             raise ValueError(f"run {run} {why}")
         trajectory = self._runner.trajectory(run)
@@ -208,7 +208,8 @@ def simulate_many(
     """Return the motions of many runs of a scene: open loops, or loops closed by compiled code.
 
     The numbers are those of :meth:`Scene.simulate` run by run, to the last bit, with the same
-    method and step.
+    method and step. Runs whose bars are driven are done by it, one after another, under any
+    controller, with winches, an estimator and faults too.
 
     Parameters
     ----------
@@ -217,12 +218,14 @@ def simulate_many(
         ``generate_c(controller, folder).compile()``. Each run has its own, from a fresh start;
         commands are held over a sample as they are. Winches, estimators, faults, moving supports
         and a ``start`` go by :meth:`Scene.simulate` alone. Of its integration, ``"auto"`` chooses
-        once, for the first run; without ``output_step`` start and end alone are kept; ``limits``
-        are not looked at.
+        once, for the first run, or for each run with driven bars; without ``output_step`` start and
+        end alone are kept; ``limits`` are not looked at.
     vary : mapping of str to array_like
         What differs from run to run, in place of what the scene has, by name: ``"nodes"``,
         ``"velocities"`` and ``"external_force"``, shape (runs, d, n), in m, m/s and N; what is held
         in open loop, ``"rest_length"``, m, or ``"force_density"``, N/m, shape (runs,) or (runs, α);
+        of bars that are driven, lengths that are held or at the start, ``"bar_length"``, m, shape
+        (runs,) or (runs, β);
         and parameters of the model, shape (runs,) or (runs, members): ``"bar_mass"``,
         ``"point_mass"`` (members are nodes), kg, those of the string law such as ``"stiffness"``
         and ``"damping"``, ``"gravity"`` (members are axes), and numbers of the contact law, as
@@ -276,21 +279,26 @@ def simulate_many(
     validation.truth("progress", progress, "whether to show a progress bar")
     validation.choice("error", error, ("sample", "all", "none"))
     threads = _processors() if threads is None else validation.whole_number("threads", threads, 1)
-    if scene.law is not None:
-        checked_controller(scene.controller, scene.model)
-    why = refusal(scene)
-    if why is not None:
-        raise ValueError(
-            f"many runs of this scene are not done together: {why}; simulate does each"
-        )
+    if scene.drives_bars:
+        if scene.start is not None:
+            raise ValueError("many runs begin at 0 s, but the scene has a start: simulate goes on")
+    else:
+        if scene.law is not None:
+            checked_controller(scene.controller, scene.model)
+        why = refusal(scene)
+        if why is not None:
+            raise ValueError(
+                f"many runs of this scene are not done together: {why}; simulate does each"
+            )
     inputs = BatchInputs(scene, checked_variation(scene, vary))
     structure = scene.structure
     kept = np.arange(structure.nodes.shape[1])
     if keep_nodes is not None:
         kept = validation.index_list("keep_nodes", keep_nodes, len(kept), "nodes")
-    runner = errors = None
+    runner: Runner | SingleRuns | None = None
+    errors = None
     with keeping("runs are done, the others are NaN", lambda: 0 if runner is None else runner.done):
-        runner = Runner(inputs, kept)
+        runner = SingleRuns(inputs, kept) if scene.drives_bars else Runner(inputs, kept)
         with progress_bar(inputs.count, progress, label="simulating", unit="runs") as report:
             runner.run(threads, report)
         if error != "none" and scene.integration.error != "none":
