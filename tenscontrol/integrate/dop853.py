@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, final
 import casadi as ca
 import numpy as np
 
+from tenscontrol import validation
 from tenscontrol.arrays import FloatArray
 from tenscontrol.core.records import Progress, Settings, Spans
 from tenscontrol.dynamics.equation import Equation
@@ -158,7 +159,7 @@ class DOP853(Integrator):
             settings = self._settings(duration, outputs)
             motion = CoreMotion(self._core, state, held, settings, self._rules())
             span = advance_in_core(motion, work_of, _core_failure, report)
-            if not np.isfinite(span.states.sum()):
+            if not (validation.is_bounded(motion.whole) or np.isfinite(span.states).all()):
                 good = np.isfinite(span.states).all(axis=0)
                 raise _not_rigid(
                     duration / outputs, span.states[:, : int(good.argmin())], span.work

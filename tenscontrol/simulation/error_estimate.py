@@ -26,8 +26,8 @@ _TIGHTER, _SAFETY, _LOOSER = 0.1, 2.0, 8.0
 # A tenth of so tight a tolerance is lost in round-off: ten times it is taken.
 _TIGHT = 1e-12
 
-# The motion found again is looked at at all outputs, as a state between two steps may be less accurate
-# than both: of a large structure at this many at least, and of so many numbers at most.
+# The motion found again is looked at at all outputs, as a state between two steps may be less
+# accurate than both: of a large structure at so many at least, and at so many numbers at most.
 _LOOKED_AT, _NUMBERS = 128, 2_000_000
 
 # Parts of the time in which an estimate is at least that in the part before.
@@ -117,7 +117,9 @@ def _joined(parts: Sequence[FloatArray]) -> FloatArray:
 
 
 def _common(one: IntArray, other: IntArray) -> IntArray:
-    return np.intersect1d(one, other, assume_unique=True)
+    """Return the outputs that are among both, ascending."""
+    same = np.array_equal(one, other)
+    return one if same else np.intersect1d(one, other, assume_unique=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,6 +145,8 @@ class Path:
 
     def at(self, columns: IntArray) -> FloatArray:
         """Return the positions at outputs that are among its own."""
+        if len(columns) == len(self.columns):
+            return self.positions
         return self.positions[..., np.searchsorted(self.columns, columns)]
 
     def work_at(self, columns: IntArray) -> FloatArray:
@@ -404,6 +408,8 @@ class Motion:
         if self.path.work is not None:
             work = np.abs(self.path.work_at(columns) - other.work_at(columns))
             off = np.vstack([off, work])
+        if len(columns) == len(self.path.columns):
+            return off
         least, most = np.zeros((len(off), 1)), np.full((len(off), 1), np.inf)
         off = np.hstack([least, off, most])
         kept = self.path.columns
@@ -414,7 +420,8 @@ class Motion:
     def _distance(self, one: FloatArray, other: FloatArray) -> FloatArray:
         """Return the largest distance of a node between positions, as part of the size."""
         with np.errstate(over="ignore", invalid="ignore"):
-            squares = np.add.reduceat((one - other) ** 2, self._first_of_nodes, axis=-2)
+            apart = one - other
+            squares = np.add.reduceat(np.square(apart, out=apart), self._first_of_nodes, axis=-2)
             apart = np.sqrt(squares.max(axis=-2))
         return np.where(np.isfinite(apart), apart / self._size, np.inf)
 
