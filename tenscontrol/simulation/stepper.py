@@ -545,7 +545,7 @@ class Stepper:
 
     def _enter(self, robots: np.ndarray, states: FloatArray) -> None:
         """Take new states, and note robots that have none."""
-        if len(robots) == self._count and np.vdot(states, states) <= validation.LARGEST**2:
+        if len(robots) == self._count and validation.is_bounded(states):
             self._states = states
             return
         is_good = (np.abs(states) < validation.LARGEST).all(axis=1)  # no NaN is
