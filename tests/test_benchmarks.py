@@ -542,7 +542,9 @@ def test_towers(printed, monkeypatch, jax_compiles_quickly):
     module = import_module("tests.benchmarks.towers")
     print_memory = module.print_memory  # each row is a process of its own
     monkeypatch.setattr(module, "print_memory", lambda stages, rows: print_memory(stages, rows[:1]))
-    text = printed("towers", "--stages 3 --errors 1e-3 --repeats 1 --steps 4e-3 5e-4 --tolerances 1e-6")
+    text = printed(
+        "towers", "--stages 3 --errors 1e-3 --repeats 1 --steps 4e-3 5e-4 --tolerances 1e-6"
+    )
     assert "tower of 3 stages, 60 members, 55 switches" in text
     for program in beside("tenscontrol, default call", "NumPy RK4", "JAX RK4"):
         assert cheapest(text, program)[0][1] <= 1e-3

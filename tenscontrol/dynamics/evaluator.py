@@ -200,8 +200,8 @@ def on_one_thread(function: Callable[_Arguments, _Value]) -> Callable[_Arguments
 
 
 _IN_USE = (
-    "{} is in use by another thread, and it keeps state between calls. Give each thread a copy, for "
-    "example by copy.deepcopy or pickle"
+    "{} is in use by another thread, and it keeps state between calls. Give each thread a copy, "
+    "for example by copy.deepcopy or pickle"
 )
 
 

@@ -596,13 +596,13 @@ class Model:
     def _parameter_sizes(
         self, names: Sequence[str], law: StringLaw | None
     ) -> tuple[tuple[str, int], ...]:
-        if names == ():
+        given = validation.items("parameters", names, "names")
+        if not given:
             return ()
         structure = self._structure
         known = {"bar_mass": len(structure.bars), "point_mass": structure.nodes.shape[1]}
         known = {} if structure.blocks else known
         known |= {field.name: len(structure.strings) for field in (fields(law) if law else ())}
-        given = validation.items("parameters", names, "names")
         return tuple((validation.choice("parameters", name, known), known[name]) for name in given)
 
     def _flat_functions(

@@ -232,6 +232,7 @@ class Fit:
         -------
         Path
         """
+        path = validation.file_path("file", file)
         record = {
             "parameters": {name: value.tolist() for name, value in self.parameters.items()},
             "unknowns": [
@@ -245,7 +246,7 @@ class Fit:
             "rollouts": self.rollouts,
             "message": self.message,
         }  # fmt: skip
-        return write_file(Path(file), json.dumps(record, indent=1) + "\n")
+        return write_file(path, json.dumps(record, indent=1) + "\n")
 
     def __repr__(self) -> str:
         untold = len(self.identifiability.untold)

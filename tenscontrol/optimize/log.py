@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from dataclasses import dataclass, replace
+from io import TextIOWrapper
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +15,11 @@ from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.dynamics.profile import Profile
 from tenscontrol.estimation.sensors import Sensors
 from tenscontrol.fields import converted
-from tenscontrol.files import write_file
+from tenscontrol.files import opened_file, write_file
 from tenscontrol.simulation.trajectory import Trajectory
 
 # Numbers in a table at most: more is no log of a robot, and fills the memory.
-_MOST_NUMBERS = 50_000_000
+_MOST_NUMBERS, _MOST_BYTES = 50_000_000, 1_500_000_000
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -232,11 +233,12 @@ class Log:
         -------
         Path
         """
+        path = validation.file_path("file", file)
         lines = [",".join(["time", *_columns(self.sensors)])]
         for time, row in zip(self.time.tolist(), self.readings.tolist(), strict=True):
             numbers = ("" if np.isnan(value) else repr(value) for value in row)
             lines.append(",".join([repr(time), *numbers]))
-        return write_file(Path(file), "\n".join(lines) + "\n")
+        return write_file(path, "\n".join(lines) + "\n")
 
     @classmethod
     def read(cls, file: str | Path, sensors: Sensors, **others: Any) -> Log:
@@ -263,10 +265,14 @@ class Log:
             If a column is missing or a cell is no number, with its line.
         """
         validation.instance("sensors", sensors, Sensors, "make them by Sensors(structure=..., ...)")
+        path = validation.file_path("file", file)
         names = ["time", *_columns(sensors)]
         rows: list[list[float]] = []
-        with Path(file).open(newline="", encoding="utf-8") as stream:
-            table = csv.reader(stream)
+        with (
+            opened_file(path, _MOST_BYTES) as stream,
+            TextIOWrapper(stream, "utf-8-sig", newline="") as text,
+        ):
+            table = csv.reader(text)
             header = [name.strip() for name in next(table, [])]
             missing = [name for name in names if name not in header]
             if missing:

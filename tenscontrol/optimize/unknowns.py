@@ -138,12 +138,16 @@ def unknowns_of(
     bases = _bases(model, input, held)
     if not asked:
         raise ValueError(f"parameters is empty, expected some of {sorted(bases)}")
+    for name in asked:
+        validation.choice("parameters", name, bases)
     for label, mapping in (("known", known), ("groups", groups)):
+        if mapping is not None and not isinstance(mapping, Mapping):
+            raise validation.wrong_kind(label, mapping, "a dict by names of parameters")
         for name in mapping or {}:
             validation.choice(f"a key of {label}", name, asked)
     unknowns = []
     for name, prior in asked.items():
-        base = bases[validation.choice("parameters", name, bases)]
+        base = bases[name]
         is_scaled = name not in _SHIFTED and not name.endswith(".height")
         base, deviation = _with_prior(name, base, prior, is_scaled, model)
         some = _grouped(name, len(base), (groups or {}).get(name), (known or {}).get(name))
@@ -177,8 +181,8 @@ def _with_prior(
             raise ValueError(f"parameters: {name} is shifted, expected its standard deviation")
         return np.full(len(base), prior.median), prior.deviation
     if prior is not None:
-        unit = "of its logarithm" if is_scaled else "in its unit"
-        return base, validation.positive_number(f"deviation of {name}", prior, unit)
+        unit = "units of its logarithm" if is_scaled else "its unit"
+        return base, validation.positive_number(f"parameters[{name!r}]", prior, unit)
     if is_scaled:
         return base, _LOGARITHM
     length = float(model.structure.string_length().mean()) if len(model.structure.strings) else 1.0

@@ -395,6 +395,8 @@ class LinearPlant:
             damped strings feel the rate of the input.
         """
         validation.choice("outputs", outputs, ("nodes", "state"))
+        if dt is not None:
+            dt = validation.positive_number("dt", dt, "s")
         if np.abs(self.drift).max(initial=0.0) > 1e-8 * max(1.0, np.abs(self.A).max(initial=0.0)):
             raise ValueError(
                 "the plant has a drift, as it was linearized away from an equilibrium, and a "

@@ -149,7 +149,7 @@ class Table:
                 f"{said or f'in {self.title}, {key} is'} {number}, expected 0 to {count - 1}: "
                 f"there are {count} {things}, counted from 0",
             )
-        return number
+        return int(number)  # a float may stand for one
 
     @contextmanager
     def checked(self, fallback: str | None = None, note: str = "") -> Iterator[None]:

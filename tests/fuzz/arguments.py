@@ -107,6 +107,7 @@ MAY_BE_INFINITE = {
     "OutputLimit.high",
     "OutputLimit.low",
     "Predictability.horizon",
+    "Stepper.limits",
     "StringLaw.largest_force_density",
 }
 
@@ -116,6 +117,7 @@ MAY_BE_NAN = {
     "accuracy.WorkPrecision.time_at",
     "Sensors.disturb",
     "Sensors.measure, tension",
+    "fit.interval",
 }
 
 

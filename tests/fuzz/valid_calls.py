@@ -1190,7 +1190,12 @@ for kind, method in MAKE.items():
     call(f"integrate.{kind}", lambda given=given: dict(equation=equation(), **given), share=0.2)
     call(
         f"integrate.{kind}.advance",
-        lambda: {"state": case().state, "held": case().value, "duration": 0.002, "outputs": 2},
+        lambda: {
+            "state": case().state,
+            "held": case().input_value,
+            "duration": 0.002,
+            "outputs": 2,
+        },
         lambda method=method: integrator(method),
         share=0.3,
     )
@@ -1591,7 +1596,7 @@ call(
     "KalmanFilter",
     lambda: {
         "plant": held_plant(),
-        "sensors": lengths(),
+        "sensors": tc.Sensors(structure=prism(), string_length=0.01, string_tension=0.1),
         "sample_time": 0.01,
         "process_noise": 0.02,
         "load": False,
