@@ -274,7 +274,8 @@ def build_force_density(document: Document, structure: Structure, load: FloatArr
         gamma = per_string(table, "force_density", given)
         with table.checked("force_density"):
             validation.non_negative("force_density", gamma, "a string can only pull")
-    return spread_force_density(structure, gamma) if given is not structure else gamma
+    with table.checked("force_density"):
+        return spread_force_density(structure, gamma) if given is not structure else gamma
 
 
 def build_design(

@@ -495,7 +495,8 @@ def _worker(arguments):
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
     import tenscontrol as tc
 
-    signal.signal(signal.SIGALRM, signal.default_int_handler)
+    # As Ctrl-C would, not by an exception, which CasADi keeps to itself.
+    signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(signal.SIGINT))
     loading = importlib.import_module("tenscontrol.scene.load_scene")
     built = loading.build_structure
 

@@ -73,9 +73,8 @@ def test_ground_of_no_nodes_and_of_nodes_named_twice(tmp_path):
 
 def test_infinite_limits_and_whole_floats_of_controllers(tmp_path):
     text = PRISM + "[controller]\nkind = 'mpc'\nsample_time = 0.02\nhorizon = 5.0\n"
-    text += "max_force_density = inf\n[winches]\nrate = inf\nlongest = [{}]\n".format(
-        ", ".join(["inf"] * 8 + ["9.0"])
-    )
+    text += "max_force_density = inf\n[[controller.outputs]]\nnode = 3.0\naxis = 'z'\nlow = -0.5\n"
+    text += "[winches]\nrate = inf\nlongest = [{}]\n".format(", ".join(["inf"] * 8 + ["9.0"]))
     found = scene(tmp_path, text)
     assert found.winches.rate is None
     assert found.winches.longest[8] == 9.0
