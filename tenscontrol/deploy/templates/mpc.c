@@ -81,7 +81,8 @@ static void correct_load(const double *state)
     add_product(&by_input, previous_input, response);
     for (i = 0; i < STATES; i++)
         error[i] = state[i] - (memory.free_response[i] + response[i]);
-    add_product(&load_gain, error, memory.load);
+    if (all_finite(error, STATES))
+        add_product(&load_gain, error, memory.load);
 }
 
 /* Move references and inputs to where the plant is at rest under the load. */
@@ -139,7 +140,7 @@ static void store_plan(void)
         int j = i % CONTROLLER_COMMANDS;
         memory.plan[i] = clamp(program.inputs[i] + program.input_moves[i], low[j], high[j]);
     }
-    memory.has_plan = 1;
+    memory.has_plan = all_finite(memory.plan, PLANNED);
     memory.used = 0;
 }
 
