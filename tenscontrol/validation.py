@@ -63,7 +63,7 @@ def _brief(value: object) -> str:
 
 def float_array(name: str, value: object) -> FloatArray:
     """Return ``value`` as a finite float array, or say which entry is none or is too large."""
-    array = _real_array(name, value)
+    array = real_array(name, value)
     if not is_bounded(array):
         bad = np.argwhere(~(np.abs(array) <= LARGEST))
         where = "" if array.ndim == 0 else f"[{', '.join(str(i) for i in bad[0])}]"
@@ -100,13 +100,13 @@ def measured(
     name: str, value: object, shape: tuple[int, ...], meaning: str = "one column per node"
 ) -> FloatArray:
     """Return a measurement as an array of this shape; it may hold what is not finite."""
-    array = _real_array(name, value)
+    array = real_array(name, value)
     if array.shape != shape:
         raise ValueError(f"{name} has shape {array.shape}, expected {shape}: {meaning}")
     return array
 
 
-def _real_array(name: str, value: object) -> FloatArray:
+def real_array(name: str, value: object) -> FloatArray:
     """Return ``value`` as a new float array, if it is made of real numbers."""
     if type(value) is np.ndarray and value.dtype == np.float64:
         return value.astype(float)
@@ -172,7 +172,7 @@ def per_member(name: str, value: object, count: int, member: str) -> FloatArray:
 
 def limits(name: str, value: object, none: float = np.inf) -> FloatArray:
     """Return limits of any shape, of which some may be ``none``: no limit; None stands for all."""
-    array = np.asarray(none) if value is None else _flat(_real_array(name, value))
+    array = np.asarray(none) if value is None else _flat(real_array(name, value))
     float_array(name, np.where(array == none, 0.0, array))
     return array
 

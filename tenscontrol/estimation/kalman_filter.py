@@ -577,13 +577,12 @@ class KalmanFilter:
             If an argument does not fit, or a smoothed state is no shape of the structure.
         """
         count, inputs = len(self.sensors.noise), len(self.plant.actuation.input)
-        log = np.asarray(readings)
-        if log.ndim != 2 or log.shape[0] != count or not log.shape[1]:
+        y = validation.real_array("readings", readings)
+        if y.ndim != 2 or y.shape[0] != count or not y.shape[1]:
             raise ValueError(
-                f"readings has shape {log.shape}, expected ({count}, K): one column per sample"
+                f"readings has shape {y.shape}, expected ({count}, K): one column per sample"
             )
-        samples = log.shape[1]
-        y = validation.measured("readings", readings, (count, samples), "one column per sample")
+        samples = y.shape[1]
         inputs_held = validation.shaped(
             "held", held, (inputs, samples), "one column per sample of readings"
         )

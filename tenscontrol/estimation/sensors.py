@@ -492,10 +492,7 @@ class Sensors:
         -------
         bool
         """
-        if part in self._needed:
-            return True
-        validation.choice("part", part, Moment._fields)
-        return False
+        return validation.choice("part", part, Moment._fields) in self._needed
 
     @cached_property
     def _needed(self) -> frozenset[str]:

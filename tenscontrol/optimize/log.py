@@ -204,6 +204,8 @@ class Log:
                 "run is under a controller, a copy or goes on from another, expected one in open "
                 "loop that simulate(...) returned"
             )
+        if seed is not None:
+            seed = validation.whole_number("seed", seed, 0, validation.LARGEST_SEED)
         wanted = np.atleast_1d(validation.float_array("times", times))
         columns = np.clip(np.searchsorted(run.time, wanted), 1, len(run.time) - 1)
         nearer = wanted - run.time[columns - 1] < run.time[columns] - wanted

@@ -158,6 +158,8 @@ class Stepper:
         self._begin = self._state_of(scenes)
         self._actuation = actuation_of(model.structure, actuated, self._begin.held[0])
         self._refuse_other_passive(self._begin.held)
+        if winches is not None:
+            validation.instance("winches", winches, Winches, "make them by Winches(rate=...)")
         self._ramps = winches is not None and winches.ramp
         self._limits = None if winches is None else self._checked_limits(winches)
         self._models = SteppedModels(model, self.input, int(self._ramps), self._step, self._count)
@@ -380,7 +382,7 @@ class Stepper:
         if structure.dimension != 3 or len(structure.fixed_rows):
             raise ValueError("the structure is in the plane or has supports: it cannot be turned")
         angles = validation.shaped("angles", angles, (self._count,), "one a robot, rad")
-        which = self._which(robots)
+        which = validation.index_list("robots", robots, self._count, "robots")
         c, s, still = np.cos(angles[which]), np.sin(angles[which]), np.zeros(len(angles[which]))
         turns = np.array([[c, -s, still], [s, c, still], [still, still, still + 1]])
         shape = (-1, 2, structure.nodes.shape[1], 3)
@@ -426,7 +428,9 @@ class Stepper:
             if scenes[0].input != self.input:
                 raise ValueError(f"reset is given another input, expected {self.input}")
             start = self._state_of(scenes)
-        which = self._every if robots is None else self._which(robots)
+        which = self._every
+        if robots is not None:
+            which = validation.index_list("robots", robots, self._count, "robots")
         if which.dtype == bool:
             which = np.flatnonzero(which)
         if parameters is not None:
@@ -461,15 +465,6 @@ class Stepper:
         readings.take(
             robots, nodes, velocities, held, partial(self._models.accelerations, robots, states)
         )
-
-    def _which(self, robots: Any) -> np.ndarray:
-        """Return robots by index or as a mask."""
-        which = np.asarray(robots)
-        if which.dtype != bool:
-            return validation.index_list("robots", robots, self._count, "robots")
-        if which.shape != (self._count,):
-            raise ValueError(f"robots has shape {which.shape}, expected ({self._count},)")
-        return which
 
     def step(self, command: Any) -> Any:
         """Advance by a sample under a command.

@@ -257,8 +257,11 @@ def design(
         validation.instance("tube", tube, Tube, "make one by Tube(ratio=…)")
     if validation.positive_number("safety", safety, "times the forces") < 1:
         raise ValueError(f"safety is {safety:g}, expected at least 1: times the forces")
-    if validation.number("least_radius", least_radius, "m") < 0:
-        raise ValueError(f"least_radius is {least_radius:g} m, expected at least 0")
+    if not 0 <= validation.number("least_radius", least_radius, "m") <= structure.size:
+        raise ValueError(
+            f"least_radius is {least_radius:g} m, expected at least 0, and at most the size of the "
+            f"structure, {structure.size:g} m"
+        )
     if restarts is None:
         members = len(structure.strings) + len(structure.bars)
         restarts = min(max(_WORK // max(members, 1), 8), 60) if members <= _LARGE else 1
