@@ -55,6 +55,7 @@
 #define ACTIVE_SET_H
 
 #include <stddef.h>
+#include <stdint.h> /* also says whether the C library is that of GNU */
 
 /* Functions that a shared library shows. */
 #if defined(_WIN32)
