@@ -173,14 +173,15 @@ class PathError(ValueError):
 class TimedPath:
     """A path laid out in time, each shape solved anew at its time.
 
-    ``rate`` limits the winches, m/s; ``step`` is the largest time between shapes, s.
+    ``rates`` limit the winches and the drives of bars, m/s; ``step`` is the largest time between
+    shapes, s.
     """
 
     def __init__(
         self,
         continuation: Continuation,
         waypoints: list[Waypoint],
-        rate: FloatArray | None,
+        rates: tuple[FloatArray | None, ...],
         duration: float | None,
         step: float,
         ramp: float,
@@ -188,7 +189,7 @@ class TimedPath:
         self._continuation, self._waypoints = continuation, waypoints
         motion_of = PathMotion(continuation.problem)
         places = np.array([point.place for point in waypoints])
-        pace = np.array([motion_of.pace(point, rate) for point in waypoints])
+        pace = np.array([motion_of.pace(point, rates) for point in waypoints])
         scaling = TimeScaling(places, pace, ramp)
         total = scaling.shortest if duration is None else duration
         # A little more than needed: the path is slowed down below.
@@ -209,14 +210,17 @@ class TimedPath:
         self.shortest: float | None = None
         if continuation.problem.model.strings is not None:
             self.rest_length, winding = (np.stack([r[i] for r in rows], -1) for i in (3, 4))
-            driven, moving = self.rest_length, winding
+            driven = [(self.rest_length, winding)]
             if len(rows[0]) > 5:
-                driven, moving = (np.stack([r[i] for r in rows], -1) for i in (5, 6))
-                self.bar_length = driven
-            if rate is not None:
-                limit = np.broadcast_to(rate, (len(moving),))[:, None]
-                jumps = np.diff(driven, axis=1) * (count - 1)
-                fastest = [float((np.abs(rates) / limit).max()) for rates in (moving, jumps)]
+                self.bar_length, moving = (np.stack([r[i] for r in rows], -1) for i in (5, 6))
+                driven.append((self.bar_length, moving))
+            fastest = []
+            for (lengths, moved), rate in zip(driven, rates, strict=False):
+                if rate is not None:
+                    limit = np.broadcast_to(rate, (len(moved),))[:, None]
+                    jumps = np.diff(lengths, axis=1) * (count - 1)
+                    fastest += [float((np.abs(speed) / limit).max()) for speed in (moved, jumps)]
+            if fastest:
                 # Between waypoints the pace was a guess; this is what the shapes need.
                 self.shortest = max(fastest) * (1 + _ROUND_OFF)
                 if duration is not None and duration < self.shortest:
@@ -333,12 +337,13 @@ class PathMotion:
             quantities += [value, speed * rate]
         return quantities
 
-    def pace(self, point: Waypoint, rate: FloatArray | None) -> float:
+    def pace(self, point: Waypoint, rates: tuple[FloatArray | None, ...]) -> float:
         """Return the time that a unit of the path takes; without a rate, its length in space."""
         quantities = self.motion(point, 1.0)
-        if rate is None:
-            return float(np.linalg.norm(quantities[1], axis=0).max())
-        return float((np.abs(quantities[-1]) / rate).max())  # of what drives the shape
+        # Of winches, and of drives of bars if there are.
+        moved = zip(quantities[4::2], rates, strict=False)
+        paces = [float((np.abs(speed) / rate).max()) for speed, rate in moved if rate is not None]
+        return max(paces, default=float(np.linalg.norm(quantities[1], axis=0).max()))
 
     def unbalanced(self, point: Waypoint) -> float:
         """Return the largest unbalanced force, N."""

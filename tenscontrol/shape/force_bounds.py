@@ -36,6 +36,7 @@ class ForceLimits:
     reference: IntArray
     scale: float  # size of the force densities, N/m
     strokes: tuple[FloatArray, FloatArray] | None = None  # of bars that are driven, m, (β,) each
+    is_settled: bool = False  # no string is driven: the shape alone says what γ are
 
     def bounded(
         self, gamma: FloatArray, rest_length: FloatArray | None, bar_length: FloatArray
@@ -72,6 +73,7 @@ def checked_limits(
     prestress: str,
     min_clearance: object,
     held: HeldStrings | None,
+    drives: Winches | None,
 ) -> ForceLimits:
     """Return level and bounds, or raise naming the argument."""
     bounds = checked_bounds(model, min_force_density, max_force_density, winches, held)
@@ -97,15 +99,16 @@ def checked_limits(
             f"the {group!r} strings have both ends fixed, so that their γ has no effect; name "
             "another group by reference=..."
         )
-    strokes = drive_strokes(model, winches, held)
+    strokes = drive_strokes(model, drives, held)
+    is_settled = held is not None and held.settles_forces
     level = _checked_level(force_density, reference, (low, high), strings, group)
-    if level is not None and strokes is not None:
+    if level is not None and is_settled:
         raise ValueError(
             "force_density goes with winches that set forces, but plant drives bars, and its "
             "strings keep their rest lengths: leave it out"
         )
     loaded = bool(free_coordinates(structure, model.constant_force).any())
-    centred = prestress == "centred" and strokes is None
+    centred = prestress == "centred" and not is_settled
     if level is None and centred and not np.isfinite(high).all():
         raise ValueError(
             "the level of the prestress is unbounded: give force_density or "
@@ -124,7 +127,7 @@ def checked_limits(
         size = structure.size
         candidates.append(float(np.abs(model.constant_force).max()) / size)
     scale = max(value for value in candidates if value)
-    return ForceLimits(bounds, clearance, level, strings, scale, strokes)
+    return ForceLimits(bounds, clearance, level, strings, scale, strokes, is_settled)
 
 
 def _checked_level(
@@ -150,7 +153,7 @@ def _checked_level(
 
 
 def drive_strokes(
-    model: Model, winches: Winches | None, held: HeldStrings | None
+    model: Model, drives: Winches | None, held: HeldStrings | None
 ) -> tuple[FloatArray, FloatArray] | None:
     """Return the shortest and longest length of each bar, m; None where no bar is driven.
 
@@ -160,8 +163,8 @@ def drive_strokes(
         return None
     count, passive = len(model.structure.bars), held.struts.passive
     shortest, longest = np.zeros(count), np.full(count, np.inf)
-    if winches is not None:
-        shortest, longest = (limit.copy() for limit in winches.range(count))
+    if drives is not None:
+        shortest, longest = (limit.copy() for limit in drives.range(count))
         shortest[passive], longest[passive] = 0.0, np.inf
     return shortest, longest
 
@@ -185,8 +188,7 @@ def checked_bounds(
                 "winches bound rest lengths, but the model has no string law; "
                 "build it as Model(structure, strings=LinearStrings(stiffness=...))"
             )
-        of_bars = held is not None and held.struts is not None
-        if not of_bars and (winches.shortest is not None or winches.longest is not None):
+        if winches.shortest is not None or winches.longest is not None:
             shortest, longest = winches.range(count)
             if held is not None:  # passive strings have no winch
                 passive = held.actuation.input < 0

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from tenscontrol import validation
-from tenscontrol.actuation.driven_strings import Actuation
+from tenscontrol.actuation.driven_strings import Actuation, every_string
+from tenscontrol.actuation.winches import Winches
 from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.dynamics import kernel
 from tenscontrol.dynamics.model import Model
@@ -30,12 +31,17 @@ class HeldStrings:
     input : {"rest_length", "force_density"}
         What the values are.
     struts : Actuation, optional
-        That of bars whose lengths are driven. All strings are passive then.
+        That of bars whose lengths are driven.
     """
 
     actuation: Actuation
     input: str
     struts: Actuation | None = None
+
+    @property
+    def settles_forces(self) -> bool:
+        """Whether no string is driven, so that the shape alone says what γ are."""
+        return not len(self.actuation.lead)
 
     @property
     def driven_bars(self) -> IntArray:
@@ -123,29 +129,64 @@ def _shared(
     return ca.vertcat(*rows)
 
 
-def held_strings(model: Model, plant: object, takes_bars: bool = False) -> HeldStrings | None:
-    """Return what the drives of a plant cannot set; None where they set each string.
-
-    ``takes_bars`` is whether the plant may drive bars.
-    """
-    if plant is None:
-        return None
-    validation.instance("plant", plant, LinearPlant, "make one by linearize(..., actuated=...)")
+def _plant(model: Model, name: str, plant: object) -> LinearPlant:
+    """Return a plant of the structure of a model, or raise naming the argument."""
+    validation.instance(name, plant, LinearPlant, "make one by linearize(..., actuated=...)")
     assert isinstance(plant, LinearPlant)  # just checked
-    if not takes_bars:
-        refuse_driven_bars(plant, "this search for motions")
     if not same_members(plant.model.structure, model.structure):
         raise ValueError(
-            f"plant is of {plant.model.structure!r}, expected one of the structure of the model, "
+            f"{name} is of {plant.model.structure!r}, expected one of the structure of the model, "
             f"{model.structure!r}"
         )
-    if plant.input == "rest_length" and model.strings is None:
-        raise ValueError("plant has rest lengths as inputs, but the model has no string law")
-    if plant.input == "bar_length":
+    return plant
+
+
+def shape_drives(
+    model: Model, plant: object, struts: object, winches: Winches | None, drives: Winches | None
+) -> tuple[HeldStrings | None, Winches | None, Winches | None]:
+    """Return what drives cannot set, and the limits of rest lengths and of lengths of bars.
+
+    ``plant`` drives strings, or bars alone, which ``winches`` then limit; ``struts`` drives bars
+    beside the strings, and ``drives`` limit them.
+    """
+    if drives is not None:
+        validation.instance("drives", drives, Winches, "make them by Winches(shortest=...)")
+    if struts is None:
+        if drives is not None:
+            raise ValueError("drives limit bars that struts drives, but struts is not given")
+        if plant is None or _plant(model, "plant", plant).input != "bar_length":
+            return held_strings(model, plant), winches, None
+        assert isinstance(plant, LinearPlant)  # just checked
         if model.strings is None:
             raise ValueError("plant has strings that keep rest lengths, but the model has no law")
         assert plant.rest_length is not None  # it has a law
         none = np.full(len(plant.rest_length), -1), np.zeros(len(plant.rest_length))
         passive = Actuation(*none, plant.rest_length, np.zeros(0, dtype=np.int64))
-        return HeldStrings(passive, "rest_length", plant.actuation)
+        return HeldStrings(passive, "rest_length", plant.actuation), None, winches
+    bars = _plant(model, "struts", struts)
+    if bars.input != "bar_length":
+        raise ValueError(
+            f"struts has the input {bars.input!r}, expected 'bar_length': linearize(model, rest, "
+            "input='bar_length')"
+        )
+    if plant is not None and _plant(model, "plant", plant).input == "bar_length":
+        raise ValueError(
+            "plant and struts both drive bars: plant is for the strings, leave it out if all are "
+            "driven; leave struts out if none is"
+        )
+    held = held_strings(model, plant)
+    if held is None:
+        every = every_string(len(model.structure.strings))
+        held = HeldStrings(every, "force_density")
+    return replace(held, struts=bars.actuation), winches, drives
+
+
+def held_strings(model: Model, plant: object) -> HeldStrings | None:
+    """Return what the winches of a plant cannot set; None where they set each string."""
+    if plant is None:
+        return None
+    plant = _plant(model, "plant", plant)
+    refuse_driven_bars(plant, "this search for motions")
+    if plant.input == "rest_length" and model.strings is None:
+        raise ValueError("plant has rest lengths as inputs, but the model has no string law")
     return None if plant.actuation.is_whole else HeldStrings(plant.actuation, plant.input)

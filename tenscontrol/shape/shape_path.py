@@ -22,7 +22,7 @@ from tenscontrol.shape.equilibrium_path import (
     rest_at,
 )
 from tenscontrol.shape.force_bounds import checked_bounds, drive_strokes, refuse_ground
-from tenscontrol.shape.held_strings import HeldStrings, held_strings
+from tenscontrol.shape.held_strings import HeldStrings, shape_drives
 from tenscontrol.shape.nonlinear_program import ShapeProblem
 from tenscontrol.shape.shape_search import STIFF
 from tenscontrol.shape.target import (
@@ -200,6 +200,8 @@ def shape_path(
     place: str = "anywhere",
     require_stable: bool = True,
     plant: LinearPlant | None = None,
+    struts: LinearPlant | None = None,
+    drives: Winches | None = None,
 ) -> ShapePath:
     """Return a path between two shapes through equilibrium shapes.
 
@@ -237,6 +239,11 @@ def shape_path(
         densities, all the way; strings that share a winch move by their ratios. Both ends are made
         by ``shape_target(..., plant=plant)``. With ``input="bar_length"``, bars that it drives
         change their lengths, and ``winches`` limit these and their rates.
+    struts : LinearPlant, optional
+        Of this model, with ``input="bar_length"``: the bars that it drives change their lengths
+        beside the strings that ``plant`` drives.
+    drives : Winches, optional
+        Limits of the bars that ``struts`` drives, and of their rates.
 
     Returns
     -------
@@ -279,7 +286,7 @@ def shape_path(
         "require_stable", require_stable, "whether a path through shapes that buckle is refused"
     )
     validation.choice("place", place, PLACES)
-    held = held_strings(model, plant, takes_bars=True)
+    held, winches, drives = shape_drives(model, plant, struts, winches, drives)
     driven = None if held is None else held.driven_bars
     begin, end = (path_end(model, *end, driven) for end in (("start", start), ("goal", goal)))
     step = validation.positive_number("step", step, "s")
@@ -289,15 +296,14 @@ def shape_path(
     bounds = checked_bounds(model, min_force_density, max_force_density, winches, held)
     bounds.refuse_outside("start", begin.force_density)
     bounds.refuse_outside("goal", end.force_density)
-    rate = None if winches is None else winches.largest_rate
-    if rate is not None:
-        of_bars = held is not None and held.struts is not None
-        members = model.structure.bars if of_bars else model.structure.strings
-        noun = "bar" if of_bars else "string"
-        validation.one_or_per_member("winches.rate", rate, len(members), noun)
+    rates = tuple(None if limits is None else limits.largest_rate for limits in (winches, drives))
+    members = (model.structure.strings, "string"), (model.structure.bars, "bar")
+    for rate, (listed, noun) in zip(rates, members, strict=True):
+        if rate is not None:
+            validation.one_or_per_member("winches.rate", rate, len(listed), noun)
     if duration is not None:
         duration = validation.positive_number("duration", duration, "s")
-    elif rate is None:
+    elif all(rate is None for rate in rates):
         raise ValueError("expected duration, or winches with a rate, which settle the time")
     refuse_same(model, begin, end)
 
@@ -327,11 +333,11 @@ def shape_path(
         )
     margin = _least_margin(problem, waypoints, require_stable)
     clearance = _least_clearance(problem, waypoints)
-    timed = TimedPath(continuation, waypoints, rate, duration, step, ramp)
+    timed = TimedPath(continuation, waypoints, rates, duration, step, ramp)
     if timed.rest_length is not None:
         bounds.refuse_rest_lengths(timed.rest_length, timed.time)
     structure = model.structure
-    bar_length, bar_rate = _bar_lengths(model, timed, winches, held)
+    bar_length, bar_rate = _bar_lengths(model, timed, drives, held)
     nodes, velocities = timed.nodes, timed.velocities
     if place == "centre":
         nodes, velocities = _with_centre_kept(model, begin.structure.nodes, nodes, velocities)
@@ -378,13 +384,13 @@ def _with_centre_kept(
 
 
 def _bar_lengths(
-    model: Model, timed: TimedPath, winches: Winches | None, held: HeldStrings | None
+    model: Model, timed: TimedPath, drives: Winches | None, held: HeldStrings | None
 ) -> tuple[FloatArray, FloatArray]:
     """Return the lengths of bars on the way and their rates, (β, T) each.
 
     Raises an error where a drive leaves its stroke.
     """
-    time, strokes = timed.time, drive_strokes(model, winches, held)
+    time, strokes = timed.time, drive_strokes(model, drives, held)
     lengths = np.repeat(model.structure.bar_length[:, None], len(time), axis=1)
     rates = np.zeros_like(lengths)
     if strokes is None or held is None:

@@ -219,7 +219,7 @@ class _EquilibriumSearch:
         home = problem.start(start, self._gamma)[: problem.positions.numel()]
         self._away = ca.sumsqr(problem.positions - ca.DM(home))
         self._forces = ca.SX(0)
-        if limits.level is None and limits.strokes is None:  # else rest lengths settle them
+        if limits.level is None and not limits.is_settled:
             self._forces = _FORCES * _prestress_cost(problem, limits, kind)
 
     def equilibria(self, nodes: FloatArray) -> Iterator[FloatArray]:
@@ -350,7 +350,7 @@ def _finished(
         low, high = low.copy(), high.copy()
         low[passive] = high[passive] = gamma[passive]
     choices = [gamma]
-    if (low <= high).all() and not is_ganged and limits.strokes is None:
+    if (low <= high).all() and not is_ganged and not limits.is_settled:
         chosen = choose_force_density(structure, model.constant_force, limits, low, high, kind)
         choices = ([] if chosen is None else [chosen]) + choices
     rest = _first_balanced(structure, choices, limits, model.constant_force)

@@ -17,7 +17,7 @@ from tenscontrol.plant.linear_plant import LinearPlant
 from tenscontrol.plant.reference import STRINGS_MOVE_NO_CENTRE
 from tenscontrol.shape.demands import Demand, centre_kept
 from tenscontrol.shape.force_bounds import ForceLimits, checked_limits, refuse_ground
-from tenscontrol.shape.held_strings import HeldStrings, held_strings
+from tenscontrol.shape.held_strings import HeldStrings, shape_drives
 from tenscontrol.shape.shape_search import MET, STIFF, Solved, solve_shape
 from tenscontrol.shape.symmetry import RotationalSymmetry
 from tenscontrol.statics.prestress import Prestress
@@ -168,6 +168,8 @@ def shape_target(
     place: str = "anywhere",
     require_stable: bool = True,
     plant: LinearPlant | None = None,
+    struts: LinearPlant | None = None,
+    drives: Winches | None = None,
 ) -> ShapeTarget:
     """Return an equilibrium shape that meets given demands, and its force densities.
 
@@ -214,6 +216,11 @@ def shape_target(
         driven if not given. With ``input="bar_length"``, lengths of the bars that it drives are
         found, all strings keep their rest lengths, which settles the forces, and ``winches`` bound
         lengths of bars.
+    struts : LinearPlant, optional
+        Of this model, with ``input="bar_length"``: lengths of the bars that it drives are found
+        beside rest lengths of the strings that ``plant`` drives.
+    drives : Winches, optional
+        Of the bars that ``struts`` drives: ``shortest`` and ``longest`` bound their lengths.
 
     Returns
     -------
@@ -266,7 +273,7 @@ def shape_target(
     if symmetry is not None:
         how = "make one by RotationalSymmetry(cycles)"
         validation.instance("symmetry", symmetry, RotationalSymmetry, how)
-    held = held_strings(model, plant, takes_bars=True)
+    held, winches, drives = shape_drives(model, plant, struts, winches, drives)
     limits = checked_limits(
         model,
         force_density,
@@ -277,6 +284,7 @@ def shape_target(
         prestress,
         min_clearance,
         held,
+        drives,
     )
     begin = structure.nodes if start is None else structure.checked_nodes("start", start)
     refuse_moved_supports("start", structure, begin)

@@ -115,3 +115,47 @@ def test_strokes_and_rates_of_drives_bound_what_is_found(plant):
         )
     with pytest.raises(ValueError, match="force_density goes with winches that set forces"):
         tc.shape_target(model, demand, force_density=10.0, plant=plant)
+
+
+def test_rest_lengths_and_lengths_of_bars_are_found_at_once(plant):
+    """Springs keep rest lengths, a bar its length; the shape is that of least energy."""
+    model, structure = plant.model, plant.model.structure
+    rest = tc.prestress(structure, min_force_density=20.0)
+    wound = tc.linearize(model, rest, "rest_length", actuated=[6, 7, 8])
+    both = {"plant": wound, "struts": plant_of(structure, [0, 1])}
+    winches = tc.Winches(rate=0.2, shortest=0.5, longest=0.97)
+    drives = tc.Winches(ramp=True, rate=0.1, shortest=1.3, longest=1.5)
+    place = plant.nodes[:, :1] + [[0.03], [-0.02], [0.05]]
+    limits = {"winches": winches, "drives": drives, "min_force_density": 1.0}
+    target = tc.shape_target(model, tc.NodesAt([0], place), prestress="least", **limits, **both)
+    np.testing.assert_allclose(target.nodes[:, :1], place, atol=1e-8)
+    np.testing.assert_allclose(target.rest_length[:6], wound.rest_length[:6], rtol=1e-10)
+    assert target.bar_length[2] == pytest.approx(structure.bar_length[2], rel=1e-12)
+    assert (np.abs(target.bar_length / structure.bar_length - 1)[:2] > 1e-3).all()
+    assert (np.abs(target.rest_length - wound.rest_length)[6:] > 1e-3).all()
+    there = model.replace(structure=replace(structure, nodes=target.nodes))
+    least = tc.equilibrium(there, rest_length=target.rest_length)
+    np.testing.assert_allclose(least.structure.nodes, target.nodes, atol=1e-7)
+    path = tc.shape_path(model, rest, target, **limits, **both)
+    shares = np.abs(path.rest_length_rate[6:]).max() / 0.2, np.abs(path.bar_length_rate).max() / 0.1
+    assert max(shares) == pytest.approx(1.0, rel=1e-6)
+    assert min(shares) > 0.05
+    np.testing.assert_allclose(path.bar_length[:, -1], target.bar_length, rtol=1e-12)
+    assert path.residual < 1e-9
+    # With every string on a winch, too; and within narrow strokes not at all.
+    every = tc.shape_target(model, tc.NodesAt([0], place), struts=both["struts"],
+                            force_density=20.0)  # fmt: skip
+    assert every.residual < 1e-9
+    assert every.force_density[structure.strings_in("top")].mean() == pytest.approx(20.0)
+    narrow = tc.Winches(shortest=1.385, longest=1.395)
+    with pytest.raises(tc.shape.ShapeError, match=r"bar_length\[0\] is .* wanted 1.385 to"):
+        tc.shape_target(
+            model, tc.NodesAt([0], place), prestress="least", **limits | {"drives": narrow}, **both
+        )
+    for wrong, message in (
+        ({"drives": drives}, "but struts is not given"),
+        ({"struts": wound}, "expected 'bar_length'"),
+        ({"struts": plant, "plant": plant}, "both drive bars"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            tc.shape_target(model, LOW, **wrong)
