@@ -255,18 +255,6 @@ class Model:
         return self._function("bar_force_density", s, "N Nd gamma W", **outputs)
 
     @built
-    def driven_bar_force_density(self) -> ca.Function:
-        """``(N, Nd, gamma[, W], extension) -> lambda``: λ of bars whose lengths L are driven, N/m.
-
-        ``extension`` is ``L L̈ + L̇²`` of each bar, m²/s², shape (β,).
-        """
-        s = self._symbols()
-        extension = ca.SX.sym("extension", len(self._structure.bars))
-        outputs = {"lambda": ca.densify(self._lambda(s | {"extension": extension.T}).T)}
-        s["extension"] = extension
-        return self._function("driven_bar_force_density", s, "N Nd gamma W extension", **outputs)
-
-    @built
     def stiffness_matrix(self) -> ca.Function:
         """``(N, Nd, gamma[, W]) -> K_s``: eq. (9), sparse, shape (n, n), N/m.
 
@@ -813,9 +801,7 @@ class Model:
 
     def _lambda(self, s: dict[str, Any]) -> Any:
         forces, motion = self._on_nodes(s, "force_density"), (s["nodes"], s["velocities"])
-        return kernel.bar_force_density(
-            self._structure, *motion, forces, extension=s.get("extension")
-        )
+        return kernel.bar_force_density(self._structure, *motion, forces)
 
     def _needed_strings(self) -> StringLaw:
         if self._strings is None:

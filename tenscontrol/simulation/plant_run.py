@@ -106,7 +106,7 @@ class PlantRun:
         self._given: Pieces | None = self.load if isinstance(self.load, Pieces) else None
         if self.supports is not None:
             self._given = self.supports.inputs(self.load)
-        self._loads_given = self._given is not None
+        self.loads_given = self._given is not None
         if self.bars is not None:
             if not self.bars.is_commanded:
                 known = [] if self._given is None else [self._given]
@@ -123,13 +123,13 @@ class PlantRun:
 
     def _equation_of(self, form: str) -> Equation:
         load = None
-        if not self._loads_given:
+        if not self.loads_given:
             assert not isinstance(self.load, Pieces)  # else they were given
             constant = self.model.constant_force
             load = None if self.load is constant else self.load - constant
         return self.model.equation(
             self.input, load, form, degree=self.degree,
-            load_input=self._loads_given, offset_input=self.supports is not None,
+            load_input=self.loads_given, offset_input=self.supports is not None,
             length_input=self.bars is not None,
         )  # fmt: skip
 

@@ -222,16 +222,12 @@ class Scene:
             )
 
     def _check_bars(self) -> None:
-        """Refuse driven bars where something else takes them for rigid."""
-        others = ["support_motion"]
-        if not self._commands_bars:
-            others.append("controller")
-        for name in others if self.drives_bars else ():
-            if getattr(self, name) is not None:
-                raise ValueError(
-                    f"bar_length does not go with {name}, which takes bars of constant length: "
-                    "leave one of the two out"
-                )
+        """Refuse driven bars under a controller that takes them for rigid, or commands them."""
+        if self.drives_bars and self.controller is not None and not self._commands_bars:
+            raise ValueError(
+                "bar_length does not go with controller, which takes bars of constant length: "
+                "leave one of the two out"
+            )
         if self._commands_bars and changes_in_time(self.bar_length):
             raise ValueError(
                 "bar_length changes in time, but the controller commands it: expected the lengths "

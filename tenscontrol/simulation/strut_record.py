@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from tenscontrol.arrays import FloatArray, IntArray, frozen
+from tenscontrol.dynamics import kernel
+from tenscontrol.dynamics.equation import unpack_states
 from tenscontrol.dynamics.evaluator import Function, evaluate_columns
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.profile import Pieces, polynomial_at
@@ -87,33 +88,44 @@ def driven_bar_forces(
     model: Model,
     nodes: FloatArray,
     velocities: FloatArray,
-    force_density: FloatArray,
+    held: tuple[str, FloatArray],
     load: FloatArray,
     bars: tuple[FloatArray, FloatArray, FloatArray],
+    offset: tuple[FloatArray, FloatArray] | None = None,
 ) -> FloatArray:
     """Return λ of all bars at times, N/m, shape (β, T), of bars whose lengths are driven.
 
-    Of nodes, velocities and loads of all nodes, (d n, T), node by node; γ, (α, T); and lengths of
-    the bars, their rates and accelerations, (β, T) each.
+    Of nodes, velocities and loads of all nodes, (d n, T), node by node; the input of the strings
+    and its values, (α, T); and lengths of the bars, their rates and accelerations, (β, T) each.
+    ``offset`` is what supports displace, and its rates, (d n, T) each: loads are then less by its
+    inertia.
     """
-    function = model.prepared.get("driven bar forces", lambda: _of_columns(model))
-    d, count = model.structure.dimension, nodes.shape[1]
-    rows = (d * model.structure.free[:, None] + np.arange(d)).ravel()
+    kind, values = held
+    function = model.prepared.get(("driven bar forces", kind), lambda: _of_columns(model, kind))
     length, rate, acceleration = bars
-    given = [nodes[rows], velocities[rows], force_density]
-    if model.has_external_force:
-        built_in = model.constant_force.ravel(order="F")[:, None]
-        given.append(np.broadcast_to(load - built_in, (len(load), count))[rows])
+    still = np.zeros_like(nodes)
+    moved = (still, still) if offset is None else offset
+    load = np.broadcast_to(load, nodes.shape)
+    given = nodes, velocities, *moved, values, load
     return evaluate_columns(function, *given, length * acceleration + rate**2)[0]
 
 
-def _of_columns(model: Model) -> ca.Function:
+def _of_columns(model: Model, kind: str) -> ca.Function:
     """Return the function of the forces of driven bars, with columns as arguments."""
-    function = model.driven_bar_force_density
-    shapes = [function.size_in(i) for i in range(function.n_in())]
-    columns: list[Any] = [ca.MX.sym(f"column{i}", m * n) for i, (m, n) in enumerate(shapes)]
-    matrices = [ca.reshape(c, *shape) for c, shape in zip(columns, shapes, strict=True)]
-    return Function("of_columns", columns, [ca.densify(function(*matrices))])
+    structure = model.structure
+    shape, size = structure.nodes.shape, structure.nodes.size
+    N, V, E, rate, W = columns = [ca.SX.sym(name, size) for name in ("N", "V", "E", "Ed", "W")]
+    held, extension = (
+        ca.SX.sym(name, len(members))
+        for name, members in (("held", structure.strings), ("extension", structure.bars))
+    )
+    nodes, velocities, displaced, moving, load = (ca.reshape(each, *shape) for each in columns)
+    forces = model.forces(kind).on_nodes(nodes, velocities, held, load)
+    density = kernel.bar_force_density(
+        structure, nodes - displaced, velocities - moving, forces, extension=extension.T
+    )
+    arguments = [N, V, E, rate, held, W, extension]
+    return Function("of_columns", arguments, [ca.densify(density.T)])
 
 
 def done_by_drives(run: PlantRun) -> tuple[FloatArray, FloatArray]:
@@ -167,11 +179,12 @@ def _bar_forces(
     bars: tuple[FloatArray, FloatArray, FloatArray],
 ) -> FloatArray:  # fmt: skip
     """Return λ at the times kept, N/m, shape (β, T)."""
-    gamma = functions.inputs
-    if run.input == "rest_length":
-        gamma = functions.of("string_force_density", nodes, velocities, gamma)[0]
-    load = run.all_values(run.load_rows) if isinstance(run.load, Pieces) else _column(run.load)
-    return driven_bar_forces(run.model, by_node(nodes), by_node(velocities), gamma, load, bars)
+    load = run.all_values(run.load_rows) if run.loads_given else _column(_constant_load(run))
+    offset = None
+    if run.supports is not None:
+        offset = run.all_values(run.offset_rows), run.all_values(run.offset_rows, 1)
+    N, V = by_node(nodes), by_node(velocities)
+    return driven_bar_forces(run.model, N, V, (run.input, functions.inputs), load, bars, offset)
 
 
 def drive_work(
@@ -197,48 +210,57 @@ def drive_work(
         time, x = dense.at(np.tile(SHARES, len(some)), k)
         strings, bars = (dense.values(rows, time, k) for rows in (run.string_rows, run.length_rows))
         load = dense.values(run.load_rows, time, k)[0]
-        load = load if isinstance(run.load, Pieces) else _column(run.load)
-        power = _powers(run, x, strings[0], load, bars).reshape(len(work), len(some), shares)
+        load = load if run.loads_given else _column(_constant_load(run))
+        position, rate, _ = dense.values(run.offset_rows, time, k)
+        offset = None if run.supports is None else (position, rate)
+        power = _powers(run, x, strings[0], load, bars, offset)
+        power = power.reshape(len(work), len(some), shares)
         work[:, some] = power @ WEIGHTS * np.diff(times)[some]
     return work[:, :0], work
 
 
 def _powers(
-    run: PlantRun, x: FloatArray, held: FloatArray, load: FloatArray, bars: FloatArray
-) -> FloatArray:
+    run: PlantRun, x: FloatArray, held: FloatArray, load: FloatArray, bars: FloatArray,
+    offset: tuple[FloatArray, FloatArray] | None,
+) -> FloatArray:  # fmt: skip
     """Return the power of each drive, W, shape (β, T), in states of all nodes."""
-    gamma = held
-    if run.input == "rest_length":
-        rows, half = run.model.structure.free_rows, len(x) // 2
-        state = x[np.concatenate([rows, half + rows])]
-        gamma = evaluate_columns(run.model.string_force_density, state, held)[0]
     nodes, velocities = np.split(x, 2)
     length, rate, acceleration = bars
-    moved = length, rate, acceleration
-    density = driven_bar_forces(run.model, nodes, velocities, gamma, load, moved)
+    moved, inputs = (length, rate, acceleration), (run.input, held)
+    density = driven_bar_forces(run.model, nodes, velocities, inputs, load, moved, offset)
     return np.asarray(density * length * rate)
 
 
 def impulse_work(run: PlantRun, i: int, state: FloatArray) -> FloatArray:
-    """Return what impulses do by which rates jump at the beginning of a span, J, shape (β,).
+    """Return what impulses of bars do where rates or supports jump before a span, J, shape (β,).
 
     Of the state before the jump, shape (states,).
     """
-    span, before = run.spans[i], run.spans[i - 1]
-    if span.jump is None or span.jump.bars is None:
-        return np.zeros(len(run.model.structure.bars))
+    span, before, count = run.spans[i], run.spans[i - 1], len(run.model.structure.bars)
+    if span.jump is None:
+        return np.zeros(count)
+    change = np.zeros((count, 1)) if span.jump.bars is None else span.jump.bars[:, None]
     now = before.time[-1:]
     given = span.coefficients[run.length_rows]
     length, after = (polynomial_at(given, now - span.origin, order) for order in (0, 1))
-    x = run.all_nodes(state[:, None], span.coefficients[:, :, None], now - span.origin)
-    gamma, load = np.zeros((len(run.model.structure.strings), 1)), np.zeros((len(x) // 2, 1))
-    (nodes, velocities), still = np.split(x, 2), np.zeros_like(after)
-    change = span.jump.bars[:, None]
-    impulse, none = (
-        driven_bar_forces(run.model, nodes, velocities, gamma, load, (length, still, acceleration))
-        for acceleration in (change, still)
+    structure = run.model.structure
+    nodes, velocities = map(by_node, unpack_states(structure, state[:, None]))
+    held, none = ("force_density", np.zeros((len(structure.strings), 1))), np.zeros_like(nodes)
+    push = none
+    if span.jump.supports is not None and run.supports is not None:
+        push = -run.supports.force(span.jump.supports)[:, None]
+    still = np.zeros_like(after)
+    impulse, without = (
+        driven_bar_forces(run.model, nodes, velocities, held, load, (length, still, acceleration))
+        for load, acceleration in ((push, change), (none, still))
     )
-    return np.asarray((impulse - none) * length * (after - change / 2))[:, 0]
+    return np.asarray((impulse - without) * length * (after - change / 2))[:, 0]
+
+
+def _constant_load(run: PlantRun) -> FloatArray:
+    """Return the load of a run in which it does not change, (d, n), N."""
+    assert not isinstance(run.load, Pieces)  # else it is an input
+    return run.load
 
 
 def _column(load: FloatArray) -> FloatArray:

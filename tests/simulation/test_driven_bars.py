@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
 import tenscontrol as tc
+from tenscontrol.simulation.strut_record import driven_bar_forces
 from tests.benchmarks.driven_bars import GRAVITY, SPIN, hoist, swinging
 from tests.known_structures import class2_tower, d_bar
 from tests.oracle import free_rows, node_acceleration
+from tests.without_core import without_core
 
 MASS = 2.0
 
@@ -118,9 +122,11 @@ def test_accelerations_and_bar_forces_are_those_of_multipliers(kind, form):
         structure, nodes, velocities, gamma, model.constant_force, extension
     )
     np.testing.assert_allclose(slope[len(rows) :], true.T.ravel()[rows], rtol=1e-10, atol=1e-9)
-    free = structure.free
-    found = model.driven_bar_force_density(nodes[:, free], velocities[:, free], gamma, extension)
-    np.testing.assert_allclose(np.array(found).ravel(), lam, rtol=1e-10, atol=1e-9)
+    columns = [array.T.reshape(-1, 1) for array in (nodes, velocities, model.constant_force)]
+    driven = tuple(array[:, None] for array in (length, rate, acceleration))
+    held = "force_density", gamma[:, None]
+    found = driven_bar_forces(model, *columns[:2], held, columns[2], driven)
+    np.testing.assert_allclose(found[:, 0], lam, rtol=1e-10, atol=1e-9)
 
 
 @pytest.fixture(scope="module")
@@ -176,12 +182,100 @@ def test_velocities_at_the_start_are_those_before_a_jump(rod):
     assert same.struts is None  # nothing is driven
 
 
+@pytest.mark.parametrize("back_end", ["core", "virtual machine"])
+def test_a_rod_hangs_from_a_hinge_that_moves(back_end):
+    """θ̈ = −2 L̇/L θ̇ − 3/(2 L) ((g + ÿ) sin θ + ẍ cos θ), and m/2 (a + g) e + m/3 (L̈ − L θ̇²)."""
+    pendulum, _ = swinging(1.0)
+    step = 1e-4
+
+    def hinge(time):
+        return np.array([[0.1 * np.sin(3 * time)], [0.05 * (1 - np.cos(5 * time))]])
+
+    def pushed(time):
+        return np.array([-0.9 * np.sin(3 * time), GRAVITY + 1.25 * np.cos(5 * time)])
+
+    def slope(time, y):
+        rate = (hoist(time + step) - hoist(time - step)) / (2 * step)
+        x, up = pushed(time)
+        turned = 1.5 / hoist(time) * (up * np.sin(y[0]) + x * np.cos(y[0]))
+        return [y[1], -2 * rate / hoist(time) * y[1] - turned]
+
+    with nullcontext() if back_end == "core" else without_core():
+        run = tc.simulate(
+            pendulum, 1.0, bar_length=lambda t: [hoist(t)], support_motion=hinge, method="dop853",
+            tolerance=1e-11, error="none",
+        )  # fmt: skip
+    b, moving = (array[:, 1] - array[:, 0] for array in (run.nodes, run.velocities))
+    length = np.linalg.norm(b, axis=0)
+    angle, turning = np.arctan2(b[0], -b[1]), (b[0] * moving[1] - b[1] * moving[0]) / length**2
+    true = solve_ivp(slope, (0, 1), [angle[0], turning[0]], "DOP853", run.time, rtol=1e-11,
+                     atol=1e-12)  # fmt: skip
+    assert np.abs(angle - true.y[0]).max() < 2e-8  # as exact as the rate by differences
+    inertia = MASS / 3 * (run.struts.acceleration[0] - length * turning**2)
+    force = MASS / 2 * (pushed(run.time) * b / length).sum(axis=0) + inertia
+    np.testing.assert_allclose(run.struts.force[0], force, atol=1e-9)
+    work = CubicSpline(run.time, force * run.struts.rate[0]).antiderivative()
+    np.testing.assert_allclose(run.struts.work[0], work(run.time), atol=1e-8)
+
+
+def test_a_hinge_that_jumps_off_pushes_on_a_rod_that_grows():
+    """By Δθ̇ = −3/(2 L) (Δẏ sin θ + Δẋ cos θ), and the drive takes m/2 Δv e L̇."""
+    pendulum, _ = swinging(1.0)
+    grown = tc.Profile([0.0, 1.0], [[hoist(0.0), 1.5]])
+    rate, off = 1.5 - hoist(0.0), np.array([0.4, -0.3])
+    hinge = tc.Profile([0.0, 0.5, 1.0], np.outer(off, [0.0, 1.0, 2.5])[:, None])  # 2 off, 3 off
+    run = tc.simulate(
+        pendulum, 1.0, bar_length=grown, support_motion=hinge, tolerance=1e-11, error="none"
+    )
+
+    def slope(time, y):
+        length = hoist(0.0) + rate * time
+        along = MASS / 2 * GRAVITY * -np.cos(y[0]) - MASS / 3 * length * y[1] ** 2
+        turned = -2 * rate / length * y[1] - 1.5 * GRAVITY / length * np.sin(y[0])
+        return [y[1], turned, along * rate]
+
+    b, moving = (array[:, 1, 0] - array[:, 0, 0] for array in (run.nodes, run.velocities))
+    y = np.array([np.arctan2(b[0], -b[1]), (b[0] * moving[1] - b[1] * moving[0]) / (b @ b), 0.0])
+    for span in ((0.0, 0.5), (0.5, 1.0)):
+        y = solve_ivp(slope, span, y, "DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+        if span[0] == 0.0:
+            across, along = (np.array([np.cos(y[0]), np.sin(y[0])]),
+                             np.array([np.sin(y[0]), -np.cos(y[0])]))  # fmt: skip
+            y -= [0.0, 1.5 / (hoist(0.0) + rate / 2) * (off @ across), 0.0]
+            y += [0.0, 0.0, MASS / 2 * (off @ along) * rate]
+    b = run.nodes[:, 1, -1] - run.nodes[:, 0, -1]
+    np.testing.assert_allclose([np.arctan2(b[0], -b[1]), run.struts.work[0, -1]], y[[0, 2]],
+                               atol=1e-9)  # fmt: skip
+
+
+def test_drives_beside_supports_that_move_apart():
+    """Core and virtual machine agree, and the work is the integral of the power."""
+    structure = replace(tc.prism(), fixed=[3, 4, 5])
+    model = tc.Model(structure, tc.LinearStrings(300.0, damping=2.0))
+    moved = np.zeros((3, 3, 3))
+    moved[:, :, 1:] = 0.02 * np.random.default_rng(0).normal(size=(3, 3, 2))
+    how = {
+        "rest_length": 0.95 * structure.string_length(), "tolerance": 1e-9, "error": "none",
+        "support_motion": tc.Profile([0.0, 0.05, 0.2], moved),
+        "bar_length": tc.Profile([0.0, 0.2], np.outer(structure.bar_length, [1.0, 1.02])),
+    }  # fmt: skip
+    run = tc.simulate(model, 0.2, **how)
+    with without_core():
+        other = tc.simulate(model, 0.2, **how)
+    for name in ("force", "work"):
+        found, true = (getattr(each.struts, name) for each in (other, run))
+        np.testing.assert_allclose(found, true, atol=1e-10 * np.abs(true).max())
+    power = run.struts.power[:, run.time > 0.0501]
+    between = CubicSpline(run.time[run.time > 0.0501], power, axis=1).integrate(0.06, 0.2)
+    work = CubicSpline(run.time, run.struts.work, axis=1)
+    np.testing.assert_allclose(work(0.2) - work(0.06), between, atol=1e-6)
+
+
 REFUSED = {
     "length": ({"bar_length": [1.1]}, "in nodes, bar 0 is 1 m long, but bar_length begins at 1.1"),
     "jump": ({"bar_length": tc.Profile([0.0, 0.5], [[1.0, 2.0]], "hold")}, "jumps by 1 m at 0.5 s"),
     "sign": ({"bar_length": tc.Profile([0.0, 1.0], [[1.0, -1.0]])}, "falls to -1 m at 1 s"),
     "shape": ({"bar_length": tc.Profile([0.0, 1.0], [[1.0, 1.0]] * 2)}, "expected \\(1,\\)"),
-    "supports": ({"support_motion": 0.0}, "does not go with support_motion"),
     "sections": ({"limits": "sections"}, "sections, whose buckling"),
     "method": ({"method": "energy_momentum", "step": 0.01}, "takes bars of constant length"),
     "controller": ({"controller": lambda t, N, V: []}, "does not go with controller"),
