@@ -225,9 +225,9 @@ class MPC(PredictiveController):
         pole = pushed_one_way(self.plant, *self.bounds)
         if pole is None:
             return
-        what = "drifts" if pole == 0 else f"grows by a factor e in {1 / pole:.2g} s"
+        motion = "drifts" if pole == 0 else f"grows by a factor e in {1 / pole:.2g} s"
         warn(
-            f"inputs at a bound push a motion that {what} one way only, so no law can hold this "
+            f"inputs at a bound push a motion that {motion} one way only, so no law can hold this "
             "shape: tighten slack strings, drive strings that pull the other way, or choose "
             "another shape",
             ControlWarning,
