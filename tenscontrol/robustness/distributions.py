@@ -58,19 +58,8 @@ class Distribution(ABC):
         numbers = np.asarray(self._numbers(rng), dtype=float)
         return float(numbers) if self.size is None else numbers.tolist()
 
-    def of_run(self, run: int, rng: np.random.Generator) -> Drawn:
-        """Return what a run gets.
-
-        Parameters
-        ----------
-        run : int
-            Its index.
-        rng : numpy.random.Generator
-
-        Returns
-        -------
-        float or list of float
-        """
+    def _of_run(self, run: int, rng: np.random.Generator) -> Drawn:
+        """Return what a run gets, by its index."""
         return self.draw(rng)
 
     def settings(self) -> dict[str, Any]:
@@ -215,7 +204,7 @@ class GivenValues(Distribution):
 
     values: Array = converted()
 
-    def of_run(self, run: int, rng: np.random.Generator) -> Drawn:
+    def _of_run(self, run: int, rng: np.random.Generator) -> Drawn:
         """Return the value of the run, which no random number changes."""
         value: Drawn = self.values[run].tolist()
         return value
@@ -235,7 +224,7 @@ def one_number(name: str, value: object) -> float:
 def draw_run(parameters: Mapping[str, Distribution], seed: int, run: int) -> dict[str, Drawn]:
     """Return the parameters of a run, which hang on the seed and the index alone."""
     return {
-        name: distribution.of_run(run, generator(seed, run, _PARAMETERS, *name.encode()))
+        name: distribution._of_run(run, generator(seed, run, _PARAMETERS, *name.encode()))
         for name, distribution in parameters.items()
     }
 
