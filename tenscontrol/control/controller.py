@@ -17,6 +17,7 @@ from tenscontrol.arrays import FloatArray, IntArray, frozen
 from tenscontrol.control.command import Command, Fallback
 from tenscontrol.control.measurement_check import MeasurementCheck
 from tenscontrol.dynamics.evaluator import Exclusive, exclusive
+from tenscontrol.dynamics.model import Model
 from tenscontrol.plant.controllability import reached_states, unreached_modes, warn_of_left_alone
 from tenscontrol.plant.linear_plant import PLANT_INPUTS, LinearPlant
 from tenscontrol.plant.modes import Modes
@@ -179,6 +180,18 @@ class BaseController(ABC):
         was no measurement or no prediction.
         """
         return None
+
+    def begin(self, model: Model, nodes: FloatArray) -> None:
+        """Reset before a run. A controller may warn that the model of the run is not its own.
+
+        Parameters
+        ----------
+        model : Model
+            Of the run.
+        nodes : ndarray, shape (d, n)
+            At its start, m.
+        """
+        self.reset()
 
     def reference_nodes(self, times: FloatArray) -> FloatArray | None:
         """Return the shapes that it steers to at given times, shape (d, n, K), m; None if none.

@@ -20,6 +20,7 @@ from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.control.command import Command
 from tenscontrol.control.controller import BaseController
 from tenscontrol.control.linear_controller import is_state_space
+from tenscontrol.dynamics.model import Model
 from tenscontrol.plant.input_bounds import largest_change, rest_length_bounds
 from tenscontrol.plant.linear_plant import INPUTS
 from tenscontrol.status import Status
@@ -48,8 +49,9 @@ class FunctionController(BaseController):
     :class:`Command` of these values, with a status. In place of a function, an object may have
 
     - ``command(time, nodes, velocities)``, which is called in this way;
-    - ``input`` and ``sample_time``, used where they are not given here;
+    - ``input``, ``sample_time`` and ``actuated``, used where they are not given here;
     - ``reset()``, called at the start of each run;
+    - ``begin(model, nodes)``, called then with the model of the run and its nodes at the start;
     - ``applied(value)``, called after each command with the input that the actuators reached,
       shape (α,), and before the first with the rest lengths at the start, if they are known.
 
@@ -140,6 +142,8 @@ class FunctionController(BaseController):
                 )
         if sample_time is None:
             sample_time = _own("sample_time", function)
+        if actuated is None:
+            actuated = _own("actuated", function)
         by_length = validation.choice("input", input, INPUTS) == "rest_length"
         count = len(structure.strings)
         if low is None:
@@ -183,6 +187,11 @@ class FunctionController(BaseController):
         """Forget the previous input and the counts; an object's own ``reset`` is called."""
         super().reset()
         self._tell("reset")
+
+    def begin(self, model: Model, nodes: FloatArray) -> None:
+        """Reset, and tell an object with ``begin`` of the run."""
+        super().begin(model, nodes)
+        self._tell("begin", model, nodes)
 
     def applied(self, value: object) -> None:
         """Set the previous input, and tell an object with ``applied``."""

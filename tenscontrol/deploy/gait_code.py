@@ -23,8 +23,6 @@ def gait_code(gait: RollingGait) -> LawCode:
     edges = [edge for face in faces for edge in face.edges]
     plans = [plan for face in faces for plan in face.plans]
     known = sorted(set(edges))
-    counts = [0 if plan is None else len(plan[1]) for plan in plans]
-    possible = [plan for plan in plans if plan is not None]
     constants: dict[str, int | float] = {
         "FACES": len(faces),
         "EDGES": len(edges),
@@ -54,9 +52,9 @@ def gait_code(gait: RollingGait) -> LawCode:
         "edge_start": _starts([len(face.edges) for face in faces]),
         "edge_node": np.ravel(edges).astype(np.int64),
         "edge_number": np.array([known.index(edge) for edge in edges]),
-        "plan_start": _starts(counts),
-        "plan_input": np.concatenate([inputs.T.ravel() for inputs, _ in possible]),
-        "plan_margin": np.concatenate([margins for _, margins in possible]),
+        "plan_start": _starts([len(margins) for _, margins in plans]),
+        "plan_input": np.concatenate([inputs.T.ravel() for inputs, _ in plans]),
+        "plan_margin": np.concatenate([margins for _, margins in plans]),
     }
     return LawCode(("gait.c",), constants, arrays, {})
 

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from tenscontrol import validation
-from tenscontrol.actuation.driven_strings import changes_of_inputs, inputs_of, strings_of
+from tenscontrol.actuation.driven_strings import changes_of_inputs, inputs_of
 from tenscontrol.actuation.winches import Winches
 from tenscontrol.arrays import FloatArray, IntArray, freeze_arrays
 from tenscontrol.dynamics.model import Model
+from tenscontrol.shape.ground_roughness import roughness
 from tenscontrol.shape.tipping import (
     CLOSE,
     MARGIN,
@@ -26,6 +27,7 @@ from tenscontrol.shape.tipping_table import TippingTable
 from tenscontrol.short_repr import short_repr
 from tenscontrol.structure.structure import Structure
 from tenscontrol.validation import direction as unit_vector
+from tenscontrol.warn import warn
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -51,6 +53,10 @@ FORESEEN, AHEAD = 2, 2.0
 
 # An edge is behind if its direction has this part, turned round, of that of the last step.
 BACK = 0.7
+
+
+# Rougher ground than this, in sizes, is warned of.
+ROUGH = 0.025
 
 
 class _Phase(Enum):
@@ -110,7 +116,8 @@ class GaitSettings:
 class RollingGait:
     """A controller that rolls a structure on the ground along a line, by its rest lengths.
 
-    An object with a method ``command``, as ``simulate(controller=...)`` takes it. It stands on the
+    An object with a method ``command``, as ``simulate(controller=...)`` takes it. Nodes may be
+    those that a :class:`KalmanFilter` with ``rolling=True`` estimates. It stands on the
     face of its hull that looks most downward; the height of the ground is not needed. At rest it
     tips over the edge of this face from which two steps, of a shape that is rigid, lead nearest to
     a point of the line ahead. Sample by sample the winches follow the gradient of
@@ -149,6 +156,8 @@ class RollingGait:
     ----------
     made : tuple of RollingStep
         The steps so far.
+    actuated : Actuation
+        The strings that it commands, an input each.
 
     Raises
     ------
@@ -212,6 +221,7 @@ class RollingGait:
             patience=_PATIENCE * moment,
         )  # fmt: skip
         self._planner, self._structure = plans, model.structure
+        self.actuated = planner.actuation
         self.reset()
 
     @property
@@ -237,20 +247,46 @@ class RollingGait:
         # Where it stood, and how far it moved in the last step, m.
         self._stood = self._moved = np.zeros(len(self._settings.up))
 
+    def begin(self, model: Model, nodes: ArrayLike) -> None:
+        """Warn before a run on ground that is rough beside the structure.
+
+        Parameters
+        ----------
+        model : Model
+            Of the run.
+        nodes : array_like, shape (d, n)
+            At its start, m.
+
+        Warns
+        -----
+        RuntimeWarning
+            If the height of the ground is off a plane by more than a fortieth of the size, root
+            mean square over four sizes about the start.
+        """
+        size = self._planner.size
+        rough = roughness(model, self._structure.checked_nodes("nodes", nodes), size)
+        if rough > ROUGH * size:
+            warn(
+                f"the height of the ground is off a plane by {rough:.2g} m (root mean square), "
+                f"{rough / size:.1%} of the size of the structure, but the gait plans on a plane, "
+                f"and was tried up to 2 % of the size: it may stop or fall back. Let a larger "
+                "structure roll, or go where the ground is flatter",
+                RuntimeWarning,
+            )
+
     def applied(self, value: ArrayLike) -> None:
         """Take note of the rest lengths that the winches reached, if not those commanded.
 
         Parameters
         ----------
-        value : array_like, shape (α,)
-            m.
+        value : array_like, shape (m,)
+            m, of the inputs.
         """
-        shape, actuation = self._planner.home.shape, self._planner.actuation
-        strings = validation.shaped("value", value, shape, "one rest length per string")
-        self._reached = inputs_of(actuation, strings)
+        shape = self._settings.home.shape
+        self._reached = validation.shaped("value", value, shape, "one rest length per input")
 
     def command(self, time: float, nodes: ArrayLike, velocities: ArrayLike) -> FloatArray:
-        """Return rest lengths, m, shape (α,).
+        """Return rest lengths of the driven strings, m, shape (m,).
 
         Parameters
         ----------
@@ -262,7 +298,7 @@ class RollingGait:
         time = validation.number("time", time, "s")
         nodes = self._structure.checked_nodes("nodes", nodes)
         velocities = self._structure.checked_nodes("velocities", velocities)
-        settings, actuation = self._settings, self._planner.actuation
+        settings = self._settings
         is_still = bool(np.linalg.norm(velocities, axis=0).max() < settings.still)
         if not is_still or self._moved_at is None:
             self._moved_at = time
@@ -280,8 +316,8 @@ class RollingGait:
         if self._phase is _Phase.STANDS:
             self._reached = self._back()
         else:
-            self._reached = inputs_of(actuation, self._planner.rest_length)
-        return strings_of(actuation, self._reached)
+            self._reached = self._planner.wound
+        return self._reached
 
     def _standing(self, nodes: FloatArray) -> tuple[IntArray, float]:
         """Return the nodes of the lowest face, none of a flat shape, and how level it is."""
@@ -310,6 +346,8 @@ class RollingGait:
         direction, ahead = self._settings.direction, AHEAD * self._planner.size
         goal = self._begun + (direction @ (centre - self._begun) + ahead) * direction
         edges = self._planner.edges(nodes, feet)
+        if not edges:
+            return
         # Back where it came from it would only come here again.
         back = -BACK * float(np.linalg.norm(self._moved))
         not_back = [edge for edge, over in edges.items() if over @ self._moved >= back]
@@ -334,7 +372,8 @@ class RollingGait:
         if steps == 1 or len(feet) < len(nodes):
             return float(np.linalg.norm(nodes.mean(axis=1) - goal))
         edges = self._planner.edges(nodes, feet)
-        return min(self._distance(nodes, feet, edge, goal, steps - 1) for edge in edges)
+        ways = (self._distance(nodes, feet, edge, goal, steps - 1) for edge in edges)
+        return min(ways, default=np.inf)
 
     def _wind(self, time: float, lowest: IntArray, level: float, is_late: bool) -> None:
         """Wind on, or end it where it has tipped or cannot."""

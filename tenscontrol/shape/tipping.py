@@ -289,6 +289,11 @@ class TippingPlanner:
         self._conditions = model.prepared.get("tipping", lambda: _conditions(model))
 
     @property
+    def wound(self) -> FloatArray:
+        """Inputs now, m."""
+        return inputs_of(self.actuation, self.rest_length)
+
+    @property
     def point(self) -> tuple[FloatArray, FloatArray, float]:
         """Rest lengths, nodes and margin, m."""
         return self.rest_length, self.nodes, self.margin
@@ -347,7 +352,7 @@ class TippingPlanner:
         uphill, actuation = self._uphill(), self.actuation
         if not actuation.is_whole:
             uphill = actuation.matrix.T @ uphill
-        wound = inputs_of(actuation, self.rest_length)
+        wound = self.wound
         low, high = wound <= self._low, wound >= self._high
         uphill[(low & (uphill < 0)) | (high & (uphill > 0))] = 0.0
         if np.linalg.norm(uphill) < _VAIN:

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tenscontrol.actuation.driven_strings import changes_of_inputs, inputs_of, strings_of
+from tenscontrol.actuation.driven_strings import changes_of_inputs, inputs_of
 from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.dynamics.model import Model
 from tenscontrol.plant.stance import convex_hull, set_down
 from tenscontrol.shape.faces import faces
-from tenscontrol.shape.tipping import STEP, StuckError, TippingPlanner, across_edge
+from tenscontrol.shape.tipping import MARGIN, STEP, StuckError, TippingPlanner, across_edge
 
 # Keeps the direction of a face without area finite.
 TINY = float(np.finfo(float).tiny)
@@ -28,15 +28,15 @@ class Face:
     corners : ndarray of int
         Of its polygon, counterclockwise seen from outside; in the plane from one end to the other.
     edges : list of tuple of int
-    plans : list of tuple of ndarray, or None
-        For each edge inputs, shape (m, K), m, and margins, shape (K,), m, of equilibria; None for
-        an edge that cannot be passed.
+        Those that can be passed.
+    plans : list of tuple of ndarray
+        For each of them inputs, shape (m, K), m, and margins, shape (K,), m, of equilibria.
     """
 
     feet: IntArray
     corners: IntArray
     edges: list[tuple[int, ...]]
-    plans: list[tuple[FloatArray, FloatArray] | None]
+    plans: list[tuple[FloatArray, FloatArray]]
 
 
 class TippingTable:
@@ -54,10 +54,14 @@ class TippingTable:
         self.faces: list[Face] = []
         for feet, outward in faces(nodes, near):
             placed = set_down(model, feet)
-            edges = sorted(planner.edges(placed, feet))
-            plans = [_plan(planner, placed, feet, edge, enough) for edge in edges]
-            self.faces.append(Face(feet, _corners(nodes, feet, outward), edges, plans))
-        if not any(plan for face in self.faces for plan in face.plans):
+            plans = {
+                edge: plan
+                for edge in sorted(planner.edges(placed, feet))
+                if (plan := _plan(planner, placed, feet, edge, enough)) is not None
+            }
+            corners = _corners(nodes, feet, outward)
+            self.faces.append(Face(feet, corners, list(plans), list(plans.values())))
+        if not any(face.edges for face in self.faces):
             raise ValueError(
                 "the gait finds no rest lengths that tip the structure over any edge of any face: "
                 "give the winches a larger range, or change the prestress"
@@ -74,24 +78,16 @@ class TippingTable:
         return self.faces[lowest].feet, sinks[lowest]
 
     def edges(self, nodes: FloatArray, feet: IntArray) -> dict[tuple[int, ...], FloatArray]:
-        """Return the edges of a face, each with the horizontal direction over it."""
+        """Return the edges that can be passed, each with the horizontal direction over it."""
         edges = self._face_of[tuple(feet.tolist())].edges
         return {edge: across_edge(nodes, feet, edge, self.down)[0] for edge in edges}
 
     def start(self, nodes: FloatArray, feet: IntArray, edge: tuple[int, ...]) -> None:
-        """Begin the plan of an edge of a face; raise StuckError if there is none."""
+        """Begin the plan of an edge of a face."""
         face = self._face_of[tuple(feet.tolist())]
-        plan = face.plans[face.edges.index(edge)]
-        if plan is None:
-            raise StuckError("no rest lengths lead over this edge")
         self.feet, self.edge = feet, edge
-        self._inputs, self._margins = plan
-        self._passed, self._wound = 0, inputs_of(self.actuation, self.home)
-
-    @property
-    def rest_length(self) -> FloatArray:
-        """Rest lengths now, m."""
-        return strings_of(self.actuation, self._wound)
+        self._inputs, self._margins = face.plans[face.edges.index(edge)]
+        self._passed, self.wound = 0, inputs_of(self.actuation, self.home)
 
     @property
     def margin(self) -> float:
@@ -110,14 +106,14 @@ class TippingTable:
         if self._passed == last:
             raise StuckError("the plan ends here")
         while left > 0 and self._passed < last:
-            ahead = self._inputs[:, self._passed + 1] - self._wound
+            ahead = self._inputs[:, self._passed + 1] - self.wound
             takes = float(np.max(np.abs(ahead) / most))
             if takes <= left:
-                self._wound = self._inputs[:, self._passed + 1]
+                self.wound = self._inputs[:, self._passed + 1]
                 self._passed += 1
                 left -= takes
             else:
-                self._wound = self._wound + ahead * (left / takes)
+                self.wound = self.wound + ahead * (left / takes)
                 left = 0.0
 
 
@@ -129,18 +125,18 @@ def _plan(
         planner.start(nodes, feet, edge)
     except StuckError:
         return None
-    points = [(planner.rest_length, planner.margin)]
+    points = [(planner.wound, planner.margin)]
     most = changes_of_inputs(planner.actuation, np.full(len(planner.home), STEP * planner.size))
     while planner.margin < enough:
         try:
             planner.advance(most)
         except StuckError:
             break
-        points.append((planner.rest_length, planner.margin))
-    lengths, margins = zip(*points, strict=True)
-    if margins[-1] <= 0:
+        points.append((planner.wound, planner.margin))
+    inputs, margins = zip(*points, strict=True)
+    if margins[-1] < MARGIN * planner.size:
         return None
-    return inputs_of(planner.actuation, np.stack(lengths, axis=-1)), np.array(margins)
+    return np.stack(inputs, axis=-1), np.array(margins)
 
 
 def _corners(nodes: FloatArray, feet: IntArray, outward: FloatArray) -> IntArray:

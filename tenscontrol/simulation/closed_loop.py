@@ -84,7 +84,7 @@ class ClosedLoop:
         run, controller, start = self._run, self._controller, self._start
         actuators = self._actuators
         if start is None:
-            controller.reset()
+            controller.begin(run.model, run.motion(state)[0][:, : self._seen])
         # A controller that goes on knows its previous input, unless there is none or it was lost.
         knows = start is not None and start.stopped is None and self._rest_length is None
         if actuators.known and not (knows and controller.status_count):

@@ -6,9 +6,11 @@ on the nominal ground; friction, the stiffness of the ground, of each string, an
 bar are drawn. ``--driven 12`` leaves winches to every second string of the shell, the others are
 springs, and ``--payload 1`` hangs a mass of 1 kg in the middle by twelve springs more.
 ``--roughness 0.01`` has waves of 0.01 m in any direction on the ground, which the gait does not
-know of. A success is five steps within 40 s that end within 45° of the direction. Prints the rates
-of success with their intervals, and the time of a command over the sample time: by the clock, as
-the gait is used in a run, and the processor's for the plan of a whole step at once.
+know of. On level ground the gait has a table of its plans; with ``--planned`` it makes them in the
+run, as on a slope. A success is five steps within 40 s that end within 45° of the direction.
+Prints the rates of success with their intervals, and the time of a command over the sample time:
+by the clock, as the gait is used in a run, and the processor's for the plan of a whole step at
+once.
 """
 
 from __future__ import annotations
@@ -24,12 +26,6 @@ import tenscontrol as tc
 from tests.benchmarks.command_line import options
 
 COUNT, SEED, STEPS, SLOPES = 100, 0, 5, (0.0, 5.0)  # degrees
-ROUGH = {
-    "method": "rk4",
-    "step": 5e-4,
-    "project": True,
-    "error": "none",
-}
 SAMPLE, REST_LENGTH, PART, LONGEST = 0.05, 0.55, 2.0, 40.0  # s, m, s, s
 WINCHES = tc.Winches(rate=0.2, shortest=0.35, longest=0.8, ramp=True)
 FACE = [0, 4, 8]
@@ -51,13 +47,17 @@ WAVINESS = {
 def main(arguments: Sequence[str] | None = None) -> None:
     given = options(
         __doc__, arguments, count=COUNT, steps=STEPS, slopes=SLOPES, driven=24, payload=0.0,
-        roughness=0.0, processes=1, file="", plans=10,
+        roughness=0.0, planned=False, seed=SEED, processes=1, file="", plans=10,
     )  # fmt: skip
     for slope in given.slopes:
         file = f"{given.file}.{slope:g}" if given.file else None
-        case = Rolling(slope, given.steps, given.driven, given.payload, given.roughness)
+        case = Rolling(
+            slope, given.steps, given.driven, given.payload, given.roughness, given.planned
+        )
         drawn = PARAMETERS | (WAVINESS if given.roughness else {})
-        report = tc.sweep(case, drawn, given.count, seed=SEED, processes=given.processes, file=file)
+        report = tc.sweep(
+            case, drawn, given.count, seed=given.seed, processes=given.processes, file=file
+        )
         print(f"slope of {slope:g}°: {report.summary()}\n")
     report_time(given.slopes, given.steps, given.plans)
 
@@ -75,9 +75,13 @@ class Rolling:
     driven: int
     payload: float
     roughness: float
+    planned: bool
 
     def __call__(self, parameters: dict, rng: np.random.Generator) -> tc.robustness.Outcome:
-        robot = {"driven": self.driven, "payload": self.payload, "roughness": self.roughness}
+        robot = {
+            "driven": self.driven, "payload": self.payload, "roughness": self.roughness,
+            "tabulated": not self.planned and self.slope == 0,
+        }  # fmt: skip
         gait, runs = rolled(self.slope, self.steps, **robot, **parameters)
         moved = (runs[-1].nodes[:, :, -1] - runs[0].nodes[:, :, 0]).mean(axis=1)
         direction, side = np.cross([0.0, 1.0, 0.0], normal(self.slope)), moved[1]
@@ -132,7 +136,9 @@ def rough(roughness, length, heading, phase):
     return ca.Function("height", [x, y], [roughness * np.sqrt(2 / len(waves)) * sum(waves)])
 
 
-def rolled(slope, steps, driven=24, payload=0.0, yaw=0.0, roughness=0.0, **parameters):
+def rolled(
+    slope, steps, driven=24, payload=0.0, yaw=0.0, roughness=0.0, tabulated=False, **parameters
+):
     """Return the gait and its runs, one after the other, until the steps are made."""
     if roughness:
         waves = {name: parameters.pop(name) for name in WAVINESS}
@@ -142,7 +148,7 @@ def rolled(slope, steps, driven=24, payload=0.0, yaw=0.0, roughness=0.0, **param
     lengths = np.where(np.arange(len(lengths)) < 24, REST_LENGTH, 0.9 * lengths)
     gait = tc.shape.RollingGait(
         nominal, lengths, np.cross([0.0, 1.0, 0.0], up), SAMPLE, winches=WINCHES, steps=steps,
-        actuated=list(range(0, 24, 24 // driven)),
+        actuated=list(range(0, 24, 24 // driven)), tabulated=tabulated,
     )  # fmt: skip
     begin = turn(up, np.radians(yaw)) @ tc.plant.set_down(nominal, FACE)
     model, runs = modelled(slope, payload, **parameters), []
@@ -150,8 +156,7 @@ def rolled(slope, steps, driven=24, payload=0.0, yaw=0.0, roughness=0.0, **param
         start = {"start": runs[-1]} if runs else {"nodes": begin, "rest_length": lengths}
         runs.append(
             tc.simulate(
-                model, PART, controller=gait, winches=WINCHES, output_step=SAMPLE, **start,
-                **(ROUGH if roughness else {}),
+                model, PART, controller=gait, winches=WINCHES, output_step=SAMPLE, **start
             )
         )  # fmt: skip
     return gait, runs

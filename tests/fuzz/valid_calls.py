@@ -276,6 +276,8 @@ WITHIN = {
     "NMPC.reference_nodes",
     "FeedbackLinearization.reference_nodes",
     "control.BaseController.reference_nodes",
+    "control.BaseController.begin",
+    "FunctionController.begin",
     "control.Controller.fall_back",
     "control.Controller.reset",
     "plant.LinearPlant.refuse_long_sample_time",
@@ -1602,6 +1604,7 @@ call(
         "load": False,
         "load_noise": 0.05,
         "prediction": "linear",
+        "rolling": False,
         "gate": 1e-4,
         "patience": 5,
         "start": 0.0 * nodes() + nodes(),
@@ -1760,6 +1763,7 @@ call(
     share=0.2,
 )
 call("shape.RollingGait.reset", on=gait)
+call("shape.RollingGait.begin", lambda: {"model": standing(), "nodes": nodes()}, gait)
 call("shape.RollingGait.applied", lambda: {"value": rest_length()}, gait)
 call(
     "shape.RollingGait.command",

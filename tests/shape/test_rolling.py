@@ -11,6 +11,7 @@ import tenscontrol as tc
 from tenscontrol.plant import set_down
 from tenscontrol.shape import RollingGait, TippingError, tipping_path
 from tenscontrol.shape.faces import lowest_face
+from tenscontrol.shape.ground_roughness import roughness
 from tenscontrol.shape.rolling import _rolled
 from tenscontrol.shape.tipping import TippingPlanner
 
@@ -241,6 +242,32 @@ class TestGait:
         again = [gait.command(0.05 * k, nodes, still) for k in range(5)]
         assert np.array_equal(first, again)
         assert not np.array_equal(first[0], first[-1])
+
+
+class TestRoughGround:
+    def test_roughness_is_measured_from_the_plane_that_fits_best(self):
+        nodes = BALL.nodes + np.array([[3.0], [1.0], [0.0]])
+        side = 4 * np.linspace(-0.5, 0.5, 21)
+        for height, rough in (
+            (0.3 * X - 0.1 * Y + 2.0, 0.0),
+            (0.1 * X * Y, 0.1 * np.mean(side**2)),  # off a plane by 0.1 u v, from the centre
+        ):
+            ground = tc.Ground(1e3, height=ca.Function("h", [X, Y], [height]))
+            model = tc.Model(BALL, STRINGS, ground=[tc.Ground(1e3, height=-1.0), ground])
+            assert roughness(model, nodes, 1.0) == pytest.approx(rough, abs=1e-12)
+        assert roughness(ball(), nodes, 1.0) == 0.0
+
+    def test_a_run_on_rough_ground_is_warned_of(self):
+        waves = ca.Function("h", [X, Y], [0.1 * ca.sin(8 * X) * ca.cos(8 * Y)])
+        law = tc.Ground(5e3, damping=0.5, friction=0.5, slip_speed=0.05, height=waves)
+        rough = tc.Model(ball().structure, ball().strings, gravity=9.81, ground=law)
+        nodes = set_down(ball(), FACE) + 0.2 * uphill(90.0)[:, None]
+        rolls = {"controller": gait(ball()), "rest_length": REST, "method": "rk4", "step": 1e-3}
+        with pytest.warns(
+            RuntimeWarning, match=r"off a plane by 0\.05 m .* 5\.0%.*larger structure"
+        ):
+            tc.simulate(rough, 0.01, nodes, **rolls)
+        tc.simulate(ball(), 0.01, nodes, **rolls)  # warnings are errors
 
 
 def tipped(model=None, rest=REST, feet=FACE, direction=(1.0, 0.0, 0.0), **changes):

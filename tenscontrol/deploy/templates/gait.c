@@ -176,7 +176,7 @@ static void roll(const double *nodes, int face, int edge, double *rolled)
 }
 
 /* How far from the goal the centre is after some steps of a rigid shape, m. */
-static double distance(const double *nodes, int face, int edge, const double *goal, int steps)
+static double distance_left(const double *nodes, int face, int edge, const double *goal, int steps)
 {
     double rolled[CONTROLLER_COORDINATES], least = INFINITY, level;
     roll(nodes, face, edge, rolled);
@@ -188,7 +188,7 @@ static double distance(const double *nodes, int face, int edge, const double *go
     }
     face = lowest_face(rolled, &level);
     for (edge = edge_start[face]; edge < edge_start[face + 1]; edge++)
-        least = fmin(least, distance(rolled, face, edge, goal, steps - 1));
+        least = fmin(least, distance_left(rolled, face, edge, goal, steps - 1));
     return least;
 }
 
@@ -206,7 +206,7 @@ static int best_edge(const double *nodes, int face, const double *goal)
         }
         if (kind < best_kind)
             continue;
-        from_goal = distance(nodes, face, edge, goal, FORESEEN);
+        from_goal = distance_left(nodes, face, edge, goal, FORESEEN);
         if (kind > best_kind || from_goal < nearest) {
             best_kind = kind;
             nearest = from_goal;
@@ -234,7 +234,7 @@ static void stand(double time, const double *nodes)
     }
     memory.has_tipped = 0;
     copy(memory.stood, centre, DIMENSION);
-    if (STEPS > 0 && memory.made >= STEPS)
+    if ((STEPS > 0 && memory.made >= STEPS) || edge_start[face] == edge_start[face + 1])
         return;
     difference(centre, memory.begun, goal);
     along = dot(heading, goal) + AHEAD;
@@ -242,10 +242,6 @@ static void stand(double time, const double *nodes)
         goal[axis] = memory.begun[axis] + along * heading[axis];
     memory.face = face;
     memory.edge = best_edge(nodes, face, goal);
-    if (plan_start[memory.edge] == plan_start[memory.edge + 1]) {
-        memory.vain[edge_number[memory.edge]] = 1;
-        return;
-    }
     memory.passed = plan_start[memory.edge];
     copy(memory.wound, equilibrium, CONTROLLER_COMMANDS);
     memory.pushes = 0;
@@ -254,7 +250,7 @@ static void stand(double time, const double *nodes)
 }
 
 /* Go on along the plan; 0 at its end. */
-static int advance(void)
+static int wind_on(void)
 {
     int i, last = plan_start[memory.edge + 1] - 1;
     double left = 1.0; /* of this sample */
@@ -319,7 +315,7 @@ static void wind(double time, const double *nodes, int is_late)
         enough = ENOUGH_PUSHED;
     }
     if (plan_margin[memory.passed] < enough) {
-        if (advance())
+        if (wind_on())
             memory.since = time;
         else
             give_up();
