@@ -177,9 +177,9 @@ class Steps(ctypes.Structure):
 
 
 class Profile(ctypes.Structure):
-    """Values of strings at some times, and by what each counts at the stages of steps."""
+    """Values of strings at some times, and by what each counts in steps."""
 
-    _fields_ = (("first", _COUNT), ("values", _COUNT), ("share", _POINTER))
+    _fields_ = (*((name, _COUNT) for name in ("first", "values", "rows")), ("share", _POINTER))
 
 
 class Changes(ctypes.Structure):

@@ -26,10 +26,10 @@ typedef struct {
 enum { COLUMNS = 8 };
 
 /* Values that strings have at so many times: (strings, values) columns from the first on, and by what
-   each value counts at the stages of steps, (steps, stages, values). */
+   each value counts in steps, (steps, rows, values): at each stage, or the same in all of a step. */
 typedef struct {
-  int32_t first, values;
-  const double *share; /* null where they count by 1 */
+  int32_t first, values, rows; /* stages or 1 */
+  const double *share;         /* null where they count by 1 */
 } Profile;
 
 /* Changes of what steps depend on beside their start, in columns; null for what does not change. Of a

@@ -175,7 +175,8 @@ static size_t forward_size(const Scene *s, const Tableau *method, int columns) {
 static size_t padded(const Scene *s) { return ((size_t)s->free + WIDTH - 1) / WIDTH * WIDTH; }
 
 static size_t backward_size(const Scene *s, const Tableau *method) {
-  return 2 * (method->stages + 2) * padded(s) + 4 * (size_t)s->entries + s->strings + s->unknowns;
+  return 2 * (method->stages + 2) * padded(s) + 2 * (3 * (size_t)method->stages + 2) +
+         4 * (size_t)s->entries + s->strings + s->unknowns;
 }
 
 size_t LANES_NAME(variations_size)(const Scene *s, const Drive *drive, const Tableau *method,
@@ -364,13 +365,17 @@ static Inputs inputs_forward(const Scene *s, const Changes *c, int first, Number
   return inputs;
 }
 
+/* By what the values of a profile count at a stage of a step; null where they count by 1. */
+static const double *share_at(const Profile *profile, size_t step, int stage) {
+  const size_t row = step * profile->rows + (profile->rows > 1 ? stage : 0);
+  return profile->share ? profile->share + row * profile->values : 0;
+}
+
 /* Enters what values of a profile change of the inputs at a stage. */
-static void enter_values(const Inputs *inputs, const Profile *profile, size_t stage) {
-  for (int m = 0; m < inputs->lanes; ++m) {
-    const double share =
-        profile->share ? profile->share[stage * profile->values + inputs->value[m]] : 1;
-    put(inputs->beside[m] + share, inputs->input + inputs->string[m], inputs->first + m);
-  }
+static void enter_values(const Inputs *inputs, const double *share) {
+  for (int m = 0; m < inputs->lanes; ++m)
+    put(inputs->beside[m] + (share ? share[inputs->value[m]] : 1), inputs->input + inputs->string[m],
+        inputs->first + m);
 }
 
 /* A block of columns over a step. */
@@ -394,8 +399,8 @@ static void step_block(const Sweep *sweep, const Lengths *lengths, int k, int in
   for (int i = 0; i < stages; ++i) {
     const double *x = point_of(sweep, in_lanes, i);
     Number *to = accelerations + i * half;
-    if (i == 0 || (inputs.lanes && changes->profile->share))
-      enter_values(&inputs, changes->profile, (size_t)k * stages + i);
+    if (inputs.lanes && (i == 0 || changes->profile->rows > 1))
+      enter_values(&inputs, share_at(changes->profile, k, i));
     advance_by(block, block + half, method->c[i], h, method->a + i * stages,
                sweep->twice + i * stages, i, accelerations, half, q, v);
     if (s->free_row) {
@@ -442,22 +447,26 @@ void LANES_NAME(tangents)(const Scene *s, const Drive *drive, const Lengths *len
 
 /* ---- backward ---- */
 
-static Shares shares_of(const Changes *c, size_t stage) {
+static Shares shares_of(const Changes *c, size_t step, int stage) {
   static const double one = 1;
   Shares shares = {&one, 0, 0};
   if (!c->profile) return shares;
   shares.end = c->profile->values;
   if (!c->profile->share) return shares;
-  shares.share = c->profile->share + stage * shares.end;
+  shares.share = share_at(c->profile, step, stage);
   while (shares.end > 0 && shares.share[shares.end - 1] == 0) --shares.end;
   while (shares.first < shares.end && shares.share[shares.first] == 0) ++shares.first;
   return shares;
 }
 
-/* Adds a vector, times a weight, to another; both are whole registers of numbers. */
-static void add_to(double *to, double weight, const double *vector, size_t size) {
-  for (size_t k = 0; k < size; k += WIDTH)
-    *(Number *)(to + k) += weight * *numbers(vector + k);
+/* Adds so many vectors, each times a weight, to another: all are whole registers of numbers. */
+static void add_vectors(int count, const double *weight, const double *const *vector, size_t size,
+                        double *to) {
+  for (size_t k = 0; k < size; k += WIDTH) {
+    Number sum = *numbers(to + k);
+    for (int m = 0; m < count; ++m) sum += weight[m] * *numbers(vector[m] + k);
+    *(Number *)(to + k) = sum;
+  }
 }
 
 /* The cost by the state after a step becomes that by the state before it, (2, padded). */
@@ -469,23 +478,30 @@ static void step_cost(const Sweep *sweep, int k, int in_lanes, const Changes *co
   const size_t size = padded(s), half = s->free;
   const double h = sweep->steps->length[k], *twice = sweep->twice;
   double *of_q = memory, *of_v = of_q + stages * size, *of_a = of_v + stages * size;
+  double *weight = of_a + size;
+  const double **vector = (const double **)(weight + 3 * stages + 2);
+  Shares shares = {0, 0, 0};
   Cost by;
   double **arrays[] = {&by.p, &by.v, &by.f, &by.a};
-  memory = of_a + size;
+  int count;
+  memory = (double *)(vector + 3 * stages + 2);
   for (int i = 0; i < 4; ++i, memory += s->entries) *arrays[i] = memory;
   by.tension = memory;
   by.unknowns = memory + s->strings;
   for (int i = stages - 1; i >= 0; --i) {
-    const Shares shares = shares_of(costs, (size_t)k * stages + i);
     const double *x = point_of(sweep, in_lanes, i);
-    memset(of_a, 0, size * sizeof *of_a);
-    add_to(of_a, h * h * twice[stages * stages + i], mu, size);
-    add_to(of_a, h * method->b[i], mu + size, size);
+    if (i == stages - 1 || (costs->profile && costs->profile->rows > 1))
+      shares = shares_of(costs, k, i);
+    count = 0;
+    weight[count] = h * h * twice[stages * stages + i], vector[count++] = mu;
+    weight[count] = h * method->b[i], vector[count++] = mu + size;
     for (int j = i + 1; j < stages; ++j) {
       const double once = h * method->a[j * stages + i], both = h * h * twice[j * stages + i];
-      if (both != 0) add_to(of_a, both, of_q + j * size, size);
-      if (once != 0) add_to(of_a, once, of_v + j * size, size);
+      if (both != 0) weight[count] = both, vector[count++] = of_q + j * size;
+      if (once != 0) weight[count] = once, vector[count++] = of_v + j * size;
     }
+    memset(of_a, 0, size * sizeof *of_a);
+    add_vectors(count, weight, vector, size, of_a);
     spread_free(s, of_a, by.a);
     if (s->dimension == 2) backward_2(s, &sweep->at, x, costs, &shares, &by);
     else backward_3(s, &sweep->at, x, costs, &shares, &by);
@@ -496,12 +512,15 @@ static void step_cost(const Sweep *sweep, int k, int in_lanes, const Changes *co
     }
     for (size_t m = half; m < size; ++m) of_q[i * size + m] = of_v[i * size + m] = 0;
   }
-  add_to(mu + size, h, mu, size);
+  count = 0;
+  weight[count] = h, vector[count++] = mu;
   for (int i = 0; i < stages; ++i) {
-    add_to(mu, 1, of_q + i * size, size);
-    add_to(mu + size, 1, of_v + i * size, size);
-    add_to(mu + size, h * method->c[i], of_q + i * size, size);
+    weight[count] = 1, vector[count++] = of_v + i * size;
+    weight[count] = h * method->c[i], vector[count++] = of_q + i * size;
   }
+  add_vectors(count, weight, vector, size, mu + size);
+  for (int i = 0; i < stages; ++i) weight[i] = 1, vector[i] = of_q + i * size;
+  add_vectors(stages, weight, vector, size, mu);
 }
 
 void LANES_NAME(costs)(const Scene *s, const Drive *drive, const Lengths *lengths,

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from operator import add
 from typing import TypeVar
 
 import casadi as ca
@@ -70,7 +69,12 @@ class Work:
     carried: int = 0
 
     def __add__(self, other: Work) -> Work:
-        return Work(*map(add, vars(self).values(), vars(other).values()))
+        return Work.total([self, other])
+
+    @staticmethod
+    def total(works: Sequence[Work]) -> Work:
+        """Return the sum of all that was spent."""
+        return Work(*map(sum, zip(*(vars(work).values() for work in works), strict=True)))
 
 
 @dataclass(frozen=True, eq=False)

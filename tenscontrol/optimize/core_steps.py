@@ -89,7 +89,7 @@ class CoreSteps:
         if self._profile is not None:
             own = columns[list(parameters).index(self._profile)]
         self._by_values = np.zeros((strings, (own.stop - own.start) // max(strings, 1)))
-        self._record_of_profile = records.Profile(own.start, self._by_values.shape[1])
+        self._record_of_profile = records.Profile(own.start, self._by_values.shape[1], 1)
         self._costs, self._derivatives = self._record(1)
         self._costs.by_values = records.address(self._by_values)
         self._inputs = np.ascontiguousarray(steps.inputs.T)
@@ -233,13 +233,18 @@ class CoreSteps:
         return units
 
     def _shares(self, first: int, count: int, length: FloatArray) -> FloatArray | None:
-        """Return by what values of a profile count at the stages of steps, (count stages, K)."""
-        if self._profile is None:
+        """Return by what values of a profile count in steps, (count, rows, K).
+
+        One row a stage, or one a step in which nothing changes.
+        """
+        if self._profile is None or self._profile.pieces is None:
             return None
         begin = self._steps.begin[first : first + count]
-        time = (begin[:, None] + self._c * length[:, None]).ravel()
-        share = shares(self._profile, time, np.repeat(begin + length / 2, len(self._c)))
-        return None if share is None else np.ascontiguousarray(share.T)
+        c = self._c if self._profile.pieces.degree else self._c[:1]
+        time = (begin[:, None] + c * length[:, None]).ravel()
+        share = shares(self._profile, time, np.repeat(begin + length / 2, len(c)))
+        assert share is not None  # it is a profile
+        return np.ascontiguousarray(share.T).reshape(count, len(c), -1)
 
     def _call(
         self, function: Any, first: int, count: int, part: float | None, record: records.Changes,
@@ -251,7 +256,9 @@ class CoreSteps:
             length, lengths = np.array([part]), None
             at = records.address(length)
         share = self._shares(first, count, length)
-        self._record_of_profile.share = None if share is None else records.address(share)
+        if share is not None:
+            self._record_of_profile.rows = share.shape[1]
+            self._record_of_profile.share = records.address(share)
         steps = records.Steps(count, at, *others)
         scene, drive, _, method = self._always
         function(

@@ -276,16 +276,17 @@ class PlantRun:
         held = coefficients.transpose(0, 2, 1).reshape(len(piece), -1)
         if self.degree:
             held = np.column_stack([held, starts - inputs.origin[piece]])
-        outputs = np.array([self._outputs(duration) for duration in durations])
-        given = SpanInputs(held, np.array(durations), outputs)
+        lengths = np.array(durations)
+        outputs = np.maximum(1, np.ceil(lengths / self.output_step - 1e-9)).astype(int)
+        given = SpanInputs(held, lengths, outputs)
         spans = self.integrator.advance_spans(state, given)
         for i, span in enumerate(spans):
             times = self.now + durations[i] * np.arange(1, outputs[i] + 1) / outputs[i]
             of_input = float(inputs.origin[piece[i]]), coefficients[i], self.lost_energy
             self._keep(RunSpan(times, span.states, state, *of_input, None, span.whole, span.ends))
-            self.work += span.work
             self.now += durations[i]
             state = span.states[:, -1]
+        self.work = Work.total([self.work, *(span.work for span in spans)])
         if spans and self.bars is not None:
             self.length_rate = self.spans[-1].values(self.length_rows, 1)[:, -1]
         if spans and self.report is not None:
@@ -505,14 +506,12 @@ class PlantRun:
 
     def all_values(self, rows: slice, order: int = 0) -> FloatArray:
         """Return some of the inputs at all times kept, or their rates, read-only."""
-        one = self.spans[0].coefficients
-        is_held = not order and (one.shape[1] == 1 or not one[rows, 1:].any())
-        if is_held and all(
-            span.coefficients is one or np.array_equal(span.coefficients[rows], one[rows])
-            for span in self.spans
-        ):  # one column, read at all times
-            first, count = frozen(one[rows, :1]), sum([len(s.time) for s in self.spans])
-            return np.broadcast_to(first, (len(first), count))
+        coefficients = np.stack([span.coefficients[rows] for span in self.spans])
+        if not (order or coefficients[:, :, 1:].any()):  # constant in each span
+            columns, counts = coefficients[:, :, 0], [len(span.time) for span in self.spans]
+            if (columns == columns[0]).all():  # one column, read at all times
+                return np.broadcast_to(frozen(columns[:1].T), (columns.shape[1], sum(counts)))
+            return frozen(np.repeat(columns, counts, axis=0).T)
         values = np.hstack([s.values(rows, order) for s in self.spans])
         values.setflags(write=False)
         return values
