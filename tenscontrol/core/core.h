@@ -180,6 +180,8 @@ typedef struct {
   int32_t room;    /* ends of steps that are kept at most, an even number */
   double duration, step, longest;
   double limit;        /* evaluations from which on no step is tried, of dop853 */
+  double smooth;       /* a step of dop853 ends at a switch on its interpolant where that errs less than
+                          this part of what it may err */
   const double *scale; /* (states): what a step may err, of dop853 */
 } Settings;
 

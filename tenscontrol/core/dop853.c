@@ -29,9 +29,6 @@ static const double STABLE = 4;
 /* What ending late at a switch may change of velocities, as part of what a step may err. */
 static const double LATE_IMPULSE = 0.003;
 
-/* Steps end at a switch on their interpolant where it errs less than this part of it. */
-static const double SMOOTH = 0.3;
-
 /* What switches that are carried err is of order 4 in the step. So much of the next order, of
    positions and velocities, is what they err: an impulse that grows from zero leaves less. */
 static const double OF_POSITIONS = 1. / 12, OF_VELOCITIES = 1. / 3;
@@ -458,7 +455,8 @@ static void land_on_first(Dop853 *m, Truth meant) {
   const Number allowed = 2 * LATE_IMPULSE * m->scale[n - 1] * (reach * reach);
   Cut cut = first_switch(m->span, meant, &step, traces ? all(0) : allowed, 0);
   const Truth is_cut = cut.found, is_long = now->is_short == 0;
-  Truth inside = is_cut & is_long & (now->error * interpolant_error(cut.part) < SMOOTH), by_step;
+  Truth inside = is_cut & is_long & (now->error * interpolant_error(cut.part) < m->settings->smooth);
+  Truth by_step;
   if (traces) inside = is_cut & (is_cut == 0);
   by_step = is_cut & (inside == 0);
   now->is_inside = truth(inside);

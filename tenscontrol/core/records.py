@@ -134,7 +134,7 @@ class Settings(ctypes.Structure):
 
     _fields_ = (
         *((name, _COUNT) for name in ("method", "projects", "traces", "outputs", "budget", "room")),
-        *((name, _NUMBER) for name in ("duration", "step", "longest", "limit")),
+        *((name, _NUMBER) for name in ("duration", "step", "longest", "limit", "smooth")),
         ("scale", _POINTER),
     )  # fmt: skip
 

@@ -17,7 +17,7 @@ from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.model_parameters import MASSES, ground_numbers
 from tenscontrol.integrate.core_run import settings_of
 from tenscontrol.integrate.core_scene import CoreScene, numbers_of_grounds
-from tenscontrol.integrate.dop853 import have_changed, steps_of, work_of
+from tenscontrol.integrate.dop853 import STEP_RULES, have_changed, steps_of, work_of
 from tenscontrol.integrate.fixed_step import not_finite
 from tenscontrol.integrate.integrator import (
     IntegrationError,
@@ -271,7 +271,10 @@ class AdaptiveLanes(CoreLanes):
             step, longest = steps_of(slope, scale, frequency, duration, self._is_shortened)
             scale *= self._tolerance
         own = {"step": step, "longest": longest, "scale": scale, "slope": slope, "taut": taut}
-        settings = settings_of("dop853", duration, outputs, self._project, limit=self._limit)
+        settings = settings_of(
+            "dop853", duration, outputs, self._project, limit=self._limit,
+            smooth=STEP_RULES[self._is_shortened].smooth,
+        )  # fmt: skip
         reached, progress = calls.advance(settings, own, stop)
         reaches_end = (
             (progress["time"] >= duration)

@@ -46,10 +46,12 @@ def settings_of(
     limit: float = float("inf"),
     room: int = 0,
     traces: bool = False,
+    smooth: float = 0.0,
 ) -> records.Settings:
     """Return the settings of a span for the core."""
     return records.Settings(
-        _METHODS.index(method), project, traces, outputs, 0, room, duration, step, 0.0, limit, None,
+        _METHODS.index(method), project, traces, outputs, 0, room, duration, step, 0.0, limit,
+        smooth, None,
     )  # fmt: skip
 
 

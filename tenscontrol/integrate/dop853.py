@@ -64,14 +64,29 @@ _STABLE = 4.0
 # Where it limits the steps, this is what a tenth of the tolerance makes of them: its eighth root.
 _SHORTER = 0.75
 
-# Longest step over 1/ω and over the span, and the first over the usual; then of shortened steps.
-_STEP_RULES = {False: (_STABLE, 1.0, 1.0), True: (_SHORTER * _STABLE, 0.5, _SHORTER)}
+
+class StepRules(NamedTuple):
+    """The longest step over 1/ω and over the span, and the first over the usual.
+
+    And ``smooth``: steps end at a switch on their interpolant where that errs less than this part
+    of what they may err.
+    """
+
+    stable: float
+    whole: float
+    first: float
+    smooth: float
+
+
+#: By whether steps are shortened. What ends on an interpolant errs by chance: where stability
+#: limits the steps, a tenth of the tolerance alone makes no tenth of it.
+STEP_RULES = {
+    False: StepRules(_STABLE, 1.0, 1.0, 0.3),
+    True: StepRules(_SHORTER * _STABLE, 0.5, _SHORTER, 0.03),
+}
 
 # What ending late at a switch may change of velocities, as part of what a step may err.
 _LATE = 0.003
-
-# Steps end at a switch on their interpolant where it errs less than this part of what they may err.
-_SMOOTH = 0.3
 
 # The frequency is found again where an input has changed by more than this part of it.
 _CHANGED = 0.2
@@ -194,16 +209,16 @@ class DOP853(Integrator):
         room = room_for(self._equation.states) if self.keeps_steps or self.traces else 0
         return settings_of(
             "dop853", duration, outputs, self._project, limit=self.limit, room=room,
-            traces=self.traces,
+            traces=self.traces, smooth=STEP_RULES[self._is_shortened].smooth,
         )  # fmt: skip
 
     def _rules(self) -> Spans:
         """Return by what the core finds steps, and what they may err."""
-        stable, whole, first = _STEP_RULES[self._is_shortened]
+        rules = STEP_RULES[self._is_shortened]
         length, mass = length_and_mass(self._equation)
         return Spans(
             tolerance=self.tolerance, length=length, mass=mass, frequency=self._frequency,
-            first=first, whole=whole, stable=stable,
+            first=rules.first, whole=rules.whole, stable=rules.stable,
         )  # fmt: skip
 
     def _advance(self, span: _Given, now: _Motion, report: Report | None) -> Span:
@@ -303,7 +318,7 @@ class DOP853(Integrator):
             return _End(step.x1, step.h, step.taut)
         interpolant: FloatArray | None = None
         off = error * abs(np.polynomial.polynomial.polyval(cut.part, _interpolant_error()))
-        if off < _SMOOTH and not exact:
+        if off < STEP_RULES[self._is_shortened].smooth and not exact:
             ends = step.x, step.x1, step.slope, step.slope1
             interpolant = self._interpolant(*ends, K, step.u, step.taut, step.h)[0]
             now.interpolants += 1
@@ -393,11 +408,11 @@ def steps_of(
 
     The first moves the state by a hundredth of its scale.
     """
-    stable, whole, first = _STEP_RULES[is_shortened]
+    rules = STEP_RULES[is_shortened]
     speed = np.max(np.abs(slope) / scale, axis=-1, initial=0.0)
     return (
-        first * np.minimum(0.01 / np.fmax(speed, 1e-300), duration),
-        np.minimum(stable / np.maximum(frequency, 1e-300), whole * duration),
+        rules.first * np.minimum(0.01 / np.fmax(speed, 1e-300), duration),
+        np.minimum(rules.stable / np.maximum(frequency, 1e-300), rules.whole * duration),
     )
 
 

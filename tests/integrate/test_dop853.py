@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
+from tenscontrol.dynamics.equation import pack_state
 from tenscontrol.dynamics.evaluator import Evaluator
 from tenscontrol.integrate import CVODES, DOP853, RK4, EnergyMomentum, IntegrationError
 from tenscontrol.integrate.dop853 import _DormandPrince, _factors, _interpolant_error
@@ -45,6 +46,26 @@ def test_a_tighter_tolerance_takes_more_work():
         for tolerance in (1e-4, 1e-8, 1e-12)
     ]
     assert work[0] < work[1] < work[2]
+
+
+def test_shortened_steps_err_less_where_they_end_at_switches():
+    """What is off where steps end on interpolants is not told by a smaller tolerance alone."""
+    ball = tc.library.six_bar_ball(bar_length=1.0)
+    model = tc.Model(ball, strings=tc.LinearStrings(100.0))
+    spin = np.cross([3.0, 2.0, 6.0], (ball.nodes - ball.nodes.mean(axis=1, keepdims=True)).T).T
+    state, held = pack_state(ball, ball.nodes, spin), ball.string_length(ball.nodes)
+
+    def end(tolerance, is_shortened=False):
+        method = DOP853(model.equation("rest_length"), tolerance)
+        if is_shortened:
+            method.shorten()
+        span = method.advance(state, held, 1.0, 1)
+        assert span.work.switches == 100
+        return span.states[:72, -1]
+
+    exact = end(1e-12)
+    plain, shortened = (np.abs(end(1e-6, which) - exact).max() for which in (False, True))
+    assert shortened < 0.4 * plain
 
 
 def test_states_do_not_depend_on_how_many_are_asked_for():
