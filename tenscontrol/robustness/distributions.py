@@ -58,10 +58,6 @@ class Distribution(ABC):
         numbers = np.asarray(self._numbers(rng), dtype=float)
         return float(numbers) if self.size is None else numbers.tolist()
 
-    def _of_run(self, run: int, rng: np.random.Generator) -> Drawn:
-        """Return what a run gets, by its index."""
-        return self.draw(rng)
-
     def settings(self) -> dict[str, Any]:
         """Return the kind and its settings, as they stand in the file of a sweep.
 
@@ -204,8 +200,8 @@ class GivenValues(Distribution):
 
     values: Array = converted()
 
-    def _of_run(self, run: int, rng: np.random.Generator) -> Drawn:
-        """Return the value of the run, which no random number changes."""
+    def of_run(self, run: int) -> Drawn:
+        """Return what a run gets, by its index."""
         value: Drawn = self.values[run].tolist()
         return value
 
@@ -223,10 +219,13 @@ def one_number(name: str, value: object) -> float:
 
 def draw_run(parameters: Mapping[str, Distribution], seed: int, run: int) -> dict[str, Drawn]:
     """Return the parameters of a run, which hang on the seed and the index alone."""
-    return {
-        name: distribution._of_run(run, generator(seed, run, _PARAMETERS, *name.encode()))
-        for name, distribution in parameters.items()
-    }
+    drawn = {}
+    for name, distribution in parameters.items():
+        if isinstance(distribution, GivenValues):
+            drawn[name] = distribution.of_run(run)
+        else:
+            drawn[name] = distribution.draw(generator(seed, run, _PARAMETERS, *name.encode()))
+    return drawn
 
 
 def draw_rows(
