@@ -432,8 +432,9 @@ def _own_modes(A: FloatArray, space: FloatArray) -> tuple[np.ndarray, np.ndarray
 def pushed_one_way(plant: LinearPlant, low: FloatArray, high: FloatArray) -> float | None:
     """Return the real pole, 1/s, of a motion that does not decay and is pushed one way only.
 
-    Inputs at a bound go one way. No law holds the plant where a real left eigenvector w of a pole
-    s ≥ 0 has wᵀB u ≥ 0 for all of them: Brammer, SIAM J. Control 10 (1972), doi:10.1137/0310026.
+    Inputs at a bound go one way. No law holds the linear plant where a real left eigenvector w of
+    a pole s ≥ 0 has wᵀB u ≥ 0 for all of them: Brammer, SIAM J. Control 10 (1972),
+    doi:10.1137/0310026.
     The largest such pole; None where there is none.
     """
     from scipy import linalg

@@ -221,15 +221,15 @@ class MPC(PredictiveController):
             warn_of_held_lengths(plant, designed.problem.feedback, settings.sample_time)
 
     def _warn_of_one_way(self) -> None:
-        """Warn of a motion that no law within the bounds can hold."""
+        """Warn of a motion of the linear plant that no law within the bounds can hold."""
         pole = pushed_one_way(self.plant, *self.bounds)
         if pole is None:
             return
         motion = "drifts" if pole == 0 else f"grows by a factor e in {1 / pole:.2g} s"
         warn(
-            f"inputs at a bound push a motion that {motion} one way only, so no law can hold this "
-            "shape: tighten slack strings, drive strings that pull the other way, or choose "
-            "another shape",
+            f"inputs at a bound push a motion that {motion} one way only, so no law can hold the "
+            "linear plant in this shape: tighten slack strings, drive strings that pull the other "
+            "way, or choose another shape",
             ControlWarning,
         )
 
