@@ -119,7 +119,7 @@ def _of_columns(model: Model, kind: str) -> ca.Function:
         ca.SX.sym(name, len(members))
         for name, members in (("held", structure.strings), ("extension", structure.bars))
     )
-    nodes, velocities, displaced, moving, load = (ca.reshape(each, *shape) for each in columns)
+    nodes, velocities, displaced, moving, load = (ca.reshape(column, *shape) for column in columns)
     forces = model.forces(kind).on_nodes(nodes, velocities, held, load)
     density = kernel.bar_force_density(
         structure, nodes - displaced, velocities - moving, forces, extension=extension.T
