@@ -261,19 +261,13 @@ def _string_laws() -> Iterator[tuple[str, Any, dict[str, Any]]]:
 
 def _ground_laws() -> Iterator[tuple[str, Any, dict[str, Any]]]:
     """Yield the laws of contacts with symbols for their numbers, by name."""
-    for name, kind in (
-        ("linear", Ground), ("hertz", HertzGround), ("smooth", SmoothGround),
-        ("smooth_undamped", SmoothGround),
-    ):  # fmt: skip
+    for name, kind in (("linear", Ground), ("hertz", HertzGround), ("smooth", SmoothGround)):
         law = object.__new__(kind)
         fields = ["stiffness", "damping", "friction", "slip_speed", "height"]
         fields += ["width"] if kind is SmoothGround else []
         symbols = {field: _symbol(field) for field in fields}
         for field, symbol in symbols.items():
             object.__setattr__(law, field, symbol)
-        if name == "smooth_undamped":  # the factor of damping is rounded, unless there is none
-            del symbols["damping"]
-            object.__setattr__(law, "damping", 0.0)
         yield name, law, symbols
 
 

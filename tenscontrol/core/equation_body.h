@@ -122,10 +122,6 @@ static void N(touch)(const Scene *s, int plane, const Number *p, const Number *v
       N(hertz_ground)(p + at, v + at, taut[i], k, c, friction, slip, height, normal, force);
       break;
     default:
-      if (!g->damped) {
-        N(smooth_undamped_ground)(p + at, v + at, k, friction, slip, height, width, normal, force);
-        break;
-      }
       N(smooth_ground)(p + at, v + at, k, c, friction, slip, height, width, normal, force);
     }
     for (int j = 0; j < D; ++j) f[at + j] += force[j];

@@ -356,7 +356,7 @@ static inline void smooth_ground_2(const Number *x, const Number *v, const Numbe
   const Number t35 = t33 + 0.010000000000000002;
   const Number t36 = root(t35);
   const Number t37 = t32 + t36;
-  const Number t39 = t37 / 2.0;
+  const Number t39 = t37 / 2.004987562112089;
   const Number t40 = t23 * t39;
   const Number t41 = normal[0] * t40;
   const Number t42 = normal[0] * v[0];
@@ -381,47 +381,6 @@ static inline void smooth_ground_2(const Number *x, const Number *v, const Numbe
   const Number t63 = t51 * t58;
   const Number t64 = t62 - t63;
   force[1] = t64;
-}
-
-static inline void smooth_undamped_ground_2(const Number *x, const Number *v, const Number stiffness, const Number friction, const Number slip_speed, const Number height, const Number width, const Number *normal, Number *force) {
-  const Number t4 = normal[0] * x[0];
-  const Number t7 = normal[1] * x[1];
-  const Number t8 = t4 + t7;
-  const Number t9 = height - t8;
-  const Number t11 = t9 + width;
-  const Number t13 = larger(t11, all(0.0));
-  const Number t14 = 2 * width;
-  const Number t15 = smaller(t13, t14);
-  const Number t16 = t15 * t15;
-  const Number t18 = 4.0 * width;
-  const Number t19 = t16 / t18;
-  const Number t20 = t9 - width;
-  const Number t21 = larger(t20, all(0.0));
-  const Number t22 = t19 + t21;
-  const Number t23 = stiffness * t22;
-  const Number t24 = normal[0] * t23;
-  const Number t26 = normal[0] * v[0];
-  const Number t28 = normal[1] * v[1];
-  const Number t29 = t26 + t28;
-  const Number t30 = normal[0] * t29;
-  const Number t31 = v[0] - t30;
-  const Number t33 = friction * t23;
-  const Number t34 = t31 * t31;
-  const Number t35 = normal[1] * t29;
-  const Number t36 = v[1] - t35;
-  const Number t37 = t36 * t36;
-  const Number t38 = t34 + t37;
-  const Number t40 = slip_speed * slip_speed;
-  const Number t41 = t38 + t40;
-  const Number t42 = root(t41);
-  const Number t43 = t33 / t42;
-  const Number t44 = t31 * t43;
-  const Number t45 = t24 - t44;
-  force[0] = t45;
-  const Number t47 = normal[1] * t23;
-  const Number t48 = t36 * t43;
-  const Number t49 = t47 - t48;
-  force[1] = t49;
 }
 
 enum { FREE_BAR_3_CONSTANTS = 4 };
@@ -881,7 +840,7 @@ static inline void smooth_ground_3(const Number *x, const Number *v, const Numbe
   const Number t42 = t40 + 0.010000000000000002;
   const Number t43 = root(t42);
   const Number t44 = t39 + t43;
-  const Number t46 = t44 / 2.0;
+  const Number t46 = t44 / 2.004987562112089;
   const Number t47 = t27 * t46;
   const Number t48 = normal[0] * t47;
   const Number t49 = normal[0] * v[0];
@@ -916,59 +875,6 @@ static inline void smooth_ground_3(const Number *x, const Number *v, const Numbe
   const Number t80 = t64 * t71;
   const Number t81 = t79 - t80;
   force[2] = t81;
-}
-
-static inline void smooth_undamped_ground_3(const Number *x, const Number *v, const Number stiffness, const Number friction, const Number slip_speed, const Number height, const Number width, const Number *normal, Number *force) {
-  const Number t4 = normal[0] * x[0];
-  const Number t7 = normal[1] * x[1];
-  const Number t8 = t4 + t7;
-  const Number t11 = normal[2] * x[2];
-  const Number t12 = t8 + t11;
-  const Number t13 = height - t12;
-  const Number t15 = t13 + width;
-  const Number t17 = larger(t15, all(0.0));
-  const Number t18 = 2 * width;
-  const Number t19 = smaller(t17, t18);
-  const Number t20 = t19 * t19;
-  const Number t22 = 4.0 * width;
-  const Number t23 = t20 / t22;
-  const Number t24 = t13 - width;
-  const Number t25 = larger(t24, all(0.0));
-  const Number t26 = t23 + t25;
-  const Number t27 = stiffness * t26;
-  const Number t28 = normal[0] * t27;
-  const Number t30 = normal[0] * v[0];
-  const Number t32 = normal[1] * v[1];
-  const Number t33 = t30 + t32;
-  const Number t35 = normal[2] * v[2];
-  const Number t36 = t33 + t35;
-  const Number t37 = normal[0] * t36;
-  const Number t38 = v[0] - t37;
-  const Number t40 = friction * t27;
-  const Number t41 = t38 * t38;
-  const Number t42 = normal[1] * t36;
-  const Number t43 = v[1] - t42;
-  const Number t44 = t43 * t43;
-  const Number t45 = t41 + t44;
-  const Number t46 = normal[2] * t36;
-  const Number t47 = v[2] - t46;
-  const Number t48 = t47 * t47;
-  const Number t49 = t45 + t48;
-  const Number t51 = slip_speed * slip_speed;
-  const Number t52 = t49 + t51;
-  const Number t53 = root(t52);
-  const Number t54 = t40 / t53;
-  const Number t55 = t38 * t54;
-  const Number t56 = t28 - t55;
-  force[0] = t56;
-  const Number t58 = normal[1] * t27;
-  const Number t59 = t43 * t54;
-  const Number t60 = t58 - t59;
-  force[1] = t60;
-  const Number t62 = normal[2] * t27;
-  const Number t63 = t47 * t54;
-  const Number t64 = t62 - t63;
-  force[2] = t64;
 }
 
 static inline void bar_energy(const Number start, const Number end, const Number mass, Number *energy) {

@@ -74,12 +74,6 @@ static void N(touched)(const Ground *g, const Number *own, const Number *x, cons
     N(linear_ground_slopes)(x, v, k, c, friction, slip, height, pressing, normal, force, by);
   } else if (g->kind == HERTZ_GROUND) {
     N(hertz_ground_slopes)(x, v, k, c, friction, slip, height, pressing, normal, force, by);
-  } else if (lane(&c, 0) == 0) { /* the law leaves damping out; what a little does, the other tells */
-    Number slopes[D * N(TOUCH)];
-    N(smooth_ground_slopes)(x, v, k, c, friction, slip, height, width, normal, force, by);
-    N(smooth_undamped_ground_slopes)(x, v, k, friction, slip, height, width, normal, force, slopes);
-    memcpy(by, slopes, D * (2 * D + 1) * sizeof *by);
-    memcpy(by + D * (2 * D + 2), slopes + D * (2 * D + 1), D * 4 * sizeof *by);
   } else {
     N(smooth_ground_slopes)(x, v, k, c, friction, slip, height, width, normal, force, by);
   }

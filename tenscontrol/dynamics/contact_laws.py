@@ -13,6 +13,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from itertools import pairwise
+from math import sqrt
 from typing import TYPE_CHECKING, Any, final
 
 import casadi as ca
@@ -375,7 +376,8 @@ class SmoothGround(ContactLaw):
     """Smooth ground, for predictions: the force of :class:`Ground`, rounded near the surface.
 
     From ``width`` above the surface to as far below, the depth p is replaced by (p + w)²/4w, and
-    the factor 1 + d ṗ by one that stays positive. So no switch is to be located, and the force has
+    the factor f = 1 + d ṗ by ``(f + √(f² + ε²))/(1 + √(1 + ε²))`` with ε = 0.1, which stays positive,
+    and is 1 where f is. So no switch is to be located, and the force has
     continuous derivatives, as optimizers need.
 
     Parameters
@@ -407,7 +409,7 @@ class SmoothGround(ContactLaw):
         rounded = near**2 / (4 * self.width) + ca.fmax(depth - self.width, 0)
         factor = _factor(self, rate)
         if self.damping:
-            factor = (factor + ca.sqrt(factor**2 + _ROUNDED**2)) / 2
+            factor = (factor + ca.sqrt(factor**2 + _ROUNDED**2)) / (1 + sqrt(1 + _ROUNDED**2))
         return self.stiffness * rounded * factor
 
     def gap(self, depth: Any, rate: Any) -> None:
