@@ -322,8 +322,10 @@ static void reach_stages(Sweep *sweep, int first, int count) {
     if (lanes->dimension == 2) differentiated_2(lanes, &sweep->at, &input, sweep->taut, &there, sweep->x);
     else differentiated_3(lanes, &sweep->at, &input, sweep->taut, &there, sweep->x);
     from_all(lanes, now->a, to);
-    for (int step = 0; step < count; ++step)
-      take_row(sweep->x, step, (int)size, sweep->points, (size_t)step * stages + i);
+    for (size_t part = 0; part < size; part += 8) /* so that a line of memory is read once */
+      for (int step = 0; step < count; ++step)
+        take_row(sweep->x + part, step, size - part < 8 ? (int)(size - part) : 8,
+                 sweep->points + ((size_t)step * stages + i) * size + part, 0);
   }
 }
 

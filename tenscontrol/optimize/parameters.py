@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import prod
 
 import numpy as np
 
@@ -54,7 +55,7 @@ class Parameter:
     @property
     def size(self) -> int:
         """Number of entries."""
-        return int(np.prod(self.shape))
+        return prod(self.shape)
 
 
 def parameters_of(scene: Scene, to: object) -> tuple[Parameter, ...]:
