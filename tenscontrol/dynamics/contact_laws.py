@@ -375,10 +375,10 @@ class HertzGround(ContactLaw):
 class SmoothGround(ContactLaw):
     """Smooth ground, for predictions: the force of :class:`Ground`, rounded near the surface.
 
-    From ``width`` above the surface to as far below, the depth p is replaced by (p + w)²/4w, and
-    the factor f = 1 + d ṗ by ``(f + √(f² + ε²))/(1 + √(1 + ε²))`` with ε = 0.1, which stays positive,
-    and is 1 where f is. So no switch is to be located, and the force has
-    continuous derivatives, as optimizers need.
+    From ``width`` above the surface to as far below, the depth p is replaced by (p + w)²/4w. The
+    factor f = 1 + d ṗ is replaced by ``(f + √(f² + ε²))/(1 + √(1 + ε²))`` with ε = 0.1: it stays
+    positive, and is 1 at rest. So no switch is to be located, and the force has continuous
+    derivatives, as optimizers need.
 
     Parameters
     ----------
