@@ -21,6 +21,7 @@ from tenscontrol.optimize.variations import IMPLICIT, Variations, columns_of, st
 from tenscontrol.simulation.actuators import Actuators
 from tenscontrol.simulation.plant_run import PlantRun
 from tenscontrol.simulation.scene import Scene, trace
+from tenscontrol.simulation.traced_run import TracedRun
 
 # Memory of the steps of a part, bytes, and how often each number of a step is there at most.
 _MOST_BYTES, _COPIES = 2**28, 4
@@ -55,7 +56,9 @@ class RunVariations:
     ) -> None:  # fmt: skip
         self.parameters, self.times = parameters, times
         self._scene, self._feedback = scene, feedback
-        self._run = run = scene.traced_run()
+        run = scene.plant_run(traces=True)
+        assert isinstance(run, TracedRun)  # as it was asked for
+        self._run = run
         self.derivatives = Derivatives(
             scene.model, scene.input, run.degree, parameters, feedback, scene.supports is not None
         )

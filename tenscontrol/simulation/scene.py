@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from copy import copy
 from dataclasses import KW_ONLY, dataclass, field, replace
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -53,8 +53,6 @@ if TYPE_CHECKING:
     from tenscontrol.estimation.sensors import Sensors
     from tenscontrol.plant.linear_plant import LinearPlant
     from tenscontrol.simulation.closed_loop import ClosedLoop
-
-_Run = TypeVar("_Run", bound=PlantRun)
 
 # States kept of an adaptive run, unless the user says otherwise, and numbers in them at most.
 _OUTPUTS, _NUMBERS = 1000, 50_000_000
@@ -676,21 +674,21 @@ class Scene:
         object.__setattr__(scene, "integration", integration)
         return scene
 
-    def plant_run(self, report: Callable[[float], None] | None = None) -> PlantRun:
+    def plant_run(
+        self, report: Callable[[float], None] | None = None, traces: bool = False
+    ) -> PlantRun:
         """Return the plant side of a run, at its start.
 
         Parameters
         ----------
         report : callable, optional
             It is told the time reached, s.
+        traces : bool
+            Whether all steps are kept; see :attr:`Integrator.traces`.
         """
-        return self._run_of(PlantRun, report)
-
-    def _run_of(
-        self, kind: type[_Run], report: Callable[[float], None] | None = None, **options: Any
-    ) -> _Run:
         output_step = self._output_step
         is_few = self.duration < _FEW_OUTPUTS * output_step
+        kind = TracedRun if traces else PlantRun
         return kind(
             self.model,
             self.input,
@@ -710,12 +708,7 @@ class Scene:
             keeps_steps=is_few
             and self.law is None
             and self.integration.limits.crossings is not None,
-            **options,
         )
-
-    def traced_run(self) -> TracedRun:
-        """Return the same of a run of which all steps are kept."""
-        return self._run_of(TracedRun)
 
     @property
     def _output_step(self) -> float:
