@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
+from copy import copy
 from dataclasses import fields
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -510,7 +511,7 @@ class Model:
         return of(form, lambda: build(form))
 
     def sharing(self, other: Model, names: Sequence[str]) -> Model:
-        """Return this model, which takes its equations from another, entering its own parameters.
+        """Return the same model, but taking its equations from another, with its own parameters.
 
         Parameters
         ----------
@@ -521,9 +522,10 @@ class Model:
         """
         law = () if self._strings is None else (field.name for field in fields(self._strings))
         known = {*law, *(() if self._structure.blocks else ("bar_mass", "point_mass"))}
-        if names and known.issuperset(names):
-            self._shared = other, tuple(names)
-        return self
+        same = copy(self)
+        shared = (other, tuple(names)) if names and known.issuperset(names) else None
+        vars(same).update(_prepared=Prepared(), _shared=shared)
+        return same
 
     def shared_function(
         self, key: Hashable, equation: Equation, build: Callable[[Equation], ca.Function]

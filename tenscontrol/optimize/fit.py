@@ -35,8 +35,10 @@ _MOST, _DAMPING, _LESS, _MORE, _MOST_DAMPING = 12, 1e-3, 0.2, 6.0, 1e8
 # Longest step of an unknown, in standard deviations of its prior: slopes do not hold far away.
 _LONGEST = 2.0
 
-# What the prior still says of an unknown at most, of one that data tells.
-_TOLD = 0.01
+# Data does not tell directions with a singular value below the first. Of an unknown that it tells,
+# the second is at most the part in these, and the third what is left of the variance of its prior.
+# Limits that let fewer through take what noise made look certain, and leave the rest.
+_BLIND, _TOLD, _LEFT = 0.1, 0.01, 0.5
 
 # Residuals beyond count in proportion, with Huber's loss.
 _HUBER = 1.345
@@ -59,7 +61,8 @@ class Identifiability:
     directions : ndarray, shape (unknowns, unknowns)
         One row each, of length 1, in parts of the unknowns.
     is_told : ndarray of bool, shape (unknowns,)
-        Whether what is left of the prior of an unknown is below 1 % of its variance.
+        Whether less than half of the variance of an unknown before is left, and below 1 % of it are
+        in directions that data does not tell.
     """
 
     labels: tuple[str, ...]
@@ -69,8 +72,8 @@ class Identifiability:
 
     @property
     def untold(self) -> FloatArray:
-        """Directions that data does not tell, one row each."""
-        return self.directions[self.singular < 1]
+        """Directions of which data tells next to nothing, one row each: singular below 0.1."""
+        return self.directions[self.singular < _BLIND]
 
     @property
     def deviation(self) -> FloatArray:
@@ -80,18 +83,17 @@ class Identifiability:
 
     def table(self) -> str:
         """Return as text which unknowns are told, and the directions that are not."""
-        left = (self.untold**2).sum(axis=0)
         rows = [
             [label, "yes" if is_told else "no", f"{share:.2g}"]
-            for label, is_told, share in zip(self.labels, self.is_told, left, strict=True)
+            for label, is_told, share in zip(self.labels, self.is_told, self.deviation, strict=True)
         ]
-        lines = [aligned(["unknown", "told", "left to the prior"], rows)]
-        for size, direction in zip(self.singular[self.singular < 1], self.untold, strict=True):
+        lines = [aligned(["unknown", "told", "left of the deviation"], rows)]
+        for size, direction in zip(self.singular[self.singular < _BLIND], self.untold, strict=True):
             lines.append(f"not told ({size:.2g}): {_described(self.labels, direction)}")
         return "\n".join(lines)
 
     def __repr__(self) -> str:
-        untold = int((self.singular < 1).sum())
+        untold = len(self.untold)
         return f"Identifiability({len(self.labels)} unknowns, {untold} directions not told)"
 
 
@@ -503,9 +505,11 @@ def identifiability_of(rollouts: Rollouts, slope: FloatArray) -> Identifiability
     _, triangle = np.linalg.qr(slope * rollouts.deviations, mode="reduced")
     _, singular, directions = np.linalg.svd(triangle)
     singular = np.concatenate([singular, np.zeros(rollouts.size - len(singular))])
-    left = (directions[singular < 1] ** 2).sum(axis=0)
+    blind = (directions[singular < _BLIND] ** 2).sum(axis=0)
+    left = directions.T**2 @ (1 / (1 + singular**2))
+    is_told = (blind < _TOLD) & (left < _LEFT)
     return Identifiability(
-        tuple(rollouts.labels), frozen(singular), frozen(directions), frozen(left < _TOLD)
+        tuple(rollouts.labels), frozen(singular), frozen(directions), frozen(is_told)
     )
 
 

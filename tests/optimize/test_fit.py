@@ -2,11 +2,13 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import tenscontrol as tc
+from tenscontrol.optimize.fit import identifiability_of
 from tests.benchmarks.identification import prism_case
 
 PRISM = tc.prism()
@@ -200,3 +202,14 @@ def test_windows_of_a_log_are_logs_with_their_own_start():
     assert len(lost.windows(0.2, run)) == 2
     with pytest.raises(ValueError, match=r"run is of .* up to 0\.1 s, expected"):
         log.windows(0.2, tc.simulate(model, 0.1, rest_length=wound, step=2e-3, error="none"))
+
+
+def test_what_leaves_half_of_the_variance_is_not_told_nor_what_no_reading_shows():
+    """Singular values 10, 1.2, 0.8, and a sum of the last two unknowns that nothing tells."""
+    slope = np.zeros((5, 5))
+    slope[[0, 1, 2], [0, 1, 2]] = 10.0, 1.2, 0.8
+    slope[3, 3:] = 10.0, -10.0
+    rollouts = SimpleNamespace(deviations=np.ones(5), labels=list("abcde"), size=5)
+    said = identifiability_of(rollouts, slope)
+    assert said.is_told.tolist() == [True, True, False, False, False]
+    np.testing.assert_allclose(np.abs(said.untold), [[0, 0, 0, 0.5**0.5, 0.5**0.5]], atol=1e-12)
