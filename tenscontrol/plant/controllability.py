@@ -437,15 +437,15 @@ def pushed_one_way(plant: LinearPlant, low: FloatArray, high: FloatArray) -> flo
     doi:10.1137/0310026.
     The largest such pole; None where there is none.
     """
-    from scipy import linalg
-    from scipy.optimize import linprog
-
     u = plant.equilibrium_input
     near = AT_BOUND * np.abs(u).max(initial=0.0)
     rises, falls = high - u > near, u - low > near
     B = normalized_input(plant)
     if (rises == falls).all() or B.shape[1] != len(u):
         return None
+    from scipy import linalg
+    from scipy.optimize import linprog
+
     unit, _ = state_units(plant)
     A = plant.A * unit / unit[:, None] * unit[0]
     both, one_way = B[:, rises & falls], (B * np.where(rises, 1, -1))[:, rises != falls]
