@@ -221,12 +221,14 @@ class Scene:
 
     def _check_bars(self) -> None:
         """Refuse driven bars under a controller that takes them for rigid, or commands them."""
-        if self.drives_bars and self.controller is not None and not self._commands_bars:
+        if self.controller is None or self.bar_length is None:
+            return
+        if not self._commands_bars:
             raise ValueError(
                 "bar_length does not go with controller, which takes bars of constant length: "
                 "leave one of the two out"
             )
-        if self._commands_bars and changes_in_time(self.bar_length):
+        if changes_in_time(self.bar_length):
             raise ValueError(
                 "bar_length changes in time, but the controller commands it: expected the lengths "
                 "at the start, m, one per bar"
