@@ -22,77 +22,61 @@ enum { PATH = 3 };
 static const double LAGRANGE[PATH][PATH] = {{1, -3, 2}, {0, 4, -4}, {0, -1, 2}};
 
 SHARED size_t carry_size(const Scene *s) {
-  return 3 * PATH * (size_t)s->switches + 5 * (size_t)s->free;
+  return 3 * PATH * (size_t)s->switches + 6 * (size_t)s->free;
 }
 
-/* Whether a gap with this room at the samples may pass its border: a parabola leaves
-   the polygon of its values by less than their second difference. */
-static int may_pass(const double *room) {
-  double least = room[0];
-  for (int j = 1; j < PATH; ++j) least = room[j] < least ? room[j] : least;
-  return least < fabs(room[0] - 2 * room[1] + room[2]);
-}
-
-/* Adds the integrals of the Lagrange polynomials, and of them times 1 - t, from 0 to t. */
-static void add_integrals(double sign, double t, double *plain, double *falling) {
+/* Adds what the Lagrange polynomials, and they times 1 - t, have as integrals from 0 to t. */
+static void add_integrals(Number sign, Number t, Number *plain, Number *falling) {
   for (int j = 0; j < PATH; ++j) {
-    double power = t;
+    Number power = sign * t;
     for (int k = 0; k < PATH; ++k, power *= t) {
-      const double term = sign * LAGRANGE[j][k] * power;
-      plain[j] += term / (k + 1);
-      falling[j] += term * (1. / (k + 1) - t / (k + 2));
+      const Number term = LAGRANGE[j][k] * power;
+      plain[j] += term * (1. / (k + 1));
+      falling[j] += term * (1. / (k + 1) - t * (1. / (k + 2)));
     }
   }
 }
 
-/* The times within a step at which a room passes zero, in order; returns how many there are. */
-static int zeros_of(const double *room, double *times) {
-  double c[PATH] = {0}, root[2], half, square, large;
-  int count = 0;
+/* What a string counts at the samples, by its room there, and how often it switches: 0 where its gap
+   does not pass its border, as a parabola leaves the polygon of its values by less than their second
+   difference. */
+static Number weigh(const Number *room, Truth meant, Number *plain, Number *falling) {
+  const Number bend = positive(room[0] - 2 * room[1] + room[2]);
+  const Truth passes = meant & (smaller(smaller(room[0], room[1]), room[2]) < bend);
+  const Truth is_out = room[0] < 0, ends_out = passes & (room[PATH - 1] < 0);
+  const Number sign = choice(is_out, all(1), all(-1));
+  Number c[PATH] = {all(0), all(0), all(0)}, half, square, large, one, other, time[PATH], count;
+  Truth has_one, has_other, is_odd, is_late;
+  if (!any(passes)) return all(0);
   for (int j = 0; j < PATH; ++j)
     for (int k = 0; k < PATH; ++k) c[k] += room[j] * LAGRANGE[j][k];
+  /* The zeros within the step, in order. */
   half = -c[1] / 2;
   square = half * half - c[2] * c[0];
-  if (!(square > 0)) return 0;
-  large = half + (half < 0 ? -sqrt(square) : sqrt(square));
-  root[0] = c[0] / large;
-  root[1] = large / c[2];
-  if (root[1] < root[0]) {
-    const double first = root[1];
-    root[1] = root[0];
-    root[0] = first;
-  }
-  for (int i = 0; i < 2; ++i)
-    if (root[i] > 0 && root[i] < 1) times[count++] = root[i];
-  return count;
-}
-
-/* What a string counts at the samples, by its room there; returns how often it switches. */
-static int weights_of(const double *room, double *plain, double *falling) {
-  double times[3];
-  int is_out = room[0] < 0, count = zeros_of(room, times);
+  large = root(larger(square, all(0)));
+  large = half + choice(half < 0, -large, large);
+  one = c[0] / large;
+  other = large / c[2];
+  time[0] = smaller(one, other);
+  time[1] = larger(one, other);
+  has_one = passes & (square > 0) & (time[0] > 0) & (time[0] < 1);
+  has_other = passes & (square > 0) & (time[1] > 0) & (time[1] < 1);
+  count = truth(has_one) + truth(has_other);
+  time[0] = choice(has_one, time[0], only(has_other, time[1]));
+  time[1] = only(has_one & has_other, time[1]);
+  time[2] = all(0);
   /* At the end the string is as its gap says, whatever round-off makes of a zero there. */
-  if ((is_out + count) % 2 != (room[PATH - 1] < 0)) {
-    if (count && times[count - 1] > 0.5) --count;
-    else times[count++] = 1;
+  is_odd = passes & ((count == 1) ^ is_out ^ ends_out);
+  is_late = is_odd & (count > 0) & (choice(count > 1, time[1], time[0]) > 0.5);
+  for (int i = 0; i < PATH; ++i) {
+    const Truth is_next = is_odd & (count == i), is_last = is_late & (count == i + 1);
+    time[i] = choice(is_next & (is_late == 0), all(1), only(is_last == 0, time[i]));
   }
-  for (int i = 0; i < count; ++i, is_out = !is_out)
-    add_integrals(is_out ? 1 : -1, times[i], plain, falling);
-  if (is_out) add_integrals(1, 1, plain, falling);
-  return count;
-}
-
-/* Weights of a string at the samples, in one lane; how often it switches. */
-static int weigh(const Number *rooms, int m, int i, double taut, int k, Number *weights) {
-  double room[PATH], plain[PATH] = {0}, falling[PATH] = {0};
-  int count;
-  for (int j = 0; j < PATH; ++j) room[j] = lane(rooms + PATH * i + j, k);
-  if (!may_pass(room)) return 0;
-  count = weights_of(room, plain, falling);
-  for (int j = 0; j < PATH && count; ++j) {
-    put((1 - 2 * taut) * plain[j], weights + 2 * j * m + i, k);
-    put((1 - 2 * taut) * falling[j], weights + (2 * j + 1) * m + i, k);
-  }
+  count += only(is_odd, choice(is_late, all(-1), all(1)));
+  for (int j = 0; j < PATH; ++j) plain[j] = falling[j] = all(0);
+  for (int i = 0; i < PATH; ++i)
+    add_integrals(i % 2 ? -sign : sign, time[i], plain, falling);
+  add_integrals(truth(ends_out), all(1), plain, falling);
   return count;
 }
 
@@ -119,21 +103,25 @@ SHARED Number carry(Span *span, Truth meant, const Tried *step, Number *x, Numbe
     rooms[PATH * i + 2] = sign * span->gap1[i] + band;
   }
   memset(weights, 0, 2 * PATH * m * sizeof *weights);
-  for (int k = 0; k < WIDTH; ++k) {
-    int count = 0;
-    for (int i = 0; i < m && is_in(meant, k); ++i)
-      if (lane(span->marked + i, k) != 0)
-      count += weigh(rooms, m, i, lane(step->taut + i, k), k, weights);
-    put(count, &switches, k);
+  for (int i = 0; i < m; ++i) {
+    Number plain[PATH], falling[PATH], count;
+    const Number sign = 1 - 2 * step->taut[i];
+    if (!any(span->marked[i] != 0)) continue;
+    count = weigh(rooms + PATH * i, meant & (span->marked[i] != 0), plain, falling);
+    switches += count;
+    for (int j = 0; j < PATH && any(count > 0); ++j) {
+      weights[2 * j * m + i] = only(count > 0, sign * plain[j]);
+      weights[(2 * j + 1) * m + i] = only(count > 0, sign * falling[j]);
+    }
   }
   memset(dx, 0, 2 * half * sizeof *dx);
   for (int j = 0; j < PATH; ++j) {
     const Input input = input_at(span, step->time + j / (PATH - 1.) * h);
-    const Number *at = j == 0 ? step->x : j == 1 ? y : step->x1;
-    for (int k = 0; k < 2; ++k) {
-      Number *to = dx + (k ? 0 : half);
-      weighed_accelerations(span->scene, at, &input, weights + (2 * j + k) * m, a, span->work);
-      for (int i = 0; i < half; ++i) to[i] += (k ? h * h : h) * a[i];
+    const Number *at = j == 0 ? step->x : j == 1 ? y : step->x1, *plain = weights + 2 * j * m;
+    weighed_accelerations(span->scene, at, &input, plain, plain + m, a, a + half, span->work);
+    for (int i = 0; i < half; ++i) {
+      dx[half + i] += h * a[i];
+      dx[i] += h * h * a[half + i];
     }
   }
   for (int i = 0; i < 2 * half; ++i) dx[i] += x[i];

@@ -167,7 +167,8 @@ typedef struct {
   int64_t tries, rejections, landings, approaches, switches, interpolants, missed,
       carries, carried, short_tries;
   int32_t kept, every, since; /* ends of steps: how many, every which of them, since the last */
-  int32_t is_short; /* whether the next step by dop853 is of order 5 */
+  int32_t short_left; /* by dop853: how many steps of order 5 are to follow */
+  double carry_rate;  /* 1/s: of the longest step whose switches could be carried last, if known */
 } Progress;
 
 /* How a motion is integrated. */

@@ -1,8 +1,8 @@
 /* Adaptive steps of order 8 by Dormand and Prince, which end at switches: of one run, and of those in
    lanes, each with its own time and step.
 
-   Where many strings switch in a step they are carried, with an error of order 4. The next step is then
-   one of order 5, in half the evaluations, until a step ends without switches or at one.
+   Switches in a step are carried, with an error of order 4, where that takes less than a landing on each.
+   The next steps are then of order 5, in half the evaluations, until some have ended otherwise.
 
    E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, 2nd ed., II.5
    (coefficients, error estimates) and II.6 (interpolant). */
@@ -34,13 +34,22 @@ static const double LATE_IMPULSE = 0.003;
 static const double OF_POSITIONS = 1. / 12, OF_VELOCITIES = 1. / 3;
 enum { CARRY_ORDER = 4 };
 
+/* So many steps of order 5 follow one whose switches are carried. */
+enum { SHORT_FOLLOWING = 2 };
+
+/* Under a tolerance above this one few switches are carried, too, where the longest step that can has so
+   many. How long that is changes along a motion: after each landing it is taken to be longer by a
+   little. Under a smaller one what a string does that goes taut and slack within a step is to be seen. */
+static const double LOOSE = 1e-4, WORTH_CARRYING = 1.4, FORGETTING = 0.995;
+
 /* How far a motion is, what it has counted, and the step that it tries: numbers alone, so that runs
    can go from lane to lane. */
 typedef struct {
   Number time, step, longest;  /* s: the step to try next, and the longest */
   Number stuck, stalls, done;  /* whether it can go on, switches in a row, outputs that are reached */
   Number tries, rejections, landings, approaches, switches, interpolants, carries, carried;
-  Number short_tries, is_short; /* tries and approaches of order 5, whether the next is one */
+  Number short_tries, short_left; /* tries and approaches of order 5, and how many are to follow */
+  Number carry_rate; /* 1/s: of the longest step whose switches could be carried last, if known */
   Number h, error, factor;     /* length and error of the step, and how much longer the next is */
   Number crossed, taken;       /* how many strings may switch in it; what of it is taken, s */
   Number is_inside, is_carried; /* ends on its interpolant; its switches are carried */
@@ -236,7 +245,7 @@ static void place_inside(void *by, Number part, Number *x1) {
 /* A step of the order that is due. */
 static void step_by_order(Dop853 *m, Number h, Number *x1) {
   const int n = m->span->states;
-  const Truth is_short = m->now->is_short != 0;
+  const Truth is_short = m->now->short_left > 0;
   if (any(is_short == 0)) step_of(m, h, x1);
   if (!any(is_short)) return;
   short_step_of(m, h, m->short_end);
@@ -277,7 +286,7 @@ static Truth try_step(Dop853 *m) {
   const double duration = m->settings->duration;
   Adaptive *now = m->now;
   const Number h = smaller(smaller(now->step, now->longest), duration - now->time);
-  const Truth is_short = now->is_short != 0;
+  const Truth is_short = now->short_left > 0;
   Number *slope1 = m->K + STAGES * n;
   Truth good, bad;
   m->pulls = m->taut;
@@ -348,7 +357,7 @@ static void write_passed(Dop853 *m, Truth meant, Number after) {
     write_outputs_until(m, inside, until, 0);
   }
   if (any(others)) {
-    const Truth on_short = others & (now->is_short != 0), on_long = others & (on_short == 0);
+    const Truth on_short = others & (now->short_left > 0), on_long = others & (on_short == 0);
     Number *slope1 = m->K + STAGES * m->span->states;
     m->pulls = m->started;
     if (any(others & (now->crossed > 0)))
@@ -382,7 +391,8 @@ static void end_steps(Dop853 *m, Truth meant) {
   now->step = choice(meant, now->h * choice(landed, smaller(now->factor, all(1)), now->factor),
                      now->step);
   now->landings += truth(crossed);
-  now->is_short = choice(meant, now->is_carried, now->is_short);
+  now->short_left = choice(meant, choice(carried, all(SHORT_FOLLOWING),
+                                         larger(now->short_left - 1, all(0))), now->short_left);
   if (any(landed)) {
     const Number stalls = only(now->taken < SHORTEST * duration, now->stalls + 1);
     now->stalls = choice(landed, stalls, now->stalls);
@@ -402,13 +412,21 @@ static void end_steps(Dop853 *m, Truth meant) {
   }
 }
 
-/* Adds to the ends of steps what many switches change. Returns which steps are thrown away: where
+/* Where steps that carry their switches, as long as they may be, take less than landings on them. */
+static Truth is_worth_carrying(const Dop853 *m) {
+  const Adaptive *now = m->now;
+  const Number often = (now->switches + now->crossed) / (now->time + now->h);
+  const Number longest = smaller(1 / now->carry_rate, now->longest);
+  return (m->scale[0] > LOOSE * m->span->scene->size) & (often * longest > WORTH_CARRYING);
+}
+
+/* Adds to the ends of steps what their switches change. Returns which steps are thrown away: where
    shorter ones take less than a landing on each switch. */
 static Truth carry_switches(Dop853 *m, Truth meant) {
   const int n = m->span->states, switches = m->span->switches;
   Adaptive *now = m->now;
   const Tried step = tried_step(m);
-  Number count, off, factor;
+  Number count, off, factor, rate;
   Truth good, thrown;
   memcpy(m->end, m->x1, n * sizeof *m->end);
   memcpy(m->pulling, m->taut, switches * sizeof *m->taut);
@@ -416,7 +434,10 @@ static Truth carry_switches(Dop853 *m, Truth meant) {
   off = carry_error(m->defect, m->scale, now->h, n);
   factor = factor_of(off, CARRY_ORDER);
   good = meant & (off < 1);
-  thrown = meant & (good == 0) & (2 < now->crossed * factor);
+  rate = 1 / (now->h * factor);
+  rate = choice(now->carry_rate > 0, root(now->carry_rate * rate), rate);
+  now->carry_rate = choice(meant, rate, now->carry_rate);
+  thrown = meant & (good == 0) & ((2 < now->crossed * factor) | is_worth_carrying(m));
   now->carries += truth(meant);
   now->step = choice(thrown, now->h * smaller(factor, all(SAFETY)), now->step);
   now->rejections += truth(thrown);
@@ -454,7 +475,7 @@ static void land_on_first(Dop853 *m, Truth meant) {
   const Number reach = now->longest / STABLE;
   const Number allowed = 2 * LATE_IMPULSE * m->scale[n - 1] * (reach * reach);
   Cut cut = first_switch(m->span, meant, &step, traces ? all(0) : allowed, 0);
-  const Truth is_cut = cut.found, is_long = now->is_short == 0;
+  const Truth is_cut = cut.found, is_long = now->short_left == 0;
   Truth inside = is_cut & is_long & (now->error * interpolant_error(cut.part) < m->settings->smooth);
   Truth by_step;
   if (traces) inside = is_cut & (is_cut == 0);
@@ -478,8 +499,9 @@ static void land_on_first(Dop853 *m, Truth meant) {
    not thrown away. */
 static Truth pass_switches(Dop853 *m, Truth meant) {
   const int may_carry = !velocity_dependent(m->span->scene) && !m->settings->traces;
-  const Number few = choice(m->now->is_short != 0, all(0), all(MANY_SWITCHES));
-  const Truth many = meant & (m->now->crossed > (may_carry ? few : all(INFINITY)));
+  const Number few = choice(m->now->short_left > 0, all(0), all(MANY_SWITCHES));
+  const Truth carries = (m->now->crossed > few) | is_worth_carrying(m);
+  const Truth many = may_carry ? meant & carries : meant & (meant == 0);
   Truth thrown = many & (many == 0), carried = thrown, landing;
   if (any(many)) {
     thrown = carry_switches(m, many);
@@ -488,6 +510,7 @@ static Truth pass_switches(Dop853 *m, Truth meant) {
   }
   landing = meant & (thrown == 0) & (carried == 0);
   if (any(landing)) {
+    m->now->carry_rate *= choice(landing & (many == 0), all(FORGETTING), all(1));
     land_on_first(m, landing);
     end_steps(m, landing);
   }
@@ -499,7 +522,7 @@ static void take_up(const Progress *from, double longest, double done, int i, Ad
   const double numbers[] = {from->time, from->step, longest, from->stuck, from->stalls, done,
                             from->tries, from->rejections, from->landings, from->approaches,
                             from->switches, from->interpolants, from->carries, from->carried,
-                            from->short_tries, from->is_short};
+                            from->short_tries, from->short_left, from->carry_rate};
   Number *place = (Number *)to;
   for (int k = 0; k < ADAPTIVE_NUMBERS; ++k) put(0, place + k, i);
   for (size_t k = 0; k < sizeof numbers / sizeof *numbers; ++k) put(numbers[k], place + k, i);
@@ -519,7 +542,8 @@ static void put_down(const Adaptive *from, int i, Progress *to) {
   to->carries = (int64_t)lane(&from->carries, i);
   to->carried = (int64_t)lane(&from->carried, i);
   to->short_tries = (int64_t)lane(&from->short_tries, i);
-  to->is_short = (int32_t)lane(&from->is_short, i);
+  to->short_left = (int32_t)lane(&from->short_left, i);
+  to->carry_rate = lane(&from->carry_rate, i);
 }
 
 #ifndef LANES

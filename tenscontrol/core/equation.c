@@ -8,7 +8,7 @@
 
 /* Parts of the work memory. */
 typedef struct {
-  Number *p, *v, *f, *a;                             /* (entries) */
+  Number *p, *v, *f, *g, *a, *b;                     /* (entries) */
   Number *ends, *end_rates;                          /* (entries): of strings that supports move */
   Number *S, *length, *rate, *gamma;                 /* (d, segments), (segments) */
   Number *string_length, *string_rate, *string_gamma; /* (strings) */
@@ -16,13 +16,13 @@ typedef struct {
 } Work;
 
 SHARED size_t equation_work_size(const Scene *s) {
-  return 6 * (size_t)s->entries + (size_t)(s->dimension + 3) * s->segments +
+  return 8 * (size_t)s->entries + (size_t)(s->dimension + 3) * s->segments +
          3 * (size_t)s->strings + (size_t)s->factors + 2 * (size_t)s->unknowns + 1;
 }
 
 static inline Work parts_of(const Scene *s, Number *work) {
   Work w;
-  Number **arrays[] = {&w.p, &w.v, &w.f, &w.a, &w.ends, &w.end_rates};
+  Number **arrays[] = {&w.p, &w.v, &w.f, &w.g, &w.a, &w.b, &w.ends, &w.end_rates};
   for (size_t i = 0; i < sizeof arrays / sizeof *arrays; ++i, work += s->entries) *arrays[i] = work;
   w.S = work;
   w.length = w.S + s->dimension * s->segments;
@@ -186,18 +186,22 @@ SHARED void slope_and_bars(const Scene *s, const Number *state, const Input *inp
 }
 
 SHARED void weighed_accelerations(const Scene *s, const Number *state, const Input *input,
-                                  const Number *weight, Number *accelerations, Number *work) {
+                                  const Number *one, const Number *other, Number *a, Number *b,
+                                  Number *work) {
   const Work w = parts_of(s, work);
   const Number *p, *v, *ends, *end_rates;
   nodes_of(s, state, &p, &v, &w);
   ends = moved(p, input->offset, w.ends, s->entries);
   end_rates = moved(v, input->offset_rate, w.end_rates, s->entries);
   if (s->dimension == 2)
-    weighed_2(s, p, ends, end_rates, input->strings, weight, w.a, &w);
+    weighed_2(s, p, ends, end_rates, input->strings, one, other, w.a, w.b, &w);
   else
-    weighed_3(s, p, ends, end_rates, input->strings, weight, w.a, &w);
-  for (int i = 0; i < s->free; ++i)
-    accelerations[i] = w.a[s->free_row ? s->free_row[i] : i];
+    weighed_3(s, p, ends, end_rates, input->strings, one, other, w.a, w.b, &w);
+  for (int i = 0; i < s->free; ++i) {
+    const int row = s->free_row ? s->free_row[i] : i;
+    a[i] = w.a[row];
+    b[i] = w.b[row];
+  }
 }
 
 SHARED void forces_of(const Scene *s, const Number *state, const Input *input, const Number *taut,

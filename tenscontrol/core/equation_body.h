@@ -246,38 +246,48 @@ static void N(bar_densities)(const Scene *s, const Number *p, const Number *v, c
   for (int i = 0; i < s->block_bars; ++i) density[s->block_bar[i]] = -w->unknowns[s->right_place[i]];
 }
 
-/* Adds the pull of a few strings, those whose weight is not zero. */
+/* Adds the pull of a few strings, those whose weights are not zero, by one weight and by another. */
 static void N(pull_by)(const Scene *s, const Number *p, const Number *v, const Number *u,
-                       const Number *weight, Number *f) {
+                       const Number *one, const Number *other, Number *f, Number *g) {
   for (int i = 0; i < s->segments; ++i) {
     const int start = s->segment_start[i], end = s->segment_end[i];
     Number segment[D], change[D], length, rate, gamma;
-    if (!any(weight[i] != 0)) continue;
+    if (!any((one[i] != 0) | (other[i] != 0))) continue;
     for (int k = 0; k < D; ++k) {
       segment[k] = p[end + k] - p[start + k];
       change[k] = v[end + k] - v[start + k];
     }
     N(pulling_length)(segment, u[i], &length);
     N(length_rate)(segment, change, length, &rate);
-    gamma = weight[i] * force_density(s, i, length, rate, u[i]);
+    gamma = force_density(s, i, length, rate, u[i]);
     for (int k = 0; k < D; ++k) {
-      f[start + k] += gamma * segment[k];
-      f[end + k] -= gamma * segment[k];
+      const Number pull = gamma * segment[k];
+      f[start + k] += one[i] * pull;
+      f[end + k] -= one[i] * pull;
+      g[start + k] += other[i] * pull;
+      g[end + k] -= other[i] * pull;
     }
   }
 }
 
-/* Accelerations that what switches gives, each counted by a weight. */
+/* Accelerations that what switches gives, each counted by one weight, and by another. */
 static void N(weighed)(const Scene *s, const Number *p, const Number *ends, const Number *rates,
-                       const Number *u, const Number *weight, Number *a, const Work *w) {
+                       const Number *u, const Number *one, const Number *other, Number *a,
+                       Number *b, const Work *w) {
+  const Number *weights[] = {one, other};
+  Number *forces[] = {w->f, w->g}, *to[] = {a, b};
   memset(w->f, 0, s->entries * sizeof(Number));
-  if (s->slacking && s->clustered) N(pull)(s, ends, rates, u, weight, w->f, w);
-  else if (s->slacking) N(pull_by)(s, ends, rates, u, weight, w->f);
-  for (int i = 0; i < s->grounds; ++i)
-    if (s->ground[i].first_switch >= 0)
-      N(touch)(s, i, ends, rates, weight + s->slacking + s->ground[i].first_switch, w->f);
+  memset(w->g, 0, s->entries * sizeof(Number));
+  if (s->slacking && !s->clustered) N(pull_by)(s, ends, rates, u, one, other, w->f, w->g);
+  for (int k = 0; k < 2; ++k) {
+    if (s->slacking && s->clustered) N(pull)(s, ends, rates, u, weights[k], forces[k], w);
+    for (int i = 0; i < s->grounds; ++i)
+      if (s->ground[i].first_switch >= 0)
+        N(touch)(s, i, ends, rates, weights[k] + s->slacking + s->ground[i].first_switch,
+                 forces[k]);
+  }
   memset(w->v, 0, s->entries * sizeof(Number));
-  N(accelerations)(s, p, w->v, w->f, 0, a, w);
+  for (int k = 0; k < 2; ++k) N(accelerations)(s, p, w->v, forces[k], 0, to[k], w);
 }
 
 /* Gaps of a few strings, those that are marked. */

@@ -31,7 +31,7 @@ typedef struct {
 } Span;
 
 /* Of equation.c: memory of one evaluation; by inputs at one time xdot, accelerations by the forces of
-   what can switch, each counted by a weight, forces on all entries, and gaps: of all that can switch, or at least of
+   what can switch, each counted by one weight and by another, forces on all entries, and gaps: of all that can switch, or at least of
    what is marked. Where no force depends on velocities, rates of gaps need not be asked for. Where
    lengths are driven, xdot with the force densities of all bars, N/m: of bars that are redundant, those
    of a set that holds the others. */
@@ -39,7 +39,8 @@ SHARED size_t equation_work_size(const Scene *scene);
 SHARED void slope_of(const Scene *scene, const Number *state, const Input *input,
                      const Number *taut, Number *slope, Number *work);
 SHARED void weighed_accelerations(const Scene *scene, const Number *state, const Input *input,
-                                  const Number *weight, Number *accelerations, Number *work);
+                                  const Number *one, const Number *other, Number *a, Number *b,
+                                  Number *work);
 SHARED void forces_of(const Scene *scene, const Number *state, const Input *input,
                       const Number *taut, Number *forces, Number *work);
 SHARED void slope_and_bars(const Scene *scene, const Number *state, const Input *input,

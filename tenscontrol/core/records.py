@@ -125,7 +125,8 @@ class Progress(ctypes.Structure):
             "tries", "rejections", "landings", "approaches", "switches", "interpolants", "missed",
             "carries", "carried", "short_tries",
         )),
-        *((name, _COUNT) for name in ("kept", "every", "since", "is_short")),
+        *((name, _COUNT) for name in ("kept", "every", "since", "short_left")),
+        ("carry_rate", _NUMBER),
     )  # fmt: skip
 
 
