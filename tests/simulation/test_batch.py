@@ -204,6 +204,16 @@ def test_no_run_is_stuck_where_a_string_dips_between_the_ends_of_a_step():
     V = thrown(prism, 0.5, runs=500)[1]
     how = {"method": "dop853", "tolerance": 1e-2, "error": "none"}
     assert many(model, 1.0, how, {"velocities": V}, rest_length=lengths).completed.all()
+    # Few switches in a step are carried under such a tolerance, and their error is told.
+    loose, tight = (
+        many(model, 1.0, {"tolerance": value}, {"velocities": V[:16]}, rest_length=lengths)
+        for value in (1e-3, 1e-9)
+    )
+    off = np.linalg.norm(loose.nodes - tight.nodes, axis=1).max(axis=1)[:, -1] / prism.size
+    assert 1e-4 < np.median(off) < 2e-3
+    assert (loose.error[:, -1] > 0.9 * off).all()
+    assert np.median(loose.error[:, -1] / off) < 4
+    assert loose.scene_of(0).simulate().work.carried
 
 
 @needs_core
