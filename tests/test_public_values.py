@@ -153,7 +153,10 @@ def values(tmp_path_factory):
         batch.crossings,
         tc.sensitivity(batch, ["nodes"]),
         tc.exciting_input(
-            model, log, ["stiffness"], tc.Winches(rate=0.1), most_rollouts=2, parts=1, step=5e-3
+            tc.identifiable(model, log, ["stiffness"], step=5e-3),
+            tc.Winches(rate=0.1),
+            most_rollouts=2,
+            parts=1,
         ),
         tc.Stepper(model, 0.01, step=0.01, rest_length=start.rest_length.copy()).state,
         tc.learning.Rolling(np.array([1.0, 0.0, 0.0])),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, replace
 
@@ -11,11 +11,9 @@ import numpy as np
 from tenscontrol import validation
 from tenscontrol.actuation.winches import Winches
 from tenscontrol.arrays import FloatArray, frozen
-from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.profile import Profile
 from tenscontrol.integrate.integrator import IntegrationError
-from tenscontrol.optimize.fit import Identifiability, identifiability_of, rollouts_of
-from tenscontrol.optimize.log import Log
+from tenscontrol.optimize.fit import Identifiability, identifiability_of
 from tenscontrol.optimize.rollouts import Rollouts
 from tenscontrol.progress import progress_bar
 from tenscontrol.simulation.plant_run import StoppedError
@@ -70,21 +68,9 @@ class ExcitingInput:
 
 
 def exciting_input(
-    model: Model,
-    log: Log,
-    parameters: object,
-    winches: Winches,
-    *,
-    parts: int = 6,
-    known: Mapping[str, object] | None = None,
-    groups: Mapping[str, object] | None = None,
-    start: object = None,
-    tolerance: float = 1e-6,
-    step: float | None = None,
-    most_rollouts: int = 200,
-    seed: int = 0,
-    progress: bool = False,
-) -> ExcitingInput:
+    told: Identifiability, winches: Winches, *, parts: int = 6, most_rollouts: int = 200,
+    seed: int = 0, progress: bool = False,
+) -> ExcitingInput:  # fmt: skip
     """Return rest lengths in time from whose readings a fit tells most.
 
     They maximize log det(1 + Sᵀ S), with S the slope of the readings, in deviations of their noise,
@@ -94,24 +80,14 @@ def exciting_input(
 
     Parameters
     ----------
-    model : Model
-        With what is known of the parameters.
-    log : Log
-        Sensors, times, start and rest lengths of an experiment, as it was done or is planned; its
-        readings are not used, but which of them were lost. The input begins at its rest lengths.
-    parameters : list of str, or dict of str to LogNormal or float
-        As of :func:`fit`.
+    told : Identifiability
+        Made by :func:`identifiable` of a model, unknowns and one log of an experiment, as it was
+        done or is planned. Its readings are not used, but which of them were lost. The input begins
+        at the rest lengths of the log.
     winches : Winches
         Whose rates, m/s, and range the rest lengths keep to.
     parts : int
         Of the time.
-    known : dict of str to list of int, optional
-    groups : dict of str to list of lists of int, or "all", optional
-    start : tuple of float, optional
-    step : float, optional
-        All as of :func:`fit`.
-    tolerance : float
-        Of the simulations, as of :func:`fit`.
     most_rollouts : int
         Simulations with derivatives at most.
     seed : int
@@ -126,7 +102,8 @@ def exciting_input(
     Raises
     ------
     TypeError, ValueError
-        As :func:`fit`, or if winches have no rate, or the log holds force densities.
+        If an argument is of the wrong kind, winches have no rate or do not fit, or there are
+        several logs, or one that holds force densities.
 
     Notes
     -----
@@ -145,42 +122,38 @@ def exciting_input(
     >>> run = tc.simulate(model, 0.4, rest_length=held, output_step=0.02)
     >>> log = tc.Log.of_run(run, sensors, np.linspace(0.02, 0.4, 20))
     >>> winches = tc.Winches(rate=0.3)
-    >>> plan = tc.exciting_input(model, log, ["stiffness"], winches, parts=2, most_rollouts=20)
+    >>> told = tc.identifiable(model, log, ["stiffness"])
+    >>> plan = tc.exciting_input(told, winches, parts=2, most_rollouts=20)
     >>> bool(plan.log_determinant[-1] > plan.log_determinant[0])
     True
     """
-    validation.instance("log", log, Log, "make one by Log(time, readings, sensors, ...)")
+    validation.instance("told", told, Identifiability, "ask identifiable(model, log, parameters)")
     validation.instance("winches", winches, Winches, "make them by Winches(rate=...)")
-    if log.input != "rest_length":
-        raise ValueError("log holds force_density, expected rest lengths, which winches wind")
+    rollouts = told.rollouts
+    if len(rollouts.logs) > 1:
+        raise ValueError(f"told is of {len(rollouts.logs)} logs, expected that of one")
+    if rollouts.logs[0].input != "rest_length":
+        raise ValueError("the log holds force_density, expected rest lengths, which winches wind")
     if winches.largest_rate is None or not np.isfinite(winches.largest_rate).all():
         raise ValueError("winches have no rate: give Winches(rate=...), in m/s")
-    parts = validation.whole_number("parts", parts, 1, len(log.time))
+    parts = validation.whole_number("parts", parts, 1, len(rollouts.logs[0].time))
     most = validation.whole_number("most_rollouts", most_rollouts, 2)
     seed = validation.whole_number("seed", seed, 0, validation.LARGEST_SEED)
-    rollouts = rollouts_of(model, log, parameters, known, groups, start, tolerance, step)
-    search = _Search(rollouts, log, winches, parts)
-    before = _identifiability(search.rollouts_with(None))
+    search = _Search(rollouts, winches, parts)
     with progress_bar(float(most), progress, label="planning") as report:
         moves = search.run(most, np.random.default_rng(seed), report)
-    after = _identifiability(search.rollouts_with(moves))
+    after = identifiability_of(search.rollouts_with(moves))
     return ExcitingInput(
-        search.profile(moves), before, after, frozen(np.maximum.accumulate(search.values))
+        search.profile(moves), told, after, frozen(np.maximum.accumulate(search.values))
     )
-
-
-def _identifiability(rollouts: Rollouts) -> Identifiability:
-    slope = rollouts.readings(np.zeros(rollouts.size), 1.0, slopes=True).slope
-    assert slope is not None  # it was asked for
-    return identifiability_of(rollouts, slope)
 
 
 class _Search:
     """Coordinate exchange of the moves of winches, (strings, parts), each -1, 0 or 1."""
 
-    def __init__(self, rollouts: Rollouts, log: Log, winches: Winches, parts: int) -> None:
-        self._rollouts, self._log, self._winches = rollouts, log, winches
-        held = log.rest_length
+    def __init__(self, rollouts: Rollouts, winches: Winches, parts: int) -> None:
+        self._rollouts, self._log, self._winches = rollouts, rollouts.logs[0], winches
+        held = self._log.rest_length
         begin = held.at(0.0) if isinstance(held, Profile) else held
         strings = len(rollouts.model.structure.strings)
         self._begin = np.broadcast_to(np.asarray(begin, dtype=float).ravel(), (strings,))
@@ -198,11 +171,10 @@ class _Search:
             lengths.append(self._winches.move(lengths[-1], wanted, float(times[1])).rest_length)
         return Profile(times, np.stack(lengths, axis=1))
 
-    def rollouts_with(self, moves: FloatArray | None) -> Rollouts:
-        """Return the rollouts with moves in place of the input of the log; None for that input."""
+    def rollouts_with(self, moves: FloatArray) -> Rollouts:
+        """Return the rollouts with moves in place of the input of the log."""
         other = copy(self._rollouts)
-        if moves is not None:
-            other.logs = (replace(self._log, rest_length=self.profile(moves)),)
+        other.logs = (replace(self._log, rest_length=self.profile(moves)),)
         return other
 
     def run(

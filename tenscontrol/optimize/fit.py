@@ -53,6 +53,8 @@ class Identifiability:
 
     Attributes
     ----------
+    rollouts : Rollouts
+        Of the model beside the logs, with the unknowns; not for users.
     labels : tuple of str
         Name of each unknown.
     singular : ndarray, shape (unknowns,)
@@ -65,6 +67,7 @@ class Identifiability:
         in directions that data does not tell.
     """
 
+    rollouts: Rollouts
     labels: tuple[str, ...]
     singular: FloatArray
     directions: FloatArray
@@ -308,11 +311,9 @@ def identifiable(
     >>> tc.identifiable(model, log, ["stiffness", "damping", "bar_mass"])
     Identifiability(21 unknowns, 2 directions not told)
     """
-    rollouts = rollouts_of(model, log, parameters, known, groups, start, tolerance, step)
-    theta = np.zeros(rollouts.size)
-    slope = rollouts.readings(theta, 1.0, slopes=True).slope
-    assert slope is not None  # it was asked for
-    return identifiability_of(rollouts, slope)
+    return identifiability_of(
+        rollouts_of(model, log, parameters, known, groups, start, tolerance, step)
+    )
 
 
 def fit(
@@ -500,8 +501,11 @@ class _Solver:
         return np.asarray(self._scale * step * min(1.0, _LONGEST / max(longest, 1e-300)))
 
 
-def identifiability_of(rollouts: Rollouts, slope: FloatArray) -> Identifiability:
-    """Return what readings with a slope tell of the unknowns."""
+def identifiability_of(rollouts: Rollouts, slope: FloatArray | None = None) -> Identifiability:
+    """Return what readings with a slope tell of the unknowns, by default at what is known."""
+    if slope is None:
+        slope = rollouts.readings(np.zeros(rollouts.size), 1.0, slopes=True).slope
+        assert slope is not None  # it was asked for
     _, triangle = np.linalg.qr(slope * rollouts.deviations, mode="reduced")
     _, singular, directions = np.linalg.svd(triangle)
     singular = np.concatenate([singular, np.zeros(rollouts.size - len(singular))])
@@ -509,7 +513,7 @@ def identifiability_of(rollouts: Rollouts, slope: FloatArray) -> Identifiability
     left = directions.T**2 @ (1 / (1 + singular**2))
     is_told = (blind < _TOLD) & (left < _LEFT)
     return Identifiability(
-        tuple(rollouts.labels), frozen(singular), frozen(directions), frozen(is_told)
+        rollouts, tuple(rollouts.labels), frozen(singular), frozen(directions), frozen(is_told)
     )
 
 

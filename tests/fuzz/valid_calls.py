@@ -916,15 +916,9 @@ call("optimize.LogNormal", lambda: {"median": 300.0, "deviation": 0.5})
 call(
     "exciting_input",
     lambda: {
-        "model": elastic(),
-        "log": logged(),
-        "parameters": ["stiffness"],
+        "told": tc.identifiable(elastic(), logged(), ["stiffness"], step=5e-3),
         "winches": tc.Winches(rate=0.1),
         "parts": 2,
-        "known": {"stiffness": [0, 1]},
-        "groups": {"stiffness": [[2, 3, 4], [5, 6, 7, 8]]},
-        "start": (0.01, 0.1),
-        "step": 5e-3,
         "most_rollouts": 4,
         "seed": 1,
         "progress": False,

@@ -27,9 +27,8 @@ def model():
 @pytest.fixture(scope="module")
 def plan(model):
     log = log_of(0.5, HELD)
-    return tc.exciting_input(
-        model, log, ["damping"], WINCHES, parts=3, most_rollouts=15, step=4e-3, seed=1
-    )
+    told = tc.identifiable(model, log, ["damping"], tolerance=1e-6, step=4e-3)
+    return tc.exciting_input(told, WINCHES, parts=3, most_rollouts=15, seed=1)
 
 
 def test_rest_lengths_keep_to_rate_and_range_and_begin_where_they_are(plan):
@@ -67,10 +66,15 @@ def test_a_fit_has_intervals_of_what_was_not_told_before(model, plan):
 
 def test_what_cannot_be_planned_is_refused(model):
     log = log_of(0.5, HELD)
+    told = tc.identifiable(model, log, ["damping"], step=0.02)
     with pytest.raises(ValueError, match="winches have no rate"):
-        tc.exciting_input(model, log, ["damping"], tc.Winches())
+        tc.exciting_input(told, tc.Winches())
     held = tc.Log([0.1], np.ones((1, 9)), SENSORS, force_density=np.full(9, 10.0))
+    of_held = tc.identifiable(model, held, ["bar_mass"], step=0.02)
     with pytest.raises(ValueError, match="log holds force_density"):
-        tc.exciting_input(model, held, ["bar_mass"], WINCHES)
-    with pytest.raises(ValueError, match="parameters is 'dampng'"):
-        tc.exciting_input(model, log, ["dampng"], WINCHES)
+        tc.exciting_input(of_held, WINCHES)
+    several = tc.identifiable(model, [log, log], ["damping"], step=0.02)
+    with pytest.raises(ValueError, match="told is of 2 logs"):
+        tc.exciting_input(several, WINCHES)
+    with pytest.raises(TypeError, match="told is a Model"):
+        tc.exciting_input(model, WINCHES)
