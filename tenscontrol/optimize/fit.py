@@ -40,6 +40,9 @@ _LONGEST = 2.0
 # Limits that let fewer through take what noise made look certain, and leave the rest.
 _BLIND, _TOLD, _LEFT = 0.1, 0.01, 0.5
 
+# Squares of the residuals a degree of freedom from which on noise does not explain them.
+_FAR = 2.0
+
 # Residuals beyond count in proportion, with Huber's loss.
 _HUBER = 1.345
 
@@ -222,6 +225,11 @@ class Fit:
             f"chi squared {self.chi_squared:.3g} a degree of freedom, {self.rollouts} rollouts, "
             f"{self.message}",
         ]
+        if self.chi_squared > _FAR:
+            lines.append(
+                f"residuals are {self.chi_squared**0.5:.2g} times the noise: the model lacks "
+                "something, sensors have more noise, or units differ; intervals mean little"
+            )
         for direction in self.identifiability.untold:
             lines.append(f"not told: {_described(self.labels, direction)}")
         return "\n".join(lines)
@@ -536,9 +544,10 @@ def _result(rollouts: Rollouts, theta: FloatArray, readings: Readings, message: 
     interval = theta[:, None] + np.stack([-reach, reach], axis=1)
     interval[~identifiability.is_told] = np.nan
     value = np.where(is_scaled, np.exp(np.where(is_scaled, theta, 0.0)), theta)
-    interval = np.where(
-        is_scaled[:, None], np.exp(np.where(is_scaled[:, None], interval, 0.0)), interval
-    )
+    with np.errstate(over="ignore"):  # of a model that is far from the log: up to infinity
+        interval = np.where(
+            is_scaled[:, None], np.exp(np.where(is_scaled[:, None], interval, 0.0)), interval
+        )
     parameters = {
         unknown.name: frozen(unknown.values(own))
         for unknown, own in zip(rollouts.unknowns, rollouts.own(theta), strict=True)

@@ -196,6 +196,12 @@ class Log:
         Returns
         -------
         Log
+
+        Raises
+        ------
+        TypeError, ValueError
+            If an argument is of the wrong kind, a time is not one of the run, or the run is none in
+            open loop.
         """
         validation.instance("run", run, Trajectory, "make one by simulate(model, ...)")
         validation.instance("sensors", sensors, Sensors, "make them by Sensors(structure=..., ...)")
@@ -207,6 +213,14 @@ class Log:
         if seed is not None:
             seed = validation.whole_number("seed", seed, 0, validation.LARGEST_SEED)
         wanted = np.atleast_1d(validation.float_array("times", times))
+        first, last = float(run.time[0]), float(run.time[-1])
+        outside = np.flatnonzero(np.abs(wanted - (first + last) / 2) > 0.5000001 * (last - first))
+        if len(outside):
+            k = int(outside[0])
+            raise ValueError(
+                f"times[{k}] is {wanted.flat[k]:g} s, expected times of the run, from {first:g} s "
+                f"to {last:g} s"
+            )
         columns = np.clip(np.searchsorted(run.time, wanted), 1, len(run.time) - 1)
         nearer = wanted - run.time[columns - 1] < run.time[columns] - wanted
         columns = columns - nearer

@@ -213,3 +213,13 @@ def test_what_leaves_half_of_the_variance_is_not_told_nor_what_no_reading_shows(
     said = identifiability_of(rollouts, slope)
     assert said.is_told.tolist() == [True, True, False, False, False]
     np.testing.assert_allclose(np.abs(said.untold), [[0, 0, 0, 0.5**0.5, 0.5**0.5]], atol=1e-12)
+
+
+def test_logs_in_other_units_and_times_beyond_the_run_are_said():
+    log = log_of(model_of())
+    far = replace(log, readings=1000.0 * log.readings)
+    found = tc.fit(model_of(), far, ["stiffness"], groups={"stiffness": "all"}, step=0.01)
+    assert "times the noise: the model lacks something" in found.table()
+    run = tc.simulate(model_of(), 0.1, rest_length=REST, output_step=0.02, error="none")
+    with pytest.raises(ValueError, match=r"times\[1\] is 0\.2 s, expected times of the run"):
+        tc.Log.of_run(run, log.sensors, [0.1, 0.2])
