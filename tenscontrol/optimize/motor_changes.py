@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -56,21 +57,19 @@ class MotorChanges:
     @staticmethod
     def _differenced(actuators: Actuators, winches: Winches, by: Parameter) -> FloatArray:
         """Return derivatives of the coefficients of all pieces, (P, α, degree + 1)."""
+        if by.field == "rate":
+            value = np.asarray(winches.rate)
+        else:
+            value = np.asarray(getattr(winches.motor, by.field))
 
-        def changed(share: float) -> FloatArray:
-            holder, name = by.name.split(".")
-            if holder == "winches":
-                other = replace(winches, rate=winches.rate * (1 + share))
-            else:
-                assert winches.motor is not None  # of which it is a number
-                value = getattr(winches.motor, name) * (1 + share)
-                other = replace(winches, motor=replace(winches.motor, **{name: value}))
-            return actuators.followed(other).coefficients
-
-        ends = [changed(k * _CHANGE) for k in (1, -1, 2, -2)]
-        by_share = (8 * (ends[0] - ends[1]) - (ends[2] - ends[3])) / (12 * _CHANGE)
-        value = winches.rate
-        if by.name != "winches.rate":
+        def coefficients(share: float) -> FloatArray:
+            number: dict[str, Any] = {by.field: value * (1 + share)}
+            if by.field == "rate":
+                return actuators.followed(replace(winches, **number)).coefficients
             assert winches.motor is not None  # of which it is a number
-            value = getattr(winches.motor, by.field)
+            motor = replace(winches.motor, **number)
+            return actuators.followed(replace(winches, motor=motor)).coefficients
+
+        ends = [coefficients(k * _CHANGE) for k in (1, -1, 2, -2)]
+        by_share = (8 * (ends[0] - ends[1]) - (ends[2] - ends[3])) / (12 * _CHANGE)
         return np.asarray(by_share / np.broadcast_to(value, by.shape)[:, None])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -74,13 +73,14 @@ class RunVariations:
         self._states: list[FloatArray] = []
         self._ends, self._slow = list[int](), list[tuple[float, float]]()  # times and rates
         self._speed, self.switches = 0.0, 0
+        self._last: tuple[int, Variations] | None = None
         loop = trace(scene, run)
         run.take = None
         of_motors = [parameter for parameter in parameters if parameter.kind == "motor"]
         if of_motors and loop is not None and scene.winches is not None:
             assert isinstance(loop.actuators, Actuators)  # bars have no such numbers
             self._motors = MotorChanges(loop.actuators, scene.winches, of_motors)
-            self._last = self._last[0], replace(self._last[1], motors=self._motors)
+            self._last = None
 
     @property
     def columns(self) -> list[slice]:
@@ -102,12 +102,10 @@ class RunVariations:
 
     def forward(self) -> FloatArray:
         """Return the derivatives of x at the times, shape (T, states, P)."""
-        part = self._part(0)
-        X, answer = part.start(), None
+        X, answer = self._part(0).start(), None
         sensitivities = np.empty((len(self.times), *X.shape))
         for i in range(len(self._ends)):
-            part = self._part(i)
-            X, answer = part.forward(X, sensitivities[self._of(i)], answer)
+            X, answer = self._part(i).forward(X, sensitivities[self._of(i)], answer)
         return _finite(sensitivities)
 
     def backward(self, costs: FloatArray) -> FloatArray:
@@ -120,9 +118,8 @@ class RunVariations:
         slope = np.zeros(sum(parameter.size for parameter in self.parameters))
         mu, answered = np.zeros(costs.shape[1]), np.zeros(len(self._scene.structure.strings))
         for i in reversed(range(len(self._ends))):
-            part = self._part(i)
-            mu = part.backward(mu, costs[self._of(i)], slope, answered)
-        return _finite(np.asarray(slope + mu @ part.start()))
+            mu = self._part(i).backward(mu, costs[self._of(i)], slope, answered)
+        return _finite(np.asarray(slope + mu @ self._part(0).start()))
 
     # ---- all nodes ----
 
@@ -184,19 +181,19 @@ class RunVariations:
 
     def _take(self, run: PlantRun) -> None:
         """Look at a part of the run, and keep the last."""
-        part = self._variations(run, len(self._ends))
-        switches, steps = part.switches, part.steps
-        self._states.append(part.motion())
+        variations = self._variations(run, len(self._ends))
+        switches, steps = variations.switches, variations.steps
+        self._states.append(variations.motion())
         self.switches += len(switches.step)
         ends = (steps.begin + steps.length)[switches.step]
         self._slow += zip(ends.tolist(), np.abs(switches.rate).tolist(), strict=True)
         self._speed = max(self._speed, float(np.abs(steps.states[len(steps.states) // 2 :]).max()))
-        self._last = len(self._ends) - 1, part
+        self._last = len(self._ends) - 1, variations
 
     def _part(self, i: int) -> Variations:
         """Return the derivative of a part; the last one again if it is that."""
-        if self._last[0] != i:
-            del self._last  # or there were two at a time
+        if self._last is None or self._last[0] != i:
+            self._last = None  # or there were two at a time
             self._last = i, self._variations(self._run.again(i), i)
         return self._last[1]
 

@@ -56,4 +56,5 @@ class SupportChanges:
         share = shares(self._parameter, time, within, order)
         if share is None:  # a displacement that stays
             return np.repeat(matrix[None] * (order == 0), len(time), axis=0)
-        return np.einsum("ij,kt->tijk", matrix, share).reshape(len(time), len(matrix), -1)
+        products = np.einsum("ij,kt->tijk", matrix, share)
+        return np.asarray(products).reshape(len(time), len(matrix), -1)

@@ -407,6 +407,7 @@ class Variations:
                 )
             elif parameter.kind == "motor":
                 assert slopes.by_input is not None  # it was asked for
+                assert share is not None  # of each rest length
                 slope[columns] += (kappa @ slopes.by_input[stage]) * share[stage]
             elif parameter.kind == "supports":
                 assert slopes.by_supports is not None  # it was asked for
@@ -655,7 +656,7 @@ class Variations:
         )  # fmt: skip
         time = (steps.begin[of] + c[:, None] * h).ravel()
         middle = np.tile(steps.begin[of] + h / 2, stages)
-        by_input: list[FloatArray | None] = []
+        all_shares: list[FloatArray | None] = []
         for parameter in self.parameters:
             share = shares(parameter, time, middle) if parameter.kind == "input" else None
             share = None if share is None else share.T
@@ -663,10 +664,15 @@ class Variations:
                 share = self.supports.inputs(time, middle)
             if parameter.kind == "motor" and self.motors is not None:
                 share = self.motors.at(parameter, time, middle).T
-            by_input.append(share)
+            all_shares.append(share)
         for i, leg in enumerate(plan):
-            own = Slopes(
-                *(None if by is None else by[i::count] for by in vars(derivatives).values())
+            by_input, by_supports = (
+                None if by is None else by[i::count]
+                for by in (derivatives.by_input, derivatives.by_supports)
             )
-            own_shares = [None if share is None else share[i::count] for share in by_input]
+            own = Slopes(
+                derivatives.by_state[i::count], by_input, derivatives.by_parameters[i::count],
+                by_supports,
+            )  # fmt: skip
+            own_shares = [None if share is None else share[i::count] for share in all_shares]
             yield leg._replace(stages=own, shares=own_shares)

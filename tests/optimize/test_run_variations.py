@@ -39,11 +39,10 @@ def scene_of(kind):
     if kind == "shaken":
         prism = tc.Structure(prism.nodes, prism.bars, prism.strings, 1.0, fixed=[0, 1, 2])
         model, velocities = tc.Model(prism, tc.LinearStrings(100.0, damping=0.5)), None
-        motion = np.zeros((3, 3, 9))
-        motion[:] = 0.05 * np.sin(np.arange(9))
-        given["support_motion"] = tc.Profile(np.linspace(0, 0.4, 9), motion, "linear")
+        motion = np.broadcast_to([0.0, 0.05, 0.0, 0.03], (3, 3, 4))
+        given["support_motion"] = tc.Profile(np.linspace(0, 0.4, 4), motion, "linear")
     if kind == "law":
-        law = tc.LQR(plant, sample_time=0.1)
+        law = tc.LQR(plant, sample_time=0.2)
         given = {"controller": law, "rest_length": plant.equilibrium_input}
     if kind in ("rk4", "energy_momentum"):
         how = {"method": kind, "step": 8e-3}
@@ -52,7 +51,7 @@ def scene_of(kind):
     return tc.Scene(model, 0.4, velocities=velocities, integration=integration, **given)
 
 
-@pytest.mark.parametrize("kind", ["held", "wound", "law", "shaken", "rk4", "energy_momentum"])
+@pytest.mark.parametrize("kind", ["wound", "law", "shaken", "rk4", "energy_momentum"])
 def test_steps_that_are_found_again_have_the_same_derivatives_to_the_last_bit(kind):
     scene, feedback = scene_of(kind), kind == "law"
     names = ["gain" if feedback else "rest_length", "velocities", "stiffness"]
@@ -60,7 +59,7 @@ def test_steps_that_are_found_again_have_the_same_derivatives_to_the_last_bit(ki
     parameters = parameters_of(scene, names)
     whole = RunVariations(scene, parameters, TIMES, feedback)
     costs = np.random.default_rng(2).normal(size=whole.motion().T.shape)
-    results, most = [], 30 if kind in ("held", "wound", "shaken") else 10
+    results, most = [], 30 if kind in ("wound", "shaken") else 10
     for make in (RunVariations, KeptVariations):
         variations = make(scene, parameters, TIMES, feedback, expected=200, most=most)
         assert len(variations._ends) > 3

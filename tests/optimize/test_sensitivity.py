@@ -66,7 +66,7 @@ def test_without_the_jump_where_it_goes_taut_they_are_wrong(monkeypatch):
 
 # Seeds of some hundred steps: damped, on ground, with clusters, bars that share nodes, supports.
 # The small run of the benchmark has two more, 24 and 25.
-@pytest.mark.parametrize("seed", [3, 12, 22, 28])
+@pytest.mark.parametrize("seed", [12, 28])
 @pytest.mark.filterwarnings("ignore:penetration")
 def test_random_scenes_agree_with_differences_and_backward_with_forward(seed):
     found = comparison(seed, most_steps=500)
