@@ -76,7 +76,7 @@ def check_fields(record: Any) -> None:
 @cache
 def _declared(kind: Any) -> tuple[tuple[str, Callable[..., object] | None, Any, bool], ...]:
     """Return the fields of a class with their checks, and whether None passes those."""
-    found = [(declared.name, declared.metadata) for declared in fields(kind)]
+    named = [(declared.name, declared.metadata) for declared in fields(kind)]
     return tuple(
-        (name, how.get("check"), how.get("details", ()), "optional" in how) for name, how in found
+        (name, how.get("check"), how.get("details", ()), "optional" in how) for name, how in named
     )

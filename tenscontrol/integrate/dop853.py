@@ -80,10 +80,10 @@ class StepRules(NamedTuple):
 
 #: By whether steps are shortened. What ends on an interpolant errs by chance: where stability
 #: limits the steps, a tenth of the tolerance alone makes no tenth of it.
-STEP_RULES = {
-    False: StepRules(_STABLE, 1.0, 1.0, 0.3),
-    True: StepRules(_SHORTER * _STABLE, 0.5, _SHORTER, 0.03),
-}
+STEP_RULES = (
+    StepRules(_STABLE, 1.0, 1.0, 0.3),
+    StepRules(_SHORTER * _STABLE, 0.5, _SHORTER, 0.03),
+)
 
 # What ending late at a switch may change of velocities, as part of what a step may err.
 _LATE = 0.003

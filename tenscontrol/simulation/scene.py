@@ -791,8 +791,8 @@ def run_scene(scene: Scene, progress: bool) -> Trajectory:
                     raise
                 stopped = f"stopped at {run.now:.6g} s of motion: interrupted"
         estimates = progress and how.error == "estimate" and stopped is None
-        told = progress_bar(scene.duration, True, label="estimating error") if estimates else None
-        with told or nullcontext() as report_of_error:
+        shown = progress_bar(scene.duration, True, label="estimating error") if estimates else None
+        with shown or nullcontext() as report_of_error:
             trajectory = _trajectory(scene, run, loop, stopped, report_of_error)
     if stopped is not None or interruption.signal is not None:
         outcome = stopped or "was interrupted at its end, and is complete"
