@@ -22,7 +22,7 @@ class ExtraStates:
     states: int  # of the plant, 2r
     load: int = 0  # r accelerations by an unknown load, or none
     disturbance: int = 0  # r unknown accelerations over the last sample, which accelerometers feel
-    rest_lengths: tuple[int, ...] = ()  # strings whose rest length is off by an unknown error
+    rest_lengths: tuple[int, ...] = ()  # inputs that are off by an unknown error
     biased: tuple[int, ...] = ()  # entries of y with a bias
 
     @property

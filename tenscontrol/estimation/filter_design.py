@@ -21,6 +21,7 @@ from tenscontrol.estimation.observability import (
     unseen,
     unseen_with_biases,
 )
+from tenscontrol.estimation.rolling_frame import RollingFrame, RollingPose, rolling_frame
 from tenscontrol.estimation.sensors import Sensors
 from tenscontrol.fields import check_fields, checked
 from tenscontrol.plant.driven_lengths import known_at_rest, lengths_of
@@ -83,6 +84,7 @@ class FilterSettings:
     load: bool = field(metadata=checked(validation.truth, "whether to estimate an unknown load"))
     load_noise: float = field(metadata=_NOISE)
     prediction: str = field(metadata=checked(validation.choice, PREDICTIONS))
+    rolling: bool = field(metadata=checked(validation.truth, "whether the structure rolls"))
     gate: float = field(metadata=checked(_probability))
     patience: int = field(metadata=checked(validation.whole_number, 1))
     start_spread: float = field(
@@ -123,6 +125,7 @@ class FilterDesign:
     start_input: FloatArray | None  # what inputs do at the start; None if that is not known
     outputs: ca.Function
     motion: ca.Function | None
+    frame: RollingFrame | None  # where the structure rolls
     unseen: FloatArray  # all states that are left alone, orthonormal columns
     left_alone: Modes
 
@@ -179,6 +182,10 @@ def filter_design(
     if settings.prediction == "linear":
         _refuse_fall(plant, pull)
     extra = _extra_states(plant, sensors, settings)
+    frame = None
+    if settings.rolling:
+        frame = rolling_frame(plant, sensors, extra, start)
+        start = RollingPose(frame).turn.T @ frame.start
     C = output_derivative(plant, sensors, extra)
     directions = unseen_with_biases(plant, sensors, extra, C, apart)
     refuse_unseen_constants(plant, sensors, extra, C, directions)
@@ -218,6 +225,7 @@ def filter_design(
         start_input=start_input,
         outputs=output_function(plant, sensors, extra),
         motion=motion,
+        frame=frame,
         unseen=frozen(np.linalg.qr(lost)[0]),
         left_alone=apart.left_alone,
     )
@@ -264,7 +272,14 @@ def _extra_states(plant: LinearPlant, sensors: Sensors, settings: FilterSettings
                 "sensors read encoders of strings that the plant does not command: it is one of "
                 "command_parents; leave encoder out"
             )
-        wound = tuple(np.asarray(sensors.encoder_strings).tolist())
+        strings = np.asarray(sensors.encoder_strings)
+        inputs = plant.actuation.input[strings]
+        if (inputs < 0).any():
+            raise ValueError(
+                f"sensors read the encoder of string {strings[inputs < 0][0]}, but no input of the "
+                "plant drives this string: choose encoder_strings among the driven ones"
+            )
+        wound = tuple(np.unique(inputs).tolist())
     if settings.rest_length_error is None:
         wound = ()
     elif plant.input != "rest_length":

@@ -9,13 +9,14 @@ from typing import Any, final
 import numpy as np
 
 from tenscontrol import validation
-from tenscontrol.actuation.driven_strings import inputs_of
+from tenscontrol.actuation.driven_strings import inputs_of, moved_by
 from tenscontrol.actuation.winches import Winches
 from tenscontrol.arrays import FloatArray, IntArray, frozen
 from tenscontrol.dynamics.evaluator import Evaluator, Exclusive, exclusive
 from tenscontrol.estimation.correction import Correction
 from tenscontrol.estimation.filter_design import FilterDesign, FilterSettings, filter_design
 from tenscontrol.estimation.observability_report import Observability, observability
+from tenscontrol.estimation.rolling_frame import RollingPose
 from tenscontrol.estimation.sensors import Sensors
 from tenscontrol.estimation.smoother import Pass, SmoothedMotion, smoothed
 from tenscontrol.plant.controllability import warn_of_left_alone
@@ -218,6 +219,11 @@ class KalmanFilter:
     prediction : {"linear", "nonlinear"}
         Prediction by the plant, near its operating point, or by the equations of motion. Of driven
         bars ``"linear"``.
+    rolling : bool
+        Whether the structure rolls on ground that the model does not have. It may then turn by any
+        angle, and ``start`` may be turned too; its lowest node stands still, so that the estimate
+        travels. The model has strings alone, no gravity or ground, and ``sensors`` read
+        ``bar_direction`` of two bars at least.
     gate : float
         Probability that a good reading is refused, above 0 and below 1.
     patience : int
@@ -303,6 +309,7 @@ class KalmanFilter:
         load: bool = False,
         load_noise: float = 0.05,
         prediction: str = "linear",
+        rolling: bool = False,
         gate: float = 1e-4,
         patience: int = 5,
         start: object = None,
@@ -316,6 +323,7 @@ class KalmanFilter:
             load=load,
             load_noise=load_noise,
             prediction=prediction,
+            rolling=rolling,
             gate=gate,
             patience=patience,
             start_spread=start_spread,
@@ -474,6 +482,8 @@ class KalmanFilter:
         if covariance is not None:
             P = _checked_covariance(covariance, self._size)
         self._z, self._P = z, P
+        frame = self._design.frame
+        self._pose = None if frame is None else RollingPose(frame)
         self._mostly_refused = 0
         self._anew: list[bool] = []  # of the samples of a log: whether it began again there
         self._tally = Tally(len(self.sensors.readings))
@@ -577,6 +587,8 @@ class KalmanFilter:
             If an argument does not fit, or a smoothed state is no shape of the structure.
         """
         count, inputs = len(self.sensors.noise), len(self.plant.actuation.input)
+        if self._pose is not None:
+            raise ValueError("a filter with rolling=True does not smooth: it turns as it goes")
         y = validation.real_array("readings", readings)
         if y.ndim != 2 or y.shape[0] != count or not y.shape[1]:
             raise ValueError(
@@ -668,6 +680,8 @@ class KalmanFilter:
         """Return what known forces add to the state in a sample, shape (2r,)."""
         if force is None:
             return None
+        if self._pose is not None:
+            raise ValueError("force is given, but a filter with rolling=True takes none")
         shape = self.plant.nodes.shape
         forces = validation.shaped("force", force, shape, "one force per node, N")
         # Tᵀ M T = I: forces on the nodes give the accelerations Tᵀ f.
@@ -677,6 +691,8 @@ class KalmanFilter:
     def _correct(self, y: FloatArray) -> None:
         """Correct the state of the moment that was measured."""
         gate = self._correction.gate
+        if self._pose is not None:
+            y = self._pose.in_frame(y)
         usable = gate.finite(y)
         # Without the previous input, tensions and accelerations say nothing.
         if self._previous_input is None:
@@ -697,6 +713,9 @@ class KalmanFilter:
             self._mostly_refused = 0
         entries = int(correction.passed[self.sensors.reading_of].sum())
         self._z, self._P = correction.z, correction.P
+        if self._pose is not None:
+            shape = self._design.nodes(self._z, held), self._design.velocities(self._z, held)
+            self._z, self._P = self._pose.settle(self._z, self._P, *shape)
         self._tally.add(gate.lost(y), usable, correction.passed, correction.nis, entries)
 
     def _advanced(
@@ -743,7 +762,7 @@ class KalmanFilter:
 
     def _estimate(self, z: FloatArray, P: FloatArray, held: FloatArray | None) -> Estimate:
         r, T = self.plant.degrees_of_freedom, self.plant.basis
-        nodes = self._design.nodes(z, held)
+        nodes, velocities = self._design.nodes(z, held), self._design.velocities(z, held)
         structure, shape = self.plant.model.structure, self.plant.nodes.shape
         strings = structure.string_vectors(nodes)
         along = strings / np.maximum(np.linalg.norm(strings, axis=0), np.finfo(float).tiny)
@@ -751,6 +770,12 @@ class KalmanFilter:
         if structure.has_clusters:
             by_segment, stretch = stretch, np.zeros((len(structure.strings), r))
             np.add.at(stretch, structure.segment_string, by_segment)
+        force = self._force @ z[self._design.extra.of_load] if self._design.settings.load else None
+        if self._pose is not None:
+            nodes, velocities = self._pose.place(nodes, velocities)
+            T = self._pose.turned(T)
+            if force is not None:
+                force = self._pose.turned(force[:, None])
         by_node, by_length = (((D @ P[:r, :r]) * D).sum(axis=1) for D in (T, stretch))
         extra, variance = self._design.extra, np.diag(P)
         bias, wound = np.zeros((2, len(self.sensors.noise))), np.zeros((2, self.plant.B.shape[1]))
@@ -760,14 +785,12 @@ class KalmanFilter:
         )  # fmt: skip
         return Estimate(
             nodes=frozen(nodes),
-            velocities=frozen(self._design.velocities(z, held)),
+            velocities=frozen(velocities),
             bias=frozen(bias[0]),
             bias_deviation=frozen(bias[1]),
-            rest_length_error=frozen(wound[0]),
-            rest_length_deviation=frozen(wound[1]),
-            load=frozen((self._force @ z[extra.of_load]).reshape(shape, order="F"))
-            if self._design.settings.load
-            else None,
+            rest_length_error=frozen(moved_by(self.plant.actuation, wound[0])),
+            rest_length_deviation=frozen(np.abs(moved_by(self.plant.actuation, wound[1]))),
+            load=None if force is None else frozen(force.reshape(shape, order="F")),
             state=frozen(z),
             covariance=frozen(P),
             node_deviation=frozen(np.sqrt(by_node).reshape(shape, order="F")),

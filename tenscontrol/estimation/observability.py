@@ -312,7 +312,8 @@ def refuse_unseen_constants(
     lost = len(own) - (_rank(rows) - before)
     if not lost:
         return
-    names = [f"the rest length of string {string}" for string in extra.rest_lengths]
+    leads = plant.actuation.lead[list(extra.rest_lengths)]
+    names = [f"the rest length of string {string}" for string in leads]
     names += [f"the bias of {sensors.readings[sensors.reading_of[i]]}" for i in extra.biased]
     hidden = [
         name

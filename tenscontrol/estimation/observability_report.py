@@ -175,7 +175,8 @@ def _directions(design: FilterDesign) -> tuple[list[str], list[str], FloatArray]
     units = ["m"] * places.shape[1] + ["m/s"] * rigid.shape[1]
     sensors = design.sensors
     kind_units = {kind.name: kind.unit for kind in sensors.kinds}
-    all_names += [f"rest length error {string}" for string in extra.rest_lengths]
+    leads = plant.actuation.lead[list(extra.rest_lengths)]
+    all_names += [f"rest length error {string}" for string in leads]
     units += ["m"] * len(extra.rest_lengths)
     first = {int(i): k for k, i in reversed(list(enumerate(sensors.reading_of)))}
     for entry in extra.biased:

@@ -24,6 +24,7 @@ from tenscontrol.structure.supports import (
     left_by_supports,
     refuse_load_without_support,
     rigid_motions,
+    rotation_between,
 )
 from tenscontrol.tables import aligned
 from tenscontrol.warn import warn
@@ -449,10 +450,7 @@ def _moved(name: str, plant: LinearPlant, state: Prestress) -> FloatArray:
 
 def _turned(before: FloatArray, after: FloatArray) -> float:
     """Return the angle by which a shape has turned, rad, of the rotation that fits best."""
-    before, after = (nodes - nodes.mean(axis=1, keepdims=True) for nodes in (before, after))
-    U, _, Vt = np.linalg.svd(after @ before.T)
-    U[:, -1] *= np.linalg.det(U @ Vt)
-    trace = float(np.trace(U @ Vt))
+    trace = float(np.trace(rotation_between(before, after)))
     return float(np.arccos(np.clip(trace / 2 if len(before) == 2 else (trace - 1) / 2, -1.0, 1.0)))
 
 

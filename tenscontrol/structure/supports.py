@@ -54,6 +54,14 @@ def rigid_motions(nodes: FloatArray) -> FloatArray:
     return np.column_stack([*shifts, *turns.reshape(len(planes), -1)])
 
 
+def rotation_between(before: FloatArray, after: FloatArray) -> FloatArray:
+    """Return the rotation that fits best from one shape to another, shape (d, d) (Kabsch 1976)."""
+    before, after = (nodes - nodes.mean(axis=1, keepdims=True) for nodes in (before, after))
+    U, _, Vt = np.linalg.svd(after @ before.T)
+    U[:, -1] *= np.linalg.det(U @ Vt)
+    return np.asarray(U @ Vt)
+
+
 def affine_motions(nodes: FloatArray) -> FloatArray:
     """Return the displacement fields δn = G n + c, shape (d n, d + d²)."""
     d, n = nodes.shape

@@ -207,6 +207,30 @@ def test_filters_refuse_what_readings_cannot_tell(held, by_force, model):
         tc.KalmanFilter(weighed, felt, sample_time=STEP)
 
 
+def test_encoders_tell_of_the_inputs_that_drive_their_strings(held, model):
+    """Winch 1 drives string 7: its rest length is 2 mm longer than the filter is told."""
+    plant = tc.linearize(
+        model, tc.OperatingPoint(held.nodes, held.force_density, model.constant_force),
+        input="rest_length", actuated=[6, 7, 8], require_equilibrium=False,
+    )  # fmt: skip
+    motor = tc.Motor(drum_radius=0.01, zero=1.0)
+    told = {"structure": model.structure, "string_length": 1e-3, "encoder": 0.01, "motor": motor}
+    sensors = tc.Sensors(encoder_strings=[7], **told)
+    given = {"sample_time": STEP, "rest_length_error": (5e-3, 1e-4)}
+    estimator = tc.KalmanFilter(plant, sensors, **given)
+    longer = plant.rest_length + 2e-3 * (np.arange(9) == 7)
+    for _ in range(5):
+        estimator.predict(plant.rest_length)
+        y = sensors.measure(held.nodes, rest_length=longer)
+        y[:9] = np.nan  # lengths are lost
+        estimate = estimator.update(y)
+    assert estimate.rest_length_error[7] == pytest.approx(2e-3, rel=0.02)
+    assert not np.delete(estimate.rest_length_error, 7).any()
+    assert np.flatnonzero(estimate.rest_length_deviation).tolist() == [7]
+    with pytest.raises(ValueError, match="encoder of string 0, but no input"):
+        tc.KalmanFilter(plant, tc.Sensors(encoder_strings=[0], **told), **given)
+
+
 def holding(plant, sample_time):
     """A controller that holds the rest lengths of a plant."""
     return tc.FunctionController(
