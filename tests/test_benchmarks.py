@@ -28,7 +28,11 @@ def needs(package, extra):
 def test_every_benchmark_is_tested():
     there = {path.stem for path in BENCHMARKS.glob("*.py") if not path.stem.startswith("test_")}
     there -= {"__init__", "command_line", "extreme_cases", "rk4_peers"}
-    there -= {"filter_code", "least_mass"}  # tests of deploy and sizing run parts of these
+    there -= {
+        "filter_code",
+        "rolling_code",
+        "least_mass",
+    }  # tests of deploy and sizing run parts of these
     tested = {name.removeprefix("test_") for name in globals() if name.startswith("test_")}
     assert there == tested - {
         "batch_controlled",

@@ -81,7 +81,9 @@ def code_files(
             "KINDS_READ": ", ".join(kind.name for kind in estimator.sensors.kinds),
             "HELD": _UNIT[estimator.input],
         }
-        words["ESTIMATOR"] = _template("filter.h", name, read).lstrip() + "\n"
+        headers = ["filter.h", *(["sample.h"] if "sample.c" in law.templates else [])]
+        text = "".join(_template(header, name, read) for header in headers)
+        words["ESTIMATOR"] = text.lstrip() + "\n"
     code = "".join(
         _template(file, name, {}) for file in ("common.c", *law.templates, "interface.c")
     )
@@ -150,6 +152,7 @@ def _data(interface: CodeInterface, law: LawCode, functions: list[ca.Function]) 
         "STATES": interface.state_count,
         "REDUCED": int(interface.plant is not None),
         "HOLDS_PREVIOUS_INPUT": int(interface.input != "force_density"),
+        "CASADI": int(bool(functions)),
         "BARS": check.bars.shape[1],
         "FIXED": len(check.fixed),
         "ROLLERS": len(rolling),

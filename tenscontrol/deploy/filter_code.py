@@ -9,38 +9,40 @@ import numpy as np
 
 from tenscontrol import validation
 from tenscontrol.actuation.driven_strings import moves_alike
-from tenscontrol.control.controller import Controller
+from tenscontrol.deploy.code_interface import CodeInterface
 from tenscontrol.deploy.controllers import LawCode
 from tenscontrol.dynamics.evaluator import Function
 from tenscontrol.estimation.correction import MOST_REPEATS, SETTLED, Gate
 from tenscontrol.estimation.filter_design import FilterDesign
 from tenscontrol.estimation.kalman_filter import NOTHING_KNOWN, WIDER, KalmanFilter
 from tenscontrol.plant.driven_lengths import MOST_LENGTH, known_at_rest, known_size
+from tenscontrol.estimation.rolling_frame import RollingFrame, RollingPose
 from tenscontrol.plant.reduced_dynamics import near_symbol, reduced_motion, settled
 from tenscontrol.structure.structure import different_members
 
 
-def with_filter(law: LawCode, controller: Controller, estimator: object) -> LawCode:
+def with_filter(law: LawCode, interface: CodeInterface, estimator: object) -> LawCode:
     """Return the code of a law with that of the filter that tells it where the structure is."""
     validation.instance(
         "estimator", estimator, KalmanFilter, "make one by KalmanFilter(plant, sensors, ...)"
     )
     assert isinstance(estimator, KalmanFilter)  # just checked
     design, plant = estimator.design, estimator.plant
-    different = different_members(plant.model.structure, controller.plant.model.structure, ())
+    different = different_members(plant.model.structure, interface.structure, ())
     if different:
         raise ValueError(
             f"estimator is for {plant.model.structure!r}, but the controller for that with "
             f"{different}: design both on one structure"
         )
-    if estimator.sample_time != controller.sample_time:
+    if estimator.sample_time != interface.sample_time:
         raise ValueError(
             f"estimator has a sample time of {estimator.sample_time:g} s, but the controller one "
-            f"of {controller.sample_time:g} s: give both the same"
+            f"of {interface.sample_time:g} s: give both the same"
         )
-    both = plant.actuation, controller.actuation
+    both = plant.actuation, interface.actuation
     alike = np.array_equal(both[0].lead, both[1].lead)
-    if plant.input == controller.input:
+    takes_commands = plant.input == interface.input
+    if takes_commands:
         alike = moves_alike(*both)
     if not alike:
         raise ValueError(
@@ -67,6 +69,7 @@ def with_filter(law: LawCode, controller: Controller, estimator: object) -> LawC
         "FILTER_KNOWN": known_size(plant),
         "FILTER_DRIVES_BARS": int(plant.input == "bar_length"),
         "FILTER_MOST_LENGTH": MOST_LENGTH,
+        "FILTER_ROLLS": int(design.frame is not None),
     }
     arrays = {
         "reading_noise": sensors.noise,
@@ -81,6 +84,10 @@ def with_filter(law: LawCode, controller: Controller, estimator: object) -> LawC
     }
     if design.start_input is not None:
         arrays["start_input"] = design.start_input
+    if design.frame is not None:
+        more_constants, more_arrays = _frame(design.frame)
+        constants |= more_constants
+        arrays |= more_arrays
     matrices = {}
     functions = {"outputs": design.outputs, "shape": _shape(design)}
     if design.motion is None:
@@ -94,13 +101,37 @@ def with_filter(law: LawCode, controller: Controller, estimator: object) -> LawC
         functions["motion"] = design.motion
     return replace(
         law,
-        templates=(*law.templates, "filter.c"),
+        templates=(*law.templates, "filter.c", *(["sample.c"] if takes_commands else [])),
         constants=law.constants | constants,
         arrays=law.arrays | arrays,
         matrices=law.matrices | matrices,
         functions=law.functions | functions,
         numbers_read=len(sensors.noise),
     )
+
+
+def _frame(frame: RollingFrame) -> tuple[dict[str, int | float], dict[str, np.ndarray]]:
+    """Return constants and arrays of the frame of a structure that rolls."""
+    pose = RollingPose(frame)
+    constants: dict[str, int | float] = {
+        "FRAME_SHAPES": frame.basis.shape[1],
+        "FRAME_ANGLES": len(frame.angles),
+        "FRAME_VECTORS": len(frame.vectors),
+        "FRAME_TURNED": frame.turned,
+        "FRAME_GROUND": pose.ground,
+        "FRAME_LOWEST": pose.lowest,
+    }
+    arrays = {
+        "frame_vector": frame.vectors[:, 0],
+        "frame_angle": frame.angles.ravel(),
+        "frame_up": frame.up,
+        "frame_basis": frame.basis.ravel(),
+        "frame_projection": frame.projection.ravel(),
+        "frame_nodes": frame.nodes.ravel(order="F"),
+        "frame_turn": pose.turn.ravel(),
+        "frame_touch": pose.touch,
+    }
+    return constants, arrays
 
 
 def _shape(design: FilterDesign) -> ca.Function:

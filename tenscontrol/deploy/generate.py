@@ -10,6 +10,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from tenscontrol import validation
 from tenscontrol.actuation.driven_strings import Actuation
 from tenscontrol.arrays import FloatArray, frozen
@@ -198,7 +200,7 @@ def generate_c(
         is no path.
     ValueError
         If an argument does not fit, the controller has a ``time_limit``, an NMPC predicts stiff
-        strings or ramp inputs, a gait plans while it runs or is given an estimator, or the
+        strings or ramp inputs, a gait plans while it runs or its estimator does not roll, or the
         reference lasts too long for a table.
     FileExistsError
         If the folder has a file that was changed, another C file, or no file of an earlier call.
@@ -231,16 +233,13 @@ def generate_c(
     name = _checked_name(name)
     path = validation.file_path("folder", folder).absolute()
     if isinstance(controller, RollingGait):
-        if estimator is not None:
-            raise ValueError(
-                "estimator is given, but a gait must know which way is down, and a filter lays "
-                "the shape over that of its operating point: give the gait measured nodes"
-            )
         interface = interface_of_gait(controller)
     else:
         interface = interface_of(controller)
-        if estimator is not None:
-            law = with_filter(law, controller, estimator)
+    if estimator is not None:
+        law = with_filter(law, interface, estimator)
+        if isinstance(controller, RollingGait):
+            _refuse_lost_down(controller, estimator)
     texts = code_files(interface, law, name, estimator)
     sums = [f"{_checksum(text.encode())}  {file}" for file, text in texts.items()]
     texts[_LIST] = "\n".join([_HEAD, *sums, ""])
@@ -263,6 +262,21 @@ def generate_c(
         low=frozen(low),
         high=frozen(high),
     )
+
+
+def _refuse_lost_down(gait: RollingGait, estimator: KalmanFilter) -> None:
+    """Refuse a filter that does not tell a gait which way is down."""
+    frame = estimator.design.frame
+    if frame is None:
+        raise ValueError(
+            "estimator lays the shape over that of its operating point, but a gait must know which "
+            "way is down: make it by KalmanFilter(..., rolling=True)"
+        )
+    if not np.allclose(frame.up, gait.settings.up):
+        raise ValueError(
+            f"estimator has up along {frame.up}, by the gravity of its sensors, but the gait along "
+            f"{gait.settings.up}: give both the same gravity"
+        )
 
 
 @builds

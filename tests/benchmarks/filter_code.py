@@ -102,17 +102,18 @@ def following(design, z, held, previous):
 
 
 class Code:
-    """Filter and controller in C."""
+    """Filter and controller in C; another one like it has a memory of its own."""
 
-    def __init__(self, made):
+    def __init__(self, made, like=None):
         sources = [made.folder / f for f in made.files if f.endswith(".c") and f != "main.c"]
-        path = made.folder / "loaded.so"
-        path.write_bytes(compiled(made.name, sources, 100.0))
+        self.built = compiled(made.name, sources, 200.0) if like is None else like.built
+        path = made.folder / f"loaded_{id(self)}.so"
+        path.write_bytes(self.built)
         self.library = ctypes.CDLL(str(path))
         self.library.controller_estimate.argtypes = [VECTOR] * 3
         self.library.controller_predict.argtypes = [VECTOR]
         self.library.controller_command.argtypes = [ctypes.c_double, *[VECTOR] * 3]
-        self.shape, self.commands = made.plant.nodes.shape, len(made.low)
+        self.shape, self.commands = made.structure.nodes.shape, len(made.low)
 
     def estimate(self, y):
         nodes, velocities = np.zeros((2, self.shape[0] * self.shape[1]))
@@ -120,10 +121,10 @@ class Code:
         N, V = (part.reshape(self.shape, order="F") for part in (nodes, velocities))
         return N, V, tuple(Status)[number]
 
-    def command(self, N, V):
+    def command(self, N, V, time=0.0):
         command = np.zeros(self.commands)
         parts = (np.ascontiguousarray(part.ravel(order="F")) for part in (N, V))
-        self.library.controller_command(0.0, *parts, command)
+        self.library.controller_command(time, *parts, command)
         return command
 
     def predict(self, held):

@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
+from tenscontrol.status import Status
+from tests.benchmarks import rolling_code
 from tests.deploy import scenes
+from tests.fuzz import sanitizers
 
 SPOILT, ABSURD = (40, 41, 90), (60, 130)
 
@@ -18,7 +21,8 @@ class Both:
 
     def __init__(self, gait, code):
         self.gait = gait
-        self.python = tc.FunctionController(gait.settings.structure, gait)
+        home = gait.settings.plans.home
+        self.python = tc.FunctionController(gait.settings.structure, gait, equilibrium_input=home)
         self.code = code
         self.answers = []
 
@@ -56,11 +60,11 @@ def test_a_ball_rolls_by_the_commands_of_python(code):
     compiled = code.compile()
     both = Both(gait, pickle.loads(pickle.dumps(compiled)))
     run = tc.simulate(
-        model, 12.0, nodes, controller=both, winches=winches, rest_length=0.55, method="rk4",
+        model, 9.0, nodes, controller=both, winches=winches, rest_length=0.55, method="rk4",
         step=1e-3, project=True, error="none", output_step=0.05,
     )  # fmt: skip
     both.check()
-    assert len(gait.made) >= 3
+    assert len(gait.made) >= 2
     assert np.ptp(run.nodes.mean(axis=1)[0]) > 0.5
     statuses = [str(command.status) for _, command in both.answers]
     assert [k for k, status in enumerate(statuses) if "finite" in status] == list(SPOILT)
@@ -103,3 +107,93 @@ def test_in_the_plane_and_where_no_step_comes(tmp_path):
     assert len(phases) >= 4
     assert len(gait.made) >= 1
     assert gait._vain
+
+
+PLAY = """
+#include <stdio.h>
+#include "controller.h"
+
+int main(void)
+{
+    double y[FILTER_NUMBERS], command[CONTROLLER_COMMANDS], time = 0.0;
+    int i;
+    for (;; time += CONTROLLER_STEP) {
+        for (i = 0; i < FILTER_NUMBERS; i++)
+            if (scanf("%lf", &y[i]) != 1)
+                return 0;
+        controller_sample(time, y, command);
+        for (i = 0; i < CONTROLLER_COMMANDS; i++)
+            printf("%.17g ", command[i]);
+        printf("\\n");
+    }
+}
+"""
+
+
+def robot_of(structure, feet):
+    """A structure on the ground, its gait, and what a filter of IMUs and encoders is made of."""
+    strings = tc.LinearStrings(1000.0, damping=5.0)
+    ground = tc.Ground(5e3, damping=0.5, friction=0.6, slip_speed=0.05)
+    model = tc.Model(structure, strings, gravity=9.81, ground=ground)
+    rest = tc.to_rest_length(
+        model, structure.nodes, tc.prestress(structure, min_force_density=60.0).force_density
+    ).rest_length
+    winches = tc.Winches(rate=0.5, shortest=0.1, ramp=True)
+    ahead = np.eye(structure.dimension)[0]
+    gait = tc.shape.RollingGait(model, rest, ahead, 0.05, winches=winches, tabulated=True)
+    free = tc.Model(structure, strings)
+    plant = tc.linearize(free, tc.equilibrium(free, rest_length=rest), input="rest_length")
+    motor = tc.Motor(drum_radius=0.02, gear_ratio=20.0, zero=rest)
+
+    def filter_of(gravity=9.81, **more):
+        sensors = tc.Sensors(
+            structure=structure, bar_direction=0.02, bar_rate=0.05, encoder=0.2, motor=motor,
+            gravity=gravity,
+        )  # fmt: skip
+        return tc.KalmanFilter(
+            plant, sensors, sample_time=0.05, process_noise=0.1, winches=winches,
+            rest_length_error=(2e-3, 5e-4), **more,
+        )  # fmt: skip
+
+    start = tc.plant.set_down(model, feet)
+    estimator = filter_of(rolling=True, start=start)
+    robot = tc.Stepper(
+        model, 0.05, step=1e-3, nodes=start, rest_length=rest, winches=winches,
+        sensors=estimator.sensors,
+    )  # fmt: skip
+    return gait, robot, estimator, filter_of
+
+
+@pytest.mark.parametrize(("name", "samples"), [("in the plane", 180), ("in space", 80)])
+def test_by_readings_alone_in_one_call(name, samples, tmp_path):
+    """IMUs and encoders in, rest lengths out: filter and gait in C beside Python."""
+    is_flat = name == "in the plane"
+    structure = tc.library.snelson_x() if is_flat else tc.prism(bar_mass=0.5)
+    gait, robot, estimator, filter_of = robot_of(structure, [0, 1] if is_flat else [3, 4, 5])
+    worst, statuses, errors = rolling_code.compare(gait, estimator, robot, samples, tmp_path)
+    assert worst.max() < 1e-12
+    assert {Status.OK, Status.PARTLY_USED, Status.LOST, Status.RESTARTED} <= statuses
+    assert len(gait.made) >= 1
+    assert np.median(errors) < 0.06
+    if not is_flat:
+        return
+    with pytest.raises(ValueError, match=r"must know which way is down: .*rolling=True"):
+        tc.generate_c(gait, tmp_path, estimator=filter_of(), overwrite=True)
+    aside = filter_of(gravity=[9.81, 0.0], rolling=True)
+    with pytest.raises(ValueError, match="give both the same gravity"):
+        tc.generate_c(gait, tmp_path, estimator=aside, overwrite=True)
+    if not sanitizers.can_sanitize():
+        return
+    (tmp_path / "main.c").write_text(PLAY)
+    sources = [path.name for path in tmp_path.glob("*.c")]
+    strict = [*sanitizers.CHECKED, "-Wall", "-Wextra", "-Wno-unused-parameter", "-Werror"]
+    sanitizers.build(sources, tmp_path, strict)
+    rng, count = np.random.default_rng(0), len(estimator.sensors.noise)
+    rows = robot.reset() + 0.01 * rng.normal(size=(120, count))
+    for row in rows[40::3]:
+        row[rng.integers(count, size=3)] = rng.choice(sanitizers.ABSURD, 3)
+    rows[45::17] = rng.choice(sanitizers.ABSURD, size=rows[45::17].shape)
+    text = "\n".join(" ".join(map(repr, row)) for row in rows.tolist())
+    lines = sanitizers.run(["./program"], tmp_path, text).splitlines()
+    assert len(lines) == len(rows)
+    assert np.isfinite([[float(word) for word in line.split()] for line in lines]).all()

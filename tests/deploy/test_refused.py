@@ -38,13 +38,11 @@ def test_a_controller_that_is_not_written(tmp_path):
         tc.generate_c(law, tmp_path)
 
 
-def test_gaits_that_plan_while_they_run_or_are_told_by_a_filter(tmp_path):
+def test_gaits_that_plan_while_they_run(tmp_path):
     model, _, winches = scenes.rolling_ball()
     planning = tc.shape.RollingGait(model, 0.55, [1.0, 0.0, 0.0], 0.05, winches=winches)
     with pytest.raises(ValueError, match=r"RollingGait that plans while it runs.*tabulated=True"):
         tc.generate_c(planning, tmp_path)
-    with pytest.raises(ValueError, match="estimator is given, but a gait must know which way"):
-        tc.generate_c(scenes.rolling_gait(), tmp_path, estimator=object())
     assert not list(tmp_path.iterdir())
 
 

@@ -12,7 +12,7 @@ typedef struct {
 
 #include "controller_data.h"
 
-#if REDUCED
+#if CASADI
 #include "controller_casadi.h"
 #endif
 
@@ -77,11 +77,13 @@ static void add_product(const Matrix *M, const double *x, double *y)
 }
 #endif
 
-#if REDUCED
+#if CASADI
 /* Work space of functions by CasADi. */
 static casadi_int casadi_integers[CASADI_IW];
 static double casadi_numbers[CASADI_W];
+#endif
 
+#if REDUCED
 /* z = [q; q'] of a motion */
 static void measure(const double *nodes, const double *velocities, double *state)
 {

@@ -52,6 +52,196 @@ static void read_state(const double *z, const double *held)
     call(controller_outputs, z, held, read_now, jacobian);
 }
 
+#if FILTER_ROLLS
+/*
+ * Turn of the frame that the state is in, by rows, and the lowest node, which stands on the ground
+ * at pose_touch.
+ */
+static double pose_turn[DIMENSION * DIMENSION], pose_touch[DIMENSION];
+static int pose_lowest;
+
+/* y = A x, or A' x */
+static void turn_vector(const double *A, int transposed, const double *x, double *y)
+{
+    int i, j;
+    for (i = 0; i < DIMENSION; i++) {
+        y[i] = 0.0;
+        for (j = 0; j < DIMENSION; j++)
+            y[i] += A[transposed ? j * DIMENSION + i : i * DIMENSION + j] * x[j];
+    }
+}
+
+/* C = A B, or A' B */
+static void multiply(const double *A, int transposed, const double *B, double *C)
+{
+    int i, j, k;
+    for (i = 0; i < DIMENSION; i++)
+        for (j = 0; j < DIMENSION; j++) {
+            double sum = 0.0;
+            for (k = 0; k < DIMENSION; k++)
+                sum += A[transposed ? k * DIMENSION + i : i * DIMENSION + k] *
+                       B[k * DIMENSION + j];
+            C[i * DIMENSION + j] = sum;
+        }
+}
+
+/* Vectors that were read, as they are in the frame; one that is not finite stays so. */
+static void read_in_frame(double *y)
+{
+    int i;
+    for (i = 0; i < FRAME_VECTORS; i++) {
+        double vector[DIMENSION];
+        copy(vector, y + frame_vector[i], DIMENSION);
+        if (all_finite(vector, DIMENSION))
+            turn_vector(pose_turn, 1, vector, y + frame_vector[i]);
+    }
+}
+
+/* The rotation by a vector of angles (Rodrigues); in the plane by one angle. */
+static void rotation(const double *angles, double *step)
+{
+    double K[DIMENSION * DIMENSION] = {0}, square[DIMENSION * DIMENSION], size = 0.0;
+    double first = 1.0, second = 0.5;
+    int i;
+    for (i = 0; i < FRAME_ANGLES; i++)
+        size += angles[i] * angles[i];
+    size = sqrt(size);
+    if (size > 0.0) {
+        first = sin(size) / size;
+        second = sin(size / 2) / size;
+        second = 2 * second * second;
+    }
+#if DIMENSION == 3
+    K[1] = -(K[3] = angles[2]);
+    K[6] = -(K[2] = angles[1]);
+    K[5] = -(K[7] = angles[0]);
+#else
+    K[1] = -(K[2] = angles[0]);
+#endif
+    multiply(K, 0, K, square);
+    for (i = 0; i < DIMENSION * DIMENSION; i++)
+        step[i] = (i % (DIMENSION + 1) == 0) + first * K[i] + second * square[i];
+}
+
+/* Coordinates of displacements or velocities of the nodes. */
+static void project(const double *motion, double *coordinates)
+{
+    int i, k;
+    for (i = 0; i < FRAME_SHAPES; i++) {
+        coordinates[i] = 0.0;
+        for (k = 0; k < CONTROLLER_COORDINATES; k++)
+            coordinates[i] += frame_projection[i * CONTROLLER_COORDINATES + k] * motion[k];
+    }
+}
+
+/* The motion of each node turned by A, or A'. */
+static void turn_motion(const double *A, int transposed, const double *motion, double *turned)
+{
+    int i;
+    for (i = 0; i < CONTROLLER_COORDINATES; i += DIMENSION)
+        turn_vector(A, transposed, motion + i, turned + i);
+}
+
+/* P <- G P G', with G the same for each block of states that turns. */
+static void turn_covariance(const double *G, double *P)
+{
+    int i, j, k;
+    const int r = FRAME_SHAPES, s = FILTER_STATES;
+    for (i = 0; i < s; i++)
+        for (j = 0; j < s; j++) {
+            double sum = P[i * s + j];
+            if (i < FRAME_TURNED * r)
+                for (sum = 0.0, k = 0; k < r; k++)
+                    sum += G[i % r * r + k] * P[(i / r * r + k) * s + j];
+            product[i * s + j] = sum;
+        }
+    for (i = 0; i < s; i++)
+        for (j = 0; j <= i; j++) {
+            double sum = product[i * s + j];
+            if (j < FRAME_TURNED * r)
+                for (sum = 0.0, k = 0; k < r; k++)
+                    sum += product[i * s + j / r * r + k] * G[j % r * r + k];
+            P[i * s + j] = P[j * s + i] = sum;
+        }
+}
+
+/* Take the turn out of the state; the frame turns by it. */
+static void settle(void)
+{
+    static double G[FRAME_SHAPES * FRAME_SHAPES];
+    double angles[FRAME_ANGLES] = {0}, step[DIMENSION * DIMENSION], next[DIMENSION * DIMENSION];
+    double motion[CONTROLLER_COORDINATES], turned[CONTROLLER_COORDINATES], now[FRAME_SHAPES];
+    int i, k;
+    for (i = 0; i < FRAME_ANGLES; i++)
+        for (k = 0; k < FRAME_SHAPES; k++)
+            angles[i] += frame_angle[i * FRAME_SHAPES + k] * filter_state[k];
+    rotation(angles, step);
+    for (k = 0; k < FRAME_SHAPES; k++) {
+        for (i = 0; i < CONTROLLER_COORDINATES; i++)
+            motion[i] = frame_basis[i * FRAME_SHAPES + k];
+        turn_motion(step, 1, motion, turned);
+        project(turned, now);
+        for (i = 0; i < FRAME_SHAPES; i++)
+            G[i * FRAME_SHAPES + k] = now[i];
+    }
+    reaches(filter_state, filter_previous);
+    turn_motion(step, 1, shape_nodes, turned);
+    for (i = 0; i < CONTROLLER_COORDINATES; i++)
+        turned[i] -= frame_nodes[i];
+    project(turned, filter_state);
+    turn_motion(step, 1, shape_velocities, turned);
+    project(turned, filter_state + FRAME_SHAPES);
+#if FRAME_TURNED > 2
+    copy(now, filter_state + 2 * FRAME_SHAPES, FRAME_SHAPES);
+    for (i = 0; i < FRAME_SHAPES; i++) {
+        filter_state[2 * FRAME_SHAPES + i] = 0.0;
+        for (k = 0; k < FRAME_SHAPES; k++)
+            filter_state[2 * FRAME_SHAPES + i] += G[i * FRAME_SHAPES + k] * now[k];
+    }
+#endif
+    turn_covariance(G, filter_covariance);
+    multiply(pose_turn, 0, step, next);
+    multiply(next, 1, next, step); /* a rotation again, as round-off adds up */
+    for (i = 0; i < DIMENSION * DIMENSION; i++)
+        step[i] = 1.5 * (i % (DIMENSION + 1) == 0) - 0.5 * step[i];
+    multiply(next, 0, step, pose_turn);
+}
+
+static double height_of(const double *node)
+{
+    double sum = 0.0;
+    int axis;
+    for (axis = 0; axis < DIMENSION; axis++)
+        sum += frame_up[axis] * node[axis];
+    return sum;
+}
+
+/* Nodes and velocities out of the frame: the lowest node has stood still. */
+static void place_motion(double *nodes, double *velocities)
+{
+    double shift[DIMENSION], speed[DIMENSION], least = INFINITY;
+    int i, axis;
+    turn_motion(pose_turn, 0, shape_nodes, nodes);
+    turn_motion(pose_turn, 0, shape_velocities, velocities);
+    for (axis = 0; axis < DIMENSION; axis++) {
+        shift[axis] = pose_touch[axis] - nodes[DIMENSION * pose_lowest + axis];
+        speed[axis] = velocities[DIMENSION * pose_lowest + axis];
+    }
+    for (i = 0; i < CONTROLLER_COORDINATES; i++) {
+        nodes[i] += shift[i % DIMENSION];
+        velocities[i] -= speed[i % DIMENSION];
+    }
+    for (i = 0; i < CONTROLLER_COORDINATES; i += DIMENSION)
+        if (height_of(nodes + i) < least) {
+            least = height_of(nodes + i);
+            pose_lowest = i / DIMENSION;
+        }
+    for (i = 0; i < CONTROLLER_COORDINATES; i++)
+        nodes[i] += (FRAME_GROUND - least) * frame_up[i % DIMENSION];
+    copy(pose_touch, nodes + DIMENSION * pose_lowest, DIMENSION);
+}
+#endif
+
 /* Inverse of a symmetric positive definite matrix, in place of it; 0 if it has none. */
 static int invert(double *A, int n)
 {
@@ -308,9 +498,12 @@ static int correct_sample(const double *readings)
         usable[i] = 1;
         lost[i] = 0;
     }
+    copy(y, readings, FILTER_NUMBERS);
+#if FILTER_ROLLS
+    read_in_frame(y);
+#endif
     for (i = 0; i < FILTER_NUMBERS; i++) {
         int reading = reading_of[i];
-        y[i] = readings[i];
         /* Without the previous input, tensions and accelerations say nothing. */
         if (!filter_has_previous && needs_input[reading])
             y[i] = NAN;
@@ -335,6 +528,9 @@ static int correct_sample(const double *readings)
     } else if (any) {
         filter_mostly_refused = 0;
     }
+#if FILTER_ROLLS
+    settle();
+#endif
     if (filter_is_fresh)
         status = CONTROLLER_RESTARTED;
     filter_is_fresh = 0;
@@ -428,6 +624,11 @@ int controller_estimator_reset(void)
     filter_has_previous = 1;
 #endif
     filter_mostly_refused = filter_is_fresh = 0;
+#if FILTER_ROLLS
+    copy(pose_turn, frame_turn, DIMENSION * DIMENSION);
+    copy(pose_touch, frame_touch, DIMENSION);
+    pose_lowest = FRAME_LOWEST;
+#endif
     filter_is_ready = 1;
     return CONTROLLER_OK;
 }
@@ -458,8 +659,12 @@ int controller_estimate(const double *readings, double *nodes, double *velocitie
         status = CONTROLLER_RESTARTED;
         reaches(z, filter_previous);
     }
+#if FILTER_ROLLS
+    place_motion(nodes, velocities);
+#else
     copy(nodes, shape_nodes, CONTROLLER_COORDINATES);
     copy(velocities, shape_velocities, CONTROLLER_COORDINATES);
+#endif
     return status;
 }
 
