@@ -15,8 +15,8 @@ from tenscontrol.dynamics.evaluator import Function
 from tenscontrol.estimation.correction import MOST_REPEATS, SETTLED, Gate
 from tenscontrol.estimation.filter_design import FilterDesign
 from tenscontrol.estimation.kalman_filter import NOTHING_KNOWN, WIDER, KalmanFilter
-from tenscontrol.plant.driven_lengths import MOST_LENGTH, known_at_rest, known_size
 from tenscontrol.estimation.rolling_frame import RollingFrame, RollingPose
+from tenscontrol.plant.driven_lengths import MOST_LENGTH, known_at_rest, known_size
 from tenscontrol.plant.reduced_dynamics import near_symbol, reduced_motion, settled
 from tenscontrol.structure.structure import different_members
 

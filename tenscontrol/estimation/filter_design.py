@@ -182,10 +182,7 @@ def filter_design(
     if settings.prediction == "linear":
         _refuse_fall(plant, pull)
     extra = _extra_states(plant, sensors, settings)
-    frame = None
-    if settings.rolling:
-        frame = rolling_frame(plant, sensors, extra, start)
-        start = RollingPose(frame).turn.T @ frame.start
+    frame = rolling_frame(plant, sensors, extra, start) if settings.rolling else None
     C = output_derivative(plant, sensors, extra)
     directions = unseen_with_biases(plant, sensors, extra, C, apart)
     refuse_unseen_constants(plant, sensors, extra, C, directions)
@@ -206,7 +203,8 @@ def filter_design(
     more = extra.size - extra.states
     none = np.zeros((more, plant.B.shape[1]))
     lost = np.hstack([directions, np.pad(apart.modes, ((0, more), (0, 0)))])
-    first, start_input = _start_state(plant, start)
+    shape = start if frame is None else RollingPose(frame).turn.T @ frame.start
+    first, start_input = _start_state(plant, shape)
     design = FilterDesign(
         plant=plant,
         sensors=sensors,
