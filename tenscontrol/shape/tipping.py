@@ -253,7 +253,9 @@ class TippingPlanner:
         self, model: Model, rest_length: object, winches: Winches | None, clearance: float,
         actuated: object = None,
     ) -> None:  # fmt: skip
-        import scipy.linalg.lapack  # now, not within the first sample  # noqa: F401
+        # Now, not within the first sample.
+        import scipy.linalg.lapack  # noqa: F401
+        import scipy.spatial  # noqa: F401
 
         validation.instance(
             "model", model, Model, "make one by Model(structure, strings=..., gravity=...)"
