@@ -7,10 +7,11 @@ bar are drawn. ``--driven 12`` leaves winches to every second string of the shel
 springs, and ``--payload 1`` hangs a mass of 1 kg in the middle by twelve springs more.
 ``--roughness 0.01`` has waves of 0.01 m in any direction on the ground, which the gait does not
 know of. On level ground the gait has a table of its plans; with ``--planned`` it makes them in the
-run, as on a slope. A success is five steps within 40 s that end within 45° of the direction.
-Prints the rates of success with their intervals, and the time of a command over the sample time:
-by the clock, as the gait is used in a run, and the processor's for the plan of a whole step at
-once.
+run, as on a slope. With ``--estimated`` it knows what a Kalman filter of the nominal ball tells by
+IMUs on the bars and encoders on the motors. A success is five steps within 40 s that end within
+45° of the direction. Prints the rates of success with their intervals, and the time of a command
+over the sample time: by the clock, as the gait is used in a run, and the processor's for the plan
+of a whole step at once.
 """
 
 from __future__ import annotations
@@ -47,7 +48,8 @@ WAVINESS = {
 def main(arguments: Sequence[str] | None = None) -> None:
     given = options(
         __doc__, arguments, count=COUNT, steps=STEPS, slopes=SLOPES, driven=24, payload=0.0,
-        roughness=0.0, planned=False, seed=SEED, processes=1, file="", plans=10,
+        roughness=0.0, planned=False, estimated=False,
+        seed=SEED, processes=1, file="", plans=10,
     )  # fmt: skip
     for slope in given.slopes:
         file = f"{given.file}.{slope:g}" if given.file else None
@@ -76,11 +78,12 @@ class Rolling:
     payload: float
     roughness: float
     planned: bool
+    estimated: bool
 
     def __call__(self, parameters: dict, rng: np.random.Generator) -> tc.robustness.Outcome:
         robot = {
             "driven": self.driven, "payload": self.payload, "roughness": self.roughness,
-            "tabulated": not self.planned and self.slope == 0,
+            "tabulated": not self.planned and self.slope == 0, "estimated": self.estimated,
         }  # fmt: skip
         gait, runs = rolled(self.slope, self.steps, **robot, **parameters)
         moved = (runs[-1].nodes[:, :, -1] - runs[0].nodes[:, :, 0]).mean(axis=1)
@@ -137,7 +140,15 @@ def rough(roughness, length, heading, phase):
 
 
 def rolled(
-    slope, steps, driven=24, payload=0.0, yaw=0.0, roughness=0.0, tabulated=False, **parameters
+    slope,
+    steps,
+    driven=24,
+    payload=0.0,
+    yaw=0.0,
+    roughness=0.0,
+    tabulated=False,
+    estimated=False,
+    **parameters,
 ):
     """Return the gait and its runs, one after the other, until the steps are made."""
     if roughness:
@@ -146,20 +157,38 @@ def rolled(
     nominal, up = modelled(slope, payload), normal(slope)
     lengths = nominal.structure.string_length()
     lengths = np.where(np.arange(len(lengths)) < 24, REST_LENGTH, 0.9 * lengths)
+    driven = list(range(0, 24, 24 // driven))
     gait = tc.shape.RollingGait(
         nominal, lengths, np.cross([0.0, 1.0, 0.0], up), SAMPLE, winches=WINCHES, steps=steps,
-        actuated=list(range(0, 24, 24 // driven)), tabulated=tabulated,
+        actuated=driven, tabulated=tabulated,
     )  # fmt: skip
     begin = turn(up, np.radians(yaw)) @ tc.plant.set_down(nominal, FACE)
+    estimator = filter_of(nominal, lengths, driven, begin) if estimated else None
     model, runs = modelled(slope, payload, **parameters), []
     while not runs or (len(gait.made) < steps and runs[-1].time[-1] < LONGEST):
         start = {"start": runs[-1]} if runs else {"nodes": begin, "rest_length": lengths}
         runs.append(
             tc.simulate(
-                model, PART, controller=gait, winches=WINCHES, output_step=SAMPLE, **start
+                model, PART, controller=gait, winches=WINCHES, output_step=SAMPLE,
+                estimator=estimator, **start,
             )
         )  # fmt: skip
     return gait, runs
+
+
+def filter_of(model, lengths, driven, start):
+    """Return a filter of directions and rates of the bars and angles of the motors."""
+    free = tc.Model(model.structure, strings=model.strings)
+    rest = tc.equilibrium(free, rest_length=lengths)
+    plant = tc.linearize(free, rest, input="rest_length", actuated=driven)
+    sensors = tc.Sensors(
+        structure=model.structure, bar_direction=0.02, bar_rate=0.05, encoder=0.2,
+        encoder_strings=driven, motor=tc.Motor(drum_radius=0.02, gear_ratio=20.0, zero=lengths),
+    )  # fmt: skip
+    return tc.KalmanFilter(
+        plant, sensors, sample_time=SAMPLE, process_noise=0.1, rest_length_error=(2e-3, 5e-4),
+        winches=WINCHES, rolling=True, start=start,
+    )  # fmt: skip
 
 
 def turn(axis, angle):

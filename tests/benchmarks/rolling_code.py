@@ -21,9 +21,9 @@ import numpy as np
 import tenscontrol as tc
 from tests.benchmarks.command_line import options
 from tests.benchmarks.filter_code import VECTOR, Code, spoilt
-from tests.benchmarks.rolling import FACE, SAMPLE, WINCHES, modelled
+from tests.benchmarks.rolling import FACE, REST_LENGTH, SAMPLE, WINCHES, filter_of, modelled
 
-REST_LENGTH, DRIVEN, STEP = 0.55, list(range(0, 24, 2)), 5e-4
+DRIVEN, STEP = list(range(0, 24, 2)), 5e-4
 
 
 @cache
@@ -37,22 +37,6 @@ def gait_of():
     return tc.shape.RollingGait(
         ball_of()[0], REST_LENGTH, [1.0, 0.0, 0.0], SAMPLE, winches=WINCHES, actuated=DRIVEN,
         tabulated=True,
-    )  # fmt: skip
-
-
-def filter_of():
-    """Return a filter of directions and rates of the bars and angles of the motors."""
-    model, start = ball_of()
-    free = tc.Model(model.structure, strings=model.strings)
-    rest = tc.equilibrium(free, rest_length=REST_LENGTH)
-    plant = tc.linearize(free, rest, input="rest_length", actuated=DRIVEN)
-    sensors = tc.Sensors(
-        structure=model.structure, bar_direction=0.02, bar_rate=0.05, encoder=0.2,
-        encoder_strings=DRIVEN, motor=tc.Motor(drum_radius=0.02, gear_ratio=20.0, zero=REST_LENGTH),
-    )  # fmt: skip
-    return tc.KalmanFilter(
-        plant, sensors, sample_time=SAMPLE, process_noise=0.1, rest_length_error=(2e-3, 5e-4),
-        winches=WINCHES, rolling=True, start=start,
     )  # fmt: skip
 
 
@@ -108,7 +92,8 @@ def compare(gait, estimator, robot, samples, folder):
 
 def main(arguments: Sequence[str] | None = None) -> None:
     given = options(__doc__, arguments, samples=5000)
-    gait, estimator, (model, start) = gait_of(), filter_of(), ball_of()
+    gait, (model, start) = gait_of(), ball_of()
+    estimator = filter_of(model, REST_LENGTH, DRIVEN, start)
     robot = tc.Stepper(
         model, SAMPLE, step=STEP, nodes=start, rest_length=REST_LENGTH, winches=WINCHES,
         actuated=DRIVEN, sensors=estimator.sensors,
