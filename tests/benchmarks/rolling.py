@@ -54,8 +54,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for slope in given.slopes:
         file = f"{given.file}.{slope:g}" if given.file else None
         case = Rolling(
-            slope, given.steps, given.driven, given.payload, given.roughness, given.planned
-        )
+            slope, given.steps, given.driven, given.payload, given.roughness, given.planned,
+            given.estimated,
+        )  # fmt: skip
         drawn = PARAMETERS | (WAVINESS if given.roughness else {})
         report = tc.sweep(
             case, drawn, given.count, seed=given.seed, processes=given.processes, file=file
