@@ -254,7 +254,7 @@ class TippingPlanner:
         actuated: object = None,
     ) -> None:  # fmt: skip
         # Now, not within the first sample.
-        import scipy.linalg.lapack  # noqa: F401
+        import scipy.linalg.lapack
         import scipy.spatial  # noqa: F401
 
         validation.instance(
