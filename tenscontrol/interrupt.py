@@ -14,23 +14,17 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from importlib import import_module
 from types import FrameType
-from typing import Any
 
 from tenscontrol.warn import warn
 
 # A loop that calls `check` less often is ended wherever it is, s.
 _PATIENCE = 0.5
 
-# What `signal` calls: its own functions turn handlers into enumerations, which takes a tenth of the
-# time of a short run.
-_HANDLERS: Any = import_module("_signal")
-
 # Signals with the handlers that are taken over. On Windows nothing sends SIGTERM.
 _TAKEN = {
     signal.SIGINT: signal.default_int_handler,
-    **({signal.SIGTERM: _HANDLERS.SIG_DFL} if os.name == "posix" else {}),
+    **({signal.SIGTERM: signal.SIG_DFL} if os.name == "posix" else {}),
 }
 
 
@@ -118,13 +112,13 @@ def interruptible(whole: bool = False) -> Iterator[Interruption]:
     try:
         state.active = True
         for number, default in _TAKEN.items():
-            if _HANDLERS.getsignal(number) == default:
-                former[number] = _HANDLERS.signal(number, state.handle)
+            if signal.getsignal(number) is default:
+                former[number] = signal.signal(number, state.handle)
         yield state
     finally:
         state.active = False  # from here on nothing is raised, so that all handlers are restored
         for number, handler in former.items():
-            _HANDLERS.signal(number, handler)
+            signal.signal(number, handler)
         state.terminated = state.signal == signal.SIGTERM
 
 

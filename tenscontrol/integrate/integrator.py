@@ -69,12 +69,12 @@ class Work:
     carried: int = 0
 
     def __add__(self, other: Work) -> Work:
-        return Work.total([self, other])
+        return total_work([self, other])
 
-    @staticmethod
-    def total(works: Sequence[Work]) -> Work:
-        """Return the sum of all that was spent."""
-        return Work(*map(sum, zip(*(vars(work).values() for work in works), strict=True)))
+
+def total_work(works: Sequence[Work]) -> Work:
+    """Return the sum of all that was spent."""
+    return Work(*map(sum, zip(*[vars(work).values() for work in works], strict=True)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -119,7 +119,7 @@ def parameters_of_runs(parameters: object, count: object) -> tuple[dict[str, Dis
             )
         longest = len(rows)
         given[name] = GivenValues(frozen(rows), size=rows.shape[1] if rows.ndim == 2 else None)
-    if count is None and any(isinstance(each, GivenValues) for each in given.values()):
+    if count is None and any(isinstance(value, GivenValues) for value in given.values()):
         count = longest
     return checked_distributions(given), validation.whole_number("count", count, 1, longest)
 

@@ -24,6 +24,7 @@ from tenscontrol.integrate.integrator import (
     SpanInputs,
     StepEnds,
     Work,
+    total_work,
 )
 from tenscontrol.integrate.methods import METHODS, Choice, choose
 from tenscontrol.integrate.watched import Watched
@@ -286,7 +287,7 @@ class PlantRun:
             self._keep(RunSpan(times, span.states, state, *of_input, None, span.whole, span.ends))
             self.now += durations[i]
             state = span.states[:, -1]
-        self.work = Work.total([self.work, *(span.work for span in spans)])
+        self.work = total_work([self.work, *(span.work for span in spans)])
         if spans and self.bars is not None:
             self.length_rate = self.spans[-1].values(self.length_rows, 1)[:, -1]
         if spans and self.report is not None:

@@ -671,7 +671,16 @@ class Scene:
         return self.winches.degree
 
     def integrated(self, integration: Integration) -> Scene:
-        """Return the same scene by another integration, without its checks once more."""
+        """Return the same scene by another integration, without its checks once more.
+
+        Parameters
+        ----------
+        integration : Integration
+
+        Returns
+        -------
+        Scene
+        """
         scene = copy(self)
         object.__setattr__(scene, "integration", integration)
         return scene

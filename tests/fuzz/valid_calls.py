@@ -209,6 +209,7 @@ WITHIN = {
     "simulation.Trajectory.health_of",
     "ClosedLoopCase.alone",
     "ClosedLoopCase.together",
+    "Scene.integrated",
     "Scene.plant_run",
     *(f"learning.Task.{name}" for name in ("check", "seen", "reward", "is_reached")),
     *(f"learning.Reach.{name}" for name in ("check", "seen", "reward", "is_reached")),
