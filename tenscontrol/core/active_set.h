@@ -66,8 +66,9 @@
 #define SOLVER_API
 #endif
 
-/* The same operations, so the same numbers, in wider registers where the machine has them. */
-#if defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && !defined(__clang__)
+/* The same operations, so the same numbers, in wider registers where the machine has them: in the
+   library of the core, not in code for small machines. */
+#if defined(TENSCONTROL_SOURCES) && defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && !defined(__clang__)
 #define SOLVER_WIDE __attribute__((target_clones("avx2", "default")))
 #else
 #define SOLVER_WIDE

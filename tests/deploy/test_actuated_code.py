@@ -5,8 +5,8 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.dynamics.machine_code import compiler
+from tests.benchmarks.filter_code import Code
 from tests.deploy import scenes
-from tests.deploy.test_filter_code import Code
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 
