@@ -165,7 +165,7 @@ def robot_of(structure, feet):
     return gait, robot, estimator, filter_of
 
 
-@pytest.mark.parametrize(("name", "samples"), [("in the plane", 120), ("in space", 80)])
+@pytest.mark.parametrize(("name", "samples"), [("in the plane", 90), ("in space", 80)])
 def test_by_readings_alone_in_one_call(name, samples, tmp_path):
     """IMUs and encoders in, rest lengths out: filter and gait in C beside Python."""
     is_flat = name == "in the plane"
