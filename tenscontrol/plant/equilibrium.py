@@ -32,6 +32,7 @@ from tenscontrol.structure.bar_geometry import refuse_strings_without_length, re
 from tenscontrol.structure.structure import Structure
 from tenscontrol.structure.supports import (
     free_coordinates,
+    refuse_all_fixed,
     refuse_load_without_support,
     refuse_moved_supports,
 )
@@ -183,6 +184,7 @@ def equilibrium(
         "settle", settle, "whether feet move along the ground until they share its friction"
     )
     structure = model.structure
+    refuse_all_fixed(structure)
     rest_length, force_density = own_input(model, rest_length, force_density)
     if (rest_length is None) == (force_density is None):
         given = "neither" if rest_length is None else "both"

@@ -311,7 +311,7 @@ def energy_weights(plant: LinearPlant, by_mode: bool = False) -> tuple[FloatArra
     validation.instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
     r = plant.degrees_of_freedom
     highest = plant.spectral_radius or 1.0
-    largest = float(np.linalg.norm(plant.B, 2))
+    largest = float(np.linalg.norm(plant.B, 2)) or highest  # inputs that push nothing
     Q = np.diag(np.r_[np.full(r, highest**2), np.ones(r)])
     if validation.truth("by_mode", by_mode, "whether each displacement costs its own energy"):
         sizes, modes = np.linalg.eigh(-0.5 * (plant.A[r:, :r] + plant.A[r:, :r].T))

@@ -44,6 +44,7 @@ from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.structure.bar_geometry import refuse_other_bar_lengths
 from tenscontrol.structure.segments import to_segments
 from tenscontrol.structure.structure import Structure, same_members
+from tenscontrol.structure.supports import refuse_all_fixed
 from tenscontrol.warn import warn
 
 if TYPE_CHECKING:
@@ -187,8 +188,7 @@ class Scene:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        if not len(self.model.structure.free):
-            raise ValueError("every node of the model is fixed: nothing can move")
+        refuse_all_fixed(self.model.structure)
         if self.sensors is not None and self.estimator is None:
             raise ValueError("sensors go with an estimator; KalmanFilter(...) makes one")
         of_loop = self.winches, self.sample_time, self.estimator

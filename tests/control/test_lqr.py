@@ -245,3 +245,17 @@ def test_a_driven_string_without_force_is_warned_of():
     both = tc.linearize(model, rest, actuated={"pair": [0, 4], "b": 1, "c": 2, "d": 3})
     with pytest.warns(RuntimeWarning, match="gamma_pair is at a bound"):
         tc.LQR(both, sample_time=0.02)
+
+
+def test_driven_strings_that_move_nothing_are_said_to():
+    """And not that a weight is 0 which nobody gave."""
+    cross = tc.Structure(
+        [[0.0, 1.0, 0.0, 1.0], [0.0, 1.0, 1.0, 0.0]], [[0, 1], [2, 3]],
+        [[0, 2], [2, 1], [1, 3], [3, 0], [0, 2]], 1.0,
+    )  # fmt: skip
+    model = tc.Model(cross, strings=tc.LinearStrings(100.0))
+    wound = [0.9, 0.9, 0.9, 0.9, 2.0]
+    rest = tc.equilibrium(model, rest_length=wound)
+    plant = tc.linearize(model, rest, input="rest_length", rest_length=wound, actuated=[4])
+    with pytest.raises(ValueError, match=r"none of the \d+ states .* can be controlled"):
+        tc.LQR(plant, sample_time=0.02)
