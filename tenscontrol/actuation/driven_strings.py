@@ -17,6 +17,9 @@ from tenscontrol.structure.structure import Structure
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
+# What is left of a sum of two numbers that cancel, as part of them, at most.
+_ROUND_OFF = 4 * float(np.finfo(float).eps)
+
 
 @dataclass(frozen=True)
 class _Members:
@@ -159,10 +162,15 @@ def _checked(name: str, value: object, count: int, of: str) -> FloatArray:
 
 
 def strings_of(actuation: Actuation, inputs: FloatArray) -> FloatArray:
-    """Return the values of all strings at inputs, one column or several, unchecked."""
+    """Return the values of all strings at inputs, one column or several, unchecked.
+
+    A string that an input just takes to 0 is there, and not past it by round-off.
+    """
     if actuation.is_whole:
         return inputs
-    return np.asarray((actuation.offset + moved_by(actuation, inputs.T)).T)
+    values = actuation.offset + moved_by(actuation, inputs.T)
+    values[np.abs(values) <= _ROUND_OFF * np.abs(actuation.offset)] = 0.0
+    return np.asarray(values.T)
 
 
 def inputs_of(actuation: Actuation, strings: FloatArray) -> FloatArray:

@@ -7,6 +7,7 @@ from scipy.linalg import expm, solve_discrete_are
 from scipy.optimize import lsq_linear
 
 import tenscontrol as tc
+from tenscontrol.actuation.driven_strings import actuation_of, strings_of
 from tests.plant.test_actuated import PAIRS
 
 SAMPLE = 0.02
@@ -308,3 +309,16 @@ def test_mpc_says_where_no_law_within_its_bounds_can_hold_a_shape(gravity, what)
     with pytest.warns(tc.control.ControlWarning, match=f"{what} one way only, so no law"):
         tc.MPC(tc.linearize(model, rest, actuated=[0]), horizon=8, sample_time=SAMPLE)
     tc.MPC(tc.linearize(model, rest), horizon=8, sample_time=SAMPLE)  # held from both sides
+
+
+def test_a_string_that_a_gang_takes_to_zero_is_not_past_it():
+    """Where the sum of what it has and what it gets cancels, but for round-off."""
+    prism, random = tc.prism(), np.random.default_rng(0)
+    ended = []
+    for _ in range(100):
+        held = random.uniform(0.1, 50.0, 9)
+        gang = {"pair": {0: 1.0, 1: -random.uniform(0.5, 1.5)}}
+        actuation = actuation_of(prism, gang, held)
+        takes = held[0] + held[1] / -gang["pair"][1]
+        ended.append(strings_of(actuation, np.array([takes]))[1])
+    assert min(ended) == max(ended) == 0.0
