@@ -29,10 +29,9 @@ from tenscontrol.statics.equilibrium_matrix import member_forces
 from tenscontrol.statics.prestress import Prestress, balanced
 from tenscontrol.structure.bar_clearance import BarCrossing, BarMotion
 from tenscontrol.structure.bar_geometry import refuse_strings_without_length, restore_bar_lengths
-from tenscontrol.structure.structure import Structure
+from tenscontrol.structure.structure import Structure, refuse_all_fixed
 from tenscontrol.structure.supports import (
     free_coordinates,
-    refuse_all_fixed,
     refuse_load_without_support,
     refuse_moved_supports,
 )

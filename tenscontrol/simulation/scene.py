@@ -43,8 +43,7 @@ from tenscontrol.simulation.traced_run import TracedRun
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.structure.bar_geometry import refuse_other_bar_lengths
 from tenscontrol.structure.segments import to_segments
-from tenscontrol.structure.structure import Structure, same_members
-from tenscontrol.structure.supports import refuse_all_fixed
+from tenscontrol.structure.structure import Structure, refuse_all_fixed, same_members
 from tenscontrol.warn import warn
 
 if TYPE_CHECKING:

@@ -621,6 +621,12 @@ def member_vectors(nodes: FloatArray, pairs: IntArray) -> FloatArray:
     return np.asarray(ends[:, :, 1] - ends[:, :, 0])
 
 
+def refuse_all_fixed(structure: Structure) -> None:
+    """Raise if no node is free."""
+    if not len(structure.free):
+        raise ValueError("every node of the model is fixed: nothing can move")
+
+
 def same_members(one: Structure, other: Structure | None, feet: IntArray | tuple[()] = ()) -> bool:
     """Return whether bars, strings and supports are the same; masses and lengths may differ.
 

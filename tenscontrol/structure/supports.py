@@ -28,12 +28,6 @@ def is_movable(structure: Structure, pairs: IntArray) -> np.ndarray:
     return np.asarray(~np.isin(pairs, structure.fixed).all(axis=1))
 
 
-def refuse_all_fixed(structure: Structure) -> None:
-    """Raise if no node is free."""
-    if not len(structure.free):
-        raise ValueError("every node of the model is fixed: nothing can move")
-
-
 def moving_mass(structure: Structure) -> float:
     """Return the mass of all bars and of the nodes that are not fixed, kg."""
     return float(moving_masses(structure, structure.bar_mass, structure.point_mass))
