@@ -283,7 +283,7 @@ def test_a_sweep_over_threads_of_dask_does_too(case):
 
 
 def test_runs_by_threads_give_the_numbers_of_one():
-    command = [sys.executable, "-m", "tests.fuzz.threads", "--seconds", "0.4", "--designs", "2"]
+    command = [sys.executable, "-m", "tests.fuzz.threads", "--seconds", "0.2", "--designs", "2"]
     jobs = ("linearize", "mpc", "pickled", "rk4 shared", "cvodes shared")
     run = subprocess.run(
         [*command, "--jobs", *jobs], capture_output=True, text=True, timeout=540, check=False

@@ -44,8 +44,8 @@ def test_bounds_may_be_infinite_but_not_nan():
 
 
 def test_no_argument_reaches_what_does_not_check_it():
-    finds = arguments.run(150, seed=0, least_share=1.0)
-    assert len(finds) >= 150
+    finds = arguments.run(120, seed=0, least_share=1.0)
+    assert len(finds) >= 120
     wrong = [find[:3] for find in finds if find[1] in arguments.OUTCOMES[3:]]
     assert wrong == []
     errors = [outcome for _, outcome, *_ in finds if outcome in arguments.OUTCOMES[1:3]]

@@ -234,8 +234,7 @@ def test_a_damped_string_that_touches_early_in_a_step_pulls():
     assert np.abs(coarse.nodes[:, :, -1] - fine.nodes[:, :, -1]).max() < 1e-6
 
 
-@pytest.mark.parametrize("step", [4e-3, 1e-3])
-def test_switches_in_too_long_a_step_are_counted_as_missed(step):
+def test_switches_in_too_long_a_step_are_counted_as_missed():
     """A damped tower with more switches in a step than it can be cut at."""
     tower = tc.library.prism_tower(30)
     rest = tc.prestress(tower, min_force_density=1.0)
@@ -246,7 +245,7 @@ def test_switches_in_too_long_a_step_are_counted_as_missed(step):
     equation = model.equation("rest_length")
     start = np.concatenate([tower.nodes.ravel(order="F"), np.zeros(tower.nodes.size)])
     true = METHODS["dop853"].integrator(equation, 1e-8).advance(start, lengths, 0.1, 1).work
-    work = METHODS["rk4"].integrator(equation, step).advance(start, lengths, 0.1, 1).work
+    work = METHODS["rk4"].integrator(equation, 4e-3).advance(start, lengths, 0.1, 1).work
     assert true.missed == 0
     assert work.missed > 0.03 * true.switches
     assert work.switches + work.missed == pytest.approx(true.switches, rel=0.02)
