@@ -71,7 +71,7 @@ def pictures(run):
         ax.add_collection3d(drawn[name][1])
     drawn["strings"][1].set_clim(*np.quantile(tension, [0.02, 0.98]))
     ax.set(xlim=ends[0], ylim=ends[1], zlim=(0.0, 1.0))
-    ax.set_box_aspect([np.ptp(ends[0]), np.ptp(ends[1]), 1.0], zoom=1.5)
+    ax.set_box_aspect([np.ptp(ends[0]), np.ptp(ends[1]), 1.0], zoom=1.25)
     every = round(1 / (FRAMES_A_SECOND * SAMPLE))
     for k in range(0, len(run.time), every):
         nodes = run.nodes[:, :, k]
