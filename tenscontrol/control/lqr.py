@@ -14,7 +14,7 @@ from tenscontrol.control.controller import (
     Controller,
     warn_of_unreached,
 )
-from tenscontrol.plant.controllability import AT_BOUND, refuse_empty, refuse_unreachable
+from tenscontrol.plant.controllability import refuse_empty, refuse_unreachable, ways
 from tenscontrol.plant.input_bounds import input_bounds, largest_change
 from tenscontrol.plant.linear_plant import NO_JUMP, LinearPlant, named_system, sampled
 from tenscontrol.plant.riccati import cross_weight, natural_weights, regulator
@@ -166,12 +166,9 @@ class LQR(Controller):
 
     def _warn_of_bounds(self) -> None:
         """Warn of inputs that the law uses, and that can go one way only."""
-        u, (low, high) = self.plant.equilibrium_input, self.bounds
-        room = np.minimum(u - low, high - u)
-        at_bound = room <= AT_BOUND * np.abs(u).max(initial=0.0)
-        names = [
-            self.plant.input_names[i] for i in np.flatnonzero(at_bound & self.gain.any(axis=1))
-        ]
+        rises, falls = ways(self.plant, *self.bounds)
+        at_bound = ~(rises & falls) & self.gain.any(axis=1)
+        names = [self.plant.input_names[i] for i in np.flatnonzero(at_bound)]
         if not names:
             return
         more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""

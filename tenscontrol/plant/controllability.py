@@ -45,7 +45,7 @@ _NO_PUSH = 1e-13
 _CLOSE = 1e-2
 
 # An input nearer to a bound than this part of the largest is at it.
-AT_BOUND = 1e-9
+_AT_BOUND = 1e-9
 
 # Modes that a warning names.
 _LISTED = 4
@@ -428,6 +428,13 @@ def _own_modes(A: FloatArray, space: FloatArray) -> tuple[np.ndarray, np.ndarray
     )
 
 
+def ways(plant: LinearPlant, low: FloatArray, high: FloatArray) -> tuple[np.ndarray, np.ndarray]:
+    """Return which inputs can rise from the operating point within bounds, and which can fall."""
+    u = plant.equilibrium_input
+    near = _AT_BOUND * np.abs(u).max(initial=0.0)
+    return high - u > near, u - low > near
+
+
 @on_one_thread
 def pushed_one_way(plant: LinearPlant, low: FloatArray, high: FloatArray) -> float | None:
     """Return the real pole, 1/s, of a motion that does not decay and is pushed one way only.
@@ -437,11 +444,9 @@ def pushed_one_way(plant: LinearPlant, low: FloatArray, high: FloatArray) -> flo
     doi:10.1137/0310026.
     The largest such pole; None where there is none.
     """
-    u = plant.equilibrium_input
-    near = AT_BOUND * np.abs(u).max(initial=0.0)
-    rises, falls = high - u > near, u - low > near
+    rises, falls = ways(plant, low, high)
     B = normalized_input(plant)
-    if (rises == falls).all() or B.shape[1] != len(u):
+    if (rises == falls).all() or B.shape[1] != len(rises):
         return None
     from scipy import linalg
     from scipy.optimize import linprog
