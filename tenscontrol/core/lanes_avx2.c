@@ -2,14 +2,7 @@
 #include "lanes.h"
 
 #ifdef HAS_WIDE_LANES
-#ifdef __clang__
-#pragma clang attribute push(__attribute__((target("avx2"))), apply_to = function)
-#else
-#pragma GCC target("avx2")
-#endif
-#undef WIDE
-#define WIDE
-#define LANES 4
+#include "avx2.h"
 #define LANES_NAME(name) LANES_NAME_##name
 #define LANES_NAME_advance advance_by_avx2
 #define LANES_NAME_size avx2_size

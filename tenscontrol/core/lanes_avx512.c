@@ -2,14 +2,7 @@
 #include "lanes.h"
 
 #ifdef HAS_WIDE_LANES
-#ifdef __clang__
-#pragma clang attribute push(__attribute__((target("avx512f,avx512dq"))), apply_to = function)
-#else
-#pragma GCC target("avx512f,avx512dq")
-#endif
-#undef WIDE
-#define WIDE
-#define LANES 8
+#include "avx512.h"
 #define LANES_NAME(name) LANES_NAME_##name
 #define LANES_NAME_advance advance_by_avx512
 #define LANES_NAME_size avx512_size

@@ -4,14 +4,7 @@
 #include "lanes.h"
 
 #ifdef HAS_WIDE_LANES
-#ifdef __clang__
-#pragma clang attribute push(__attribute__((target("avx2"))), apply_to = function)
-#else
-#pragma GCC target("avx2")
-#endif
-#undef WIDE
-#define WIDE
-#define LANES 4
+#include "avx2.h"
 #define LANES_NAME(name) name##_by_avx2
 #include "variations_lanes.h"
 #ifdef __clang__

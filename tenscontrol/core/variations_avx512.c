@@ -4,14 +4,7 @@
 #include "lanes.h"
 
 #ifdef HAS_WIDE_LANES
-#ifdef __clang__
-#pragma clang attribute push(__attribute__((target("avx512f,avx512dq"))), apply_to = function)
-#else
-#pragma GCC target("avx512f,avx512dq")
-#endif
-#undef WIDE
-#define WIDE
-#define LANES 8
+#include "avx512.h"
 #define LANES_NAME(name) name##_by_avx512
 #include "variations_lanes.h"
 #ifdef __clang__
