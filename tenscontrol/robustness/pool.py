@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import pickle
 import signal
@@ -20,6 +19,7 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import partial
 from multiprocessing.connection import Connection
+from multiprocessing.context import SpawnContext, SpawnProcess
 from threading import Thread, local
 from typing import Any, final
 
@@ -56,6 +56,25 @@ class Workers:
     ours: bool
 
 
+@final
+class _Spawned(SpawnContext):
+    """Starts processes anew and keeps them; a fork of one that has threads can lock up."""
+
+    def __init__(self) -> None:
+        self._started = list[SpawnProcess]()
+
+    def Process(self, *arguments: Any, **options: Any) -> SpawnProcess:  # type: ignore[override]  # noqa: N802
+        process = super().Process(*arguments, **options)
+        self._started.append(process)
+        return process
+
+    def kill(self) -> None:
+        """End all of them at once, also those that have not yet begun to work."""
+        for process in self._started:
+            if process.pid is not None:
+                process.kill()
+
+
 @contextmanager
 def _interrupts_blocked() -> Iterator[None]:
     """Hold Ctrl-C back, where the system can: on Windows it cannot."""
@@ -79,15 +98,14 @@ def workers(
         return
     affinity = getattr(os, "sched_getaffinity", None)  # what this process may use, where it is told
     width = processes or (len(affinity(0)) if affinity else os.cpu_count() or 1)
-    # Processes are started anew: a fork of a process that has threads can lock up.
-    context = multiprocessing.get_context("spawn")
+    context = _Spawned()
     watched, held = context.Pipe(duplex=False)
     pool = ProcessPoolExecutor(width, context, _begin_work, (watched,))
     with held, watched:
         try:
             yield Workers(pool, in_flight or _PER_PROCESS * width, ours=True)
         except BaseException:
-            held.close()  # ends the processes, whatever they are at
+            context.kill()
             raise
         finally:
             pool.shutdown()
@@ -179,7 +197,7 @@ def _stopped(error: BaseException, runs: list[int], in_flight: Iterable[list[int
 
 
 def _begin_work(watched: Connection) -> None:
-    """Leave Ctrl-C to the parent, and end where it ends, however it does, or closes its end.
+    """Leave Ctrl-C to the parent, and end where it ends, however it does.
 
     What is left of a simulation after a signal must not pass for a whole run.
     """

@@ -73,6 +73,11 @@ def brief(parameters, rng):
     return tc.robustness.Outcome(success=True, figures={"value": rng.random()})
 
 
+def never_begins(_):
+    """The start of a worker that takes ten minutes."""
+    time.sleep(600)
+
+
 def first_of_the_stream(parameters, rng):
     return tc.robustness.Outcome(success=True, figures={"first": rng.random()})
 

@@ -210,6 +210,16 @@ class TestFailuresAreData:
             inline(in_flight=1)
         assert len(waited) == 1
 
+    def test_ctrl_c_waits_for_no_process_that_has_yet_to_begin(self, monkeypatch):
+        def interrupted(pending, *_):
+            signal.raise_signal(signal.SIGINT)
+            return set(), pending
+
+        monkeypatch.setattr(pool, "wait", interrupted)
+        monkeypatch.setattr(pool, "_begin_work", cases.never_begins)
+        with pytest.warns(RuntimeWarning, match="interrupted with 0 of 24 runs"):
+            tc.sweep(cases.noisy, PARAMETERS, COUNT, seed=SEED, processes=2)
+
     def test_ctrl_c_leaves_a_run_in_file_and_report_or_in_neither(self, tmp_path, monkeypatch):
         file, synced, fsync = tmp_path / "runs.jsonl", [], os.fsync
 
