@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, freeze_arrays
 from tenscontrol.estimation.filter_design import FilterDesign
 from tenscontrol.plant.linear_plant import LinearPlant, squared_frequencies
@@ -74,10 +75,7 @@ class Observability:
         ValueError
             If there is no such direction.
         """
-        if direction not in self.direction:
-            raise ValueError(
-                f"direction is {direction!r}, expected one of {', '.join(self.direction)}"
-            )
+        validation.choice("direction", direction, self.direction)
         row = self.deviation[self.direction.index(direction)]
         return tuple(self.sensor[i] for i in np.argsort(row, kind="stable") if np.isfinite(row[i]))
 

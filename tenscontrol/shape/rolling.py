@@ -263,6 +263,7 @@ class RollingGait:
             If the height of the ground is off a plane by more than a fortieth of the size, root
             mean square over four sizes about the start.
         """
+        validation.instance("model", model, Model, "make one by Model(structure)")
         size = self._planner.size
         rough = roughness(model, self._structure.checked_nodes("nodes", nodes), size)
         if rough > ROUGH * size:

@@ -319,6 +319,14 @@ def test_some_nodes_are_kept():
     np.testing.assert_array_equal(one.nodes, every.nodes[:, :, 4:5])
 
 
+@pytest.mark.parametrize("how", [{}, {"method": "rk4", "step": 0.01}])
+def test_of_a_batch_no_run_of_which_can_begin_it_is_said_why(how):
+    model = tc.Model(tc.prism(), strings=tc.LinearStrings(100.0))
+    batch = many(model, 0.02, how, {"stiffness": np.zeros(2)}, rest_length=np.ones(9))
+    assert not batch.completed.any()
+    assert all("expected a positive number" in batch.messages[run] for run in range(2))
+
+
 @pytest.mark.parametrize(
     ("vary", "more", "said"),
     [

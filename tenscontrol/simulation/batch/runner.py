@@ -106,7 +106,8 @@ class Runner:
         self._counts, self._work = np.zeros((scene.count, 0)), dict[int, Work]()
         self._threads, self._has_no_memory = local(), False
         self._loops_made: list[CompiledLoops] = []
-        self._watches = False
+        self._watches = self._shares = False
+        self._lanes: CoreLanes | None = None
         self._changes: dict[int, tuple[MethodChange, ...]] = {}  # of methods, run by run
         self._errors: dict[int, FloatArray] = {}  # of the runs that were looked at
         self._prepare()
@@ -256,6 +257,8 @@ class Runner:
         """Return :meth:`error` of some runs, shape (runs, K), if nobody stops it; NaN of others."""
         errors = np.full((self.scene.count, len(self.time)), np.nan)
         looked_at = 0
+        if not len(runs):
+            return errors
 
         def estimate(some: IntArray) -> int:
             first, last = int(some.min()), int(some.max()) + 1
@@ -275,7 +278,7 @@ class Runner:
             looked_at += done
             report(looked_at)
 
-        parts = np.array_split(runs, -(-len(runs) // min(_SAMPLE, -(-len(runs) // threads) or 1)))
+        parts = np.array_split(runs, -(-len(runs) // min(_SAMPLE, -(-len(runs) // threads))))
         self._in_threads(threads, (partial(estimate, some) for some in parts), count_up)
         return errors
 
