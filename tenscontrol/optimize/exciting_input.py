@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, replace
+from operator import attrgetter
+from typing import NamedTuple
 
 import numpy as np
 
@@ -141,15 +143,21 @@ def exciting_input(
     seed = validation.whole_number("seed", seed, 0, validation.LARGEST_SEED)
     search = _Search(rollouts, winches, parts)
     with progress_bar(float(most), progress, label="planning") as report:
-        moves = search.run(most, np.random.default_rng(seed), report)
-    after = identifiability_of(search.rollouts_with(moves))
+        best = search.run(most, np.random.default_rng(seed), report)
+    after = identifiability_of(search.rollouts_with(best.moves), best.slope)
     return ExcitingInput(
-        search.profile(moves), told, after, frozen(np.maximum.accumulate(search.values))
+        search.profile(best.moves), told, after, frozen(np.maximum.accumulate(search.values))
     )
 
 
+class _Input(NamedTuple):
+    moves: FloatArray  # of winches, (strings, parts), each -1, 0 or 1
+    value: float
+    slope: FloatArray | None
+
+
 class _Search:
-    """Coordinate exchange of the moves of winches, (strings, parts), each -1, 0 or 1."""
+    """Coordinate exchange of the moves of winches."""
 
     def __init__(self, rollouts: Rollouts, winches: Winches, parts: int) -> None:
         self._rollouts, self._log, self._winches = rollouts, rollouts.logs[0], winches
@@ -179,37 +187,32 @@ class _Search:
 
     def run(
         self, most: int, random: np.random.Generator, report: Callable[[float], None]
-    ) -> FloatArray:
-        """Return the best moves after so many rollouts at most."""
-        best, value = np.zeros(self._shape), self._value(np.zeros(self._shape))
+    ) -> _Input:
+        """Return the best input after so many rollouts at most."""
+        best = self._tried(np.zeros(self._shape))
         for _ in range(int(_RANDOM * most)):
-            moves = random.choice(_MOVES[[0, 2]], self._shape)
-            best, value = self._better(best, value, moves)
+            best = self._better(best, random.choice(_MOVES[[0, 2]], self._shape))
             report(len(self.values))
         while len(self.values) < most:
-            value_before = value
-            for entry in random.permutation(best.size):
+            before = best
+            for entry in random.permutation(best.moves.size):
                 string, piece = np.unravel_index(entry, self._shape)
-                for move in _MOVES[best[string, piece] != _MOVES]:
+                for move in _MOVES[best.moves[string, piece] != _MOVES]:
                     if len(self.values) >= most:
                         return best
-                    moves = best.copy()
+                    moves = best.moves.copy()
                     moves[string, piece] = move
-                    best, value = self._better(best, value, moves)
+                    best = self._better(best, moves)
                     report(len(self.values))
-            if value == value_before:
+            if best is before:
                 break
         return best
 
-    def _better(
-        self, best: FloatArray, value: float, moves: FloatArray
-    ) -> tuple[FloatArray, float]:
-        """Return the better of two inputs, with its value."""
-        own = self._value(moves)
-        return (moves, own) if own > value else (best, value)
+    def _better(self, best: _Input, moves: FloatArray) -> _Input:
+        return max(best, self._tried(moves), key=attrgetter("value"))
 
-    def _value(self, moves: FloatArray) -> float:
-        """Return log det of the information; -inf where the motion runs away."""
+    def _tried(self, moves: FloatArray) -> _Input:
+        """Return an input with log det of the information; -inf where the motion runs away."""
         rollouts = self.rollouts_with(moves)
         try:
             slope = rollouts.readings(np.zeros(rollouts.size), 1.0, slopes=True).slope
@@ -220,4 +223,4 @@ class _Search:
             scaled = slope * rollouts.deviations
             value = float(np.linalg.slogdet(np.eye(rollouts.size) + scaled.T @ scaled)[1])
         self.values.append(value)
-        return value
+        return _Input(moves, value, slope)

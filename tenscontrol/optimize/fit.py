@@ -369,6 +369,7 @@ def fit(
     step : float, optional
         Of rollouts by rk4 in place of a tolerance, s.
     most_rollouts : int
+        Simulations with derivatives at most.
     progress : bool
 
     Returns
@@ -439,20 +440,23 @@ class _Solver:
 
     def run(self, report: Any) -> tuple[FloatArray, Readings, str]:
         """Return the unknowns, the residuals with their slope, and why it ended."""
-        theta, done = np.zeros(self._rollouts.size), 0.0
-        readings = self._rollouts.readings(theta, _PARTS[0], slopes=True)
-        message = "converged"
+        theta, done, message = np.zeros(self._rollouts.size), 0.0, "converged"
+        readings: Readings | None = None
         try:
             for share in _PARTS:
-                if share > _PARTS[0]:
-                    readings = self._rollouts.readings(theta, share, slopes=True)
+                if self._is_over(share):
+                    continue
+                readings = self._rollouts.readings(theta, share, slopes=True)
                 least = _WELL if share == 1.0 else _ROUGHLY
                 theta, readings, message = self._fit_part(theta, readings, share, least)
                 done = share
                 report(share)
         except KeyboardInterrupt:
+            if readings is None:
+                raise
             message = f"interrupted, {100 * done:.0f} % of the logs were fitted"
             readings = self._rollouts.readings(theta, 1.0, slopes=True)
+        assert readings is not None  # the whole of the logs is never passed over
         return theta, readings, message
 
     def _fit_part(
@@ -461,7 +465,7 @@ class _Solver:
         damping, cost = _DAMPING, self._cost(readings, theta)
         most = self._most if share == 1.0 else _MOST
         for _ in range(most):
-            if self._rollouts.count >= self._most:
+            if self._is_over(share):
                 return theta, readings, f"stopped after {self._rollouts.count} rollouts"
             moved = theta + self._step(readings, theta, damping)
             tried = self._tried(moved, share)
@@ -477,6 +481,10 @@ class _Solver:
             if fall < least:
                 break
         return theta, readings, "converged"
+
+    def _is_over(self, share: float) -> bool:
+        """Return whether no rollout is left for a part of the logs, or only one for all of them."""
+        return self._rollouts.count >= self._most - (share < 1.0)
 
     def _tried(self, theta: FloatArray, share: float) -> Readings | None:
         """Return the residuals for unknowns; None where the motion runs away."""

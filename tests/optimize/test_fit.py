@@ -43,6 +43,15 @@ def test_a_prism_of_29_unknowns_is_found_in_few_rollouts():
     assert found.validate(prism_case(1).log).root_mean_square < 1.1
 
 
+@pytest.mark.parametrize("most", [1, 3])
+def test_the_limit_of_rollouts_holds(most):
+    log = log_of(model_of())
+    found = tc.fit(model_of(130.0), log, ["stiffness"], step=5e-3, most_rollouts=most)
+    assert found.rollouts == most
+    assert found.message == f"stopped after {most} rollouts"
+    assert len(found.residuals[0].residuals) == len(TIMES)
+
+
 def test_what_data_cannot_tell_is_named_and_gets_no_interval():
     log = log_of(model_of())
     names = ["stiffness", "damping", "bar_mass"]
@@ -223,3 +232,5 @@ def test_logs_in_other_units_and_times_beyond_the_run_are_said():
     run = tc.simulate(model_of(), 0.1, rest_length=REST, output_step=0.02, error="none")
     with pytest.raises(ValueError, match=r"times\[1\] is 0\.2 s, expected times of the run"):
         tc.Log.of_run(run, log.sensors, [0.1, 0.2])
+    with pytest.raises(ValueError, match=r"times has shape \(3, 0\)"):
+        tc.Log.of_run(run, log.sensors, np.ones((3, 0)))
