@@ -6,10 +6,13 @@ or of a law. A test prints them anew and compares.
 
 from __future__ import annotations
 
+import re
 import sys
+import textwrap
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -34,16 +37,24 @@ _HEAD = """\
 #include "numbers.h"
 """
 
+# The C text of operations, and how tightly it binds: a sum, a product, a sign, a call.
+_SUM, _PRODUCT, _SIGN, _WHOLE = range(4)
 _OPERATIONS = {
-    ca.OP_ASSIGN: "{0}", ca.OP_ADD: "{0} + {1}", ca.OP_SUB: "{0} - {1}", ca.OP_MUL: "{0} * {1}",
-    ca.OP_DIV: "{0} / {1}", ca.OP_INV: "1 / {0}", ca.OP_NEG: "-{0}", ca.OP_SQ: "{0} * {0}",
-    ca.OP_TWICE: "2 * {0}", ca.OP_SQRT: "root({0})", ca.OP_FMAX: "larger({0}, {1})",
-    ca.OP_FMIN: "smaller({0}, {1})", ca.OP_LT: "truth({0} < {1})",
-    ca.OP_LE: "truth({0} <= {1})", ca.OP_AND: "truth(({0} != 0) & ({1} != 0))",
-    ca.OP_OR: "truth(({0} != 0) | ({1} != 0))", ca.OP_EQ: "truth({0} == {1})",
-    ca.OP_IF_ELSE_ZERO: "only({0} != 0, {1})", ca.OP_NOT: "truth({0} == 0)",
-    ca.OP_CONSTPOW: "power({0}, {1})", ca.OP_POW: "power({0}, {1})",
+    ca.OP_ASSIGN: ("{0}", _SUM), ca.OP_ADD: ("{0} + {1}", _SUM), ca.OP_SUB: ("{0} - {1}", _SUM),
+    ca.OP_MUL: ("{0} * {1}", _PRODUCT), ca.OP_DIV: ("{0} / {1}", _PRODUCT),
+    ca.OP_INV: ("1 / {0}", _PRODUCT), ca.OP_NEG: ("-{0}", _SIGN),
+    ca.OP_SQ: ("{0} * {0}", _PRODUCT), ca.OP_TWICE: ("2 * {0}", _PRODUCT),
+    ca.OP_SQRT: ("root({0})", _WHOLE), ca.OP_FMAX: ("larger({0}, {1})", _WHOLE),
+    ca.OP_FMIN: ("smaller({0}, {1})", _WHOLE), ca.OP_LT: ("truth({0} < {1})", _WHOLE),
+    ca.OP_LE: ("truth({0} <= {1})", _WHOLE), ca.OP_EQ: ("truth({0} == {1})", _WHOLE),
+    ca.OP_AND: ("truth(({0} != 0) & ({1} != 0))", _WHOLE),
+    ca.OP_OR: ("truth(({0} != 0) | ({1} != 0))", _WHOLE), ca.OP_NOT: ("truth({0} == 0)", _WHOLE),
+    ca.OP_IF_ELSE_ZERO: ("only({0} != 0, {1})", _WHOLE),
+    ca.OP_CONSTPOW: ("power({0}, {1})", _WHOLE), ca.OP_POW: ("power({0}, {1})", _WHOLE),
 }  # fmt: skip
+
+# Characters of a line, and of a part that stands within another one.
+_COLUMNS, _PART = 110, 72
 
 
 class _Symbol(ca.SX):
@@ -57,37 +68,86 @@ def _symbol(name: str) -> _Symbol:
     return _Symbol(ca.SX.sym(name))
 
 
+class _Term(NamedTuple):
+    text: str
+    binds: int = _WHOLE
+    is_constant: bool = False
+
+    def within(self, binds: int) -> str:
+        return self.text if self.binds >= binds else f"({self.text})"
+
+
 def printed(name: str, inputs: dict[str, Any], outputs: dict[str, Any]) -> str:
-    """Return the C text of a function of numbers and vectors, by name."""
-    function = ca.Function(name, list(inputs.values()), [ca.densify(o) for o in outputs.values()])
-    names = list(inputs), list(outputs)
+    """Return the C text of a function of numbers and vectors, by name.
+
+    What is used once stands where it is used, in the order of the graph, so to the same bits.
+    """
+    values = ca.cse([ca.densify(output) for output in outputs.values()])
+    function = ca.Function(name, list(inputs.values()), values)
     given = [
         f"const Number {'*' if size > 1 else ''}{key}"
         for key, size in ((key, each.numel()) for key, each in inputs.items())
     ]
     given += [f"Number *{key}" for key in outputs]
-    lines, known = [], {}
-    for k in range(function.n_instructions()):
-        op, ins = function.instruction_id(k), function.instruction_input(k)
-        out = function.instruction_output(k)
+    head = f"static inline void {name}({', '.join(given)}) {{"
+    steps = [
+        (function.instruction_id(k), function.instruction_input(k), function.instruction_output(k))
+        for k in range(function.n_instructions())
+    ]
+    uses = _uses(steps)
+    lines, known = list[str](), dict[int, _Term]()
+    for k, (op, ins, out) in enumerate(steps):
         if op == ca.OP_CONST:
-            known[out[0]] = repr(float(function.instruction_constant(k)))
+            text = repr(float(function.instruction_constant(k)))
+            known[out[0]] = _Term(text, is_constant=True)
         elif op == ca.OP_INPUT:
-            key = names[0][ins[0]]
-            known[out[0]] = key if inputs[key].numel() == 1 else f"{key}[{ins[1]}]"
+            known[out[0]] = _Term(_entry(*list(inputs.items())[ins[0]], ins[1]))
         elif op == ca.OP_OUTPUT:
-            key = names[1][out[0]]
-            entry = f"*{key}" if outputs[key].numel() == 1 else f"{key}[{out[1]}]"
-            lines.append(f"{entry} = {known[ins[0]]};")
+            entry = _entry(*list(outputs.items())[out[0]], out[1])
+            lines.append(f"{'' if '[' in entry else '*'}{entry} = {known[ins[0]].text};")
         else:
-            operands = [known[i] for i in ins]
-            if op in (ca.OP_FMAX, ca.OP_FMIN):  # calls convert no constants
-                operands = [f"all({o})" if o[0].isdigit() else o for o in operands]
-            text = _OPERATIONS[op].format(*operands)
-            lines.append(f"const Number t{k} = {text};")
-            known[out[0]] = f"t{k}"
-    body = "\n  ".join(lines)
-    return f"static inline void {name}({', '.join(given)}) {{\n  {body}\n}}\n"
+            term = _term(op, [known[i] for i in ins])
+            if uses[k] > 1 or len(term.text) > _PART:
+                lines.append(f"const Number t{k} = {term.text};")
+                term = _Term(f"t{k}")
+            known[out[0]] = term
+    return "\n".join([_wrapped(head), *(_wrapped(f"  {line}") for line in lines), "}\n"])
+
+
+def _wrapped(line: str) -> str:
+    """Return a line in several if it is long; arguments and products stay whole."""
+    whole = re.sub(r" ([*/]) |(?<=const) |(?<=Number) |(?<=\)) (?={)", r"~\1~", line)
+    filled = textwrap.fill(whole, _COLUMNS, subsequent_indent=6 * " ", break_long_words=False)
+    return re.sub(r"~([*/])~|~~", lambda found: f" {found[1]} " if found[1] else " ", filled)
+
+
+def _uses(steps: list[tuple[int, list[int], list[int]]]) -> Counter[int]:
+    """Return how often the result of each step is used, by its number."""
+    uses, last = Counter[int](), dict[int, int]()
+    for k, (op, ins, out) in enumerate(steps):
+        if op != ca.OP_INPUT:
+            uses.update(last[i] for i in ins * (2 if op == ca.OP_SQ else 1) if i in last)
+        if op != ca.OP_OUTPUT:
+            last[out[0]] = k
+    return uses
+
+
+def _entry(name: str, symbol: Any, place: int) -> str:
+    return name if symbol.numel() == 1 else f"{name}[{place}]"
+
+
+def _term(op: int, operands: list[_Term]) -> _Term:
+    text, binds = _OPERATIONS[op]
+    if binds == _WHOLE:  # calls convert no constants
+        is_choice = op in (ca.OP_FMAX, ca.OP_FMIN)
+        parts = [f"all({o.text})" if o.is_constant and is_choice else o.text for o in operands]
+    else:
+        # C takes equals from the left.
+        first = 0 if text.startswith("{0}") else -1
+        parts = [o.within(binds + (i != first)) for i, o in enumerate(operands)]
+        if op == ca.OP_SQ:
+            parts = [operands[0].within(_WHOLE)]
+    return _Term(text.format(*parts), binds)
 
 
 def with_constants(
