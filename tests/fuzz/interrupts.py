@@ -22,7 +22,7 @@ import warnings
 from collections import defaultdict
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext, suppress
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -119,13 +119,18 @@ def case(duration=1.0):
     return tc.Scene(tc.Model(tc.prism()), duration, force_density=value)
 
 
-def stiffness():
-    """Return the report of the stiffness study."""
+@cache
+def study():
+    """Return the stiffness study, whose module may not be interrupted while it is imported."""
     from examples.stiffness_study import stiffness_report
 
-    rest = tc.prestress(tc.prism(), force_density=17.3205)
-    return stiffness_report(
-        rest, np.geomspace(1e2, 1e3, 40), sample_time=SAMPLE, duration=0.1, horizon=3,
+    return partial(stiffness_report, tc.prestress(tc.prism(), force_density=17.3205))
+
+
+def stiffness():
+    """Return the report of the stiffness study."""
+    return study()(
+        np.geomspace(1e2, 1e3, 40), sample_time=SAMPLE, duration=0.1, horizon=3,
         damping=1.0,
     )  # fmt: skip
 
@@ -301,6 +306,9 @@ def signalled(run, sender, delay, number):
         back = time.monotonic()
         sent = sender.sent()
     except Exception as error:
+        with suppress(KeyboardInterrupt):
+            sender.sent()
+        sender.line = None  # it is not that of the next signal
         raise LostError(f"{type(error).__name__}: {error}") from error
     finally:
         faulthandler.cancel_dump_traceback_later()
@@ -415,6 +423,7 @@ def campaign(count, seed=0, commands=True, told=print):
     kept = {(owner, name): getattr(owner, name)
             for owner, name in ((plant_run.PlantRun, "_keep"), (Bench, "_judged"))}  # fmt: skip
     waits, nothing, failures = defaultdict(list), defaultdict(int), []
+    example(), study()
     try:
         begun = Begun()
         with Sender() as sender:
