@@ -21,10 +21,22 @@ if TYPE_CHECKING:
 _ROUND_OFF = 4 * float(np.finfo(float).eps)
 
 
+#: Inputs that drive bars: alone, or after strings.
+BAR_INPUTS = ("bar_length", "length")
+
+
+def member_rows(input: str, commanded: Structure) -> tuple[slice, slice]:
+    """Return which values that a command sets are those of strings, and which those of bars."""
+    strings = 0 if input == "bar_length" else len(commanded.strings)
+    bars = len(commanded.bars) if input in BAR_INPUTS else 0
+    return slice(0, strings), slice(strings, strings + bars)
+
+
 @dataclass(frozen=True)
 class _Members:
     """Members that are driven: strings by winches, or bars by drives."""
 
+    argument: str  # in which the user gives them
     noun: str
     drive: str
     count: int
@@ -35,6 +47,8 @@ class _Members:
 @dataclass(frozen=True, eq=False)
 class Actuation:
     """The map from the inputs of a plant to all of its strings, ``offset + matrix @ inputs``.
+
+    With lengths of bars as inputs, the map to bars, or to strings and then bars.
 
     The values are rest lengths, m, or force densities, N/m, as the plant has them for its input. A
     string that no input drives is passive: it keeps its offset. Strings that share an input are
@@ -271,6 +285,41 @@ def refuse_passive(actuation: Actuation, name: str, strings: IntArray) -> None:
         )
 
 
+def side_by_side(
+    first: Actuation, second: Actuation, names: tuple[tuple[str, ...], tuple[str, ...]]
+) -> Actuation:
+    """Return the actuation of the members and inputs of one, and then of those of another.
+
+    ``names`` are those of the inputs of each, used where either has names of its own.
+    """
+    members, inputs = len(first.input), len(first.lead)
+    of_second = np.where(second.input < 0, -1, second.input + inputs)
+    return Actuation(
+        np.append(first.input, of_second),
+        np.append(first.ratio, second.ratio),
+        np.append(first.offset, second.offset),
+        np.append(first.lead, second.lead + members),
+        sum(names, ()) if first.names or second.names else (),
+    )
+
+
+def of_members(actuation: Actuation, rows: slice) -> Actuation | None:
+    """Return the actuation of some members and their inputs, which follow each other; None of none.
+
+    ``rows`` are one of :func:`member_rows`.
+    """
+    if rows.start == 0 and rows.stop >= len(actuation.input):
+        return actuation
+    if rows.stop <= rows.start:
+        return None
+    first = int((actuation.lead < rows.start).sum())
+    lead = actuation.lead[first : first + int((actuation.lead[first:] < rows.stop).sum())]
+    of, names = actuation.input[rows], actuation.names[first : first + len(lead)]
+    of = np.where(of < 0, -1, of - first)
+    own = actuation.ratio[rows], actuation.offset[rows]
+    return Actuation(of, *own, lead - rows.start, names)
+
+
 def every_string(count: int) -> Actuation:
     """Return the actuation of strings that are each an input."""
     strings = np.arange(count)
@@ -297,14 +346,15 @@ def actuation_of(structure: Structure, actuated: object, values: FloatArray) -> 
         "matrix of shape (α, m)"
     )
     listed = partial(_listed, structure, forms)
-    strings = _Members("string", "winch", len(structure.strings), forms, listed)
+    strings = _Members("actuated", "string", "winch", len(structure.strings), forms, listed)
     return _actuation_of(strings, actuated, values)
 
 
-def actuation_of_bars(actuated: object, lengths: FloatArray) -> Actuation:
+def actuation_of_bars(name: str, actuated: object, lengths: FloatArray) -> Actuation:
     """Return which bars are driven, from what the user gave, where bars have these lengths.
 
-    As :func:`actuation_of`, of bars by index: values are their lengths, m, shape (β,).
+    As :func:`actuation_of`, of bars by index: values are their lengths, m, shape (β,). ``name`` is
+    that of the argument.
     """
     count = len(lengths)
 
@@ -314,30 +364,32 @@ def actuation_of_bars(actuated: object, lengths: FloatArray) -> Actuation:
     forms = (
         "indices of bars, {name: bars} with bars that share a drive, or a matrix of shape (β, m)"
     )
-    return _actuation_of(_Members("bar", "drive", count, forms, listed), actuated, lengths)
+    return _actuation_of(_Members(name, "bar", "drive", count, forms, listed), actuated, lengths)
 
 
 def _actuation_of(members: _Members, actuated: object, values: FloatArray) -> Actuation:
     """Return which members are driven, where members have these values."""
+    argument = members.argument
     if actuated is None:
         return every_string(members.count)
     if isinstance(actuated, Actuation):
         if len(actuated.input) != members.count:
             raise ValueError(
-                f"actuated is {actuated!r}, but the structure has {members.count} {members.noun}s: "
-                "take that of a plant of the same structure"
+                f"{argument} is {actuated!r}, but the structure has {members.count} "
+                f"{members.noun}s: take that of a plant of the same structure"
             )
         return through(actuated, values)
     names: tuple[str, ...] = ()
     if isinstance(actuated, Mapping):
-        names = tuple(validation.identifier("a name in actuated", name) for name in actuated)
+        names = tuple(validation.identifier(f"a name in {argument}", name) for name in actuated)
         drives = [
-            _ganged(members, f"actuated[{name!r}]", group) for name, group in actuated.items()
+            _ganged(members, f"{members.argument}[{name!r}]", group)
+            for name, group in actuated.items()
         ]
     elif isinstance(actuated, np.ndarray) and actuated.ndim == 2:
         drives = _columns(members, actuated)
     else:
-        drives = [{number: 1.0} for number in members.listed("actuated", actuated)]
+        drives = [{number: 1.0} for number in members.listed(argument, actuated)]
     return _together(members, drives, names, values)
 
 
@@ -345,13 +397,15 @@ def _together(
     members: _Members, drives: list[dict[int, float]], names: tuple[str, ...], values: FloatArray
 ) -> Actuation:
     """Return the actuation of drives, each a ratio by member, where members have these values."""
-    noun, drive, count = members.noun, members.drive, members.count
+    noun, drive, count, argument = (
+        members.noun, members.drive, members.count, members.argument
+    )  # fmt: skip
     if not drives:
-        raise ValueError(f"actuated is empty, expected {members.forms}")
+        raise ValueError(f"{argument} is empty, expected {members.forms}")
     of, ratio = np.full(count, -1), np.zeros(count)
     leads = []
     for number, ratios in enumerate(drives):
-        name = f"actuated[{names[number]!r}]" if names else "actuated"
+        name = f"{argument}[{names[number]!r}]" if names else argument
         for member, by in ratios.items():
             if of[member] >= 0:
                 raise ValueError(
@@ -415,14 +469,16 @@ def _ganged(members: _Members, name: str, group: object) -> dict[int, float]:
 
 def _columns(members: _Members, matrix: np.ndarray) -> list[dict[int, float]]:
     """Return the drives of a matrix, shape (members, m), column by column."""
-    noun, drive, count = members.noun, members.drive, members.count
-    array = validation.float_array("actuated", matrix)
+    noun, drive, count, argument = (
+        members.noun, members.drive, members.count, members.argument
+    )  # fmt: skip
+    array = validation.float_array(argument, matrix)
     if len(array) != count:
         raise ValueError(
-            f"actuated has shape {array.shape}, expected ({count}, m): one row per {noun}, one "
+            f"{argument} has shape {array.shape}, expected ({count}, m): one row per {noun}, one "
             f"column per {drive}"
         )
     empty = np.flatnonzero(~array.any(axis=0))
     if len(empty):
-        raise ValueError(f"actuated has a column of zeros, {empty[0]}: a {drive} without {noun}s")
+        raise ValueError(f"{argument} has a column of zeros, {empty[0]}: a {drive} without {noun}s")
     return [{int(i): float(column[i]) for i in np.flatnonzero(column)} for column in array.T]

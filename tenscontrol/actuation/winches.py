@@ -87,6 +87,9 @@ def _motor(name: str, value: Motor | None) -> Motor | None:
 class Winches:
     """Limits of the winches that set the rest lengths: speed, range, motors.
 
+    Also of the drives of bars, where lengths of bars are inputs: β values, or α of the strings and
+    then β of the bars where both are.
+
     Parameters
     ----------
     rate : float or array_like, shape (α,), optional

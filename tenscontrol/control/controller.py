@@ -12,7 +12,13 @@ from typing import Any
 import numpy as np
 
 from tenscontrol import validation
-from tenscontrol.actuation.driven_strings import Actuation, every_string, inputs_of, strings_of
+from tenscontrol.actuation.driven_strings import (
+    Actuation,
+    every_string,
+    inputs_of,
+    member_rows,
+    strings_of,
+)
 from tenscontrol.arrays import FloatArray, IntArray, frozen
 from tenscontrol.control.command import Command, Fallback
 from tenscontrol.control.measurement_check import MeasurementCheck
@@ -40,7 +46,7 @@ class BaseController(ABC):
     ----------
     structure : Structure
         The structure whose nodes it is given.
-    input : {"force_density", "rest_length", "bar_length"}
+    input : {"force_density", "rest_length", "bar_length", "length"}
         What it commands.
     sample_time : float or None
         As for :class:`Controller`, s.
@@ -146,7 +152,7 @@ class BaseController(ABC):
 
     @property
     def input(self) -> str:
-        """What it commands: ``"force_density"``, ``"rest_length"`` or ``"bar_length"``."""
+        """What it commands, as the input of a plant: ``"rest_length"``, ``"length"`` and so on."""
         return self._input
 
     @property
@@ -439,8 +445,11 @@ class Controller(BaseController):
             rate = max(rate, 1 / validation.positive_number("sample_time", sample_time, "s"))
             plant.refuse_long_sample_time(sample_time)
         structure, lengths = plant.model.structure, None
-        if plant.input == "bar_length":
-            lengths = strings_of(plant.actuation, low), strings_of(plant.actuation, high)
+        if plant.drives_bars:
+            bars = member_rows(plant.input, plant.commanded)[1]
+            lengths = (
+                strings_of(plant.actuation, low)[bars], strings_of(plant.actuation, high)[bars]
+            )  # fmt: skip
         super().__init__(
             structure, plant.input, sample_time, low, high, change,
             commanded=plant.commanded, equilibrium_input=plant.equilibrium_input,

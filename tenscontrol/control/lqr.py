@@ -126,7 +126,7 @@ class LQR(Controller):
         validation.instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
         states, inputs = plant.B.shape
         refuse_empty(plant)
-        if plant.input == "bar_length" and sample_time is None:
+        if plant.drives_bars and sample_time is None:
             raise ValueError(NO_JUMP)
         if Q is None or R is None:
             natural_Q, natural_R = natural_weights(plant)

@@ -14,6 +14,7 @@ from textwrap import shorten, wrap
 import casadi as ca
 import numpy as np
 
+from tenscontrol.actuation.driven_strings import member_rows
 from tenscontrol.arrays import FloatArray
 from tenscontrol.control.command import Fallback
 from tenscontrol.deploy.code_interface import CodeInterface
@@ -41,6 +42,7 @@ _UNIT = {
     "force_density": "force densities, N/m",
     "rest_length": "rest lengths, m",
     "bar_length": "lengths of bars, m",
+    "length": "rest lengths of strings and lengths of bars, m",
 }
 
 
@@ -102,20 +104,22 @@ def code_files(
 def _inputs(interface: CodeInterface) -> str:
     """Return which number of a command is which input, as a comment; nothing for all strings."""
     actuation = interface.actuation
-    if actuation.is_whole:
+    if actuation.is_whole and interface.input != "length":
         return ""
-    noun = "bar" if interface.input == "bar_length" else "string"
+    strings, bars = member_rows(interface.input, interface.structure)
+    nouns = " and ".join(["strings"] * (strings.stop > 0) + ["bars"] * (bars.stop > bars.start))
     lines = []
     for number, name in enumerate(interface.input_names):
         moved = ", ".join(
-            f"{noun} {k}" + (f" by {actuation.ratio[k]:g}" if actuation.ratio[k] != 1 else "")
+            (f"string {k}" if k < bars.start else f"bar {k - bars.start}")
+            + (f" by {actuation.ratio[k]:g}" if actuation.ratio[k] != 1 else "")
             for k in np.flatnonzero(actuation.input == number)
         )
         lines += wrap(f"{number}: {name}: {moved}", 96, subsequent_indent="      ")
     text = "\n".join([f" *   {line}" for line in lines])
     return (
-        f"\n/*\n * What the numbers of a command set, and which {noun}s move, by which ratio.\n"
-        f" * Other {noun}s are passive.\n *\n{text}\n */\n"
+        f"\n/*\n * What the numbers of a command set, and which {nouns} move, by which ratio.\n"
+        f" * Other {nouns} are passive.\n *\n{text}\n */\n"
     )
 
 

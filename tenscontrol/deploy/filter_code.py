@@ -67,7 +67,7 @@ def with_filter(law: LawCode, interface: CodeInterface, estimator: object) -> La
         "FILTER_NOTHING_KNOWN": NOTHING_KNOWN,
         "FILTER_TINY": float(np.finfo(float).tiny),
         "FILTER_KNOWN": known_size(plant),
-        "FILTER_DRIVES_BARS": int(plant.input == "bar_length"),
+        "FILTER_DRIVES_BARS": int(plant.drives_bars),
         "FILTER_MOST_LENGTH": MOST_LENGTH,
         "FILTER_ROLLS": int(design.frame is not None),
     }

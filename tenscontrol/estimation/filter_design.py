@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol import validation
-from tenscontrol.actuation.driven_strings import inputs_of
+from tenscontrol.actuation.driven_strings import inputs_of, member_rows
 from tenscontrol.actuation.winches import Winches
 from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.estimation.extra_states import ExtraStates
@@ -148,8 +148,8 @@ def filter_design(
     validation.instance("sensors", sensors, Sensors, "make them by Sensors(structure=..., ...)")
     sample_time, substeps = settings.sample_time, settings.substeps
     plant.refuse_long_sample_time(sample_time)
-    if plant.input == "bar_length":
-        _refuse_bars(sensors, settings)
+    if plant.drives_bars:
+        _refuse_bars(plant, sensors, settings)
     elif settings.winches is not None and plant.input != "rest_length":
         raise ValueError(
             f"winches set rest lengths, but plant has input={plant.input!r}; linearize with "
@@ -257,7 +257,8 @@ def _refuse_other_gravity(plant: LinearPlant, sensors: Sensors) -> None:
 def _extra_states(plant: LinearPlant, sensors: Sensors, settings: FilterSettings) -> ExtraStates:
     """Return what a filter estimates beside the state of the plant."""
     r = plant.degrees_of_freedom
-    wound = tuple(range(plant.B.shape[1]))
+    strings = member_rows(plant.input, plant.commanded)[0]
+    wound = tuple(np.flatnonzero(plant.actuation.lead < strings.stop).tolist())
     if sensors.encoder is not None:
         if settings.rest_length_error is None:
             raise ValueError(
@@ -270,17 +271,17 @@ def _extra_states(plant: LinearPlant, sensors: Sensors, settings: FilterSettings
                 "sensors read encoders of strings that the plant does not command: it is one of "
                 "command_parents; leave encoder out"
             )
-        strings = np.asarray(sensors.encoder_strings)
-        inputs = plant.actuation.input[strings]
+        read = np.asarray(sensors.encoder_strings)
+        inputs = plant.actuation.input[read]
         if (inputs < 0).any():
             raise ValueError(
-                f"sensors read the encoder of string {strings[inputs < 0][0]}, but no input of the "
+                f"sensors read the encoder of string {read[inputs < 0][0]}, but no input of the "
                 "plant drives this string: choose encoder_strings among the driven ones"
             )
         wound = tuple(np.unique(inputs).tolist())
     if settings.rest_length_error is None:
         wound = ()
-    elif plant.input != "rest_length":
+    elif not plant.winds_strings:
         raise ValueError(
             f"rest_length_error is given, but plant has input={plant.input!r}; linearize with "
             "input='rest_length'"
@@ -356,7 +357,7 @@ def _pull(plant: LinearPlant) -> float:
     return pull
 
 
-def _refuse_bars(sensors: Sensors, settings: FilterSettings) -> None:
+def _refuse_bars(plant: LinearPlant, sensors: Sensors, settings: FilterSettings) -> None:
     """Refuse what does not go with bars that are driven."""
     if settings.prediction == "nonlinear":
         raise ValueError(
@@ -368,13 +369,14 @@ def _refuse_bars(sensors: Sensors, settings: FilterSettings) -> None:
     if sensors.needs("acceleration"):
         raise ValueError(
             "sensors have an accelerometer, which feels the jerks of drives of bars as their rates "
-            "jump from sample to sample, but plant has input='bar_length': leave accelerometer out"
+            f"jump from sample to sample, but plant has input={plant.input!r}: leave accelerometer "
+            "out"
         )
 
 
 def _start_state(plant: LinearPlant, nodes: object) -> tuple[FloatArray, FloatArray | None]:
     """Return z at the start, and what inputs do; None where that is not known."""
-    is_driven, structure = plant.input == "bar_length", plant.model.structure
+    is_driven, structure = plant.drives_bars, plant.model.structure
     if nodes is None:
         known = known_at_rest(plant, plant.equilibrium_input) if is_driven else None
         return np.zeros(len(plant.A)), known
@@ -382,7 +384,9 @@ def _start_state(plant: LinearPlant, nodes: object) -> tuple[FloatArray, FloatAr
     if is_driven:
         refuse_passive_bars(plant, "start", shape)
         length = np.linalg.norm(structure.bar_vectors(shape), axis=0)
-        known = known_at_rest(plant, inputs_of(plant.actuation, length))
+        assert plant.rest_length is not None  # bars are driven
+        members = plant.lengths(plant.rest_length, length)
+        known = known_at_rest(plant, inputs_of(plant.actuation, members))
     else:
         shape = rigid_shape("start", structure, shape)
     q = reduced_shape(plant, "start", shape, _START_TOLERANCE)

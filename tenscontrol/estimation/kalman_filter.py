@@ -188,8 +188,8 @@ class KalmanFilter:
     A filter restored from a pickle starts anew.
 
     The input of the plant must be what the actuators hold between samples: for winches linearize
-    with ``input="rest_length"``, whatever the controller commands, and for driven bars with
-    ``input="bar_length"``. With internal coordinates, the
+    with ``input="rest_length"``, whatever the controller commands, for driven bars with
+    ``input="bar_length"``, and for both with ``input="length"``. With internal coordinates, the
     filter adds the rigid-body motions that the readings observe. Undamped modes that are neither
     observed nor reached by strings are left out: see :attr:`left_alone`. Motions of the structure
     as one body are left out too, if readings show their rates alone. :meth:`observability` lists
@@ -431,7 +431,7 @@ class KalmanFilter:
 
     @property
     def input(self) -> str:
-        """Kind of input: ``"force_density"``, ``"rest_length"`` or ``"bar_length"``."""
+        """Kind of input, that of the plant: ``"rest_length"``, ``"length"`` and so on."""
         return self.plant.input
 
     @property
@@ -652,25 +652,25 @@ class KalmanFilter:
 
     def _checked_input(self, held: object) -> FloatArray:
         shape = self.plant.actuation.input.shape
-        if self.input != "bar_length":
+        if not self.plant.drives_bars:
             strings = validation.shaped("held", held, shape, "one per string")
             return inputs_of(self.plant.actuation, strings)
         lengths = inputs_of(
-            self.plant.actuation, validation.shaped("held", held, shape, "one per bar")
+            self.plant.actuation, validation.shaped("held", held, shape, "one length per member")
         )
         most = MOST_LENGTH * self.plant.equilibrium_input
         wrong = np.flatnonzero((lengths <= 0) | (lengths > most))
         if len(wrong):
             i = wrong[0]
             raise ValueError(
-                f"held[{i}] is {lengths[i]:.3g} m, expected a length of a bar above 0 and at most "
+                f"held[{i}] is {lengths[i]:.3g} m, expected a length above 0 and at most "
                 f"{most[i]:.3g} m"
             )
         return lengths
 
     def _known(self, inputs: FloatArray) -> FloatArray:
         """Return what inputs do that are reached by the next sample, see :func:`known_size`."""
-        if self.input != "bar_length":
+        if not self.plant.drives_bars:
             return inputs
         before = self._inputs[-1][0] if self._inputs else self._previous_input
         assert before is not None  # lengths of bars are always known
@@ -750,7 +750,7 @@ class KalmanFilter:
     def _start_over(self, after: bool = False) -> None:
         """Start from the operating point: the estimate is of no shape of the structure."""
         self._z, self._P = np.zeros_like(self._z), self._design.start_covariance
-        if self.input != "bar_length":
+        if not self.plant.drives_bars:
             self._previous_input = None
         else:  # bars have the lengths that they have
             if self._inputs:

@@ -71,7 +71,7 @@ def _output_function(plant: LinearPlant, sensors: Sensors, extra: ExtraStates) -
     z, u = ca.SX.sym("z", extra.size), ca.SX.sym("u", known_size(plant))
     near = near_symbol(plant)
     N, V = reduced_motion(plant, z[: extra.states], near, u)
-    held = model_input(plant, extra.input(z, u))
+    held = model_input(plant, extra.input(z, u[: len(plant.actuation.lead)]))
     tension, rest_length = (ca.SX(len(structure.strings), 1) for _ in range(2))
     if sensors.needs("tension"):
         length, rate = (row.T for row in kernel.string_motion(structure, N, V))
@@ -82,7 +82,7 @@ def _output_function(plant: LinearPlant, sensors: Sensors, extra: ExtraStates) -
             gamma = law.symbolic_force_density(length, gamma, rate)
         tension = gamma * length
     if sensors.needs("rest_length"):
-        if plant.input != "rest_length":
+        if not plant.winds_strings:
             raise ValueError(
                 f"sensors read encoders, but plant has the input {plant.input!r}, and winds no "
                 "strings: linearize with input='rest_length'"

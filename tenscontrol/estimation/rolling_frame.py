@@ -161,7 +161,7 @@ def _refuse_outer_forces(plant: LinearPlant) -> None:
     """Refuse forces that depend on how the structure is turned, or hold it."""
     model = plant.model
     outer = {
-        "driven bars": plant.input == "bar_length",
+        "driven bars": plant.drives_bars,
         "supports": len(model.structure.fixed_rows) > 0,
         "ground": model.contacts is not None,
         "gravity or a load": bool(np.any(plant.external_force)) or bool(model.gravity.any()),

@@ -7,7 +7,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscontrol.actuation.driven_strings import moved_by, strings_of
+from tenscontrol.actuation.driven_strings import member_rows, moved_by, strings_of
 from tenscontrol.arrays import FloatArray
 from tenscontrol.plant.linear_plant import LinearPlant
 
@@ -18,10 +18,10 @@ MOST_LENGTH = 1000.0
 def known_size(plant: LinearPlant) -> int:
     """Return how many numbers say what inputs do at a moment.
 
-    Those of the inputs. Where these are lengths of bars, their rates follow, m/s.
+    Those of the inputs. Where lengths of bars are among these, their rates follow, m/s.
     """
     inputs = len(plant.actuation.lead)
-    return 2 * inputs if plant.input == "bar_length" else inputs
+    return 2 * inputs if plant.drives_bars else inputs
 
 
 def known_at_rest(plant: LinearPlant, inputs: FloatArray) -> FloatArray:
@@ -34,20 +34,22 @@ def length_symbols(plant: LinearPlant, known: Any) -> tuple[Any, Any] | None:
 
     ``known`` is what :func:`known_size` says, a column.
     """
-    if plant.input != "bar_length":
+    if not plant.drives_bars:
         return None
     act, inputs = plant.actuation, len(plant.actuation.lead)
-    matrix = ca.sparsify(ca.DM(act.matrix.toarray()))
+    bars = member_rows(plant.input, plant.commanded)[1]
+    matrix = ca.sparsify(ca.DM(act.matrix[bars].toarray()))
     rate = ca.mtimes(matrix, known[inputs:])
-    return ca.DM(act.offset) + ca.mtimes(matrix, known[:inputs]), rate
+    return ca.DM(act.offset[bars]) + ca.mtimes(matrix, known[:inputs]), rate
 
 
 def lengths_of(
     plant: LinearPlant, known: FloatArray | None
 ) -> tuple[FloatArray | None, FloatArray | None]:
     """Return the lengths of all bars, m, and their rates; None each where bars are rigid."""
-    if plant.input != "bar_length":
+    if not plant.drives_bars:
         return None, None
     assert known is not None  # lengths of bars are always known
+    bars = member_rows(plant.input, plant.commanded)[1]
     value, rate = np.split(known, 2)
-    return strings_of(plant.actuation, value), moved_by(plant.actuation, rate)
+    return strings_of(plant.actuation, value)[bars], moved_by(plant.actuation, rate)[bars]

@@ -9,6 +9,7 @@ from tenscontrol.actuation.driven_strings import (
     Actuation,
     bounds_of_inputs,
     changes_of_inputs,
+    member_rows,
 )
 from tenscontrol.actuation.winches import Winches
 from tenscontrol.arrays import FloatArray
@@ -39,10 +40,11 @@ def input_bounds(
             )
         usual, driven = plant.string_values, plant.actuation.driven
         if winches is not None:
-            if plant.input == "bar_length":
+            if plant.drives_bars:
                 refuse_motors_of_bars(winches)
             winches.refuse_out_of_range(f"plant.{plant.input}", usual, driven)
-            refuse_still(plant.actuation, winches)
+            strings, _ = member_rows(plant.input, plant.commanded)
+            refuse_still(plant.actuation, winches, strings.stop)
         return bounds_of_inputs(plant.actuation, *rest_length_bounds(usual, winches))
     if winches is not None:
         raise ValueError(
@@ -74,15 +76,16 @@ def refuse_motors_of_bars(winches: Winches) -> None:
         )
 
 
-def refuse_still(actuation: Actuation, winches: Winches) -> None:
-    """Raise if a winch that is to drive a string cannot move."""
+def refuse_still(actuation: Actuation, winches: Winches, strings: int) -> None:
+    """Raise if a winch that is to drive a string cannot move, or a drive of a bar after those."""
     shortest, longest = winches.range(len(actuation.input))
     still = np.intersect1d(np.flatnonzero(shortest == longest), actuation.driven)
     if len(still):
-        i = still[0]
+        i = int(still[0])
+        member = f"string {i}" if i < strings else f"bar {i - strings}"
         raise ValueError(
-            f"winches.shortest and winches.longest are both {longest[i]:g} m for string {i}, which "
-            "the plant takes as driven, so that a design on it is wrong: say which strings are "
+            f"winches.shortest and winches.longest are both {longest[i]:g} m for {member}, which "
+            "the plant takes as driven, so that a design on it is wrong: say which members are "
             "driven by linearize(..., actuated=[...])"
         )
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Concatenate, ParamSpec, TypeVar, overload
 import numpy as np
 
 from tenscontrol import validation
-from tenscontrol.actuation.driven_strings import Actuation, inputs_of
+from tenscontrol.actuation.driven_strings import BAR_INPUTS, Actuation, inputs_of, member_rows
 from tenscontrol.arrays import FloatArray, IntArray, freeze_arrays, frozen
 from tenscontrol.dynamics.coordinates import Coordinates
 from tenscontrol.dynamics.evaluator import Prepared, on_one_thread
@@ -51,7 +51,7 @@ _SYMMETRIC = 1e-9
 
 #: What the inputs of strings may be, and those of all plants.
 INPUTS = ("force_density", "rest_length")
-PLANT_INPUTS = (*INPUTS, "bar_length")
+PLANT_INPUTS = (*INPUTS, *BAR_INPUTS)
 
 
 #: Why inputs that jump do not fit bars.
@@ -61,11 +61,25 @@ NO_JUMP = (
 )
 
 
+def lead_names(commanded: Structure, rows: tuple[slice, slice], lead: IntArray) -> tuple[str, ...]:
+    """Return names of inputs by their leads: group and number of a string, number of a bar.
+
+    Among values with these :func:`member_rows`.
+    """
+    seen: dict[str, int] = {}
+    names = []
+    for group in commanded.string_groups[rows[0]]:
+        seen[group] = seen.get(group, -1) + 1
+        names.append(f"{group}[{seen[group]}]")
+    names += [f"bar[{bar}]" for bar in range(len(commanded.bars[: rows[1].stop - rows[1].start]))]
+    return tuple(names[member] for member in lead)
+
+
 def refuse_driven_bars(plant: LinearPlant, who: str) -> None:
     """Raise if lengths of bars are the input of a plant, for whom or what cannot take it."""
-    if plant.input == "bar_length":
+    if plant.drives_bars:
         raise ValueError(
-            f"{who} takes no plant with input='bar_length': LQR, MPC, KalmanFilter and simulate "
+            f"{who} takes no plant with input={plant.input!r}: LQR, MPC, KalmanFilter and simulate "
             "do. Linearize by input='rest_length' or 'force_density'"
         )
 
@@ -135,7 +149,8 @@ class LinearPlant:
 
     The state is ``z = [q; q̇]`` in the chosen coordinates, the input v the departure of γ or of the
     rest lengths of m driven strings, or winches, from the operating point. There are m = α inputs
-    where every string is driven by itself. Made by :func:`linearize`.
+    where every string is driven by itself. Lengths of driven bars may be inputs, alone or after
+    those of the strings. Made by :func:`linearize`.
 
     Where lengths of bars are the input, nodes move by ``vec(δN) = T q + E v``, with E across all
     motions T in the metric of the mass: bars push along themselves, so that neither an acceleration
@@ -148,7 +163,8 @@ class LinearPlant:
     coordinates : Coordinates
         The basis and the maps between node positions and q.
     input : str
-        ``"force_density"``, ``"rest_length"`` or ``"bar_length"``.
+        ``"force_density"``, ``"rest_length"``, ``"bar_length"`` or ``"length"``, rest lengths of
+        strings and then lengths of bars.
     A, B : ndarray, shape (2r, 2r) and (2r, m)
         Matrices for q in m √kg, made when they are first asked for, and refused where A has more
         than 64 million entries, 4,000 coordinates: large structures have :attr:`sparse`.
@@ -171,11 +187,11 @@ class LinearPlant:
         answer to motions that it leaves out, relative to their size.
     actuation : Actuation
         Which of the commanded strings the inputs drive; the others are passive. Of bars, where
-        their lengths are the input.
+        their lengths are the input, and of strings and then bars, where both are.
     input_displacements : ndarray, shape (d n, m), or None
-        E, where lengths of bars are the input.
+        E, where lengths of bars are inputs; zero for inputs of strings.
     rate_input : ndarray, shape (2r, m), or None
-        F, where lengths of bars are the input and strings are damped.
+        F, where lengths of bars are inputs and strings are damped; zero for inputs of strings.
     feet : ndarray of int
         Fixed nodes of the model that stand on ground by friction, of a plant about a stance: z is
         measured relative to them. Empty for any other plant.
@@ -226,19 +242,37 @@ class LinearPlant:
     def string_values(self) -> FloatArray:
         """γ or rest length of the commanded strings at the operating point, shape (α,).
 
-        Lengths of bars, shape (β,), where these are the input.
+        Lengths of bars, shape (β,), where these are the input, and after those of the strings,
+        shape (α + β,), where both are.
         """
         if self.input == "force_density":
             return self.force_density
-        if self.input == "bar_length":
-            return self.model.structure.bar_length
         assert self.rest_length is not None  # linearize needs a string law for this input
-        return self.rest_length
+        return self.lengths(self.rest_length, self.model.structure.bar_length)
+
+    def lengths(self, rest_length: FloatArray, bar_length: FloatArray) -> FloatArray:
+        """Return the values that inputs set where strings and bars have these lengths.
+
+        Both are on the last axis, m: of the commanded strings, and of bars.
+        """
+        strings, bars = member_rows(self.input, self.commanded)
+        of_bars = bar_length[..., : bars.stop - bars.start]
+        return frozen(np.concatenate([rest_length[..., strings], of_bars], axis=-1))
+
+    @property
+    def drives_bars(self) -> bool:
+        """Whether lengths of bars are among the inputs."""
+        return self.input in BAR_INPUTS
+
+    @property
+    def winds_strings(self) -> bool:
+        """Whether rest lengths of strings are among the inputs."""
+        return self.input in ("rest_length", "length")
 
     @property
     def string_input(self) -> str:
         """What strings are held at, ``"force_density"`` or ``"rest_length"``."""
-        return "rest_length" if self.input == "bar_length" else self.input
+        return "rest_length" if self.drives_bars else self.input
 
     @cached_property
     def slack(self) -> IntArray:
@@ -353,19 +387,13 @@ class LinearPlant:
     def input_names(self) -> list[str]:
         """Names of v, by string group: ``gamma_top[0]`` or ``rest_length_top[0]``.
 
-        Of winches that were given a name, that name.
+        Of winches that were given a name, that name. Of bars ``bar_length_bar[0]``.
         """
-        symbol = "gamma" if self.input == "force_density" else self.input
-        if self.input == "bar_length":
-            bars = self.actuation.names or [f"bar[{bar}]" for bar in self.actuation.lead]
-            return [f"{symbol}_{name}" for name in bars]
-        seen: dict[str, int] = {}
-        names = []
-        for group in self.commanded.string_groups:
-            seen[group] = seen.get(group, -1) + 1
-            names.append(f"{group}[{seen[group]}]")
-        inputs = self.actuation.names or [names[string] for string in self.actuation.lead]
-        return [f"{symbol}_{name}" for name in inputs]
+        symbol = "gamma" if self.input == "force_density" else self.string_input
+        rows, lead = member_rows(self.input, self.commanded), self.actuation.lead
+        names = self.actuation.names or lead_names(self.commanded, rows, lead)
+        symbols = np.where(lead < rows[1].start, symbol, "bar_length")
+        return [f"{symbol}_{name}" for symbol, name in zip(symbols, names, strict=True)]
 
     @property
     def output_names(self) -> list[str]:
@@ -542,7 +570,7 @@ def sampled(plant: LinearPlant, sample_time: float, ramp: bool) -> Sampled:
     from scipy.linalg import expm
 
     plant.refuse_long_sample_time(sample_time)
-    if plant.input == "bar_length" and not ramp:
+    if plant.drives_bars and not ramp:
         raise ValueError(NO_JUMP)
     transition, whole, drift = plant.discretize(sample_time)
     states, inputs = whole.shape

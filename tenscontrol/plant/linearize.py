@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tenscontrol import validation
-from tenscontrol.actuation.driven_strings import Actuation, actuation_of, actuation_of_bars
+from tenscontrol.actuation.driven_strings import (
+    BAR_INPUTS,
+    Actuation,
+    actuation_of,
+    actuation_of_bars,
+    member_rows,
+    side_by_side,
+    through,
+)
 from tenscontrol.arrays import FloatArray, IntArray, frozen
 from tenscontrol.dynamics.coordinates import KINDS, Coordinates, coordinates as frame_of
 from tenscontrol.dynamics.model import Model
@@ -19,6 +27,7 @@ from tenscontrol.plant.linear_plant import (
     PLANT_INPUTS,
     LinearPlant,
     SparsePlant,
+    lead_names,
     norm,
     refuse_driven_bars,
 )
@@ -127,6 +136,7 @@ def linearize(
     require_equilibrium: bool = True,
     rest_length: object = None,
     actuated: object = None,
+    struts: object = None,
 ) -> LinearPlant:
     """Return the linear plant about a shape at rest, with exact derivatives.
 
@@ -136,10 +146,10 @@ def linearize(
     at : Prestress, Stance or OperatingPoint
         The shape and its force densities. Contacts of a :class:`Stance` become supports; see the
         notes.
-    input : {"force_density", "rest_length", "bar_length"}
+    input : {"force_density", "rest_length", "bar_length", "length"}
         The input: γ for force-controlled cables, the rest length for winches. The two plants have
         different modes. Or the lengths of bars that are driven, where strings keep their rest
-        lengths.
+        lengths. Or both lengths, ``"length"``: rest lengths of strings, then lengths of bars.
     coordinates : {"internal", "minimal", "nodes"}
         See :func:`coordinates`.
     require_equilibrium : bool
@@ -155,6 +165,9 @@ def linearize(
         ``{string: ratio}`` in place of the strings where pulleys or signs differ; or a matrix,
         shape (α, m), of the change of each string by each input, with at most one entry a row.
         With ``input="bar_length"`` the bars that are driven, by index.
+    struts : sequence of int, dict, array_like or Actuation, optional
+        With ``input="length"``, the bars that are driven beside the strings of ``actuated``, given
+        as these are, by index; all if not given.
 
     Returns
     -------
@@ -165,7 +178,7 @@ def linearize(
     TypeError, ValueError
         If an argument is of the wrong kind or does not fit, the shape is not
         an equilibrium (the message says by how much), the model lacks a string
-        law or a load input that is needed, or with ``input="rest_length"`` a
+        law or a load input that is needed, or with ``input="rest_length"`` or ``"length"`` a
         string is at the border of slack, where no derivative exists. A string that is slack
         beyond the border, by ``rest_length``, moves nothing: its column of B is zero. Or if a
         contact of a stance slips (more than 0.99 of its friction is used) or just touches (less
@@ -207,11 +220,26 @@ def linearize(
     ...     plant.model, tc.prestress(prism, force_density=10.0), actuated=groups)
     >>> few.input_names
     ['gamma_pair', 'gamma_single']
+
+    With winches for the top strings, and two bars that are telescopic struts:
+
+    >>> model = tc.Model(prism, strings=tc.LinearStrings(stiffness=300.0))
+    >>> both = tc.linearize(
+    ...     model, tc.prestress(prism, force_density=10.0), "length", actuated=["top"],
+    ...     struts=[0, 2])
+    >>> both.input_names[2:]
+    ['rest_length_top[2]', 'bar_length_bar[0]', 'bar_length_bar[2]']
     """
     validation.instance("model", model, Model, "make one by Model(structure)")
     validation.choice("input", input, PLANT_INPUTS)
-    if input == "bar_length":
-        return _of_bars(model, at, coordinates, require_equilibrium, rest_length, actuated)
+    if struts is not None and input != "length":
+        raise ValueError(
+            f"struts are driven beside strings, but input is {input!r}: give input='length', or "
+            "input='bar_length' with actuated, the bars"
+        )
+    if input in BAR_INPUTS:
+        drives = actuated, struts
+        return _of_bars(model, at, coordinates, require_equilibrium, rest_length, input, drives)
     validation.choice("coordinates", coordinates, KINDS)
     validation.truth(
         "require_equilibrium", require_equilibrium, "whether to refuse unbalanced forces"
@@ -257,11 +285,12 @@ def linearize(
 
 def _of_bars(
     model: Model, at: object, kind: str, require_equilibrium: bool, rest_length: object,
-    actuated: object,
+    input: str, drives: tuple[object, object],
 ) -> LinearPlant:  # fmt: skip
     """Return the plant whose inputs are lengths of bars, from that of held rest lengths.
 
-    With ``J E = L̂`` and ``Tᵀ M E = 0``: ``q̈ = −Tᵀ K (T q + E v) − Tᵀ D (T q̇ + E v̇)``.
+    With ``J E = L̂`` and ``Tᵀ M E = 0``: ``q̈ = −Tᵀ K (T q + E v) − Tᵀ D (T q̇ + E v̇)``. ``drives``
+    are ``actuated`` and ``struts`` of :func:`linearize`.
     """
     from scipy.sparse import csr_array
 
@@ -279,26 +308,53 @@ def _of_bars(
         )
     plant = linearize(model, at, "rest_length", kind, require_equilibrium, rest_length)  # type: ignore[arg-type]
     structure = model.structure
-    actuation = actuation_of_bars(actuated, structure.bar_length)
-    refuse_other_bar_lengths("actuated", structure, actuation.driven)
     assert plant.rest_length is not None  # there is a law
+    actuation = _of_strings_and_bars(structure, input, drives, plant.rest_length)
+    strings, bars = member_rows(input, structure)
+    refuse_other_bar_lengths(
+        "actuated" if input == "bar_length" else "struts", structure,
+        actuation.driven[actuation.driven >= bars.start] - bars.start,
+    )  # fmt: skip
     here = tangent(model, plant.nodes, "rest_length", plant.rest_length, plant.external_force)
-    E = bar_displacements(structure, plant.nodes, here.mass) @ actuation.matrix
+    G = actuation.matrix
+    E = bar_displacements(structure, plant.nodes, here.mass) @ G[bars]
     T = plant.coordinates.sparse_basis
-    by_length = csr_array(-(T.T @ (here.stiffness @ E)))
+    assert plant.sparse is not None  # it was just made
+    by_string = plant.sparse.by_input[:, strings] @ G[strings]
+    by_length = csr_array(by_string - T.T @ (here.stiffness @ E))
     rate = None
     if here.damping.nnz:
         by_rate = plant.coordinates.from_sparse(-(T.T @ (here.damping @ E)))
         rate = frozen(np.vstack([np.zeros_like(by_rate), by_rate]))
-    assert plant.sparse is not None  # it was just made
     driven = replace(
-        plant, input="bar_length", sparse=replace(plant.sparse, by_input=by_length),
+        plant, input=input, sparse=replace(plant.sparse, by_input=by_length),
         actuation=actuation, input_displacements=frozen(E), rate_input=rate, A=None, B=None,
         drift=None,
     )  # fmt: skip
     for name in ("A", "B", "drift") if driven.degrees_of_freedom <= _USUAL else ():
         getattr(driven, name)
     return driven
+
+
+def _of_strings_and_bars(
+    structure: Structure, input: str, drives: tuple[object, object], rest_length: FloatArray
+) -> Actuation:
+    """Return which bars are driven, and which strings where they are, too."""
+    actuated, struts = drives
+    if input == "bar_length":
+        return actuation_of_bars("actuated", actuated, structure.bar_length)
+    strings, bars = rows = member_rows(input, structure)
+    lengths = np.concatenate([rest_length, structure.bar_length])
+    if isinstance(actuated, Actuation) and len(actuated.input) == bars.stop:
+        if struts is not None:
+            raise ValueError("struts is given, but actuated is of strings and bars: leave it out")
+        return through(actuated, lengths)
+    of_strings = actuation_of(structure, actuated, lengths[strings])
+    of_bars = actuation_of_bars("struts", struts, lengths[bars])
+    leads = of_strings.lead, bars.start + of_bars.lead
+    names = [own.names or lead_names(structure, rows, lead)
+             for own, lead in zip((of_strings, of_bars), leads, strict=True)]  # fmt: skip
+    return side_by_side(of_strings, of_bars, (names[0], names[1]))
 
 
 def in_coordinates(plant: LinearPlant, kind: str) -> LinearPlant:

@@ -9,11 +9,16 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol import validation
-from tenscontrol.actuation.driven_strings import inputs_of, moved_by, strings_of
+from tenscontrol.actuation.driven_strings import inputs_of, member_rows, moved_by, strings_of
 from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.dynamics.evaluator import Function, evaluate_columns
 from tenscontrol.fields import Array, OptionalArray, converted
-from tenscontrol.plant.linear_plant import LinearPlant, Sampled, acceleration_response, kept
+from tenscontrol.plant.linear_plant import (
+    LinearPlant,
+    Sampled,
+    acceleration_response,
+    kept,
+)
 from tenscontrol.plant.string_outputs import input_matrix, to_commanded_strings, to_model_strings
 from tenscontrol.short_repr import short_repr
 from tenscontrol.structure.bar_clearance import bar_distances
@@ -252,14 +257,7 @@ class ReferencePreview:
         # What holds the plant in each shape, side by side, at these times, straight in between.
         self._held_time = reference.time[:1]
         self._shapes = None
-        if plant.input == "bar_length":
-            self._held_time = _refined(reference.time, sampled.sample_time)
-            self._response = acceleration_response(plant, sampled.sample_time)
-            self._shapes = reference.time, reference.nodes
-            rests = self.wanted(self._held_time)[:, :r]
-            shapes = self._bar_shapes(self._held_time)
-            self._table = _held_by_bars(plant, rests, shapes, self._response)
-        elif plant.input == "force_density":
+        if plant.input == "force_density":
             gamma = to_model_strings(plant, "force_density", plant.force_density)
             tension = gamma * plant.model.structure.string_length(plant.nodes)
             entries = np.zeros(2 * r), plant.equilibrium_input, gamma, tension, sampled.drift
@@ -267,17 +265,22 @@ class ReferencePreview:
         else:
             self._held_time = _refined(reference.time, sampled.sample_time)
             rests = self.wanted(self._held_time)[:, :r]
+            if plant.drives_bars:
+                self._shapes = reference.time, reference.nodes
+                shapes = self._bar_shapes(self._held_time)
+            else:
+                shapes = np.array([plant.to_nodes(row) for row in rests])
             gamma = plant.force_density[:, None] * np.ones(len(self._held_time))
-            if reference.force_density is not None:
+            if reference.force_density is not None and plant.winds_strings:
                 gamma = np.array(
                     [
                         np.interp(self._held_time, reference.time, row)
                         for row in reference.force_density
                     ]
                 )
-                _refuse_moved_passive(plant, rests, gamma)
+                _refuse_moved_passive(plant, shapes, gamma)
             self._response = acceleration_response(plant, sampled.sample_time)
-            self._table = _held(plant, rests, gamma, self._response)
+            self._table = _held(plant, rests, shapes, gamma, self._response)
         strings = len(plant.model.structure.strings)
         self._ends = np.cumsum([2 * r, plant.B.shape[1], strings, strings])
         self._damping = plant.A[r:, r:]
@@ -431,12 +434,12 @@ def _reached(plant: LinearPlant, reference: Reference, name: str) -> FloatArray:
     structure, shapes = plant.model.structure, np.moveaxis(reference.nodes, 2, 0)
     names = [f"{name} at {time:g} s" for time in reference.time]
     for shape_name, N in zip(names, shapes, strict=True):
-        if plant.input == "bar_length":
+        if plant.drives_bars:
             refuse_passive_bars(plant, shape_name, N)
         else:
             refuse_wrong_bar_lengths(shape_name, structure, N, _OFF)
         refuse_moved_supports(shape_name, structure, N, _OFF)
-    if plant.input == "bar_length":
+    if plant.drives_bars:
         still = np.zeros_like(plant.nodes)
         q = np.array([plant.measure(N, still)[: plant.degrees_of_freedom] for N in shapes])
     else:
@@ -489,7 +492,7 @@ def reduced_shape(plant: LinearPlant, name: str, nodes: FloatArray, off: float) 
     """
     q = plant.measure(nodes, np.zeros_like(nodes))[: plant.degrees_of_freedom]
     lengths = None
-    if plant.input == "bar_length":
+    if plant.drives_bars:
         lengths = np.linalg.norm(plant.model.structure.bar_vectors(nodes), axis=0)
     try:
         reached = plant.to_nodes(q, lengths)
@@ -517,8 +520,11 @@ def _refined(time: FloatArray, sample_time: float) -> FloatArray:
 def refuse_passive_bars(plant: LinearPlant, name: str, nodes: FloatArray) -> None:
     """Raise if a shape asks a bar that is not driven for another length."""
     structure, actuation = plant.model.structure, plant.actuation
+    assert plant.rest_length is not None  # bars are driven
     length = np.linalg.norm(structure.bar_vectors(nodes), axis=0)
-    held = strings_of(actuation, inputs_of(actuation, length))
+    members = plant.lengths(plant.rest_length, length)
+    held = strings_of(actuation, inputs_of(actuation, members))
+    held = held[member_rows(plant.input, plant.commanded)[1]]
     off = np.abs(length / held - 1)
     bar = int(off.argmax())
     if off[bar] > _OFF:
@@ -529,37 +535,22 @@ def refuse_passive_bars(plant: LinearPlant, name: str, nodes: FloatArray) -> Non
         )
 
 
-def _held_by_bars(
-    plant: LinearPlant, q: FloatArray, shapes: FloatArray, response: FloatArray
-) -> FloatArray:
-    """Return what :func:`_held` does where lengths of bars are the input: strings keep theirs."""
-    structure, law = plant.model.structure, plant.model.strings
-    assert law is not None  # linearize needs one
-    assert plant.rest_length is not None  # then, too
-    lengths = np.array([structure.string_length(N) for N in shapes])
-    gamma = np.array([law.force_density(length, plant.rest_length) for length in lengths])
-    gamma[:, plant.slack] = 0.0
-    offset, slope = _accelerations(plant, shapes)
-    left = offset + (slope @ gamma[..., None])[..., 0]
-    bars = np.array([np.linalg.norm(structure.bar_vectors(N), axis=0) for N in shapes])
-    held = inputs_of(plant.actuation, bars.T).T
-    rests = np.hstack([q, np.zeros_like(q)])
-    return np.hstack([rests, held, gamma, gamma * lengths, left @ response.T])
-
-
 def _held(
-    plant: LinearPlant, q: FloatArray, wanted: FloatArray, response: FloatArray
+    plant: LinearPlant, q: FloatArray, shapes: FloatArray, wanted: FloatArray, response: FloatArray
 ) -> FloatArray:
-    """Return rest, input, γ nearest the wanted, tension and drift of each shape, (K, ·)."""
+    """Return rest, input, γ nearest the wanted, tension and drift of each shape, (K, ·).
+
+    ``q`` are the shapes, (K, d, n), in the coordinates of the plant.
+    """
     structure, law = plant.model.structure, plant.model.strings
-    assert law is not None  # the rest length is the input
-    shapes = np.array([plant.to_nodes(row) for row in q])
+    assert law is not None  # rest lengths are the input, or held
     offset, slope = _accelerations(plant, shapes)
     chosen = to_model_strings(plant, "force_density", wanted.T)
     chosen[:, plant.slack], slope[:, :, plant.slack] = 0.0, 0.0  # what is slack stays so
     lengths = np.array([structure.string_length(N) for N in shapes])
-    if not plant.actuation.is_whole:
-        return _held_by_some(plant, q, chosen, lengths, offset, slope, response)
+    if plant.drives_bars or not plant.actuation.is_whole:
+        bars = np.linalg.norm([structure.bar_vectors(N) for N in shapes], axis=1)
+        return _held_by_some(plant, q, chosen, (lengths, bars), offset, slope, response)
     left = offset + (slope @ chosen[..., None])[..., 0]
     # Ridge regression from the operating point, shape by shape.
     U, sizes, Vt = np.linalg.svd(slope, full_matrices=False)
@@ -587,14 +578,15 @@ def _held_by_some(
     plant: LinearPlant,
     q: FloatArray,
     chosen: FloatArray,
-    lengths: FloatArray,
+    lengths: tuple[FloatArray, FloatArray],
     offset: FloatArray,
     slope: FloatArray,
     response: FloatArray,
 ) -> FloatArray:
-    """Return what :func:`_held` does where some strings are passive or ganged.
+    """Return what :func:`_held` does where some strings are passive or ganged, or bars are driven.
 
-    By Newton steps for the inputs, as γ is not linear in rest lengths: the γ of passive strings
+    Driven bars have the lengths of the shapes; ``lengths`` are those of strings and bars. By Newton
+    steps for the inputs of strings, as γ is not linear in rest lengths: the γ of passive strings
     follows from their rest lengths, and what is left out of balance is a drift.
     """
     law, actuation = plant.model.strings, plant.actuation
@@ -603,21 +595,18 @@ def _held_by_some(
     wanted = np.array(
         [
             law.rest_length(length, densities)
-            for length, densities in zip(lengths, chosen, strict=True)
+            for length, densities in zip(lengths[0], chosen, strict=True)
         ]
     )
-    wanted[:, plant.slack] = to_model_strings(plant, "rest_length", plant.string_values)[
-        plant.slack
-    ]
-    near = inputs_of(actuation, to_commanded_strings(plant, "rest_length", wanted).T).T
+    assert plant.rest_length is not None  # then, too
+    wanted[:, plant.slack] = to_model_strings(plant, "rest_length", plant.rest_length)[plant.slack]
+    members = plant.lengths(to_commanded_strings(plant, "rest_length", wanted), lengths[1])
+    near = inputs_of(actuation, members.T).T
     inputs = near
     for number in range(_NEWTON):
-        rest_length = to_model_strings(
-            plant, "rest_length", actuation.offset + moved_by(actuation, inputs)
-        )
-        gamma, by_length = _force_densities(plant, lengths, rest_length)
+        gamma, by_length = _force_densities(plant, lengths[0], _rest_lengths(plant, inputs))
         left = offset + (slope @ gamma[..., None])[..., 0]
-        if number == _NEWTON - 1:
+        if number == _NEWTON - 1 or not plant.winds_strings:
             break
         by_input = np.array(
             [by_density * row @ input_matrix(plant, "rest_length")
@@ -631,7 +620,17 @@ def _held_by_some(
         inputs = near - (Vt.swapaxes(1, 2) @ along[..., None])[..., 0]
         inputs = np.maximum(inputs, _SHORTEST * near)
     rests = np.hstack([q, np.zeros_like(q)])
-    return np.hstack([rests, inputs, gamma, gamma * lengths, left @ response.T])
+    return np.hstack([rests, inputs, gamma, gamma * lengths[0], left @ response.T])
+
+
+def _rest_lengths(plant: LinearPlant, inputs: FloatArray) -> FloatArray:
+    """Return rest lengths of the model's strings at inputs, (K, m), m, shape (K, α')."""
+    if not plant.winds_strings:
+        assert plant.rest_length is not None  # bars are driven, and strings keep theirs
+        return np.tile(plant.rest_length, (len(inputs), 1))
+    strings = member_rows(plant.input, plant.commanded)[0]
+    members = plant.actuation.offset + moved_by(plant.actuation, inputs)
+    return to_model_strings(plant, "rest_length", members[:, strings])
 
 
 def _force_densities(
@@ -649,15 +648,17 @@ def _force_densities(
     return gamma, (least - most) / (2 * step)
 
 
-def _refuse_moved_passive(plant: LinearPlant, q: FloatArray, gamma: FloatArray) -> None:
+def _refuse_moved_passive(plant: LinearPlant, shapes: FloatArray, gamma: FloatArray) -> None:
     """Raise if the γ of a reference ask a passive string for another rest length."""
+    strings = member_rows(plant.input, plant.commanded)[0]
     passive, law = plant.actuation.passive, plant.model.strings
+    passive = passive[passive < strings.stop]
     if not len(passive) or plant.commanded is not plant.model.structure:
         return
     assert law is not None  # the rest length is the input
     usual = plant.string_values[passive]
-    for row, asked in zip(q, gamma.T, strict=True):
-        length = plant.model.structure.string_length(plant.to_nodes(row))
+    for shape, asked in zip(shapes, gamma.T, strict=True):
+        length = plant.model.structure.string_length(shape)
         off = np.abs(law.rest_length(length, asked)[passive] - usual) * (asked[passive] > 0)
         i = int(off.argmax())
         if off[i] > _PASSIVE * float(length.max()):

@@ -26,7 +26,7 @@ _MOST_DOUBLED, _DOUBLED = 60, 1e-16
 _SEMIDEFINITE = 1e-12
 
 # Input weight, in units of energy_weights, when the user gives none.
-_INPUT_WEIGHT = {"force_density": 0.1, "rest_length": 1.0, "bar_length": 1.0}
+_INPUT_WEIGHT = {"force_density": 0.1, "rest_length": 1.0, "bar_length": 1.0, "length": 1.0}
 
 
 @dataclass(frozen=True)

@@ -164,8 +164,8 @@ def _lengthened(
     model, structure, nodes = plant.model, plant.model.structure, plant.nodes
     held = plant.force_density if plant.input == "force_density" else plant.rest_length
     assert held is not None  # it is the input
-    held = to_model_strings(plant, plant.input, held)
-    here = tangent(model, nodes, plant.input, held, plant.external_force)
+    held = to_model_strings(plant, plant.string_input, held)
+    here = tangent(model, nodes, plant.string_input, held, plant.external_force)
     free, bars = structure.free_rows, structure.kept_bars
     moved = np.asarray(plant.coordinates.displacements(vectors))
     mass = here.mass @ moved

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
+from tenscontrol.actuation.driven_strings import member_rows
 from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics import kernel
 from tenscontrol.dynamics.evaluator import Function
@@ -37,16 +38,27 @@ def model_input(plant: LinearPlant, u: Any) -> Any:
     """
     if plant.input == "bar_length":
         return ca.DM(plant.rest_length)
-    if plant.commanded is plant.model.structure and plant.actuation.is_whole:
+    if _is_of_strings(plant):
         return u
-    offset = to_model_strings(plant, plant.input, plant.actuation.offset)
-    moved = ca.mtimes(ca.sparsify(ca.DM(input_matrix(plant, plant.input))), u)
+    strings = member_rows(plant.input, plant.commanded)[0]
+    offset = to_model_strings(plant, plant.string_input, plant.actuation.offset[strings])
+    moved = ca.mtimes(ca.sparsify(ca.DM(input_matrix(plant, plant.string_input))), u)
     return moved + ca.sparsify(ca.DM(offset))
 
 
 def input_matrix(plant: LinearPlant, quantity: str) -> FloatArray:
     """Return the change of the model's strings by the inputs of a plant, shape (α', m)."""
-    return to_model_strings(plant, quantity, plant.actuation.matrix.toarray().T).T
+    strings = member_rows(plant.input, plant.commanded)[0]
+    matrix = plant.actuation.matrix[strings].toarray()
+    if plant.input == "bar_length":  # strings keep their rest lengths
+        return np.zeros((len(plant.model.structure.strings), matrix.shape[1]))
+    return to_model_strings(plant, quantity, matrix.T).T
+
+
+def _is_of_strings(plant: LinearPlant) -> bool:
+    """Whether each string of the model is an input, in order, and nothing else is."""
+    whole = plant.commanded is plant.model.structure and plant.actuation.is_whole
+    return whole and not plant.drives_bars
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,12 +77,12 @@ class StringMap:
 def string_map(plant: LinearPlant, input: str) -> StringMap:
     """Return the map of a plant's strings for an input, which need not be that of the plant.
 
-    Where lengths of bars are the input, rest lengths are held, and bars that grow move the nodes.
+    Where lengths of bars are inputs, bars that grow move the nodes.
     """
     from scipy.sparse import csc_array, csr_array
 
-    bars = plant.input_displacements if input == "bar_length" else None
-    input = "rest_length" if bars is not None else input
+    bars = plant.input_displacements if input == plant.input else None
+    input = plant.string_input if input == plant.input else input
     shape, count = plant.nodes.shape, len(plant.model.structure.strings)
     held = plant.rest_length if input == "rest_length" else plant.force_density
     assert held is not None  # there is a law
@@ -83,11 +95,12 @@ def string_map(plant: LinearPlant, input: str) -> StringMap:
     values = [value.sparse() for value in derivatives]
     by_state = [np.hstack([slope @ plant.basis for slope in values[k : k + 2]]) for k in (2, 5)]
     by_input = [values[k] for k in (4, 7)]
-    if bars is not None:
-        by_input = [values[k] @ bars for k in (2, 5)]
-    elif not (plant.commanded is plant.model.structure and plant.actuation.is_whole):
+    if not _is_of_strings(plant):
         spread = csc_array(input_matrix(plant, input))
         by_input = [slope @ spread for slope in by_input]
+    if bars is not None:
+        moved = csc_array(bars)
+        by_input = [slope + values[k] @ moved for slope, k in zip(by_input, (2, 5), strict=True)]
     return StringMap(
         force_density=values[0].toarray().ravel(),
         tension=values[1].toarray().ravel(),

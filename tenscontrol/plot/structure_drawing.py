@@ -18,7 +18,12 @@ from matplotlib.path import Path as Outline
 from matplotlib.ticker import MaxNLocator
 
 from tenscontrol import validation
-from tenscontrol.actuation.driven_strings import Actuation, actuation_of
+from tenscontrol.actuation.driven_strings import (
+    Actuation,
+    actuation_of,
+    member_rows,
+    of_members,
+)
 from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.plant.linear_plant import LinearPlant
 from tenscontrol.plant.string_outputs import to_model_strings
@@ -634,17 +639,18 @@ def add_scale(drawing: Drawing, own: bool, label: str) -> Any:
 def known_actuation(drawn: object) -> Actuation | None:
     """Return which strings a plant drives, or the controller of a run; None of all else."""
     if isinstance(drawn, LinearPlant):
-        return None if drawn.input == "bar_length" else drawn.actuation
-    if isinstance(drawn, Trajectory) and drawn.control is not None:
-        commands_bars = drawn.control.settings.raw.get("input") == "bar_length"
-        return None if commands_bars else drawn.control.actuation
+        return of_members(drawn.actuation, member_rows(drawn.input, drawn.commanded)[0])
+    if isinstance(drawn, Trajectory) and drawn.control is not None and drawn.control.actuation:
+        input = drawn.control.settings.raw.get("input", "rest_length")
+        return of_members(drawn.control.actuation, member_rows(input, drawn.structure)[0])
     return None
 
 
 def driven_bars(drawn: object) -> np.ndarray | None:
     """Return which bars a plant, a run or a path drives, bool, shape (β,); None where none are."""
-    if isinstance(drawn, LinearPlant) and drawn.input == "bar_length":
-        return np.asarray(drawn.actuation.input >= 0)
+    if isinstance(drawn, LinearPlant) and drawn.drives_bars:
+        bars = member_rows(drawn.input, drawn.commanded)[1]
+        return np.asarray(drawn.actuation.input[bars] >= 0)
     if isinstance(drawn, Trajectory) and drawn.struts is not None and len(drawn.struts.bar):
         return np.isin(np.arange(len(drawn.structure.bars)), drawn.struts.bar)
     if isinstance(drawn, ShapePath) and drawn.bar_length_rate.any():

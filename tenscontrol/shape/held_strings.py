@@ -9,7 +9,12 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol import validation
-from tenscontrol.actuation.driven_strings import Actuation, every_string
+from tenscontrol.actuation.driven_strings import (
+    Actuation,
+    every_string,
+    member_rows,
+    of_members,
+)
 from tenscontrol.actuation.winches import Winches
 from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.dynamics import kernel
@@ -147,10 +152,12 @@ def shape_drives(
     """Return what drives cannot set, and the limits of rest lengths and of lengths of bars.
 
     ``plant`` drives strings, or bars alone, which ``winches`` then limit; ``struts`` drives bars
-    beside the strings, and ``drives`` limit them.
+    beside the strings, if ``plant`` does not drive both, and ``drives`` limit them.
     """
     if drives is not None:
         validation.instance("drives", drives, Winches, "make them by Winches(shortest=...)")
+    if plant is not None and _plant(model, "plant", plant).input == "length":
+        return _of_both(model, plant, struts), winches, drives
     if struts is None:
         if drives is not None:
             raise ValueError("drives limit bars that struts drives, but struts is not given")
@@ -179,6 +186,18 @@ def shape_drives(
         every = every_string(len(model.structure.strings))
         held = HeldStrings(every, "force_density")
     return replace(held, struts=bars.actuation), winches, drives
+
+
+def _of_both(model: Model, plant: object, struts: object) -> HeldStrings:
+    """Return what a plant of strings and bars cannot set."""
+    assert isinstance(plant, LinearPlant)  # checked before
+    if struts is not None:
+        raise ValueError("plant drives strings and bars: leave struts out")
+    strings, bars = (
+        of_members(plant.actuation, rows) for rows in member_rows("length", model.structure)
+    )
+    assert strings is not None  # without strings there is no such plant
+    return HeldStrings(strings, "force_density" if strings.is_whole else "rest_length", bars)
 
 
 def held_strings(model: Model, plant: object) -> HeldStrings | None:

@@ -241,9 +241,9 @@ def shape_path(
         change their lengths, and ``winches`` limit these and their rates.
     struts : LinearPlant, optional
         Of this model, with ``input="bar_length"``: the bars that it drives change their lengths
-        beside the strings that ``plant`` drives.
+        beside the strings that ``plant`` drives. Not with a plant of both.
     drives : Winches, optional
-        Limits of the bars that ``struts`` drives, and of their rates.
+        Limits of the bars driven beside strings, and of their rates.
 
     Returns
     -------

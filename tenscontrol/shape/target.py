@@ -218,9 +218,9 @@ def shape_target(
         lengths of bars.
     struts : LinearPlant, optional
         Of this model, with ``input="bar_length"``: lengths of the bars that it drives are found
-        beside rest lengths of the strings that ``plant`` drives.
+        beside rest lengths of the strings that ``plant`` drives. Not with a plant of both.
     drives : Winches, optional
-        Of the bars that ``struts`` drives: ``shortest`` and ``longest`` bound their lengths.
+        Of the bars driven beside strings: ``shortest`` and ``longest`` bound their lengths.
 
     Returns
     -------

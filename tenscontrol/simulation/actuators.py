@@ -152,7 +152,7 @@ class Actuators:
     def _of_inputs(self, winches: Winches, controller: BaseController) -> Winches:
         """Return winches with the limits of the inputs in place of those of the strings."""
         if isinstance(controller, Controller):
-            refuse_still(self._actuation, winches)
+            refuse_still(self._actuation, winches, self._count)
         motor = None if winches.motor is None else self._of_leads(winches.motor)
         return winches_of_inputs(winches, self._actuation, motor)
 

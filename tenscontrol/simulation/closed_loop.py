@@ -11,7 +11,7 @@ from time import perf_counter
 import numpy as np
 
 from tenscontrol import validation
-from tenscontrol.actuation.driven_strings import Actuation, inputs_of
+from tenscontrol.actuation.driven_strings import BAR_INPUTS, Actuation, inputs_of
 from tenscontrol.actuation.motors import MotorRecord
 from tenscontrol.actuation.winches import Winches, WinchMove
 from tenscontrol.arrays import FloatArray, IntArray, frozen
@@ -62,7 +62,7 @@ class ClosedLoop:
             f"sample_time is {sample:g} s", run.duration / sample, "samples", size
         )
         self._actuators: Actuators | StrutDrives
-        if controller.input == "bar_length":
+        if controller.input in BAR_INPUTS:
             assert rest_length is not None  # what strings hold, or their γ
             self._actuators = StrutDrives(run, controller, winches, rest_length, sample)
         else:
@@ -168,7 +168,7 @@ class ClosedLoop:
     def record(self) -> ControlRecord:
         """Return the record of the samples so far."""
         rest_length = None
-        if self._run.input == "rest_length" or self._controller.input == "bar_length":
+        if self._run.input == "rest_length" or self._controller.input in BAR_INPUTS:
             rest_length = self._actuators.start
             if rest_length is None:
                 rest_length = self._samples[0].move.rest_length

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tenscontrol.actuation.driven_strings import follows
+from tenscontrol.actuation.driven_strings import BAR_INPUTS, follows
 from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.control.controller import BaseController
 from tenscontrol.dynamics.model import Model
@@ -78,7 +78,7 @@ class Observation:
     """Sensors of a simulated motion and the filter that estimates it, checked to go together.
 
     ``sensors`` are those of the estimator if None; ``input`` is that of the strings; ``start`` are
-    the rest lengths at the start, m, shape (α,), if they are known, or the lengths of driven bars;
+    the lengths at the start of what is commanded, m, if they are known;
     ``substeps`` those of the winches; ``goes_on`` whether the estimator is as another run left it.
     """
 
@@ -96,7 +96,7 @@ class Observation:
         goes_on: bool,
     ) -> None:
         sensors = estimator.sensors if sensors is None else sensors
-        moved = "bar_length" if controller.input == "bar_length" else input
+        moved = controller.input if controller.input in BAR_INPUTS else input
         _refuse_misfits(estimator, sensors, moved, controller, sample, substeps)
         self._filter = estimator
         seeds = [0 if seed is None else seed]

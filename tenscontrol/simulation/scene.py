@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tenscontrol import validation
+from tenscontrol.actuation.driven_strings import BAR_INPUTS, member_rows
 from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.dynamics.equation import Equation, pack_state, unpack_states
 from tenscontrol.dynamics.held_inputs import held_value, own_input
@@ -240,7 +241,7 @@ class Scene:
 
     @property
     def _commands_bars(self) -> bool:
-        return getattr(self.controller, "input", None) == "bar_length"
+        return getattr(self.controller, "input", None) in BAR_INPUTS
 
     def _take_over_start(self) -> None:
         """Check the run to go on from, and take its faults and inputs where none are given."""
@@ -299,21 +300,24 @@ class Scene:
         from tenscontrol.control.controller import Controller
         from tenscontrol.simulation.actuators import commands_parent
 
-        if self.input not in (None, "bar_length", "rest_length"):
+        assert self.law is not None  # it commands bars
+        if self.input not in (None, self.law.input, "rest_length"):
             raise ValueError(
                 f"input is {self.input!r}, but the controller commands lengths of bars, where "
                 "strings hold rest lengths: leave input out"
             )
-        if any(isinstance(fault, StuckWinch) for fault in self.faults or ()):
+        is_stuck = any(isinstance(fault, StuckWinch) for fault in self.faults or ())
+        if is_stuck and self.law.input == "bar_length":
             raise ValueError("faults has a stuck winch, but the controller commands bars alone")
         held, count = self.rest_length, len(self.structure.strings)
-        if held is None and isinstance(self.law, Controller):
+        if held is None and self.start is not None:
+            held = self.start.held
+        elif held is None and isinstance(self.law, Controller):
             held = self.law.plant.rest_length
         lengths = validation.per_member("rest_length", held, count, "string")
         object.__setattr__(self, "input", "rest_length")
         put = validation.positive("rest_length", lengths, "length in m")
         object.__setattr__(self, "rest_length", put)
-        assert self.law is not None  # it commands bars
         commands_parent(self.model, self.law)
 
     def _check_open_loop(self) -> None:
@@ -421,7 +425,9 @@ class Scene:
             given = self.structure.bar_length if self.bar_length is None else self.bar_length
             lengths = validation.per_member("bar_length", given, len(self.structure.bars), "bar")
             validation.positive("bar_length", lengths, "length in m")
+            first = member_rows(self.law.input, self.law.commanded)[1].start
             driven = self.law.actuation.driven
+            driven = driven[driven >= first] - first
             refuse_other_bar_lengths("the controller", self.structure, driven)
             return DrivenBars(Pieces.constant(lengths), driven, is_commanded=True)
         before = None if self.start is None else self.start.struts

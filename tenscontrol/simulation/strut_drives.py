@@ -1,4 +1,4 @@
-"""Drives of the bars of a closed loop: they turn commands into lengths in time."""
+"""Drives of bars, and of strings beside them, of a closed loop: commands to lengths in time."""
 
 from __future__ import annotations
 
@@ -7,7 +7,14 @@ from dataclasses import replace
 import numpy as np
 
 from tenscontrol import validation
-from tenscontrol.actuation.driven_strings import inputs_of, moved_by, strings_of, through
+from tenscontrol.actuation.driven_strings import (
+    inputs_of,
+    member_rows,
+    moved_by,
+    refuse_passive,
+    strings_of,
+    through,
+)
 from tenscontrol.actuation.winches import Drive, Winches, WinchMove
 from tenscontrol.arrays import FloatArray, IntArray, frozen
 from tenscontrol.control.command import Command
@@ -16,15 +23,17 @@ from tenscontrol.dynamics.profile import Pieces
 from tenscontrol.plant.input_bounds import refuse_motors_of_bars
 from tenscontrol.plant.linear_plant import NO_JUMP
 from tenscontrol.simulation.actuators import commands_parent, winches_of_inputs
+from tenscontrol.simulation.faults import StuckWinch
 from tenscontrol.simulation.plant_run import PlantRun
 
 
 class StrutDrives:
     """Apply commanded lengths of bars as ramps, within the rates and ranges of their drives.
 
-    They have the interface of :class:`Actuators`. ``held`` is what the strings hold, one value a
-    string; ``start`` are the lengths of all bars at the start, m, ``reached`` those that the last
-    sample led to, and ``lengths`` how they move in the sample.
+    Also those of strings, where the controller winds them, too. They have the interface of
+    :class:`Actuators`. ``held`` is what the strings hold, one value a string; ``start`` are the
+    lengths of all that is commanded at the start, m, strings before bars, ``reached`` those that
+    the last sample led to, and ``lengths`` how bars move in the sample.
     """
 
     ticks = 1
@@ -48,42 +57,54 @@ class StrutDrives:
         refuse_motors_of_bars(winches)
         assert plant_run.bars is not None  # the scene has made them
         self.held, self.lengths = held, plant_run.bars.lengths
-        self.start = self.reached = plant_run.bars.at(plant_run.now)
+        self._strings, self._bars = member_rows(controller.input, controller.commanded)
+        bars = plant_run.bars.at(plant_run.now)
+        self.start = self.reached = np.append(held[self._strings], bars)
         self.actuation = through(controller.actuation, self.start)
-        winches.refuse_out_of_range("bar_length", self.start, self.actuation.driven)
+        stuck = [f.string for f in plant_run.faults.listed if isinstance(f, StuckWinch)]
+        refuse_passive(self.actuation, "a stuck winch in faults", np.array(stuck, dtype=np.int64))
+        name = "length" if self._bars.start else "bar_length"
+        winches.refuse_out_of_range(name, self.start, self.actuation.driven)
         limits = winches_of_inputs(winches, self.actuation, None)
         self._drive = Drive(limits, inputs_of(self.actuation, self.start), sample_time)
 
     def applied_input(self, nodes: FloatArray) -> FloatArray:
-        """Return the lengths that bars have come to."""
+        """Return the lengths that have come of the commands."""
         return self.reached
 
     def begin(self, command: Command, nodes: FloatArray, stuck: IntArray) -> WinchMove:
         """Take the command of a sample, and return the move to expect."""
         shape = self.actuation.input.shape
-        desired = validation.shaped("command.value", command.value, shape, "one per bar")
+        desired = validation.shaped("command.value", command.value, shape, "one length per member")
         validation.positive("command.value", desired, "length in m")
-        return self._of_bars(self._drive.begin(inputs_of(self.actuation, desired), stuck))
+        stuck = np.unique(self.actuation.input[stuck])
+        return self._of_members(self._drive.begin(inputs_of(self.actuation, desired), stuck))
 
-    def tick(self, number: int, state: FloatArray, now: float) -> FloatArray:
-        """Return what strings hold in the sample that begins now, s."""
+    def tick(self, number: int, state: FloatArray, now: float) -> FloatArray | Pieces:
+        """Return what strings hold in the sample that begins now, s, or how they are wound."""
         moving = self._drive.tick(number, now, _no_pull).rest_length
         if not self.actuation.is_whole:
             moving = moved_by(self.actuation, moving.T).T
             moving[:, 0] += self.actuation.offset
         self.reached = strings_of(self.actuation, self._drive.rest_length)
-        self.lengths = Pieces(np.array([-np.inf]), np.array([now]), moving[None])
-        return self.held
+        strings, self.lengths = (
+            Pieces(np.array([-np.inf]), np.array([now]), moving[None, rows])
+            for rows in (self._strings, self._bars)
+        )
+        if not self._strings.stop:
+            return self.held
+        self.held = self.reached[self._strings]
+        return strings
 
     def end(self) -> WinchMove:
         """Return the move of the sample, with the limits that were met."""
-        return self._of_bars(self._drive.end())
+        return self._of_members(self._drive.end())
 
     def motor_record(self) -> None:
         """Return None: drives of bars have no motors."""
         return
 
-    def _of_bars(self, move: WinchMove) -> WinchMove:
+    def _of_members(self, move: WinchMove) -> WinchMove:
         return replace(move, rest_length=frozen(strings_of(self.actuation, move.rest_length)))
 
 

@@ -26,14 +26,14 @@ STEP = 0.02
 
 RAMP = tc.Winches(ramp=True, rate=2.0, shortest=0.3, longest=3.0)
 
-# Arguments of the filter, and samples. Of driven bars the loop is linear.
+# Arguments of the filter, and samples. Of driven bars, alone or with strings, loops are linear.
 LOOPS = {
     "linear": ({}, 5000),
     "nonlinear": ({"prediction": "nonlinear"}, 1000),
     "nonlinear, late, ramps": ({"prediction": "nonlinear", "delay": 2, "substeps": 4}, 600),
     "linear, late, ramps": ({"delay": 3, "substeps": 4}, 600),
     "driven bars": ({}, 5000),
-    "driven bars, late, MPC": ({"delay": 2}, 600),
+    "both, late, MPC": ({"delay": 2}, 600),
 }
 
 
@@ -45,19 +45,27 @@ def plant_of():
 
 
 @cache
-def strut_plant():
-    """Joined bars that are driven."""
+def strut_plant(both):
+    """Joined bars that are driven, alone or after some strings."""
     structure = tc.library.d_bar_3d()
     model = tc.Model(structure, tc.LinearStrings(300.0, damping=2.0))
-    return tc.linearize(model, tc.prestress(structure, min_force_density=20.0), "bar_length")
+    rest = tc.prestress(structure, min_force_density=20.0)
+    if both:
+        return tc.linearize(model, rest, "length", actuated=[0], struts=[0, 2, 3, 4, 5])
+    return tc.linearize(model, rest, "bar_length")
 
 
 def strut_filter(plant, delay=0):
+    both = {}
+    if plant.input == "length":
+        motor = tc.Motor(drum_radius=0.01, gear_ratio=20.0, zero=1.0)
+        both = {"encoder": 0.2, "encoder_strings": [0], "motor": motor}
     sensors = tc.Sensors(
         structure=plant.model.structure, string_length=1e-3, string_tension=0.1, bar_direction=0.01,
-        gyroscope=0.02, bias={"gyroscope": (0.02, 1e-3)}, delay=delay,
+        gyroscope=0.02, bias={"gyroscope": (0.02, 1e-3)}, delay=delay, **both,
     )  # fmt: skip
-    return tc.KalmanFilter(plant, sensors, sample_time=STEP, winches=RAMP)
+    errors = (1e-3, 1e-4) if both else None
+    return tc.KalmanFilter(plant, sensors, sample_time=STEP, winches=RAMP, rest_length_error=errors)
 
 
 def filter_of(plant, prediction="linear", delay=0, substeps=1, strings=(0, 4)):
@@ -93,7 +101,7 @@ def strut_law(plant, name):
 
 def following(design, z, held, previous):
     """Return the true state a sample later, and what inputs do then."""
-    if design.plant.input != "bar_length":
+    if not design.plant.drives_bars:
         return np.array(simulated().motion(z, held)[0]).ravel(), held
     moved, rest = design.sampled, design.plant.equilibrium_input
     known = np.concatenate([held, (held - previous[: len(held)]) / STEP])
@@ -152,8 +160,8 @@ def spoilt(y, noise, k, rng):
 
 def compare(name, samples, folder):
     """Return the largest difference of nodes, velocities and commands, and the statuses."""
-    if name.startswith("driven bars"):
-        plant = strut_plant()
+    if name.startswith(("driven bars", "both")):
+        plant = strut_plant(name.startswith("both"))
         estimator, law = strut_filter(plant, **LOOPS[name][0]), strut_law(plant, name)
     else:
         plant = plant_of()
@@ -175,12 +183,13 @@ def compare(name, samples, folder):
         assert status is estimate.status, k
         statuses.add(status)
         expected = law.command(0.0, estimate.nodes, estimate.velocities).value
+        expected = plant.actuation.inputs(expected)
         held = code.command(N, V)
         off = np.abs(N - estimate.nodes), np.abs(V - estimate.velocities), np.abs(held - expected)
         sizes = 1.0, max(1.0, np.abs(V).max()), 1.0
         off = [part.max() / size for part, size in zip(off, sizes, strict=True)]
         worst = np.maximum(worst, off)
-        estimator.predict(held)
+        estimator.predict(plant.actuation.strings(held))
         code.predict(held)
         z, known = following(design, z, held, known)
         z = z + kick @ rng.normal(size=len(z))

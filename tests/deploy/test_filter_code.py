@@ -11,7 +11,7 @@ from tests.deploy.scenes import coupled_plant
 from tests.fuzz import sanitizers
 
 
-@pytest.mark.parametrize("name", ["nonlinear, late, ramps", "driven bars, late, MPC"])
+@pytest.mark.parametrize("name", ["nonlinear, late, ramps", "both, late, MPC"])
 def test_a_loop_with_c_is_that_with_python(name, tmp_path):
     worst, statuses = filter_code.compare(name, 75, tmp_path)  # all of it: the benchmark
     assert worst.max() < 1e-12, worst

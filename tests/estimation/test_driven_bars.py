@@ -129,5 +129,5 @@ def test_what_a_filter_of_bars_does_not_take_is_refused_by_name(plant, case):
     sensors = tc.Sensors(structure=plant.model.structure, node_position=1e-3, **more)
     with pytest.raises(ValueError, match=message):
         tc.KalmanFilter(plant, sensors, **({"sample_time": STEP, "winches": RAMP} | options))
-    with pytest.raises(ValueError, match="expected a length of a bar above 0"):
+    with pytest.raises(ValueError, match="expected a length above 0"):
         _filter(plant).predict(-plant.string_values)

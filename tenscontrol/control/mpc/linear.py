@@ -236,7 +236,7 @@ class MPC(PredictiveController):
     def _concerns(self, path: ReferencePreview) -> list[str]:
         concerns = super()._concerns(path)
         # What slack strings do where they are taut is not known.
-        if not path.given or len(self.plant.slack) or self.plant.input == "bar_length":
+        if not path.given or len(self.plant.slack) or self.plant.drives_bars:
             return concerns
         plant, size = self.plant, float(np.ptp(self.plant.nodes, axis=1).max())
         end = path.span[1]

@@ -422,7 +422,7 @@ def _command_range(plant: LinearPlant, settings: MPCSettings) -> tuple[FloatArra
 
 
 def _row_blocks(plant: LinearPlant, settings: MPCSettings, penalty: float) -> list[RowBlock]:
-    if plant.input == "bar_length" and (settings.outputs or settings.tracked is not None):
+    if plant.drives_bars and (settings.outputs or settings.tracked is not None):
         raise ValueError(
             f"{'outputs' if settings.outputs else 'tracked'} is of nodes or forces of bars, which "
             "MPC does not know as functions of the lengths of bars: leave it out; "
