@@ -112,6 +112,7 @@ def main(arguments=None):
         tc.learning.Rolling([1.0, 0.0, 0.0]),
         sample_time=SAMPLE,
         step=STEP,
+        method="rk4",
         winches=WINCHES,
         rest_length=REST_LENGTH,
         nodes=standing,

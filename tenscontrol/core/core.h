@@ -173,7 +173,7 @@ typedef struct {
 
 /* How a motion is integrated. */
 typedef struct {
-  int32_t method; /* RK4_METHOD or DOP853_METHOD */
+  int32_t method; /* RK4_METHOD, DOP853_METHOD or PLAIN_RK4_METHOD */
   int32_t projects;
   int32_t traces;  /* whether each step ends at its first switch, as near as it can, and is kept */
   int32_t outputs; /* equally spaced over the span, the last at its end */
@@ -186,7 +186,8 @@ typedef struct {
   const double *scale; /* (states): what a step may err, of dop853 */
 } Settings;
 
-enum { RK4_METHOD, DOP853_METHOD };
+/* The last does not look for switches: each evaluation finds what pulls and presses by its own state. */
+enum { RK4_METHOD, DOP853_METHOD, PLAIN_RK4_METHOD };
 
 /* Runs of one scene. What they differ in has one row a run; it is null where all have the scene's. */
 typedef struct {

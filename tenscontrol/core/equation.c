@@ -11,13 +11,13 @@ typedef struct {
   Number *p, *v, *f, *g, *a, *b;                     /* (entries) */
   Number *ends, *end_rates;                          /* (entries): of strings that supports move */
   Number *S, *length, *rate, *gamma;                 /* (d, segments), (segments) */
-  Number *string_length, *string_rate, *string_gamma; /* (strings) */
+  Number *string_length, *string_rate, *string_gamma, *string_taut; /* (strings) */
   Number *factors, *unknowns;
 } Work;
 
 SHARED size_t equation_work_size(const Scene *s) {
   return 8 * (size_t)s->entries + (size_t)(s->dimension + 3) * s->segments +
-         3 * (size_t)s->strings + (size_t)s->factors + 2 * (size_t)s->unknowns + 1;
+         4 * (size_t)s->strings + (size_t)s->factors + 2 * (size_t)s->unknowns + 1;
 }
 
 static inline Work parts_of(const Scene *s, Number *work) {
@@ -31,7 +31,8 @@ static inline Work parts_of(const Scene *s, Number *work) {
   w.string_length = w.gamma + s->segments;
   w.string_rate = w.string_length + s->strings;
   w.string_gamma = w.string_rate + s->strings;
-  w.factors = w.string_gamma + s->strings;
+  w.string_taut = w.string_gamma + s->strings;
+  w.factors = w.string_taut + s->strings;
   w.unknowns = w.factors + s->factors + s->unknowns + 1;
   return w;
 }
@@ -100,6 +101,15 @@ static Number string_gap(const Scene *s, int i, Number length, Number rate, Numb
   if (s->damped && s->law == LINEAR_STRINGS) linear_damped_gap(length, rest, rate, k, c, &gap);
   else if (s->damped) elastic_damped_gap(length, rest, rate, k, c, &gap);
   return gap;
+}
+
+/* Which strings pull by what they are given, or by their gaps. */
+static const Number *pulling(const Scene *s, const Number *length, const Number *rate,
+                             const Number *u, const Number *taut, Number *found) {
+  if (taut || s->law == FORCE_DENSITY_HELD) return taut;
+  string_gaps(s, length, rate, u, found);
+  for (int i = 0; i < s->strings; ++i) found[i] = truth(found[i] > 0);
+  return found;
 }
 
 /* Factorizes the matrix of the blocks by LDL', without pivoting, in place. */

@@ -58,7 +58,8 @@ static void N(pull_in_lanes)(const Scene *s, const Number *p, const Number *v, c
         for (int k = 0; k < D; ++k) change[k] = v[end + k] - v[start + k];
         N(length_rate)(one, change, length, &rate);
       }
-      gamma = force_density(s, i, length, rate, u[i]) * taut[i];
+      gamma = force_density(s, i, length, rate, u[i]);
+      gamma *= taut ? taut[i] : truth(string_gap(s, i, length, rate, u[i]) > 0);
     }
     for (int k = 0; k < D; ++k) {
       f[start + k] += one[k] * gamma;
@@ -83,12 +84,14 @@ WIDE static void N(pull)(const Scene *s, const Number *p, const Number *v, const
   if (s->clustered) {
     sum_by_string(s, length, w->string_length);
     if (!is_held && s->damped) sum_by_string(s, rate, w->string_rate);
+    taut = pulling(s, w->string_length, w->string_rate, u, taut, w->string_taut);
     force_densities(s, w->string_length, w->string_rate, u, taut, w->string_gamma);
     for (int i = 0; i < count; ++i) {
       const int j = s->segment_string[i];
       gamma[i] = w->string_gamma[j] * w->string_length[j] / length[i];
     }
   } else {
+    taut = pulling(s, length, rate, u, taut, w->string_taut);
     force_densities(s, length, rate, u, taut, gamma);
   }
   for (int k = 0; k < D; ++k)
@@ -112,14 +115,18 @@ static void N(touch)(const Scene *s, int plane, const Number *p, const Number *v
   for (int j = 0; j < D; ++j) normal[j] = all(g->normal[j]);
   for (int i = 0; i < g->count; ++i) {
     const int at = g->node[i];
-    Number force[D];
-    if (taut && !any(taut[i] != 0)) continue;
+    Number force[D], unused, presses = taut ? taut[i] : all(1);
+    if (!taut && g->first_switch >= 0) {
+      N(ground_gap)(p + at, v + at, c, height, normal, &presses, &unused);
+      presses = truth(presses > 0);
+    }
+    if (!any(presses != 0)) continue;
     switch (g->kind) {
     case LINEAR_GROUND:
-      N(linear_ground)(p + at, v + at, taut[i], k, c, friction, slip, height, normal, force);
+      N(linear_ground)(p + at, v + at, presses, k, c, friction, slip, height, normal, force);
       break;
     case HERTZ_GROUND:
-      N(hertz_ground)(p + at, v + at, taut[i], k, c, friction, slip, height, normal, force);
+      N(hertz_ground)(p + at, v + at, presses, k, c, friction, slip, height, normal, force);
       break;
     default:
       N(smooth_ground)(p + at, v + at, k, c, friction, slip, height, width, normal, force);
@@ -139,7 +146,7 @@ static void N(forces)(const Scene *s, const Number *p, const Number *v, const In
   if (s->segments) N(pull)(s, p, v, input->strings, taut, f, w);
   for (int i = 0; i < s->grounds; ++i) {
     const int first = s->ground[i].first_switch;
-    N(touch)(s, i, p, v, first < 0 ? 0 : taut + s->slacking + first, f);
+    N(touch)(s, i, p, v, first < 0 || !taut ? 0 : taut + s->slacking + first, f);
   }
 }
 

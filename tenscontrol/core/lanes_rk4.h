@@ -13,6 +13,7 @@ typedef struct {
 typedef struct {
   Batch batch;
   int states, switches, size, moving; /* numbers of a group, and those that a step changes */
+  int is_plain;                       /* whether switches are not looked for */
   Number *groups;
   Rk4 method;
 } Many;
@@ -40,19 +41,21 @@ static void turn_to(Many *many, Number *numbers) {
   use_own(&many->batch, g.own);
   many->method.x = g.x;
   many->method.x1 = g.x1;
-  many->method.taut = g.taut;
+  many->method.taut = many->is_plain ? 0 : g.taut;
   many->method.time = *g.time;
   many->method.left = *g.left;
 }
 
 /* Lays out all runs in memory; a lane that no run is left for repeats the last one. */
 static Number *lay_out(Many *many, const Scene *scene, const Drive *drive, const Lengths *lengths,
-                       const Runs *runs, const double *start, Number *work) {
+                       const Settings *settings, const Runs *runs, const double *start,
+                       Number *work) {
   const int n = 2 * scene->free, m = scene->switches;
   Span *span = &many->batch.span;
   many->states = n;
   many->switches = m;
   many->moving = 3 + 2 * n + m;
+  many->is_plain = settings->method == PLAIN_RK4_METHOD;
   many->size = many->moving + (int)table_size(scene, drive, runs, 1);
   many->groups = work;
   work += (size_t)(runs->count + WIDTH - 1) / WIDTH * many->size;
@@ -67,7 +70,7 @@ static Number *lay_out(Many *many, const Scene *scene, const Drive *drive, const
   }
   many->method = rk4_of(span, 0, 0, 0, work);
   work += RK4_STATES * n;
-  for (int run = 0; run < runs->count; run += WIDTH) {
+  for (int run = 0; run < runs->count && !many->is_plain; run += WIDTH) {
     turn_to(many, numbers_of(many, run));
     gap_at(span, many->method.x, all(0), 0, span->gap, span->rate);
     for (int i = 0; i < m; ++i) many->method.taut[i] = truth(span->gap[i] > 0);
@@ -163,7 +166,7 @@ static void advance_runs_by_rk4(const Scene *scene, const Drive *drive, const Le
                                 double *work) {
   const FixedSteps steps = fixed_steps(settings);
   Many many;
-  Number *batch = lay_out(&many, scene, drive, lengths, runs, start, aligned(work));
+  Number *batch = lay_out(&many, scene, drive, lengths, settings, runs, start, aligned(work));
   int *crossed = (int *)(batch + many.size), going = runs->count;
   for (int64_t done = 0; done < steps.total && going && !*stop; ++done) {
     const double time = (double)done * steps.h;

@@ -114,10 +114,10 @@ int32_t tc_advance(const Scene *scene, const Drive *drive, const Lengths *length
                rest + (size_t)(METHOD_STATES - GATHERED) * n,
                n, span.switches, settings->outputs + 1, 0, 0, settings->room};
   int done;
-  if (settings->method == RK4_METHOD)
-    done = advance_by_rk4(&span, settings, progress, &kept, state, taut, rest);
-  else
+  if (settings->method == DOP853_METHOD)
     done = advance_by_dop853(&span, settings, progress, &kept, state, slope, taut, rest);
+  else
+    done = advance_by_rk4(&span, settings, progress, &kept, state, taut, rest);
   write_outputs(&kept);
   return done;
 }
@@ -173,7 +173,7 @@ int32_t tc_advance_spans(const Scene *scene, const Drive *drive, const Lengths *
     memcpy(x, state, n * sizeof *x);
     memset(now, 0, sizeof *now);
     now->every = 1;
-    if (settings->method == RK4_METHOD) {
+    if (settings->method != DOP853_METHOD) {
       now->step = own.step;
       gap_at(&span, x, 0, 0, span.gap, span.rate);
       for (size_t i = 0; i < m; ++i) taut[i] = span.gap[i] > 0;

@@ -30,7 +30,8 @@ typedef struct {
   Number *carried; /* of switches in steps that are not cut */
 } Span;
 
-/* Of equation.c: memory of one evaluation; by inputs at one time xdot, accelerations by the forces of
+/* Of equation.c: memory of one evaluation; by inputs at one time xdot, where what pulls and presses is
+   given, or null for what the state says; accelerations by the forces of
    what can switch, each counted by one weight and by another, forces on all entries, and gaps: of all that can switch, or at least of
    what is marked. Where no force depends on velocities, rates of gaps need not be asked for. Where
    lengths are driven, xdot with the force densities of all bars, N/m: of bars that are redundant, those

@@ -11,7 +11,7 @@
 enum { MOST_CUTS = 9 };
 static const double REST = 1e-13, LATE = 1e-9;
 
-/* A step, or what is left of one, from x to x1. */
+/* A step, or what is left of one, from x to x1. Where `taut` is null, switches are not looked for. */
 typedef struct {
   Span *span;
   const Number *x;
@@ -67,7 +67,7 @@ static Number take_whole(Rk4 *m) {
   const Tried step = tried_by(m);
   slope_at(m->span, m->x, m->time, m->taut, m->k1);
   step_to(m, all(1), m->x1);
-  return crossings(m->span, &step);
+  return m->taut ? crossings(m->span, &step) : all(0);
 }
 
 /* What became of a step that is crossed: what of it was taken, and counts. */
@@ -133,7 +133,7 @@ static void step_through(Rk4 *m, double *x, double *before, Progress *now, Kept 
     const double crossed = take_whole(m);
     double taken = m->left;
     now->tries += 1;
-    memcpy(before, m->taut, m->span->switches * sizeof *before);
+    if (m->traces) memcpy(before, m->taut, m->span->switches * sizeof *before);
     if (crossed > 0) {
       const Landing landing = land(m, crossed, cuts);
       count(&landing, 0, now);
@@ -151,7 +151,8 @@ int advance_by_rk4(Span *span, const Settings *settings, Progress *now, Kept *ke
   const int n = span->states;
   const FixedSteps steps = fixed_steps(settings);
   double *before = work + n;
-  Rk4 method = rk4_of(span, x, work, taut, before + span->switches);
+  const int is_plain = settings->method == PLAIN_RK4_METHOD;
+  Rk4 method = rk4_of(span, x, work, is_plain ? 0 : taut, before + span->switches);
   int64_t done = (int64_t)round(now->time / steps.h);
   method.traces = settings->traces;
   kept->column = (int)(done / steps.inner) + 1;

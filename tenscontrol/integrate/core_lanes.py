@@ -154,7 +154,7 @@ class CoreLanes:
 
 
 class FixedStepLanes(CoreLanes):
-    """Runs by rk4; see :class:`CoreLanes`.
+    """Runs in fixed steps; see :class:`CoreLanes`.
 
     Parameters
     ----------
@@ -162,22 +162,24 @@ class FixedStepLanes(CoreLanes):
         Of :class:`CoreLanes`.
     step : float
         s, at most.
+    method : {"rk4", "rk4_plain"}
     """
 
     counted = "steps", "tries", "landings", "switches", "missed", "carries", "carried"
 
     def __init__(
-        self, scene: CoreScene, project: bool, tables: Mapping[str, FloatArray], step: float
-    ) -> None:
+        self, scene: CoreScene, project: bool, tables: Mapping[str, FloatArray], step: float,
+        method: str,
+    ) -> None:  # fmt: skip
         super().__init__(scene, project, tables)
-        self._step = step
+        self._step, self._method = step, method
 
     def advance(
         self, runs: IntArray, states: FloatArray, held: FloatArray, duration: float, outputs: int,
         stop: ctypes.c_int,
     ) -> LaneSpans:  # fmt: skip
         """See :meth:`CoreLanes.advance`."""
-        settings = settings_of("rk4", duration, outputs, self._project, step=self._step)
+        settings = settings_of(self._method, duration, outputs, self._project, step=self._step)
         reached, progress = self._calls(runs, states, held).advance(settings, {}, stop)
         # The last step of a run that is stuck was no good one.
         step = duration / (outputs * self._steps_between(duration, outputs))
@@ -205,7 +207,7 @@ class FixedStepLanes(CoreLanes):
 
     def of_step(self, step: float) -> FixedStepLanes:
         """Return the same in other steps."""
-        return FixedStepLanes(self._scene, self._project, self._tables, step)
+        return FixedStepLanes(self._scene, self._project, self._tables, step, self._method)
 
     def of_run(self, run: int) -> RunLane:
         """Return what integrates a single run by its number."""

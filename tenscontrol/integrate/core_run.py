@@ -34,7 +34,7 @@ _MOST_TRIES = 2048
 _MOST_ENDS, _MOST_NUMBERS = 4096, 8_000_000
 
 # The methods in the order of the core's own numbers for them.
-_METHODS = ("rk4", "dop853")
+_METHODS = ("rk4", "dop853", "rk4_plain")
 
 
 def settings_of(

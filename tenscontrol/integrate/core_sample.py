@@ -1,4 +1,4 @@
-"""A sample of one robot by rk4 in the compiled core, in memory that is kept."""
+"""A sample of one robot in fixed steps of the compiled core, in memory that is kept."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from tenscontrol.arrays import FloatArray
 from tenscontrol.core import records
 from tenscontrol.integrate.core_run import settings_of
 from tenscontrol.integrate.core_scene import CoreScene
+from tenscontrol.integrate.methods import Method
 
 # Steps that the core may take in one call: all of a sample.
 _ALL = 2**31 - 1
@@ -21,20 +22,21 @@ class CoreSample:
     Parameters
     ----------
     scene : CoreScene
-    project : bool
-        Whether bars are put on their lengths after each step.
+    method : Method
+        "rk4" or "rk4_plain".
     step : float
         s, at most.
     inputs : int
         Numbers of an input.
     """
 
-    def __init__(self, scene: CoreScene, project: bool, step: float, inputs: int) -> None:
+    def __init__(self, scene: CoreScene, method: Method, step: float, inputs: int) -> None:
         states, switches = scene.states, scene.switches
         self._u, self._state, self._taut = np.zeros(inputs), np.empty(states), np.empty(switches)
         self._outputs = np.empty((states, 2))
-        self._settings = settings_of("rk4", 1.0, 1, project, step=step)
+        self._settings = settings_of(method.name, 1.0, 1, method.projects, step=step)
         self._settings.budget = _ALL
+        self._locates = method.locates
         self._progress = records.Progress()
         self._fresh = bytes(records.Progress(step=step, every=1))
         self._drive = scene.drive(self._u)
@@ -54,7 +56,8 @@ class CoreSample:
         self._u[:], self._state[:] = u, state
         ctypes.memmove(ctypes.byref(self._progress), self._fresh, len(self._fresh))
         self._settings.duration = duration
-        self._find_taut(*self._of_taut)
+        if self._locates:
+            self._find_taut(*self._of_taut)
         return self._state.copy() if self._advance(*self._of_sample) == 1 else None
 
 

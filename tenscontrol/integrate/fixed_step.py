@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from functools import partial
 from math import ceil
-from typing import final
+from typing import Any, final
 
 import casadi as ca
 import numpy as np
@@ -55,7 +55,8 @@ _MORE, _LANDINGS, _SWITCHES, _MISSED = range(len(COUNTS))
 class FixedStep(Integrator):
     """A method with a fixed step: a subclass says what a step is.
 
-    Where a string can go slack, every step ends at each switch and goes on from there.
+    Where a string can go slack, every step ends at each switch and goes on from there, unless
+    switches are not located.
     """
 
     #: Evaluations of the right-hand side, or of the forces, in one step.
@@ -63,6 +64,9 @@ class FixedStep(Integrator):
 
     #: Whether the compiled core has the method.
     runs_in_core = False
+
+    #: Whether steps end at switches. Else a step is a function of the state alone, not of ``taut``.
+    locates = True
 
     def __init__(self, equation: Equation, step: float, project: bool = False) -> None:
         super().__init__(equation, project)
@@ -72,7 +76,7 @@ class FixedStep(Integrator):
         if self._core is not None:
             self.back_end = "core"
             return
-        attempt = self._kept(lambda: _attempt(self.smooth_step(project), equation), project)
+        attempt = self._kept(lambda: self._attempt_of(self.smooth_step(project)), project)
         self._attempt, self._slope = Evaluator(attempt), Evaluator(equation.slope)
         self._switches = Switches(equation)
 
@@ -86,6 +90,16 @@ class FixedStep(Integrator):
         """
         one = self.step_function(self._equation)
         return projected(one, self._equation) if project else one
+
+    def _attempt_of(self, step: ca.Function) -> ca.Function:
+        """Return ``(x, u, taut, h) -> (x1, crossings)``: a step, and how many switches cut it."""
+        equation = self._equation
+        written = step.is_a("SXFunction") and equation.form == "flat"
+        x, u, taut, h = equation.symbols(ca.SX if written else ca.MX)
+        x1 = step(x, u, taut, h)
+        crossed = crossings(equation)(x, x1, u, taut, h) if self.locates else x1.zeros(1, 1)
+        outputs = [ca.densify(output) for output in (x1, crossed)]
+        return Function("attempt", [x, u, taut, h], outputs)
 
     @abstractmethod
     def step_function(self, equation: Equation) -> ca.Function:
@@ -219,7 +233,6 @@ class FixedStep(Integrator):
         )
 
 
-@final
 class RK4(FixedStep):
     """The classical Runge-Kutta method of order 4; see :class:`FixedStep`."""
 
@@ -242,7 +255,7 @@ class RK4(FixedStep):
         state, held, duration, outputs = self._checked(state, held, duration, outputs, report)
         inner = self.steps_between(duration, outputs)
         step = duration / (inner * outputs)
-        settings = settings_of("rk4", duration, outputs, self._project, step=self.step)
+        settings = settings_of(self.name, duration, outputs, self._project, step=self.step)
         if self.traces or (self.keeps_steps and inner > 1):
             settings.room, settings.traces = room_for(len(state)), self.traces
         motion = CoreMotion(scene, state, held, settings)
@@ -262,7 +275,7 @@ class RK4(FixedStep):
         pairs = zip(given.duration, given.outputs, strict=True)
         inner = [self.steps_between(float(duration), int(count)) for duration, count in pairs]
         total = np.array(inner) * given.outputs
-        settings = settings_of("rk4", 0.0, 0, self._project, step=self.step)
+        settings = settings_of(self.name, 0.0, 0, self._project, step=self.step)
         if self.traces or (self.keeps_steps and max(inner) > 1):
             settings.room, settings.traces = room_for(len(state)), self.traces
             if not self.traces and min(inner) == 1:
@@ -277,11 +290,27 @@ class RK4(FixedStep):
         """See :meth:`FixedStep.step_function`."""
         x, u, taut, h = equation.symbols()
         half, end = equation.ahead(u, h / 2), equation.ahead(u, h)
-        k1 = equation.slope(x, u, taut)
-        k2 = equation.slope(x + h / 2 * k1, half, taut)
-        k3 = equation.slope(x + h / 2 * k2, half, taut)
-        k4 = equation.slope(x + h * k3, end, taut)
+
+        def slope(x: Any, u: Any) -> Any:
+            return equation.slope(x, u, taut if self.locates else equation.gap(x, u)[0] > 0)
+
+        k1 = slope(x, u)
+        k2 = slope(x + h / 2 * k1, half)
+        k3 = slope(x + h / 2 * k2, half)
+        k4 = slope(x + h * k3, end)
         return Function("rk4", [x, u, taut, h], [x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)])
+
+
+@final
+class PlainRK4(RK4):
+    """RK4 as textbooks have it: each evaluation finds what pulls and presses by its own state.
+
+    Steps go through switches. There the error of a step is of order 2, or of order 1 where a damped
+    string goes taut, whose force jumps. In return no step is tried again.
+    """
+
+    name = "rk4_plain"
+    locates = False
 
 
 def _work_in_core(progress: Progress, step: float) -> Work:
@@ -301,13 +330,3 @@ def not_finite(good: int, step: float) -> str:
         f"the state is no longer finite between {step * good:.6g} s and "
         f"{step * (good + 1):.6g} s; try a step below {step:g} s"
     )
-
-
-def _attempt(step: ca.Function, equation: Equation) -> ca.Function:
-    """Return ``(x, u, taut, h) -> (x1, crossings)``: a step, and how many switches it has."""
-    written = step.is_a("SXFunction") and equation.form == "flat"
-    x, u, taut, h = equation.symbols(ca.SX if written else ca.MX)
-    x1 = step(x, u, taut, h)
-    outputs = [x1, crossings(equation)(x, x1, u, taut, h)]
-    outputs = [ca.densify(output) for output in outputs]
-    return Function("attempt", [x, u, taut, h], outputs)

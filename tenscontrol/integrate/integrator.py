@@ -58,7 +58,7 @@ class Work:
         no force that switches depends on velocities.
     missed : int
         Switches that were not located: acted on at the end of a step, or not at all, where a string
-        or contact was back by then.
+        or contact was back by then. 0 of methods that look for none.
     """
 
     steps: int = 0

@@ -12,7 +12,7 @@ from tenscontrol.dynamics.equation import Equation
 from tenscontrol.integrate.cvodes import CVODES
 from tenscontrol.integrate.dop853 import DOP853
 from tenscontrol.integrate.energy_momentum import EnergyMomentum
-from tenscontrol.integrate.fixed_step import RK4
+from tenscontrol.integrate.fixed_step import RK4, PlainRK4
 from tenscontrol.integrate.integrator import (
     Integrator,
     MethodChange,
@@ -141,6 +141,14 @@ class Method:
 _STEP, _TOLERANCE = ("step",), ("tolerance",)
 _ALL = (
     Method("rk4", _STEP, "order 4, fixed steps: real time and batches", RK4, follows=True, order=4),
+    Method(
+        "rk4_plain",
+        _STEP,
+        "the same through switches, order 1 there: coarse steps, at half the work",
+        PlainRK4,
+        follows=True,
+        locates=False,
+    ),
     Method(
         "dop853",
         _TOLERANCE,

@@ -26,6 +26,7 @@ def vector_env(
     *,
     sample_time: float,
     step: float,
+    method: str = "rk4_plain",
     winches: Winches,
     rest_length: Any,
     nodes: Any = None,
@@ -55,6 +56,8 @@ def vector_env(
         Time between actions, s.
     step : float
         Largest step of the integration, s; ``env.unwrapped.step_error()`` says what it errs.
+    method : {"rk4_plain", "rk4"}
+        As of :class:`tenscontrol.Stepper`.
     winches : Winches
         With a rate and a range.
     rest_length : float or array_like, shape (α,)
@@ -118,8 +121,8 @@ def vector_env(
         )
     count, drawn = validation.whole_number("count", count, 1), _checked(vary)
     stepper = Stepper(
-        model, sample_time, step=step, rest_length=rest_length, nodes=nodes, winches=winches,
-        actuated=actuated, count=count,
+        model, sample_time, step=step, method=method, rest_length=rest_length, nodes=nodes,
+        winches=winches, actuated=actuated, count=count,
         parameters=draw_rows(drawn, np.random.default_rng(0), count),
     )  # fmt: skip
     task.check(model.structure)

@@ -437,7 +437,7 @@ def _traceable(scene: Scene, choice: Choice) -> Scene:
     else:
         raise ValueError(
             f"run is by the method {choice.method!r}, expected one of {list(_METHODS)}, or 'auto': "
-            "'cvodes' and methods of your own are not differentiated"
+            "'rk4_plain', 'cvodes' and methods of your own are not differentiated"
         )
     changed: dict[str, Any] = {}
     if method == "dop853":

@@ -22,9 +22,7 @@ from tenscontrol.integrate.core_lanes import FixedStepLanes, have_tables, tables
 from tenscontrol.integrate.core_sample import CoreSample
 from tenscontrol.integrate.core_scene import CoreScene, core_scene
 from tenscontrol.integrate.integrator import IntegrationError, Integrator
-from tenscontrol.integrate.methods import METHODS
-
-_RK4 = METHODS["rk4"]
+from tenscontrol.integrate.methods import Method
 
 
 class SteppedModels:
@@ -37,15 +35,19 @@ class SteppedModels:
     input : {"rest_length", "force_density"}
     degree : int
         1 where the input ramps over a sample, else 0.
+    method : Method
+        "rk4" or "rk4_plain".
     step : float
         Largest step, s.
     count : int
         Number of robots.
     """
 
-    def __init__(self, model: Model, input: str, degree: int, step: float, count: int) -> None:
+    def __init__(
+        self, model: Model, input: str, degree: int, method: Method, step: float, count: int
+    ) -> None:
         self.model, self.count, self.parameters = model, count, dict[str, FloatArray]()
-        self._input, self._degree, self._step = input, degree, step
+        self._input, self._degree, self._method, self._step = input, degree, method, step
         self._alone: dict[int, CoreSample | Integrator] = {}
         self._equations: dict[int, Equation] = {}
         self._kinds: dict[str, bool] | None = None
@@ -117,7 +119,8 @@ class SteppedModels:
         if core is None:
             return
         tables = tables_of_runs(self.model, given)
-        self._lanes = FixedStepLanes(core, _RK4.projects, tables, self._step)
+        how = self._method
+        self._lanes = FixedStepLanes(core, how.projects, tables, self._step, how.name)
         if is_loaded:
             self._loads = constant_forces(self.model, given).transpose(0, 2, 1)
             self._loads = self._loads.reshape(len(self._loads), -1)
@@ -179,9 +182,9 @@ class SteppedModels:
             equation = self._equation_of(robot)
             core = core_scene(equation)
             alone = (
-                _RK4.integrator(equation, self._step, "step", None)
+                self._method.integrator(equation, self._step)
                 if core is None
-                else CoreSample(core, _RK4.projects, self._step, len(u))
+                else CoreSample(core, self._method, self._step, len(u))
             )
             self._alone[key] = alone
         if isinstance(alone, CoreSample):

@@ -23,6 +23,7 @@ from tenscontrol.actuation.winches import Winches
 from tenscontrol.arrays import FloatArray, freeze_arrays
 from tenscontrol.dynamics.model import Model
 from tenscontrol.estimation.sensors import Sensors
+from tenscontrol.integrate.methods import METHODS
 from tenscontrol.short_repr import short_repr
 from tenscontrol.simulation.integration import Integration
 from tenscontrol.simulation.scene import Scene
@@ -67,9 +68,9 @@ class StepperState:
 class Stepper:
     """Robots that advance by one sample per call, as the plant of your own loop.
 
-    A sample has the bits of the same sample of ``simulate`` under ``method="rk4"`` with this step.
-    It does nothing else: there is no record, no estimate of the error and no search for bars that
-    cross. ``simulate`` with the same commands has these.
+    A sample has the bits of the same sample of ``simulate`` by this method with this step. It does
+    nothing else: there is no record, no estimate of the error and no search for bars that cross.
+    ``simulate`` with the same commands has these.
 
     Parameters
     ----------
@@ -79,6 +80,10 @@ class Stepper:
         s.
     step : float
         Largest step of the integration, s.
+    method : {"rk4_plain", "rk4"}
+        Whether steps go through switches of strings and contacts, or end at each. The first takes
+        about half of the time, and is the faster one to errors of about 0.1 %; the second is where
+        errors are to be smaller.
     rest_length, force_density : float or array_like, shape (α,) or (count, α)
         One of the two: what the strings have at the start, m or N/m, and what commands are.
     nodes, velocities : array_like, shape (d, n) or (count, d, n), optional
@@ -129,6 +134,7 @@ class Stepper:
         sample_time: float,
         *,
         step: float,
+        method: str = "rk4_plain",
         rest_length: Any = None,
         force_density: Any = None,
         nodes: Any = None,
@@ -144,12 +150,13 @@ class Stepper:
             "model": model, "sample_time": sample_time, "step": step, "rest_length": rest_length,
             "force_density": force_density, "nodes": nodes, "velocities": velocities,
             "winches": winches, "actuated": actuated, "count": count, "parameters": parameters,
-            "sensors": sensors, "seed": seed,
+            "sensors": sensors, "seed": seed, "method": method,
         }  # fmt: skip
         validation.instance("model", model, Model, "make one by Model(structure)")
         self.sample_time = validation.positive_number("sample_time", sample_time, "s")
         self._step = validation.positive_number("step", step, "s")
-        self._how = Integration("rk4", step=self._step, error="none")
+        validation.choice("method", method, ("rk4_plain", "rk4"))
+        self._how = Integration(method, step=self._step, error="none")
         self._shape = () if count is None else (validation.whole_number("count", count, 1),)
         self._count = 1 if count is None else count
         self._model = model
@@ -162,7 +169,9 @@ class Stepper:
             validation.instance("winches", winches, Winches, "make them by Winches(rate=...)")
         self._ramps = winches is not None and winches.ramp
         self._limits = None if winches is None else self._checked_limits(winches)
-        self._models = SteppedModels(model, self.input, int(self._ramps), self._step, self._count)
+        self._models = SteppedModels(
+            model, self.input, int(self._ramps), METHODS[method], self._step, self._count
+        )
         self._every = np.arange(self._count)
         if parameters is not None:
             self._models.set(self._every, parameters)

@@ -3,8 +3,8 @@
 Run: ``python -m tests.benchmarks.stepping``, one or two minutes on an idle core. A six-bar ball
 stands on ground; in each sample of 20 ms its 24 strings get rest lengths at random. 1, 16, 256 and
 1,024 of them are stepped by :class:`tenscontrol.Stepper`, by MuJoCo's ``mj_step`` (one robot) and
-by its ``rollout`` (several), each with the same numbers of steps. MuJoCo hands out states, not
-nodes, which is less work.
+by its ``rollout`` (several), each with the same numbers of steps; and by the stepper's other method,
+which ends steps at switches. MuJoCo hands out states, not nodes, which is less work.
 
 The error of a step is the largest distance of a node after 10 samples from where a step that is
 ``FINER`` times finer than the finest brings it, over the size of the ball: the median of some
@@ -40,12 +40,13 @@ Play = Callable[[Sequence[np.ndarray]], np.ndarray]
 
 def main(arguments: Sequence[str] | None = None) -> None:
     given = options(
-        __doc__, arguments, counts=(1, 16, 256, 1024), parts=(3, 4, 5, 8, 20), rounds=2,
+        __doc__, arguments, counts=(1, 16, 256, 1024), parts=(2, 3, 4, 5, 6, 8, 20), rounds=2,
         seconds=0.4,
     )  # fmt: skip
     model = ball()
     start = tc.plant.set_down(model, [0, 4, 8])
-    methods = {"Stepper": ours(model, start)} | theirs(model, start)
+    located = ours(model, start, method="rk4")
+    methods = {"Stepper": ours(model, start), "Stepper rk4": located} | theirs(model, start)
     finest = FINER * max(given.parts)
     errors = {name: errors_of(make, given.parts, finest) for name, make in methods.items()}
     print(f"{'':22} steps  error of    samples a second of so many robots")
@@ -156,11 +157,14 @@ def ball() -> tc.Model:
     return tc.Model(structure, strings=law, gravity=9.81, ground=ground)
 
 
-def ours(model: tc.Model, start: np.ndarray) -> Callable[[int, int], Play]:
+def ours(
+    model: tc.Model, start: np.ndarray, method: str = "rk4_plain"
+) -> Callable[[int, int], Play]:
     def make(parts: int, count: int) -> Play:
         robots = tc.Stepper(
-            model, SAMPLE, step=SAMPLE / parts, nodes=start, rest_length=LENGTH, count=count
-        )
+            model, SAMPLE, step=SAMPLE / parts, method=method, nodes=start, rest_length=LENGTH,
+            count=count,
+        )  # fmt: skip
 
         def play(commands: Sequence[np.ndarray]) -> np.ndarray:
             robots.reset()

@@ -39,13 +39,17 @@ def test_fixed_steps_keep_their_order_through_carried_switches(case, exact):
     assert orders.mean() > 3.2  # of naive steps 2
 
 
+def test_plain_steps_are_those_of_numpy(case):
+    run = simulated(case, method="rk4_plain", step=4e-3, error="none")
+    naive = numpy_rk4(case, np.array([case.duration]), [4e-3]).prepare(4e-3)()
+    assert np.allclose(run.nodes[:, :, -1], naive[:, :, -1], rtol=0, atol=1e-12)
+
+
 @pytest.mark.parametrize("step", [4e-3, 2e-3])
-def test_located_steps_are_no_worse_than_naive_ones(case, exact, step):
+def test_located_steps_are_no_worse_than_plain_ones(case, exact, step):
     run = simulated(case, method="rk4", step=step, error="none")
-    naive = numpy_rk4(case, np.array([case.duration]), [step]).prepare(step)()
-    distance = np.linalg.norm(naive[:, :, -1] - exact.nodes[:, :, -1], axis=0).max()
     assert run.work.carried > 0
-    assert off(run, exact) < distance
+    assert off(run, exact) < off(simulated(case, method="rk4_plain", step=step), exact)
 
 
 def test_the_error_follows_the_tolerance(case, exact):

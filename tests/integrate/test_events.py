@@ -52,6 +52,7 @@ def error(example, name, setting, **options):
     ("name", "steps", "least"),
     [
         ("rk4", [4e-3, 2e-3, 1e-3, 5e-4], 3.8),
+        ("rk4_plain", [4e-3, 2e-3, 1e-3, 5e-4], 2.0),  # goes through them
     ],
 )
 def test_the_order_holds_through_all_slack_switches(example, name, steps, least):

@@ -109,7 +109,7 @@ OPEN_LOOP = [
             lambda: run(model=loaded(), rest_length=None, force_density=1, external_force=STILL.T),
             ValueError, r"external_force has shape \(6, 3\), expected \(3, 6\)"),
     refused("method unknown", lambda: run(method="euler"), ValueError,
-            r"method is 'euler', expected one of 'auto', 'rk4', 'dop853'"),
+            r"method is 'euler', expected one of 'auto', 'rk4', 'rk4_plain', 'dop853'"),
     refused("rk4 without step", lambda: run(method="rk4"), ValueError, r"'rk4' needs a step"),
     refused("dop853 with step", lambda: run(method="dop853", step=0.001), ValueError,
             r"step goes with the methods .*; 'dop853' chooses"),

@@ -49,6 +49,9 @@ from tenscontrol.structure.supports import moving_masses
 # Runs in a call, and numbers that it may return.
 _BLOCK, _MOST_NUMBERS = 256, 4_000_000
 
+# Of fixed steps, which the core takes side by side.
+_FIXED = METHODS["rk4"], METHODS["rk4_plain"]
+
 # Runs of which errors are estimated in a call.
 _SAMPLE = 32
 
@@ -160,7 +163,7 @@ class Runner:
     def _made_lanes(self, first: int | None) -> CoreLanes | None:
         """Return what integrates several runs at once; None where the core does not know them."""
         scene, structure = self.scene, self.scene.model.structure
-        if self._method not in (METHODS["rk4"], METHODS["dop853"]):
+        if self._method not in (*_FIXED, METHODS["dop853"]):
             return None
         if first is None or not have_tables(scene.model, scene.given):
             return None
@@ -169,8 +172,8 @@ class Runner:
         if core is None:
             return None
         alike = core, self._projects, tables_of_runs(scene.model, scene.given), self.choice.value
-        if self._method is METHODS["rk4"]:
-            return FixedStepLanes(*alike)
+        if self._method in _FIXED:
+            return FixedStepLanes(*alike, self._method.name)
         limit = free_evaluations(cost_in_core(core.states)) if self._watches else np.inf
         bars, points = (scene.given.get(name, getattr(structure, name)[None]) for name in MASSES)
         return AdaptiveLanes(equation, *alike, moving_masses(structure, bars, points), limit)
