@@ -94,7 +94,7 @@ def printed(name: str, inputs: dict[str, Any], outputs: dict[str, Any]) -> str:
         (function.instruction_id(k), function.instruction_input(k), function.instruction_output(k))
         for k in range(function.n_instructions())
     ]
-    uses = _uses(steps)
+    uses, ends = _uses(steps)
     lines, known = list[str](), dict[int, _Term]()
     for k, (op, ins, out) in enumerate(steps):
         if op == ca.OP_CONST:
@@ -107,7 +107,7 @@ def printed(name: str, inputs: dict[str, Any], outputs: dict[str, Any]) -> str:
             lines.append(f"{'' if '[' in entry else '*'}{entry} = {known[ins[0]].text};")
         else:
             term = _term(op, [known[i] for i in ins])
-            if uses[k] > 1 or len(term.text) > _PART:
+            if uses[k] > 1 or (k not in ends and len(term.text) > _PART):
                 lines.append(f"const Number t{k} = {term.text};")
                 term = _Term(f"t{k}")
             known[out[0]] = term
@@ -121,15 +121,17 @@ def _wrapped(line: str) -> str:
     return re.sub(r"~([*/])~|~~", lambda found: f" {found[1]} " if found[1] else " ", filled)
 
 
-def _uses(steps: list[tuple[int, list[int], list[int]]]) -> Counter[int]:
-    """Return how often the result of each step is used, by its number."""
-    uses, last = Counter[int](), dict[int, int]()
+def _uses(steps: list[tuple[int, list[int], list[int]]]) -> tuple[Counter[int], set[int]]:
+    """Return how often the result of each step is used, by its number, and which are returned."""
+    uses, ends, last = Counter[int](), set[int](), dict[int, int]()
     for k, (op, ins, out) in enumerate(steps):
         if op != ca.OP_INPUT:
             uses.update(last[i] for i in ins * (2 if op == ca.OP_SQ else 1) if i in last)
-        if op != ca.OP_OUTPUT:
+        if op == ca.OP_OUTPUT:
+            ends.add(last[ins[0]])
+        else:
             last[out[0]] = k
-    return uses
+    return uses, ends
 
 
 def _entry(name: str, symbol: Any, place: int) -> str:
@@ -176,7 +178,7 @@ def kernels() -> str:
     texts = [_HEAD]
     for d in (2, 3):
         texts += _of_bodies(d) + _of_segments(d) + _of_ground(d)
-    texts += _of_laws()
+    texts += _of_presses() + _of_laws()
     return "\n".join([*texts, "#endif\n"])
 
 
@@ -249,19 +251,12 @@ def slopes() -> str:
             texts.append(
                 _with_slopes(f"{name}_bar_force_density_slopes_{d}", given, {"mass": mass}, result)
             )
-        for name, law, symbols in _ground_laws():
-            x, v, normal = (ca.SX.sym(letter, d) for letter in ("x", "v", "n"))
-            pressing = ca.SX.sym("pressing")
-            depth, rate = law.height - kernel.dots(normal, x), -kernel.dots(normal, v)
-            press = law.normal_force(depth, rate)
-            if not isinstance(law, SmoothGround):
-                press = pressing * press
-            beside = {} if isinstance(law, SmoothGround) else {"pressing": pressing}
-            force = {"force": law.resultant(press, normal, v)}
-            given = {"x": x, "v": v} | symbols
-            texts.append(
-                _with_slopes(f"{name}_ground_slopes_{d}", given, beside | {"normal": normal}, force)
-            )
+        law, given, normal = _contact(d)
+        force = {"force": law.resultant(given["press"], normal, given["v"])}
+        texts.append(_with_slopes(f"ground_force_slopes_{d}", given, {"normal": normal}, force))
+    for name, law, pressing, given in _ground_laws():
+        press = {"press": _press(law, pressing, given)}
+        texts.append(_with_slopes(f"{name}_press_slopes", given, pressing, press))
     for name, law, given in _string_laws():
         length, rest, rate = (given.get(key, ca.SX.sym(key)) for key in ("length", "rest", "rate"))
         pull = {"force_density": law.taut_force_density(length, rest, rate)}
@@ -319,50 +314,65 @@ def _string_laws() -> Iterator[tuple[str, Any, dict[str, Any]]]:
             yield f"{name}_{'undamped' if damping is None else 'damped'}", law, given
 
 
-def _ground_laws() -> Iterator[tuple[str, Any, dict[str, Any]]]:
-    """Yield the laws of contacts with symbols for their numbers, by name."""
+def _ground_laws() -> Iterator[tuple[str, Any, dict[str, Any], dict[str, Any]]]:
+    """Yield the laws of contacts by name, with symbols for whether they press and what they need.
+
+    Smooth ground always presses.
+    """
+    depth, rate = ca.SX.sym("depth"), ca.SX.sym("rate")
     for name, kind in (("linear", Ground), ("hertz", HertzGround), ("smooth", SmoothGround)):
-        law = object.__new__(kind)
-        fields = ["stiffness", "damping", "friction", "slip_speed", "height"]
-        fields += ["width"] if kind is SmoothGround else []
-        symbols = {field: _symbol(field) for field in fields}
-        for field, symbol in symbols.items():
-            object.__setattr__(law, field, symbol)
-        yield name, law, symbols
+        is_smooth = kind is SmoothGround
+        fields = ["stiffness", "damping", *(["width"] if is_smooth else [])]
+        law, symbols = _law(kind, fields)
+        pressing = {} if is_smooth else {"pressing": ca.SX.sym("pressing")}
+        yield name, law, pressing, {"depth": depth, "rate": rate} | symbols
+
+
+def _law(kind: type, fields: list[str]) -> tuple[Any, dict[str, Any]]:
+    """Return a law of contacts that has symbols for these fields alone, with the symbols."""
+    law, symbols = object.__new__(kind), {field: _symbol(field) for field in fields}
+    for field, symbol in symbols.items():
+        object.__setattr__(law, field, symbol)
+    return law, symbols
+
+
+def _press(law: Any, pressing: dict[str, Any], given: dict[str, Any]) -> Any:
+    """Return the normal force, of contacts that press."""
+    press = law.normal_force(given["depth"], given["rate"])
+    return pressing["pressing"] * press if pressing else press
+
+
+def _contact(d: int) -> tuple[Any, dict[str, Any], Any]:
+    """Return a law with friction, what its force depends on, and the normal of the ground."""
+    law, symbols = _law(Ground, ["friction", "slip_speed"])
+    object.__setattr__(law, "height", 0.0)  # a plane
+    given = {"press": ca.SX.sym("press"), "v": ca.SX.sym("v", d)} | symbols
+    return law, given, ca.SX.sym("normal", d)
 
 
 def _of_ground(d: int) -> list[str]:
+    law, given, normal = _contact(d)
+    x, height = ca.SX.sym("x", d), ca.SX.sym("height")
+    depth, rate = height - kernel.dots(normal, x), -kernel.dots(normal, given["v"])
+    given["normal"] = normal
+    sunk = {"x": x, "v": given["v"], "height": height, "normal": normal}
+    force = {"force": law.resultant(given["press"], normal, given["v"])}
+    return [
+        printed(f"sinking_{d}", sunk, {"depth": depth, "rate": rate}),
+        printed(f"ground_force_{d}", given, force),
+    ]
+
+
+def _of_presses() -> list[str]:
     texts = []
-    x, v, normal = (ca.SX.sym(name, d) for name in ("x", "v", "n"))
-    pressing = ca.SX.sym("pressing")
-    for name, law, symbols in _ground_laws():
-        kind = type(law)
-        depth, rate = law.height - kernel.dots(normal, x), -kernel.dots(normal, v)
-        given = {"x": x, "v": v}
-        if kind is not SmoothGround:
-            given |= {"pressing": pressing}
-            gap = {"gap": law.gap(depth, rate), "rate": rate}
-            if name == "linear":
-                texts.append(
-                    printed(
-                        f"ground_gap_{d}",
-                        {
-                            "x": x,
-                            "v": v,
-                            "damping": law.damping,
-                            "height": law.height,
-                            "normal": normal,
-                        },
-                        gap,
-                    )
-                )
-        press = law.normal_force(depth, rate)
-        if kind is not SmoothGround:
-            press = pressing * press
-        force = law.resultant(press, normal, v)
-        texts.append(
-            printed(f"{name}_ground_{d}", given | symbols | {"normal": normal}, {"force": force})
-        )
+    for name, law, pressing, given in _ground_laws():
+        press = {"press": _press(law, pressing, given)}
+        texts.append(printed(f"{name}_press", given | pressing, press))
+        if name == "linear":  # that of hertz is the same
+            gap = {"gap": law.gap(given["depth"], given["rate"])}
+            texts.append(
+                printed("ground_gap", {k: given[k] for k in ("depth", "rate", "damping")}, gap)
+            )
     return texts
 
 

@@ -109,28 +109,24 @@ static void N(touch)(const Scene *s, int plane, const Number *p, const Number *v
                      const Number *taut, Number *f) {
   const Ground *g = s->ground + plane;
   const Number *own = numbers(s->ground_numbers) + GROUND_NUMBERS * plane;
-  const Number k = own[0], c = own[1], friction = own[2], slip = own[3], height = own[4];
-  const Number width = own[5];
   Number normal[D];
   for (int j = 0; j < D; ++j) normal[j] = all(g->normal[j]);
   for (int i = 0; i < g->count; ++i) {
     const int at = g->node[i];
-    Number force[D], unused, presses = taut ? taut[i] : all(1);
-    if (!taut && g->first_switch >= 0) {
-      N(ground_gap)(p + at, v + at, c, height, normal, &presses, &unused);
-      presses = truth(presses > 0);
-    }
+    Number depth, rate, press, force[D], presses = taut ? taut[i] : all(1);
     if (!any(presses != 0)) continue;
-    switch (g->kind) {
-    case LINEAR_GROUND:
-      N(linear_ground)(p + at, v + at, presses, k, c, friction, slip, height, normal, force);
-      break;
-    case HERTZ_GROUND:
-      N(hertz_ground)(p + at, v + at, presses, k, c, friction, slip, height, normal, force);
-      break;
-    default:
-      N(smooth_ground)(p + at, v + at, k, c, friction, slip, height, width, normal, force);
+    N(sinking)(p + at, v + at, own[4], normal, &depth, &rate);
+    if (!taut && g->first_switch >= 0) {
+      ground_gap(depth, rate, own[1], &presses);
+      presses = truth(presses > 0);
+      if (!any(presses != 0)) continue;
     }
+    switch (g->kind) {
+    case LINEAR_GROUND: linear_press(depth, rate, own[0], own[1], presses, &press); break;
+    case HERTZ_GROUND: hertz_press(depth, rate, own[0], own[1], presses, &press); break;
+    default: smooth_press(depth, rate, own[0], own[1], own[5], &press);
+    }
+    N(ground_force)(press, v + at, own[2], own[3], normal, force);
     for (int j = 0; j < D; ++j) f[at + j] += force[j];
   }
 }
@@ -330,14 +326,16 @@ static void N(gaps)(const Scene *s, const Number *p, const Number *v, const Numb
   for (int i = 0; i < s->grounds; ++i) {
     const Ground *g = s->ground + i;
     const Number *own = numbers(s->ground_numbers) + GROUND_NUMBERS * i;
-    Number normal[D], unused;
+    Number normal[D];
     if (g->first_switch < 0) continue;
     for (int j = 0; j < D; ++j) normal[j] = all(g->normal[j]);
     for (int j = 0; j < g->count; ++j) {
       const int at = s->slacking + g->first_switch + j, node = g->node[j];
+      Number depth, sinking;
       if (marked && !any(marked[at] != 0)) continue;
-      N(ground_gap)(p + node, v + node, own[1], own[4], normal, gap + at,
-                    rate ? rate + at : &unused);
+      N(sinking)(p + node, v + node, own[4], normal, &depth, &sinking);
+      ground_gap(depth, sinking, own[1], gap + at);
+      if (rate) rate[at] = sinking;
     }
   }
 }

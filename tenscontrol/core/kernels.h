@@ -109,57 +109,20 @@ static inline void length_rate_2(const Number *segment, const Number *change, co
   *rate = (segment[0] * change[0] + segment[1] * change[1]) / length;
 }
 
-static inline void ground_gap_2(const Number *x, const Number *v, const Number damping,
-      const Number height, const Number *normal, Number *gap, Number *rate) {
-  const Number t8 = height - (normal[0] * x[0] + normal[1] * x[1]);
-  const Number t10 = truth(t8 < 0.0);
-  const Number t17 = normal[0] * v[0] + normal[1] * v[1];
-  const Number t20 = smaller(1.0 - damping * t17, all(1.0));
-  const Number t27 = t8 * (only(t10 != 0, larger(t20, all(0.1))) + only(truth(t10 == 0) != 0, t20));
-  *gap = t27;
-  *rate = -t17;
+static inline void sinking_2(const Number *x, const Number *v, const Number height,
+      const Number *normal, Number *depth, Number *rate) {
+  *depth = height - (normal[0] * x[0] + normal[1] * x[1]);
+  *rate = -(normal[0] * v[0] + normal[1] * v[1]);
 }
 
-static inline void linear_ground_2(const Number *x, const Number *v, const Number pressing,
-      const Number stiffness, const Number damping, const Number friction, const Number slip_speed,
-      const Number height, const Number *normal, Number *force) {
-  const Number t18 = normal[0] * v[0] + normal[1] * v[1];
-  const Number t21 = stiffness * (height - (normal[0] * x[0] + normal[1] * x[1])) * (1.0 - damping * t18);
-  const Number t22 = pressing * t21;
-  const Number t25 = v[0] - normal[0] * t18;
-  const Number t30 = v[1] - normal[1] * t18;
-  const Number t37 = friction * t22 / root(t25 * t25 + t30 * t30 + slip_speed * slip_speed);
-  force[0] = normal[0] * t22 - t25 * t37;
-  force[1] = normal[1] * t22 - t30 * t37;
-}
-
-static inline void hertz_ground_2(const Number *x, const Number *v, const Number pressing,
-      const Number stiffness, const Number damping, const Number friction, const Number slip_speed,
-      const Number height, const Number *normal, Number *force) {
-  const Number t10 = height - (normal[0] * x[0] + normal[1] * x[1]);
-  const Number t24 = normal[0] * v[0] + normal[1] * v[1];
-  const Number t28 = pressing * (stiffness * t10 * power(t10 * t10 + 1e-30, 0.25) * (1.0 - damping * t24));
-  const Number t31 = v[0] - normal[0] * t24;
-  const Number t36 = v[1] - normal[1] * t24;
-  const Number t43 = friction * t28 / root(t31 * t31 + t36 * t36 + slip_speed * slip_speed);
-  force[0] = normal[0] * t28 - t31 * t43;
-  force[1] = normal[1] * t28 - t36 * t43;
-}
-
-static inline void smooth_ground_2(const Number *x, const Number *v, const Number stiffness,
-      const Number damping, const Number friction, const Number slip_speed, const Number height,
-      const Number width, const Number *normal, Number *force) {
-  const Number t9 = height - (normal[0] * x[0] + normal[1] * x[1]);
-  const Number t15 = smaller(larger(t9 + width, all(0.0)), 2 * width);
-  const Number t30 = normal[0] * v[0] + normal[1] * v[1];
-  const Number t32 = 1.0 - damping * t30;
-  const Number t40 = stiffness * (t15 * t15 / (4.0 * width) + larger(t9 - width, all(0.0))) * ((t32 +
-      root(t32 * t32 + 0.010000000000000002)) / 2.004987562112089);
-  const Number t43 = v[0] - normal[0] * t30;
-  const Number t48 = v[1] - normal[1] * t30;
-  const Number t55 = friction * t40 / root(t43 * t43 + t48 * t48 + slip_speed * slip_speed);
-  force[0] = normal[0] * t40 - t43 * t55;
-  force[1] = normal[1] * t40 - t48 * t55;
+static inline void ground_force_2(const Number press, const Number *v, const Number friction,
+      const Number slip_speed, const Number *normal, Number *force) {
+  const Number t8 = normal[0] * v[0] + normal[1] * v[1];
+  const Number t10 = v[0] - normal[0] * t8;
+  const Number t15 = v[1] - normal[1] * t8;
+  const Number t22 = friction * press / root(t10 * t10 + t15 * t15 + slip_speed * slip_speed);
+  force[0] = normal[0] * press - t10 * t22;
+  force[1] = normal[1] * press - t15 * t22;
 }
 
 enum { FREE_BAR_3_CONSTANTS = 4 };
@@ -277,67 +240,51 @@ static inline void pulling_length_3(const Number *segment, const Number rest, Nu
 
 static inline void length_rate_3(const Number *segment, const Number *change, const Number length,
       Number *rate) {
-  const Number t12 = (segment[0] * change[0] + segment[1] * change[1] + segment[2] * change[2]) / length;
-  *rate = t12;
+  *rate = (segment[0] * change[0] + segment[1] * change[1] + segment[2] * change[2]) / length;
 }
 
-static inline void ground_gap_3(const Number *x, const Number *v, const Number damping,
-      const Number height, const Number *normal, Number *gap, Number *rate) {
-  const Number t12 = height - (normal[0] * x[0] + normal[1] * x[1] + normal[2] * x[2]);
-  const Number t14 = truth(t12 < 0.0);
-  const Number t24 = normal[0] * v[0] + normal[1] * v[1] + normal[2] * v[2];
-  const Number t27 = smaller(1.0 - damping * t24, all(1.0));
-  const Number t34 = t12 * (only(t14 != 0, larger(t27, all(0.1))) + only(truth(t14 == 0) != 0, t27));
-  *gap = t34;
-  *rate = -t24;
+static inline void sinking_3(const Number *x, const Number *v, const Number height,
+      const Number *normal, Number *depth, Number *rate) {
+  *depth = height - (normal[0] * x[0] + normal[1] * x[1] + normal[2] * x[2]);
+  *rate = -(normal[0] * v[0] + normal[1] * v[1] + normal[2] * v[2]);
 }
 
-static inline void linear_ground_3(const Number *x, const Number *v, const Number pressing,
-      const Number stiffness, const Number damping, const Number friction, const Number slip_speed,
-      const Number height, const Number *normal, Number *force) {
-  const Number t15 = stiffness * (height - (normal[0] * x[0] + normal[1] * x[1] + normal[2] * x[2]));
-  const Number t25 = normal[0] * v[0] + normal[1] * v[1] + normal[2] * v[2];
-  const Number t29 = pressing * (t15 * (1.0 - damping * t25));
-  const Number t32 = v[0] - normal[0] * t25;
-  const Number t37 = v[1] - normal[1] * t25;
-  const Number t41 = v[2] - normal[2] * t25;
-  const Number t48 = friction * t29 / root(t32 * t32 + t37 * t37 + t41 * t41 + slip_speed * slip_speed);
-  force[0] = normal[0] * t29 - t32 * t48;
-  force[1] = normal[1] * t29 - t37 * t48;
-  force[2] = normal[2] * t29 - t41 * t48;
+static inline void ground_force_3(const Number press, const Number *v, const Number friction,
+      const Number slip_speed, const Number *normal, Number *force) {
+  const Number t12 = normal[0] * v[0] + normal[1] * v[1] + normal[2] * v[2];
+  const Number t14 = v[0] - normal[0] * t12;
+  const Number t19 = v[1] - normal[1] * t12;
+  const Number t23 = v[2] - normal[2] * t12;
+  const Number t30 = friction * press / root(t14 * t14 + t19 * t19 + t23 * t23 + slip_speed * slip_speed);
+  force[0] = normal[0] * press - t14 * t30;
+  force[1] = normal[1] * press - t19 * t30;
+  force[2] = normal[2] * press - t23 * t30;
 }
 
-static inline void hertz_ground_3(const Number *x, const Number *v, const Number pressing,
-      const Number stiffness, const Number damping, const Number friction, const Number slip_speed,
-      const Number height, const Number *normal, Number *force) {
-  const Number t14 = height - (normal[0] * x[0] + normal[1] * x[1] + normal[2] * x[2]);
-  const Number t31 = normal[0] * v[0] + normal[1] * v[1] + normal[2] * v[2];
-  const Number t35 = pressing * (stiffness * t14 * power(t14 * t14 + 1e-30, 0.25) * (1.0 - damping * t31));
-  const Number t38 = v[0] - normal[0] * t31;
-  const Number t43 = v[1] - normal[1] * t31;
-  const Number t47 = v[2] - normal[2] * t31;
-  const Number t54 = friction * t35 / root(t38 * t38 + t43 * t43 + t47 * t47 + slip_speed * slip_speed);
-  force[0] = normal[0] * t35 - t38 * t54;
-  force[1] = normal[1] * t35 - t43 * t54;
-  force[2] = normal[2] * t35 - t47 * t54;
+static inline void linear_press(const Number depth, const Number rate, const Number stiffness,
+      const Number damping, const Number pressing, Number *press) {
+  *press = pressing * (stiffness * depth * (1.0 + damping * rate));
 }
 
-static inline void smooth_ground_3(const Number *x, const Number *v, const Number stiffness,
-      const Number damping, const Number friction, const Number slip_speed, const Number height,
-      const Number width, const Number *normal, Number *force) {
-  const Number t13 = height - (normal[0] * x[0] + normal[1] * x[1] + normal[2] * x[2]);
-  const Number t19 = smaller(larger(t13 + width, all(0.0)), 2 * width);
-  const Number t37 = normal[0] * v[0] + normal[1] * v[1] + normal[2] * v[2];
-  const Number t39 = 1.0 - damping * t37;
-  const Number t47 = stiffness * (t19 * t19 / (4.0 * width) + larger(t13 - width, all(0.0))) * ((t39 +
-      root(t39 * t39 + 0.010000000000000002)) / 2.004987562112089);
-  const Number t50 = v[0] - normal[0] * t37;
-  const Number t55 = v[1] - normal[1] * t37;
-  const Number t59 = v[2] - normal[2] * t37;
-  const Number t66 = friction * t47 / root(t50 * t50 + t55 * t55 + t59 * t59 + slip_speed * slip_speed);
-  force[0] = normal[0] * t47 - t50 * t66;
-  force[1] = normal[1] * t47 - t55 * t66;
-  force[2] = normal[2] * t47 - t59 * t66;
+static inline void ground_gap(const Number depth, const Number rate, const Number damping,
+      Number *gap) {
+  const Number t2 = truth(depth < 0.0);
+  const Number t8 = smaller(1.0 + damping * rate, all(1.0));
+  *gap = depth * (only(t2 != 0, larger(t8, all(0.1))) + only(truth(t2 == 0) != 0, t8));
+}
+
+static inline void hertz_press(const Number depth, const Number rate, const Number stiffness,
+      const Number damping, const Number pressing, Number *press) {
+  const Number t15 = stiffness * depth * power(depth * depth + 1e-30, 0.25) * (1.0 + damping * rate);
+  *press = pressing * t15;
+}
+
+static inline void smooth_press(const Number depth, const Number rate, const Number stiffness,
+      const Number damping, const Number width, Number *press) {
+  const Number t7 = smaller(larger(depth + width, all(0.0)), 2 * width);
+  const Number t20 = 1.0 + damping * rate;
+  *press = stiffness * (t7 * t7 / (4.0 * width) + larger(depth - width, all(0.0))) * ((t20 + root(t20 * t20 +
+      0.010000000000000002)) / 2.004987562112089);
 }
 
 static inline void bar_energy(const Number start, const Number end, const Number mass,

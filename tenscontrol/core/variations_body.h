@@ -4,8 +4,6 @@
 #define NAME2(name, d) NAME_(name, d)
 #define N(name) NAME2(name, D)
 
-enum { N(TOUCH) = 2 * D + GROUND_NUMBERS };
-
 static inline Number N(product)(const Number *a, const Number *b) {
   Number sum = a[0] * b[0];
   for (int k = 1; k < D; ++k) sum += a[k] * b[k];
@@ -65,17 +63,30 @@ static void N(pulled)(const Scene *s, const Layout *at, const Number *u, const N
 /* The force of the ground on a node, with its derivatives by x, v and the numbers of the law. */
 static void N(touched)(const Ground *g, const Number *own, const Number *x, const Number *v,
                        Number pressing, Number *force, Number *by) {
-  const Number k = own[0], c = own[1], friction = own[2], slip = own[3], height = own[4];
-  const Number width = own[5];
-  Number normal[D];
+  /* Of the press: by depth, rate, stiffness, damping, width; of the force: by press, v, friction, slip. */
+  Number depth, rate, press, presses[5] = {all(0), all(0), all(0), all(0), all(0)};
+  Number normal[D], forces[D * (D + 3)];
   for (int j = 0; j < D; ++j) normal[j] = all(g->normal[j]);
-  memset(by, 0, D * N(TOUCH) * sizeof *by);
-  if (g->kind == LINEAR_GROUND) {
-    N(linear_ground_slopes)(x, v, k, c, friction, slip, height, pressing, normal, force, by);
-  } else if (g->kind == HERTZ_GROUND) {
-    N(hertz_ground_slopes)(x, v, k, c, friction, slip, height, pressing, normal, force, by);
-  } else {
-    N(smooth_ground_slopes)(x, v, k, c, friction, slip, height, width, normal, force, by);
+  N(sinking)(x, v, own[4], normal, &depth, &rate);
+  if (g->kind == LINEAR_GROUND)
+    linear_press_slopes(depth, rate, own[0], own[1], pressing, &press, presses);
+  else if (g->kind == HERTZ_GROUND)
+    hertz_press_slopes(depth, rate, own[0], own[1], pressing, &press, presses);
+  else
+    smooth_press_slopes(depth, rate, own[0], own[1], own[5], &press, presses);
+  N(ground_force_slopes)(press, v, own[2], own[3], normal, force, forces);
+  for (int k = 0; k < D; ++k) {
+    Number *of_law = by + D * 2 * D + k;
+    for (int j = 0; j < D; ++j) {
+      by[D * j + k] = -normal[j] * presses[0] * forces[k];
+      by[D * (D + j) + k] = forces[D * (1 + j) + k] - normal[j] * presses[1] * forces[k];
+    }
+    of_law[0] = presses[2] * forces[k];
+    of_law[D] = presses[3] * forces[k];
+    of_law[D * 2] = forces[D * (1 + D) + k];
+    of_law[D * 3] = forces[D * (2 + D) + k];
+    of_law[D * 4] = presses[0] * forces[k];
+    of_law[D * 5] = presses[4] * forces[k];
   }
 }
 
