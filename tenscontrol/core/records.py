@@ -1,4 +1,4 @@
-"""The records that the core is given and gives back, as core.h has them."""
+"""The structures of C that pass between Python and the core."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A generated controller, compiled and run in this process: software in the loop."""
+"""Generated controllers that run in this process."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Contact laws: the force of the ground on a node from its penetration and velocity.
+"""Laws of the force of the ground on a node.
 
 Sign convention::
 

@@ -1,4 +1,4 @@
-"""The state equation for integrators: smooth between switches of strings and contacts."""
+"""The state equation that integrators are given."""
 
 from __future__ import annotations
 

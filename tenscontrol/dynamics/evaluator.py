@@ -1,4 +1,4 @@
-"""CasADi functions: built by one thread at a time, cached, and called without allocation.
+"""CasADi functions in a program with threads.
 
 What has a memory is used by one thread at a time as well, and the BLAS has one thread meanwhile.
 

@@ -1,4 +1,4 @@
-"""The forces on the nodes of a model: strings, ground and loads, put together in one place."""
+"""All forces on the nodes of a model."""
 
 from __future__ import annotations
 

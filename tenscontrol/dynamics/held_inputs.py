@@ -1,4 +1,4 @@
-"""Inputs of a model that are held: rest lengths or force densities, and loads."""
+"""Inputs of a model that are held over a step."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Inputs, loads and support motions as functions of time: profiles, piecewise polynomials."""
+"""Functions of time for inputs, loads and motions of supports."""
 
 from __future__ import annotations
 

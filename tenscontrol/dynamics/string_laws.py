@@ -1,4 +1,4 @@
-"""String laws: tension from length and rest length, and back."""
+"""Laws of the tension of a string."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Design of a Kalman filter: observability, noise and steady gain, checked."""
+"""Design of a Kalman filter."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sensors: measured quantities, noise, bias, delay, lost readings and outliers."""
+"""Sensors of a structure, with their faults."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Trajectories of simulations: what moved, figures of its accuracy, and its file."""
+"""The result of a simulation."""
 
 from __future__ import annotations
 

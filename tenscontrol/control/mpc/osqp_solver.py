@@ -1,4 +1,4 @@
-"""OSQP as a solver of quadratic programs: warm start, deadline and a map of every status."""
+"""OSQP as a solver of quadratic programs."""
 
 from __future__ import annotations
 
