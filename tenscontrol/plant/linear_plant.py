@@ -253,7 +253,15 @@ class LinearPlant:
     def lengths(self, rest_length: FloatArray, bar_length: FloatArray) -> FloatArray:
         """Return the values that inputs set where strings and bars have these lengths.
 
-        Both are on the last axis, m: of the commanded strings, and of bars.
+        Parameters
+        ----------
+        rest_length, bar_length : ndarray, shape (..., α), (..., β)
+            m.
+
+        Returns
+        -------
+        ndarray, shape (..., m)
+            m.
         """
         strings, bars = member_rows(self.input, self.commanded)
         of_bars = bar_length[..., : bars.stop - bars.start]
