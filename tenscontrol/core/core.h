@@ -138,11 +138,26 @@ EXPORTED void tc_distances(const Motion *nodes, int32_t dimension, int32_t times
 EXPORTED void tc_kinetic_energy(const Scene *scene, int32_t times, const Motion *rates,
                                 double *energy);
 
-/* What strings store at many times, J, of nodes, m, and inputs (strings, times), or (strings) where
-   they are constant. Work memory is two numbers a time. */
-EXPORTED void tc_string_energy(const Scene *scene, int32_t times, const Motion *nodes,
-                               const double *inputs, int32_t is_constant, double *energy,
-                               double *work);
+/* What strings store at many times, less what a load does, J, of nodes, m, inputs (strings, times), or
+   (strings) where they are constant, and the load (entries), N, or null. Work memory is two numbers a
+   time. */
+EXPORTED void tc_potential_energy(const Scene *scene, int32_t times, const Motion *nodes,
+                                  const double *inputs, int32_t is_constant, const double *load,
+                                  double *energy, double *work);
+
+/* How well a motion keeps its energy and its bars. */
+typedef struct {
+  double kinetic, energy; /* the largest kinetic energy, and energy by its size, J */
+  double change;          /* of energy, from that at the start, at most, J */
+  double stretch;         /* of a bar, as part of its length, at most */
+} Conservation;
+
+/* Finds it by the bits of the three calls above, and the lengths of all bars, (bars), m. Work memory is
+   four numbers a time. */
+EXPORTED void tc_conservation(const Scene *scene, int32_t times, const Motion *nodes,
+                              const Motion *rates, const double *inputs, int32_t is_constant,
+                              const double *load, const double *length, Conservation *found,
+                              double *work);
 
 /* A quadrature over parts from 0 to 1, whose first share is 0 and whose last is 1. */
 typedef struct {

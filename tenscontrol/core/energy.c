@@ -80,8 +80,13 @@ WIDE static void add_string(const Scene *s, int string, const double *restrict l
     }
 }
 
-void tc_string_energy(const Scene *s, int32_t times, const Motion *nodes, const double *inputs,
-                      int32_t is_constant, double *energy, double *work) {
+WIDE static void add_load(const double *restrict place, double load, int times,
+                          double *restrict energy) {
+  for (int t = 0; t < times; ++t) energy[t] -= load * place[t];
+}
+
+void tc_potential_energy(const Scene *s, int32_t times, const Motion *nodes, const double *inputs,
+                         int32_t is_constant, const double *load, double *energy, double *work) {
   const int d = s->dimension;
   const size_t row = is_constant ? 1 : (size_t)times;
   double *square = work, *length = work + times;
@@ -97,5 +102,35 @@ void tc_string_energy(const Scene *s, int32_t times, const Motion *nodes, const 
     add_root(square, times, length);
     if (i + 1 == s->segments || s->segment_string[i + 1] != string)
       add_string(s, string, length, inputs + string * row, !is_constant, times, energy);
+  }
+  for (int i = 0; load && i < s->entries; ++i)
+    if (load[i] != 0) add_load(along(nodes, i / d, i % d), load[i], times, energy);
+}
+
+/* Of numbers that may be none; then it is none. */
+static double largest(double one, double other) { return one >= other || one != one ? one : other; }
+
+void tc_conservation(const Scene *s, int32_t times, const Motion *nodes, const Motion *rates,
+                     const double *inputs, int32_t is_constant, const double *load,
+                     const double *length, Conservation *found, double *work) {
+  const int d = s->dimension;
+  double *kinetic = work, *energy = work + times, *square = energy + times;
+  memset(found, 0, sizeof *found);
+  tc_kinetic_energy(s, times, rates, kinetic);
+  tc_potential_energy(s, times, nodes, inputs, is_constant, load, energy, square);
+  for (int t = 0; t < times; ++t) {
+    energy[t] += kinetic[t];
+    found->kinetic = largest(found->kinetic, kinetic[t]);
+    found->energy = largest(found->energy, fabs(energy[t]));
+    found->change = largest(found->change, fabs(energy[t] - energy[0]));
+  }
+  for (int i = 0; i < s->bars; ++i) {
+    memset(square, 0, times * sizeof *square);
+    for (int k = 0; k < d; ++k)
+      add_square(along(nodes, s->any_start[i] / d, k), along(nodes, s->any_end[i] / d, k), times,
+                 square);
+    take_root(times, square);
+    for (int t = 0; t < times; ++t)
+      found->stretch = largest(found->stretch, fabs(square[t] - length[i]) / length[i]);
   }
 }

@@ -110,6 +110,12 @@ class Rates(ctypes.Structure):
     _fields_ = (("begin", Motion), ("end", Motion), ("count", _COUNT), ("nodes", _POINTER))
 
 
+class Conservation(ctypes.Structure):
+    """How well a motion keeps its energy, J, and its bars."""
+
+    _fields_ = tuple((name, _NUMBER) for name in ("kinetic", "energy", "change", "stretch"))
+
+
 class Quadrature(ctypes.Structure):
     """A quadrature over parts from 0 to 1."""
 

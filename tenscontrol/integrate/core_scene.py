@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
-from ctypes import byref
+from ctypes import byref, c_void_p
+from itertools import accumulate
 from typing import Any
 
 import casadi as ca
@@ -77,6 +78,7 @@ class CoreScene:
         self._arrays: list[Any] = []  # that the records point to
         structure = equation.structure
         assert structure is not None  # it has forces
+        self._bar_length = structure.bar_length
         self.states = 2 * len(structure.free_rows)
         self.switches = equation.switches
         self.scene, self.lengths = records.Scene(), records.Lengths()
@@ -293,18 +295,36 @@ class CoreScene:
         self.core.tc_kinetic_energy(byref(self.scene), count, byref(motion), *pointers(energy))
         return energy
 
-    def string_energy(self, nodes: FloatArray, inputs: FloatArray) -> FloatArray:
-        """Return what strings store, J, shape (T,), of nodes (d, n, T), m, and inputs (α, T)."""
+    def potential_energy(
+        self, nodes: FloatArray, inputs: FloatArray, load: FloatArray | None
+    ) -> FloatArray:
+        """Return what strings store, less what a load does, J, shape (T,).
+
+        Of nodes (d, n, T), m, inputs (α, T) and a load (d, n), N.
+        """
         count, nodes = nodes.shape[2], times_in_rows(nodes)
-        is_constant = count > 0 and inputs.strides[1] == 0  # one column, read at all times
-        inputs = np.ascontiguousarray(inputs[:, :1] if is_constant else inputs)
         energy, work = np.empty(count), np.empty(2 * count)
         motion = records.Motion.of(nodes)
-        self.core.tc_string_energy(
+        inputs, is_constant = _rows_of(inputs)
+        self.core.tc_potential_energy(
             byref(self.scene), count, byref(motion), *pointers(inputs), is_constant,
-            *pointers(energy, work),
+            _entries(load), *pointers(energy, work),
         )  # fmt: skip
         return energy
+
+    def conservation(
+        self, nodes: FloatArray, rates: FloatArray, inputs: FloatArray, load: FloatArray | None
+    ) -> records.Conservation:
+        """Return how well a motion keeps its energy and its bars, to the bits of what is above."""
+        count, nodes, rates = nodes.shape[2], times_in_rows(nodes), times_in_rows(rates)
+        inputs, is_constant = _rows_of(inputs)
+        motions = (byref(records.Motion.of(array)) for array in (nodes, rates))
+        found, work = records.Conservation(), np.empty(4 * count)
+        self.core.tc_conservation(
+            byref(self.scene), count, *motions, *pointers(inputs), is_constant, _entries(load),
+            *pointers(self._bar_length), byref(found), *pointers(work),
+        )  # fmt: skip
+        return found
 
     def strut_work(
         self, states: FloatArray, u: FloatArray, times: FloatArray,
@@ -354,8 +374,6 @@ class CoreMotion:
         rules: records.Spans | None = None,
     ) -> None:  # fmt: skip
         self._scene, self._u, self._settings = scene, u, settings
-        self._drive = scene.drive(u)
-        self.state = state.copy()
         self._states = np.empty((len(state), settings.outputs + 1))
         self._states[:, 0] = state
         self._step_times = np.empty(settings.room)
@@ -363,17 +381,30 @@ class CoreMotion:
         self._step_taut = np.empty((settings.room, scene.switches))
         self._traced: list[tuple[FloatArray, ...]] = []  # ends of steps of the calls before
         self.done = 0
-        self._taut, self._work = np.zeros(scene.switches), np.empty(scene.work_size)
-        self._slope, self._scale = np.empty((2, 0 if rules is None else len(state)))
+        self.progress = records.Progress(every=1)
+        # The state, what pulls, its slope, what a step may err, and the memory of the core.
+        sizes = len(state), scene.switches, *((0 if rules is None else len(state),) * 2)
+        ends = list(accumulate(sizes))
+        memory = np.empty(ends[-1] + scene.work_size)
+        self.state, self._taut = memory[: ends[0]], memory[ends[0] : ends[1]]
+        self.state[:] = state
+        first = records.address(memory)
+        state_at, taut_at, slope_at, scale_at, work_at = (
+            c_void_p(first + memory.itemsize * place) for place in (0, *ends)
+        )
+        drive = scene.drive(u)
+        given = byref(scene.scene), byref(drive)
         if rules is None:
-            given = pointers(self.state, self._taut, self._work)
-            scene.core.tc_taut(byref(scene.scene), byref(self._drive), *given)
+            scene.core.tc_taut(*given, state_at, taut_at, work_at)
         else:
-            scene.core.tc_start(
-                byref(scene.scene), byref(self._drive), byref(rules), byref(settings),
-                *pointers(self.state, self._taut, self._slope, self._scale, self._work),
-            )  # fmt: skip
-        self.progress = records.Progress(step=settings.step, every=1)
+            start = byref(rules), byref(settings), state_at, taut_at, slope_at, scale_at, work_at
+            scene.core.tc_start(*given, *start)
+        self.progress.step = settings.step
+        kept = pointers(self._states, self._step_times, self._step_states, self._step_taut)
+        self._arguments = (
+            *given, byref(scene.lengths), byref(settings), byref(self.progress), state_at, slope_at,
+            taut_at, *kept, work_at,
+        )  # fmt: skip
 
     @property
     def whole(self) -> FloatArray:
@@ -413,19 +444,23 @@ class CoreMotion:
 
     def advance(self, budget: int) -> None:
         """Go on by at most so many steps that are tried."""
-        scene = self._scene
         self._settings.budget = budget
-        self.done = scene.core.tc_advance(
-            byref(scene.scene), byref(self._drive), byref(scene.lengths), byref(self._settings),
-            byref(self.progress), *pointers(
-                self.state, self._slope, self._taut, self._states, self._step_times,
-                self._step_states, self._step_taut, self._work,
-            ),
-        )  # fmt: skip
+        self.done = self._scene.core.tc_advance(*self._arguments)
         if self._settings.traces:
             count, self.progress.kept = self.progress.kept, 0
             ends = self._step_times, self._step_states, self._step_taut
             self._traced.append(tuple(array[:count].copy() for array in ends))
+
+
+def _rows_of(inputs: FloatArray) -> tuple[FloatArray, bool]:
+    """Return inputs (α, T) as the core takes them, and whether they are one column at all times."""
+    is_constant = inputs.shape[1] > 0 and inputs.strides[1] == 0
+    return np.ascontiguousarray(inputs[:, :1] if is_constant else inputs), is_constant
+
+
+def _entries(load: FloatArray | None) -> Any:
+    """Return a load (d, n) as the core takes it: node by node, null if there is none."""
+    return None if load is None else pointers(load.ravel(order="F"))[0]
 
 
 def times_in_rows(motion: FloatArray) -> FloatArray:

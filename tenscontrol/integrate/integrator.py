@@ -69,12 +69,16 @@ class Work:
     carried: int = 0
 
     def __add__(self, other: Work) -> Work:
-        return total_work([self, other])
+        return Work(
+            self.steps + other.steps, self.rejections + other.rejections,
+            self.evaluations + other.evaluations, self.switches + other.switches,
+            self.missed + other.missed, self.carried + other.carried,
+        )  # fmt: skip
 
 
 def total_work(works: Sequence[Work]) -> Work:
     """Return the sum of all that was spent."""
-    return Work(*map(sum, zip(*[vars(work).values() for work in works], strict=True)))
+    return sum(works, Work())
 
 
 @dataclass(frozen=True, eq=False)

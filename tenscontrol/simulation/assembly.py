@@ -43,7 +43,7 @@ def assembled(
     model, structure, forces = run.model, run.model.structure, run.equation.forces
     assert forces is not None  # a model has some
     time = np.concatenate([span.time for span in run.spans])
-    released = np.concatenate([np.full(len(span.time), span.released) for span in run.spans])
+    released = np.repeat([s.released for s in run.spans], [len(s.time) for s in run.spans])
     nodes, velocities = run.all_motion()
     inputs = run.all_values(run.string_rows)
     load = _load(run)
@@ -66,9 +66,9 @@ def assembled(
         choice=run.final_choice,
         work=run.work,
         conserves_energy=control is None and not run.moves and forces.conserves_energy,
-        conserves_momentum=not (load is not None and load.any())
-        and free
-        and forces.conserves_momentum,
+        conserves_momentum=free
+        and forces.conserves_momentum
+        and not (load is not None and load.any()),
         control=control,
         stopped=stopped,
         error=None if errors is None else frozen(errors[0]),

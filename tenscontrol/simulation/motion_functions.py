@@ -58,15 +58,26 @@ class MotionFunctions:
             return energy
         return read_only(self.core.kinetic_energy(velocities))
 
-    def string_energy(self, name: str, nodes: FloatArray, velocities: FloatArray) -> FloatArray:
-        """Return what strings store at all times, J, shape (T,), read-only.
+    def potential_energy(self, name: str, nodes: FloatArray, velocities: FloatArray) -> FloatArray:
+        """Return what strings and the ground store, less what loads do, J, shape (T,), read-only.
 
-        ``name`` is that of the function of the model.
+        ``name`` is that of the function of the model for strings.
         """
+        held = self.load if self.load_is_held else None
         if self.core is None:
             energy: FloatArray = self.of(name, nodes, velocities, self.inputs)[0][0]
-            return energy
-        return read_only(self.core.string_energy(nodes, self.inputs))
+            if held is not None:
+                energy = energy - np.einsum("in,int->t", held, nodes)
+        else:
+            energy = self.core.potential_energy(nodes, self.inputs, held)
+        if self.load is not None and held is None:
+            energy = energy - (self.load * by_node(nodes)).sum(axis=0)
+        return read_only(energy if self.stored is None else energy + self.stored)
+
+    @property
+    def load_is_held(self) -> bool:
+        """Whether a load is the same at all times, or there is none."""
+        return self.load is None or self.load.shape == self.model.structure.nodes.shape
 
     def of(
         self, name: str, nodes: FloatArray, velocities: FloatArray, *more: FloatArray

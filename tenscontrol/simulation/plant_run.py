@@ -507,11 +507,16 @@ class PlantRun:
 
     def all_values(self, rows: slice, order: int = 0) -> FloatArray:
         """Return some of the inputs at all times kept, or their rates, read-only."""
-        coefficients = np.stack([span.coefficients[rows] for span in self.spans])
-        if not (order or coefficients[:, :, 1:].any()):  # constant in each span
-            columns, counts = coefficients[:, :, 0], [len(span.time) for span in self.spans]
-            if (columns == columns[0]).all():  # one column, read at all times
-                return np.broadcast_to(frozen(columns[:1].T), (columns.shape[1], sum(counts)))
+        first, *others = (span.coefficients for span in self.spans)
+        # As a rule the first span, which is the start alone, has the inputs of the second one.
+        is_same = all(coefficients is first for coefficients in others)
+        different = [first] if is_same else [first, *others]
+        every = np.stack([coefficients[rows] for coefficients in different])
+        if not (order or (self.degree and every[:, :, 1:].any())):  # constant in each span
+            columns, counts = every[:, :, 0], [len(span.time) for span in self.spans]
+            if len(columns) == 1 or (columns == columns[0]).all():  # one, read at all times
+                column = frozen(columns[0])
+                return np.ndarray((len(column), sum(counts)), buffer=column, strides=(8, 0))
             return frozen(np.repeat(columns, counts, axis=0).T)
         values = np.hstack([s.values(rows, order) for s in self.spans])
         values.setflags(write=False)

@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.arrays import FloatArray
+from tenscontrol.core.records import Conservation
 from tenscontrol.dynamics.contact_laws import ContactLaw
 from tenscontrol.dynamics.evaluator import Function, evaluate_columns
 from tenscontrol.dynamics.model import Model
@@ -255,18 +256,7 @@ class Trajectory(Viewable):
         It jumps where a controller changes its command, and falls where a string is cut.
         """
         name = "potential_energy" if self.rest_length is None else "elastic_energy"
-        functions = self._of_model
-        energy = functions.string_energy(name, self.nodes, self.velocities)
-        if functions.stored is not None:
-            energy = energy + functions.stored
-        if functions.load is not None:
-            fixed = functions.load.shape == self.nodes.shape[:2]
-            energy = energy - (
-                np.einsum("in,int->t", functions.load, self.nodes)
-                if fixed
-                else (functions.load * by_node(self.nodes)).sum(axis=0)
-            )
-        return read_only(energy)
+        return self._of_model.potential_energy(name, self.nodes, self.velocities)
 
     @property
     def momentum(self) -> FloatArray:
@@ -327,15 +317,12 @@ class Trajectory(Viewable):
             Fields of :class:`Health` to find, of those that take an evaluation of the model;
             the others are always there.
         """
+        finds_energy = self.conserves_energy and "energy_error" in names
+        kept = self._conservation(finds_energy)
         energy: float | None = None
-        if self.conserves_energy and "energy_error" in names:
-            # What was lost is no error.
-            all_energy = self.energy
-            balance = all_energy + self.released_energy + self.lost_energy
-            moved = float(np.abs(balance - balance[0]).max())
+        if finds_energy:
             # Near rest hardly any energy is kinetic: a millionth of all is then the measure.
-            least = 1e-6 * float(np.abs(all_energy).max())
-            energy = _share(moved, max(float(self.kinetic_energy.max()), least))
+            energy = _share(kept.change, max(kept.kinetic, 1e-6 * kept.energy))
         changes: dict[str, float | None] = {}
         parts = ("momentum", "angular_momentum")
         for i, quantity in enumerate(parts):
@@ -343,14 +330,11 @@ class Trajectory(Viewable):
                 values, largest = getattr(self, quantity), self._largest_momenta()[i]
                 off = float(np.abs(values - values[:, :1]).max())
                 changes[f"{quantity}_change"] = _share(off, largest)
-        struts = self.struts
-        true = self.structure.bar_length[:, None] if struts is None else struts.length
-        stretch = np.abs(self.bar_length_error) / true
         return Health(
             energy_error=energy,
             momentum_change=changes.get("momentum_change"),
             angular_momentum_change=changes.get("angular_momentum_change"),
-            bar_length_error=float(stretch.max(initial=0.0)),
+            bar_length_error=kept.stretch,
             position_error=None if self.error is None else float(self.error.max()),
             trusted_until=self.trusted_until,
             work=self.work,
@@ -360,6 +344,25 @@ class Trajectory(Viewable):
             clearance=self.bar_clearance if "clearance" in names else None,
             unresolved_intervals=self.unresolved_intervals if "crossings" in names else 0,
             **({} if self.contacts is None else self._of_ground(self.contacts)),
+        )
+
+    def _conservation(self, finds_energy: bool) -> Conservation:
+        """Return how well bars are kept, and energy: what was lost is no error."""
+        functions, struts = self._functions, self.struts
+        if finds_energy and isinstance(functions, MotionFunctions):
+            is_lost = self.contacts is not None or self.faults
+            if functions.core is not None and functions.load_is_held and not (is_lost or struts):
+                motion = self.nodes, self.velocities
+                return functions.core.conservation(*motion, functions.inputs, functions.load)
+        true = self.structure.bar_length[:, None] if struts is None else struts.length
+        stretch = float((np.abs(self.bar_length_error) / true).max(initial=0.0))
+        if not finds_energy:
+            return Conservation(stretch=stretch)
+        energy = self.energy
+        balance = energy + self.released_energy + self.lost_energy
+        change = float(np.abs(balance - balance[0]).max())
+        return Conservation(
+            float(self.kinetic_energy.max()), float(np.abs(energy).max()), change, stretch
         )
 
     @property
