@@ -54,23 +54,48 @@ class StringForce(Force):
         length, rate = kernel.string_motion(self._structure, N, Nd)
         return self._law.symbolic_force_density(length.T, u, rate.T)
 
-    def stored_energy(self, N: Any, u: Any = None, length: Any = None) -> Any:
-        """Return what each string stores, J, shape (α, 1); see :meth:`Force.stored_energy`.
-
-        With other lengths than those of the nodes, m, shape (α, 1), if they are given.
-        """
+    def stored_energy(self, N: Any, u: Any = None) -> Any:
+        """Return what each string stores, J, shape (α, 1); see :meth:`Force.stored_energy`."""
         if len(self._structure.strings) == 0:
             return type(N)(0, 1)
-        if self._law is not None:
-            if length is None:
-                length = kernel.string_lengths(self._structure, N).T
-            return self._law.as_expressions().stored_energy(length, u)
-        if length is None and not self._structure.has_clusters:
+        if self._law is None and not self._structure.has_clusters:
             S = kernel.differences(N, self._structure.strings)
             return kernel.dots(S, S).T * u / 2
-        if length is None:
-            length = kernel.string_lengths(self._structure, N).T
-        return length**2 * u / 2
+        length = kernel.string_lengths(self._structure, N).T
+        if self._law is None:
+            return length**2 * u / 2
+        return self._law.as_expressions().stored_energy(length, u)
+
+    def energy_passes(self) -> list[Pass]:
+        """Return the passes that measure what strings store, J, times a weight of each.
+
+        Of a structure with clustered strings, lengths of segments are rounded: ``√(l² + r²)``.
+        """
+        structure, law = self._structure, self._law
+
+        def stored(columns: Columns) -> tuple[Any, ...]:
+            S, u = _segments(columns, "p"), columns["u"]
+            if structure.has_clusters:
+                own = (kernel.string_length(structure, segment) for segment in S)
+                square = sum(ca.sqrt(length**2 + columns["rounding"] ** 2) for length in own) ** 2
+            elif law is None:
+                square = kernel.dots(S[0], S[0])
+            else:
+                square = kernel.pulling_length(S[0], u) ** 2
+            if law is None:
+                return (columns["weight"] * square * u / 2,)
+            energy = law.with_parameters(columns).stored_energy(ca.sqrt(square), u)
+            return (columns["weight"] * energy,)
+
+        passes = []
+        for strings, nodes in _by_segments(structure):
+            reads = _along(nodes, velocities=False)
+            reads |= {"u": Read("u", strings), "weight": Read("weight", strings)}
+            name, count = f"stored_{len(nodes)}", len(nodes[0])
+            if structure.has_clusters:
+                reads["rounding"] = Read("rounding", np.zeros(count, int))
+            passes.append(Pass(name, count, stored, reads, (), _parameters(law, strings)))
+        return passes
 
     def passes(self, switched: bool) -> list[Pass]:
         """See :meth:`Force.passes`."""

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
 
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray
-from tenscontrol.dynamics import kernel
-from tenscontrol.dynamics.evaluator import BUILDING, Function, builds
+from tenscontrol.dynamics.evaluator import BUILDING
 from tenscontrol.dynamics.held_inputs import given_load, held_value, own_input
 from tenscontrol.dynamics.model import Model
 from tenscontrol.plant.linear_plant import INPUTS
+from tenscontrol.plant.potential import Potential
 from tenscontrol.plant.saddle import least_curvature, least_step
 from tenscontrol.plant.stance import (
     GroundPoints,
@@ -37,9 +36,6 @@ from tenscontrol.structure.supports import (
 )
 from tenscontrol.warn import warn
 
-if TYPE_CHECKING:
-    from scipy.sparse import csc_array
-
 # Newton steps that polish the answer of the optimizer, each of which doubles the digits, and how
 # many of them may bring nothing.
 _POLISH, _WORSE = 20, 3
@@ -60,9 +56,6 @@ _ROUND_OFF = 1e-16
 
 # Without a load, strings that all pull less than this part of that force are slack.
 _SLACK = 1e-10
-
-# Iterations of the optimizer at most.
-_ITERATIONS = 500
 
 # A segment of a clustered string below this part of the size has no length.
 _NO_LENGTH = 1e-9
@@ -380,64 +373,44 @@ def _refuse_fall(start: FloatArray, end: FloatArray, resultant: FloatArray, kind
         )
 
 
-@builds
 def _minimize(
     model: Model, kind: str, held: FloatArray, load: FloatArray, start: FloatArray,
     strained: FloatArray, sticking: Sticking | None = None,
 ) -> tuple[FloatArray, float]:  # fmt: skip
     """Return the nodes of least energy with these bar lengths, and the least stiffness, N/m."""
+    from scipy.sparse import csc_array, eye_array
+
     structure, rows = model.structure, model.structure.free_rows
-    count = len(rows) if sticking is None else sticking.motions.shape[1]
-    q, weights, rounding = (
-        ca.SX.sym(name, size)
-        for name, size in (("q", count), ("weights", len(held)), ("rounding", 1))
-    )
-    stage = ca.vertcat(weights, rounding)
-    flat = ca.SX(ca.DM(structure.nodes.ravel(order="F")))
+    at_rest = eye_array(start.size, format="csc")[:, rows]
+    origin, motions = structure.nodes.ravel(order="F").copy(), at_rest
+    origin[rows] = 0.0
     position = free_coordinates(structure, start)
-    if sticking is None:
-        flat[rows.tolist()] = coordinates = q
-    else:
-        motions = ca.sparsify(ca.DM(sticking.motions))
-        flat[rows.tolist()] = coordinates = ca.DM(sticking.origin) + ca.mtimes(motions, q)
+    if sticking is not None:
+        origin[rows] = sticking.origin
+        motions = (at_rest @ csc_array(sticking.motions)).tocsc()
         position = sticking.motions.T @ (position - sticking.origin)
-    nodes = ca.reshape(flat, *structure.nodes.shape)
-    energies = _string_energies(model, kind, nodes, held, rounding)
-    energy = ca.dot(weights, energies) - ca.dot(free_coordinates(structure, load), coordinates)
-    energy += sum(term.stored_energy(nodes) for term in model.forces(kind).terms)
-    moving = structure.kept_bars
-    B = kernel.differences(nodes, structure.bars[moving])
-    stretch = (kernel.dots(B, B).T - ca.DM(structure.bar_length[moving] ** 2)) / 2
-    problem = {"x": q, "p": stage, "f": energy, "g": stretch}
-    quiet = {
-        "print_time": False,
-        "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-10, "max_iter": _ITERATIONS},
-    }
-    solver = ca.nlpsol("equilibrium", "ipopt", problem, quiet)
-    lam = ca.SX.sym("lambda", stretch.numel())
-    energy = ca.substitute(energy, stage, ca.DM(np.append(np.ones(len(held)), 0.0)))
-    conditions = ca.vertcat(ca.gradient(energy + ca.dot(lam, stretch), q), stretch)
-    unknowns = ca.vertcat(q, lam)
-    newton = Function("newton", [unknowns], [conditions, ca.jacobian(conditions, unknowns)])
-    whole = Function("nodes", [q], [nodes])
-    size = structure.size
+    potential = Potential(model, kind, held, load, origin, motions)
+    count, size = potential.count, structure.size
     stiffness = float(strained.max(initial=0.0)) / (_STRAIN * size)
     flat_below = _EXACT * stiffness
     for _ in range(_ESCAPES):
-        point, trouble = _optimized(solver, position, strained, size, structure.has_clusters)
+        point, trouble = _optimized(
+            potential.solver, position, strained, size, structure.has_clusters
+        )
         if structure.has_clusters:
-            ends = np.array(whole(point[:count]).full())
+            ends = potential.nodes(point[:count])
             pulling = held > 0 if kind == "force_density" else structure.string_length(ends) > held
             _refuse_collapsed(
                 structure, ends, pulling, size * (_COLLAPSED if trouble else _NO_LENGTH)
             )
-        point, off = _polished(newton, point, count, size, stiffness)
+        point, off = _polished(potential, point, size, stiffness)
         if trouble and off > _EXACT * size:
             raise ValueError(trouble)
         position = point[:count]
-        least, downhill = _softest(newton, point, count, flat_below)
+        here = potential.conditions(point)
+        least, downhill = least_curvature(here.hessian, here.by_coordinates.tocsr(), flat_below)
         if least >= 0:
-            return np.array(whole(position).full()), least
+            return potential.nodes(position), least
         # An unstable equilibrium, such as a pendulum upside down: pushed off, it falls.
         position = position + 0.01 * size * downhill
     raise ValueError(f"no stable equilibrium found: the equilibrium found is unstable. {_HINT}")
@@ -456,22 +429,6 @@ def _refuse_collapsed(
             f"{one} and {other} and pulls them to one point, where its force has no direction. "
             f"End the string at one of them, or change the rest lengths. {_HINT}"
         )
-
-
-def _string_energies(model: Model, kind: str, nodes: Any, held: FloatArray, rounding: Any) -> Any:
-    """Return what each string stores, J, shape (α, 1).
-
-    The segments of clusters are rounded where they are short: ``√(l² + rounding²)``.
-    """
-    structure, length = model.structure, None
-    S = kernel.differences(nodes, structure.segments)
-    if structure.has_clusters:
-        size = structure.size
-        lengths = ca.sqrt(ca.fmax(kernel.dots(S, S), (_EXACT * size) ** 2) + rounding**2)
-        length = kernel.string_sums(structure, lengths).T
-    elif kind == "rest_length":
-        length = kernel.pulling_length(S, ca.DM(held).T).T
-    return model.forces(kind).strings.stored_energy(nodes, ca.DM(held), length)
 
 
 def _optimized(
@@ -508,23 +465,22 @@ def _optimized(
 
 
 def _polished(
-    newton: ca.Function, point: FloatArray, count: int, size: float, stiffness: float
+    potential: Potential, point: FloatArray, size: float, stiffness: float
 ) -> tuple[FloatArray, float]:
     """Return the best point of Newton's steps on the conditions of optimality, and how far off, m.
 
     Forces are judged in units of the stiffness of strings, N/m: where all are slack nothing else is
     there, and beside very stiff ones the lengths of bars would be lost.
     """
-    from scipy.sparse import diags_array
+    from scipy.sparse import block_array
 
-    best, least, worse = point, np.inf, 0
+    best, least, worse, count = point, np.inf, 0, potential.count
     for _ in range(_POLISH):
-        residual, jacobian = _evaluated(newton, point)
-        unit = max(stiffness, float(abs(jacobian[:count, :count]).max())) or 1.0
-        rows = np.concatenate([np.full(count, unit), np.full(len(point) - count, size)])
-        columns = np.concatenate([np.ones(count), np.full(len(point) - count, unit / size)])
-        off = residual / rows
-        system = (diags_array(1 / rows) @ jacobian @ diags_array(columns)).tocsc()
+        here = potential.conditions(point)
+        unit = max(stiffness, float(abs(here.hessian).max())) or 1.0
+        J = here.by_coordinates / size
+        system = block_array([[here.hessian / unit, J.T], [J, None]], format="csc")
+        off = np.concatenate([here.slope / unit, here.stretch / size])
         if not (np.isfinite(system.data).all() and np.isfinite(off).all()):
             raise ValueError("no equilibrium found: the forces overflow")
         largest = float(np.abs(off).max(initial=0.0))
@@ -533,21 +489,7 @@ def _polished(
             best, least = point, largest
         if worse == _WORSE or least < _ROUND_OFF * size:
             break
-        point = point - columns * least_step(system, off, count)
+        step = least_step(system, off, count)
+        step[count:] *= unit / size
+        point = point - step
     return best, least
-
-
-def _evaluated(newton: ca.Function, point: FloatArray) -> tuple[FloatArray, csc_array]:
-    """Return the conditions of optimality at a point, and their derivative, sparse."""
-    from scipy.sparse import csc_array
-
-    residual, jacobian = newton(point)
-    return np.array(residual.full()).ravel(), csc_array(jacobian.sparse())
-
-
-def _softest(
-    newton: ca.Function, point: FloatArray, count: int, flat: float
-) -> tuple[float, FloatArray]:
-    """Return the least curvature of the energy with bar lengths kept, N/m, and its direction."""
-    _, jacobian = _evaluated(newton, point)
-    return least_curvature(jacobian[:count, :count], jacobian[count:, :count].tocsr(), flat)

@@ -21,6 +21,9 @@ _FLAT = 1e-9
 # Stiffness of bars, parts of the largest stiffness, in whose place rigid ones are.
 _RIGID = 1e4
 
+# Part of an eigenvalue at which the search for it ends: of a long structure many are nearly equal.
+_CONVERGED = 1e-8
+
 
 def least_step(system: csc_array, off: FloatArray, count: int, refinements: int = 0) -> FloatArray:
     """Return the least step, shape (m,) or (m, k), that takes away what is off.
@@ -69,7 +72,7 @@ def least_curvature(hessian: csc_array, J: csr_array, flat: float) -> tuple[floa
     direction = inverse(np.cos(np.arange(1.0, count + 1) ** 2))  # any
     if count > 1:
         operator = LinearOperator((count, count), matvec=inverse, dtype=float)
-        direction = eigsh(operator, 1, which="LA", v0=direction)[1][:, 0]
+        direction = eigsh(operator, 1, which="LA", v0=direction, tol=_CONVERGED)[1][:, 0]
     direction /= np.linalg.norm(direction)
     least = float(direction @ (hessian @ direction))
     return (0.0 if abs(least) <= flat else least), direction

@@ -3,11 +3,14 @@
 import tracemalloc
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
+from scipy import sparse
 from scipy.optimize import brentq
 
 import tenscontrol as tc
+from tenscontrol.plant.potential import Potential
 from tests.plant.equilibria import random_rest
 
 GRAVITY = 9.81
@@ -213,8 +216,37 @@ def test_random_structures_come_to_rest(seed):
     assert rest.residual <= 1e-9 * max(abs(rest.force_density * length).max(), 1e-3 * stiffest)
 
 
+@pytest.mark.parametrize("kind", ["rest_length", "force_density"])
+@pytest.mark.parametrize("is_clustered", [False, True])
+def test_derivatives_of_the_potential_are_those_of_one_whole_expression(kind, is_clustered):
+    prism, rng = tc.prism(), np.random.default_rng(0)
+    paths = [[0, 1, 2], *prism.strings[2:].tolist()] if is_clustered else prism.strings
+    structure = tc.Structure(prism.nodes, prism.bars, paths, 1.0, fixed=[3])
+    strings = tc.LinearStrings(np.linspace(300.0, 500.0, len(paths)))
+    model = tc.Model(structure, strings=strings, ground=tc.dynamics.SmoothGround(5e3, width=0.2))
+    held = rng.uniform(0.5, 0.9, len(paths))
+    load, lam = rng.normal(size=prism.nodes.shape), rng.normal(size=3)
+    motions = sparse.csc_array(rng.normal(size=(18, 12)) * (rng.random((18, 12)) < 0.4))
+    potential = Potential(model, kind, held, load, prism.nodes.ravel(order="F"), motions)
+    q, at = ca.SX.sym("q", 12), 0.1 * rng.normal(size=12)
+    nodes = ca.reshape(ca.DM(prism.nodes.ravel(order="F")) + ca.mtimes(motions.toarray(), q), 3, 6)
+    forces, bars = model.forces(kind), [nodes[:, b] - nodes[:, a] for a, b in prism.bars.tolist()]
+    energy = ca.sum1(forces.strings.stored_energy(nodes, ca.DM(held))) - ca.dot(load, nodes)
+    energy += forces.contacts.stored_energy(nodes)
+    squares = structure.bar_length**2
+    stretch = [(ca.dot(b, b) - square) / 2 for b, square in zip(bars, squares, strict=True)]
+    stretch = ca.vertcat(*stretch)
+    hessian, slope = ca.hessian(energy + ca.dot(lam, stretch), q)
+    whole = ca.Function("whole", [q], [slope, stretch, hessian, ca.jacobian(stretch, q)])
+    found = potential.conditions(np.r_[at, lam])
+    for value, name in zip(whole(at), vars(found), strict=True):
+        value, own = value.full(), getattr(found, name)
+        own = own.toarray() if sparse.issparse(own) else own[:, None]
+        np.testing.assert_allclose(own, value, rtol=0, atol=1e-13 * abs(value).max())
+
+
 def test_a_long_tower_finds_back_to_its_shape_without_dense_matrices():
-    tower = tc.prism_tower(40)
+    tower = tc.prism_tower(60)
     rest = tc.prestress(tower, 10.0)
     model = tc.Model(tower, strings=tc.LinearStrings(3000.0))
     wound = tc.to_rest_length(model, tower.nodes, rest.force_density).rest_length
