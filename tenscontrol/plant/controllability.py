@@ -206,7 +206,7 @@ def _by_stiffness(plant: LinearPlant) -> ReachedStates:
     """Return what is reached of ``q̈ + K q = B₂ v``: K is symmetric, so left modes are modes."""
     r = plant.degrees_of_freedom
     squares, modes = squared_frequencies(-plant.A[r:, :r])
-    rows = modes.T @ normalized_input(plant)[r:]
+    rows = modes.T @ _reach(plant)[r:]
     sizes_of_one = np.linalg.norm(rows, axis=1)
     noise = _NOISE * np.abs(squares).max(initial=0.0)
     poles, margins = [], []
@@ -244,7 +244,7 @@ def _by_poles(plant: LinearPlant) -> ReachedStates:
     unit, _ = state_units(plant)
     rate = 1 / unit[0] if r else 1.0
     A = plant.A * unit / unit[:, None] / rate
-    spaces_by_pole = left_spaces(A, normalized_input(plant))
+    spaces_by_pole = left_spaces(A, _reach(plant))
     lost = [space for space in spaces_by_pole if space.unreached.shape[1]]
     spaces = np.hstack([np.zeros((2 * r, 0)), *(space.unreached for space in lost)])
     count = 2 * r - spaces.shape[1]
@@ -389,6 +389,12 @@ def normalized_input(plant: LinearPlant) -> FloatArray:
     most = np.linalg.norm(plant.basis, 2) * force.max(initial=0.0) if plant.B.size else 0.0
     size = float(np.linalg.norm(plant.B, 2)) if plant.B.size else 0.0
     return plant.B / size if size > _NO_PUSH * most else np.zeros((len(plant.B), 1))
+
+
+def _reach(plant: LinearPlant) -> FloatArray:
+    """Return a matrix B of norm 1 with the same B Bᵀ, and no more columns than states."""
+    B = normalized_input(plant)
+    return B if B.shape[1] <= len(B) else np.asarray(np.linalg.qr(B.T, mode="r")).T
 
 
 def _margin(vectors: np.ndarray, B: FloatArray) -> float:
