@@ -12,6 +12,7 @@ from tenscontrol.actuation.driven_strings import member_rows
 from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics import kernel
 from tenscontrol.dynamics.evaluator import Function
+from tenscontrol.dynamics.tangent import string_stretch
 from tenscontrol.plant.linear_plant import LinearPlant, kept
 from tenscontrol.structure.segments import to_segments, to_strings
 
@@ -79,31 +80,38 @@ def string_map(plant: LinearPlant, input: str) -> StringMap:
 
     Where lengths of bars are inputs, bars that grow move the nodes.
     """
-    from scipy.sparse import csc_array, csr_array
+    from scipy.sparse import csc_array, csr_array, diags_array
 
     bars = plant.input_displacements if input == plant.input else None
     input = plant.string_input if input == plant.input else input
-    shape, count = plant.nodes.shape, len(plant.model.structure.strings)
+    structure, count = plant.model.structure, len(plant.model.structure.strings)
     held = plant.rest_length if input == "rest_length" else plant.force_density
     assert held is not None  # there is a law
-    given = [ca.SX.sym("N", *shape), ca.SX.sym("Nd", *shape), ca.SX.sym("u", count)]
-    outputs = [ca.densify(output) for output in string_forces(plant, input, *given)]
-    # By nodes these derivatives are sparse: the basis comes in as numbers.
-    slopes = [ca.jacobian(y, ca.vec(x)) for y in outputs for x in given]
-    function = Function("strings", given, outputs + slopes)
-    derivatives = function(plant.nodes, np.zeros(shape), to_model_strings(plant, input, held))
-    values = [value.sparse() for value in derivatives]
-    by_state = [np.hstack([slope @ plant.basis for slope in values[k : k + 2]]) for k in (2, 5)]
-    by_input = [values[k] for k in (4, 7)]
+    given = [ca.SX.sym(name, count) for name in ("length", "u", "rate")]
+    gamma = _force_density(plant, input, *given)
+    # Entry by entry: one direction has all derivatives.
+    slopes = [ca.densify(ca.jtimes(gamma, x, ca.DM.ones(count))) for x in given]
+    function = Function("strings", given, [ca.densify(gamma), *slopes])
+    length = structure.string_length(plant.nodes)
+    values = function(length, to_model_strings(plant, input, held), np.zeros(count))
+    gamma, by_length, by_own, by_rate = (np.array(value.full()).ravel() for value in values)
+    stretch = string_stretch(structure, plant.nodes)
+    slopes = [diags_array(by_length) @ stretch, diags_array(by_rate) @ stretch]
+    lengths = diags_array(length)
+    pulls = [lengths @ slopes[0] + diags_array(gamma) @ stretch, lengths @ slopes[1]]
+    by_state = [np.hstack([slope @ plant.basis for slope in own]) for own in (slopes, pulls)]
+    by_input = [diags_array(by_own), diags_array(length * by_own)]
     if not _is_of_strings(plant):
         spread = csc_array(input_matrix(plant, input))
         by_input = [slope @ spread for slope in by_input]
     if bars is not None:
         moved = csc_array(bars)
-        by_input = [slope + values[k] @ moved for slope, k in zip(by_input, (2, 5), strict=True)]
+        by_input = [
+            slope + own[0] @ moved for slope, own in zip(by_input, (slopes, pulls), strict=True)
+        ]
     return StringMap(
-        force_density=values[0].toarray().ravel(),
-        tension=values[1].toarray().ravel(),
+        force_density=gamma,
+        tension=gamma * length,
         gamma_by_state=by_state[0],
         gamma_by_input=csr_array(by_input[0]),
         tension_by_state=by_state[1],
@@ -113,12 +121,18 @@ def string_map(plant: LinearPlant, input: str) -> StringMap:
 
 def string_forces(plant: LinearPlant, input: str, N: Any, Nd: Any, u: Any) -> tuple[Any, Any]:
     """Return γ and tension of the model's strings, by rest lengths those of taut ones or < 0."""
-    law = plant.model.strings
     length, rate = (row.T for row in kernel.string_motion(plant.model.structure, N, Nd))
-    gamma = u
-    if input == "rest_length":
-        assert law is not None  # a rest length is held
-        gamma = law.taut_force_density(length, u, rate)
-        if len(plant.slack):
-            gamma[plant.slack.tolist()] = 0.0
+    gamma = _force_density(plant, input, length, u, rate)
     return gamma, gamma * length
+
+
+def _force_density(plant: LinearPlant, input: str, length: Any, u: Any, rate: Any) -> Any:
+    """Return γ of strings, by rest lengths that of taut ones or < 0; columns."""
+    if input == "force_density":
+        return u
+    law = plant.model.strings
+    assert law is not None  # a rest length is held
+    gamma = law.taut_force_density(length, u, rate)
+    if len(plant.slack):
+        gamma[plant.slack.tolist()] = 0.0
+    return gamma
