@@ -47,6 +47,8 @@ class Profile:
     interpolation : {"hold", "linear", "cubic"}
         The value of the last time at or before; straight lines; or the cubic spline whose rate and
         acceleration are continuous and whose rate is zero at the first and the last time.
+    rates : array_like, shape (..., K), optional
+        Of ``"cubic"``, the rate at each time: accelerations may then jump there.
 
     Raises
     ------
@@ -64,6 +66,7 @@ class Profile:
     time: FloatArray
     values: FloatArray
     interpolation: str = "linear"
+    rates: FloatArray | None = None
 
     __repr__ = short_repr
 
@@ -80,6 +83,14 @@ class Profile:
                 f"values has shape {values.shape}, expected (..., {len(time)}): one value for "
                 "each time"
             )
+        if self.rates is not None:
+            if self.interpolation != "cubic":
+                raise ValueError(
+                    f"rates are given, but interpolation is {self.interpolation!r}: they are for "
+                    "'cubic'"
+                )
+            rates = validation.shaped("rates", self.rates, values.shape, "one a value")
+            object.__setattr__(self, "rates", frozen(rates))
         steps = np.diff(time)
         # Of a jump the value before and that after; a third would never be seen.
         twice = (steps == 0) & np.append(True, steps[:-1] > 0)
@@ -138,10 +149,13 @@ class Profile:
             slopes = (rows[:, kept + 1] - rows[:, kept]) / (time[kept + 1] - time[kept])
             inner = np.concatenate([inner, slopes[:, :, None]], axis=2)
         elif len(kept) and self.interpolation == "cubic":
-            from scipy.interpolate import CubicSpline
+            from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
-            spline = CubicSpline(time, rows, axis=1, bc_type="clamped").c[::-1]
-            inner = spline.transpose(2, 1, 0)
+            if self.rates is None:
+                spline = CubicSpline(time, rows, axis=1, bc_type="clamped")
+            else:
+                spline = CubicHermiteSpline(time, rows, self.rates.reshape(rows.shape), axis=1)
+            inner = spline.c[::-1].transpose(2, 1, 0)
         outer = np.zeros((2, len(rows), inner.shape[2]))
         outer[:, :, 0] = rows[:, 0], rows[:, -1]
         return Pieces(

@@ -77,12 +77,15 @@ class Instant:
         Free coordinates of the nodes, m, and their rates, m/s.
     input, rate : casadi.SX, shape (m, 1)
         Of the strings, and its rate, of the interval in which the instant is.
+    force : casadi.SX, shape (m, 1), or None
+        Of motors with inertia, N, where rest lengths are the input: what the motors wind in with.
     """
 
     places: Any
     velocities: Any
     input: Any
     rate: Any
+    force: Any = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,6 +149,8 @@ class DiscreteMotion:
     begin, end : ndarray, shape (m, K)
         Inputs at the beginning and at the end of each interval, linear between.
     stage_places, stage_velocities : ndarray, shape (f, s, K)
+    rates : ndarray, shape (m, K + 1), or None
+        Of the inputs at the ends of the intervals, if those are cubic between.
     """
 
     duration: float
@@ -155,6 +160,7 @@ class DiscreteMotion:
     end: FloatArray
     stage_places: FloatArray
     stage_velocities: FloatArray
+    rates: FloatArray | None = None
 
     def at(self, shares: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return places and velocities at shares of the duration, shape (f, T) each."""
@@ -300,7 +306,6 @@ class Collocation:
         for sign in (-1, 1):
             rows.append(positive((reach + sign * ca.vec(change[limited])) / program.unit, "rate"))
         rows.append(program.limits(Instant(w["places"], w["velocities"], w["begin"], rate)))
-        self._at_begin = rows[-1].value.numel()
         return stacked(rows), cost
 
     def _link_matrix(self) -> Any:
@@ -509,14 +514,17 @@ class Collocation:
         )
 
     def _row_bounds(self) -> tuple[FloatArray, FloatArray]:
+        given = ["places", "velocities", *(["begin"] if self.program.ends is not None else [])]
+        row, column = self._parts[0].entries
+        is_given = np.isin(column, np.concatenate([self._places[name] for name in given]))
+        open_rows = np.isin(np.arange(self._parts[0].height), row[~is_given])
         bounds = []
         for own, end, away in (
             (self._rows.low, self._end.low, -np.inf),
             (self._rows.high, self._end.high, np.inf),
         ):
             every = np.tile(own[:, None], self.intervals)
-            if self.program.ends is not None:  # all of the start is given
-                every[len(own) - self._at_begin :, 0] = away
+            every[~open_rows, 0] = away  # of the start alone, which is given
             bounds.append(
                 np.concatenate([every.ravel(order="F"), end, np.zeros(self._links.shape[0])])
             )

@@ -37,7 +37,6 @@ _LONGEST = 2.0
 
 # Data does not tell directions with a singular value below the first. Of an unknown that it tells,
 # the second is at most the part in these, and the third what is left of the variance of its prior.
-# Limits that let fewer through take what noise made look certain, and leave the rest.
 _BLIND, _TOLD, _LEFT = 0.1, 0.01, 0.5
 
 # Squares of the residuals a degree of freedom from which on noise does not explain them.
@@ -384,9 +383,10 @@ def fit(
 
     Notes
     -----
-    Ctrl-C ends a fit with what was found so far. Intervals are those of the slope at what was
-    found, with the residuals as they are, and of data alone: for what data does not tell there is
-    none. See :func:`identifiable`.
+    Ctrl-C ends a fit with what was found so far. Intervals come from the slope at what was found,
+    the residuals as they are, and what was known before (Gelman and others 2013, *Bayesian Data
+    Analysis*, 4.1). Of them 95 % hold if true values are as far from the believed ones as was said.
+    For what data does not tell there is none: see :func:`identifiable`.
 
     Examples
     --------
@@ -467,7 +467,10 @@ class _Solver:
         for _ in range(most):
             if self._is_over(share):
                 return theta, readings, f"stopped after {self._rollouts.count} rollouts"
-            moved = theta + self._step(readings, theta, damping)
+            step, fall = self._step(readings, theta, damping)
+            if damping <= _DAMPING and fall <= least * cost:  # none is worth a rollout
+                return theta, readings, "converged"
+            moved = theta + step
             tried = self._tried(moved, share)
             new = np.inf if tried is None else self._cost(tried, moved)
             if tried is None or not new < cost:
@@ -502,7 +505,10 @@ class _Solver:
             squares = np.where(far, 2 * _HUBER * np.abs(r) - _HUBER**2, squares)
         return float(squares.sum() + ((theta / self._scale) ** 2).sum())
 
-    def _step(self, readings: Readings, theta: FloatArray, damping: float) -> FloatArray:
+    def _step(
+        self, readings: Readings, theta: FloatArray, damping: float
+    ) -> tuple[FloatArray, float]:
+        """Return a step of the unknowns, and by how much the cost should fall, were it linear."""
         assert readings.slope is not None  # every try has one
         weight = np.ones(len(readings.residuals))
         if self._is_robust:
@@ -514,7 +520,10 @@ class _Solver:
         right = np.concatenate([weight * readings.residuals, theta / self._scale, 0 * theta])
         step = -np.linalg.lstsq(rows, right, None)[0]
         longest = float(np.abs(step).max())
-        return np.asarray(self._scale * step * min(1.0, _LONGEST / max(longest, 1e-300)))
+        step *= min(1.0, _LONGEST / max(longest, 1e-300))
+        undamped = slice(len(right) - len(theta))
+        left = right[undamped] + rows[undamped] @ step
+        return self._scale * step, float((right[undamped] ** 2).sum() - (left**2).sum())
 
 
 def identifiability_of(rollouts: Rollouts, slope: FloatArray | None = None) -> Identifiability:
@@ -536,13 +545,13 @@ def identifiability_of(rollouts: Rollouts, slope: FloatArray | None = None) -> I
 def _result(rollouts: Rollouts, theta: FloatArray, readings: Readings, message: str) -> Fit:
     assert readings.slope is not None  # every try has one
     identifiability = identifiability_of(rollouts, readings.slope)
-    count = len(readings.residuals)
-    freedom = max(count - int((identifiability.singular >= 1).sum()), 1)
+    # What is known before pulls at what is found, and so it is part of the interval too: else those
+    # of unknowns that noise nearly hides are too wide.
+    known = identifiability.singular**2
+    freedom = max(len(readings.residuals) - float((known / (1 + known)).sum()), 1.0)
     chi_squared = float((readings.residuals**2).sum() / freedom)
-    # Of data alone in the directions that it tells, of the prior in the others.
-    singular = identifiability.singular
-    squares = np.where(singular >= 1, chi_squared, 1.0) / np.maximum(singular, 1) ** 2
-    variance = identifiability.directions.T**2 @ squares
+    spread = max(chi_squared, float(np.finfo(float).tiny))
+    variance = identifiability.directions.T**2 @ (spread / (spread + known))
     reach = _INTERVAL * np.sqrt(variance) * rollouts.deviations
     is_scaled = np.zeros(rollouts.size, dtype=bool)
     first = 0

@@ -319,7 +319,7 @@ class Log:
 def _later(held: Any, begin: float) -> Any:
     """Return what is held, as it is from a time on."""
     if isinstance(held, Profile):
-        return Profile(held.time - begin, held.values, held.interpolation)
+        return replace(held, time=held.time - begin)
     if callable(held):
         return lambda time: held(time + begin)
     return held

@@ -55,7 +55,7 @@ class StringState:
     length: Any  # m
     rate: Any  # m/s
     force_density: Any  # N/m
-    pull: Any  # force against which each winch winds in, N, shape (m, 1): Gᵀ T
+    pull: Any  # of the strings on each winch, N, shape (m, 1): Gᵀ T
     power: Any  # of the motors, W, shape (m, 1)
 
 
@@ -73,6 +73,10 @@ class MotionLimits:
         densities are the input.
     level : float
         Size of the force densities, N/m.
+    pull : ndarray, shape (m,)
+        Largest force of the motors, N; may be infinite.
+    inertia : ndarray, shape (m,), or None
+        Of the motors, as the mass that it is to a rest length, kg; None where they have none.
     """
 
     def __init__(
@@ -105,12 +109,14 @@ class MotionLimits:
         validation.positive("max_power", power, "power in W")
         self.power = _least_by_winch(self.actuation, power)
         largest, self.pull = none, np.full(len(self.actuation.lead), np.inf)
+        self.inertia = None
         if winches is not None:
             rate = winches.largest_rate
             largest = none if rate is None else np.broadcast_to(rate, count)
             if rate is not None:
                 validation.one_or_per_member("winches.rate", rate, count)
             self.pull = _most_pull(winches, self.actuation)
+            self.inertia = _inertia(winches, self.actuation, self._input)
         has_winch = self.actuation.input >= 0
         self.rate = changes_of_inputs(self.actuation, largest if is_wound else none)
         self._length_rate = none if is_wound else np.where(has_winch, largest, np.inf)
@@ -171,6 +177,12 @@ class MotionLimits:
         """Return what holds at an instant."""
         state = self.state(now)
         rows = [*self._string_rows(state), *self._motor_rows(state)]
+        if now.force is not None:  # whose limits are those of the input of the program
+            low, high = self.input_range / self._size
+            rows.append(Rows(now.input / self._size, low, high, ("range",) * len(low)))
+            rows += [_at_most(sign * now.rate, self.rate, "rate") for sign in (1, -1)]
+        else:
+            rows.append(_at_most(state.pull, self.pull, "torque of the motors"))
         if self._clearance is not None:
             apart = bar_clearances(self._structure, state.nodes)
             rows.append(positive((apart - self._clearance) / self._size, "min_clearance"))
@@ -198,10 +210,10 @@ class MotionLimits:
             stored = law.as_expressions().stored_energy(length, wound)
             pull = -ca.jtimes(stored, wound, ca.DM.ones(wound.shape))
             pull, shortening = ca.substitute(pull, wound, values), turning
+        power = self._by_winch(-pull * shortening) if now.force is None else -now.force * now.rate
         return StringState(
-            nodes, velocities, values, turning, length, rate, gamma, self._on_winches(pull),
-            self._by_winch(-pull * shortening),
-        )  # fmt: skip
+            nodes, velocities, values, turning, length, rate, gamma, self._on_winches(pull), power
+        )
 
     def strings(self, inputs: Any) -> Any:
         """Return expressions of all strings, shape (α, 1), at those of the inputs, (m, 1)."""
@@ -245,9 +257,8 @@ class MotionLimits:
         return rows
 
     def _motor_rows(self, state: StringState) -> list[Rows]:
-        """Return limits of torque, power and, of cables under force control, speed."""
+        """Return limits of power and, of cables under force control, speed."""
         return [
-            _at_most(state.pull, self.pull, "torque of the motors"),
             _at_most(state.power, self.power, "max_power"),
             _at_most(state.rate, self._length_rate, "rate"),
             _at_most(-state.rate, self._length_rate, "rate"),
@@ -266,11 +277,10 @@ def _most_pull(winches: Winches, actuation: Actuation) -> FloatArray:
     motor, count = winches.motor, len(actuation.input)
     if motor is None:
         return np.full(len(actuation.lead), np.inf)
-    if motor.inertia.any() or motor.lag.any() or motor.backlash.any():
+    if motor.lag.any() or motor.backlash.any():
         raise ValueError(
-            "winches have motors with inertia, lag or backlash, and the rates of a planned motion "
-            "jump from interval to interval: give motors without them, and see by "
-            "simulate(..., controller=...) how yours follow"
+            "winches have motors with lag or backlash, which a plan does not know: give motors "
+            "without them, and see by simulate(..., controller=...) how yours follow"
         )
     most = _least_by_winch(actuation, each_motor(motor, count).most_tension)
     if np.isfinite(most).any() and (actuation.ratio < 0).any():
@@ -279,6 +289,26 @@ def _most_pull(winches: Winches, actuation: Actuation) -> FloatArray:
             "plant: leave torque out, or give ratios of one sign"
         )
     return most
+
+
+def _inertia(winches: Winches, actuation: Actuation, input: str) -> FloatArray | None:
+    """Return the masses that motors are to rest lengths, kg, shape (m,), or raise."""
+    if winches.motor is None or not winches.motor.inertia.any():
+        return None
+    if input == "force_density":
+        raise ValueError(
+            "winches have motors with inertia, and force densities may jump from interval to "
+            "interval: give motors without it, or plan with input='rest_length'"
+        )
+    motor = each_motor(winches.motor, len(actuation.input))
+    inertia = (motor.inertia / motor.lever**2)[actuation.lead]
+    none = np.flatnonzero(inertia == 0)
+    if len(none):
+        raise ValueError(
+            f"the motor of string {actuation.lead[none[0]]} has no inertia beside others that have "
+            "it: give all that turn an inertia, or none"
+        )
+    return np.asarray(inertia)
 
 
 def _at_most(value: Any, limit: FloatArray, label: str) -> Rows:

@@ -36,6 +36,7 @@ from tenscontrol.optimize.collocation import (
 from tenscontrol.optimize.motion_end import MotionEnd
 from tenscontrol.optimize.motion_guess import end_input, guessed_motion
 from tenscontrol.optimize.motion_limits import MotionLimits
+from tenscontrol.optimize.motor_states import MotorStates
 from tenscontrol.plant.linear_plant import LinearPlant
 from tenscontrol.plant.reference import Reference
 from tenscontrol.progress import progress_bar
@@ -197,7 +198,10 @@ class OptimalMotion:
 
     @property
     def rate(self) -> FloatArray:
-        """Rate of the input in each interval, m/s or N/m/s, shape (α, K): constant in it."""
+        """Mean rate of the input in each interval, m/s or N/m/s, shape (α, K).
+
+        It is constant in the interval, unless motors have inertia.
+        """
         return frozen((self._motion.end - self._motion.begin) / np.diff(self.time))
 
     @property
@@ -364,11 +368,12 @@ def optimal_motion(
         ``"energy"`` and ``"effort"``.
     input : {"rest_length", "force_density"}, optional
         What the actuators set: rest lengths go on without jumps, at a constant rate in each
-        interval; γ may jump. That of ``plant`` if it is given; else the rest length if the model
-        has a string law, else γ.
+        interval, or as motors with inertia turn; γ may jump. That of ``plant`` if it is given; else
+        the rest length if the model has a string law, else γ.
     winches : Winches, optional
-        Their rates, range and motors: torque holds at any time, without the help of a brake. Where
-        γ is the input, the rate is that at which strings get shorter or longer.
+        Their rates, range and motors: torque holds at any time, without the help of a brake, and
+        turns what inertia there is. Where γ is the input, the rate is that at which strings get
+        shorter or longer.
     min_force_density, max_force_density : float or array_like, shape (α,), optional
         Bounds of γ on the way, N/m.
     max_tension : float or array_like, shape (α,), optional
@@ -405,7 +410,8 @@ def optimal_motion(
         If no shape meets the demands.
     TypeError, ValueError
         If an argument is of the wrong kind or does not fit; an end breaks a limit, or has a slack
-        string while rest lengths are the input; or motors have inertia, lag or backlash.
+        string while rest lengths are the input; or motors have lag or backlash, or some of them
+        inertia and others not, or any while force densities are the input.
 
     Warns
     -----
@@ -563,14 +569,21 @@ class _Planner:
             model, ends, input, winches, plant, duration, self._least_duration(duration)
         )
         self._guess = _with_inputs(guess, partial(inputs_of, limits.actuation))
+        self._motors = None if limits.inertia is None else MotorStates(limits, ends)
+        if self._motors is not None:
+            self._guess = self._motors.guess(self._guess)
         self._duration, self._time = duration, self._guess.duration
         self._end = MotionEnd(model, ends[1].structure.nodes, self._size, self._size / self._time)
-        self._program = self._made()
+        program = self._made()
+        self._program = program if self._motors is None else self._motors.program(program)
         self._meshes = list[Mesh]()
         self._best: tuple[Solution, Trajectory | None, Mesh] | None = None
 
     def _least_duration(self, duration: float | None) -> float:
-        """Return the time of a mass on a rail over the way under all the tension at rest, s."""
+        """Return the time of a mass on a rail over the way under all the tension at rest, s.
+
+        Or that of the slowest motor alone, if it is longer.
+        """
         if duration is not None:
             return duration
         structure = self._model.structure
@@ -581,7 +594,11 @@ class _Planner:
             float((rest.force_density * rest.structure.string_length()).sum())
             for rest in self._ends
         )
-        return 2 * float(np.sqrt(mass * max(way, _NO_WAY * self._size) / force))
+        squared, limits = mass * max(way, _NO_WAY * self._size) / force, self._limits
+        if limits.inertia is not None:
+            turned = np.abs(np.subtract(*(self._end_input(rest) for rest in self._ends)))
+            squared = max(squared, float((limits.inertia * turned / limits.pull).max()))
+        return 2 * float(np.sqrt(squared))
 
     @builds
     def _made(self) -> MotionProgram:
@@ -667,7 +684,9 @@ class _Planner:
         return inputs_of(self._limits.actuation, end_input(self._model, rest, self._input))
 
     def _of_strings(self, motion: DiscreteMotion) -> DiscreteMotion:
-        """Return a motion with what its inputs are to the strings."""
+        """Return a motion of the program with what its inputs are to the strings."""
+        if self._motors is not None:
+            motion = self._motors.wound(motion)
         return _with_inputs(motion, partial(strings_of, self._limits.actuation))
 
     # ---- meshes ----
@@ -782,7 +801,7 @@ class _Planner:
             end_speed=last.end_speed,
             meshes=tuple(self._meshes),
             guess=self._kind,
-            **_figures(run, motion, self._input, self._limits.actuation),
+            **_figures(run, motion, self._input, self._limits.actuation, solution.motion),
             _motion=motion,
             _end=self._end,
         )
@@ -801,8 +820,9 @@ class _Planner:
 
 
 def _figures(
-    run: Trajectory | None, motion: DiscreteMotion, input: str, actuation: Actuation
-) -> dict[str, float]:
+    run: Trajectory | None, motion: DiscreteMotion, input: str, actuation: Actuation,
+    solved: DiscreteMotion,
+) -> dict[str, float]:  # fmt: skip
     """Return what the strings and motors did over a replay."""
     if run is None:
         return dict.fromkeys(("least_force_density", "peak_tension", "energy"), np.nan)
@@ -821,6 +841,9 @@ def _figures(
         forces = evaluate_columns(model.of_all_nodes("winding"), states, run.rest_length, wound)[1]
         power = -forces * wound
     by_winch = sums_by_input(actuation, power)
+    if motion.rates is not None:  # motors have inertia, and their forces are the input
+        forces = solved.inputs_at(run.time / motion.duration)
+        by_winch = -forces * inputs_of(actuation, _profile(motion, input, None).rate(run.time))
     return {
         "least_force_density": float(run.force_density.min()),
         "peak_tension": float(tension.max()),
@@ -831,8 +854,11 @@ def _figures(
 def _with_inputs(
     motion: DiscreteMotion, convert: Callable[[FloatArray], FloatArray]
 ) -> DiscreteMotion:
-    """Return the same motion with its inputs converted."""
-    return replace(motion, begin=convert(motion.begin), end=convert(motion.end))
+    """Return the same motion with its inputs converted, by a map that may have an offset."""
+    rates = motion.rates
+    if rates is not None:
+        rates = convert(rates) - convert(0 * rates)
+    return replace(motion, begin=convert(motion.begin), end=convert(motion.end), rates=rates)
 
 
 def _times(motion: DiscreteMotion) -> FloatArray:
@@ -843,7 +869,8 @@ def _profile(motion: DiscreteMotion, input: str, after: FloatArray | None) -> Pr
     """Return the input over time; γ jumps to what holds the goal in the end, if that is given."""
     times = _times(motion)
     if input == "rest_length":
-        return Profile(times, np.column_stack([motion.begin, motion.end[:, -1]]))
+        lengths = np.column_stack([motion.begin, motion.end[:, -1]])
+        return Profile(times, lengths, "linear" if motion.rates is None else "cubic", motion.rates)
     both = np.stack([motion.begin, motion.end], axis=2).reshape(len(motion.begin), -1)
     twice = np.repeat(times, 2)[1:-1]
     if after is None:

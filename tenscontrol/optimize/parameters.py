@@ -149,7 +149,9 @@ def _of_supports(scene: Scene) -> Parameter:
 
 
 def _unit_pieces(profile: Profile) -> Pieces:
-    return Profile(profile.time, np.eye(len(profile.time)), profile.interpolation).pieces
+    unit = np.eye(len(profile.time))
+    rates = None if profile.rates is None else 0 * unit
+    return Profile(profile.time, unit, profile.interpolation, rates).pieces
 
 
 def shares(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import casadi as ca
@@ -259,7 +259,7 @@ def _exact_start(model: Model, input: str, state: FloatArray) -> tuple[FloatArra
 
 def _shifted(held: Any, by: FloatArray) -> Any:
     if isinstance(held, Profile):
-        return Profile(held.time, held.values + by[:, None], held.interpolation)
+        return replace(held, values=held.values + by[:, None])
     return np.asarray(held) + by
 
 

@@ -87,9 +87,12 @@ def optimal_motion(
             values = _by_group(motion, profile.at(run.time[:-1]))
             panel = draw_curves(ax, run.time[:-1], values, _LABELS[motion.input], xlabel=xlabel)
         elif name == "rate":
-            rate = np.column_stack([motion.rate[:, 0], motion.rate])
+            time, rate = motion.time, np.column_stack([motion.rate[:, 0], motion.rate])
+            held = profile.interpolation == "linear"
+            if not held:
+                time, rate = run.time[:-1], profile.rate(run.time[:-1])
             panel = draw_curves(
-                ax, motion.time, _by_group(motion, rate), "winch, m/s", held=True, xlabel=xlabel
+                ax, time, _by_group(motion, rate), "winch, m/s", held=held, xlabel=xlabel
             )
         else:
             lengths = [structure.string_length(nodes) for nodes in np.moveaxis(run.nodes, 2, 0)]

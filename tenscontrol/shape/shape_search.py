@@ -309,7 +309,7 @@ def _polished(
             at_low, at_high = g - low < _CLOSE, high - g < _CLOSE
             pinned = np.flatnonzero(at_low | at_high)
             bound = np.where(at_low, low, high)
-            at_bound = problem.tensions[pinned.tolist()] - ca.DM(bound[pinned])
+            at_bound = ca.vec(problem.tensions[pinned.tolist()]) - ca.DM(bound[pinned])
             point, left = problem.polish(values, ca.vertcat(level, at_bound, rows))
             if np.abs(left).max(initial=0.0) > EXACT:
                 break

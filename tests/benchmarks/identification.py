@@ -1,12 +1,14 @@
 """Fits of models to simulated logs: rollouts, errors beside intervals, and other methods.
 
-Run: ``python -m tests.benchmarks.identification [--count 100] [--ball 1] [--mujoco 3] [--peers]``;
-``--first 50 --count 50`` are the draws from the 50th on.
+Run: ``python -m tests.benchmarks.identification [--count 100] [--noise 8] [--ball 1] [--mujoco 3]
+[--peers]``; ``--first 50 --count 50`` are the draws from the 50th on.
 
 A prism with 29 unknowns, 9 rest lengths, 9 stiffnesses, 9 dampings and 2 masses, off by about 20 %
 and 1 cm, is fitted to the places of its nodes, read to 1 mm at 50 Hz for 1 s while its strings are
 wound. The table has a line for each draw of parameters and noise. Below is how many of all
-intervals of 95 % hold the true value. ``--ball`` fits six-bar balls that fall on ground, by the
+intervals of 95 % hold the true value. ``--noise`` fits the prism read to so many mm, with unknowns
+that are as far off as the fit is told, dampings by 50 %; several numbers are several tables.
+``--ball`` fits six-bar balls that fall on ground, by the
 lengths of strings and directions of bars over 2 s: 24 stiffnesses, friction, and a payload.
 ``--mujoco`` fits spinning prisms to logs from MuJoCo, by its rk4 in steps of 0.25 ms: 9
 stiffnesses, 9 dampings and 2 masses. The residuals at the end of its lines are those on another
@@ -19,6 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from time import perf_counter
 
 import numpy as np
@@ -32,6 +35,9 @@ TIMES = np.arange(1, 51) * 0.02
 
 NAMES = ["rest_length", "stiffness", "damping", "bar_mass"]
 
+# Standard deviations of what --noise draws, and of what its fits are told: m, and of logarithms.
+DEVIATIONS = {"rest_length": 0.01, "stiffness": 0.2, "damping": 0.5, "bar_mass": 0.2}
+
 _NO_LIMITS = tc.HealthLimits(crossings=None, penetration=None)
 
 
@@ -41,7 +47,7 @@ class Case:
 
     model: tc.Model
     log: tc.Log
-    names: list[str]
+    names: list[str] | dict[str, float]
     known: dict[str, list[int]]
     true: np.ndarray  # factors, or shifts
 
@@ -58,11 +64,12 @@ def wound(rest: np.ndarray) -> tc.Profile:
     return tc.Profile(np.linspace(0, 1, 6), np.stack([rest + each for each in changes], 1), "cubic")
 
 
-def prism_case(seed: int) -> Case:
+def prism_case(seed: int, millimetres: float | None = None) -> Case:
     """Return a prism whose parameters are drawn at random."""
     random, prism = np.random.default_rng([29, seed]), tc.prism()
-    factors = np.exp(0.2 * random.normal(size=20))
-    shifts = 0.01 * random.normal(size=9)
+    spread = np.repeat([0.2, 0.2 if millimetres is None else DEVIATIONS["damping"], 0.2], [9, 9, 2])
+    factors = np.exp(spread * random.normal(size=20))
+    shifts = DEVIATIONS["rest_length"] * random.normal(size=9)
     mass = prism.bar_mass * np.append(1.0, factors[18:])
     strings = tc.LinearStrings(300.0 * factors[:9], 1.5 * factors[9:18])
     model = tc.Model(replace(prism, bar_mass=mass), strings=strings)
@@ -71,10 +78,11 @@ def prism_case(seed: int) -> Case:
         model, 1.0, rest_length=wound(rest + shifts), tolerance=1e-9, output_step=0.02,
         error="none", limits=_NO_LIMITS,
     )  # fmt: skip
-    sensors = tc.Sensors(structure=prism, node_position=1e-3)
+    sensors = tc.Sensors(structure=prism, node_position=1e-3 * (millimetres or 1.0))
     log = replace(tc.Log.of_run(run, sensors, TIMES, seed=seed), rest_length=wound(rest))
     guess = tc.Model(prism, strings=tc.LinearStrings(300.0, 1.5))
-    return Case(guess, log, NAMES, {"bar_mass": [0]}, np.concatenate([shifts, factors]))
+    names = NAMES if millimetres is None else DEVIATIONS
+    return Case(guess, log, names, {"bar_mass": [0]}, np.concatenate([shifts, factors]))
 
 
 def ball_case(seed: int) -> Case:
@@ -132,9 +140,16 @@ def mujoco_case(seed: int) -> Case:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    given = options(__doc__, arguments, count=20, first=0, ball=0, mujoco=0, peers=False)
+    given = options(
+        __doc__, arguments, count=20, first=0, noise=(0.0,), ball=0, mujoco=0, peers=False
+    )
+    noisy = [
+        (f"prism, {size:g} mm", partial(prism_case, millimetres=size), given.count)
+        for size in given.noise
+        if size
+    ]
     for title, case_of, count in (
-        ("prism", prism_case, given.count), ("ball", ball_case, given.ball),
+        *(noisy or [("prism", prism_case, given.count)]), ("ball", ball_case, given.ball),
         ("mujoco", mujoco_case, given.mujoco),
     ):  # fmt: skip
         if count:
@@ -156,7 +171,8 @@ def print_fits(title: str, case_of, seeds: range) -> None:
         told = found.identifiability.is_told
         held += int(((low <= case.true) & (case.true <= high))[told].sum())
         of += int(told.sum())
-        scaled = np.arange(len(case.true)) >= len(case.true) - 20 if title == "prism" else True
+        is_prism = "rest_length" in case.names
+        scaled = np.arange(len(case.true)) >= len(case.true) - 20 if is_prism else True
         values, true, ends = (
             np.where(scaled, np.log(np.where(scaled, part, 1.0)), part)
             for part in (found.value, case.true, high)

@@ -30,6 +30,17 @@ def test_cubic_profiles_are_the_clamped_spline(values):
     np.testing.assert_allclose(profile.rate(LOOKS), spline(LOOKS, 1), atol=1e-12)
 
 
+def test_cubic_profiles_keep_rates_that_are_given():
+    time = np.array([0.0, 0.3, 1.1, 2.0])
+    cubic = tc.Profile(time, [time**3, 1 - time], "cubic", [3 * time**2, 0 * time - 1])
+    look = np.linspace(0.0, 1.999, 50)
+    np.testing.assert_allclose(cubic.at(look), [look**3, 1 - look], atol=1e-14)
+    np.testing.assert_allclose(cubic.rate(look), [3 * look**2, 0 * look - 1], atol=1e-13)
+    for rates, how, text in ((time, "linear", "they are for 'cubic'"), (3.0, "cubic", "rates")):
+        with pytest.raises(ValueError, match=text):
+            tc.Profile(time, time, how, rates)
+
+
 def test_held_profiles_jump_and_so_does_a_time_given_twice():
     held = tc.Profile([0.0, 1.0, 2.0], [5.0, 6.0, 7.0], "hold")
     assert held.at([-1.0, 0.0, 0.9, 1.0, 1.9, 2.0, 9.0]).tolist() == [5, 5, 5, 6, 6, 7, 7]

@@ -64,6 +64,55 @@ def test_motion_of_least_effort_is_a_cubic():
     np.testing.assert_allclose(motion.cost, 12 * (MASS * WAY) ** 2 / duration**3, rtol=1e-4)
 
 
+# A mass that hangs on a winch: kg, m/s², how far it is raised and from where, m, and the drum, m.
+HUNG, GRAVITY, RAISED, BELOW, DRUM = 1.0, 9.81, 0.3, 2.0, 0.01
+
+
+def test_fastest_motor_with_inertia_is_bang_bang():
+    """All momentum is due to the force of the motor and the weight: up by F - m g, then F + m g.
+
+    With F = 3 m g and a string whose period is that of the second part, nothing swings at the end.
+    """
+    turning, weight = 10 * HUNG, HUNG * GRAVITY
+    slow, fast = (np.array([2.0, 4.0]) * weight / (HUNG + turning)).tolist()
+    duration = np.sqrt(2 * RAISED * (1 / slow + 1 / fast))
+    stiffness = (2 * np.pi / (duration / 3)) ** 2 / (1 / HUNG + 1 / turning)
+
+    def hung(depth):
+        return tc.Structure(
+            [[0.0, 0.0], [0.0, -depth]],
+            bars=[],
+            strings=[[0, 1]],
+            bar_mass=None,
+            fixed=[0, (1, "x")],
+            point_mass=[0.0, HUNG],
+        )
+
+    model = tc.Model(hung(BELOW), tc.LinearStrings(stiffness), gravity=GRAVITY)
+    ends = [
+        tc.shape_target(
+            model, tc.NodesAt([1], [[0.0], [-depth]]), start=hung(depth).nodes, prestress="least"
+        )
+        for depth in (BELOW, BELOW - RAISED)
+    ]
+    motor = tc.Motor(DRUM, torque=3 * weight * DRUM, inertia=turning * DRUM**2)
+    winches = tc.Winches(motor=motor)
+    motion = tc.optimal_motion(model, *ends, winches=winches, intervals=15, tolerance=1e-3)
+    assert motion.status is Status.OK
+    np.testing.assert_allclose(motion.duration, duration, rtol=1e-5)
+    # What the motor does, by the replay and the profile; within an interval both are smooth.
+    run, profile = motion.run, motion.profile
+    middle = (motion.time[1:] + motion.time[:-1]) / 2
+    length = run.nodes[1, 0] - run.nodes[1, 1]
+    tension = np.interp(middle, run.time, (run.force_density * length)[0])
+    force = tension - turning * profile.pieces.derivative(2).at(middle)[0]
+    np.testing.assert_allclose(force, 3 * weight * np.repeat([1, -1], [10, 5]), rtol=1e-2)
+    np.testing.assert_allclose(motion.energy, 3 * weight * RAISED * 2 / 3, rtol=5e-3)
+    assert not profile.rate([0.0, motion.duration]).any()
+    with pytest.raises(ValueError, match="inertia, and force densities may jump"):
+        tc.optimal_motion(model, *ends, winches=winches, input="force_density")
+
+
 # ---- passive and ganged strings ----
 
 
@@ -369,7 +418,11 @@ def test_distances_of_bars_are_those_of_the_structure():
         ({"min_clearance": 0.1}, "plane"),
         ({"intervals": 0}, "intervals"),
         ({"min_force_density": 60.0}, "start"),
-        ({"winches": tc.Winches(motor=tc.Motor(0.01, torque=1.0, inertia=1e-4))}, "inertia"),
+        ({"winches": tc.Winches(motor=tc.Motor(0.01, lag=0.1))}, "lag or backlash"),
+        (
+            {"winches": tc.Winches(motor=tc.Motor(0.01, torque=9.0, inertia=5 * [1e-4] + [0.0]))},
+            "the motor of string 5 has no inertia beside others",
+        ),
         ({"obstacles": lambda nodes: "far"}, "obstacles"),
         ({"minimize": lambda nodes, velocities, input, rate: nodes}, "minimize"),
         ({"max_tension": 90.0}, "start is an end.*max_tension"),
