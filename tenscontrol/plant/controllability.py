@@ -441,6 +441,11 @@ def ways(plant: LinearPlant, low: FloatArray, high: FloatArray) -> tuple[np.ndar
     return high - u > near, u - low > near
 
 
+def lasting(poles: np.ndarray) -> int:
+    """Return how many poles, of any unit, do not decay."""
+    return int(np.count_nonzero(-poles.real <= _UPRIGHT * np.abs(poles)))
+
+
 @on_one_thread
 def pushed_one_way(plant: LinearPlant, low: FloatArray, high: FloatArray) -> float | None:
     """Return the real pole, 1/s, of a motion that does not decay and is pushed one way only.

@@ -404,12 +404,42 @@ def regulator(
         left = Q - N @ feed[:, : len(Q)]
         _, solution = regulator(plant, A - B @ feed, B, _symmetric(left), R, discrete)
         return np.pad(Q, (0, len(A) - len(Q))), (solution[0] + feed, *solution[1:])
+    added = len(A) - len(Q)
+    weight = np.pad(Q, (0, added))
+    return weight, regulator_riccati(A, B, weight, R, *_reached(plant, added), discrete=discrete)
+
+
+def _reached(plant: LinearPlant, added: int) -> tuple[FloatArray, float, tuple[FloatArray, int]]:
+    """Return units of z and of so many inputs behind it, that of an input, and what is reached."""
     units, level = state_units(plant)
-    reached, s, added = reached_states(plant), len(Q), len(A) - len(Q)
-    weight, units = np.pad(Q, (0, added)), np.concatenate([units, np.full(added, level)])
-    count = reached.count + added
-    basis = np.zeros((len(A), len(A)))
-    basis[:s, : reached.count], basis[:s, count:] = np.split(reached.basis, [reached.count], axis=1)
-    basis[s:, reached.count : count] = np.eye(added)
-    solution = regulator_riccati(A, B, weight, R, units, level, (basis, count), discrete=discrete)
-    return weight, solution
+    states, s = reached_states(plant), len(units)
+    count = states.count + added
+    basis = np.zeros((s + added, s + added))
+    basis[:s, : states.count], basis[:s, count:] = np.split(states.basis, [states.count], axis=1)
+    basis[s:, states.count : count] = np.eye(added)
+    return np.concatenate([units, np.full(added, level)]), level, (basis, count)
+
+
+@on_one_thread
+def horizon_radius(
+    plant: LinearPlant, A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, P: FloatArray,
+    length: int, N: FloatArray | None = None,
+) -> float:  # fmt: skip
+    """Return the spectral radius of a horizon's closed loop without bounds, of what is reached.
+
+    From the cost P of its end, ``P ← Q + Aᵀ P F`` with the loop ``F = (I + B R⁻¹ Bᵀ P)⁻¹ A``. All
+    are of ``z`` or of ``[z; v_previous]``.
+    """
+    if N is not None:
+        feed = _by_weight(R, N.T)
+        A, Q = A - B @ feed, Q - N @ feed
+    units, _, (basis, count) = _reached(plant, len(A) - 2 * plant.degrees_of_freedom)
+    first = basis[:, :count]
+    into, out = first.T / units, units[:, None] * first
+    loop = A = into @ A @ out
+    B, Q, P = into @ B, out.T @ Q @ out, out.T @ P @ out
+    G = B @ _by_weight(R, B.T)
+    for _ in range(length):
+        loop = np.asarray(np.linalg.solve(np.eye(count) + G @ P, A))
+        P = _symmetric(Q + A.T @ P @ loop)
+    return float(np.abs(np.linalg.eigvals(loop)).max())

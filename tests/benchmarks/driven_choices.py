@@ -10,8 +10,8 @@ A design that is made promises a motion: that of its closed linear loop. The non
 come within a part of the start of it (``--close``). What is not promised has a reason: an error, or
 a warning of the modes that are left alone, or of strings that are slack where they are driven by
 force and so go one way only. MPC knows those bounds: it must not leave the shape, but where it
-warns that no law can hold it. ``SILENT`` is a loop that does something else than promised without
-a word. Prints a line a case with ``--each``, and a table.
+warns that no law can hold it, or that its horizon is too short. ``SILENT`` is a loop that does
+something else than promised without a word. Prints a line a case with ``--each``, and a table.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Case:
     law: str
     input: str
     layout: str
-    outcome: str  # stable, not damped, one way, refused, SILENT
+    outcome: str  # stable, not damped, one way, too short, refused, SILENT
     reason: str = ""
 
     def __str__(self) -> str:
@@ -171,6 +171,8 @@ def case_of(
     off = np.linalg.norm(unit * (last - promised)) / most
     radius = float(np.abs(np.linalg.eigvals(closed)).max())
     figures = f"radius {radius:.6f}, off by {off:.1e} {said}"
+    if "does not hold the linear plant" in said:
+        return Case(seed, name, kind, layout, "too short", figures)
     low, high = law.bounds
     room = np.minimum(plant.equilibrium_input - low, high - plant.equilibrium_input)
     one_way = bool((room <= 1e-9 * np.abs(plant.equilibrium_input).max()).any())

@@ -1,5 +1,7 @@
 """Controllers and filters of structures some of whose strings are driven."""
 
+import warnings
+
 import control
 import numpy as np
 import pytest
@@ -306,9 +308,56 @@ def test_mpc_says_where_no_law_within_its_bounds_can_hold_a_shape(gravity, what)
     )  # fmt: skip
     model = tc.Model(rod, gravity=gravity)
     rest = tc.prestress(rod, force_density=[0.0, 0.0], external_force=model.constant_force)
-    with pytest.warns(tc.control.ControlWarning, match=f"{what} one way only, so no law"):
-        tc.MPC(tc.linearize(model, rest, actuated=[0]), horizon=8, sample_time=SAMPLE)
-    tc.MPC(tc.linearize(model, rest), horizon=8, sample_time=SAMPLE)  # held from both sides
+    one, both = tc.linearize(model, rest, actuated=[0]), tc.linearize(model, rest)
+    for kind in (tc.MPC, tc.control.NMPC):
+        with pytest.warns(tc.control.ControlWarning, match=f"{what} one way only, so no law"):
+            kind(one, horizon=8, sample_time=SAMPLE)
+        kind(both, horizon=8, sample_time=SAMPLE)  # held from both sides
+
+
+def test_mpc_says_where_its_horizon_is_too_short_for_strings_that_only_pull():
+    """An upright rod among three slack strings: what two of them share is left to a long horizon.
+
+    A law of inputs that go both ways has no sense of that: the loop falls as the warning says.
+    """
+    angle = np.radians([0.0, 100.0, 200.0])
+    feet = np.array([np.cos(angle), np.sin(angle), 0 * angle])
+    rod = tc.Structure(
+        np.c_[np.zeros(3), [0.0, 0.0, 1.0], feet], [[0, 1]], [[1, 2], [1, 3], [1, 4]], 1.0,
+        fixed=[0, 2, 3, 4],
+    )  # fmt: skip
+    model = tc.Model(rod, gravity=9.81)
+    rest = tc.prestress(rod, force_density=np.zeros(3), external_force=model.constant_force)
+    plant = tc.linearize(model, rest)
+    start, ends = plant.to_nodes([1e-6, 2e-6]), []
+    for horizon, said in ((4, ["horizon of 4 samples does not hold", "is unstable"]), (40, [])):
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            mpc = tc.MPC(plant, horizon=horizon, sample_time=0.02)
+            run = tc.simulate(
+                model, 4.0, start, controller=mpc, input="force_density", error="none"
+            )
+        assert len(told) == len(said)
+        assert all(part in str(each.message) for part, each in zip(said, told, strict=True))
+        ends.append(np.abs(run.nodes[..., -1] - rod.nodes).max())
+    assert ends[0] > 1e-3
+    assert ends[1] < 1e-7
+
+
+def test_mpc_holds_by_inputs_that_go_both_ways_whatever_its_horizon():
+    """P is the cost of the law of those that hold the plant alone, by python-control."""
+    prism = tc.prism()
+    model = tc.Model(prism, strings=tc.LinearStrings(100.0, damping=1.0))
+    plant = tc.linearize(model, tc.prestress(prism, force_density=10.0))
+    most = np.full(9, 100.0)
+    most[[0, 4]] = plant.equilibrium_input[[0, 4]]  # which cannot pull more
+    Q, R = tc.plant.natural_weights(plant)
+    mpc = tc.MPC(plant, horizon=1, sample_time=SAMPLE, max_force_density=most)
+    phi, gamma, _ = plant.discretize(SAMPLE)
+    free = [1, 2, 3, 5, 6, 7, 8]
+    expected = control.dlqr(phi, gamma[:, free], Q, np.diag(R[free]))[1]
+    P = mpc.law.design.problem.terminal_weight
+    assert np.allclose(P, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
 
 
 def test_a_string_that_a_gang_takes_to_zero_is_not_past_it():

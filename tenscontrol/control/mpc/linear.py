@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
@@ -30,8 +30,9 @@ from tenscontrol.control.mpc.sparse import QuadraticProgram, Sparse, SparseProgr
 from tenscontrol.control.mpc.stages import StagesProgram
 from tenscontrol.docstrings import with_parameters_of
 from tenscontrol.plant.controllability import pushed_one_way
-from tenscontrol.plant.linear_plant import LinearPlant
+from tenscontrol.plant.linear_plant import LinearPlant, state_units
 from tenscontrol.plant.reference import Preview, ReferencePreview
+from tenscontrol.plant.riccati import horizon_radius
 from tenscontrol.short_repr import short_repr
 from tenscontrol.status import Status
 from tenscontrol.tables import percent
@@ -41,6 +42,13 @@ from tenscontrol.warn import warn
 # this part of the size, or errors grow faster, 1/s. Those nearer than the third part of the size
 # are not tried. ``python -m tests.benchmarks.reference_distance`` shows runs on both sides.
 _OFF, _GROWS, _NEAR = 0.02, 0.5, 0.02
+
+# A loop decays where its spectral radius is below 1 by this. Where some inputs go one way only, it
+# is run from so many starts for so many samples, with inputs of this part of their unit.
+_DECAYS, _STARTS, _SAMPLES, _NEXT_TO = 1e-9, 4, 200, 1e-3
+
+# Inputs named in a warning.
+_LISTED = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,6 +147,76 @@ class MPCLaw(PredictiveLaw):
         return np.concatenate([state, previous_input - data.previous_origin])
 
 
+def warn_of_loop(plant: LinearPlant, settings: MPCSettings, designed: Design) -> None:
+    """Warn where the loop of a horizon does not hold the linear plant, within bounds, near rest."""
+    pole = pushed_one_way(plant, designed.low, designed.high)
+    if pole is not None:
+        motion = "drifts" if pole == 0 else f"grows by a factor e in {1 / pole:.2g} s"
+        warn(
+            f"inputs at a bound push a motion that {motion} one way only, so no law can hold the "
+            "linear plant in this shape: tighten slack strings, drive strings that pull the other "
+            "way, or choose another shape",
+            ControlWarning,
+        )
+    elif designed.proven:
+        return
+    elif designed.free.all():
+        problem = designed.problem
+        radius = horizon_radius(
+            plant, problem.transition, problem.input_matrix, problem.state_weight,
+            problem.input_weight, problem.terminal_weight, problem.length, problem.cross_weight,
+        )  # fmt: skip
+        if radius > 1 - _DECAYS:
+            warn(
+                f"a horizon of {problem.length} samples with this terminal_weight does not hold "
+                f"the linear plant: the spectral radius of its loop is {radius:.6g} a sample, "
+                "expected less than 1. Take a longer horizon, or leave terminal_weight out",
+                ControlWarning,
+            )
+    elif _leaves(plant, settings, designed):
+        names = [plant.input_names[i] for i in np.flatnonzero(~designed.free)]
+        more = ", …" if len(names) > _LISTED else ""
+        warn(
+            f"a horizon of {designed.problem.length} samples does not hold the linear plant: from "
+            f"starts next to the operating point its loop is farther off {_SAMPLES} samples later. "
+            f"{', '.join(names[:_LISTED])}{more} can go one way only there. Take a longer horizon, "
+            "tighten slack strings, or drive others",
+            ControlWarning,
+        )
+
+
+def _leaves(plant: LinearPlant, settings: MPCSettings, designed: Design) -> bool:
+    """Return whether the loop on the linear plant ends farther from rest than it starts.
+
+    Starts are random, and so near that only bounds that the operating point is at are felt. What
+    is far is said by the cost to go of the LQR.
+    """
+    settings = replace(
+        settings, reference=None, load_gain=None, tracked=None, time_limit=None, tolerance=1e-9
+    )
+    path = ReferencePreview(plant, None, designed.sampled)
+    law = MPCLaw(plant=plant, settings=settings, design=designed, load=None, path=path)
+    program, data, problem = law.program(), law.stage_data(law.preview(0.0), None), designed.problem
+    random, (units, _) = np.random.default_rng(0), state_units(plant)
+    for _ in range(_STARTS):
+        state, previous = units * random.normal(size=len(units)), data.previous_origin
+        wanted = problem.feedback[:, : len(state)] @ state
+        state *= _NEXT_TO * problem.level / max(float(np.abs(wanted).max()), 1e-300)
+        costs = []
+        for _ in range(_SAMPLES):
+            first = law.first_state(data, state, previous)
+            costs.append(float(first @ designed.regulator_cost @ first))
+            answer = program.solve(first, data, previous, np.inf)
+            if answer.input is None:
+                return True
+            value = clipped(answer.input, designed.low, designed.high)
+            free = law.free_response(data, state, previous)
+            state, previous = free + designed.sampled.by_input @ value, value
+        if costs[-1] > costs[0]:
+            return True
+    return False
+
+
 @final
 @with_parameters_of(MPCSettings)
 class MPC(PredictiveController):
@@ -146,7 +224,8 @@ class MPC(PredictiveController):
 
     At each sample it predicts the plant over a horizon by the exact zero-order-hold
     discretization, solves a quadratic program, and applies the first input. The terminal cost is
-    that of the discrete LQR, if no other is given.
+    that of the discrete LQR, if no other is given: of inputs that can go both ways at the operating
+    point, where these hold the plant alone, so that the loop comes to rest with any horizon.
 
     If the rest length is the input, γ depends on the motion. Its limits are then linear in state
     and input. They are soft, as a disturbance may make a string slack before any winch moves.
@@ -177,7 +256,8 @@ class MPC(PredictiveController):
         rest lengths between samples, would undo it: see :func:`held_loop`. If no string reaches
         a mode that does not decay, naming it: see ``left_alone``.
     ControlWarning
-        If inputs at a bound push a motion that grows or drifts one way only.
+        If the loop on the linear plant does not come to rest: inputs at a bound push a motion that
+        grows or drifts one way only, or the horizon is too short.
         If a reference is farther than the linear plant holds: on the plant linearized in its last
         shape, the LQR of the program comes to rest more than 2 % of the size off, or lets errors
         grow by a factor e in 2 s or less. If a reference breaks a soft limit.
@@ -210,7 +290,7 @@ class MPC(PredictiveController):
         )
         for text in self._concerns(self._law.path):
             warn(text, ControlWarning)
-        self._warn_of_one_way()
+        warn_of_loop(plant, settings, designed)
         self._program = self._law.program()
         self._sparse: Sparse | None = None  # for other solvers, once it is asked for
         # The data of a reference that rests, which no sample changes.
@@ -219,19 +299,6 @@ class MPC(PredictiveController):
         converts = plant.input == "force_density" and plant.model.strings is not None
         if converts and plant.actuation.is_whole:
             warn_of_held_lengths(plant, designed.problem.feedback, settings.sample_time)
-
-    def _warn_of_one_way(self) -> None:
-        """Warn of a motion of the linear plant that no law within the bounds can hold."""
-        pole = pushed_one_way(self.plant, *self.bounds)
-        if pole is None:
-            return
-        motion = "drifts" if pole == 0 else f"grows by a factor e in {1 / pole:.2g} s"
-        warn(
-            f"inputs at a bound push a motion that {motion} one way only, so no law can hold the "
-            "linear plant in this shape: tighten slack strings, drive strings that pull the other "
-            "way, or choose another shape",
-            ControlWarning,
-        )
 
     def _concerns(self, path: ReferencePreview) -> list[str]:
         concerns = super()._concerns(path)

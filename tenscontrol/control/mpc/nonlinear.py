@@ -13,6 +13,7 @@ from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.control.command import Command, ControlWarning, Fallback
 from tenscontrol.control.disturbance import LoadObserver
+from tenscontrol.control.mpc.linear import warn_of_loop
 from tenscontrol.control.mpc.problem import MPCProblem, Pair, StageData, Subproblem, Triple
 from tenscontrol.control.mpc.real_time_iteration import RealTimeIterate, TrajectoryModel
 from tenscontrol.control.mpc.settings import (
@@ -211,7 +212,7 @@ class NMPC(PredictiveController):
     ----------
     plant : LinearPlant
         In internal coordinates, at an equilibrium. It says which input, and gives the terminal
-        cost, that of its discrete LQR, if no other is given. Of a model with ground in minimal
+        cost, as for :class:`MPC`, if no other is given. Of a model with ground in minimal
         coordinates, where it stands or in the air: contact is predicted.
 
     Raises
@@ -225,7 +226,8 @@ class NMPC(PredictiveController):
     RuntimeWarning
         If no string reaches a mode that does not decay, naming it: see ``left_alone``.
     ControlWarning
-        If a reference breaks a soft limit.
+        If the loop of linear MPC with these settings does not come to rest at the operating point,
+        where there is no ground: see :class:`MPC`. If a reference breaks a soft limit.
 
     Notes
     -----
@@ -279,6 +281,8 @@ class NMPC(PredictiveController):
                 "under a load. Leave one out, or take MPC, which has both"
             )
         super().__init__(plant, settings, designed)
+        if plant.model.contacts is None:
+            warn_of_loop(plant, settings, designed)
         path = ReferencePreview(plant, settings.reference, designed.sampled)
         for text in self._concerns(path):
             warn(text, ControlWarning)

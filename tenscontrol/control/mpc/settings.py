@@ -13,7 +13,7 @@ import numpy as np
 
 from tenscontrol import validation
 from tenscontrol.actuation.winches import Winches
-from tenscontrol.arrays import FloatArray, frozen
+from tenscontrol.arrays import BoolArray, FloatArray, freeze_arrays, frozen
 from tenscontrol.control.command import ControlWarning
 from tenscontrol.control.controller import Controller, warn_of_unreached
 from tenscontrol.control.disturbance import LoadModel, LoadObserver, load_observer
@@ -29,7 +29,13 @@ from tenscontrol.control.mpc.qp_solver import QPSolver
 from tenscontrol.control.mpc.sparse import Sparse
 from tenscontrol.core.library import absence
 from tenscontrol.fields import check_fields, checked
-from tenscontrol.plant.controllability import refuse_empty, refuse_unreachable
+from tenscontrol.plant.controllability import (
+    lasting,
+    reached_states,
+    refuse_empty,
+    refuse_unreachable,
+    ways,
+)
 from tenscontrol.plant.input_bounds import input_bounds, largest_change
 from tenscontrol.plant.linear_plant import LinearPlant, Sampled, acceleration_response, sampled
 from tenscontrol.plant.linearize import OperatingPoint, linearize
@@ -311,6 +317,12 @@ class Design:
     sampled: Sampled  # what a sample does
     low: FloatArray  # least input, (m,)
     high: FloatArray
+    free: BoolArray  # inputs that can go both ways at the operating point, or are not used, (m,)
+    regulator_cost: FloatArray  # cost to go of the LQR of all inputs, without bounds
+    proven: bool  # whether P is the cost to go of a law that the bounds allow near rest
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
 
     @property
     def plant_problem(self) -> MPCProblem:
@@ -348,7 +360,8 @@ def design(plant: LinearPlant, settings: MPCSettings, nonlinear: bool = False) -
     ramp = winches is not None and winches.ramp
     numbers = (30.0 + 2.0 * states) * count * settings.horizon
     own = settings.N is not None or settings.terminal_weight is not None
-    if nonlinear or ramp or own or input_weight.ndim == 2 or count <= 2 * states:
+    many = not (nonlinear or ramp or own or input_weight.ndim == 2 or count <= 2 * states)
+    if not many:
         numbers = 10.0 * count**2
     hint = (
         ". MPC takes more inputs where R is diagonal, N and terminal_weight are not given, winches "
@@ -370,12 +383,18 @@ def design(plant: LinearPlant, settings: MPCSettings, nonlinear: bool = False) -
     model = sampled(plant, sample_time, ramp)
     transition, input_matrix = model.augmented
     cross = cross_weight(settings.N, state_weight, input_weight)
-    weight, (gain, _, cost, _) = regulator(
-        plant, transition, input_matrix, state_weight, input_weight, discrete=True, N=cross
-    )
+    weights = state_weight, input_weight, True
+    weight, (gain, _, cost, _) = regulator(plant, transition, input_matrix, *weights, cross)
     added = len(transition) - states
+    # What inputs that can go one way only do at the bound is nothing that the law counts on.
+    free = np.logical_and(*ways(plant, low, high)) | ~gain.any(axis=1)
+    terminal, proven = cost, bool(free.all())
     if settings.terminal_weight is not None:
-        cost = _terminal_weight(settings.terminal_weight, states, added)
+        terminal, proven = _terminal_weight(settings.terminal_weight, states, added), False
+    elif not proven and not many and _hold(plant, free):
+        held = None if cross is None else cross * free
+        _, (_, _, terminal, _) = regulator(plant, transition, input_matrix * free, *weights, held)
+        proven = True
     # The price is relative to the cost of an input one level off.
     assert settings.string_penalty is not None  # the record filled in the default
     penalty = settings.string_penalty * level**2 * least_eigenvalue(input_weight)
@@ -389,7 +408,7 @@ def design(plant: LinearPlant, settings: MPCSettings, nonlinear: bool = False) -
         drift=np.r_[model.drift, np.zeros(added)],
         state_weight=weight,
         input_weight=input_weight,
-        terminal_weight=cost,
+        terminal_weight=terminal,
         low=low - plant.equilibrium_input,
         high=high - plant.equilibrium_input,
         change=largest_change(
@@ -400,9 +419,17 @@ def design(plant: LinearPlant, settings: MPCSettings, nonlinear: bool = False) -
         feedback=gain,
         rows=constraints.rows(),
         cross_weight=None if cross is None else np.pad(cross, ((0, added), (0, 0))),
-        steady=settings.terminal_weight is None,
+        steady=terminal is cost,
     )
-    return Design(problem, constraints, model, frozen(low), frozen(high))
+    return Design(problem, constraints, model, low, high, free, cost, proven)
+
+
+def _hold(plant: LinearPlant, free: BoolArray) -> bool:
+    """Return whether these inputs alone reach all that all of them reach and that stays."""
+    all_left, left = (
+        reached_states(one).unreached_pole for one in (plant, replace(plant, B=plant.B * free))
+    )
+    return bool(lasting(left) == lasting(all_left))
 
 
 def _terminal_weight(given: object, states: int, added: int) -> FloatArray:

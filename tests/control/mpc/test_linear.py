@@ -15,6 +15,7 @@ from tenscontrol.control.mpc.osqp_solver import OSQPSolver
 from tenscontrol.control.mpc.problem import MPCProblem, StageData
 from tenscontrol.control.mpc.sparse import Sparse
 from tenscontrol.core.library import absence
+from tenscontrol.plant.riccati import horizon_radius
 from tests.control.fault_loop import solve_nothing
 from tests.control.mpc.optimum import exact_optimum, point_of_inputs
 
@@ -421,3 +422,28 @@ def test_a_failed_solve_leaves_nothing_behind():
     assert short.solve(q, low, high).status is Status.OUT_OF_ITERATIONS
     again, first = (program.solve(q, low, high) for program in (used, fresh))
     np.testing.assert_allclose(again.x, first.x, atol=1e-7)
+
+
+def test_a_horizon_that_holds_nothing_is_said(plant):
+    """Its loop without bounds, by the normal equations of all inputs together."""
+    with pytest.warns(tc.control.ControlWarning, match="spectral radius of its loop is 1 a sample"):
+        tc.MPC(plant, horizon=1, sample_time=0.02, terminal_weight=0.0)  # whose law does nothing
+    tc.MPC(plant, horizon=2, sample_time=0.02, terminal_weight=0.0)
+    (A, B, _), (Q, R) = plant.discretize(0.02), tc.plant.natural_weights(plant)
+    N, P, (s, a) = 0.1 * np.sqrt(np.diag(Q)[:, None] * R) / 18, 2 * Q, B.shape
+    powers = [np.linalg.matrix_power(A, k) for k in range(4)]
+    H, F = np.zeros((3 * a, 3 * a)), np.zeros((3 * a, s))
+    for k in range(4):  # z_k = by_u u + A^k z
+        by_u = np.hstack([powers[k - 1 - j] @ B if j < k else 0 * B for j in range(3)])
+        W = P if k == 3 else Q
+        H += by_u.T @ W @ by_u
+        F += by_u.T @ W @ powers[k]
+        if k < 3:
+            here = slice(k * a, k * a + a)
+            H[here, here] += np.diag(R)
+            H[here] += N.T @ by_u
+            H[:, here] += by_u.T @ N
+            F[here] += N.T @ powers[k]
+    expected = np.abs(np.linalg.eigvals(A - B @ np.linalg.solve(H, F)[:a])).max()
+    found = horizon_radius(plant, A, B, Q, R, P, 3, N)
+    assert found == pytest.approx(expected, abs=1e-9)
