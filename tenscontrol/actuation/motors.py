@@ -80,7 +80,8 @@ class Motor:
         Turns of the motor for one turn of the drum: G.
     torque : float or array_like, shape (α,), optional
         Largest torque of the motor, N m; unlimited if infinite or not given. Where the tension
-        needs more, a brake gives the rest: the winch holds or pays out, but does not wind in.
+        needs more, a brake gives the rest: the winch holds or pays out, but does not wind in. A
+        drum that pays out some strings as it winds others holds or turns with the pull.
     speed : float or array_like, shape (α,), optional
         Largest speed of the motor, rad/s; unlimited if infinite or not given.
     inertia : float or array_like, shape (α,)

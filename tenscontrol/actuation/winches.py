@@ -16,9 +16,9 @@ from tenscontrol.short_repr import short_repr
 
 _SUBSTEPS = 10
 
-# Newton steps to the rest length at which a motor can wind no further, the stretch of a string from
-# which they start where it is slack, and the part of its length below which a step is the last.
-_NEWTON, _TAUT, _CONVERGED = 6, 1e-3, 1e-12
+# Newton steps to the rest length at which a motor can turn no further, at most, and the part of the
+# rest length below which a step is the last.
+_NEWTON, _CONVERGED = 50, 1e-12
 
 # Phases of a tick in which a drive with a lag is at its largest speed, or below it.
 _PHASES = 3
@@ -26,9 +26,10 @@ _PHASES = 3
 # kg m²: of motors without inertia among others that have some.
 _LEAST_INERTIA = 1e-30
 
-#: Force that winds each string in, N, how fast it falls with the rest length, N/m, and the length
-#: of the string, m, each of shape (α,), at rest lengths, m, shape (α,), so long after now, s.
-Pull = Callable[[FloatArray, float], tuple[FloatArray, FloatArray, FloatArray]]
+#: Force that pulls at each winch, N, and how fast it falls with the rest length, N/m, each of shape
+#: (α,), at rest lengths, m, shape (α,), so long after now, s. The force is that of the strings that
+#: it winds in, less that of the strings that it then pays out.
+Pull = Callable[[FloatArray, float], tuple[FloatArray, FloatArray]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -377,11 +378,7 @@ class Drive:
             first = self.speed
         else:
             end = self._followed(before, target, time)
-            later = time * (not winches.jumps)
-            if self._strains(pull, end, later):
-                least = np.minimum(self.position, self._least(pull, later))
-                self._weak |= end < least
-                end = np.maximum(end, least)
+            end = self._within_torque(end, pull, time * (not winches.jumps))
             end = np.where(self._stuck, self.position, end)
             still = np.zeros_like(end)
             speed = still if winches.jumps else (end - self.position) / time
@@ -486,13 +483,15 @@ class Drive:
         winding = gain * (motor.torque - lever * force)
         paying = gain * (motor.torque + lever * force)
         low, high = self.speed - winding * time, self.speed + paying * time
-        low = np.where(winding < 0, np.minimum(low, 0.0), low)
+        low = np.where(winding < 0, np.minimum(low, 0.0), low)  # a brake holds
+        high = np.where(paying < 0, np.maximum(high, 0.0), high)
         gap = target - self.position - self.speed * time / 2
-        braking = np.where(gap > 0, np.maximum(winding, 0.0), paying)
+        braking = np.maximum(np.where(gap > 0, winding, paying), 0.0)
         # What is left at the end of the tick must do to stop in whole ticks.
         stopping = braking * time + np.sqrt((braking * time) ** 2 + 2 * braking * np.abs(gap))
         with np.errstate(invalid="ignore", divide="ignore"):
-            most = np.where(stopping > 0, 2 * braking * np.abs(gap) / stopping, 0.0)
+            # Where the torque cannot stop it, the brake does, at once.
+            most = np.where(stopping > 0, 2 * braking * np.abs(gap) / stopping, np.inf)
         most = np.minimum(most, np.abs(gap) / (motor.lag + time / 2))
         self._slow |= (most > self._rate) & ~self._stuck
         wanted = np.sign(gap) * np.minimum(most, self._rate)
@@ -503,22 +502,35 @@ class Drive:
         self.speed = np.where(self._stuck, 0.0, self.speed)
         return np.where(self._stuck, self.position, end), np.where(self._stuck, 0.0, speed)
 
-    def _strains(self, pull: Pull, end: FloatArray, time: float) -> bool:
-        """Whether positions so long after now ask for more than the torque of a motor."""
-        most = self._motor.most_tension
-        if not np.isfinite(most).any():
-            return False
-        return bool((pull(end + self._play, time)[0] > most).any())
+    def _within_torque(self, end: FloatArray, pull: Pull, time: float) -> FloatArray:
+        """Return positions so long after now up to which motors turn on the way to others.
 
-    def _least(self, pull: Pull, time: float) -> FloatArray:
-        """Return the positions beyond which a motor cannot have wound in so long after now."""
-        most, length = self._motor.most_tension, pull(self.rest_length, time)[2]
-        rest = np.minimum(self.rest_length, (1 - _TAUT) * length)
+        Against the pull a motor turns up to where that takes all of its torque, or holds.
+        """
+        motor, position = self._motor, self.position
+        if not np.isfinite(motor.torque).any():
+            return end
+        way = np.sign(position - end)  # 1 where it winds in
+
+        def excess(at: FloatArray) -> tuple[FloatArray, FloatArray]:
+            force, stiffness = pull(at + way * self._play, time)
+            return way * force - motor.most_tension, stiffness
+
+        over, slope = excess(end)
+        strained = (way != 0) & (over > 0)
+        if not strained.any():
+            return end
+        self._weak |= strained
+        moves = strained & (excess(position)[0] < 0)
+        # The pull falls with the rest length: what it takes grows on the way.
+        reached, too_far, at = position, end, end
         for _ in range(_NEWTON):
-            force, slope, _ = pull(rest, time)
-            with np.errstate(all="ignore"):  # of motions that run away
-                step = (force - most) / slope
-            before, rest = rest, np.maximum(rest + step, _TAUT * length)
-            if (np.abs(rest - before) <= _CONVERGED * length).all():
+            with np.errstate(all="ignore"):  # where nothing pulls, and of motions that run away
+                step = at + way * over / slope
+                is_between = (step - too_far) * (step - reached) <= 0
+            before, at = at, np.where(is_between, step, (too_far + reached) / 2)
+            if (np.abs(at - before) <= _CONVERGED * np.abs(position))[moves].all():
                 break
-        return np.asarray(rest - self._play)
+            over, slope = excess(at)
+            too_far, reached = np.where(over > 0, at, too_far), np.where(over > 0, reached, at)
+        return np.where(moves, at, np.where(strained, position, end))

@@ -714,15 +714,14 @@ class Model:
         return self._function("string_motion", s, "x", **outputs)
 
     def _winding(self, s: dict[str, Any]) -> ca.Function:
-        """``(x, rest_length, rate) -> (stored, force, force_rate, slope, length)`` of each string.
+        """``(x, rest_length, rate) -> (stored, force, force_rate, slope)`` of each string.
 
         Elastic energy, J; the force that winds the string in, ``−∂U/∂l0``, N; its rate under the
-        rates of the nodes and of the rest lengths, m/s, N/s; ``−∂F/∂l0``, N/m; and the length, m.
-        Each of shape (α,).
+        rates of the nodes and of the rest lengths, m/s, N/s; and ``−∂F/∂l0``, N/m. Each of shape
+        (α,).
         """
         s["rate"] = ca.SX.sym("rate", len(self._structure.strings))
         x, rest = s["x"], s["rest_length"]
-        length = kernel.string_lengths(self._structure, s["nodes"]).T
         stored = self.forces("rest_length").strings.stored_energy(s["nodes"], rest)
         # Each string stores by its own rest length alone.
         force = -ca.jtimes(stored, rest, ca.DM.ones(rest.shape))
@@ -731,10 +730,7 @@ class Model:
         moved = ca.vertcat(x[half:], ca.DM.zeros(half))
         change = ca.jtimes(force, x, moved) + ca.jtimes(force, rest, s["rate"])
         outputs = {"stored": stored, "force": force, "force_rate": change, "slope": slope}
-        outputs = {
-            name: ca.densify(expression)
-            for name, expression in (outputs | {"length": length}).items()
-        }
+        outputs = {name: ca.densify(expression) for name, expression in outputs.items()}
         return self._function("winding", s, "x rest_length rate", **outputs)
 
     def _momentum(self, s: dict[str, Any]) -> ca.Function:

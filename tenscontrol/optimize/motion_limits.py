@@ -117,6 +117,9 @@ class MotionLimits:
                 validation.one_or_per_member("winches.rate", rate, count)
             self.pull = _most_pull(winches, self.actuation)
             self.inertia = _inertia(winches, self.actuation, self._input)
+        pays_out = np.unique(self.actuation.input[self.actuation.ratio < 0])
+        self._push = np.full_like(self.pull, np.inf)  # of strings that it pays out as it winds in
+        self._push[pays_out] = self.pull[pays_out]
         has_winch = self.actuation.input >= 0
         self.rate = changes_of_inputs(self.actuation, largest if is_wound else none)
         self._length_rate = none if is_wound else np.where(has_winch, largest, np.inf)
@@ -183,6 +186,7 @@ class MotionLimits:
             rows += [_at_most(sign * now.rate, self.rate, "rate") for sign in (1, -1)]
         else:
             rows.append(_at_most(state.pull, self.pull, "torque of the motors"))
+            rows.append(_at_most(-state.pull, self._push, "torque of the motors"))
         if self._clearance is not None:
             apart = bar_clearances(self._structure, state.nodes)
             rows.append(positive((apart - self._clearance) / self._size, "min_clearance"))
@@ -282,13 +286,7 @@ def _most_pull(winches: Winches, actuation: Actuation) -> FloatArray:
             "winches have motors with lag or backlash, which a plan does not know: give motors "
             "without them, and see by simulate(..., controller=...) how yours follow"
         )
-    most = _least_by_winch(actuation, each_motor(motor, count).most_tension)
-    if np.isfinite(most).any() and (actuation.ratio < 0).any():
-        raise ValueError(
-            "winches.motor has torque, but a motor winds some strings while it pays out others in "
-            "plant: leave torque out, or give ratios of one sign"
-        )
-    return most
+    return _least_by_winch(actuation, each_motor(motor, count).most_tension)
 
 
 def _inertia(winches: Winches, actuation: Actuation, input: str) -> FloatArray | None:

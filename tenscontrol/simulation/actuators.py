@@ -48,8 +48,8 @@ from tenscontrol.structure.structure import same_members
 
 _NONE = frozen(np.zeros(0, dtype=np.int64))
 
-# Of strings: force, its slope and length, see ``Pull``.
-_Forces = tuple[FloatArray, FloatArray, FloatArray]
+# Of winches: force and its slope, see ``Pull``.
+_Forces = tuple[FloatArray, FloatArray]
 
 # Of motors that move rest lengths.
 _DYNAMIC = ("inertia", "lag", "backlash")
@@ -143,8 +143,6 @@ class Actuators:
                 "strings, of which motors know no limits where γ is held: leave the motor out, or "
                 "hold rest lengths"
             )
-        if winches is not None and winches.motor is not None and self._actuation.is_ganged:
-            _refuse_both_ways(winches.motor, self._actuation)
         listed = self._plant_run.faults.listed
         stuck = [fault.string for fault in listed if isinstance(fault, StuckWinch)]
         refuse_passive(self._actuation, "a stuck winch in faults", np.array(stuck, dtype=np.int64))
@@ -295,22 +293,16 @@ class Actuators:
         return moved
 
     def _pull(self, motion: FloatArray, inputs: FloatArray) -> _Forces:
-        """Return force, its slope and length of each winch, see ``Pull``, in a motion."""
+        """Return the force at each winch and its slope, see ``Pull``, in a motion."""
         lengths = self._to_plant("rest_length", strings_of(self._actuation, inputs))
-        _, force, _, slope, length = self._winding(motion, lengths, np.zeros_like(lengths))
+        _, force, _, slope = self._winding(motion, lengths, np.zeros_like(lengths))
         share = self._to_plant("rest_length", np.ones(self._count))
         tension = self._to_strings("tension", force.copy())  # the next call overwrites them
         stiffness = self._to_strings("length", slope * share**2)
-        length = self._to_strings("length", length.copy())
         act = self._actuation
         if act.is_whole:
-            return tension, stiffness, length
-        if not act.is_ganged:
-            return tension[act.lead], stiffness[act.lead], length[act.lead]
-        driven, taut = act.driven, np.full(len(act.lead), -np.inf)
-        ends = (length[driven] - act.offset[driven]) / act.ratio[driven]
-        np.maximum.at(taut, act.input[driven], ends)  # where the first of its strings pulls
-        return forces_on_inputs(act, tension), sums_by_input(act, act.ratio**2 * stiffness), taut
+            return tension, stiffness
+        return forces_on_inputs(act, tension), sums_by_input(act, act.ratio**2 * stiffness)
 
     def end(self) -> WinchMove:
         """Return the move of the sample, with the limits that were met."""
@@ -426,7 +418,7 @@ class Actuators:
         assert whole  # refused by those who ask
 
         def pull(rest_length: FloatArray, _: float) -> _Forces:
-            return np.zeros_like(rest_length), np.ones_like(rest_length), rest_length
+            return np.zeros_like(rest_length), np.ones_like(rest_length)
 
         begins, coefficients = list[float](), list[FloatArray]()
         for begin, move in zip(self._begins, self._moves, strict=True):
@@ -535,20 +527,6 @@ def winches_of_inputs(winches: Winches, actuation: Actuation, motor: Motor | Non
         rate = changes_of_inputs(actuation, np.broadcast_to(rate, (count,)))
     low, high = bounds_of_inputs(actuation, low, high)
     return replace(winches, rate=rate, shortest=low, longest=high, motor=motor)
-
-
-def _refuse_both_ways(motor: Motor, actuation: Actuation) -> None:
-    """Raise if a motor that winds strings while it pays out others has a torque."""
-    if motor.torque is None or not np.isfinite(motor.torque).any():
-        return
-    both = np.flatnonzero(actuation.ratio < 0)
-    if len(both):
-        raise ValueError(
-            "winches.motor has torque, but one motor winds some strings while it pays out others "
-            f"(string {both[0]} has the ratio {actuation.ratio[both[0]]:g}): its torque then ends "
-            "both ways, and a brake holds neither. Leave torque and inertia out, and compare "
-            "run.control.motors.torque with what the motor has; or give ratios of one sign"
-        )
 
 
 def commands_parent(model: Model, controller: BaseController) -> bool:

@@ -2,9 +2,9 @@
 
 Run: ``python -m tests.benchmarks.stepping``, one or two minutes on an idle core. A six-bar ball
 stands on ground; in each sample of 20 ms its 24 strings get rest lengths at random. 1, 16, 256 and
-1,024 of them are stepped by :class:`tenscontrol.Stepper`, by MuJoCo's ``mj_step`` (one robot) and
-by its ``rollout`` (several), each with the same numbers of steps; and by the stepper's other method,
-which ends steps at switches. MuJoCo hands out states, not nodes, which is less work.
+1,024 of them are stepped by both methods of :class:`tenscontrol.Stepper`, by MuJoCo's ``mj_step``
+(one robot) and by its ``rollout`` (several), each with the same numbers of steps. MuJoCo hands out
+states, not nodes, which is less work.
 
 The error of a step is the largest distance of a node after 10 samples from where a step that is
 ``FINER`` times finer than the finest brings it, over the size of the ball: the median of some

@@ -511,3 +511,47 @@ def test_a_motor_of_three_strings_is_three_motors_that_do_the_same(kind):
 
 def _wound(time, nodes, velocities, inputs):
     return inputs - min(0.3 * time, 0.15)
+
+
+@pytest.mark.filterwarnings("ignore:rest length error")
+@pytest.mark.parametrize(
+    ("ramp", "kind"),
+    [(True, {}), (False, {}), (True, {"backlash": 1.0}), (True, {"inertia": 1e-4})],
+)
+def test_a_motor_of_antagonists_is_limited_both_ways(ramp, kind):
+    """A drum winds one string of a bar that is too heavy to move and pays out the other.
+
+    Both are 1 m long, with 100 N/m and 0.9 m at rest. The drum is pulled by the difference of their
+    tensions: 2 × 100 N/m until one is slack, at 0.1 m with 20 N, and 100 N/m from there. Its motor
+    gives 25 N.
+    """
+    nodes = [[0.0, 0.0, -1.0, 1.0], [0.0, 1.0, 1.0, 1.0]]
+    bar = tc.Structure(nodes, [[0, 1]], [[1, 2], [1, 3]], 1e12, fixed=[0, 2, 3])
+    model = tc.Model(bar, strings=tc.LinearStrings(100.0))
+    motor = tc.Motor(drum_radius=0.01, torque=0.25, **kind)
+    runs = []
+    for sign in (1, -1):
+        law = tc.FunctionController(
+            bar, lambda t, N, V, sign=sign: [0.9 - sign * 0.35 * np.sin(2 * np.pi * t)],
+            input="rest_length", sample_time=2 * SAMPLE, actuated={"drum": {0: 1.0, 1: -1.0}},
+        )  # fmt: skip
+        winches = tc.Winches(ramp=ramp, substeps=4 if ramp else None, motor=motor)
+        runs.append(tc.simulate(
+            model, 1.0, controller=law, winches=winches, rest_length=0.9, step=SAMPLE, error="none",
+        ))  # fmt: skip
+    run, mirrored = runs
+    first = run.time < (0.5 if "inertia" in kind else np.inf)  # then round-off says how it stops
+    off = (run.rest_length - mirrored.rest_length[::-1])[:, first]
+    np.testing.assert_allclose(off, 0.0, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(run.rest_length.sum(axis=0), 1.8, rtol=0, atol=1e-12)
+    motors, tension = run.control.motors, np.maximum(100.0 * (1.0 - run.rest_length), 0.0)
+    if not kind:
+        pull = 0.01 * (tension[0] - tension[1])
+        np.testing.assert_allclose(motors.torque[0], pull, rtol=0, atol=1e-10)
+    reached = run.rest_length[0].min(), run.rest_length[0].max()
+    if "inertia" in kind:  # the rotor winds on against the pull, and comes back
+        assert reached[0] < 0.7
+        assert reached[1] > 1.1
+    else:
+        np.testing.assert_allclose(reached, (0.75, 1.05), rtol=0, atol=1e-10)
+    assert motors.torque_limited.sum() > 10
