@@ -88,9 +88,6 @@ def test_numbers_of_motors_are_drawn_by_name():
         assert figures == case(drawn, None).figures["largest_force_density"]
     with pytest.raises(tc.robustness.SweepError, match=r"lag is drawn, but .*torque"):
         case({"motor.lag": 1.1}, None)
-    open_loop = tc.Scene(model, 0.2, rest_length=plant.rest_length)
-    with pytest.raises(ValueError, match=r"vary has 'motor.torque', .* to sweep\(ClosedLoopCase"):
-        tc.simulate_many(open_loop, {"motor.torque": [0.4, 0.5]})
     without = replace(case, scene=replace(case.scene, winches=None, rest_length=None))
     with pytest.raises(tc.robustness.SweepError, match=r"give Winches\(motor"):
         without({"motor.torque": 1.1}, None)

@@ -346,8 +346,6 @@ def test_of_a_batch_no_run_of_which_can_begin_it_is_said_why(how):
         ({"rest_length": np.ones(2)}, {"keep_nodes": [[1, 2]]}, r"keep_nodes.*\(1, 2\)"),
         ({"external_force": np.ones((2, 3, 6))}, {}, "no load"),
         ({"rest_length": np.ones(10**6)}, {"output_step": 1e-3}, "GB of memory"),
-        ({"rest_length": np.ones(2)}, {"faults": [tc.CutString(0, 0.1)]}, "faults given"),
-        ({"rest_length": np.ones(2)}, {"support_motion": np.zeros((3, 0))}, "support_motion given"),
     ],
 )
 def test_bad_input_is_named(vary, more, said):

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from tenscontrol import validation
+from tenscontrol.actuation.motors import motor_numbers, with_motor_numbers
 from tenscontrol.arrays import FloatArray
 from tenscontrol.control.controller import Controller
 from tenscontrol.dynamics.held_inputs import held_value, refuse_load
@@ -40,15 +41,21 @@ _ARRAYS = (
 )  # fmt: skip
 
 
-def refusal(scene: Scene) -> str | None:
-    """Return why a scene is run by :func:`simulate` alone; None if many runs of it can be."""
+def single_runs_of(scene: Scene) -> str | None:
+    """Return why runs of a scene go one after another by :func:`simulate`; None if together."""
     if scene.drives_bars:
         return "bars are driven"
     for name in ("winches", "estimator", "support_motion", "start"):
         if getattr(scene, name) is not None:
             return f"{name} given"
-    if scene.faults:
-        return "faults given"
+    return "faults given" if scene.faults else None
+
+
+def refusal(scene: Scene) -> str | None:
+    """Return why runs of a scene cannot be done together; None if they can."""
+    why = single_runs_of(scene)
+    if why is not None:
+        return why
     law = scene.law
     if law is None:
         return None
@@ -65,15 +72,6 @@ def checked_variation(scene: Scene, vary: object) -> dict[str, FloatArray]:
     """Return what differs from run to run, by name, as arrays with a first axis of runs."""
     if not isinstance(vary, Mapping):
         raise validation.wrong_kind("vary", vary, "a dict of arrays, by name, one entry a run")
-    for name in vary:
-        if isinstance(name, str) and name.startswith("motor."):
-            raise ValueError(
-                f"vary has {name!r}, but many runs at once have no winches: give factors on it to "
-                "sweep(ClosedLoopCase(scene, ...), grid({"
-                + repr(name)
-                + ": [0.8, 1.2]}), ...), or "
-                "Uniform(...) in place of the grid"
-            )
     shapes = _shapes(scene)
     given = {
         name: _of_runs(f"vary[{name!r}]", value, shapes[validation.choice("vary", name, shapes)])
@@ -98,8 +96,11 @@ def _shapes(scene: Scene) -> dict[str, tuple[int, ...]]:
     """Return what can differ from run to run, and the shape that each run has."""
     model, nodes = scene.model, scene.structure.nodes.shape
     shapes: dict[str, tuple[int, ...]] = {"nodes": nodes, "velocities": nodes}
-    if scene.controller is None:
+    if scene.controller is None or (scene.winches is not None and scene.input == "rest_length"):
         shapes[scene.input] = (len(scene.structure.strings),)
+    if scene.winches is not None and scene.law is not None:
+        wound = len(scene.law.commanded.strings)
+        shapes |= dict.fromkeys(motor_numbers(scene.winches.motor, wound), (wound,))
     if scene.drives_bars:
         shapes["bar_length"] = (len(scene.structure.bars),)
     shapes["external_force"] = nodes
@@ -146,7 +147,8 @@ class BatchInputs:
         self.base, self.given, self.input = base, given, base.input
         self.model, self.duration = base.model, base.duration
         self.count = max(map(len, given.values()))
-        self.varied = [name for name in given if name not in _ARRAYS]
+        self._of_motors = [name for name in given if name.startswith("motor.")]
+        self.varied = [name for name in given if name not in (*_ARRAYS, *self._of_motors)]
         self.held: Pieces | None = None
         if isinstance(base.law, Controller):
             # What runs begin from, and what is chosen for, until there is a command.
@@ -197,7 +199,12 @@ class BatchInputs:
     def scene_of(self, run: int) -> Scene:
         """Return the scene of a run alone, refusing numbers that do not fit."""
         names = "nodes", "velocities", "external_force", "bar_length", self.input
-        own = {name: self.given[name][run] for name in names if name in self.given}
+        own: dict[str, Any] = {name: self.given[name][run] for name in names if name in self.given}
+        winches = self.base.winches
+        if self._of_motors and winches is not None and winches.motor is not None:
+            numbers = {name: self.given[name][run] for name in self._of_motors}
+            motor = with_motor_numbers(winches.motor, numbers)
+            own["winches"] = replace(winches, motor=motor)
         return replace(self.base, model=self.model_of(run) if self.varied else self.model, **own)
 
     def input_value(self, run: int) -> FloatArray:

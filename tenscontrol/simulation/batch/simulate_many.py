@@ -2,8 +2,8 @@
 
 Runs go in blocks to threads. By dop853 and rk4 a block is a call of the compiled core, which takes
 steps of several runs by one instruction. Else each run is a call of the integrator. Runs with
-driven bars go one after another by :func:`simulate`. The numbers are those of single runs, to the
-last bit.
+driven bars, winches, estimators, faults or moving supports go one after another by
+:func:`simulate`. The numbers are those of single runs, to the last bit.
 """
 
 from __future__ import annotations
@@ -22,7 +22,12 @@ from tenscontrol.interrupt import keeping
 from tenscontrol.progress import progress_bar
 from tenscontrol.properties import cached_property
 from tenscontrol.short_repr import short_repr
-from tenscontrol.simulation.batch.batch_inputs import BatchInputs, checked_variation, refusal
+from tenscontrol.simulation.batch.batch_inputs import (
+    BatchInputs,
+    checked_variation,
+    refusal,
+    single_runs_of,
+)
 from tenscontrol.simulation.batch.compiled_loop import checked_controller
 from tenscontrol.simulation.batch.runner import Runner
 from tenscontrol.simulation.batch.single_runs import SingleRuns
@@ -208,24 +213,25 @@ def simulate_many(
     """Return the motions of many runs of a scene: open loops, or loops closed by compiled code.
 
     The numbers are those of :meth:`Scene.simulate` run by run, to the last bit, with the same
-    method and step. Runs whose bars are driven are done by it, one after another, under any
-    controller, with winches, an estimator and faults too.
+    method and step. Runs with driven bars, winches, an estimator, faults or moving supports are
+    done by it, one after another, under any controller; the others together, in threads.
 
     Parameters
     ----------
     scene : Scene
         What runs have in common. Its controller, if it has one, is compiled code:
-        ``generate_c(controller, folder).compile()``. Each run has its own, from a fresh start;
-        commands are held over a sample as they are. Winches, estimators, faults, moving supports
-        and a ``start`` go by :meth:`Scene.simulate` alone. Of its integration, ``"auto"`` chooses
-        once, for the first run, or for each run with driven bars; without ``output_step`` start and
-        end alone are kept; ``limits`` are not looked at.
+        ``generate_c(controller, folder).compile()``, where runs are done together. Each run has its
+        own, from a fresh start; commands are held over a sample as they are. A ``start`` is left to
+        :meth:`Scene.simulate`. Of its integration, ``"auto"`` chooses once, for the first run, or
+        for each of runs that are done one after another; without ``output_step`` start and end
+        alone are kept; ``limits`` are not looked at.
     vary : mapping of str to array_like
         What differs from run to run, in place of what the scene has, by name: ``"nodes"``,
         ``"velocities"`` and ``"external_force"``, shape (runs, d, n), in m, m/s and N; what is held
         in open loop, ``"rest_length"``, m, or ``"force_density"``, N/m, shape (runs,) or (runs, α);
         of bars that are driven, lengths that are held or at the start, ``"bar_length"``, m, shape
-        (runs,) or (runs, β);
+        (runs,) or (runs, β); under a controller with winches ``"rest_length"`` at the start, and
+        numbers of their motors, as ``"motor.torque"``, shape (runs,) or (runs, α);
         and parameters of the model, shape (runs,) or (runs, members): ``"bar_mass"``,
         ``"point_mass"`` (members are nodes), kg, those of the string law such as ``"stiffness"``
         and ``"damping"``, ``"gravity"`` (members are axes), and numbers of the contact law, as
@@ -279,10 +285,10 @@ def simulate_many(
     validation.truth("progress", progress, "whether to show a progress bar")
     validation.choice("error", error, ("sample", "all", "none"))
     threads = _processors() if threads is None else validation.whole_number("threads", threads, 1)
-    if scene.drives_bars:
-        if scene.start is not None:
-            raise ValueError("many runs begin at 0 s, but the scene has a start: simulate goes on")
-    else:
+    is_alone = single_runs_of(scene) is not None
+    if scene.start is not None:
+        raise ValueError("many runs begin at 0 s, but the scene has a start: simulate goes on")
+    if not is_alone:
         if scene.law is not None:
             checked_controller(scene.controller, scene.model)
         why = refusal(scene)
@@ -298,7 +304,7 @@ def simulate_many(
     runner: Runner | SingleRuns | None = None
     errors = None
     with keeping("runs are done, the others are NaN", lambda: 0 if runner is None else runner.done):
-        runner = SingleRuns(inputs, kept) if scene.drives_bars else Runner(inputs, kept)
+        runner = SingleRuns(inputs, kept) if is_alone else Runner(inputs, kept)
         with progress_bar(inputs.count, progress, label="simulating", unit="runs") as report:
             runner.run(threads, report)
         if error != "none" and scene.integration.error != "none":
