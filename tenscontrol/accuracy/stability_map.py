@@ -258,4 +258,4 @@ def theoretical_limit(method: str) -> float:
     2√2 for the classical Runge-Kutta method, by its region of stability on the imaginary axis
     (Hairer & Wanner, *Solving Ordinary Differential Equations II*, IV.2).
     """
-    return float(np.sqrt(8)) if method == "rk4" else float("nan")
+    return float(np.sqrt(8)) if method in ("rk4", "rk4_plain") else float("nan")

@@ -159,10 +159,8 @@ class SteppedModels:
             s.
         """
         if self._lanes is None or (len(robots) == 1 and not self.parameters):
-            ends = np.empty_like(states)
-            for k, robot in enumerate(robots.tolist()):
-                ends[k] = self._one(robot, states[k], inputs[k], duration)
-            return ends
+            rows = enumerate(robots.tolist())
+            return np.array([self._one(k, states[i], inputs[i], duration) for i, k in rows])
         if self._loads is not None:
             loads, (strings, rates) = self._loads[robots], self._split(inputs)
             parts = [strings, loads, rates, np.zeros((len(robots), loads.shape[1] + 1))]

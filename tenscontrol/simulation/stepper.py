@@ -339,8 +339,8 @@ class Stepper:
         both = self._all_rows(self._states)
         if self._is_any_lost:
             both[:, self._lost] = np.nan
-        nodes, velocities = both.reshape(2, self._count, n, d).swapaxes(2, 3)
-        return (nodes, velocities) if self._shape else (nodes[0], velocities[0])
+        both = both.reshape(2, *self._shape, n, d).swapaxes(-2, -1)
+        return both[0], both[1]
 
     @property
     def model(self) -> Model:
