@@ -60,6 +60,22 @@ class InputLayout:
         """Number of entries of u."""
         return self.count * (self.degree + 1) + 1 if self.degree else self.count
 
+    @property
+    def load_rows(self) -> slice:
+        """Which values are loads."""
+        return slice(self.strings, self.strings + self.load)
+
+    @property
+    def offset_rows(self) -> slice:
+        """Which values are displacements by supports."""
+        end = self.count - self.lengths
+        return slice(end - self.offset, end)
+
+    @property
+    def length_rows(self) -> slice:
+        """Which values are lengths of bars."""
+        return slice(self.count - self.lengths, self.count)
+
     def ahead(self, u: Any, time: Any) -> Any:
         """Return the expression of the input that begins a time later."""
         return ca.vertcat(u[:-1], u[-1] + time) if self.degree else u
@@ -76,8 +92,7 @@ class InputLayout:
 
     def bar_lengths(self, u: Any) -> tuple[Any, Any, Any]:
         """Return the expressions of the lengths of bars, their rates and accelerations."""
-        first = self.count - self.lengths
-        length, rate, acceleration = (self.values(u, order)[first:] for order in range(3))
+        length, rate, acceleration = (self.values(u, order)[self.length_rows] for order in range(3))
         return length, rate, acceleration
 
     def columns(self, u: Any) -> dict[str, Any]:

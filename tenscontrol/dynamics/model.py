@@ -544,7 +544,7 @@ class Model:
             ``equation -> function``.
         """
         layout = equation.layout
-        if equation.form != "flat" or not self._shares(bool(layout.load)):
+        if equation.form != "flat" or layout.lengths or not self._shares(bool(layout.load)):
             return build(equation)
         assert self._shared is not None  # it shares
         other, names = self._shared

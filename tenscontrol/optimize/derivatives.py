@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import partial
+from math import factorial, perm
 from typing import Any, TypeVar
 
 import casadi as ca
@@ -13,7 +14,7 @@ import numpy as np
 
 from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.dynamics.contact_laws import Contacts
-from tenscontrol.dynamics.equation import Equation
+from tenscontrol.dynamics.equation import Equation, InputLayout
 from tenscontrol.dynamics.evaluator import Function, evaluate_columns
 from tenscontrol.dynamics.force import Force
 from tenscontrol.dynamics.forces import Forces
@@ -49,12 +50,29 @@ class Slopes:
         By all parameters but start, input and motion of supports.
     by_supports : ndarray, shape (K, half, 3 d n), or None
         By what moves with supports, by its rates, and by a load on all nodes.
+    by_bars : ndarray, shape (K, half, 3 β), or None
+        By lengths of bars, their rates and accelerations.
     """
 
     by_state: FloatArray
     by_input: FloatArray | None
     by_parameters: FloatArray
     by_supports: FloatArray | None = None
+    by_bars: FloatArray | None = None
+
+    def by_motion(self, kind: str) -> FloatArray:
+        """Return those by what a parameter of the kind "supports" or "bars" moves."""
+        matrices = self.by_supports if kind == "supports" else self.by_bars
+        assert matrices is not None  # it was asked for
+        return matrices
+
+    def of(self, some: slice) -> Slopes:
+        """Return those at some of the states."""
+        return Slopes(
+            *(None if by is None else by[some] for by in (
+                self.by_state, self.by_input, self.by_parameters, self.by_supports, self.by_bars
+            ))  # type: ignore[arg-type]
+        )  # fmt: skip
 
 
 class Derivatives:
@@ -72,22 +90,25 @@ class Derivatives:
     parameters : sequence of Parameter
     by_input : bool
         Whether derivatives by the input are needed where it is no parameter.
-    moves : bool
-        Whether supports move.
+    moves, drives : bool
+        Whether supports move, and whether bars are driven.
     """
 
     def __init__(
         self, model: Model, input: str, degree: int, parameters: Sequence[Parameter],
-        by_input: bool = False, moves: bool = False,
+        by_input: bool = False, moves: bool = False, drives: bool = False,
     ) -> None:  # fmt: skip
         self._model, self._input = model, input
-        options: dict[str, Any] = {"degree": degree, "load_input": True, "offset_input": moves}
+        options: dict[str, Any] = {
+            "degree": degree, "load_input": True, "offset_input": moves, "length_input": drives
+        }  # fmt: skip
         equation = model.equation(input, **options)
         if equation.form == "loops":  # without derivatives
             equation = model.equation(input, form="mapped", **options)
         self.equation = equation
         self._by_input = by_input or any(by.kind in ("input", "motor") for by in parameters)
         self._by_supports = any(by.kind == "supports" for by in parameters)
+        self._by_bars = drives  # also for what a push makes of the rates at the start
         self._of = [parameter for parameter in parameters if parameter.kind not in BESIDE]
         self._laws = [
             parameter for parameter in self._of if parameter.kind in ("strings", "ground")
@@ -107,11 +128,12 @@ class Derivatives:
     def _jacobian(self) -> ca.Function:
         by_supports = self._by_supports
         by_input, by_load = self._by_input, bool(self._of) or by_supports
+        wanted = by_input, by_load, by_supports, self._by_bars
 
         def build(equation: Equation) -> ca.Function:
-            return _jacobian(equation, by_input, by_load, by_supports)
+            return _jacobian(equation, *wanted)
 
-        return self._of_equation(("slopes", by_input, by_load, by_supports), build)
+        return self._of_equation(("slopes", *wanted), build)
 
     @cached_property
     def _by_law(self) -> ca.Function:
@@ -164,7 +186,7 @@ class Derivatives:
         half, count = self.half, x.shape[1]
         by_state = _stacked(next(outputs), half)
         by_input = _stacked(next(outputs), half) if self._by_input else None
-        by_parameters, by_supports = np.zeros((count, half, 0)), None
+        by_parameters, by_supports, by_bars = np.zeros((count, half, 0)), None, None
         if self._of or self._by_supports:
             by_load = _stacked(next(outputs), half)
         if self._of:
@@ -172,7 +194,9 @@ class Derivatives:
         if self._by_supports:
             by_motion = _stacked(next(outputs), half)
             by_supports = np.concatenate([by_motion, by_load], axis=2)
-        return Slopes(by_state, by_input, by_parameters, by_supports)
+        if self._by_bars:
+            by_bars = _stacked(next(outputs), half)
+        return Slopes(by_state, by_input, by_parameters, by_supports, by_bars)
 
     def by_state(self, x: FloatArray, u: FloatArray, taut: FloatArray) -> FloatArray:
         """Return the derivatives of the accelerations by the state, shape (K, half, states)."""
@@ -233,9 +257,8 @@ class Derivatives:
         V = _all_nodes(model, x[half:], np.zeros(model.structure.nodes.shape))
         layout = equation.layout
         if layout.offset:
-            rows = slice(layout.count - layout.offset, layout.count)
             N, V = (
-                nodes + ca.reshape(layout.values(u, order)[rows], *N.shape)
+                nodes + ca.reshape(layout.values(u, order)[layout.offset_rows], *N.shape)
                 for order, nodes in enumerate((N, V))
             )
         on_nodes = forces.on_nodes(N, V, equation.of_strings(u), None, taut)
@@ -273,14 +296,40 @@ class Derivatives:
         scales = scale[which, every]
         return Switches(step, which, by_state, by_input, by_offset, rate, jump.T, scales)
 
-    def projected(self, x: FloatArray) -> FloatArray | None:
-        """Return the derivative of putting bars on their lengths, shape (K, states, states)."""
+    def projected(
+        self, x: FloatArray, u: FloatArray
+    ) -> tuple[FloatArray, FloatArray | None] | None:
+        """Return the derivative of putting bars on their lengths, shape (K, states, states).
+
+        And that by lengths and rates of bars, (K, states, 2 β), where these are driven. Of states
+        and inputs, one a column.
+        """
         slope, row, column = self._projection
         if slope.n_in() == 0:
             return None
-        exact = np.zeros((x.shape[1], len(x), len(x)))
-        exact[:, row, column] = evaluate_columns(slope, x)[0].T
-        return exact
+        states, lengths = len(x), 2 * self.equation.layout.lengths
+        exact = np.zeros((x.shape[1], states, states + lengths))
+        given = (x, u) if lengths else (x,)
+        exact[:, row, column] = evaluate_columns(slope, *given)[0].T
+        return exact[:, :, :states], exact[:, :, states:] if lengths else None
+
+    def stretching(self, x: FloatArray, bars: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Return rates of bars, m/s, shape (β,), and their derivative; 0 of others than some."""
+
+        def build() -> ca.Function:
+            state, structure = ca.SX.sym("x", len(x)), self.structure
+            N = _all_nodes(self._model, state[: self.half], structure.nodes)
+            V = _all_nodes(self._model, state[self.half :], np.zeros(structure.nodes.shape))
+            start, end = structure.bars.T.tolist()
+            B, rate = (nodes[:, end] - nodes[:, start] for nodes in (N, V))
+            along = (ca.sum1(B * rate) / ca.sqrt(ca.sum1(B * B))).T
+            outputs = [ca.densify(along), ca.densify(ca.jacobian(along, state))]
+            return Function("stretching", [state], outputs)
+
+        values, slopes = (out.full() for out in self._prepared(("stretching",), build)(x))
+        others = np.setdiff1d(np.arange(len(values)), bars)
+        values[others], slopes[others] = 0.0, 0.0
+        return values[:, 0], slopes
 
 
 @dataclass(frozen=True, eq=False)
@@ -321,26 +370,42 @@ def _stacked(columns: FloatArray, rows: int) -> FloatArray:
     return np.ascontiguousarray(columns.T.reshape(count, width, rows).swapaxes(1, 2))
 
 
-def _jacobian(equation: Equation, by_input: bool, by_load: bool, by_supports: bool) -> ca.Function:
+def _jacobian(
+    equation: Equation, by_input: bool, by_load: bool, by_supports: bool, by_bars: bool
+) -> ca.Function:
     """Return ``(x, u, taut) -> columns of the derivatives of the accelerations``."""
     x, u, taut, _ = equation.symbols()
     rates = equation.slope(x, u, taut)[equation.states // 2 :]
-    strings, load = equation.layout.strings, equation.layout.load
+    layout = equation.layout
     outputs = [ca.jacobian(rates, x)]
-    by_held: Any = ca.jacobian(rates, u) if by_input or by_load else None
+    by_held: Any = ca.jacobian(rates, u) if by_input or by_load or by_bars else None
     if by_input:
-        outputs.append(by_held[:, :strings])
+        outputs.append(by_held[:, : layout.strings])
     if by_load:
-        outputs.append(by_held[:, strings : strings + load])
+        outputs.append(by_held[:, layout.load_rows])
     if by_supports:
-        layout = equation.layout
-        places = by_held[:, layout.count - layout.offset : layout.count]
-        rates_of = type(x)(*places.shape)
-        if layout.degree:  # c₁ counts by the time, and as the rate
-            second = by_held[:, 2 * layout.count - layout.offset : 2 * layout.count]
-            rates_of = second - u[-1] * places
-        outputs.append(ca.horzcat(places, rates_of))
+        outputs.append(ca.horzcat(*_by_orders(layout, by_held, u, layout.offset_rows, 2)))
+    if by_bars:
+        outputs.append(ca.horzcat(*_by_orders(layout, by_held, u, layout.length_rows, 3)))
     return Function("slopes", [x, u, taut], [ca.densify(ca.vec(output)) for output in outputs])
+
+
+def _by_orders(layout: InputLayout, by_held: Any, u: Any, rows: slice, orders: int) -> list[Any]:
+    """Return derivatives by some values, their rates and accelerations, of those by u.
+
+    The coefficient c₁ counts by the time and as the rate, c₂ by the square of the time, by twice
+    the time as the rate, and twice as the acceleration.
+    """
+    found: list[Any] = []
+    for k in range(orders):
+        if k > layout.degree:
+            found.append(type(u)(*found[0].shape))
+            continue
+        own = by_held[:, k * layout.count + rows.start : k * layout.count + rows.stop]
+        for j, earlier in enumerate(found):
+            own = own - perm(k, j) * u[-1] ** (k - j) * earlier
+        found.append(own / factorial(k))
+    return found
 
 
 def _gap_slopes(equation: Equation) -> ca.Function:
@@ -350,7 +415,7 @@ def _gap_slopes(equation: Equation) -> ca.Function:
     by_held, strings = ca.jacobian(gap, u), equation.layout.strings
     by_time = by_held[:, -1] if equation.layout.degree else type(x)(*gap.shape)
     layout = equation.layout
-    by_offset = by_held[:, layout.count - layout.offset : layout.count]
+    by_offset = by_held[:, layout.offset_rows]
     outputs = [
         ca.jacobian(gap, x), by_held[:, :strings], by_offset, by_time, equation.gap_scale(u)
     ]  # fmt: skip
@@ -358,14 +423,22 @@ def _gap_slopes(equation: Equation) -> ca.Function:
 
 
 def _projection_slope(equation: Equation) -> tuple[ca.Function, IntArray, IntArray]:
-    """Return ``x -> entries`` of the derivative that are not zero, with their rows and columns."""
+    """Return ``x -> entries`` of the derivative that are not zero, with their rows and columns.
+
+    Of ``(x, u)`` where bars are driven: also by their lengths, and by the rates of these.
+    """
     exact, nowhere = projection(equation), np.zeros(0, dtype=int)
     if exact is None:
         return Function("nothing", [], []), nowhere, nowhere
-    x = (ca.SX if exact.is_a("SXFunction") else ca.MX).sym("x", equation.states)
-    slope = ca.jacobian(exact(x), x)
+    kind, layout = ca.SX if exact.is_a("SXFunction") else ca.MX, equation.layout
+    x, u = kind.sym("x", equation.states), kind.sym("u", equation.inputs)
+    given = [x, u][: exact.n_in()]
+    slope = ca.jacobian(exact(*given), x)
+    if layout.lengths:
+        by_held = ca.jacobian(exact(*given), u)
+        slope = ca.horzcat(slope, *_by_orders(layout, by_held, u, layout.length_rows, 2))
     row, column = map(np.array, slope.sparsity().get_triplet())
-    return Function("projection_slope", [x], [slope.nz[:]]), row, column
+    return Function("projection_slope", given, [slope.nz[:]]), row, column
 
 
 def law_symbols(parameters: Sequence[Parameter]) -> list[Any]:

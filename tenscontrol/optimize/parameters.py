@@ -9,6 +9,7 @@ from math import prod
 import numpy as np
 
 from tenscontrol import validation
+from tenscontrol.actuation.driven_strings import BAR_INPUTS
 from tenscontrol.actuation.motors import motor_numbers
 from tenscontrol.arrays import FloatArray
 from tenscontrol.control.lqr import LQR
@@ -19,7 +20,7 @@ from tenscontrol.dynamics.profile import Pieces, Profile, polynomial_at
 from tenscontrol.simulation.scene import Scene
 
 #: Kinds of parameters that the equation of motion does not have.
-BESIDE = frozenset({"nodes", "velocities", "input", "supports", "motor", "gain"})
+BESIDE = frozenset({"nodes", "velocities", "input", "supports", "bars", "motor", "gain"})
 
 
 # Numbers of motors that rest lengths depend on, beside torque and inertia.
@@ -33,7 +34,7 @@ class Parameter:
     Attributes
     ----------
     name : str
-    kind : {"nodes", "velocities", "input", "supports", "strings", "ground", "bar_mass", \
+    kind : {"nodes", "velocities", "input", "supports", "bars", "strings", "ground", "bar_mass", \
 "point_mass", "gravity", "external_force", "motor", "gain"}
     shape : tuple of int
     pieces : Pieces, optional
@@ -97,6 +98,8 @@ def known_parameters(scene: Scene) -> dict[str, Parameter]:
     ]
     if scene.supports is not None and not callable(scene.support_motion):
         parameters.append(_of_supports(scene))
+    if scene.bars is not None and not scene.bars.is_commanded and not callable(scene.bar_length):
+        parameters.append(_of_bars(scene))
     parameters += _of_motors(scene)
     if isinstance(scene.law, LQR):
         parameters.append(Parameter("gain", "gain", scene.law.gain.shape))
@@ -129,8 +132,9 @@ def _of_motors(scene: Scene) -> list[Parameter]:
     if winches is None or law is None or scene.input != "rest_length":
         return []
     motor, count = winches.motor, len(scene.structure.strings)
-    driven = law.input == "bar_length" or not law.actuation.is_whole
-    if driven or len(law.commanded.strings) != count or (motor and motor.inertia.any()):
+    if law.input in BAR_INPUTS or not law.actuation.is_whole:
+        return []
+    if len(law.commanded.strings) != count or (motor and motor.inertia.any()):
         return []
     numbers = {} if motor is None else motor_numbers(motor, count)
     names = [name for name in _OF_MOTORS if (numbers.get(name, 0.0) > np.zeros(count)).all()]
@@ -146,6 +150,15 @@ def _of_supports(scene: Scene) -> Parameter:
         pieces = _unit_pieces(given)
         return Parameter("support_motion", "supports", (*shape, len(given.time)), pieces)
     return Parameter("support_motion", "supports", shape)
+
+
+def _of_bars(scene: Scene) -> Parameter:
+    """Return the lengths of bars: constant, or at the times of a profile."""
+    count, given = len(scene.structure.bars), scene.bar_length
+    if isinstance(given, Profile):
+        pieces = _unit_pieces(given)
+        return Parameter("bar_length", "bars", (count, len(given.time)), pieces)
+    return Parameter("bar_length", "bars", (count,))
 
 
 def _unit_pieces(profile: Profile) -> Pieces:
@@ -168,6 +181,20 @@ def shares(
     i = pieces.index(within)
     coefficients = pieces.coefficients[i].transpose(1, 2, 0)
     return polynomial_at(coefficients, time - pieces.origin[i], order)
+
+
+def spread(
+    parameter: Parameter, matrix: FloatArray, time: FloatArray, within: FloatArray, order: int = 0
+) -> FloatArray:
+    """Return what values of a motion, or their rates, move by a matrix, shape (T, ·, P).
+
+    The motion has an entry for each column; see :func:`shares` for the times.
+    """
+    share = shares(parameter, time, within, order)
+    if share is None:  # a number that stays
+        return np.repeat(matrix[None] * (order == 0), len(time), axis=0)
+    products = np.einsum("ij,kt->tijk", matrix, share)
+    return np.asarray(products).reshape(len(time), len(matrix), -1)
 
 
 def unit_load(model: Model) -> FloatArray:

@@ -196,9 +196,10 @@ class Rollouts:
             end, r = self.ends[len(self.unknowns) + i], basis.shape[1]
             moved = np.zeros((2 * half, 2 * r))
             moved[:half, :r] = moved[half:, r:] = basis[free]
-            exact = variations.derivatives.projected(self._moved_start(i, model, theta)[:, None])
+            first, inputs = self._moved_start(i, model, theta), variations.first_inputs
+            exact = variations.derivatives.projected(first[:, None], inputs[:, None])
             if exact is not None:
-                moved = exact[0] @ moved
+                moved = exact[0][0] @ moved
             slope[:, :, end - 2 * r : end] = by_state @ (by_start @ moved)
         return off[is_read], (slope[again] / deviation[:, None])[is_read]
 

@@ -9,6 +9,7 @@ import numpy as np
 from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics.equation import unpack_states
 from tenscontrol.dynamics.profile import polynomial_at
+from tenscontrol.optimize.bar_changes import BarChanges
 from tenscontrol.optimize.derivatives import Derivatives
 from tenscontrol.optimize.feedback import feedback_of
 from tenscontrol.optimize.implicit_steps import halved
@@ -59,11 +60,15 @@ class RunVariations:
         assert isinstance(run, TracedRun)  # as it was asked for
         self._run = run
         self.derivatives = Derivatives(
-            scene.model, scene.input, run.degree, parameters, feedback, scene.supports is not None
-        )
+            scene.model, scene.input, run.degree, parameters, feedback, scene.supports is not None,
+            scene.bars is not None,
+        )  # fmt: skip
         self._motors: MotorChanges | None = None
         self._changes: SupportChanges | None = None
+        self._lengths: BarChanges | None = None
         for parameter in parameters:
+            if parameter.kind == "bars":
+                self._lengths = BarChanges(parameter)
             if parameter.kind == "supports" and scene.supports is not None:
                 self._changes = SupportChanges(scene.structure, scene.supports, parameter)
         numbers = self.derivatives.equation
@@ -216,7 +221,7 @@ class RunVariations:
             answers = feedback_of(scene, steps, self.parameters, self.columns)
         return Variations(
             steps, derivatives, self.parameters, self.times[self._of(i)], answers, self._changes,
-            self._motors,
+            self._motors, self._lengths, None if scene.bars is None else scene.bars.bars,
         )  # fmt: skip
 
 

@@ -193,6 +193,7 @@ def sensitivity(
         and ``"damping"``; ``"bar_mass"``, ``"point_mass"``, ``"gravity"``, ``"external_force"``;
         those of the ground, as ``"ground.stiffness"``, or ``"ground[1].friction"`` of several;
         ``"support_motion"``, a displacement or the values of a :class:`Profile`, (d, fixed, K);
+        ``"bar_length"`` of driven bars, lengths that are held or the values of a profile, (β, K);
         numbers of winches, ``"winches.rate"``, ``"motor.drum_radius"``, ``"motor.gear_ratio"``,
         ``"motor.speed"``, ``"motor.lag"`` and ``"motor.backlash"``, where rest lengths are held;
         with ``feedback`` the ``"gain"`` of an LQR.
@@ -210,7 +211,7 @@ def sensitivity(
     ------
     TypeError, ValueError
         If an argument is of the wrong kind, a name is not one of the run's parameters, or the run
-        cannot be differentiated: by another method, with driven bars, or a copy or from a file.
+        cannot be differentiated: by another method, or a copy or from a file.
 
     Notes
     -----
@@ -218,7 +219,8 @@ def sensitivity(
     a controller's, by a change over each of its samples, with its commands as they were. A change
     of the nodes or velocities at the start is projected onto what keeps the bars' lengths, as
     :func:`simulate` does. A change of a mass changes its weight, too. A displacement of supports
-    moves the nodes with it that bars join to them, at the start, too. Numbers of motors, all
+    moves the nodes with it that bars join to them, at the start, too. A bar that has another length
+    at the start has its nodes put on it, as in :func:`simulate`. Numbers of motors, all
     positive, change what strings are given under the same commanded rest lengths, as long as no
     motor meets its torque. Motors with inertia, and those of ganged strings, have no derivatives.
 
@@ -403,9 +405,6 @@ class _Differentiable:
             raise ValueError(
                 f"run has supports that move, and through {through} no derivative is taken then"
             )
-        commands_bars = scene.law is not None and scene.law.input == "bar_length"
-        if scene.bar_length is not None or commands_bars:
-            raise ValueError("run has driven bars, through which no derivative is taken")
         self.parameters = parameters_of(scene, to)
         of_motors = [by.name for by in self.parameters if by.kind == "motor"]
         if of_motors and choice.method == IMPLICIT:

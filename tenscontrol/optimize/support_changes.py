@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tenscontrol.arrays import FloatArray
-from tenscontrol.optimize.parameters import Parameter, shares
+from tenscontrol.optimize.parameters import Parameter, spread
 from tenscontrol.simulation.moving_supports import MovingSupports, moved_by_supports
 from tenscontrol.structure.structure import Structure
 
@@ -53,8 +53,4 @@ class SupportChanges:
     def _of(
         self, matrix: FloatArray, time: FloatArray, within: FloatArray, order: int
     ) -> FloatArray:
-        share = shares(self._parameter, time, within, order)
-        if share is None:  # a displacement that stays
-            return np.repeat(matrix[None] * (order == 0), len(time), axis=0)
-        products = np.einsum("ij,kt->tijk", matrix, share)
-        return np.asarray(products).reshape(len(time), len(matrix), -1)
+        return spread(self._parameter, matrix, time, within, order)

@@ -11,21 +11,23 @@ from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.dynamics.equation import InputLayout
 from tenscontrol.dynamics.profile import polynomial_at
 from tenscontrol.properties import cached_property
-from tenscontrol.simulation.plant_run import PlantRun
+from tenscontrol.simulation.plant_run import Jump, PlantRun
 
 
 @dataclass(frozen=True, eq=False)
 class Push:
-    """A jump of the velocity of supports, and what it made of the state.
+    """A jump of the velocity of supports, or of rates of bars, and what it made of the state.
+
+    Rates of driven bars may jump wherever a span begins, even if they do not in this run.
 
     Attributes
     ----------
     state : ndarray, shape (states,)
         Before it.
     held, pushed : ndarray, shape (inputs,)
-        u, and the same with the impulse on the nodes as a load.
-    jump : ndarray, shape (d n,)
-        Of the velocities that nodes have with supports, node by node, m/s.
+        u, and the same with the impulse on the nodes as a load, or with an acceleration of bars.
+    jump : ndarray, shape (d n,), or float
+        Of the velocities that nodes have with supports, node by node, m/s; 0 where these stand.
     is_first : bool
         Whether it begins the run.
     """
@@ -33,7 +35,7 @@ class Push:
     state: FloatArray
     held: FloatArray
     pushed: FloatArray
-    jump: FloatArray
+    jump: FloatArray | float
     is_first: bool
 
 
@@ -88,11 +90,10 @@ class TracedSteps:
     def support_motion(self, inputs: FloatArray, order: int) -> FloatArray:
         """Return E of inputs, one a column, or its derivative of an order, (d n, K)."""
         layout, count = self.layout, inputs.shape[1]
-        rows = slice(layout.count - layout.offset, layout.count)
         powers = layout.degree + 1
         coefficients = inputs[: powers * layout.count].reshape(powers, layout.count, count)
         time = inputs[-1] if layout.degree else np.zeros(count)
-        return polynomial_at(coefficients[:, rows].swapaxes(0, 1), time, order)
+        return polynomial_at(coefficients[:, layout.offset_rows].swapaxes(0, 1), time, order)
 
     @property
     def end(self) -> float:
@@ -120,8 +121,9 @@ def steps_of(run: PlantRun, load: FloatArray, start: FloatArray) -> TracedSteps:
     state before the run.
     """
     strings = len(run.model.structure.strings)
+    bars = 0 if run.bars is None else len(run.model.structure.bars)
     layout = InputLayout(
-        strings, load.size, load.size * (run.supports is not None), degree=run.degree
+        strings, load.size, load.size * (run.supports is not None), degree=run.degree, lengths=bars
     )
     spans = run.spans[1:]
     ends = [span.ends for span in spans if span.ends is not None]
@@ -136,24 +138,29 @@ def steps_of(run: PlantRun, load: FloatArray, start: FloatArray) -> TracedSteps:
     states = np.hstack([spans[0].begin[:, None], *(of_span.states for of_span in ends)])
     states[:, first] = np.stack([span.begin for span in spans], axis=1)
     rows = np.stack([span.coefficients for span in spans])
-    if rows.shape[1] == strings:
+    if not run.loads_given:
         constant = np.zeros((len(spans), load.size, rows.shape[2]))
         constant[..., 0] = load.ravel(order="F")
-        rows = np.concatenate([rows, constant], axis=1)
+        rows = np.concatenate([rows[:, :strings], constant, rows[:, strings:]], axis=1)
     inputs = rows.transpose(2, 1, 0).reshape(-1, len(spans))[:, which]
     if layout.degree:
         origins = np.array([span.origin for span in spans])
         inputs = np.vstack([inputs, (begins - origins)[which] + within])
     pushes = dict[int, Push]()
     for i, span in enumerate(spans):
-        if span.jump is not None and span.jump.supports is not None and run.supports is not None:
+        jump = span.jump
+        if run.bars is not None:  # whose rates may jump, though they do not
+            rates = None if jump is None else jump.bars
+            jump = Jump(
+                None if jump is None else jump.supports, np.zeros(bars) if rates is None else rates
+            )
+        if jump is not None:
             before = run.spans[i]
             is_first = before.ends is None
             state = start if is_first else before.states[:, -1]
-            held = run.packed(span.coefficients, begins[i] - span.origin)
-            pushed = held.copy()
-            pushed[strings : strings + load.size] -= run.supports.force(span.jump.supports)
-            pushes[i] = Push(state, held, pushed, span.jump.supports, is_first)
+            held = layout.packed(rows[i], begins[i] - span.origin)
+            moved = 0.0 if jump.supports is None else jump.supports
+            pushes[i] = Push(state, *run.impulse_inputs(layout, held, jump), moved, is_first)
     method = run.methods[-1]
     how = run.integration
     projects = method == "dop853" if how.project is None else how.project

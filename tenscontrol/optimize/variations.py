@@ -12,6 +12,7 @@ import numpy as np
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.interrupt import check
+from tenscontrol.optimize.bar_changes import BarChanges
 from tenscontrol.optimize.core_steps import CoreSteps, Tableau, core_steps
 from tenscontrol.optimize.derivatives import Derivatives, Slopes, Switches
 from tenscontrol.optimize.feedback import Feedback
@@ -161,6 +162,10 @@ class Variations:
         What the parameter of a motion of supports changes.
     motors : MotorChanges, optional
         What the numbers of motors change.
+    lengths : BarChanges, optional
+        What the parameter of lengths of bars changes.
+    driven : ndarray of int, optional
+        Bars that stretch at the start at any rate; None where bars are rigid.
     """
 
     steps: TracedSteps
@@ -170,16 +175,16 @@ class Variations:
     feedback: Feedback | None = None
     supports: SupportChanges | None = None
     motors: MotorChanges | None = None
+    lengths: BarChanges | None = None
+    driven: IntArray | None = None
 
     @cached_property
     def switches(self) -> Switches:
         """What switched, and what that changes."""
         steps = self.steps
-        ends = steps.inputs
-        if steps.layout.degree:
-            ends = ends.copy()
-            ends[-1] += steps.length
-        return self.derivatives.at_switches(self._ends, ends, steps.taut, steps.switched)
+        return self.derivatives.at_switches(
+            self._ends, self._end_inputs, steps.taut, steps.switched
+        )
 
     @cached_property
     def columns(self) -> list[slice]:
@@ -210,9 +215,7 @@ class Variations:
                 sensitivities[leg.output] = reached
                 continue
             X, end = reached, leg.step + leg.steps - 1
-            exact = self._exact(end)
-            if exact is not None:
-                X = exact @ X
+            X = self._restored(end, X)
             for e in range(at[end], at[end + 1]):
                 X = X + self._jumped(e, X, answer)
             sensitivities[ends.get(end, [])] = X
@@ -276,8 +279,7 @@ class Variations:
                 partial = np.zeros_like(mu)
                 for e in range(at[last + 1] - 1, at[last] - 1, -1):
                     mu = self._jumped_back(e, mu, slope, answered)
-                exact = self._exact(last)
-                end = mu if exact is None else exact.T @ mu
+                end = self._restored_back(last, mu, slope)
             back, by_input = self._backward(end, leg, slope)
             if self.feedback is not None and by_input is not None:
                 answered += by_input
@@ -309,7 +311,8 @@ class Variations:
         derivatives = self.derivatives
         if self.steps.method == IMPLICIT:
             return ImplicitSteps(self.steps, derivatives, self.parameters, self.columns)
-        if self.steps.layout.offset or self.motors is not None:
+        layout = self.steps.layout
+        if layout.offset or layout.lengths or self.motors is not None:
             return None
         return core_steps(
             derivatives.model, derivatives.equation, self.steps, self._tableau, self.parameters,
@@ -383,10 +386,9 @@ class Variations:
                 assert slopes.by_input is not None  # it was asked for
                 assert share is not None  # of each rest length
                 rates[:, columns] += slopes.by_input[stage] * share[stage]
-            elif parameter.kind == "supports":
-                assert slopes.by_supports is not None  # it was asked for
+            elif parameter.kind in ("supports", "bars"):
                 assert share is not None  # what is displaced and pushed
-                rates[:, columns] += slopes.by_supports[stage] @ share[stage]
+                rates[:, columns] += slopes.by_motion(parameter.kind)[stage] @ share[stage]
             elif parameter.kind not in BESIDE:
                 own = slopes.by_parameters[stage]
                 rates[:, columns] += own[:, first : first + parameter.size]
@@ -409,15 +411,15 @@ class Variations:
                 assert slopes.by_input is not None  # it was asked for
                 assert share is not None  # of each rest length
                 slope[columns] += (kappa @ slopes.by_input[stage]) * share[stage]
-            elif parameter.kind == "supports":
-                assert slopes.by_supports is not None  # it was asked for
+            elif parameter.kind in ("supports", "bars"):
                 assert share is not None  # what is displaced and pushed
-                slope[columns] += (kappa @ slopes.by_supports[stage]) @ share[stage]
+                by_motion = slopes.by_motion(parameter.kind)[stage]
+                slope[columns] += (kappa @ by_motion) @ share[stage]
             elif parameter.kind not in BESIDE:
                 slope[columns] += own[first : first + parameter.size]
                 first += parameter.size
 
-    # ---- supports that kink ----
+    # ---- supports and rates of bars that jump ----
 
     def _pushed(self, step: int, X: FloatArray) -> FloatArray:
         """Return the derivative of the state after the push with which a step may begin."""
@@ -444,20 +446,32 @@ class Variations:
         """Return derivatives of what a push adds to velocities: accelerations are affine in it."""
         taut, x = np.ones((len(self.steps.taut), 1)), push.state[:, None]
         both = []
-        for u, jump in ((push.held, 0.0), (push.pushed, push.jump[:, None])):
+        moved = push.jump if isinstance(push.jump, float) else push.jump[:, None]
+        for u, jump in ((push.held, 0.0), (push.pushed, moved)):
             inputs = u[:, None]
             slope = self.derivatives.slope(x, inputs, taut)
-            carried = self.steps.support_motion(inputs, 2) + jump
+            carried = None
+            if self.steps.layout.offset:
+                carried = self.steps.support_motion(inputs, 2) + jump
             both.append(self.derivatives.at(x, inputs, taut, slope, carried))
         before, after = both
+        by_state, by_bars = after.by_state - before.by_state, None
+        if before.by_bars is not None and after.by_bars is not None:
+            by_length, _, by_jump = np.split(after.by_bars, 3, axis=2)
+            by_length = by_length - before.by_bars[:, :, : by_length.shape[2]]
+            by_bars = np.concatenate([by_length, np.zeros_like(by_jump), by_jump], axis=2)
+            if push.is_first and self.driven is not None:  # rates jump from those at the start
+                _, stretching = self.derivatives.stretching(push.state, self.driven)
+                by_state = by_state - by_jump @ stretching
         slopes = Slopes(
-            after.by_state - before.by_state,
+            by_state,
             None if before.by_input is None else np.zeros_like(before.by_input),
             after.by_parameters - before.by_parameters,
             before.by_supports,
+            by_bars,
         )
         begin, length = float(self.steps.begin[step]), float(self.steps.length[step])
-        now = np.array([begin])
+        now, earlier = np.array([begin]), None if push.is_first else begin - 1e-6 * length
         counts: list[FloatArray | None] = []
         for parameter in self.parameters:
             share = None
@@ -467,8 +481,9 @@ class Variations:
             elif parameter.kind == "motor" and self.motors is not None:
                 share = self.motors.at(parameter, now, now + length / 2).T
             elif parameter.kind == "supports" and self.supports is not None:
-                earlier = None if push.is_first else begin - 1e-6 * length
                 share = self.supports.impulse(begin, earlier, begin + length / 2)
+            elif parameter.kind == "bars" and self.lengths is not None:
+                share = self.lengths.impulse(begin, earlier, begin + length / 2)
             counts.append(share)
         return slopes, counts
 
@@ -478,16 +493,33 @@ class Variations:
         """Return the derivative of the state at the start of the run, shape (states, P)."""
         half, structure = self.derivatives.half, self.derivatives.structure
         X = np.zeros((2 * half, sum(parameter.size for parameter in self.parameters)))
-        if not any(parameter.kind in ("nodes", "velocities") for parameter in self.parameters):
+        kinds = {parameter.kind for parameter in self.parameters}
+        if not kinds & {"nodes", "velocities", "bars"}:
             return X
-        exact = self.derivatives.projected(self.steps.states[:, :1])
-        whole = np.eye(2 * half) if exact is None else exact[0]
+        push = self.steps.push_at(0)
+        first = self.steps.states[:, 0] if push is None else push.state
+        inputs, layout = self.steps.inputs[:, 0], self.steps.layout
+        if push is not None and self.driven is not None:  # what is driven keeps its rate
+            stretching, by_state = self.derivatives.stretching(first, self.driven)
+            inputs = np.zeros_like(inputs)
+            coefficients = inputs[:-1].reshape(layout.degree + 1, layout.count)
+            held = push.held[: layout.count]  # at rest
+            coefficients[0, layout.length_rows] = held[layout.length_rows]
+            coefficients[1, layout.length_rows] = stretching
+        exact = self.derivatives.projected(first[:, None], inputs[:, None])
+        whole = np.eye(2 * half) if exact is None else exact[0][0]
+        if exact is not None and exact[1] is not None:
+            lengths, rates = np.split(exact[1][0], 2, axis=1)
+            whole = whole + rates @ by_state
         d, n = structure.nodes.shape
         place = np.arange(d * n).reshape(d, n).ravel(order="F")  # of x's entries in an array (d, n)
         for parameter, columns in zip(self.parameters, self.columns, strict=True):
             if parameter.kind in ("nodes", "velocities"):
                 entries = slice(half) if parameter.kind == "nodes" else slice(half, None)
                 X[:, columns.start + place[structure.free_rows]] = whole[:, entries]
+            if parameter.kind == "bars" and self.lengths is not None:
+                begin, length = self.steps.begin[:1], self.steps.length[:1]
+                X[:, columns] = lengths @ self.lengths.at(begin, begin + length / 2, 1)[0]
         return X
 
     def _gap_by(self, e: int) -> Iterator[tuple[slice | IntArray, FloatArray]]:
@@ -545,6 +577,15 @@ class Variations:
         return ends
 
     @cached_property
+    def _end_inputs(self) -> FloatArray:
+        """Inputs at the ends of steps, shape (inputs, K)."""
+        ends, steps = self.steps.inputs, self.steps
+        if steps.layout.degree:
+            ends = ends.copy()
+            ends[-1] += steps.length
+        return ends
+
+    @cached_property
     def _tableau(self) -> Tableau:
         return tableau(self.steps.method)
 
@@ -553,12 +594,41 @@ class Variations:
         """Where the switches at the end of each step begin, shape (K + 1,)."""
         return np.searchsorted(self.switches.step, np.arange(len(self.steps.length) + 1))
 
+    def _restored(self, step: int, X: FloatArray) -> FloatArray:
+        """Return the derivative of the state after bars were put on their lengths."""
+        exact = self._exact(step)
+        if exact is None:
+            return X
+        X = exact[0] @ X
+        for columns, changes in self._restored_by(step):
+            X[:, columns] += exact[1] @ changes
+        return X
+
+    def _restored_back(self, step: int, mu: FloatArray, slope: FloatArray) -> FloatArray:
+        """Return a cost by x before bars were put on their lengths; add those by these."""
+        exact = self._exact(step)
+        if exact is None:
+            return mu
+        for columns, changes in self._restored_by(step):
+            slope[columns] += (mu @ exact[1]) @ changes
+        return np.asarray(exact[0].T @ mu)
+
+    def _restored_by(self, step: int) -> Iterator[tuple[slice, FloatArray]]:
+        """Yield columns, and what they change of lengths and rates at the end of a step."""
+        begin, length = self.steps.begin[[step]], self.steps.length[step]
+        for parameter, columns in zip(self.parameters, self.columns, strict=True):
+            if parameter.kind == "bars" and self.lengths is not None:
+                yield columns, self.lengths.at(begin + length, begin + length / 2, 2)[0]
+
     @cached_property
-    def _exact_slopes(self) -> dict[int, FloatArray]:
+    def _exact_slopes(self) -> dict[int, tuple[FloatArray, FloatArray]]:
         return {}
 
-    def _exact(self, step: int) -> FloatArray | None:
-        """Return the derivative of what puts bars on their lengths at the end of a step."""
+    def _exact(self, step: int) -> tuple[FloatArray, FloatArray] | None:
+        """Return the derivative of what puts bars on their lengths at the end of a step.
+
+        By the state before, and by lengths and rates of bars; none of these where bars are rigid.
+        """
         is_done = isinstance(self._stepper, CoreSteps) and self._stepper.projects
         if is_done or not self.steps.projects:
             return None
@@ -567,10 +637,13 @@ class Variations:
             known.clear()
             block = self._block
             first = step // block * block
-            some = self.derivatives.projected(self._ends[:, first : first + block])
+            rows = slice(first, first + block)
+            some = self.derivatives.projected(self._ends[:, rows], self._end_inputs[:, rows])
             if some is None:
                 return None
-            known |= {first + i: derivative for i, derivative in enumerate(some)}
+            by_lengths = some[0][:, :, :0] if some[1] is None else some[1]
+            pairs = zip(some[0], by_lengths, strict=True)
+            known |= {first + i: derivatives for i, derivatives in enumerate(pairs)}
         return known[step]
 
     @cached_property
@@ -598,6 +671,7 @@ class Variations:
                 width += 3 * self.steps.layout.offset * parameter.size // max(half, 1)
             elif parameter.kind != "input":
                 width += parameter.size
+        width += 3 * self.steps.layout.lengths
         numbers = stages * half * width
         validation.refuse_memory(
             "the derivative of a step", 1, "steps", 8 * numbers, ". Use a smaller structure"
@@ -662,17 +736,12 @@ class Variations:
             share = None if share is None else share.T
             if parameter.kind == "supports" and self.supports is not None:
                 share = self.supports.inputs(time, middle)
+            if parameter.kind == "bars" and self.lengths is not None:
+                share = self.lengths.at(time, middle)
             if parameter.kind == "motor" and self.motors is not None:
                 share = self.motors.at(parameter, time, middle).T
             all_shares.append(share)
         for i, leg in enumerate(plan):
-            by_input, by_supports = (
-                None if by is None else by[i::count]
-                for by in (derivatives.by_input, derivatives.by_supports)
-            )
-            own = Slopes(
-                derivatives.by_state[i::count], by_input, derivatives.by_parameters[i::count],
-                by_supports,
-            )  # fmt: skip
+            own = derivatives.of(slice(i, None, count))
             own_shares = [None if share is None else share[i::count] for share in all_shares]
             yield leg._replace(stages=own, shares=own_shares)

@@ -614,7 +614,8 @@ def _held_by_some(
         )  # fmt: skip
         # Of the inputs that balance the shape linearized here, those nearest to the chosen.
         U, sizes, Vt = np.linalg.svd(by_input, full_matrices=False)
-        gain = sizes / (sizes**2 + (_RIDGE * sizes[:, :1]) ** 2)
+        squares = sizes**2 + (_RIDGE * sizes[:, :1]) ** 2
+        gain = np.divide(sizes, squares, out=np.zeros_like(sizes), where=squares > 0)
         target = left + (by_input @ (near - inputs)[..., None])[..., 0]
         along = gain * (U.swapaxes(1, 2) @ target[..., None])[..., 0]
         inputs = near - (Vt.swapaxes(1, 2) @ along[..., None])[..., 0]

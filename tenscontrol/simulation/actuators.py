@@ -526,6 +526,7 @@ def winches_of_inputs(winches: Winches, actuation: Actuation, motor: Motor | Non
     if rate is not None:
         rate = changes_of_inputs(actuation, np.broadcast_to(rate, (count,)))
     low, high = bounds_of_inputs(actuation, low, high)
+    low = np.maximum(low, 0.0)  # not below by round-off: leads have positive lengths
     return replace(winches, rate=rate, shortest=low, longest=high, motor=motor)
 
 

@@ -11,7 +11,12 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.arrays import FloatArray, frozen
-from tenscontrol.dynamics.equation import Equation, free_accelerations, unpack_states
+from tenscontrol.dynamics.equation import (
+    Equation,
+    InputLayout,
+    free_accelerations,
+    unpack_states,
+)
 from tenscontrol.dynamics.evaluator import Evaluator
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.profile import Pieces, polynomial_at
@@ -401,25 +406,31 @@ class PlantRun:
         """
         if jump is None:
             return state
-        layout, taut = self._equation.layout, np.ones(self._equation.switches)
-        pushed, held = held.copy(), held.copy()
-        if jump.supports is not None and self.supports is not None:
-            push = self.supports.force(jump.supports)
-            pushed[layout.strings : layout.strings + layout.load] -= push
-        if jump.bars is not None:
-            length = layout.bar_lengths(ca.DM(held))[0].full().ravel()
-            for u, acceleration in ((held, np.zeros_like(length)), (pushed, jump.bars)):
-                coefficients = u[:-1].reshape(layout.degree + 1, layout.count)
-                coefficients[:, self.length_rows] = 0.0
-                coefficients[0, self.length_rows] = length
-                # So that its second derivative is the jump, and at this time nothing else is.
-                for power, factor in enumerate((u[-1] ** 2 / 2, -u[-1], 0.5)):
-                    coefficients[power, self.length_rows] += factor * acceleration
+        taut = np.ones(self._equation.switches)
+        held, pushed = self.impulse_inputs(self._equation.layout, held, jump)
         slope = Evaluator(self._equation.slope)
         before = slope(state, held, taut)[0].copy()
         change = slope(state, pushed, taut)[0] - before
         change[: len(state) // 2] = 0.0  # positions stay
         return np.asarray(state + change)
+
+    def impulse_inputs(
+        self, layout: InputLayout, held: FloatArray, jump: Jump
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return inputs at rest and such whose accelerations are more by what a jump adds."""
+        pushed, held = held.copy(), held.copy()
+        if jump.supports is not None and self.supports is not None:
+            pushed[layout.load_rows] -= self.supports.force(jump.supports)
+        if jump.bars is not None:
+            rows, length = layout.length_rows, layout.bar_lengths(ca.DM(held))[0].full().ravel()
+            for u, acceleration in ((held, np.zeros_like(length)), (pushed, jump.bars)):
+                coefficients = u[:-1].reshape(layout.degree + 1, layout.count)
+                coefficients[:, rows] = 0.0
+                coefficients[0, rows] = length
+                # So that its second derivative is the jump, and at this time nothing else is.
+                for power, factor in enumerate((u[-1] ** 2 / 2, -u[-1], 0.5)):
+                    coefficients[power, rows] += factor * acceleration
+        return held, pushed
 
     def motion(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return nodes and velocities, shape (d, n) each, of a state now."""
@@ -481,20 +492,17 @@ class PlantRun:
     @property
     def load_rows(self) -> slice:
         """Rows of the inputs that are loads."""
-        layout = self._equation.layout
-        return slice(layout.strings, layout.strings + layout.load)
+        return self._equation.layout.load_rows
 
     @property
     def offset_rows(self) -> slice:
         """Rows of the inputs that are displacements by supports."""
-        first = self.load_rows.stop
-        return slice(first, first + self._equation.layout.offset)
+        return self._equation.layout.offset_rows
 
     @property
     def length_rows(self) -> slice:
         """Rows of the inputs that are lengths of bars."""
-        layout = self._equation.layout
-        return slice(layout.count - layout.lengths, None)
+        return self._equation.layout.length_rows
 
     def packed(self, coefficients: FloatArray, time: float) -> FloatArray:
         """Return inputs as integrators take them, a time after their origin, s."""

@@ -418,7 +418,8 @@ class Scene:
         return None if offset is None else MovingSupports(self.model, offset)
 
     @cached_property
-    def _bars(self) -> DrivenBars | None:
+    def bars(self) -> DrivenBars | None:
+        """Lengths of driven bars, None where bars are rigid."""
         if self.bar_length is None and (self.controller is None or not self._commands_bars):
             return None
         if self.law is not None:
@@ -437,13 +438,13 @@ class Scene:
     @cached_property
     def _length_rate(self) -> FloatArray:
         """At what rates driven bars stretch before the start, m/s."""
-        assert self._bars is not None  # else it is not asked for
+        assert self.bars is not None  # else it is not asked for
         if self.start is not None:  # in which any bar may have been driven
             return stretching(
                 self.structure, self.start.nodes[:, :, -1], self.start.velocities[:, :, -1]
             )
         motion = (array[:, :, 0] for array in unpack_states(self.structure, self.state[:, None]))
-        return self._bars.rates(self.structure, *motion)
+        return self.bars.rates(self.structure, *motion)
 
     @cached_property
     def _beside(self) -> Start:
@@ -458,13 +459,13 @@ class Scene:
         if self.start is not None:
             assert beside.nodes is not None  # of the run
             assert beside.velocities is not None  # of the run
-            lengths = self.structure.bar_length if self._bars is None else self._bars.at(self.begin)
+            lengths = self.structure.bar_length if self.bars is None else self.bars.at(self.begin)
             refuse_other_lengths("start", self.structure, beside.nodes, lengths)
             return frozen(pack_state(self.structure, beside.nodes, beside.velocities)), None
         inputs, motion = self.inputs, (beside.nodes, beside.velocities)
         first = None if inputs is None else lambda: inputs.at(np.zeros(1))[:, 0]
         state, note = initial_state(
-            self.model, *motion, self.input, first, bars=self._bars, now=self.begin
+            self.model, *motion, self.input, first, bars=self.bars, now=self.begin
         )
         return frozen(state), note
 
@@ -494,7 +495,7 @@ class Scene:
         ):
             if changes:
                 raise ValueError(f"{name} changes in time, expected a constant load")
-        if self._bars is not None:
+        if self.bars is not None:
             raise ValueError("bars are driven, expected bars with the lengths of the structure")
         return np.asarray(self.loads)
 
@@ -715,8 +716,8 @@ class Scene:
             degree=self._degree,
             supports=self.supports,
             support_rate=self._beside.support_rate,
-            bars=self._bars,
-            length_rate=None if self._bars is None else self._length_rate,
+            bars=self.bars,
+            length_rate=None if self.bars is None else self._length_rate,
             now=self.begin,
             output_step=output_step,
             report=report,

@@ -4,7 +4,8 @@ Run: ``python -m tests.benchmarks.driven_choices``, some minutes. Each structure
 space or in the plane, with supports, rollers, payloads and clustered strings. Its strings pull it
 into a shape at rest; some of them are driven, one by one or several by a winch. LQR and MPC are
 designed on that plant, with rest lengths or force densities as the input, and put into a loop on
-the nonlinear plant, a little off its shape.
+the nonlinear plant, a little off its shape. With ``--struts`` some bars are driven beside the
+strings, and the inputs are lengths that ramp.
 
 A design that is made promises a motion: that of its closed linear loop. The nonlinear loop must
 come within a part of the start of it (``--close``). What is not promised has a reason: an error, or
@@ -25,6 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 
 import tenscontrol as tc
+from tenscontrol.plant.linear_plant import sampled
 from tests.benchmarks.command_line import options
 from tests.random_structures import any_structure
 
@@ -56,10 +58,10 @@ class Case:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    given = options(__doc__, arguments, start=0, count=100, close=0.05, each=False)
+    given = options(__doc__, arguments, start=0, count=100, close=0.05, each=False, struts=False)
     cases = []
     for seed in range(given.start, given.start + given.count):
-        for case in cases_of(seed, given.close):
+        for case in cases_of(seed, given.close, given.struts):
             cases.append(case)
             if given.each or case.outcome == "SILENT":
                 print(case)
@@ -79,11 +81,13 @@ def table(counts: Counter[str]) -> str:
     return ", ".join(f"{count} {name}" for name, count in sorted(counts.items()))
 
 
-def cases_of(seed: int, close: float) -> list[Case]:
+def cases_of(seed: int, close: float, with_struts: bool = False) -> list[Case]:
     """Return what becomes of both laws on a random structure with random motors."""
     random = np.random.default_rng(seed)
     structure = any_structure(seed)
-    kind = str(random.choice(["rest_length", "force_density"]))
+    kind, struts = str(random.choice(["rest_length", "force_density"])), None
+    if with_struts:
+        kind, struts = "length", some_bars(random, structure)
     stiffness = 10 ** random.uniform(2, 3, len(structure.strings))
     law = tc.LinearStrings(stiffness, damping=float(random.choice([0.0, 0.5, 2.0])))
     weighs = len(structure.fixed) > 0 and random.random() < 0.7
@@ -97,7 +101,7 @@ def cases_of(seed: int, close: float) -> list[Case]:
         try:
             rest = tc.equilibrium(model, rest_length=wound)
             plant = tc.linearize(
-                model, rest, kind, coordinates, actuated=actuated,
+                model, rest, kind, coordinates, actuated=actuated, struts=struts,
                 rest_length=given_length(kind, wound),
             )  # fmt: skip
         except ValueError as error:
@@ -112,7 +116,14 @@ def cases_of(seed: int, close: float) -> list[Case]:
 
 
 def given_length(kind: str, wound: np.ndarray) -> np.ndarray | None:
-    return wound if kind == "rest_length" else None
+    return wound if kind != "force_density" else None
+
+
+def some_bars(random: np.random.Generator, structure: tc.Structure) -> list[int]:
+    """Return a random choice of the bars that can be driven, at least one if there is one."""
+    redundant = [block.bars for block in structure.blocks if block.is_redundant]
+    able = np.setdiff1d(structure.kept_bars, np.concatenate([[], *redundant]).astype(int))
+    return random.permutation(able)[: int(random.integers(1, len(able) + 2))].tolist()
 
 
 def winches_of(random: np.random.Generator, count: int) -> tuple[str, object]:
@@ -139,10 +150,11 @@ def case_of(
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
         try:
-            regulator = tc.LQR(plant, sample_time=sample)
+            ramp = {"winches": tc.Winches(ramp=True)} if plant.drives_bars else {}
+            regulator = tc.LQR(plant, sample_time=sample, **ramp)
             law = regulator
             if name == "MPC":
-                law = tc.MPC(plant, horizon=8, sample_time=sample, tolerance=1e-9)
+                law = tc.MPC(plant, horizon=8, sample_time=sample, tolerance=1e-9, **ramp)
         except ValueError as error:
             return Case(seed, name, kind, layout, "refused", str(error))
     said = "; ".join(str(warning.message) for warning in told)
@@ -150,24 +162,27 @@ def case_of(
     size = float(np.ptp(plant.nodes, axis=1).max())
     q = OFF * size * random.normal(size=r)
     start = plant.to_nodes(OFF * size / np.abs(plant.to_nodes(q) - plant.nodes).max() * q)
-    held = {"rest_length": plant.rest_length} if kind == "rest_length" else {}
+    held = {"rest_length": plant.rest_length, "input": kind} if kind == "rest_length" else ramp
+    held = {"input": kind} if kind == "force_density" else held
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of bars that cross, of slack strings
         try:
             run = tc.simulate(
                 model, LENGTH * sample, start, controller=law, method="dop853", tolerance=1e-11,
-                input=kind, limits=tc.HealthLimits(crossings=None), **held,
+                limits=tc.HealthLimits(crossings=None), **held,
             )  # fmt: skip
         except ValueError as error:
             return Case(seed, name, kind, layout, "refused", str(error))
-    phi, gamma, _ = plant.discretize(sample)
-    closed = phi - gamma @ regulator.gain
+    phi, gamma = sampled(plant, sample, plant.drives_bars).augmented
+    gain = (
+        [regulator.gain, regulator.previous_input_gain] if plant.drives_bars else [regulator.gain]
+    )
+    closed = phi - gamma @ np.hstack(gain)
     first, last = (plant.measure(run.nodes[..., k], run.velocities[..., k]) for k in (0, -1))
     unit = np.repeat([plant.spectral_radius, 1.0], r)
-    promised = np.linalg.matrix_power(closed, LENGTH) @ first
-    most = max(
-        np.linalg.norm(unit * np.linalg.matrix_power(closed, k) @ first) for k in (0, 5, 20, LENGTH)
-    )
+    begin = np.pad(first, (0, len(closed) - 2 * r))
+    way = {k: (np.linalg.matrix_power(closed, k) @ begin)[: 2 * r] for k in (0, 5, 20, LENGTH)}
+    promised, most = way[LENGTH], max(np.linalg.norm(unit * z) for z in way.values())
     off = np.linalg.norm(unit * (last - promised)) / most
     radius = float(np.abs(np.linalg.eigvals(closed)).max())
     figures = f"radius {radius:.6f}, off by {off:.1e} {said}"
