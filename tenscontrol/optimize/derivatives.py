@@ -297,19 +297,22 @@ class Derivatives:
         return Switches(step, which, by_state, by_input, by_offset, rate, jump.T, scales)
 
     def projected(
-        self, x: FloatArray, u: FloatArray
+        self, x: FloatArray, u: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray | None] | None:
         """Return the derivative of putting bars on their lengths, shape (K, states, states).
 
         And that by lengths and rates of bars, (K, states, 2 β), where these are driven. Of states
-        and inputs, one a column.
+        one a column, and of inputs, where bars are driven.
         """
         slope, row, column = self._projection
         if slope.n_in() == 0:
             return None
         states, lengths = len(x), 2 * self.equation.layout.lengths
         exact = np.zeros((x.shape[1], states, states + lengths))
-        given = (x, u) if lengths else (x,)
+        given = [x]
+        if lengths:
+            assert u is not None  # then it is told
+            given.append(u)
         exact[:, row, column] = evaluate_columns(slope, *given)[0].T
         return exact[:, :, :states], exact[:, :, states:] if lengths else None
 

@@ -196,8 +196,7 @@ class Rollouts:
             end, r = self.ends[len(self.unknowns) + i], basis.shape[1]
             moved = np.zeros((2 * half, 2 * r))
             moved[:half, :r] = moved[half:, r:] = basis[free]
-            first, inputs = self._moved_start(i, model, theta), variations.first_inputs
-            exact = variations.derivatives.projected(first[:, None], inputs[:, None])
+            exact = variations.derivatives.projected(self._moved_start(i, model, theta)[:, None])
             if exact is not None:
                 moved = exact[0][0] @ moved
             slope[:, :, end - 2 * r : end] = by_state @ (by_start @ moved)
