@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray
@@ -13,7 +14,7 @@ _GOLDEN = (1 + np.sqrt(5)) / 2
 
 
 @of_sizes
-def six_bar_ball(bar_length: float = 1.7, bar_mass: object = 1.0) -> Structure:
+def six_bar_ball(bar_length: float = 1.7, bar_mass: ArrayLike = 1.0) -> Structure:
     """Return the six-bar ball, or expandable octahedron: three pairs of parallel bars.
 
     The bars of a pair are half a bar length apart, the only distance at which strings of one length
@@ -63,15 +64,12 @@ def six_bar_ball(bar_length: float = 1.7, bar_mass: object = 1.0) -> Structure:
     distance = np.linalg.norm(nodes[:, None] - nodes, axis=2)
     near = np.abs(distance - np.sqrt(3 / 8) * length) < 1e-6 * length
     return Structure(
-        nodes=nodes.T,
-        bars=bars,
-        strings=np.argwhere(np.triu(near)),
-        bar_mass=bar_mass,  # type: ignore[arg-type]  # checked by Structure
+        nodes=nodes.T, bars=bars, strings=np.argwhere(np.triu(near)), bar_mass=bar_mass
     )
 
 
 @of_sizes
-def truncated_tetrahedron(bar_length: float = 1.0, bar_mass: object = 1.0) -> Structure:
+def truncated_tetrahedron(bar_length: float = 1.0, bar_mass: ArrayLike = 1.0) -> Structure:
     """Return the truncated tetrahedron: six bars in four triangles, which six strings join.
 
     The strings are in the groups ``"face"``, twelve, and ``"edge"``, six.
@@ -112,7 +110,7 @@ def truncated_tetrahedron(bar_length: float = 1.0, bar_mass: object = 1.0) -> St
 
 
 @of_sizes
-def twelve_bar_ball(bar_length: float = 1.0, bar_mass: object = 1.0) -> Structure:
+def twelve_bar_ball(bar_length: float = 1.0, bar_mass: ArrayLike = 1.0) -> Structure:
     """Return the twelve-bar ball: a net like a truncated octahedron, six squares joined by strings.
 
     The strings are in the groups ``"face"``, 24, and ``"edge"``, twelve.
@@ -151,7 +149,7 @@ def twelve_bar_ball(bar_length: float = 1.0, bar_mass: object = 1.0) -> Structur
 
 
 @of_sizes
-def thirty_bar_ball(bar_length: float = 1.0, bar_mass: object = 1.0) -> Structure:
+def thirty_bar_ball(bar_length: float = 1.0, bar_mass: ArrayLike = 1.0) -> Structure:
     """Return the thirty-bar ball: a net like a truncated icosahedron, twelve pentagons joined.
 
     All strings are equally long; they are in the groups ``"face"``, 60, and ``"edge"``, 30.
@@ -203,7 +201,7 @@ def _half_turn(axis: list[float]) -> FloatArray:
 
 
 def _ball(
-    face: FloatArray, edge: FloatArray, bar: FloatArray, bar_length: float, bar_mass: object
+    face: FloatArray, edge: FloatArray, bar: FloatArray, bar_length: float, bar_mass: ArrayLike
 ) -> Structure:
     """Return the ball of all places R p of one node p, with R of the group of two rotations.
 
@@ -228,7 +226,7 @@ def _ball(
         nodes=nodes.T,
         bars=bars,
         strings=np.vstack(list(pairs.values())),
-        bar_mass=bar_mass,  # type: ignore[arg-type]  # checked by Structure
+        bar_mass=bar_mass,
         string_groups=[name for name, members in pairs.items() for _ in members],
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from tenscontrol import validation
 from tenscontrol.library.sizes import of_sizes
@@ -16,7 +17,7 @@ def class2_tower(
     sides: int = 3,
     radius: float = 0.5,
     height: float = 1.0,
-    bar_mass: object = 1.0,
+    bar_mass: ArrayLike = 1.0,
     handedness: str = "left",
     floating: bool = False,
 ) -> Structure:
@@ -94,7 +95,7 @@ def class2_tower(
         nodes=np.reshape(places, (3, -1)),
         bars=np.column_stack([node[:-1].ravel(), np.roll(node[1:], -1, axis=1).ravel()]),
         strings=np.vstack([pairs.reshape(-1, 2) for pairs in groups.values()]),
-        bar_mass=bar_mass,  # type: ignore[arg-type]  # checked by Structure
+        bar_mass=bar_mass,
         string_groups=[name for name, pairs in groups.items() for _ in range(pairs.size // 2)],
         fixed=() if floats else node[0],
     )
@@ -102,7 +103,7 @@ def class2_tower(
 
 @of_sizes
 def arm(
-    sections: int = 2, length: float = 1.0, height: float = 1.0, bar_mass: object = 1.0
+    sections: int = 2, length: float = 1.0, height: float = 1.0, bar_mass: ArrayLike = 1.0
 ) -> Structure:
     """Return a planar arm of Snelson's X-frames in a row, held at its left end.
 
@@ -156,14 +157,14 @@ def arm(
         nodes=[length * upright, height * end],
         bars=crossed.reshape(-1, 2),
         strings=np.hstack(pairs).T,
-        bar_mass=bar_mass,  # type: ignore[arg-type]  # checked by Structure
+        bar_mass=bar_mass,
         string_groups=np.repeat(["lower", "upper", "upright"], count).tolist(),
         fixed=[0, 1],
     )
 
 
 @of_sizes
-def stedy_arm(bar_length: float = 1.0, bar_mass: object = 1.0) -> Structure:
+def stedy_arm(bar_length: float = 1.0, bar_mass: ArrayLike = 1.0) -> Structure:
     """Return the planar arm of STEDY: triangles of bars about two joints, in strings.
 
     Nodes go around the arm from the fixed ones, 0, 1 and 15, on its left; 4 and 7 are the joints in
@@ -215,7 +216,7 @@ def stedy_arm(bar_length: float = 1.0, bar_mass: object = 1.0) -> Structure:
         nodes=step * np.array([x, y]),
         bars=bars,
         strings=strings,
-        bar_mass=bar_mass,  # type: ignore[arg-type]  # checked by Structure
+        bar_mass=bar_mass,
         fixed=[0, 1, 15],
     )
 
@@ -226,7 +227,7 @@ def spine(
     leg_length: float = 0.15,
     spread: float = np.pi / 3,
     spacing: float = 0.1,
-    bar_mass: object = 0.1,
+    bar_mass: ArrayLike = 0.1,
 ) -> Structure:
     """Return a spine of rigid vertebrae that hang in strings above one another; the lowest is held.
 
@@ -303,7 +304,7 @@ def spine(
         nodes=nodes.reshape(3, -1),
         bars=(first[:, None, None] + bars).reshape(-1, 2),
         strings=np.vstack([vertical.reshape(-1, 2), saddle.reshape(-1, 2)]),
-        bar_mass=bar_mass,  # type: ignore[arg-type]  # checked by Structure
+        bar_mass=bar_mass,
         string_groups=np.repeat(["vertical", "saddle"], 4 * (count - 1)).tolist(),
         fixed=np.arange(5),
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from tenscontrol import validation
 from tenscontrol.library.sizes import of_sizes
@@ -12,7 +13,7 @@ from tenscontrol.structure.structure import Structure
 
 @of_sizes
 def snelson_x(
-    width: float = 1.0, height: float = 1.0, dimension: int = 2, bar_mass: object = 1.0
+    width: float = 1.0, height: float = 1.0, dimension: int = 2, bar_mass: ArrayLike = 1.0
 ) -> Structure:
     """Return Snelson's X: a rectangle of strings with bars as its diagonals, which do not touch.
 
@@ -60,7 +61,7 @@ def snelson_x(
         nodes=_flat([[0, width, width, 0], [0, 0, height, height]], dimension),
         bars=[[0, 2], [1, 3]],
         strings=[[0, 1], [3, 2], [0, 3], [1, 2]],
-        bar_mass=bar_mass,  # type: ignore[arg-type]  # checked by Structure
+        bar_mass=bar_mass,
         string_groups=["horizontal"] * 2 + ["vertical"] * 2,
     )
 
@@ -72,7 +73,7 @@ def kite(
     across: float = 0.25,
     up: float = 0.75,
     dimension: int = 2,
-    bar_mass: object = 1.0,
+    bar_mass: ArrayLike = 1.0,
 ) -> Structure:
     """Return a kite: a level and an upright bar that cross, in a loop of four strings.
 
@@ -127,13 +128,13 @@ def kite(
         nodes=_flat([[left, 0, left + width, 0], [0, low, 0, low + height]], dimension),
         bars=[[0, 2], [1, 3]],
         strings=[[0, 1], [1, 2], [2, 3], [3, 0]],
-        bar_mass=bar_mass,  # type: ignore[arg-type]  # checked by Structure
+        bar_mass=bar_mass,
     )
 
 
 @of_sizes
 def d_bar(
-    width: float = 2.0, height: float = 2.0, dimension: int = 2, bar_mass: object = 1.0
+    width: float = 2.0, height: float = 2.0, dimension: int = 2, bar_mass: ArrayLike = 1.0
 ) -> Structure:
     """Return the D-bar: a diamond of four bars joined at their ends, with strings as diagonals.
 
@@ -185,14 +186,14 @@ def d_bar(
         nodes=_flat([[-half, 0, half, 0], [0, -rise, 0, rise]], dimension),
         bars=[[3, 0], [0, 1], [1, 2], [2, 3]],
         strings=[[0, 2], [1, 3]],
-        bar_mass=bar_mass,  # type: ignore[arg-type]  # checked by Structure
+        bar_mass=bar_mass,
         string_groups=["horizontal", "vertical"],
     )
 
 
 @of_sizes
 def d_bar_3d(
-    sides: int = 3, radius: float = 0.6, height: float = 1.6, bar_mass: object = 1.0
+    sides: int = 3, radius: float = 0.6, height: float = 1.6, bar_mass: ArrayLike = 1.0
 ) -> Structure:
     """Return the D-bar in three dimensions: bars from two tips to a polygon of strings.
 
@@ -246,7 +247,7 @@ def d_bar_3d(
         nodes=np.hstack([ring, tips]),
         bars=np.vstack([np.column_stack([np.full(q, tip), k]) for tip in (q, q + 1)]),
         strings=np.vstack([np.column_stack([k, (k + 1) % q]), [[q, q + 1]]]),
-        bar_mass=bar_mass,  # type: ignore[arg-type]  # checked by Structure
+        bar_mass=bar_mass,
         string_groups=["ring"] * q + ["axis"],
     )
 
@@ -256,7 +257,7 @@ def t_bar(
     width: float = 2.0,
     height: float = 1.0,
     dimension: int = 2,
-    bar_mass: object = 1.0,
+    bar_mass: ArrayLike = 1.0,
     continuous: bool = False,
 ) -> Structure:
     """Return the T-bar: bars along and across that meet in a joint, in a loop of four strings.
@@ -313,7 +314,7 @@ def t_bar(
         nodes=_flat([[0, -half, 0, half, 0], [0, 0, -rise, 0, rise]], dimension),
         bars=bars,
         strings=strings,
-        bar_mass=bar_mass,  # type: ignore[arg-type]  # checked by Structure
+        bar_mass=bar_mass,
         string_groups=["side"] * 4 + ["joint"] * (len(strings) - 4),
     )
 

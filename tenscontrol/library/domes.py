@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, IntArray
@@ -18,7 +19,7 @@ def geiger_dome(
     radius: float = 1.0,
     rise: float = 0.3,
     slope: float = 0.38,
-    bar_mass: object = 1.0,
+    bar_mass: ArrayLike = 1.0,
 ) -> Structure:
     """Return Geiger's cable dome: radial frames of strings and posts, with a mast in the middle.
 
@@ -81,7 +82,7 @@ def geiger_dome(
         nodes=np.hstack([nodes, [[0, 0], [0, 0], [head[-1], foot[-1]]]]),
         bars=np.vstack([np.column_stack([heads.ravel(), feet.ravel()]), mast]),
         strings=strings,
-        bar_mass=bar_mass,  # type: ignore[arg-type]  # checked by Structure
+        bar_mass=bar_mass,
         string_groups=groups,
         fixed=rim,
     )
@@ -94,7 +95,7 @@ def levy_dome(
     radius: float = 50.0,
     rise: float = 15.0,
     slope: float = np.pi / 6,
-    bar_mass: object = 1.0,
+    bar_mass: ArrayLike = 1.0,
 ) -> Structure:
     """Return Levy's cable dome: posts in triangles of strings, each hoop turned by half a side.
 
@@ -158,7 +159,7 @@ def levy_dome(
         nodes=nodes,
         bars=np.column_stack([heads.ravel(), feet.ravel()]),
         strings=strings,
-        bar_mass=bar_mass,  # type: ignore[arg-type]  # checked by Structure
+        bar_mass=bar_mass,
         string_groups=groups,
         fixed=rim,
     )
@@ -246,7 +247,7 @@ def cable_net(
 
 @of_sizes
 def wheel(
-    spokes: int = 12, radius: float = 0.3, width: float = 0.1, bar_mass: object = 0.1
+    spokes: int = 12, radius: float = 0.3, width: float = 0.1, bar_mass: ArrayLike = 0.1
 ) -> Structure:
     """Return a spoked wheel: a rim of bars joined at their ends, and an axle held by strings.
 
@@ -299,7 +300,7 @@ def wheel(
         nodes=np.hstack([rim, [[0, 0], [0, 0], [half, -half]]]),
         bars=np.vstack([np.column_stack([k, np.roll(k, -1)]), [q, q + 1]]),
         strings=strings,
-        bar_mass=bar_mass,  # type: ignore[arg-type]  # checked by Structure
+        bar_mass=bar_mass,
         string_groups=groups,
     )
 

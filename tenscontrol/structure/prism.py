@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import ceil
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, IntArray
@@ -20,7 +21,7 @@ def prism(
     radius: float = 0.5,
     height: float = 1.0,
     top_radius: float | None = None,
-    bar_mass: object = 1.0,
+    bar_mass: ArrayLike = 1.0,
     handedness: str = "left",
     diagonals: bool = False,
 ) -> Structure:
@@ -109,7 +110,7 @@ def prism(
         nodes=nodes,
         bars=np.column_stack([k, q + following]),
         strings=np.vstack(list(groups.values())),
-        bar_mass=bar_mass,  # type: ignore[arg-type]  # checked by Structure
+        bar_mass=bar_mass,
         string_groups=[name for name in groups for _ in range(q)],
     )
 
@@ -169,7 +170,7 @@ def prism_tower(
     sides: int = 3,
     radius: float = 0.5,
     height: float = 1.0,
-    bar_mass: object = 1.0,
+    bar_mass: ArrayLike = 1.0,
     overlap: float = 0.25,
     handedness: str = "left",
 ) -> Structure:
@@ -257,7 +258,7 @@ def prism_tower(
         nodes=_tower_nodes(q, screw, radius, height, overlap, mirror),
         bars=np.column_stack([top.ravel(), _shifted(bottom, screw).ravel()]),
         strings=ends.reshape(-1, 2)[:count_of_strings],
-        bar_mass=bar_mass,  # type: ignore[arg-type]  # checked by Structure
+        bar_mass=bar_mass,
         string_groups=(tuple(np.repeat(groups, q).tolist()) * count)[:count_of_strings],
     )
 
