@@ -183,35 +183,27 @@ def kernels() -> str:
 
 
 def _of_bodies(d: int) -> list[str]:
+    """Return the bars, whose lengths are driven; where they are constant, the extension is 0."""
     B, Bd, start, end = (ca.SX.sym(name, d) for name in ("B", "Bd", "start", "end"))
     mass, extension = ca.SX.sym("mass"), ca.SX.sym("extension")
-    texts, constants = list[str](), list[str]()
-    for name, own in (("", None), ("driven_", extension)):
-        given = {"bar": B, "rate": Bd} | ({} if own is None else {"extension": own})
-        at_start, at_end, free = kernel.free_bar(B, Bd, start, end, mass, own)
-        at_tip, swinging = kernel.swinging_bar(B, Bd, end, mass, own)
-        of_bars = (
-            with_constants(f"{name}free_bar_{d}", {**given, "on_start": start, "on_end": end}, mass,
-                           {"start": at_start, "end": at_end}),
-            with_constants(f"{name}swinging_bar_{d}", {**given, "on_tip": end}, mass,
-                           {"tip": at_tip}),
-        )  # fmt: skip
-        of_masses = [bar[1].replace("driven_", "") for bar in of_bars]
-        if own is None:
-            texts, constants = [text for bar in of_bars for text in bar], of_masses
-        else:  # they take the same of their masses
-            assert of_masses == constants
-            texts += [bar[-1] for bar in of_bars]
-            for kind, ends, density in (
-                ("free", {"on_start": start, "on_end": end}, free),
-                ("swinging", {"on_tip": end}, swinging),
-            ):
-                symbols, result = given | ends | {"mass": mass}, {"force_density": density}
-                texts.append(printed(f"driven_{kind}_bar_force_density_{d}", symbols, result))
-        del given["bar"]
-        right = {"right": -kernel.turning(Bd, own)}
-        texts.append(printed(f"{name}coupled_bar_{d}", given, right))
-    return texts
+    texts, turned = list[str](), {"rate": Bd, "extension": extension}
+    *accelerations, free = kernel.free_bar(B, Bd, start, end, mass, extension)
+    tip, swinging = kernel.swinging_bar(B, Bd, end, mass, extension)
+    for kind, ends, moved, density in (
+        (
+            "free",
+            {"on_start": start, "on_end": end},
+            dict(zip(("start", "end"), accelerations, strict=True)),
+            free,
+        ),
+        ("swinging", {"on_tip": end}, {"tip": tip}, swinging),
+    ):
+        given = {"bar": B} | turned | ends
+        texts += with_constants(f"{kind}_bar_{d}", given, mass, moved)
+        result = {"force_density": density}
+        texts.append(printed(f"{kind}_bar_force_density_{d}", given | {"mass": mass}, result))
+    right = {"right": -kernel.turning(Bd, extension)}
+    return [*texts, printed(f"coupled_bar_{d}", turned, right)]
 
 
 def _of_segments(d: int) -> list[str]:

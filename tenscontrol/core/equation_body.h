@@ -163,8 +163,7 @@ static void N(coupled)(const Scene *s, const Number *p, const Number *v, const N
       K[s->entry_end[D * i + k]] = bar[k];
       K[s->entry_start[D * i + k]] = -bar[k];
     }
-    if (extension) N(driven_coupled_bar)(rate, extension[s->block_bar[i]], y + s->right_place[i]);
-    else N(coupled_bar)(rate, y + s->right_place[i]);
+    N(coupled_bar)(rate, extension ? extension[s->block_bar[i]] : all(0), y + s->right_place[i]);
   }
   factorize(s, K);
   solve(s, K, y);
@@ -173,42 +172,22 @@ static void N(coupled)(const Scene *s, const Number *p, const Number *v, const N
 
 /* Accelerations of the ends of bars that share no nodes. */
 WIDE static void N(alone)(const Scene *s, const Number *restrict p, const Number *restrict v,
-                          const Number *restrict f, Number *restrict a) {
+                          const Number *restrict f, const Number *restrict extension,
+                          Number *restrict a) {
   for (int i = 0; i < s->free_bars; ++i) {
     const int start = s->bar_start[i], end = s->bar_end[i];
     Number bar[D], rate[D];
     N(difference)(p, start, end, bar);
     N(difference)(v, start, end, rate);
-    N(free_bar)(bar, rate, f + start, f + end, numbers(s->bar_constants) + FREE_BAR_2_CONSTANTS * i,
-                a + start, a + end);
+    N(free_bar)(bar, rate, extension ? extension[s->free_bar[i]] : all(0), f + start, f + end,
+                numbers(s->bar_constants) + FREE_BAR_2_CONSTANTS * i, a + start, a + end);
   }
   for (int i = 0; i < s->swinging_bars; ++i) {
     Number bar[D], rate[D];
     N(difference)(p, s->hinge[i], s->tip[i], bar);
     N(difference)(v, s->hinge[i], s->tip[i], rate);
-    N(swinging_bar)(bar, rate, f + s->tip[i], numbers(s->tip_constants) + SWINGING_BAR_2_CONSTANTS * i,
-                    a + s->tip[i]);
-  }
-}
-
-/* The same where lengths are driven. */
-WIDE static void N(driven_alone)(const Scene *s, const Number *restrict p, const Number *restrict v,
-                                 const Number *restrict f, const Number *restrict extension,
-                                 Number *restrict a) {
-  for (int i = 0; i < s->free_bars; ++i) {
-    const int start = s->bar_start[i], end = s->bar_end[i];
-    Number bar[D], rate[D];
-    N(difference)(p, start, end, bar);
-    N(difference)(v, start, end, rate);
-    N(driven_free_bar)(bar, rate, extension[s->free_bar[i]], f + start, f + end,
-                       numbers(s->bar_constants) + FREE_BAR_2_CONSTANTS * i, a + start, a + end);
-  }
-  for (int i = 0; i < s->swinging_bars; ++i) {
-    Number bar[D], rate[D];
-    N(difference)(p, s->hinge[i], s->tip[i], bar);
-    N(difference)(v, s->hinge[i], s->tip[i], rate);
-    N(driven_swinging_bar)(bar, rate, extension[s->swinging_bar[i]], f + s->tip[i],
-                           numbers(s->tip_constants) + SWINGING_BAR_2_CONSTANTS * i, a + s->tip[i]);
+    N(swinging_bar)(bar, rate, extension ? extension[s->swinging_bar[i]] : all(0), f + s->tip[i],
+                    numbers(s->tip_constants) + SWINGING_BAR_2_CONSTANTS * i, a + s->tip[i]);
   }
 }
 
@@ -218,8 +197,7 @@ WIDE static void N(accelerations)(const Scene *s, const Number *restrict p,
                                   const Number *restrict v, const Number *restrict f,
                                   const Number *restrict extension, Number *restrict a,
                                   const Work *w) {
-  if (extension) N(driven_alone)(s, p, v, f, extension, a);
-  else N(alone)(s, p, v, f, a);
+  N(alone)(s, p, v, f, extension, a);
   for (int i = 0; i < s->points; ++i)
     for (int k = 0; k < D; ++k)
       a[s->point[i] + k] = f[s->point[i] + k] * numbers(s->point_inverse_mass)[i];
@@ -236,14 +214,14 @@ static void N(bar_densities)(const Scene *s, const Number *p, const Number *v, c
     const int start = s->bar_start[i], end = s->bar_end[i], j = s->free_bar[i];
     N(difference)(p, start, end, bar);
     N(difference)(v, start, end, rate);
-    N(driven_free_bar_force_density)(bar, rate, extension[j], f + start, f + end,
+    N(free_bar_force_density)(bar, rate, extension[j], f + start, f + end,
                                      all(s->bar_mass[j]), density + j);
   }
   for (int i = 0; i < s->swinging_bars; ++i) {
     const int tip = s->tip[i], j = s->swinging_bar[i];
     N(difference)(p, s->hinge[i], tip, bar);
     N(difference)(v, s->hinge[i], tip, rate);
-    N(driven_swinging_bar_force_density)(bar, rate, extension[j], f + tip, all(s->bar_mass[j]),
+    N(swinging_bar_force_density)(bar, rate, extension[j], f + tip, all(s->bar_mass[j]),
                                          density + j);
   }
   for (int i = 0; i < s->block_bars; ++i) density[s->block_bar[i]] = -w->unknowns[s->right_place[i]];

@@ -16,43 +16,7 @@ static inline void free_bar_2_constants(const Number mass, Number *constants) {
   constants[3] = 6.0 / mass;
 }
 
-static inline void free_bar_2(const Number *bar, const Number *rate, const Number *on_start,
-      const Number *on_end, const Number *constants, Number *start, Number *end) {
-  const Number t4 = (on_start[0] + on_end[0]) * constants[0];
-  const Number t5 = on_end[0] - on_start[0];
-  const Number t21 = on_end[1] - on_start[1];
-  const Number t26 = constants[2] * (rate[0] * rate[0] + rate[1] * rate[1]) + (bar[0] * t5 +
-      bar[1] * t21) / 2.0;
-  const Number t31 = constants[3] * (t26 / (bar[0] * bar[0] + bar[1] * bar[1]));
-  const Number t33 = t5 * constants[1] - bar[0] * t31;
-  start[0] = t4 - t33;
-  const Number t37 = (on_start[1] + on_end[1]) * constants[0];
-  const Number t40 = t21 * constants[1] - bar[1] * t31;
-  start[1] = t37 - t40;
-  end[0] = t4 + t33;
-  end[1] = t37 + t40;
-}
-
-enum { SWINGING_BAR_2_CONSTANTS = 2 };
-static inline void swinging_bar_2_constants(const Number mass, Number *constants) {
-  constants[0] = mass / 3.0;
-  constants[1] = 3.0 / mass;
-}
-
-static inline void swinging_bar_2(const Number *bar, const Number *rate, const Number *on_tip,
-      const Number *constants, Number *tip) {
-  const Number t14 = constants[0] * (rate[0] * rate[0] + rate[1] * rate[1]) + (bar[0] * on_tip[0] +
-      bar[1] * on_tip[1]);
-  const Number t18 = t14 / (bar[0] * bar[0] + bar[1] * bar[1]);
-  tip[0] = (on_tip[0] - bar[0] * t18) * constants[1];
-  tip[1] = (on_tip[1] - bar[1] * t18) * constants[1];
-}
-
-static inline void coupled_bar_2(const Number *rate, Number *right) {
-  *right = -(rate[0] * rate[0] + rate[1] * rate[1]);
-}
-
-static inline void driven_free_bar_2(const Number *bar, const Number *rate, const Number extension,
+static inline void free_bar_2(const Number *bar, const Number *rate, const Number extension,
       const Number *on_start, const Number *on_end, const Number *constants, Number *start,
       Number *end) {
   const Number t4 = (on_start[0] + on_end[0]) * constants[0];
@@ -70,16 +34,7 @@ static inline void driven_free_bar_2(const Number *bar, const Number *rate, cons
   end[1] = t39 + t42;
 }
 
-static inline void driven_swinging_bar_2(const Number *bar, const Number *rate, const Number extension,
-      const Number *on_tip, const Number *constants, Number *tip) {
-  const Number t16 = constants[0] * (rate[0] * rate[0] + rate[1] * rate[1] - extension) +
-      (bar[0] * on_tip[0] + bar[1] * on_tip[1]);
-  const Number t20 = t16 / (bar[0] * bar[0] + bar[1] * bar[1]);
-  tip[0] = (on_tip[0] - bar[0] * t20) * constants[1];
-  tip[1] = (on_tip[1] - bar[1] * t20) * constants[1];
-}
-
-static inline void driven_free_bar_force_density_2(const Number *bar, const Number *rate,
+static inline void free_bar_force_density_2(const Number *bar, const Number *rate,
       const Number extension, const Number *on_start, const Number *on_end, const Number mass,
       Number *force_density) {
   const Number t23 = (bar[0] * (on_end[0] - on_start[0]) + bar[1] * (on_end[1] - on_start[1])) / 2.0;
@@ -88,14 +43,29 @@ static inline void driven_free_bar_force_density_2(const Number *bar, const Numb
   *force_density = -t28;
 }
 
-static inline void driven_swinging_bar_force_density_2(const Number *bar, const Number *rate,
+enum { SWINGING_BAR_2_CONSTANTS = 2 };
+static inline void swinging_bar_2_constants(const Number mass, Number *constants) {
+  constants[0] = mass / 3.0;
+  constants[1] = 3.0 / mass;
+}
+
+static inline void swinging_bar_2(const Number *bar, const Number *rate, const Number extension,
+      const Number *on_tip, const Number *constants, Number *tip) {
+  const Number t16 = constants[0] * (rate[0] * rate[0] + rate[1] * rate[1] - extension) +
+      (bar[0] * on_tip[0] + bar[1] * on_tip[1]);
+  const Number t20 = t16 / (bar[0] * bar[0] + bar[1] * bar[1]);
+  tip[0] = (on_tip[0] - bar[0] * t20) * constants[1];
+  tip[1] = (on_tip[1] - bar[1] * t20) * constants[1];
+}
+
+static inline void swinging_bar_force_density_2(const Number *bar, const Number *rate,
       const Number extension, const Number *on_tip, const Number mass, Number *force_density) {
   const Number t18 = mass / 3.0 * (rate[0] * rate[0] + rate[1] * rate[1] - extension) + (bar[0] * on_tip[0]
       + bar[1] * on_tip[1]);
   *force_density = -(t18 / (bar[0] * bar[0] + bar[1] * bar[1]));
 }
 
-static inline void driven_coupled_bar_2(const Number *rate, const Number extension, Number *right) {
+static inline void coupled_bar_2(const Number *rate, const Number extension, Number *right) {
   *right = -(rate[0] * rate[0] + rate[1] * rate[1] - extension);
 }
 
@@ -133,50 +103,7 @@ static inline void free_bar_3_constants(const Number mass, Number *constants) {
   constants[3] = 6.0 / mass;
 }
 
-static inline void free_bar_3(const Number *bar, const Number *rate, const Number *on_start,
-      const Number *on_end, const Number *constants, Number *start, Number *end) {
-  const Number t4 = (on_start[0] + on_end[0]) * constants[0];
-  const Number t5 = on_end[0] - on_start[0];
-  const Number t19 = constants[2] * (rate[0] * rate[0] + rate[1] * rate[1] + rate[2] * rate[2]);
-  const Number t24 = on_end[1] - on_start[1];
-  const Number t30 = on_end[2] - on_start[2];
-  const Number t41 = (t19 + (bar[0] * t5 + bar[1] * t24 + bar[2] * t30) / 2.0) / (bar[0] * bar[0] +
-      bar[1] * bar[1] + bar[2] * bar[2]);
-  const Number t42 = constants[3] * t41;
-  const Number t44 = t5 * constants[1] - bar[0] * t42;
-  start[0] = t4 - t44;
-  const Number t48 = (on_start[1] + on_end[1]) * constants[0];
-  const Number t51 = t24 * constants[1] - bar[1] * t42;
-  start[1] = t48 - t51;
-  const Number t55 = (on_start[2] + on_end[2]) * constants[0];
-  const Number t58 = t30 * constants[1] - bar[2] * t42;
-  start[2] = t55 - t58;
-  end[0] = t4 + t44;
-  end[1] = t48 + t51;
-  end[2] = t55 + t58;
-}
-
-enum { SWINGING_BAR_3_CONSTANTS = 2 };
-static inline void swinging_bar_3_constants(const Number mass, Number *constants) {
-  constants[0] = mass / 3.0;
-  constants[1] = 3.0 / mass;
-}
-
-static inline void swinging_bar_3(const Number *bar, const Number *rate, const Number *on_tip,
-      const Number *constants, Number *tip) {
-  const Number t11 = constants[0] * (rate[0] * rate[0] + rate[1] * rate[1] + rate[2] * rate[2]);
-  const Number t27 = (t11 + (bar[0] * on_tip[0] + bar[1] * on_tip[1] +
-      bar[2] * on_tip[2])) / (bar[0] * bar[0] + bar[1] * bar[1] + bar[2] * bar[2]);
-  tip[0] = (on_tip[0] - bar[0] * t27) * constants[1];
-  tip[1] = (on_tip[1] - bar[1] * t27) * constants[1];
-  tip[2] = (on_tip[2] - bar[2] * t27) * constants[1];
-}
-
-static inline void coupled_bar_3(const Number *rate, Number *right) {
-  *right = -(rate[0] * rate[0] + rate[1] * rate[1] + rate[2] * rate[2]);
-}
-
-static inline void driven_free_bar_3(const Number *bar, const Number *rate, const Number extension,
+static inline void free_bar_3(const Number *bar, const Number *rate, const Number extension,
       const Number *on_start, const Number *on_end, const Number *constants, Number *start,
       Number *end) {
   const Number t4 = (on_start[0] + on_end[0]) * constants[0];
@@ -200,17 +127,7 @@ static inline void driven_free_bar_3(const Number *bar, const Number *rate, cons
   end[2] = t57 + t60;
 }
 
-static inline void driven_swinging_bar_3(const Number *bar, const Number *rate, const Number extension,
-      const Number *on_tip, const Number *constants, Number *tip) {
-  const Number t13 = constants[0] * (rate[0] * rate[0] + rate[1] * rate[1] + rate[2] * rate[2] - extension);
-  const Number t29 = (t13 + (bar[0] * on_tip[0] + bar[1] * on_tip[1] +
-      bar[2] * on_tip[2])) / (bar[0] * bar[0] + bar[1] * bar[1] + bar[2] * bar[2]);
-  tip[0] = (on_tip[0] - bar[0] * t29) * constants[1];
-  tip[1] = (on_tip[1] - bar[1] * t29) * constants[1];
-  tip[2] = (on_tip[2] - bar[2] * t29) * constants[1];
-}
-
-static inline void driven_free_bar_force_density_3(const Number *bar, const Number *rate,
+static inline void free_bar_force_density_3(const Number *bar, const Number *rate,
       const Number extension, const Number *on_start, const Number *on_end, const Number mass,
       Number *force_density) {
   const Number t13 = mass / 12.0 * (rate[0] * rate[0] + rate[1] * rate[1] + rate[2] * rate[2] - extension);
@@ -220,7 +137,23 @@ static inline void driven_free_bar_force_density_3(const Number *bar, const Numb
   *force_density = -t39;
 }
 
-static inline void driven_swinging_bar_force_density_3(const Number *bar, const Number *rate,
+enum { SWINGING_BAR_3_CONSTANTS = 2 };
+static inline void swinging_bar_3_constants(const Number mass, Number *constants) {
+  constants[0] = mass / 3.0;
+  constants[1] = 3.0 / mass;
+}
+
+static inline void swinging_bar_3(const Number *bar, const Number *rate, const Number extension,
+      const Number *on_tip, const Number *constants, Number *tip) {
+  const Number t13 = constants[0] * (rate[0] * rate[0] + rate[1] * rate[1] + rate[2] * rate[2] - extension);
+  const Number t29 = (t13 + (bar[0] * on_tip[0] + bar[1] * on_tip[1] +
+      bar[2] * on_tip[2])) / (bar[0] * bar[0] + bar[1] * bar[1] + bar[2] * bar[2]);
+  tip[0] = (on_tip[0] - bar[0] * t29) * constants[1];
+  tip[1] = (on_tip[1] - bar[1] * t29) * constants[1];
+  tip[2] = (on_tip[2] - bar[2] * t29) * constants[1];
+}
+
+static inline void swinging_bar_force_density_3(const Number *bar, const Number *rate,
       const Number extension, const Number *on_tip, const Number mass, Number *force_density) {
   const Number t13 = mass / 3.0 * (rate[0] * rate[0] + rate[1] * rate[1] + rate[2] * rate[2] - extension);
   const Number t31 = (t13 + (bar[0] * on_tip[0] + bar[1] * on_tip[1] +
@@ -228,7 +161,7 @@ static inline void driven_swinging_bar_force_density_3(const Number *bar, const 
   *force_density = -t31;
 }
 
-static inline void driven_coupled_bar_3(const Number *rate, const Number extension, Number *right) {
+static inline void coupled_bar_3(const Number *rate, const Number extension, Number *right) {
   *right = -(rate[0] * rate[0] + rate[1] * rate[1] + rate[2] * rate[2] - extension);
 }
 

@@ -102,7 +102,7 @@ static void N(bars_that_share)(const Scene *s, const Layout *at, const Point *no
       factors[s->entry_end[D * i + k]] = bar[k];
       factors[s->entry_start[D * i + k]] = -bar[k];
     }
-    N(coupled_bar)(rate, y + s->right_place[i]);
+    N(coupled_bar)(rate, all(0), y + s->right_place[i]);
   }
   factorize(s, factors);
   solve(s, factors, y);
