@@ -56,6 +56,9 @@ _MEMBERS = {"bar_mass": "bar", "point_mass": "node", "gravity": "axis"}
 # Runs that go through the compiled loops together, and numbers of their motions.
 _MOST_TOGETHER, _MOST_NUMBERS = 64, 4_000_000
 
+# Methods of runs that go through them.
+_FIXED_STEPS = "auto", "rk4", "rk4_plain"
+
 # The part of the run, at its end, in which the structure is to be at its place.
 _SETTLED = 0.1
 
@@ -303,7 +306,7 @@ class ClosedLoopCase:
             return why
         if scene.model.ground or scene.external_force is not None:
             return f"{'ground' if scene.model.ground else 'external_force'} given"
-        if scene.integration.step is None or scene.integration.method not in ("auto", "rk4"):
+        if scene.integration.step is None or scene.integration.method not in _FIXED_STEPS:
             return "there are no steps of RK4"
         if scene.inputs is not None and not scene.inputs.is_constant:
             return "inputs change in time"
@@ -339,7 +342,8 @@ class ClosedLoopCase:
         every = list(values.values())
         how = self.scene.integration
         how = replace(
-            how, method="rk4", output_step=how.output_step or how.step,
+            how, method="rk4" if how.method == "auto" else how.method,
+            output_step=how.output_step or how.step,
             error="none",  # found with the trajectory
         )  # fmt: skip
         batch = simulate_many(

@@ -57,7 +57,7 @@ WRONG, RIGHT = 1e-2, 1e-3
 _ROUND_OFF, _ABOVE = 1e-9, 10.0
 
 _DEFAULT, _ADAPTIVE = "default call", ("dop853", "cvodes")
-_FIXED = ("rk4", "energy_momentum")
+_FIXED = ("rk4", "rk4_plain", "energy_momentum")
 _STEPS, _OUTPUTS = (200, 800, 3200), (None, 5, 2)
 
 # Sinking deep into soft ground is no error of the integration.
