@@ -95,6 +95,9 @@ def test_driven_choices(printed):
     assert "silent: 0" in text
     assert " stable" in text
     assert "one way" in text
+    both = printed("driven_choices", "--start 3 --count 1 --each --struts")
+    assert "silent: 0" in both
+    assert both.count(" stable") >= 2
 
 
 @needs("mujoco", "test")

@@ -202,6 +202,15 @@ def moved_by(actuation: Actuation, inputs: FloatArray) -> FloatArray:
     return values
 
 
+def polynomials_of(actuation: Actuation, inputs: FloatArray) -> FloatArray:
+    """Return polynomials in time of all members, (α, K), ascending, of those of the inputs."""
+    if actuation.is_whole:
+        return inputs
+    moved = moved_by(actuation, inputs.T).T
+    moved[:, 0] += actuation.offset
+    return moved
+
+
 def forces_on_inputs(actuation: Actuation, tensions: FloatArray) -> FloatArray:
     """Return Gᵀ T, the forces that strings exert on the inputs, (m, K), of their tensions, (α, K).
 

@@ -30,6 +30,7 @@ from tenscontrol.plant.linear_plant import (
     LinearPlant,
     Sampled,
     acceleration_response,
+    member_lengths,
     sampled,
 )
 from tenscontrol.plant.modes import Modes
@@ -385,7 +386,7 @@ def _start_state(plant: LinearPlant, nodes: object) -> tuple[FloatArray, FloatAr
         refuse_passive_bars(plant, "start", shape)
         length = np.linalg.norm(structure.bar_vectors(shape), axis=0)
         assert plant.rest_length is not None  # bars are driven
-        members = plant.lengths(plant.rest_length, length)
+        members = member_lengths(plant, plant.rest_length, length)
         known = known_at_rest(plant, inputs_of(plant.actuation, members))
     else:
         shape = rigid_shape("start", structure, shape)

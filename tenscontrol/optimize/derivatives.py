@@ -399,16 +399,16 @@ def _by_orders(layout: InputLayout, by_held: Any, u: Any, rows: slice, orders: i
     The coefficient c₁ counts by the time and as the rate, c₂ by the square of the time, by twice
     the time as the rate, and twice as the acceleration.
     """
-    found: list[Any] = []
+    slopes: list[Any] = []
     for k in range(orders):
         if k > layout.degree:
-            found.append(type(u)(*found[0].shape))
+            slopes.append(type(u)(*slopes[0].shape))
             continue
         own = by_held[:, k * layout.count + rows.start : k * layout.count + rows.stop]
-        for j, earlier in enumerate(found):
+        for j, earlier in enumerate(slopes):
             own = own - perm(k, j) * u[-1] ** (k - j) * earlier
-        found.append(own / factorial(k))
-    return found
+        slopes.append(own / factorial(k))
+    return slopes
 
 
 def _gap_slopes(equation: Equation) -> ca.Function:

@@ -61,6 +61,18 @@ NO_JUMP = (
 )
 
 
+def member_lengths(
+    plant: LinearPlant, rest_length: FloatArray, bar_length: FloatArray
+) -> FloatArray:
+    """Return the values that inputs set where strings and bars have these lengths.
+
+    Both are on the last axis, m: of the commanded strings, and of bars.
+    """
+    strings, bars = member_rows(plant.input, plant.commanded)
+    of_bars = bar_length[..., : bars.stop - bars.start]
+    return frozen(np.concatenate([rest_length[..., strings], of_bars], axis=-1))
+
+
 def lead_names(commanded: Structure, rows: tuple[slice, slice], lead: IntArray) -> tuple[str, ...]:
     """Return names of inputs by their leads: group and number of a string, number of a bar.
 
@@ -248,24 +260,7 @@ class LinearPlant:
         if self.input == "force_density":
             return self.force_density
         assert self.rest_length is not None  # linearize needs a string law for this input
-        return self.lengths(self.rest_length, self.model.structure.bar_length)
-
-    def lengths(self, rest_length: FloatArray, bar_length: FloatArray) -> FloatArray:
-        """Return the values that inputs set where strings and bars have these lengths.
-
-        Parameters
-        ----------
-        rest_length, bar_length : ndarray, shape (..., α), (..., β)
-            m.
-
-        Returns
-        -------
-        ndarray, shape (..., m)
-            m.
-        """
-        strings, bars = member_rows(self.input, self.commanded)
-        of_bars = bar_length[..., : bars.stop - bars.start]
-        return frozen(np.concatenate([rest_length[..., strings], of_bars], axis=-1))
+        return member_lengths(self, self.rest_length, self.model.structure.bar_length)
 
     @property
     def drives_bars(self) -> bool:

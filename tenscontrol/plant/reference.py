@@ -18,6 +18,7 @@ from tenscontrol.plant.linear_plant import (
     Sampled,
     acceleration_response,
     kept,
+    member_lengths,
 )
 from tenscontrol.plant.string_outputs import input_matrix, to_commanded_strings, to_model_strings
 from tenscontrol.short_repr import short_repr
@@ -522,7 +523,7 @@ def refuse_passive_bars(plant: LinearPlant, name: str, nodes: FloatArray) -> Non
     structure, actuation = plant.model.structure, plant.actuation
     assert plant.rest_length is not None  # bars are driven
     length = np.linalg.norm(structure.bar_vectors(nodes), axis=0)
-    members = plant.lengths(plant.rest_length, length)
+    members = member_lengths(plant, plant.rest_length, length)
     held = strings_of(actuation, inputs_of(actuation, members))
     held = held[member_rows(plant.input, plant.commanded)[1]]
     off = np.abs(length / held - 1)
@@ -600,7 +601,7 @@ def _held_by_some(
     )
     assert plant.rest_length is not None  # then, too
     wanted[:, plant.slack] = to_model_strings(plant, "rest_length", plant.rest_length)[plant.slack]
-    members = plant.lengths(to_commanded_strings(plant, "rest_length", wanted), lengths[1])
+    members = member_lengths(plant, to_commanded_strings(plant, "rest_length", wanted), lengths[1])
     near = inputs_of(actuation, members.T).T
     inputs = near
     for number in range(_NEWTON):

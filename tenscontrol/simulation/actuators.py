@@ -15,7 +15,7 @@ from tenscontrol.actuation.driven_strings import (
     changes_of_inputs,
     forces_on_inputs,
     inputs_of,
-    moved_by,
+    polynomials_of,
     refuse_passive,
     strings_of,
     sums_by_input,
@@ -143,9 +143,7 @@ class Actuators:
                 "strings, of which motors know no limits where γ is held: leave the motor out, or "
                 "hold rest lengths"
             )
-        listed = self._plant_run.faults.listed
-        stuck = [fault.string for fault in listed if isinstance(fault, StuckWinch)]
-        refuse_passive(self._actuation, "a stuck winch in faults", np.array(stuck, dtype=np.int64))
+        refuse_stuck_passive(self._actuation, self._plant_run)
 
     def _of_inputs(self, winches: Winches, controller: BaseController) -> Winches:
         """Return winches with the limits of the inputs in place of those of the strings."""
@@ -229,7 +227,7 @@ class Actuators:
         desired = self._unless_stuck(desired, stuck)
         if self._winches is None:
             return self._set(desired, _NONE)
-        stuck = self._stuck_inputs(stuck)
+        stuck = stuck_inputs(self._actuation, stuck)
         inputs = partial(inputs_of, self._actuation)
         if self._drive is None:
             motion = None if self._earlier is None else self._earlier.at_end
@@ -240,17 +238,7 @@ class Actuators:
             self._drive = self._new_drive(self._winches)
         self._weak.append(0)
         self._moves.append((inputs(desired), stuck))
-        return self._move_of_strings(self._drive.begin(inputs(desired), stuck))
-
-    def _stuck_inputs(self, strings: IntArray) -> IntArray:
-        """Return the inputs whose winch is stuck with one of its strings."""
-        return strings if self._actuation.is_whole else np.unique(self._actuation.input[strings])
-
-    def _move_of_strings(self, move: WinchMove) -> WinchMove:
-        """Return the move of winches with the rest lengths of all strings."""
-        if self._actuation.is_whole:
-            return move
-        return replace(move, rest_length=frozen(strings_of(self._actuation, move.rest_length)))
+        return of_all_members(self._actuation, self._drive.begin(inputs(desired), stuck))
 
     def _set(self, value: FloatArray, weak: IntArray) -> WinchMove:
         """Hold a value at once, and return the move."""
@@ -279,18 +267,11 @@ class Actuators:
         tick = self._drive.tick(number, now, pull)
         self._current = self.reached = strings_of(self._actuation, self._drive.rest_length)
         self.held = self._to_plant("rest_length", self.reached)
-        lengths = self._to_plant("rest_length", self._of_strings(tick.rest_length).T).T
+        lengths = polynomials_of(self._actuation, tick.rest_length)
+        lengths = self._to_plant("rest_length", lengths.T).T
         if lengths.shape[1] == 1:
             return lengths[:, 0]
         return Pieces(np.array([-np.inf]), np.array([now]), lengths[None])
-
-    def _of_strings(self, polynomials: FloatArray) -> FloatArray:
-        """Return polynomials of the strings, ascending, of those of the inputs."""
-        if self._actuation.is_whole:
-            return polynomials
-        moved = moved_by(self._actuation, polynomials.T).T
-        moved[:, 0] += self._actuation.offset
-        return moved
 
     def _pull(self, motion: FloatArray, inputs: FloatArray) -> _Forces:
         """Return the force at each winch and its slope, see ``Pull``, in a motion."""
@@ -310,7 +291,7 @@ class Actuators:
             return self._at_once
         move = self._drive.end()
         self._weak[-1] = len(move.torque_limited)
-        return self._move_of_strings(move)
+        return of_all_members(self._actuation, move)
 
     @cached_property
     def _winding(self) -> Evaluator:
@@ -348,7 +329,9 @@ class Actuators:
             return strings_of(
                 self._actuation,
                 np.where(
-                    np.isin(np.arange(len(self._actuation.lead)), self._stuck_inputs(stuck)),
+                    np.isin(
+                        np.arange(len(self._actuation.lead)), stuck_inputs(self._actuation, stuck)
+                    ),
                     inputs(self._current),
                     inputs(desired),
                 ),
@@ -515,6 +498,24 @@ class Actuators:
                 f"stiffness, {limit[i]:g} N/m, whatever its rest length. Give the controller "
                 f"max_force_density below {limit[i] / segments[i]:g} N/m"
             )
+
+
+def stuck_inputs(actuation: Actuation, strings: IntArray) -> IntArray:
+    """Return the inputs whose winch is stuck with one of its strings."""
+    return strings if actuation.is_whole else np.unique(actuation.input[strings])
+
+
+def refuse_stuck_passive(actuation: Actuation, run: PlantRun) -> None:
+    """Raise if a winch is to be stuck in a run that drives nothing."""
+    stuck = [fault.string for fault in run.faults.listed if isinstance(fault, StuckWinch)]
+    refuse_passive(actuation, "a stuck winch in faults", np.array(stuck, dtype=np.int64))
+
+
+def of_all_members(actuation: Actuation, move: WinchMove) -> WinchMove:
+    """Return the move of winches with the lengths of all strings, or bars."""
+    if actuation.is_whole:
+        return move
+    return replace(move, rest_length=frozen(strings_of(actuation, move.rest_length)))
 
 
 def winches_of_inputs(winches: Winches, actuation: Actuation, motor: Motor | None) -> Winches:

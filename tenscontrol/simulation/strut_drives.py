@@ -2,28 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from tenscontrol import validation
 from tenscontrol.actuation.driven_strings import (
     inputs_of,
     member_rows,
-    moved_by,
-    refuse_passive,
+    polynomials_of,
     strings_of,
     through,
 )
 from tenscontrol.actuation.winches import Drive, Winches, WinchMove
-from tenscontrol.arrays import FloatArray, IntArray, frozen
+from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.control.command import Command
 from tenscontrol.control.controller import BaseController
 from tenscontrol.dynamics.profile import Pieces
 from tenscontrol.plant.input_bounds import refuse_motors_of_bars
 from tenscontrol.plant.linear_plant import NO_JUMP
-from tenscontrol.simulation.actuators import commands_parent, winches_of_inputs
-from tenscontrol.simulation.faults import StuckWinch
+from tenscontrol.simulation.actuators import (
+    commands_parent,
+    of_all_members,
+    refuse_stuck_passive,
+    stuck_inputs,
+    winches_of_inputs,
+)
 from tenscontrol.simulation.plant_run import PlantRun
 
 
@@ -61,8 +63,7 @@ class StrutDrives:
         bars = plant_run.bars.at(plant_run.now)
         self.start = self.reached = np.append(held[self._strings], bars)
         self.actuation = through(controller.actuation, self.start)
-        stuck = [f.string for f in plant_run.faults.listed if isinstance(f, StuckWinch)]
-        refuse_passive(self.actuation, "a stuck winch in faults", np.array(stuck, dtype=np.int64))
+        refuse_stuck_passive(self.actuation, plant_run)
         name = "length" if self._bars.start else "bar_length"
         winches.refuse_out_of_range(name, self.start, self.actuation.driven)
         limits = winches_of_inputs(winches, self.actuation, None)
@@ -77,15 +78,14 @@ class StrutDrives:
         shape = self.actuation.input.shape
         desired = validation.shaped("command.value", command.value, shape, "one length per member")
         validation.positive("command.value", desired, "length in m")
-        stuck = np.unique(self.actuation.input[stuck])
-        return self._of_members(self._drive.begin(inputs_of(self.actuation, desired), stuck))
+        inputs = inputs_of(self.actuation, desired)
+        move = self._drive.begin(inputs, stuck_inputs(self.actuation, stuck))
+        return of_all_members(self.actuation, move)
 
     def tick(self, number: int, state: FloatArray, now: float) -> FloatArray | Pieces:
         """Return what strings hold in the sample that begins now, s, or how they are wound."""
-        moving = self._drive.tick(number, now, _no_pull).rest_length
-        if not self.actuation.is_whole:
-            moving = moved_by(self.actuation, moving.T).T
-            moving[:, 0] += self.actuation.offset
+        tick = self._drive.tick(number, now, _no_pull)
+        moving = polynomials_of(self.actuation, tick.rest_length)
         self.reached = strings_of(self.actuation, self._drive.rest_length)
         strings, self.lengths = (
             Pieces(np.array([-np.inf]), np.array([now]), moving[None, rows])
@@ -98,14 +98,11 @@ class StrutDrives:
 
     def end(self) -> WinchMove:
         """Return the move of the sample, with the limits that were met."""
-        return self._of_members(self._drive.end())
+        return of_all_members(self.actuation, self._drive.end())
 
     def motor_record(self) -> None:
         """Return None: drives of bars have no motors."""
         return
-
-    def _of_members(self, move: WinchMove) -> WinchMove:
-        return replace(move, rest_length=frozen(strings_of(self.actuation, move.rest_length)))
 
 
 def _no_pull(lengths: FloatArray, later: float) -> tuple[FloatArray, FloatArray, FloatArray]:
