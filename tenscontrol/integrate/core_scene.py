@@ -319,12 +319,12 @@ class CoreScene:
         count, nodes, rates = nodes.shape[2], times_in_rows(nodes), times_in_rows(rates)
         inputs, is_constant = _rows_of(inputs)
         motions = (byref(records.Motion.of(array)) for array in (nodes, rates))
-        found, work = records.Conservation(), np.empty(4 * count)
+        conserved, work = records.Conservation(), np.empty(4 * count)
         self.core.tc_conservation(
             byref(self.scene), count, *motions, *pointers(inputs), is_constant, _entries(load),
-            *pointers(self._bar_length), byref(found), *pointers(work),
+            *pointers(self._bar_length), byref(conserved), *pointers(work),
         )  # fmt: skip
-        return found
+        return conserved
 
     def strut_work(
         self, states: FloatArray, u: FloatArray, times: FloatArray,

@@ -88,9 +88,9 @@ class Potential:
         parts = [_of_members(over, arrays) for over in forces.strings.energy_passes()]
         if forces.terms:
             parts.append(_of_terms(forces.terms, nodes))
-        for part in parts:
+        for added in parts:
             energy, slope, hessian = (
-                a + b for a, b in zip((energy, slope, hessian), part, strict=True)
+                a + b for a, b in zip((energy, slope, hessian), added, strict=True)
             )
         ends = structure.bars[bars]
         B = kernel.differences(nodes, ends)
@@ -100,8 +100,8 @@ class Potential:
         J = _summed(ca.vertcat(-ca.vec(B), ca.vec(B)), line, rows, (len(bars), d * n))
         # λ/2 |b|² has the slopes ±λ.
         rows, columns = np.broadcast_arrays(rows[:, None], rows)  # (2, 2, c, d)
-        each = ca.vec(ca.repmat(lam.T, d, 1))
-        bent = _summed(ca.vertcat(each, -each, -each, each), rows, columns, (d * n, d * n))
+        axial = ca.vec(ca.repmat(lam.T, d, 1))
+        bent = _summed(ca.vertcat(axial, -axial, -axial, axial), rows, columns, (d * n, d * n))
         slope, J = ca.mtimes(M.T, slope), ca.mtimes(J, M)
         hessian = ca.mtimes([M.T, factor * hessian + bent, M])
         given = [q, stage]

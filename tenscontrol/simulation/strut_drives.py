@@ -105,6 +105,6 @@ class StrutDrives:
         return
 
 
-def _no_pull(lengths: FloatArray, later: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _no_pull(lengths: FloatArray, later: float) -> tuple[FloatArray, FloatArray]:
     """Return no force: drives of bars hold whatever acts on them."""
-    return np.zeros_like(lengths), np.zeros_like(lengths), lengths
+    return np.zeros_like(lengths), np.zeros_like(lengths)
