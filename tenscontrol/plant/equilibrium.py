@@ -378,7 +378,7 @@ def _minimize(
     strained: FloatArray, sticking: Sticking | None = None,
 ) -> tuple[FloatArray, float]:  # fmt: skip
     """Return the nodes of least energy with these bar lengths, and the least stiffness, N/m."""
-    from scipy.sparse import csc_array, eye_array
+    from scipy.sparse import eye_array
 
     structure, rows = model.structure, model.structure.free_rows
     at_rest = eye_array(start.size, format="csc")[:, rows]
@@ -387,7 +387,7 @@ def _minimize(
     position = free_coordinates(structure, start)
     if sticking is not None:
         origin[rows] = sticking.origin
-        motions = (at_rest @ csc_array(sticking.motions)).tocsc()
+        motions = at_rest @ sticking.motions
         position = sticking.motions.T @ (position - sticking.origin)
     potential = Potential(model, kind, held, load, origin, motions)
     count, size = potential.count, structure.size

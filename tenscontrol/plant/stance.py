@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
@@ -14,11 +15,14 @@ from tenscontrol.dynamics.evaluator import Function
 from tenscontrol.dynamics.model import Model
 from tenscontrol.properties import cached_property
 from tenscontrol.short_repr import short_repr
-from tenscontrol.statics.equilibrium_matrix import equilibrium_matrix
+from tenscontrol.statics.equilibrium_matrix import least_norm, sparse_equilibrium_matrix
 from tenscontrol.statics.prestress import Prestress
 from tenscontrol.structure.blocks import bar_rows
 from tenscontrol.structure.structure import Structure
 from tenscontrol.structure.supports import free_coordinates, rigid_motions
+
+if TYPE_CHECKING:
+    from scipy.sparse import csc_array
 
 # Nodes this near the ground touch it, and shapes that are set down end so near, by their size.
 _TOUCHING, _LANDED, _STEPS = 1e-6, 1e-12, 50
@@ -322,7 +326,7 @@ class Sticking:
 
     nodes: IntArray
     origin: FloatArray  # (f,)
-    motions: FloatArray  # (f, m), orthonormal columns
+    motions: csc_array  # (f, m), orthonormal columns
 
     @classmethod
     def at(
@@ -333,37 +337,55 @@ class Sticking:
 
         ``points`` are those that touch; ``bars`` those whose lengths are to be kept.
         """
+        from scipy.sparse import block_diag, csc_array, diags_array, eye_array, hstack
+
         d, rows = structure.dimension, structure.free_rows
-        origin, along, across = nodes.copy(), [], [np.zeros((len(rows), 0))]
-        alone, weight = np.ones(len(rows), bool), np.zeros(len(rows))
-        for node, position in places.items():
-            origin[:, node] = nodes[:, node] if settling else position
-            own, mine = np.flatnonzero(rows // d == node), points.node == node
-            U, sizes, _ = np.linalg.svd(points.normal[:, mine][rows[own] % d])
+        origin, is_held = nodes.copy(), np.isin(rows // structure.dimension, list(places))
+        weight, along, across = np.zeros(len(rows)), [np.zeros((0, 0))], [np.zeros((0, 0))]
+        # Of held nodes in the order of their rows, each with the motions that it has.
+        for node in sorted(places):
+            origin[:, node] = nodes[:, node] if settling else places[node]
+            own, mine = np.flatnonzero(rows[is_held] // d == node), points.node == node
+            U, sizes, _ = np.linalg.svd(points.normal[:, mine][rows[is_held][own] % d])
             rank = int((sizes > _TOUCHING).sum())
-            columns = np.zeros((len(rows), len(own)))
-            columns[own] = U
-            along.append(columns[:, :rank])
-            across.append(columns[:, rank:])
-            alone[own], weight[own] = False, points.grip[mine].sum()
-        motions, held = np.hstack([np.eye(len(rows))[:, alone], *along]), np.hstack(across)
-        loose = np.zeros((len(rows), 0))
+            along.append(U[:, :rank])
+            across.append(U[:, rank:])
+            weight[np.flatnonzero(is_held)[own]] = points.grip[mine].sum()
+        every = eye_array(len(rows), format="csc")
+        held, along = (every[:, is_held] @ block_diag(own, "csc") for own in (across, along))
+        motions = hstack([every[:, ~is_held], along], format="csc")
+        loose = np.zeros((held.shape[1], 0))
         if settling:
             fields, turns = np.hsplit(rigid_motions(nodes), [d])
             if d == 3:  # about the mean normal; other turns tilt
                 fields = np.c_[fields, turns @ points.normal.mean(axis=1)]
             fields = held.T @ (weight[:, None] * fields[rows])
             U, sizes, _ = np.linalg.svd(fields)
-            loose = held @ U[:, (sizes > _TOUCHING * sizes.max(initial=0.0)).sum() :]
+            loose = U[:, (sizes > _TOUCHING * sizes.max(initial=0.0)).sum() :]
         elif held.shape[1] and len(bars):
-            J = bar_rows(structure, bars, nodes).toarray()[:, rows]
-            J /= structure.bar_length[bars][:, None]
-            U, sizes, _ = np.linalg.svd(J @ motions)
+            bars = bars[_are_joined(structure, bars, list(places))]
+            J = bar_rows(structure, bars, nodes).tocsc()[:, rows]
+            J = (diags_array(1 / structure.bar_length[bars]) @ J).tocsc()
+            resisted = (J @ motions).tocsc()
+            resisted = resisted[:, np.diff(resisted.indptr) > 0].toarray()
+            is_wide = resisted.shape[1] >= len(bars)
+            U, sizes, _ = np.linalg.svd(resisted, full_matrices=not is_wide)
             strained = U[:, np.pad(sizes, (0, len(bars) - len(sizes))) < _FLAT]
-            patterns, sizes, _ = np.linalg.svd(held @ (held.T @ (J.T @ strained)), False)
+            patterns, sizes, _ = np.linalg.svd(held.T @ (J.T @ strained), False)
             loose = patterns[:, sizes > _FLAT]
-        motions = np.hstack([motions, loose])
+        motions = hstack([motions, held @ csc_array(loose)], format="csc")
         return cls(np.array(sorted(places), int), free_coordinates(structure, origin), motions)
+
+
+def _are_joined(structure: Structure, bars: IntArray, nodes: list[int]) -> np.ndarray:
+    """Return which bars are joined to one of some nodes, by other bars or at once."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    count, ends = structure.nodes.shape[1], structure.bars[bars]
+    graph = coo_array((np.ones(len(ends)), tuple(ends.T)), shape=(count, count))
+    part = connected_components(graph, directed=False)[1]
+    return np.isin(part[ends[:, 0]], part[nodes])
 
 
 def contact_forces(
@@ -374,11 +396,11 @@ def contact_forces(
     rows, alpha = settled.free_rows, len(gamma)
     law = np.zeros_like(load)
     np.add.at(law.T, points.node, (points.normal * points.force).T)
-    E = equilibrium_matrix(settled)[rows]
+    E = sparse_equilibrium_matrix(settled, settled.nodes).tocsr()[rows].tocsc()
     needed = E[:, :alpha] @ gamma - free_coordinates(settled, load)
-    Q = sticking.motions
+    Q, by_bars = sticking.motions, E[:, alpha:]
     off = Q.T @ (free_coordinates(settled, law) - needed)
-    pushes = E[:, alpha:] @ np.linalg.lstsq(Q.T @ E[:, alpha:], off, rcond=None)[0]
+    pushes = by_bars @ least_norm((Q.T @ by_bars).tocsc(), off)
     # Where nothing sticks the normal force alone is that of the ground.
     flat = law.ravel(order="F").copy()
     flat[rows] = needed + pushes
