@@ -16,6 +16,7 @@ from tenscontrol.plant.linear_plant import (
     clusters,
     is_undamped,
     kept,
+    spectral_norm,
     squared_frequencies,
     state_units,
 )
@@ -163,7 +164,7 @@ def _of_lowest(plant: LinearPlant, count: int) -> Controllability:
     start = np.cos(np.arange(1.0, min(by_input.shape) + 1) ** 2)  # any, without symmetry
     # Of many stages alike, the largest are close together.
     largest = svds(by_input, 1, tol=_CLOSE, v0=start, return_singular_vectors=False)[0]
-    share = float(np.linalg.norm(small.B, 2)) / float(largest)
+    share = spectral_norm(small.B) / float(largest)
     return replace(reduced, margin=frozen(share * reduced.margin))
 
 
@@ -386,8 +387,8 @@ def normalized_input(plant: LinearPlant) -> FloatArray:
         stretch = np.abs(length - plant.rest_length)
         taut = (plant.force_density > 0) & (stretch > 0)
         force = (plant.force_density * length)[taut] / stretch[taut]
-    most = np.linalg.norm(plant.basis, 2) * force.max(initial=0.0) if plant.B.size else 0.0
-    size = float(np.linalg.norm(plant.B, 2)) if plant.B.size else 0.0
+    most = spectral_norm(plant.basis) * force.max(initial=0.0) if plant.B.size else 0.0
+    size = spectral_norm(plant.B) if plant.B.size else 0.0
     return plant.B / size if size > _NO_PUSH * most else np.zeros((len(plant.B), 1))
 
 

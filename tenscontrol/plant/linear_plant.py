@@ -510,7 +510,7 @@ def state_units(plant: LinearPlant) -> tuple[FloatArray, float]:
     """Return units of the state, shape (s,), and of the input: of one speed and acceleration."""
     r = plant.degrees_of_freedom
     highest = plant.spectral_radius or 1.0
-    largest = float(np.linalg.norm(plant.B, 2)) or 1.0
+    largest = spectral_norm(plant.B) or 1.0
     return frozen(np.r_[np.full(r, 1 / highest), np.ones(r)]), highest / largest
 
 
@@ -565,6 +565,17 @@ def kept(
         return plant.prepared.get(key, lambda: function(plant, *args, **kwargs))
 
     return get
+
+
+def spectral_norm(matrix: FloatArray) -> float:
+    """Return the largest singular value, from the squares of what has few rows or columns."""
+    largest = float(np.abs(matrix).max(initial=0.0))
+    if largest == 0.0:
+        return 0.0
+    scaled = matrix / largest
+    is_wide = matrix.shape[0] < matrix.shape[1]
+    squares = scaled @ scaled.T if is_wide else scaled.T @ scaled
+    return largest * float(np.sqrt(np.linalg.norm(squares, 2)))
 
 
 @kept
