@@ -11,8 +11,8 @@ statics and modes with whole decompositions: the largest difference, and the tim
 Strings are linear, a hundred times as stiff as their γ. The plant has rest lengths as its input; it
 is reduced to 20 modes for LQR and for MPC with a horizon of 20 samples of 0.02 s. Their first
 command is part of the design, since it finds what all later ones use; a later one is timed apart.
-The simulation lasts 0.02 s, from rest. The equilibrium starts in the shape at rest,
-the controllability is that of 20 modes, and pages are those of the structure and of the run.
+The simulation lasts 0.02 s, from rest. The equilibrium starts in the shape at rest, the
+controllability is that of 20 modes, and pages are those of the structure and of the run.
 """
 
 from __future__ import annotations
