@@ -243,6 +243,9 @@ class RK4(Discretization):
             self.back_end = self._slopes.back_end
             s, a = plant.B.shape
             self._by_all = tuple(np.zeros((length, k, s)) for k in (s, a))
+            together = self._together = min(length, max(1, _IN_CACHE // (s * (s + a))))
+            self._chain = np.empty((3, together, s, s + a))
+            self._half_chain = np.empty((2, together, s // 2, s + a))
         self._advance = Evaluator(self._sampled)
         self._response = acceleration_response(plant, sample_time)
         self._no_stages = np.zeros((0, plant.degrees_of_freedom))
@@ -290,28 +293,36 @@ class RK4(Discretization):
                 entries.append([slope[samples] for slope in by_stage])
                 slope = np.hstack([stage[:, r:], values])
                 end = end + h / 6 * weight * slope
-        for first in range(0, len(samples), self._slopes.together):
-            points = np.arange(first, min(first + self._slopes.together, len(samples)))
-            by_all, filled = self._chained(entries, points), slots[samples[points]]
+        for first in range(0, len(samples), self._together):
+            points = np.arange(first, min(first + self._together, len(samples)))
+            by_all = self._chained(entries, points).swapaxes(1, 2)
+            filled = slots[samples[points]]
             self._by_all[0][filled], self._by_all[1][filled] = by_all[:, :s], by_all[:, s:]
         return StageJacobians(end, self._by_all, slots, fresh)
 
     def _chained(self, entries: list[list[FloatArray]], points: IntArray) -> FloatArray:
-        """Return derivatives of z⁺ by z and u, by columns, from entries at stages of all steps."""
-        s, w = (sum(block.shape[1] for block in self._by_all[:count]) for count in (1, 2))
-        r, h, stages = self._r, self._step, iter(entries)
-        by_all = np.zeros((len(points), w, s))
-        by_all[:, np.arange(s), np.arange(s)] = 1.0
+        """Return derivatives of z⁺ by z and u, by rows, from entries at stages of all steps.
+
+        They are in memory that the next call takes. Of a stage, those of places are the first rows,
+        whose slopes are those of speeds; ``slope`` are those of accelerations.
+        """
+        r, h, stages, which = self._r, self._step, iter(entries), slice(len(points))
+        start, stage, end = (array[which] for array in self._chain)
+        slope, part = (array[which] for array in self._half_chain)
+        end[:] = np.eye(*end.shape[1:])
         for _ in range(self._count):
-            start, slope = by_all.copy(), np.zeros_like(by_all)
+            start[:] = stage[:] = end
             for weight, ahead in self._weights:
+                if ahead:
+                    np.multiply(stage[:, r:], ahead, out=stage[:, :r])
+                    np.multiply(slope, ahead, out=stage[:, r:])
+                    stage += start
                 by_z, by_u = self._slopes.slopes(next(stages), points)
-                moved = start + ahead * slope if ahead else start
-                slope[:, :, :r] = moved[:, :, r:]
-                np.matmul(moved, by_z, out=slope[:, :, r:])
-                slope[:, s:, r:] += by_u
-                by_all += h / 6 * weight * slope
-        return by_all
+                np.matmul(by_z.swapaxes(1, 2), stage, out=slope)
+                slope[:, :, 2 * r :] += by_u.swapaxes(1, 2)
+                for rows, rate in ((end[:, :r], stage[:, r:]), (end[:, r:], slope)):
+                    rows += np.multiply(rate, h / 6 * weight, out=part)
+        return end
 
     def load_response(self, load: FloatArray) -> FloatArray:
         """See :meth:`Discretization.load_response`."""
