@@ -201,7 +201,7 @@ typedef struct {
   const double *scale; /* (states): what a step may err, of dop853 */
 } Settings;
 
-/* The last does not look for switches: each evaluation finds what pulls and presses by its own state. */
+/* The last looks for no switches: each evaluation finds what pulls and presses in its state. */
 enum { RK4_METHOD, DOP853_METHOD, PLAIN_RK4_METHOD };
 
 /* Runs of one scene. What they differ in has one row a run; it is null where all have the scene's. */
