@@ -122,15 +122,19 @@ class Quadrature(ctypes.Structure):
     _fields_ = (("count", _COUNT), ("shares", _POINTER), ("weights", _POINTER))
 
 
+#: What is counted in a motion.
+COUNTED = (
+    "tries", "rejections", "landings", "approaches", "switches", "interpolants", "missed",
+    "carries", "carried", "short_tries",
+)  # fmt: skip
+
+
 class Progress(ctypes.Structure):
     """A motion between two calls."""
 
     _fields_ = (
         ("time", _NUMBER), ("step", _NUMBER), ("stuck", _COUNT), ("stalls", _COUNT),
-        *((name, ctypes.c_int64) for name in (
-            "tries", "rejections", "landings", "approaches", "switches", "interpolants", "missed",
-            "carries", "carried", "short_tries",
-        )),
+        *((name, ctypes.c_int64) for name in COUNTED),
         *((name, _COUNT) for name in ("kept", "every", "since", "short_left")),
         ("carry_rate", _NUMBER),
     )  # fmt: skip

@@ -261,6 +261,8 @@ class Pieces:
 
     def with_degree(self, degree: int) -> Pieces:
         """Return the same as polynomials of a degree that is as high or higher."""
+        if degree == self.degree:
+            return self
         more = ((0, 0), (0, 0), (0, degree - self.degree))
         return Pieces(self.start, self.origin, np.pad(self.coefficients, more))
 

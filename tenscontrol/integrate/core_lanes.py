@@ -293,8 +293,8 @@ class AdaptiveLanes(CoreLanes):
     def work_of(self, counts: FloatArray) -> Work:
         """See :meth:`CoreLanes.work_of`."""
         by_name = dict(zip(self.counted, map(int, counts), strict=True))
-        more_spans = by_name.pop("spans") - 1  # each begins with an evaluation
-        return work_of(records.Progress(**by_name)) + Work(evaluations=more_spans)
+        spans = by_name.pop("spans")
+        return work_of(records.Progress(**by_name), spans)
 
     def over_spans(self, first: int, last: int) -> AdaptiveLanes:
         """See :meth:`CoreLanes.over_spans`; as an integrator of their own, runs remember."""

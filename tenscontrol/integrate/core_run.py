@@ -13,6 +13,7 @@ from tenscontrol.arrays import FloatArray
 from tenscontrol.core import records
 from tenscontrol.integrate.core_scene import CoreMotion, CoreScene
 from tenscontrol.integrate.integrator import (
+    AdvancedSpans,
     IntegrationError,
     IntegrationInterrupt,
     IntegrationPause,
@@ -35,6 +36,8 @@ _MOST_ENDS, _MOST_NUMBERS = 4096, 8_000_000
 
 # The methods in the order of the core's own numbers for them.
 _METHODS = ("rk4", "dop853", "rk4_plain")
+
+_PROGRESS = np.dtype(records.Progress)
 
 
 def settings_of(
@@ -119,9 +122,9 @@ def spans_in_core(
     state: FloatArray,
     given: SpanInputs,
     settings: records.Settings,
-    work_of: Callable[[records.Progress, float], Work],
+    work_of: Callable[[records.Progress, int], Work],
     steps: records.Spans | None = None,
-) -> list[Span]:
+) -> AdvancedSpans:
     """Return spans that one call of the core finishes, up to the first that needs another look.
 
     To the bits of what :func:`advance_in_core` makes of them one by one.
@@ -133,7 +136,7 @@ def spans_in_core(
     given : SpanInputs
     settings : Settings
     work_of : callable
-        What a span of such a duration, s, has cost.
+        What so many first spans have cost, by the sum of their counts.
     steps : Spans, optional
         How DOP853 finds its steps.
     """
@@ -157,20 +160,19 @@ def spans_in_core(
             state.copy(), memory, *ends, np.empty(scene.work_size + 3 * n + scene.switches)
         ),
     )  # fmt: skip
-    kept = np.cumsum([0, *(now.kept for now in progress[:done])])
-    time, states, taut = (array[: kept[-1]].copy() for array in ends)
-    taut_rows = taut if settings.traces else None
-    first = int(numbers[done - 1]) if done else 0
-    is_good = validation.is_bounded(memory[:first])
-    finished, first = [], 0
-    for k in range(done):
-        size, some = int(n * columns[k]), slice(kept[k], kept[k + 1])
-        whole = memory[first : first + size].reshape(n, -1)
-        first += size
-        if not (is_good or validation.is_bounded(whole)):
-            break
-        of_steps = None if taut_rows is None else taut_rows[some].T
-        step_ends = StepEnds(time[some], states[some].T, of_steps)
-        work = work_of(progress[k], float(duration[k]))
-        finished.append(Span(whole[:, 1:], work, whole, step_ends))
-    return finished
+    counts = np.frombuffer(progress, _PROGRESS, done)
+    until = memory[: int(numbers[done - 1]) if done else 0]
+    if not validation.is_bounded(until):
+        bad = np.flatnonzero(~(np.abs(until) <= validation.LARGEST))[0]
+        counts = counts[: int(np.searchsorted(numbers, bad, "right"))]
+    kept = counts["kept"].cumsum()
+    some = kept[-1] if len(kept) else 0
+    time, states, taut = (array[:some].copy() for array in ends)
+    first, begin, whole, of_steps = 0, 0, list[FloatArray](), list[StepEnds]()
+    for end, last in zip(kept.tolist(), numbers.tolist(), strict=False):
+        whole.append(memory[first:last].reshape(n, -1))
+        pulled = taut[begin:end].T if settings.traces else None
+        of_steps.append(StepEnds(time[begin:end], states[begin:end].T, pulled))
+        first, begin = last, end
+    total = records.Progress(**{name: int(counts[name].sum()) for name in records.COUNTED})
+    return AdvancedSpans(whole, of_steps, work_of(total, len(whole)))

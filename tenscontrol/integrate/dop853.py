@@ -25,6 +25,7 @@ from tenscontrol.integrate.core_run import (
 from tenscontrol.integrate.core_scene import CoreMotion, core_scene
 from tenscontrol.integrate.events import Step, Switches, crossings
 from tenscontrol.integrate.integrator import (
+    AdvancedSpans,
     FloatOrArray,
     IntegrationError,
     IntegrationInterrupt,
@@ -191,18 +192,17 @@ class DOP853(Integrator):
         given = _Given(held, duration, duration / outputs, longest, allowed, states, trace)
         return self._advance(given, _Motion(state, slope, taut, step), report)
 
-    def advance_spans(self, state: FloatArray, given: SpanInputs) -> list[Span]:
+    def advance_spans(self, state: FloatArray, given: SpanInputs) -> AdvancedSpans:
         """See :meth:`Integrator.advance_spans`."""
         if self._core is None or self._held is None:
-            return []
+            return AdvancedSpans()
         of_strings = given.held[:, : self._equation.layout.strings]
         count = int(np.append(have_changed(of_strings, self._held), True).argmax())
         if not count:
-            return []
+            return AdvancedSpans()
         return spans_in_core(
-            self._core, state, given.first(count), self._settings(0.0, 0), lambda p, _: work_of(p),
-            self._rules(),
-        )  # fmt: skip
+            self._core, state, given.first(count), self._settings(0.0, 0), work_of, self._rules()
+        )
 
     def _settings(self, duration: float, outputs: int) -> Settings:
         """Return the settings of a span in the core."""
@@ -428,8 +428,8 @@ def have_changed(of_strings: FloatArray, before: FloatArray) -> np.ndarray:
     return np.asarray((np.abs(of_strings - before) > _CHANGED * np.abs(before)).any(axis=1))
 
 
-def work_of(counts: _Motion | Progress) -> Work:
-    """Return the work of a motion by the counts of either loop."""
+def work_of(counts: _Motion | Progress, spans: int = 1) -> Work:
+    """Return the work of a motion over so many spans by the counts of either loop."""
     carries, carried, short = (
         (counts.carries, counts.carried, counts.short_tries)
         if isinstance(counts, Progress)
@@ -438,7 +438,7 @@ def work_of(counts: _Motion | Progress) -> Work:
     return Work(
         steps=counts.tries - counts.rejections,
         rejections=counts.rejections,
-        evaluations=1
+        evaluations=spans  # each begins with one
         # A landing takes a new start.
         + _STAGES * (counts.tries + counts.approaches - short)
         + _SHORT_STAGES * short

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from functools import partial
 from math import ceil
 from typing import Any, final
 
@@ -25,6 +24,7 @@ from tenscontrol.integrate.core_run import (
 from tenscontrol.integrate.core_scene import CoreMotion, core_scene
 from tenscontrol.integrate.events import LATE, Step, Switches, crossings
 from tenscontrol.integrate.integrator import (
+    AdvancedSpans,
     IntegrationError,
     IntegrationInterrupt,
     Integrator,
@@ -259,7 +259,9 @@ class RK4(FixedStep):
         if self.traces or (self.keeps_steps and inner > 1):
             settings.room, settings.traces = room_for(len(state)), self.traces
         motion = CoreMotion(scene, state, held, settings)
-        work = partial(_work_in_core, step=step)
+
+        def work(progress: Progress) -> Work:
+            return _work_in_core(progress, round(progress.time / step))
 
         def failure(motion: CoreMotion) -> IntegrationError:
             good = round(motion.progress.time / step) - 1
@@ -268,10 +270,10 @@ class RK4(FixedStep):
 
         return advance_in_core(motion, work, failure, report)
 
-    def advance_spans(self, state: FloatArray, given: SpanInputs) -> list[Span]:
+    def advance_spans(self, state: FloatArray, given: SpanInputs) -> AdvancedSpans:
         """See :meth:`Integrator.advance_spans`."""
         if self._core is None:
-            return []
+            return AdvancedSpans()
         pairs = zip(given.duration, given.outputs, strict=True)
         inner = [self.steps_between(float(duration), int(count)) for duration, count in pairs]
         total = np.array(inner) * given.outputs
@@ -279,11 +281,10 @@ class RK4(FixedStep):
         if self.traces or (self.keeps_steps and max(inner) > 1):
             settings.room, settings.traces = room_for(len(state)), self.traces
             if not self.traces and min(inner) == 1:
-                return []  # of some the ends of steps are kept, of some not
-        steps = dict(zip(given.duration.tolist(), (given.duration / total).tolist(), strict=True))
+                return AdvancedSpans()  # of some the ends of steps are kept, of some not
         return spans_in_core(
             self._core, state, given, settings,
-            lambda progress, duration: _work_in_core(progress, steps[duration]),
+            lambda counts, done: _work_in_core(counts, int(total[:done].sum())),
         )  # fmt: skip
 
     def step_function(self, equation: Equation) -> ca.Function:
@@ -313,10 +314,10 @@ class PlainRK4(RK4):
     locates = False
 
 
-def _work_in_core(progress: Progress, step: float) -> Work:
-    """Return the work of RK4 in the core, in steps of a length, s."""
+def _work_in_core(progress: Progress, steps: int) -> Work:
+    """Return the work of RK4 in the core, in so many steps and those that switches cut off."""
     return Work(
-        steps=round(progress.time / step) + progress.landings,
+        steps=steps + progress.landings,
         evaluations=4 * progress.tries + 2 * progress.landings + progress.carries,
         switches=progress.switches,
         missed=progress.missed,

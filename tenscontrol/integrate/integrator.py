@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -76,11 +76,6 @@ class Work:
         )  # fmt: skip
 
 
-def total_work(works: Sequence[Work]) -> Work:
-    """Return the sum of all that was spent."""
-    return sum(works, Work())
-
-
 @dataclass(frozen=True, eq=False)
 class StepEnds:
     """Where steps of a span ended: all of them, or every second, fourth, ... of many.
@@ -138,6 +133,24 @@ class Span:
     ends: StepEnds | None = None
 
     __repr__ = short_repr
+
+
+class AdvancedSpans(NamedTuple):
+    """Spans that follow one another.
+
+    Attributes
+    ----------
+    whole : list of ndarray, shape (states, outputs + 1)
+        Of each, its start and the states after it, see :class:`Span`.
+    ends : list of StepEnds
+        Of each.
+    work : Work
+        Of all.
+    """
+
+    whole: Sequence[FloatArray] = ()
+    ends: Sequence[StepEnds] = ()
+    work: Work = Work()
 
 
 @dataclass(frozen=True, eq=False)
@@ -364,7 +377,7 @@ class Integrator(ABC):
             If the user interrupts; see :func:`tenscontrol.interrupt.check`.
         """
 
-    def advance_spans(self, state: FloatArray, given: SpanInputs) -> list[Span]:
+    def advance_spans(self, state: FloatArray, given: SpanInputs) -> AdvancedSpans:
         """Return spans that follow one another, as far as they are found together.
 
         They are what :meth:`advance` returns of one after the other, up to the first that it has to
@@ -374,8 +387,12 @@ class Integrator(ABC):
         ----------
         state : ndarray, shape (states,)
         given : SpanInputs
+
+        Returns
+        -------
+        AdvancedSpans
         """
-        return []
+        return AdvancedSpans()
 
 
 # ---- scales ----

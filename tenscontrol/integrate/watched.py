@@ -12,6 +12,7 @@ from tenscontrol import validation
 from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics.equation import Equation, InputLayout
 from tenscontrol.integrate.integrator import (
+    AdvancedSpans,
     IntegrationError,
     IntegrationInterrupt,
     IntegrationPause,
@@ -148,17 +149,18 @@ class Watched(Integrator):
         self._is_over = self._now >= self._end - _SAME * duration
         return motion.span()
 
-    def advance_spans(self, state: FloatArray, given: SpanInputs) -> list[Span]:
+    def advance_spans(self, state: FloatArray, given: SpanInputs) -> AdvancedSpans:
         """See :meth:`Integrator.advance_spans`."""
         if self._is_over or self._spent >= self._budget:
-            return []
+            return AdvancedSpans()
         method, cost = self._method(self._at_work)
         method.limit = evaluations_within(self._budget - self._spent, cost)
         spans = method.advance_spans(state, given)
-        for span, duration in zip(spans, given.duration, strict=False):
-            self._spent += cost * span.work.evaluations
-            self._now += float(duration)
-            self._is_over = self._now >= self._end - _SAME * float(duration)
+        if spans.whole:
+            durations = given.duration[: len(spans.whole)]
+            self._spent += cost * spans.work.evaluations
+            self._now += float(durations.sum())
+            self._is_over = self._now >= self._end - _SAME * float(durations[-1])
         return spans
 
     def _go_on(self, span: _Given, motion: _Motion) -> None:

@@ -268,10 +268,9 @@ class Derivatives:
         return Function("by_laws", [x, u, taut], [ca.densify(ca.vec(slopes))])
 
     def at_switches(
-        self, x: FloatArray, u: FloatArray, taut: FloatArray, changes: FloatArray
+        self, x: FloatArray, u: FloatArray, before: FloatArray, step: IntArray, which: IntArray
     ) -> Switches:
-        """Return what switches at the ends of steps, one a column; ``changes`` are 1, −1 or 0."""
-        step, which = np.nonzero(changes.T)
+        """Return what switches at the ends of steps, one a column, where ``before`` has pulled."""
         if not len(step):
             layout, nothing = self.equation.layout, np.zeros(0)
             no_states, no_inputs, no_offsets = (
@@ -280,17 +279,14 @@ class Derivatives:
             return Switches(
                 step, which, no_states, no_inputs, no_offsets, nothing, no_states, nothing
             )
-        x, u, before = (array[:, step] for array in (x, u, taut))
-        after = before.copy()
-        after[which, np.arange(len(step))] += changes[which, step]
+        after, every = before.copy(), np.arange(len(step))
+        after[which, every] = 1 - before[which, every]
         slope = self.slope(x, u, before)
         jump = self.slope(x, u, after) - slope
         m = self.equation.switches
         by_state, by_input, by_offset, by_time, scale = evaluate_columns(self._gap, x, u)
-        every = np.arange(len(step))
-        by_state = _stacked(by_state, m)[every, which]
-        by_input, by_offset = (
-            _stacked(entries, m)[every, which] for entries in (by_input, by_offset)
+        by_state, by_input, by_offset = (
+            _stacked(entries, m)[every, which] for entries in (by_state, by_input, by_offset)
         )
         rate = (by_state * slope.T).sum(axis=1) + by_time[which, every]
         scales = scale[which, every]

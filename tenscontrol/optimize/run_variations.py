@@ -55,6 +55,8 @@ class RunVariations:
         feedback: bool = False, expected: float = 0.0, most: float | None = None,
     ) -> None:  # fmt: skip
         self.parameters, self.times = parameters, times
+        #: Which columns of a derivative are those of each parameter, and how many there are.
+        self.columns, self.width = columns_of(parameters), sum(by.size for by in parameters)
         self._scene, self._feedback = scene, feedback
         run = scene.plant_run(traces=True)
         assert isinstance(run, TracedRun)  # as it was asked for
@@ -88,11 +90,6 @@ class RunVariations:
             self._last = None
 
     @property
-    def columns(self) -> list[slice]:
-        """Which columns of a derivative are those of each parameter."""
-        return columns_of(self.parameters)
-
-    @property
     def grazing(self) -> tuple[float, ...]:
         """Times of switches that are passed slowly, s."""
         return tuple(time for time, rate in self._slow if rate < _GRAZING * self._speed)
@@ -120,11 +117,12 @@ class RunVariations:
         ----------
         costs : ndarray, shape (T, states)
         """
-        slope = np.zeros(sum(parameter.size for parameter in self.parameters))
+        slope = np.zeros(self.width)
         mu, answered = np.zeros(costs.shape[1]), np.zeros(len(self._scene.structure.strings))
         for i in reversed(range(len(self._ends))):
             mu = self._part(i).backward(mu, costs[self._of(i)], slope, answered)
-        return _finite(np.asarray(slope + mu @ self._part(0).start()))
+        self._part(0).start_back(mu, slope)
+        return _finite(slope)
 
     # ---- all nodes ----
 
@@ -163,7 +161,7 @@ class RunVariations:
 
         From those by all nodes and velocities, node by node, shape (T, d n) each.
         """
-        slope = np.zeros(sum(parameter.size for parameter in self.parameters))
+        slope = np.zeros(self.width)
         for columns, (places, rates) in self._displaced():
             slope[columns] = np.tensordot(by_nodes, places, 2)
             slope[columns] += np.tensordot(by_velocities, rates, 2)

@@ -12,6 +12,7 @@ import numpy as np
 
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, IntArray, frozen
+from tenscontrol.dynamics.evaluator import Evaluator, Function, builds
 from tenscontrol.integrate.methods import Choice
 from tenscontrol.optimize.feedback import regulator_of
 from tenscontrol.optimize.parameters import parameters_of
@@ -341,20 +342,18 @@ def gradient(
     validation.function("cost", cost, "(time, nodes, velocities) -> a number in CasADi")
     work = _differentiable(run, to, times, feedback)
     structure = run.structure
-    function = _cost_function(cost, structure.nodes.shape)
+    function = Evaluator(_cost_function(cost, structure.nodes.shape))
     value, count = 0.0, len(work.times)
-    nodes, velocities = work.variations.nodes()
-    costs = np.zeros((2, count, nodes[:, :, 0].size))
+    moved = np.stack([array.T.reshape(count, -1) for array in work.variations.nodes()], axis=2)
+    costs = np.empty((2, count, structure.nodes.size))
     for i, time in enumerate(work.times):
-        one, by_nodes, by_velocities = function(time, nodes[:, :, i], velocities[:, :, i])
-        value += float(one)
-        for by, matrix in zip(costs, (by_nodes, by_velocities), strict=True):
-            by[i] = matrix.full().ravel(order="F")
+        one, slopes = function(time, moved[i])
+        value += float(one[0])
+        costs[:, i] = slopes.T
     if not (np.isfinite(value) and np.isfinite(costs).all()):
         raise ValueError("cost or its slope is not finite at the motion of the run")
     of_states = np.concatenate(costs[:, :, structure.free_rows], axis=1)
-    derivatives = work.variations.backward(of_states)
-    derivatives = derivatives + work.variations.cost_of_supports(*costs)
+    derivatives = work.variations.backward(of_states) + work.variations.cost_of_supports(*costs)
     slope = {
         parameter.name: frozen(derivatives[columns].reshape(parameter.shape))
         for parameter, columns in zip(work.parameters, work.variations.columns, strict=True)
@@ -363,8 +362,11 @@ def gradient(
     return Gradient(run, value, MappingProxyType(slope), of_run.switches, of_run.grazing)
 
 
+@builds
 def _cost_function(cost: Callable[[Any, Any, Any], Any], shape: tuple[int, ...]) -> ca.Function:
-    time, nodes, velocities = ca.MX.sym("time"), ca.MX.sym("N", *shape), ca.MX.sym("V", *shape)
+    """Return ``(time, x) -> cost, slopes``: columns of nodes and velocities, (d n, 2) each."""
+    time, state = ca.MX.sym("time"), ca.MX.sym("x", shape[0] * shape[1], 2)
+    nodes, velocities = (ca.reshape(column, *shape) for column in ca.horzsplit(state))
     value = cost(time, nodes, velocities)
     if isinstance(value, (int, float, ca.DM)):
         value = ca.MX(value)
@@ -372,8 +374,8 @@ def _cost_function(cost: Callable[[Any, Any, Any], Any], shape: tuple[int, ...])
         raise validation.wrong_kind(
             "what cost returns", value, "one number in CasADi, as ca.sumsqr(nodes - goal)"
         )
-    slopes = (ca.gradient(value, variable) for variable in (nodes, velocities))
-    return ca.Function("cost", [time, nodes, velocities], [value, *slopes])
+    slopes = ca.gradient(value, state)
+    return Function("cost", [time, state], [ca.densify(value), ca.densify(slopes)])
 
 
 def _differentiable(

@@ -106,12 +106,13 @@ class TracedSteps:
         return np.asarray(np.clip(last, 0, len(self.begin) - 1))
 
     @property
-    def switched(self) -> FloatArray:
-        """What switched at the end of each step, 1, -1 or 0, shape (switches, K)."""
-        change = np.zeros_like(self.taut)
-        same = self.span[1:] == self.span[:-1]
-        change[:, :-1] = np.diff(self.taut, axis=1) * same
-        return change
+    def switched(self) -> tuple[IntArray, IntArray]:
+        """Return which steps end at a switch, and what switches there, one entry a switch."""
+        before, after = self.taut[:, :-1], self.taut[:, 1:]
+        changes = (before != after).any(axis=0) & (self.span[1:] == self.span[:-1])
+        steps = np.flatnonzero(changes)
+        of, which = np.nonzero((before[:, steps] != after[:, steps]).T)
+        return steps[of], which
 
 
 def steps_of(run: PlantRun, load: FloatArray, start: FloatArray) -> TracedSteps:
@@ -135,9 +136,11 @@ def steps_of(run: PlantRun, load: FloatArray, start: FloatArray) -> TracedSteps:
     within = np.append(0.0, until[:-1])
     within[first] = 0.0
     begins = np.array([before.time[-1] for before in run.spans[:-1]])
-    states = np.hstack([spans[0].begin[:, None], *(of_span.states for of_span in ends)])
-    states[:, first] = np.stack([span.begin for span in spans], axis=1)
-    rows = np.stack([span.coefficients for span in spans])
+    states = np.concatenate(
+        [spans[0].begin[:, None], *(of_span.states for of_span in ends)], axis=1
+    )
+    states[:, first] = np.array([span.begin for span in spans]).T
+    rows = np.array([span.coefficients for span in spans])
     if not run.loads_given:
         constant = np.zeros((len(spans), load.size, rows.shape[2]))
         constant[..., 0] = load.ravel(order="F")
@@ -166,5 +169,5 @@ def steps_of(run: PlantRun, load: FloatArray, start: FloatArray) -> TracedSteps:
     projects = method == "dop853" if how.project is None else how.project
     return TracedSteps(
         begins[which] + within, until - within, which, states, inputs,
-        np.hstack(taut), projects, method, layout, pushes,
+        np.concatenate(taut, axis=1), projects, method, layout, pushes,
     )  # fmt: skip

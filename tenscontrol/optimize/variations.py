@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -49,8 +49,8 @@ def tableau(method: str) -> Tableau:
 
 def columns_of(parameters: Sequence[Parameter]) -> list[slice]:
     """Return which columns of a derivative are those of each parameter."""
-    ends = np.cumsum([0, *(parameter.size for parameter in parameters)])
-    return [slice(int(a), int(b)) for a, b in pairwise(ends)]
+    ends = accumulate((parameter.size for parameter in parameters), initial=0)
+    return [slice(a, b) for a, b in pairwise(ends)]
 
 
 class _Leg(NamedTuple):
@@ -182,9 +182,9 @@ class Variations:
     def switches(self) -> Switches:
         """What switched, and what that changes."""
         steps = self.steps
-        return self.derivatives.at_switches(
-            self._ends, self._end_inputs, steps.taut, steps.switched
-        )
+        of, which = steps.switched
+        ends = self._ends[:, of], self._end_inputs[:, of], steps.taut[:, of]
+        return self.derivatives.at_switches(*ends, of, which)
 
     @cached_property
     def columns(self) -> list[slice]:
@@ -491,11 +491,23 @@ class Variations:
 
     def start(self) -> FloatArray:
         """Return the derivative of the state at the start of the run, shape (states, P)."""
+        X = np.zeros((2 * self.derivatives.half, sum(by.size for by in self.parameters)))
+        for columns, by in self._starts():
+            X[:, columns] = by
+        return X
+
+    def start_back(self, mu: FloatArray, slope: FloatArray) -> None:
+        """Add what a cost by the state at the start makes of the parameters."""
+        for columns, by in self._starts():
+            slope[columns] += mu @ by
+
+    def _starts(self) -> Iterator[tuple[slice | IntArray, FloatArray]]:
+        """Yield columns of starts and what they change of the state."""
+        pairs = zip(self.parameters, self.columns, strict=True)
+        starts = [pair for pair in pairs if pair[0].kind in ("nodes", "velocities", "bars")]
+        if not starts:
+            return
         half, structure = self.derivatives.half, self.derivatives.structure
-        X = np.zeros((2 * half, sum(parameter.size for parameter in self.parameters)))
-        kinds = {parameter.kind for parameter in self.parameters}
-        if not kinds & {"nodes", "velocities", "bars"}:
-            return X
         push = self.steps.push_at(0)
         first = self.steps.states[:, 0] if push is None else push.state
         inputs, layout = self.steps.inputs[:, 0], self.steps.layout
@@ -513,14 +525,13 @@ class Variations:
             whole = whole + rates @ by_state
         d, n = structure.nodes.shape
         place = np.arange(d * n).reshape(d, n).ravel(order="F")  # of x's entries in an array (d, n)
-        for parameter, columns in zip(self.parameters, self.columns, strict=True):
-            if parameter.kind in ("nodes", "velocities"):
-                entries = slice(half) if parameter.kind == "nodes" else slice(half, None)
-                X[:, columns.start + place[structure.free_rows]] = whole[:, entries]
+        for parameter, columns in starts:
             if parameter.kind == "bars" and self.lengths is not None:
                 begin, length = self.steps.begin[:1], self.steps.length[:1]
-                X[:, columns] = lengths @ self.lengths.at(begin, begin + length / 2, 1)[0]
-        return X
+                yield columns, lengths @ self.lengths.at(begin, begin + length / 2, 1)[0]
+                continue
+            entries = slice(half) if parameter.kind == "nodes" else slice(half, None)
+            yield columns.start + place[structure.free_rows], whole[:, entries]
 
     def _gap_by(self, e: int) -> Iterator[tuple[slice | IntArray, FloatArray]]:
         """Yield columns of inputs and what they change of the gap of a switch."""

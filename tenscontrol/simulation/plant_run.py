@@ -29,7 +29,6 @@ from tenscontrol.integrate.integrator import (
     SpanInputs,
     StepEnds,
     Work,
-    total_work,
 )
 from tenscontrol.integrate.methods import METHODS, Choice, choose
 from tenscontrol.integrate.watched import Watched
@@ -285,19 +284,30 @@ class PlantRun:
         lengths = np.array(durations)
         outputs = np.maximum(1, np.ceil(lengths / self.output_step - 1e-9)).astype(int)
         given = SpanInputs(held, lengths, outputs)
-        spans = self.integrator.advance_spans(state, given)
-        for i, span in enumerate(spans):
-            times = self.now + durations[i] * np.arange(1, outputs[i] + 1) / outputs[i]
-            of_input = float(inputs.origin[piece[i]]), coefficients[i], self.lost_energy
-            self._keep(RunSpan(times, span.states, state, *of_input, None, span.whole, span.ends))
-            self.now += durations[i]
-            state = span.states[:, -1]
-        self.work = total_work([self.work, *(span.work for span in spans)])
-        if spans and self.bars is not None:
+        advanced = self.integrator.advance_spans(state, given)
+        done, lost = len(advanced.whole), self.lost_energy
+        if not done:
+            return 0
+        last, of = outputs.cumsum(), np.repeat(np.arange(len(outputs)), outputs)
+        nth = np.arange(1, len(of) + 1) - (last - outputs)[of]
+        times = starts[of] + lengths[of] * nth / outputs[of]
+        first, origins = 0, inputs.origin[piece].tolist()
+        every = zip(
+            advanced.whole, advanced.ends, last.tolist(), origins, coefficients, strict=False
+        )
+        for whole, ends, end, origin, own in every:
+            states = whole[:, 1:]
+            self.spans.append(
+                RunSpan(times[first:end], states, state, origin, own, lost, None, whole, ends)
+            )
+            state, first = states[:, -1], end
+        self.now = float(starts[done - 1] + lengths[done - 1])
+        self.work += advanced.work
+        if self.bars is not None:
             self.length_rate = self.spans[-1].values(self.length_rows, 1)[:, -1]
-        if spans and self.report is not None:
+        if self.report is not None:
             self.report(self.now)
-        return len(spans)
+        return done
 
     def _without_jumps(
         self, bars: DrivenBars, coefficients: FloatArray, starts: FloatArray, origins: FloatArray
@@ -350,7 +360,7 @@ class PlantRun:
         if not self.spans:
             self._prepare(state, held)
             first = np.array([self.now])
-            self._keep(
+            self.spans.append(
                 RunSpan(first, state[:, None], state, origin, coefficients, self.lost_energy)
             )
         outputs = self._outputs(duration)
@@ -358,7 +368,9 @@ class PlantRun:
         def add(span: Span) -> None:
             times = start + duration * np.arange(1, span.states.shape[1] + 1) / outputs
             held = coefficients, self.lost_energy, jump
-            self._keep(RunSpan(times, span.states, state, origin, *held, span.whole, span.ends))
+            self.spans.append(
+                RunSpan(times, span.states, state, origin, *held, span.whole, span.ends)
+            )
             self.work += span.work
 
         start, report = self.now, self.report
@@ -510,9 +522,6 @@ class PlantRun:
             return coefficients[:, 0]
         return self._equation.layout.packed(coefficients, time)
 
-    def _keep(self, span: RunSpan) -> None:
-        self.spans.append(span)
-
     def all_values(self, rows: slice, order: int = 0) -> FloatArray:
         """Return some of the inputs at all times kept, or their rates, read-only."""
         first, *others = (span.coefficients for span in self.spans)
@@ -559,8 +568,9 @@ class PlantRun:
     def _all_free(self) -> tuple[FloatArray, FloatArray]:
         """Return nodes and velocities at all times kept, read-only, in the memory of the states."""
         whole = self.spans[1].whole if len(self.spans) == 2 else None
-        states = np.hstack([s.states for s in self.spans]) if whole is None else whole
-        owner = states if states.base is None else states.base
+        if whole is None:
+            whole = np.concatenate([span.states for span in self.spans], axis=1)
+        owner = whole if whole.base is None else whole.base
         owner.setflags(write=False)
-        states.setflags(write=False)
-        return unpack_states(self.model.structure, states)
+        whole.setflags(write=False)
+        return unpack_states(self.model.structure, whole)
