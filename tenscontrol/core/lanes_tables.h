@@ -92,7 +92,7 @@ static void put_row(const double *rows, int run, int count, Number *to, int i) {
   for (int k = 0; k < count; ++k) put(rows[(size_t)run * count + k], to + k, i);
 }
 
-static void take_row(const Number *from, int i, int count, double *rows, size_t row) {
+static inline void take_row(const Number *from, int i, int count, double *rows, size_t row) {
   for (int k = 0; k < count; ++k) rows[row * count + k] = lane(from + k, i);
 }
 

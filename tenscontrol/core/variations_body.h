@@ -21,17 +21,18 @@ static void N(pulled)(const Scene *s, const Layout *at, const Number *u, const N
   memset(now->string_rate, 0, s->strings * sizeof(Number));
   for (int i = 0; i < s->segments; ++i) {
     const int start = s->segment_start[i], end = s->segment_end[i], string = s->segment_string[i];
-    Number *along = x + at->along + D * i, S[D];
+    Number *along = x + at->along + D * i, S[D], inverse;
     N(difference)(now->p, start, end, S);
     now->length[i] = has_lengths ? root(larger(N(product)(S, S), all(s->shortest * s->shortest))) : all(1);
-    for (int k = 0; k < D; ++k) along[k] = S[k] / now->length[i];
+    inverse = 1 / now->length[i];
+    for (int k = 0; k < D; ++k) along[k] = S[k] * inverse;
     now->string_length[string] += now->length[i];
     if (!s->damped) continue;
     {
       Number *turning = x + at->turning + D * i, Sd[D], rate;
       N(difference)(now->v, start, end, Sd);
       rate = N(product)(along, Sd);
-      for (int k = 0; k < D; ++k) turning[k] = (Sd[k] - rate * along[k]) / now->length[i];
+      for (int k = 0; k < D; ++k) turning[k] = (Sd[k] - rate * along[k]) * inverse;
       now->string_rate[string] += rate;
     }
   }

@@ -55,7 +55,7 @@ static Layout layout_of(const Scene *s) {
   at.block_bar = at.swinging_bar + at.of_bar * (size_t)s->swinging_bars;
   at.factors = at.block_bar + at.of_block_bar * (size_t)s->block_bars;
   at.acceleration = at.factors + (s->block_bars ? s->factors + s->unknowns + 1 : 0);
-  at.size = at.acceleration + s->entries;
+  at.size = (at.acceleration + s->entries + WIDTH - 1) / WIDTH * WIDTH;
   return at;
 }
 
@@ -322,10 +322,12 @@ static void reach_stages(Sweep *sweep, int first, int count) {
     if (lanes->dimension == 2) differentiated_2(lanes, &sweep->at, &input, sweep->taut, &there, sweep->x);
     else differentiated_3(lanes, &sweep->at, &input, sweep->taut, &there, sweep->x);
     from_all(lanes, now->a, to);
-    for (size_t part = 0; part < size; part += 8) /* so that a line of memory is read once */
-      for (int step = 0; step < count; ++step)
-        take_row(sweep->x + part, step, size - part < 8 ? (int)(size - part) : 8,
-                 sweep->points + ((size_t)step * stages + i) * size + part, 0);
+    for (size_t part = 0; part < size; part += WIDTH)
+      for (int step = 0; step < count; ++step) { /* whole registers, so that shuffles make them */
+        Number row = all(0);
+        for (int k = 0; k < WIDTH; ++k) put(lane(sweep->x + part + k, step), &row, k);
+        *(Number *)(sweep->points + ((size_t)step * stages + i) * size + part) = row;
+      }
   }
 }
 

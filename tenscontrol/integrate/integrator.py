@@ -76,8 +76,7 @@ class Work:
         )  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class StepEnds:
+class StepEnds(NamedTuple):
     """Where steps of a span ended: all of them, or every second, fourth, ... of many.
 
     Attributes

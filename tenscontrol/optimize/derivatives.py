@@ -276,21 +276,18 @@ class Derivatives:
             no_states, no_inputs, no_offsets = (
                 np.zeros((0, size)) for size in (len(x), layout.strings, layout.offset)
             )
-            return Switches(
-                step, which, no_states, no_inputs, no_offsets, nothing, no_states, nothing
-            )
+            return Switches(step, which, no_states, no_inputs, no_offsets, nothing, no_states)
         after, every = before.copy(), np.arange(len(step))
         after[which, every] = 1 - before[which, every]
         slope = self.slope(x, u, before)
         jump = self.slope(x, u, after) - slope
         m = self.equation.switches
-        by_state, by_input, by_offset, by_time, scale = evaluate_columns(self._gap, x, u)
+        by_state, by_input, by_offset, by_time = evaluate_columns(self._gap, x, u)
         by_state, by_input, by_offset = (
             _stacked(entries, m)[every, which] for entries in (by_state, by_input, by_offset)
         )
         rate = (by_state * slope.T).sum(axis=1) + by_time[which, every]
-        scales = scale[which, every]
-        return Switches(step, which, by_state, by_input, by_offset, rate, jump.T, scales)
+        return Switches(step, which, by_state, by_input, by_offset, rate, jump.T)
 
     def projected(
         self, x: FloatArray, u: FloatArray | None = None
@@ -348,8 +345,6 @@ class Switches:
         Of the gap along the motion just before, m/s.
     jump : ndarray, shape (E, states)
         Of ẋ.
-    scale : ndarray, shape (E,)
-        Length that the gap is measured by, m.
     """
 
     step: Any
@@ -359,7 +354,6 @@ class Switches:
     by_offset: FloatArray
     rate: FloatArray
     jump: FloatArray
-    scale: FloatArray
 
 
 def _stacked(columns: FloatArray, rows: int) -> FloatArray:
@@ -408,7 +402,7 @@ def _by_orders(layout: InputLayout, by_held: Any, u: Any, rows: slice, orders: i
 
 
 def _gap_slopes(equation: Equation) -> ca.Function:
-    """Return ``(x, u) -> columns of the gaps by state, by input, by time, and their scale``."""
+    """Return ``(x, u) -> columns of the gaps by state, input, offset and time``."""
     x, u, *_ = equation.symbols()
     gap = equation.gap(x, u)[0]
     by_held, strings = ca.jacobian(gap, u), equation.layout.strings
@@ -416,7 +410,7 @@ def _gap_slopes(equation: Equation) -> ca.Function:
     layout = equation.layout
     by_offset = by_held[:, layout.offset_rows]
     outputs = [
-        ca.jacobian(gap, x), by_held[:, :strings], by_offset, by_time, equation.gap_scale(u)
+        ca.jacobian(gap, x), by_held[:, :strings], by_offset, by_time
     ]  # fmt: skip
     return Function("gap_slopes", [x, u], [ca.densify(ca.vec(output)) for output in outputs])
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from math import ceil
+from typing import NamedTuple
 from weakref import WeakMethod
 
 import casadi as ca
@@ -55,8 +56,7 @@ class Jump:
     bars: FloatArray | None
 
 
-@dataclass(frozen=True, eq=False)
-class RunSpan:
+class RunSpan(NamedTuple):
     """The motion over a time in which the inputs are one polynomial."""
 
     time: FloatArray  # of the states kept, s
