@@ -8,7 +8,9 @@ they are by 50 values of each rest length, one a sample of 0.02 s. Ours is the c
 the run itself with it; then central differences by ``simulate_many``; then JAX, forward and in
 reverse, through the steps of RK4, which passes over switches. An error is the largest of an entry,
 as part of the largest entry; the true derivative is ours at a tolerance of 1e-9, tested against
-differences (``python -m tests.benchmarks.sensitivities``). Needs the extra ``bench``.
+differences (``python -m tests.benchmarks.sensitivities``). The Jacobian by MuJoCo's
+``mjd_transitionFD`` stands beside it at steps and errors of its own: it differences each step of
+Euler's method, as it refuses RK4, and the matrices are multiplied. Needs the extra ``bench``.
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ import numpy as np
 
 import tenscontrol as tc
 from tests.benchmarks import rk4_peers
-from tests.benchmarks.cheapest import Program, grid, reported, tolerances
+from tests.benchmarks.cheapest import Program, grid, reported, seconds_of, tolerances
 from tests.benchmarks.command_line import options
 from tests.benchmarks.error_against_time import thrown
 
@@ -50,7 +52,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
             return float(np.abs(values - true).max() / np.abs(true).max())
 
         print(f"\n{case}, {name}: {scene.name}, {scene.duration:g} s", flush=True)
-        reported(programs, judge, given.errors, given.repeats, given.longest)
+        first = reported(programs, judge, given.errors, given.repeats, given.longest)[0]
+        if case == "jacobian" and not rk4_peers.is_missing("mujoco"):
+            for step in (1e-2, 1e-3):
+                run, found = transitions(scene, step), list[np.ndarray]()
+                seconds = seconds_of(lambda run=run, found=found: found.append(run()))
+                print(
+                    f"MuJoCo, transitionFD, {step:g} s: has {judge(found[0]):.1e}, "
+                    f"{1e3 * seconds:.4g} ms, {seconds / first.seconds:.3g} over the first"
+                )
 
 
 def run_of(scene: tc.Scene, tolerance: float) -> tc.Trajectory:
@@ -105,6 +115,37 @@ def gradient(scene: tc.Scene) -> tuple[list[Program], Callable[[], np.ndarray]]:
             through_jax(scene, "JAX, reverse", jax.grad, values, lambda N: (N * N).sum())
         )
     return programs, lambda: ours(1e-9)
+
+
+def transitions(scene: tc.Scene, step: float) -> Callable[[], np.ndarray]:
+    """Return what finds the nodes at the end by the rest lengths from MuJoCo's differences."""
+    import mujoco
+
+    text = tc.exchange.to_mujoco(
+        scene.model, nodes=scene.nodes, velocities=scene.velocities, rest_length=scene.input_value,
+        actuators="rest_length", step=step, integrator="euler",
+    )  # fmt: skip
+    model = mujoco.MjModel.from_xml_string(text)
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    data, (d, n) = mujoco.MjData(model), scene.nodes.shape
+    by_state, by_input = np.empty((2 * model.nv, 2 * model.nv)), np.empty((2 * model.nv, model.nu))
+    of_site, strings = np.empty((d, model.nv)), len(scene.input_value)
+
+    def run() -> np.ndarray:
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+        moved = np.zeros((2 * model.nv, model.nu))
+        for _ in range(round(scene.duration / step)):
+            mujoco.mjd_transitionFD(model, data, 1e-6, False, by_state, by_input, None, None)
+            moved = by_state @ moved + by_input
+            mujoco.mj_step(model, data)
+        mujoco.mj_forward(model, data)
+        nodes = np.empty((d, n, strings))
+        for node in range(n):
+            mujoco.mj_jacSite(model, data, of_site, None, model.site(f"n{node}").id)
+            nodes[:, node] = of_site @ moved[: model.nv, :strings]
+        return nodes
+
+    return run
 
 
 def timed(name: str, settings: Sequence[float], call: Callable[[float], np.ndarray]) -> Program:
