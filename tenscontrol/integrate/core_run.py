@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
@@ -149,7 +150,7 @@ def spans_in_core(
     held, duration = map(np.ascontiguousarray, (given.held, given.duration))
     spans.count, spans.outputs = count, records.address(outputs)
     spans.inputs, spans.duration = records.address(held), records.address(duration)
-    progress = (records.Progress * count)()
+    progress: Any = (records.Progress * count)()
     memory = np.empty(int(numbers[count - 1]))
     room = settings.room
     ends = [np.empty(shape) for shape in (room, (room, n), (room, scene.switches))]

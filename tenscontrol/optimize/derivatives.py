@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import partial
 from math import factorial, perm
+from types import MappingProxyType
 from typing import Any, TypeVar
 
 import casadi as ca
@@ -60,14 +61,8 @@ class Slopes:
     by_supports: FloatArray | None = None
     by_bars: FloatArray | None = None
 
-    def by_motion(self, kind: str) -> FloatArray:
-        """Return those by what a parameter of the kind "supports" or "bars" moves."""
-        matrices = self.by_supports if kind == "supports" else self.by_bars
-        assert matrices is not None  # it was asked for
-        return matrices
-
-    def of(self, some: slice) -> Slopes:
-        """Return those at some of the states."""
+    def of(self, some: slice | int) -> Slopes:
+        """Return those at some of the states, or at one."""
         return Slopes(
             *(None if by is None else by[some] for by in (
                 self.by_state, self.by_input, self.by_parameters, self.by_supports, self.by_bars
@@ -354,6 +349,41 @@ class Switches:
     by_offset: FloatArray
     rate: FloatArray
     jump: FloatArray
+
+
+def sources(
+    parameters: Sequence[Parameter],
+    columns: Sequence[slice],
+    counts: Sequence[FloatArray | None],
+    by_input: FloatArray | None,
+    by_parameters: FloatArray,
+    by_motion: Mapping[str, FloatArray | None] = MappingProxyType({}),
+) -> Iterator[tuple[slice, tuple[FloatArray, ...]]]:
+    """Yield columns of parameters with what they change, as matrices to be multiplied.
+
+    ``counts`` says by what each counts: the values of an input, (K,); a number of motors in each
+    rest length, (α,); a motion of supports or bars in what moves with them, (3 d n, P) or (3 β, P).
+    The others are the columns of ``by_parameters``.
+    """
+    first = 0
+    for parameter, own, count in zip(parameters, columns, counts, strict=True):
+        if parameter.kind in ("supports", "bars"):
+            by = by_motion[parameter.kind]
+            assert by is not None  # it was asked for
+            assert count is not None
+            yield own, (by, count)
+        elif parameter.kind in ("input", "motor"):
+            assert by_input is not None  # it was asked for
+            if count is None:
+                yield own, (by_input,)
+            elif parameter.kind == "motor":
+                yield own, (by_input * count,)
+            else:
+                for k in np.flatnonzero(count).tolist():
+                    yield slice(own.start + k, own.stop, len(count)), (count[k] * by_input,)
+        elif parameter.kind not in BESIDE:
+            yield own, (by_parameters[:, first : first + parameter.size],)
+            first += parameter.size
 
 
 def _stacked(columns: FloatArray, rows: int) -> FloatArray:

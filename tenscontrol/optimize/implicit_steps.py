@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,6 +21,7 @@ from tenscontrol.optimize.derivatives import (
     Derivatives,
     law_symbols,
     law_values,
+    sources,
     symbolic_forces,
 )
 from tenscontrol.optimize.parameters import BESIDE, Parameter, shares
@@ -48,13 +49,11 @@ class ImplicitSteps:
         columns: Sequence[slice],
     ) -> None:  # fmt: skip
         self._steps, self._parameters, self._columns = steps, parameters, columns
-        self._own = [by for by in parameters if by.kind not in BESIDE]
+        own = [by for by in parameters if by.kind not in BESIDE]
         self._solver = _Solver(derivatives)
-        model, names = derivatives.model, tuple(by.name for by in self._own)
+        model, names = derivatives.model, tuple(by.name for by in own)
         key = ("slopes of implicit steps", derivatives.input, steps.layout.degree, names)
-        function, self._patterns = model.prepared.get(
-            key, lambda: _step_slopes(derivatives, self._own)
-        )
+        function, self._patterns = model.prepared.get(key, lambda: _step_slopes(derivatives, own))
         self._function = Evaluator(function)
 
     def reached(self, k: int, length: float) -> FloatArray:
@@ -75,16 +74,8 @@ class ImplicitSteps:
         moved = slopes.by_state @ X
         if answer is not None:
             moved += slopes.by_input @ answer
-        for columns, share in self._inputs(k, length):
-            if share is None:
-                moved[:, columns] += slopes.by_input
-                continue
-            for i in np.flatnonzero(share):
-                moved[:, columns][:, i :: len(share)] += share[i] * slopes.by_input
-        first = 0
-        for by, columns in self._others:
-            moved[:, columns] += slopes.by_parameters[:, first : first + by.size]
-            first += by.size
+        for columns, (by,) in self._sources(slopes, k, length):
+            moved[:, columns] += by
         unknowns = slopes.factors.solve(moved)
         return np.asarray(slopes.end_by_state @ X - slopes.end_by_unknowns @ unknowns)
 
@@ -98,34 +89,24 @@ class ImplicitSteps:
         length = float(self._steps.length[k]) if part is None else part
         slopes = self._slopes(k, length)
         weight = -slopes.factors.solve(slopes.end_by_unknowns.T @ end, trans="T")
+        for columns, (by,) in self._sources(slopes, k, length):
+            slope[columns] += weight @ by
         by_input = slopes.by_input.T @ weight
-        for columns, share in self._inputs(k, length):
-            slope[columns] += by_input if share is None else np.outer(by_input, share).ravel()
-        first, own = 0, slopes.by_parameters.T @ weight
-        for by, columns in self._others:
-            slope[columns] += own[first : first + by.size]
-            first += by.size
         return slopes.end_by_state.T @ end + slopes.by_state.T @ weight, by_input
 
     def take_costs(self, slope: FloatArray) -> None:
         """Nothing is kept from step to step."""
 
-    @property
-    def _others(self) -> list[tuple[Parameter, slice]]:
-        pairs = zip(self._parameters, self._columns, strict=True)
-        return [(by, columns) for by, columns in pairs if by in self._own]
-
-    def _inputs(
-        self, k: int, length: float
-    ) -> list[tuple[slice, FloatArray | None]]:  # fmt: skip
-        """Return the inputs, with what the values of a profile count in the middle of a step."""
-        middle = np.array([self._steps.begin[k] + length / 2])
-        inputs = []
-        for by, columns in zip(self._parameters, self._columns, strict=True):
-            if by.kind == "input":
-                share = shares(by, middle, middle)
-                inputs.append((columns, None if share is None else share[:, 0]))
-        return inputs
+    def _sources(
+        self, slopes: _StepSlopes, k: int, length: float
+    ) -> Iterator[tuple[slice, tuple[FloatArray, ...]]]:
+        """Yield what the parameters themselves change of the residual of a step."""
+        middle, counts = np.array([self._steps.begin[k] + length / 2]), list[FloatArray | None]()
+        for by in self._parameters:
+            count = shares(by, middle, middle) if by.kind == "input" else None
+            counts.append(None if count is None else count[:, 0])
+        by_own = slopes.by_input, slopes.by_parameters
+        return sources(self._parameters, self._columns, counts, *by_own)
 
     def _slopes(self, k: int, length: float) -> _StepSlopes:
         from scipy.sparse import csc_array

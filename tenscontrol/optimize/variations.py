@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from itertools import accumulate, pairwise
 from typing import NamedTuple
 
@@ -14,11 +15,11 @@ from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.interrupt import check
 from tenscontrol.optimize.bar_changes import BarChanges
 from tenscontrol.optimize.core_steps import CoreSteps, Tableau, core_steps
-from tenscontrol.optimize.derivatives import Derivatives, Slopes, Switches
+from tenscontrol.optimize.derivatives import Derivatives, Slopes, Switches, sources
 from tenscontrol.optimize.feedback import Feedback
 from tenscontrol.optimize.implicit_steps import ImplicitSteps
 from tenscontrol.optimize.motor_changes import MotorChanges
-from tenscontrol.optimize.parameters import BESIDE, Parameter, shares
+from tenscontrol.optimize.parameters import Parameter, shares
 from tenscontrol.optimize.support_changes import SupportChanges
 from tenscontrol.optimize.traced_steps import Push, TracedSteps
 from tenscontrol.properties import cached_property
@@ -61,7 +62,7 @@ class _Leg(NamedTuple):
     part: float | None  # s; None: whole steps
     output: int  # of a part
     stages: Slopes | None  # at its stages; None where the stepper finds them
-    shares: list[FloatArray | None]  # of each input, at the stages, (s, K)
+    counts: list[FloatArray | None]  # of each parameter, at the stages
 
 
 def stable(steps: TracedSteps, derivatives: Derivatives) -> TracedSteps:
@@ -334,7 +335,8 @@ class Variations:
                 Y = X + length * (a[i, :i] @ flat[:i]).reshape(X.shape)
             K[i, :half] = Y[half:]
             np.matmul(leg.stages.by_state[i], Y, out=K[i, half:])
-            self._add_to(K[i, half:], leg.stages, leg.shares, i)
+            for columns, factors in self._sources(leg.stages, leg.counts, i):
+                K[i, half:, columns] += reduce(np.matmul, factors)
             if answer is not None:
                 assert leg.stages.by_input is not None  # it was asked for
                 K[i, half:] += leg.stages.by_input[i] @ answer
@@ -358,7 +360,8 @@ class Variations:
             later[i] = kappa[half:] @ leg.stages.by_state[i]
             later[i, half:] += kappa[:half]
             back += later[i]
-            self._add_sources(slope, leg.stages, leg.shares, i, kappa[half:])
+            for columns, factors in self._sources(leg.stages, leg.counts, i):
+                slope[columns] += reduce(np.matmul, factors, kappa[half:])
             if by_input is not None and leg.stages.by_input is not None:
                 by_input += kappa[half:] @ leg.stages.by_input[i]
         return back, by_input
@@ -366,58 +369,29 @@ class Variations:
     def _length_of(self, leg: _Leg) -> float:
         return float(self.steps.length[leg.step]) if leg.part is None else leg.part
 
-    def _add_to(
-        self, rates: FloatArray, slopes: Slopes, counts: list[FloatArray | None], stage: int
-    ) -> None:
-        """Add what the parameters themselves change of the accelerations in a stage."""
-        first = 0
-        for parameter, columns, share in zip(self.parameters, self.columns, counts, strict=True):
-            if parameter.kind == "input":
-                by_input = slopes.by_input
-                assert by_input is not None  # it was asked for
-                if share is None:
-                    rates[:, columns] += by_input[stage]
-                    continue
-                for k in np.flatnonzero(share[stage]):
-                    rates[:, columns][:, k :: len(share[stage])] += (
-                        share[stage, k] * by_input[stage]
-                    )
-            elif parameter.kind == "motor":
-                assert slopes.by_input is not None  # it was asked for
-                assert share is not None  # of each rest length
-                rates[:, columns] += slopes.by_input[stage] * share[stage]
-            elif parameter.kind in ("supports", "bars"):
-                assert share is not None  # what is displaced and pushed
-                rates[:, columns] += slopes.by_motion(parameter.kind)[stage] @ share[stage]
-            elif parameter.kind not in BESIDE:
-                own = slopes.by_parameters[stage]
-                rates[:, columns] += own[:, first : first + parameter.size]
-                first += parameter.size
+    def _sources(
+        self, slopes: Slopes, counts: list[FloatArray | None], stage: int
+    ) -> Iterator[tuple[slice, tuple[FloatArray, ...]]]:
+        """Yield what the parameters themselves change of the accelerations in a stage."""
+        at, now = [None if count is None else count[stage] for count in counts], slopes.of(stage)
+        by_motion = {"supports": now.by_supports, "bars": now.by_bars}
+        by_own = now.by_input, now.by_parameters, by_motion
+        return sources(self.parameters, self.columns, at, *by_own)
 
-    def _add_sources(
-        self, slope: FloatArray, slopes: Slopes, counts: list[FloatArray | None], stage: int,
-        kappa: FloatArray,
-    ) -> None:  # fmt: skip
-        """Add what a cost of the accelerations in a stage makes of the parameters."""
-        first, own = 0, kappa @ slopes.by_parameters[stage]
-        for parameter, columns, share in zip(self.parameters, self.columns, counts, strict=True):
-            if parameter.kind == "input":
-                assert slopes.by_input is not None  # it was asked for
-                by_input = kappa @ slopes.by_input[stage]
-                slope[columns] += (
-                    by_input if share is None else np.outer(by_input, share[stage]).ravel()
-                )
-            elif parameter.kind == "motor":
-                assert slopes.by_input is not None  # it was asked for
-                assert share is not None  # of each rest length
-                slope[columns] += (kappa @ slopes.by_input[stage]) * share[stage]
-            elif parameter.kind in ("supports", "bars"):
-                assert share is not None  # what is displaced and pushed
-                by_motion = slopes.by_motion(parameter.kind)[stage]
-                slope[columns] += (kappa @ by_motion) @ share[stage]
-            elif parameter.kind not in BESIDE:
-                slope[columns] += own[first : first + parameter.size]
-                first += parameter.size
+    def _counts(self, time: FloatArray, within: FloatArray) -> list[FloatArray | None]:
+        """Return by what each parameter counts at times, in the pieces of other times."""
+        counts = list[FloatArray | None]()
+        for parameter in self.parameters:
+            count = shares(parameter, time, within) if parameter.kind == "input" else None
+            if parameter.kind == "motor" and self.motors is not None:
+                count = self.motors.at(parameter, time, within)
+            count = None if count is None else count.T
+            if parameter.kind == "supports" and self.supports is not None:
+                count = self.supports.inputs(time, within)
+            if parameter.kind == "bars" and self.lengths is not None:
+                count = self.lengths.at(time, within)
+            counts.append(count)
+        return counts
 
     # ---- supports and rates of bars that jump ----
 
@@ -429,7 +403,8 @@ class Variations:
         slopes, counts = self._push_slopes(step, push)
         pushed, half = X.copy(), self.derivatives.half
         pushed[half:] += slopes.by_state[0] @ X
-        self._add_to(pushed[half:], slopes, counts, 0)
+        for columns, factors in self._sources(slopes, counts, 0):
+            pushed[half:, columns] += reduce(np.matmul, factors)
         return pushed
 
     def _pushed_back(self, step: int, mu: FloatArray, slope: FloatArray) -> FloatArray:
@@ -439,7 +414,8 @@ class Variations:
             return mu
         slopes, counts = self._push_slopes(step, push)
         of_velocities = mu[self.derivatives.half :]
-        self._add_sources(slope, slopes, counts, 0, of_velocities)
+        for columns, factors in self._sources(slopes, counts, 0):
+            slope[columns] += reduce(np.matmul, factors, of_velocities)
         return np.asarray(mu + of_velocities @ slopes.by_state[0])
 
     def _push_slopes(self, step: int, push: Push) -> tuple[Slopes, list[FloatArray | None]]:
@@ -471,20 +447,12 @@ class Variations:
             by_bars,
         )
         begin, length = float(self.steps.begin[step]), float(self.steps.length[step])
-        now, earlier = np.array([begin]), None if push.is_first else begin - 1e-6 * length
-        counts: list[FloatArray | None] = []
-        for parameter in self.parameters:
-            share = None
-            if parameter.kind == "input":
-                share = shares(parameter, now, now + length / 2)
-                share = None if share is None else share.T
-            elif parameter.kind == "motor" and self.motors is not None:
-                share = self.motors.at(parameter, now, now + length / 2).T
-            elif parameter.kind == "supports" and self.supports is not None:
-                share = self.supports.impulse(begin, earlier, begin + length / 2)
-            elif parameter.kind == "bars" and self.lengths is not None:
-                share = self.lengths.impulse(begin, earlier, begin + length / 2)
-            counts.append(share)
+        earlier, after = None if push.is_first else begin - 1e-6 * length, begin + length / 2
+        counts = self._counts(np.array([begin]), np.array([after]))
+        for i, parameter in enumerate(self.parameters):
+            changes = {"supports": self.supports, "bars": self.lengths}.get(parameter.kind)
+            if changes is not None:
+                counts[i] = changes.impulse(begin, earlier, after)
         return slopes, counts
 
     # ---- starts and switches ----
@@ -741,18 +709,7 @@ class Variations:
         )  # fmt: skip
         time = (steps.begin[of] + c[:, None] * h).ravel()
         middle = np.tile(steps.begin[of] + h / 2, stages)
-        all_shares: list[FloatArray | None] = []
-        for parameter in self.parameters:
-            share = shares(parameter, time, middle) if parameter.kind == "input" else None
-            share = None if share is None else share.T
-            if parameter.kind == "supports" and self.supports is not None:
-                share = self.supports.inputs(time, middle)
-            if parameter.kind == "bars" and self.lengths is not None:
-                share = self.lengths.at(time, middle)
-            if parameter.kind == "motor" and self.motors is not None:
-                share = self.motors.at(parameter, time, middle).T
-            all_shares.append(share)
+        counts = self._counts(time, middle)
         for i, leg in enumerate(plan):
-            own = derivatives.of(slice(i, None, count))
-            own_shares = [None if share is None else share[i::count] for share in all_shares]
-            yield leg._replace(stages=own, shares=own_shares)
+            own_counts = [None if every is None else every[i::count] for every in counts]
+            yield leg._replace(stages=derivatives.of(slice(i, None, count)), counts=own_counts)

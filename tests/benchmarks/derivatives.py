@@ -71,7 +71,7 @@ def run_of(scene: tc.Scene, tolerance: float) -> tc.Trajectory:
 
 def jacobian(scene: tc.Scene) -> tuple[list[Program], Callable[[], np.ndarray]]:
     """Return what finds the nodes at the end by the rest lengths, (3, n, α)."""
-    lengths, change = scene.input_value, 1e-5
+    lengths = scene.input_value
 
     def ours(tolerance: float) -> np.ndarray:
         return tc.sensitivity(run_of(scene, tolerance), ["rest_length"]).nodes["rest_length"][
@@ -79,6 +79,7 @@ def jacobian(scene: tc.Scene) -> tuple[list[Program], Callable[[], np.ndarray]]:
         ]
 
     def differences(tolerance: float) -> np.ndarray:
+        change = 2e-3 * tolerance ** (1 / 3)  # 1e-5 m at 1e-7
         steps = change * np.eye(len(lengths))
         how = tc.Integration(tolerance=tolerance, error="none")
         varied = {"rest_length": np.vstack([lengths + steps, lengths - steps])}
