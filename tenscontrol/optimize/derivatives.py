@@ -372,15 +372,17 @@ def sources(
             assert by is not None  # it was asked for
             assert count is not None
             yield own, (by, count)
-        elif parameter.kind in ("input", "motor"):
+        elif parameter.kind == "motor":
+            assert by_input is not None  # it was asked for
+            assert count is not None
+            yield own, (by_input * count,)
+        elif parameter.kind == "input":
             assert by_input is not None  # it was asked for
             if count is None:
                 yield own, (by_input,)
-            elif parameter.kind == "motor":
-                yield own, (by_input * count,)
-            else:
-                for k in np.flatnonzero(count).tolist():
-                    yield slice(own.start + k, own.stop, len(count)), (count[k] * by_input,)
+                continue
+            for k in np.flatnonzero(count).tolist():
+                yield slice(own.start + k, own.stop, len(count)), (count[k] * by_input,)
         elif parameter.kind not in BESIDE:
             yield own, (by_parameters[:, first : first + parameter.size],)
             first += parameter.size
@@ -439,9 +441,7 @@ def _gap_slopes(equation: Equation) -> ca.Function:
     by_time = by_held[:, -1] if equation.layout.degree else type(x)(*gap.shape)
     layout = equation.layout
     by_offset = by_held[:, layout.offset_rows]
-    outputs = [
-        ca.jacobian(gap, x), by_held[:, :strings], by_offset, by_time
-    ]  # fmt: skip
+    outputs = [ca.jacobian(gap, x), by_held[:, :strings], by_offset, by_time]
     return Function("gap_slopes", [x, u], [ca.densify(ca.vec(output)) for output in outputs])
 
 
