@@ -370,11 +370,11 @@ def sources(
         if parameter.kind in ("supports", "bars"):
             by = by_motion[parameter.kind]
             assert by is not None  # it was asked for
-            assert count is not None
+            assert count is not None  # what moves with them
             yield own, (by, count)
         elif parameter.kind == "motor":
             assert by_input is not None  # it was asked for
-            assert count is not None
+            assert count is not None  # of each rest length
             yield own, (by_input * count,)
         elif parameter.kind == "input":
             assert by_input is not None  # it was asked for

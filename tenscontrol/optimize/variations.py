@@ -447,12 +447,12 @@ class Variations:
             by_bars,
         )
         begin, length = float(self.steps.begin[step]), float(self.steps.length[step])
-        earlier, after = None if push.is_first else begin - 1e-6 * length, begin + length / 2
-        counts = self._counts(np.array([begin]), np.array([after]))
+        earlier, later = None if push.is_first else begin - 1e-6 * length, begin + length / 2
+        counts = self._counts(np.array([begin]), np.array([later]))
         for i, parameter in enumerate(self.parameters):
             changes = {"supports": self.supports, "bars": self.lengths}.get(parameter.kind)
             if changes is not None:
-                counts[i] = changes.impulse(begin, earlier, after)
+                counts[i] = changes.impulse(begin, earlier, later)
         return slopes, counts
 
     # ---- starts and switches ----
