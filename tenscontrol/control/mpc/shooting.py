@@ -308,7 +308,7 @@ class RK4(Discretization):
         """
         r, h, stages, which = self._r, self._step, iter(entries), slice(len(points))
         start, stage, end = (array[which] for array in self._chain)
-        slope, part = (array[which] for array in self._half_chain)
+        slope, move = (array[which] for array in self._half_chain)
         end[:] = np.eye(*end.shape[1:])
         for _ in range(self._count):
             start[:] = stage[:] = end
@@ -321,8 +321,8 @@ class RK4(Discretization):
                 np.matmul(by_z.swapaxes(1, 2), stage, out=slope)
                 slope[:, :, 2 * r :] += by_u.swapaxes(1, 2)
                 for rows, rate in ((end[:, :r], stage[:, r:]), (end[:, r:], slope)):
-                    rows += np.multiply(rate, h / 6 * weight, out=part)
-        return end
+                    rows += np.multiply(rate, h / 6 * weight, out=move)
+        return np.asarray(end)
 
     def load_response(self, load: FloatArray) -> FloatArray:
         """See :meth:`Discretization.load_response`."""
