@@ -88,9 +88,9 @@ def regulator_riccati(
     if B.shape[1] > len(A):  # inputs that move the state alike are one, by its least cost
         is_diagonal = R.ndim == 1
         root = diags_array(R**-0.5) if is_diagonal else np.linalg.inv(np.linalg.cholesky(R)).T
-        Q_t, wide = np.linalg.qr((B @ root).T)  # decomposed after it: a third of the time
-        moved, sizes, Vt = np.linalg.svd(wide.T)
-        spread, B, R = root @ (Q_t @ Vt.T), moved * sizes, np.ones(len(sizes))
+        directions, factor = np.linalg.qr((B @ root).T)
+        moved, sizes, Vt = np.linalg.svd(factor.T)
+        spread, B, R = root @ (directions @ Vt.T), moved * sizes, np.ones(len(sizes))
     R = np.diag(R) if R.ndim == 1 else R
     K, P, poles, residual = _split_solution(A, B, Q, R, split, discrete, _REGULATOR)
     K = K if spread is None else spread @ K

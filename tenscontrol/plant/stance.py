@@ -340,7 +340,7 @@ class Sticking:
         from scipy.sparse import block_diag, csc_array, diags_array, eye_array, hstack
 
         d, rows = structure.dimension, structure.free_rows
-        origin, is_held = nodes.copy(), np.isin(rows // structure.dimension, list(places))
+        origin, is_held = nodes.copy(), np.isin(rows // d, list(places))
         weight, along, across = np.zeros(len(rows)), [np.zeros((0, 0))], [np.zeros((0, 0))]
         # Of held nodes in the order of their rows, each with the motions that it has.
         for node in sorted(places):
@@ -384,8 +384,8 @@ def _are_joined(structure: Structure, bars: IntArray, nodes: list[int]) -> np.nd
 
     count, ends = structure.nodes.shape[1], structure.bars[bars]
     graph = coo_array((np.ones(len(ends)), tuple(ends.T)), shape=(count, count))
-    part = connected_components(graph, directed=False)[1]
-    return np.isin(part[ends[:, 0]], part[nodes])
+    component = connected_components(graph, directed=False)[1]
+    return np.isin(component[ends[:, 0]], component[nodes])
 
 
 def contact_forces(
