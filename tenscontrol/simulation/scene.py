@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tenscontrol import validation
-from tenscontrol.actuation.driven_strings import BAR_INPUTS, member_rows
 from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.dynamics.equation import Equation, pack_state, unpack_states
 from tenscontrol.dynamics.held_inputs import held_value, own_input
@@ -241,6 +240,10 @@ class Scene:
 
     @property
     def _commands_bars(self) -> bool:
+        if self.controller is None:
+            return False
+        from tenscontrol.actuation.driven_strings import BAR_INPUTS
+
         return getattr(self.controller, "input", None) in BAR_INPUTS
 
     def _take_over_start(self) -> None:
@@ -420,9 +423,11 @@ class Scene:
     @cached_property
     def bars(self) -> DrivenBars | None:
         """Lengths of driven bars, None where bars are rigid."""
-        if self.bar_length is None and (self.controller is None or not self._commands_bars):
+        if not self.drives_bars:
             return None
         if self.law is not None:
+            from tenscontrol.actuation.driven_strings import member_rows
+
             given = self.structure.bar_length if self.bar_length is None else self.bar_length
             lengths = validation.per_member("bar_length", given, len(self.structure.bars), "bar")
             validation.positive("bar_length", lengths, "length in m")

@@ -136,12 +136,3 @@ def test_motors_wind_several_strings(plant):
     given, stored = record.energy.sum(axis=0), run.energy - run.energy[0]
     assert np.ptp(given) > 1e-3
     np.testing.assert_allclose(given, stored, rtol=0, atol=1e-6)
-
-
-def test_motors_that_pull_both_ways_have_no_torque_limit(plant):
-    law = tc.LQR(plant, sample_time=0.02)
-    winches = tc.Winches(ramp=True, motor=tc.Motor(drum_radius=0.01, torque=5.0))
-    with pytest.raises(ValueError, match=r"string 7 has the ratio -0\.5"):
-        tc.simulate(
-            plant.model, 0.1, controller=law, winches=winches, rest_length=plant.rest_length
-        )

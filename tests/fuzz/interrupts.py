@@ -213,7 +213,7 @@ class Begun:
 
     def __init__(self):
         self.count = 0
-        for owner, name in ((plant_run.PlantRun, "_keep"), (Bench, "_judged")):
+        for owner, name in ((plant_run, "RunSpan"), (Bench, "_judged")):
             self._watch(owner, name)
 
     def _watch(self, owner, name):
@@ -421,7 +421,7 @@ def campaign(count, seed=0, commands=True, told=print):
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     kept = {(owner, name): getattr(owner, name)
-            for owner, name in ((plant_run.PlantRun, "_keep"), (Bench, "_judged"))}  # fmt: skip
+            for owner, name in ((plant_run, "RunSpan"), (Bench, "_judged"))}  # fmt: skip
     waits, nothing, failures = defaultdict(list), defaultdict(int), []
     example(), study()
     try:

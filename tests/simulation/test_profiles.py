@@ -122,6 +122,7 @@ class _FixedDOP853(FixedStep):
 FIXED_DOP853 = Method("fixed", ("step",), "steps of one length", _FixedDOP853, follows=True)
 ORDERS = [
     ("rk4", (50, 100, 200), 3.8),
+    ("rk4_plain", (50, 100, 200), 1.8),
     (
         Method("fixed", ("step",), "of one length", _FixedDOP853, follows=True),
         (5, 6, 8, 10, 12),
