@@ -83,7 +83,7 @@ def test_the_fastest_rate_is_that_of_the_ground_before_and_in_contact():
     ("method", "order", "steps"),
     [
         ("rk4", 4, [8e-4, 4e-4, 2e-4]),
-        ("energy_momentum", 2, [1.6e-3, 8e-4, 4e-4]),
+        ("energy_momentum", 2, [3.2e-3, 1.6e-3, 8e-4]),
     ],
 )
 def test_orders_hold_through_impacts(bouncing, method, order, steps):

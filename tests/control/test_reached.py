@@ -205,8 +205,8 @@ def test_the_continuous_gain_is_the_limit_of_short_samples(decay):
 
 def test_designs_on_random_structures():
     """A campaign of ``python -m tests.control.reached``, small."""
-    done = campaign(2, start=2)
-    assert [outcome for outcome, _, _ in done.values()] == ["holds"] * 2
+    done = campaign(1, start=2)
+    assert [outcome for outcome, _, _ in done.values()] == ["holds"]
     assert all(figures["residual"] < 1e-9 for _, figures, _ in done.values())
 
 

@@ -232,6 +232,15 @@ def coupled_plant(name):
     return tc.linearize(model, rest, input="rest_length")
 
 
+def crossed():
+    """Two bars crossed in the plane, linearized twice a sample: the least code of NMPC."""
+    cross = tc.library.snelson_x()
+    plant = tc.linearize(tc.Model(cross), tc.prestress(cross, force_density=20.0))
+    return tc.NMPC(
+        plant, horizon=3, sample_time=SAMPLE, max_force_density=80.0, max_change=10.0, iterations=2
+    )
+
+
 def rolling():
     """A regulator of a tower that rolls on a table."""
     plant = coupled_plant("tower")

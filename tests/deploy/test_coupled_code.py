@@ -24,7 +24,7 @@ def mpc(plant):
 
 def nmpc(plant):
     winches = tc.Winches(rate=0.5, shortest=0.1)
-    return tc.NMPC(plant, horizon=3, sample_time=scenes.SAMPLE, winches=winches)
+    return tc.NMPC(plant, horizon=2, sample_time=scenes.SAMPLE, winches=winches)
 
 
 @pytest.mark.parametrize(

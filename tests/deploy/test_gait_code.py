@@ -60,7 +60,7 @@ def test_a_ball_rolls_by_the_commands_of_python(code):
     compiled = code.compile()
     both = Both(gait, pickle.loads(pickle.dumps(compiled)))
     run = tc.simulate(
-        model, 8.0, nodes, controller=both, winches=winches, rest_length=0.55, method="rk4",
+        model, 7.0, nodes, controller=both, winches=winches, rest_length=0.55, method="rk4",
         step=1e-3, project=True, error="none", output_step=0.05,
     )  # fmt: skip
     both.check()

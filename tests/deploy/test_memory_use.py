@@ -24,7 +24,7 @@ MACHINES = {
 LAWS = {
     "LQR": scenes.rolling,
     "MPC": scenes.of_rest_length,
-    "NMPC": scenes.nonlinear,
+    "NMPC": scenes.crossed,
 }
 
 

@@ -62,7 +62,7 @@ RUNS = {
     "rk4": {"method": "rk4", "step": 1e-3},
     "dop853": {"method": "dop853", "tolerance": 1e-8},
     "energy_momentum by step": {"method": "energy_momentum", "step": 2e-3},
-    "energy_momentum by tolerance": {"method": "energy_momentum", "tolerance": 1e-6},
+    "energy_momentum by tolerance": {"method": "energy_momentum", "tolerance": 1e-5},
     "cvodes": {"method": "cvodes", "tolerance": 1e-6},
     "auto": {},
 }
@@ -83,11 +83,11 @@ def test_a_second_run_builds_nothing(model, options):
     assert first
     push = np.outer([0.1, 0.0, 0.2], np.ones(6))
     with casadi_calls() as second:
-        run = tc.simulate(model, 0.12, rest_length=other, velocities=push, **options)
+        run = tc.simulate(model, 0.08, rest_length=other, velocities=push, **options)
     assert second == []
-    assert run.time[-1] == pytest.approx(0.12)
+    assert run.time[-1] == pytest.approx(0.08)
     fresh = tc.Model(prism, strings=tc.LinearStrings(100.0))
-    same = tc.simulate(fresh, 0.12, rest_length=other, velocities=push, **options)
+    same = tc.simulate(fresh, 0.08, rest_length=other, velocities=push, **options)
     np.testing.assert_array_equal(run.nodes, same.nodes)
     assert run.work == same.work
 

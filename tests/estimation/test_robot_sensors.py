@@ -105,12 +105,11 @@ def test_readings_are_those_of_formulas_written_anew(name):
         np.testing.assert_allclose(found, by_hand(structure, N, V, A, rest_length), atol=2e-8)
 
 
-@pytest.mark.parametrize("name", STRUCTURES)
+@pytest.mark.parametrize("name", ["ball", "d_bar", "payload"])
 def test_derivatives_are_those_of_the_readings(name):
     structure = STRUCTURES[name]()
-    force = coupled.tower_force_density() if name == "tower" else 10.0
     model = tc.Model(structure, strings=tc.LinearStrings(500.0, damping=1.0))
-    rest = payload_rest() if name == "payload" else tc.prestress(structure, force_density=force)
+    rest = payload_rest() if name == "payload" else tc.prestress(structure, force_density=10.0)
     sensors = robot(structure)
     plant = observed_plant(tc.linearize(model, rest, input="rest_length"), sensors)
     function, rng = output_function(plant, sensors), np.random.default_rng(0)

@@ -149,6 +149,7 @@ CONTROLLERS = {
         scenes.of_few_modes,
         scenes.winding,
         scenes.with_load,
+        scenes.crossed,
         scenes.nonlinear,
         scenes.nonlinear_of_rest_length,
         scenes.nonlinear_with_load,

@@ -13,11 +13,11 @@ from tests.without_core import without_core
 
 pytestmark = pytest.mark.skipif(library() is None, reason="installed without a compiler")
 
-# Of the first twenty scenes those that neither blow up nor magnify round-off to a billionth.
-SEEDS = (0, 3, 7, 9, 12, 15, 17, 19)
+# Of the first sixteen scenes those that neither blow up nor magnify round-off to a billionth.
+SEEDS = (0, 3, 7, 9, 12, 15)
 
 # Of these, scenes whose bars grow and shrink.
-DRIVEN = (0, 3, 19)
+DRIVEN = (0, 3)
 
 
 def run(seed, **how):

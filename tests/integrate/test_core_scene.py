@@ -42,9 +42,9 @@ def apart(left, right):
     return np.abs(left - right).max(initial=0.0) / max(size, 1e-300)
 
 
-@pytest.mark.parametrize("first", range(0, 48, 16))
+@pytest.mark.parametrize("first", range(0, 24, 8))
 def test_slopes_gaps_and_forces_are_those_of_the_equation(first):
-    for seed in range(first, first + 16):
+    for seed in range(first, first + 8):
         _, equation, state, u, taut = scene_and_state(seed)
         core = core_scene(equation)
         half = len(state) // 2

@@ -102,7 +102,7 @@ def scene(name, damping=0.0, gravity=GRAVITY, stretch=0.0):
 # ---- against others ----
 
 
-@pytest.mark.parametrize(("name", "damping"), [*((n, 0.0) for n in SCENES), ("mixed", 1.0)])
+@pytest.mark.parametrize(("name", "damping"), [(n, float(n == "mixed")) for n in SCENES])
 def test_a_motion_through_switches_is_the_oracles(name, damping):
     structure, model, equation, lengths = scene(name, damping, stretch=0.005)
     smooth = model.equation("rest_length", form="mapped") if equation.form == "loops" else equation

@@ -105,9 +105,9 @@ def test_a_mass_on_a_string_flies_free_and_bounces(method):
 
 
 @METHODS
-@pytest.mark.parametrize("damping", [0.05, 0.3])
-def test_damped_strings_follow_the_oracle(prism, method, damping):
-    """They go slack before they are short, and taut with a jerk. 48 or 12 switches in 1.5 s."""
+def test_damped_strings_follow_the_oracle(prism, method):
+    """They go slack before they are short, and taut with a jerk: 48 switches in 1.5 s."""
+    damping = 0.05
     lengths = rest_lengths(prism, paper_force_density(9.0), 100.0)
     times = np.linspace(0, 1.5, 16)
     law = HeldRestLength(lengths, 100.0, damping)
@@ -116,7 +116,7 @@ def test_damped_strings_follow_the_oracle(prism, method, damping):
     state = pack_state(prism, prism.nodes, np.zeros((3, 6)))
     tolerance = 1e-11
     run = method(model.equation("rest_length"), tolerance).advance(state, lengths, 1.5, 15)
-    assert run.work.switches == (48 if damping == 0.05 else 12)
+    assert run.work.switches == 48
     assert np.abs(unpack_states(prism, run.states)[0] - exact[:, :, 1:]).max() < 2e-8
 
 

@@ -175,14 +175,14 @@ def test_order_is_two_with_supports_weights_and_both_string_laws(kind, damping):
 
 def test_error_follows_the_tolerance(prism, paper_motion):
     lengths = paper_motion.rest_length
-    assert paper_motion.time[1000] == 1.0
-    exact = paper_motion.nodes[:, :, 1000]
+    assert paper_motion.time[400] == 0.4
+    exact = paper_motion.nodes[:, :, 400]
     model = tc.Model(prism, strings=tc.LinearStrings(100.0))
     start = pack_state(prism, prism.nodes, np.zeros((3, 6)))
     works, errors = [], []
     for tolerance in (1e-5, 1e-7, 1e-9):
         method = EnergyMomentum(model.equation("rest_length"), tolerance=tolerance)
-        span = method.advance(start, lengths, 1.0, 3)
+        span = method.advance(start, lengths, 0.4, 3)
         (nodes,) = all_nodes(prism, span.states[:, -1:])
         errors.append(np.abs(nodes - exact).max())
         works.append(span.work)
@@ -278,7 +278,7 @@ def _velocities(structure, x):
 # ---- stiff strings ----
 
 
-@pytest.mark.parametrize("exponent", [-2, 0, 2, 3, 5])
+@pytest.mark.parametrize("exponent", [-2, 2, 5])
 def test_stable_whatever_the_step_times_the_frequency(exponent):
     """A turning prism with beads of 1 g on its strings; h ω from 1e-2 to 1e5."""
     step = 2e-3

@@ -33,7 +33,7 @@ from tests.integrate.stepping import fitted_order
 # ---- the oracle, and orders ----
 
 
-@pytest.mark.parametrize(("name", "duration"), [("ball", 0.26), ("prism", 0.2), ("tower", 0.15)])
+@pytest.mark.parametrize(("name", "duration"), [("ball", 0.26), ("prism", 0.2), ("tower", 0.12)])
 def test_a_motion_through_impacts_is_the_oracles(name, duration):
     scene, times = SCENES[name](), np.array([0.0, duration])
     exact, switches = scene.exact(times)
@@ -277,7 +277,7 @@ ELASTIC = {
 
 @pytest.mark.parametrize(
     ("structure", "law"),
-    [*(("prism", law) for law in ELASTIC), *(("tower", law) for law in ("linear", "hills"))],
+    [*(("prism", law) for law in ELASTIC), ("tower", "hills")],
 )
 def test_ground_that_only_stores_energy_keeps_it(structure, law):
     scene = dropped(STRUCTURES[structure](), [ELASTIC[law]()], 0.25, (0.5, 0.0, -1.0))

@@ -51,9 +51,11 @@ def test_linear_plant_is_the_slope_of_the_full_dynamics(structure, held):
 
 @pytest.mark.parametrize(
     ("name", "held"),
-    [*((name, "rest_length") for name in SCENES),
-     *((name, "force_density") for name in ("arm", "random_3d_2"))],
-)  # fmt: skip
+    [
+        *((name, "rest_length") for name in SCENES if name != "random_3d_2"),
+        ("arm", "force_density"),
+    ],
+)
 def test_reduced_dynamics_and_their_slopes_are_exact(name, held):
     structure = SCENES[name]
     model, at = at_rest(structure, strings=tc.LinearStrings(200.0, damping=0.3))

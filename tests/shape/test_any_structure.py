@@ -255,11 +255,11 @@ def test_mpc_moves_the_nonlinear_plant_along_a_path(name):
         model = tc.Model(coupled.spine(), strings=strings, gravity=GRAVITY)
         demands = [NodesAt([9], [[x], [0.0]], directions="xy") for x in (0.0, 0.03)]
     start, goal = (shape_target(model, demand, **forces) for demand in demands)
-    path = shape_path(model, start, goal, winches=winches, duration=1.5)
+    path = shape_path(model, start, goal, winches=winches, duration=1.3)
     (plant,) = path.plants(1, input="rest_length")
     mpc = tc.MPC(plant, horizon=8, sample_time=0.02, winches=winches, reference=path.reference())
     run = tc.simulate(
-        model, 2.5, start.nodes, controller=mpc, winches=winches, step=5e-3,
+        model, 2.1, start.nodes, controller=mpc, winches=winches, step=5e-3,
         rest_length=path.rest_length[:, 0],
     )  # fmt: skip
     travel = np.abs(goal.nodes - start.nodes).max()

@@ -291,15 +291,15 @@ def test_the_range_of_the_winches_is_kept():
 
 
 def test_a_range_that_cannot_be_kept_is_named():
-    winches = tc.Winches(shortest=1.3)
+    winches = tc.Winches(shortest=1.1)
     with pytest.raises(
-        ShapeError, match=r"rest_length\[\d\] is .* m, wanted at least 1.3 m"
+        ShapeError, match=r"rest_length\[\d\] is .* m, wanted at least 1.1 m"
     ) as caught:
         shape_target(free(), force_density=LEVEL, winches=winches)
     missed = {check.name: check.missed for check in caught.value.nearest.missed}
     name, by = next(iter(missed.items()))
     string = int(name.split("[")[1][:-1])
-    assert by == pytest.approx(1.3 - caught.value.nearest.rest_length[string])
+    assert by == pytest.approx(1.1 - caught.value.nearest.rest_length[string])
 
 
 # ---- symmetry ----

@@ -45,7 +45,7 @@ def ground_force(model, nodes, velocities):
     return np.array(force(nodes, velocities).full())
 
 
-@pytest.mark.parametrize(("name", "kind"), [("ball", "nmpc"), ("tower", "lqr"), ("tower", "mpc")])
+@pytest.mark.parametrize(("name", "kind"), [("tower", "lqr"), ("ball", "mpc")])
 def test_a_push_is_brought_back(name, kind):
     model, stance, plant, lengths = scene(name)
     r, nodes = plant.degrees_of_freedom, stance.structure.nodes
@@ -66,7 +66,7 @@ def test_a_push_is_brought_back(name, kind):
     assert np.delete(force, plant.feet, axis=1).max() == 0
 
 
-@pytest.mark.parametrize(("name", "kind"), [("ball", "mpc"), ("tower", "nmpc")])
+@pytest.mark.parametrize(("name", "kind"), [("tower", "mpc"), ("ball", "nmpc")])
 def test_a_node_is_moved_by_a_twentieth_of_the_size(name, kind):
     model, stance, plant, lengths = scene(name)
     nodes, r = stance.structure.nodes, plant.degrees_of_freedom
@@ -120,14 +120,13 @@ def test_only_ground_may_take_the_place_of_supports():
     np.testing.assert_allclose(run.nodes[:, :, -1], stance.structure.nodes, atol=1e-9)
 
 
-@pytest.mark.parametrize("degrees", [0.0, 5.0])
-def test_a_damped_drop_ends_in_the_stance(degrees):
-    """Of a prism without mechanisms, but that friction, rounded at rest, lets it creep downhill."""
+def test_a_damped_drop_ends_in_the_stance():
+    """On a slope. No mechanism moves, but friction, rounded at rest, lets the prism creep down."""
     prism, slip = tc.prism(diagonals=True), 1e-2
     turn, nodes = np.radians(-15.0), prism.nodes.copy()
     nodes[:2, :3] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]] @ nodes[:2, :3]
     structure = tc.Structure(nodes, prism.bars, prism.strings, 1.0)
-    angle = np.radians(degrees)
+    angle = np.radians(5.0)
     up = np.c_[[np.sin(angle), 0.0, np.cos(angle)]]
     down = np.c_[[np.cos(angle), 0.0, -np.sin(angle)]]
     ground = tc.Ground(5e4, damping=3.0, friction=0.5, slip_speed=slip, normal=up.ravel())

@@ -21,7 +21,6 @@ EXACT = 1e-8
 SHAPES = {
     **KNOWN,
     "tall class-2 tower": lambda: class2_tower(8),
-    "tower": lambda: tc.prism_tower(4),
     "prism of six": lambda: tc.prism(6),
     "star prism": lambda: star_prism(7, 3, 2),
     "square body": square_body,

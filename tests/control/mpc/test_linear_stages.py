@@ -79,10 +79,9 @@ def scene(name):
 @pytest.mark.parametrize(
     "name",
     [
-        "tower", "ball", "along a reference", "plane, ramps and load", "few modes",
+        "tower", "ball", "along a reference", "plane, ramps and load",
         "few modes, limited outputs", "few modes, hard limits", "ball, own weights",
-        "plane, ramps and load, own weights", "along a reference, own weights",
-        "few modes, hard limits, own weights",
+        "plane, ramps and load, own weights", "few modes, hard limits, own weights",
     ],
 )  # fmt: skip
 def test_inputs_are_those_of_the_optimum(name):

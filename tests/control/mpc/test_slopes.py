@@ -45,7 +45,7 @@ NAMED = {
     "string nodes": lambda: rest_lengths(tc.subdivide(tc.prism(), 2, node_mass=0.1)),
     "ground": lambda: hanging(tc.prism(), -0.01),
 }
-RANDOM = {f"random {seed}": partial(drawn, seed) for seed in (0, 2, 3, 5)}
+RANDOM = {f"random {seed}": partial(drawn, seed) for seed in (2, 3)}
 SCENES = NAMED | RANDOM
 
 

@@ -44,7 +44,7 @@ def test_derivatives_through_contact(name, input):
                 np.testing.assert_allclose(slope[:, [j]], found, rtol=0, atol=1e-6 * size)
 
 
-@pytest.mark.parametrize("name", ["x", "tower"])
+@pytest.mark.parametrize("name", ["x", "d_bar"])
 def test_the_plan_is_linearized_as_its_prediction_is(name):
     """Products by NumPy, sample by sample, are those of the CasADi function."""
     plant = STRUCTURES[name](height=0.05)
@@ -66,7 +66,7 @@ def test_the_plan_is_linearized_as_its_prediction_is(name):
         )
 
 
-@pytest.mark.parametrize("name", list(STRUCTURES))
+@pytest.mark.parametrize("name", ["x", "d_bar", "ball"])
 def test_steps_are_short_enough_for_contact_also_where_the_plant_hangs(name):
     """A sample of the plant in the air, through impact, against the same law by DOP853."""
     plant = STRUCTURES[name](height=0.05)
