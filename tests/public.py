@@ -22,6 +22,12 @@ def tree(path):
     return ast.parse(path.read_text(encoding="utf-8"), filename=str(path))
 
 
+@cache
+def syntax(path):
+    """All nodes of the syntax tree of a file, which are walked by several tests."""
+    return tuple(ast.walk(tree(path)))
+
+
 def exported(page, folder, without):
     """As the directive of the pages finds the names that a folder exports."""
     return runpy.run_path(str(DOCS / "_ext" / "folder.py"))["exported"](page, folder, without)

@@ -2,10 +2,13 @@
 
 import re
 import sys
+from contextlib import redirect_stdout
 from importlib import import_module
 from importlib.util import find_spec
+from io import StringIO
 from pathlib import Path
 from shutil import which
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -52,6 +55,22 @@ def printed(capfd):
 
 
 @pytest.fixture
+def processes_run_here(monkeypatch):
+    """For a benchmark whose rows are processes that import all: their programs run in this one."""
+
+    def run(command, **how):
+        monkeypatch.setattr(sys, "argv", command[2:])
+        with redirect_stdout(StringIO()) as out:
+            exec(compile(command[2], "program", "exec"), {})
+        return SimpleNamespace(stdout=out.getvalue())
+
+    def put(module):
+        monkeypatch.setattr(module, "subprocess", SimpleNamespace(run=run))
+
+    return put
+
+
+@pytest.fixture
 def nothing_compiled(monkeypatch):
     """For what takes longer to compile than to run: the numbers are the same."""
     monkeypatch.setenv(VARIABLE, "none")
@@ -73,12 +92,11 @@ def row(text, label, which=0):
 
 
 def test_reference_distance(printed):
-    text = printed("reference_distance", "prism --shares 0.05 0.4 --ways sideways")
+    text = printed("reference_distance", "prism --shares 0.4 --ways sideways")
     rows = [line.split() for line in text.splitlines()[1:]]
     assert {line[2] for line in rows} == {"sideways"}
     assert [(line[1], line[3], line[-1]) for line in rows] == [
-        ("rest_length", "5", "no"), ("rest_length", "40", "no"),
-        ("force_density", "5", "no"), ("force_density", "40", "yes"),
+        ("rest_length", "40", "no"), ("force_density", "40", "yes"),
     ]  # fmt: skip
 
 
@@ -91,7 +109,7 @@ def test_arm_shape(printed):
 
 
 def test_driven_choices(printed):
-    text = printed("driven_choices", "--start 4 --count 2 --each")
+    text = printed("driven_choices", "--start 4 --count 1 --each")
     assert "silent: 0" in text
     assert " stable" in text
     assert "one way" in text
@@ -102,7 +120,7 @@ def test_driven_choices(printed):
 
 @needs("mujoco", "test")
 def test_stepping(printed):
-    text = printed("stepping", "--counts 1 2 --parts 5 20 --rounds 1 --seconds 0.01")
+    text = printed("stepping", "--counts 1 2 --parts 5 10 --rounds 1 --seconds 0.01")
     for name in ("Stepper", "MuJoCo rk4", "MuJoCo implicitfast"):
         (_, coarse, *rates), (_, fine, *_) = (row(text, name + " " * 4, k) for k in (0, 1))
         assert 0 < fine < coarse < 0.05
@@ -379,12 +397,13 @@ def test_rolling(printed, nothing_compiled):
     assert row(text, "slope of 5°: a command takes")[0] > 0
 
 
-def test_shape_control(printed):
+def test_shape_control(printed, monkeypatch):
+    module = import_module("tests.benchmarks.shape_control")
+    monkeypatch.setattr(module, "MOVES", module.MOVES[:1])  # no bound is in the way
     text = printed("shape_control", "--duration 0.1 --shares 0.15")
-    for table in range(4):
+    for table in range(2):
         for name in ("MPC  ", "NMPC  "):
             assert row(text, name, table)[7] == 0  # commands whose status is not ok
-    for table in (0, 2):  # in the others a bound is in the way
         rms = [row(text, f"shape control, {hertz} Hz", table)[3] for hertz in (0.6, 1.2, 2.4)]
         assert rms == sorted(rms, reverse=True)
     decay = [row(text, name)[0] for name in (
@@ -489,13 +508,14 @@ def test_cheapest():
 
 
 @needs("mujoco", "bench")
-def test_overhead(printed, monkeypatch):
+def test_overhead(printed, monkeypatch, processes_run_here):
     module = import_module("tests.benchmarks.overhead")
     monkeypatch.setattr(module, "IMPORTS", {"import tenscontrol": "import tenscontrol"})
+    processes_run_here(module)
     text = printed("overhead", "--repeats 1")
     labels = ("import tenscontrol", "first call: tenscontrol", "first call: MuJoCo",
               "first call of a model, 5 s", "a later one of 0.1 ms")  # fmt: skip
-    assert all(row(text, label)[-1] > 0 for label in labels)
+    assert all(row(text, label)[-1] >= 0 for label in labels)
 
 
 def beside(*names):
@@ -545,10 +565,11 @@ def test_batch_controlled(printed):
     assert row(text, "Python, one by one")[2] < 1e-8
 
 
-def test_towers(printed, monkeypatch, jax_compiles_quickly):
+def test_towers(printed, monkeypatch, jax_compiles_quickly, processes_run_here):
     module = import_module("tests.benchmarks.towers")
-    print_memory = module.print_memory  # each row is a process of its own
+    print_memory = module.print_memory
     monkeypatch.setattr(module, "print_memory", lambda stages, rows: print_memory(stages, rows[:1]))
+    processes_run_here(module)
     text = printed(
         "towers", "--stages 3 --errors 1e-3 --repeats 1 --steps 4e-3 5e-4 --tolerances 1e-6"
     )

@@ -23,8 +23,7 @@ TESTED = {"index", *FIRST_HOUR}
 # Of pages that take long: what is put into the code in place of others.
 SHORTER = {
     "identification": {"most_rollouts=12": "most_rollouts=4"},
-    "microcontroller": {"    8.0,": "    1.0,"},
-    "optimal_motion": {"duration=0.4, tolerance=1e-3": "duration=0.4, tolerance=0.1, intervals=6"},
+    "microcontroller": {"    8.0,": "    0.3,", "made.memory()": "made.memory(options=('-O0',))"},
     "sizing": {"(2, 3, 4, 6, 8)": "(2, 4)", "varied, 20,": "varied, 4,"},
 }
 for _path in Path(__file__).parent.glob("test_*.py"):

@@ -22,7 +22,7 @@ from pathlib import Path
 import pytest
 
 import tenscontrol as tc
-from tests.public import interface, named, tree
+from tests.public import interface, named, syntax, tree
 
 PACKAGE = Path(tc.__file__).parent
 PROJECT = Path(__file__).parent.parent
@@ -57,7 +57,7 @@ def test_the_contracts_of_imports_hold():
 
 def imported(path):
     """Line and full name of each module that a file imports names of this package from."""
-    for node in ast.walk(tree(path)):
+    for node in syntax(path):
         if isinstance(node, ast.Import):
             yield from ((node.lineno, alias.name) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -71,7 +71,7 @@ def test_names_are_imported_from_the_files_where_they_live():
     for path in SOURCES:
         if path.name == "__init__.py":
             continue
-        for node in ast.walk(tree(path)):
+        for node in syntax(path):
             if not isinstance(node, ast.ImportFrom) or not node.module.startswith("tenscontrol."):
                 continue
             seen += 1
@@ -95,6 +95,87 @@ def lives_in(folder, name):
     return name == "__all__" or any(getattr(node, "name", "") == name for node in nodes)
 
 
+# ---- what modules hold ----
+
+_MUTABLE = (ast.List, ast.Dict, ast.Set, ast.ListComp, ast.DictComp, ast.SetComp)
+_MUTABLE_CALLS = {"list", "dict", "set", "bytearray", "defaultdict", "deque", "Counter"}
+_MUTABLE_CALLS |= {"array", "zeros", "ones", "empty", "full", "eye", "arange", "linspace"}
+_MUTATING = {"append", "extend", "insert", "add", "update", "setdefault", "pop", "popitem"}
+_MUTATING |= {"remove", "discard", "clear", "sort", "reverse", "setflags"}
+_GLOBAL_SETTINGS = re.compile(
+    r"\b(seterr|set_printoptions|simplefilter|filterwarnings|basicConfig|use|switch_backend"
+    r"|setrecursionlimit|set_defaults)$|\brcParams(\.\w+|Default)?$|\benviron\b"
+)
+
+
+def _is_mutable(value):
+    if isinstance(value, _MUTABLE):
+        return True
+    if isinstance(value, ast.Call):
+        return ast.unparse(value.func).split(".")[-1] in _MUTABLE_CALLS
+    return False
+
+
+def _module_containers(module):
+    """Names bound at module level to something that can change, with their lines."""
+    names = {}
+    for node in module.body:
+        targets = node.targets if isinstance(node, ast.Assign) else []
+        if isinstance(node, ast.AnnAssign) and node.value is not None:
+            targets = [node.target]
+        for target in targets:
+            if isinstance(target, ast.Name) and _is_mutable(node.value):
+                names[target.id] = node.lineno
+    return names
+
+
+def _root(node):
+    while isinstance(node, ast.Attribute | ast.Subscript):
+        node = node.value
+    return node.id if isinstance(node, ast.Name) else None
+
+
+def _dotted(node):
+    """The text of an expression, of ``module.name`` without unparsing."""
+    if isinstance(node, ast.Name):
+        return node.id
+    if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name | ast.Attribute):
+        return f"{_dotted(node.value)}.{node.attr}"
+    return ast.unparse(node)
+
+
+def test_modules_hold_no_settings_that_change():
+    faults = []
+    for path in SOURCES:
+        module, file = tree(path), str(path.relative_to(PACKAGE))
+        containers = _module_containers(module)
+        faults += [
+            f"{file}:{line} {name} is public and mutable"
+            for name, line in containers.items()
+            if not name.startswith("_")
+        ]
+        for node in syntax(path):
+            where = f"{file}:{getattr(node, 'lineno', 0)}"
+            if isinstance(node, ast.Global):
+                faults.append(f"{where} global {', '.join(node.names)}")
+            changed = []
+            if isinstance(node, ast.Assign | ast.Delete):
+                changed = [target for target in node.targets if not isinstance(target, ast.Name)]
+            elif isinstance(node, ast.AugAssign):
+                changed = [node.target]
+            elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
+                if node.func.attr in _MUTATING:
+                    changed = [node.func.value]
+                called = _dotted(node.func)
+                if _GLOBAL_SETTINGS.search(called):
+                    faults.append(f"{where} {called} changes settings of others")
+            for target in changed:
+                place = target.value if isinstance(target, ast.Subscript) else target
+                if _root(target) in containers or _GLOBAL_SETTINGS.search(_dotted(place)):
+                    faults.append(f"{where} changes {ast.unparse(target)}")
+    assert faults == []
+
+
 # ---- what it prints ----
 
 
@@ -104,7 +185,7 @@ def test_texts_to_print_are_in_ascii():
     found = [
         f"{place(path)}:{text.lineno}: {text.value!r}"
         for path in SOURCES
-        for node in ast.walk(tree(path))
+        for node in syntax(path)
         if isinstance(node, ast.FunctionDef)
         and (node.name in printed or place(path) in ("tables.py", "demo/tour.py"))
         for text in ast.walk(ast.Module(node.body[1:], []))  # without the docstring
@@ -217,7 +298,7 @@ def test_locals_say_what_they_hold():
     vague = {
         f"{place(path)}:{node.lineno}: {node.id}"
         for path in SOURCES
-        for function in ast.walk(tree(path))
+        for function in syntax(path)
         if isinstance(function, ast.FunctionDef | ast.Lambda)
         for node in ast.walk(function)
         if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store) and node.id in VAGUE
@@ -230,7 +311,7 @@ def test_assertions_say_why_they_hold():
     bare = []
     for path in SOURCES:
         lines = path.read_text("utf-8").splitlines()
-        for node in ast.walk(tree(path)):
+        for node in syntax(path):
             if isinstance(node, ast.Assert):
                 last = lines[node.end_lineno - 1]
                 if not re.search(r"\S\s+#\s*\S", last[node.end_col_offset - 1 :]):

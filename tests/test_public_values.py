@@ -1,9 +1,7 @@
-"""Values do not change: fields and arrays of public values, and what modules hold."""
+"""Values do not change: fields and arrays of public values."""
 
-import ast
 import dataclasses
 import inspect
-import re
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -12,7 +10,7 @@ import pytest
 
 import tenscontrol as tc
 from tests.fuzz.valid_calls import along_rail
-from tests.public import public, public_classes, tree
+from tests.public import public, public_classes
 from tests.robustness.cases import loop_case
 
 PACKAGE = Path(tc.__file__).parent
@@ -344,84 +342,3 @@ def test_arrays_given_are_not_kept(name):
         array[...] = 99
     for argument, array in before.items():
         np.testing.assert_array_equal(getattr(value, argument), array)
-
-
-# ---- modules ----
-
-_MUTABLE = (ast.List, ast.Dict, ast.Set, ast.ListComp, ast.DictComp, ast.SetComp)
-_MUTABLE_CALLS = {"list", "dict", "set", "bytearray", "defaultdict", "deque", "Counter"}
-_MUTABLE_CALLS |= {"array", "zeros", "ones", "empty", "full", "eye", "arange", "linspace"}
-_MUTATING = {"append", "extend", "insert", "add", "update", "setdefault", "pop", "popitem"}
-_MUTATING |= {"remove", "discard", "clear", "sort", "reverse", "setflags"}
-_GLOBAL_SETTINGS = re.compile(
-    r"\b(seterr|set_printoptions|simplefilter|filterwarnings|basicConfig|use|switch_backend"
-    r"|setrecursionlimit|set_defaults)$|\brcParams(\.\w+|Default)?$|\benviron\b"
-)
-
-
-def _is_mutable(value):
-    if isinstance(value, _MUTABLE):
-        return True
-    if isinstance(value, ast.Call):
-        return ast.unparse(value.func).split(".")[-1] in _MUTABLE_CALLS
-    return False
-
-
-def _module_containers(module):
-    """Names bound at module level to something that can change, with their lines."""
-    names = {}
-    for node in module.body:
-        targets = node.targets if isinstance(node, ast.Assign) else []
-        if isinstance(node, ast.AnnAssign) and node.value is not None:
-            targets = [node.target]
-        for target in targets:
-            if isinstance(target, ast.Name) and _is_mutable(node.value):
-                names[target.id] = node.lineno
-    return names
-
-
-def _root(node):
-    while isinstance(node, ast.Attribute | ast.Subscript):
-        node = node.value
-    return node.id if isinstance(node, ast.Name) else None
-
-
-def _dotted(node):
-    """The text of an expression, of ``module.name`` without unparsing."""
-    if isinstance(node, ast.Name):
-        return node.id
-    if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name | ast.Attribute):
-        return f"{_dotted(node.value)}.{node.attr}"
-    return ast.unparse(node)
-
-
-def test_modules_hold_no_settings_that_change():
-    faults = []
-    for path in sorted(PACKAGE.rglob("*.py")):
-        module, file = tree(path), str(path.relative_to(PACKAGE))
-        containers = _module_containers(module)
-        faults += [
-            f"{file}:{line} {name} is public and mutable"
-            for name, line in containers.items()
-            if not name.startswith("_")
-        ]
-        for node in ast.walk(module):
-            where = f"{file}:{getattr(node, 'lineno', 0)}"
-            if isinstance(node, ast.Global):
-                faults.append(f"{where} global {', '.join(node.names)}")
-            changed = []
-            if isinstance(node, ast.Assign | ast.Delete):
-                changed = [target for target in node.targets if not isinstance(target, ast.Name)]
-            elif isinstance(node, ast.AugAssign):
-                changed = [node.target]
-            elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
-                if node.func.attr in _MUTATING:
-                    changed = [node.func.value]
-                called = _dotted(node.func)
-                if _GLOBAL_SETTINGS.search(called):
-                    faults.append(f"{where} {called} changes settings of others")
-            for target in changed:
-                place = target.value if isinstance(target, ast.Subscript) else target
-                if _root(target) in containers or _GLOBAL_SETTINGS.search(_dotted(place)):
-                    faults.append(f"{where} changes {ast.unparse(target)}")
-    assert faults == []

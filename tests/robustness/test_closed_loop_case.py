@@ -245,7 +245,7 @@ def test_a_target_and_a_start_need_no_plant():
 def test_a_sweep_of_a_function_goes_on_from_its_file(tmp_path):
     file = tmp_path / "sweep.jsonl"
     drawn = {"stiffness": tc.Uniform(0.8, 1.2)}
-    first = tc.sweep(own(), drawn, 2, seed=0, processes=1, file=file)
+    first = tc.sweep(own(), drawn, 2, seed=0, executor=Inline(), file=file)
     more = tc.sweep(own(), drawn, 4, seed=0, executor=Inline(), file=file)
     whole = tc.sweep(own(), drawn, 4, seed=0, executor=Inline())
     assert more.figures.keys() == whole.figures.keys()
