@@ -187,7 +187,7 @@ class ControlRecord:
         controller        MPC(... horizon 10, sample time 0.02 s, stages)
         samples           150 of 0.02 s: 150 ok
         tracking error    0.00... m at the end, 0.00... m rms (0.2... % and 0.9... % of the size)
-        prediction error  ...e-05 m rms, 0.0006... m at most
+        prediction error  ...e-05 m rms, 0.000... m at most
         at a bound        0 % of the samples
         computing time    ... ms in the median, ... ms at most: ... % of a sample
         """
