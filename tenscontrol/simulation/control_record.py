@@ -184,7 +184,7 @@ class ControlRecord:
         >>> mpc = tc.MPC(plant, horizon=10, sample_time=0.02)
         >>> run = tc.simulate(model, 3.0, start, controller=mpc, step=1e-3)
         >>> print(run.control.summary())  # doctest: +ELLIPSIS
-        controller        MPC(... horizon 10, sample time 0.02 s, stages)
+        controller        MPC(... horizon 10, sample time 0.02 s, ...)
         samples           150 of 0.02 s: 150 ok
         tracking error    0.00... m at the end, 0.00... m rms (0.2... % and 0.9... % of the size)
         prediction error  ...e-05 m rms, 0.000... m at most
