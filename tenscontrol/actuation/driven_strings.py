@@ -392,8 +392,7 @@ def _actuation_of(members: _Members, actuated: object, values: FloatArray) -> Ac
     if isinstance(actuated, Mapping):
         names = tuple(validation.identifier(f"a name in {argument}", name) for name in actuated)
         drives = [
-            _ganged(members, f"{members.argument}[{name!r}]", group)
-            for name, group in actuated.items()
+            _ganged(members, f"{argument}[{name!r}]", group) for name, group in actuated.items()
         ]
     elif isinstance(actuated, np.ndarray) and actuated.ndim == 2:
         drives = _columns(members, actuated)

@@ -1,4 +1,4 @@
-"""Drives of bars, and of strings beside them, of a closed loop: commands to lengths in time."""
+"""What turns commands into lengths in time where a closed loop drives bars."""
 
 from __future__ import annotations
 
