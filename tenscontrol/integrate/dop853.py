@@ -133,7 +133,7 @@ class DOP853(Integrator):
             self.back_end = "core"
             return
         built = self._kept(lambda: self._build(project), project)
-        self._tried, self._interpolant, self._crossings = map(Evaluator, built)
+        self._tried, self._interpolant = map(Evaluator, built)
         self._slope, self._switches = Evaluator(equation.slope), Switches(equation)
         exact = projection(equation) if project else None
         self._exact = None if exact is None else Evaluator(exact)
@@ -149,9 +149,9 @@ class DOP853(Integrator):
         return 5.0 + 0.025 * states if self._equation.form == "loops" else 0.3 + 0.1 * states
 
     def _build(self, project: bool) -> tuple[ca.Function, ...]:
-        """Return the step, its interpolant, and what counts its switches."""
+        """Return the step and its interpolant."""
         method = _DormandPrince(self._equation, project)
-        return method.tried(), method.interpolant(), crossings(self._equation)
+        return method.tried(), method.interpolant()
 
     def shorten(self) -> None:
         """See :meth:`Integrator.shorten`."""
@@ -263,19 +263,17 @@ class DOP853(Integrator):
         """Try a step: it is accepted, cut at a switch, or thrown away."""
         layout, h = self._equation.layout, min(now.step, span.longest, span.duration - now.time)
         x, f, taut, u = now.x, now.slope, now.taut, layout.later(span.held, now.time)
-        x1, f1, errs, K = self._tried(x, f, u, taut, h, span.allowed)
-        error, is_crossed = errs.item(), False
+        x1, f1, told, K, crossed = self._tried(x, f, u, taut, h, span.allowed)
+        error, switches = told.tolist()
         now.tries += 1
         if not error < 1:
             now.step = h * (min(_factor(error), 1.0) if error < np.inf else _LEAST / 2)
             now.rejections += 1
             now.is_stuck = now.step < _SHORTEST * span.duration
             return
-        if self._equation.switches:
-            is_crossed = bool(self._crossings(x, x1, u, taut, h)[0][0] > 0)
         end = _End(x1, h, taut)
-        if is_crossed:
-            end = self._landed(Step(x, f, x1, f1, u, taut, h), K, error, span, now)
+        if switches > 0:
+            end = self._landed(Step(x, f, x1, f1, u, taut, h, crossed), K, error, span, now)
         is_last = end.taken >= span.duration - now.time
         after = span.duration if is_last else now.time + end.taken
         # A step may reach a time but for round-off, as one to a switch may.
@@ -293,7 +291,7 @@ class DOP853(Integrator):
         if span.trace is not None:
             span.trace.append(after, now.x, taut)
         factor = _factor(error)
-        if is_crossed:
+        if switches > 0:
             now.landings += 1
             now.stalls = now.stalls + 1 if end.taken < _SHORTEST * span.duration else 0
             now.is_stuck = now.stalls > _MOST_STALLS
@@ -325,13 +323,10 @@ class DOP853(Integrator):
             state_at = partial(self._inside, step, interpolant)
         else:
             state_at = partial(self._by_step, step, span.allowed)
-        x, fraction, places = self._switches.approach(step, cut, state_at)
-        now.approaches += places if interpolant is None else 0
-        taken = fraction * step.h
-        later = self._equation.layout.later(step.u, taken)
-        taut, switches = self._switches.switched(x, later, step.taut, cut)
-        now.switches += switches
-        return _End(x, taken, taut, interpolant)
+        landing = self._switches.approach(step, cut, state_at)
+        now.approaches += landing.places if interpolant is None else 0
+        now.switches += landing.switches
+        return _End(landing.x, landing.part * step.h, landing.taut, interpolant)
 
     def _inside(self, step: Step, interpolant: FloatArray, fraction: float) -> FloatArray:
         """Return the state at a part of the step, by its interpolant."""
@@ -539,11 +534,12 @@ class _DormandPrince:
         return self._equation.ahead(u, fraction * h)
 
     def tried(self) -> ca.Function:
-        """Return ``(x, f, u, taut, h, scale) -> (x1, f1, error, K)``.
+        """Return ``(x, f, u, taut, h, scale) -> (x1, f1, (error, switches), K, crossed)``.
 
-        The error is the root mean square over the state, as part of ``scale``.
+        The error is the root mean square over the state, as part of ``scale``; see
+        :func:`crossings` for what is crossed.
         """
-        x, _, _, taut, h = self._inputs
+        x, _, u, taut, h = self._inputs
         scale = ca.MX.sym("scale", x.shape)
         x1, slopes = self._stages()
         f1 = self._equation.slope(x1, self._at(1.0), taut)
@@ -555,7 +551,8 @@ class _DormandPrince:
         below = ca.sqrt((fifth + 0.01 * third) * x.shape[0])
         usual = ca.logic_and(below > 0, below < ca.inf)
         error = ca.if_else(usual, h * fifth / below, below)
-        outputs = [x1, f1, error, ca.horzcat(*slopes)]
+        count, crossed = crossings(self._equation)(x, x1, u, taut, h)
+        outputs = [x1, f1, ca.vertcat(error, count), ca.horzcat(*slopes), crossed]
         return Function("tried", [*self._inputs, scale], outputs)
 
     def interpolant(self) -> ca.Function:

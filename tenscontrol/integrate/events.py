@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from math import sqrt
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -24,6 +23,7 @@ from tenscontrol import validation
 from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics.equation import Equation
 from tenscontrol.dynamics.evaluator import Evaluator, Function
+from tenscontrol.integrate.integrator import where_needed
 from tenscontrol.properties import cached_property
 
 # How far a string may pass the border of slack before it is acted on, as part of its rest
@@ -36,19 +36,19 @@ BAND = 1e-11
 # The search inside a step: samples, how often it zooms in on the samples next to the first
 # crossing, and the most true steps to the place found. The interpolant is off by O(h⁶), its slope
 # by O(h⁵), so each true step gains several digits.
-SAMPLES = 6
+_SAMPLES = 6
 _ZOOMS = 2
-POLISHES = 8
+_POLISHES = 8
 
 # A gap is flat beyond the border where it falls by less than this part of its slope before.
-FLAT = 0.1
+_FLAT = 0.1
 
 # Chords on the interpolant to the place of a switch, and how far apart parts of a step have one.
-CHORDS, _APART = 6, 1e-6
+_CHORDS, _APART = 6, 1e-6
 
 # How late steps of a method without error control end at a switch, as part of the length of the
 # string: the force is wrong by the square of it. And at most, as part of the step.
-LATE, MOST_LATE = 1e-9, 1e-3
+LATE, _MOST_LATE = 1e-9, 1e-3
 
 # With ground: a node that dips in by δ at the acceleration a stays √(8δ/a), a small part of a long
 # step. Each zoom finds dips of a ninth of the depth.
@@ -71,6 +71,7 @@ class Step(NamedTuple):
     u: FloatArray  # the input that begins with the step
     taut: FloatArray
     h: float
+    crossed: FloatArray  # of each string, 1 if it may switch: see `crossings`
 
 
 class Cut(NamedTuple):
@@ -80,7 +81,17 @@ class Cut(NamedTuple):
     speed: float  # slope of the gap along the step
     aim: float  # the gap to end at
     chosen: FloatArray  # of each string, its share of the mean gap
-    leaving: Any  # whether a string is on its way out
+    leaving: FloatArray  # whether a string is on its way out, 1 or 0
+
+
+class Landing(NamedTuple):
+    """The end of a step at a switch."""
+
+    x: FloatArray
+    part: float  # of the step
+    taut: FloatArray  # from there on
+    places: int  # that were gone to
+    switches: int  # there
 
 
 class Switches:
@@ -92,18 +103,18 @@ class Switches:
     """
 
     def __init__(self, equation: Equation) -> None:
-        self._equation = equation
-        self._gap = Evaluator(equation.gap)
+        self._layout = equation.layout
+        self._border = Evaluator(equation.prepared.get("border", lambda: _border(equation)))
         if equation.switches:
-            self._searching = equation.prepared.get("search", lambda: _searching(equation))
+            self._searching = equation.prepared.get("search", lambda: _search(equation))
 
     @cached_property
-    def _search(self) -> list[Evaluator]:
-        return [Evaluator(function) for function in self._searching]
+    def _search(self) -> Evaluator:
+        return Evaluator(self._searching)
 
     def taut(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Return which strings pull in a state, 1 or 0 each."""
-        return (self._gap(x, u)[0] > 0).astype(float)
+        return (self._border(x, u)[0] > 0).astype(float)
 
     def first(self, step: Step, allowed: float, least: float) -> Cut | None:
         """Return the first switch within a step, or None where there is none after all.
@@ -121,67 +132,19 @@ class Switches:
             m s; see above.
         least : float
         """
-        interpolant, crossed, room, lowest, scale = self._search
-        coefficients = interpolant(step.x, step.slope, step.x1, step.slope1, step.h)[0]
-        within = coefficients, step.u, step.taut, step.h
-        is_crossed = crossed(step.x, step.x1, step.u, step.taut, step.h)[0].copy()
+        crossed = step.crossed
         while True:
-            low, high, is_out = 0.0, 1.0, False
-            for zoom in range(zooms(self._equation)):
-                width = (high - low) / SAMPLES
-                samples = lowest(*within, low + width * _PLACES, is_crossed)[0].ravel().tolist()
-                first, last, is_out = _bracket(samples)
-                low, high = low + first * width, low + last * width
-                if is_out and zoom >= _ZOOMS:
-                    out = (room(*within, high)[0] < 0) & (is_crossed > 0)
-                    if np.count_nonzero(out) == 1:  # nothing else can be first
-                        break
+            cut, chosen, leaving, crossed = self._search(*step[:-1], crossed, allowed, least)
+            is_out, is_again, *found = cut.tolist()
             if not is_out:
                 return None
-            inside = room(*within, low)[0].copy()
-            # What is out already there went out before: the ends of the step did not tell of it.
-            earlier = (inside < 0) & (is_crossed == 0)
-            if low == 0 or not earlier.any():
-                break
-            is_crossed[earlier] = 1.0
-        outside = room(*within, high)[0].copy()
-        edge = BAND * float(scale(step.u)[0].min())
-        # The string that is out first, by the secants; several, where they go out together.
-        start = np.maximum(inside, 0)
-        share = np.where(outside < 0, start / np.where(outside < 0, start - outside, 1), 1)
-        at_first = inside + share.min() * (outside - inside)
-        is_chosen = (outside < 0) & (at_first <= 0.5 * edge)
-        chosen = is_chosen / np.count_nonzero(is_chosen)
-        # Their mean gap, and where it is to end.
-        before, after = float(chosen @ inside) - edge, float(chosen @ outside) - edge
-        speed = (after - before) / (high - low)
-        late = 0.0
-        if not self._equation.velocity_dependent:
-            late = min(sqrt(allowed * abs(speed) / step.h), MOST_LATE * abs(speed))
-            late = max(late, least * edge / BAND)
-        aim = max(-max(late, 0.2 * edge), after) / 2
-        # The Illinois method: the chord of a string that starts at rest on the border is far from
-        # its slope there, and others that start next to it are not to be passed.
-        left, right, over, under = low, high, before - aim, after - aim
-        fraction, gap = high, under
-        for _ in range(CHORDS):
-            place, gap_there = fraction, gap
-            chord = over * (right - left) / (over - under) if over != under else 0.0
-            fraction = min(max(left + chord, left), right)
-            gap = float(chosen @ room(*within, fraction)[0]) - edge - aim
-            if abs(fraction - place) > _APART:
-                secant = (gap - gap_there) / (fraction - place)
-                speed = secant if secant < 0 else speed
-            if gap > 0:
-                left, over, under = fraction, gap, under / 2
-            else:
-                right, over, under = fraction, over / 2, gap
-        return Cut(fraction, speed, aim, chosen, outside < inside)
+            if not is_again:
+                return Cut(*found, chosen, leaving)
 
-    def approach(
-        self, step: Step, cut: Cut, state_at: Callable[[float], FloatArray]
-    ) -> tuple[FloatArray, float, int]:
-        """Go to a switch by the secant method.
+    def approach(self, step: Step, cut: Cut, state_at: Callable[[float], FloatArray]) -> Landing:
+        """Go to a switch by the secant method, past its border by twice the aim at most.
+
+        What has reached its border on the way out there is changed.
 
         Parameters
         ----------
@@ -189,103 +152,159 @@ class Switches:
         cut : Cut
         state_at : callable
             ``(fraction) -> x`` after a fraction of the step.
-
-        Returns
-        -------
-        x : ndarray, shape (states,)
-            As ``state_at`` returned it.
-        fraction : float
-            Of the step, where x is past the border by twice the aim at most.
-        places : int
-            Number of places it went to.
         """
-        layout, sign = self._equation.layout, (2 * step.taut - 1) * cut.chosen
+        sign, share = 2 * step.taut - 1, cut.chosen
         fraction, wanted, speed, gap_before = 0.0, cut.part, cut.speed, cut.aim
-        x, places = step.x, 0
-        while places < POLISHES and (not places or abs(gap_before - cut.aim) > abs(cut.aim)):
+        places = 0
+        while True:
             before = fraction
             # Without a slope, as of a string that grazes, it stays where it is.
             fraction = min(max(wanted, 0.0), 1.0) if speed < 0 else 0.0
             x = state_at(fraction)
-            gap = float(sign @ self._gap(x, layout.later(step.u, fraction * step.h))[0])
+            places += 1
+            gaps, scale = self._border(x, self._layout.later(step.u, fraction * step.h))
+            gaps = sign * gaps
+            gap = float(share @ gaps)
+            if places == _POLISHES or abs(gap - cut.aim) <= abs(cut.aim):
+                break
             # The gap of a damped string has a kink next to the border: the tension falls fast up
             # to it, and beyond it is the stretch that counts. Where it is flat between two places
             # beyond, the next is twice as far back. Closer places differ by round-off.
             is_flat = False
-            if places and abs(fraction - before) > _APART:
+            if places > 1 and abs(fraction - before) > _APART:
                 secant = (gap - gap_before) / (fraction - before)
-                is_flat = max(gap, gap_before) < 0 and secant > FLAT * speed
+                is_flat = max(gap, gap_before) < 0 and secant > _FLAT * speed
                 speed = secant if secant < 0 and not is_flat else speed
             change = (cut.aim - gap) / speed if speed else 0.0
             wanted = fraction - 2 * abs(fraction - before) if is_flat else fraction + change
             gap_before = gap
-            places += 1
-        return x, fraction, places
-
-    def switched(
-        self, x: FloatArray, u: FloatArray, taut: FloatArray, cut: Cut
-    ) -> tuple[FloatArray, int]:
-        """Return ``taut`` with what has reached its border on the way out changed, and how much."""
-        gap = (2 * taut - 1) * self._gap(x, u)[0]
-        switch = (gap <= 0.5 * BAND * self._search[-1](u)[0]) & cut.leaving
-        return np.where(switch, 1 - taut, taut), int(np.count_nonzero(switch))
+        switch = (gaps <= 0.5 * BAND * scale) * cut.leaving
+        taut = np.abs(step.taut - switch)
+        return Landing(x.copy(), fraction, taut, places, int(switch.sum()))
 
 
-_PLACES = np.arange(1.0, SAMPLES + 1)
+def _border(equation: Equation) -> ca.Function:
+    """Return ``(x, u) -> (gap, scale)``: how far strings are from slack, and sizes of gaps."""
+    x, u, *_ = equation.symbols()
+    outputs = equation.gap(x, u)[0], ca.densify(equation.gap_scale(u))
+    return Function("border", [x, u], outputs)
 
 
-def zooms(equation: Equation) -> int:
-    """Return how often the search zooms in."""
-    return _ZOOMS if equation.contacts is None else _ZOOMS_ON_GROUND
+def _search(equation: Equation) -> ca.Function:
+    """Return what finds the first switch of a step that is crossed, see :meth:`Switches.first`.
 
-
-def _bracket(rooms: list[float]) -> tuple[int, int, bool]:
-    """Return the samples next to the first that is out, else to the lowest; whether one is out."""
-    for j, room in enumerate(rooms):
-        if room < 0:
-            return j, j + 1, True
-    j = rooms.index(min(rooms))
-    return j, min(j + 2, SAMPLES), False
-
-
-def _searching(equation: Equation) -> tuple[ca.Function, ...]:
-    """Return what finds the first switch of a step that is crossed.
-
-    An interpolant, what may switch, its room at a place, the least room of that at several places,
-    and sizes of gaps.
+    ``(x, xd, x1, xd1, u, taut, h, crossed, allowed, least) -> (cut, chosen, leaving, crossed)``;
+    cut holds whether something is out, whether to look again for what the ends did not tell of,
+    and the rest of a :class:`Cut`.
     """
-    room, u = room_inside(equation), equation.symbols()[1]
-    given = room.sx_in() if room.is_a("SXFunction") else room.mx_in()
-    is_crossed = type(given[0]).sym("crossed", equation.switches)
-    least = ca.mmin(room(*given) + validation.LARGEST * (1 - is_crossed))
-    lowest = Function("lowest", [*given, is_crossed], [least])
-    lowest = lowest.map("samples", "serial", SAMPLES, [0, 1, 2, 3, 5], [])
-    x, u, taut, h = equation.symbols()
-    x1 = equation.symbol("x1", equation.states)
-    crossed = crossed_within(equation, x, x1, u, taut, h)[0]
-    crossed = Function("crossed", [x, x1, u, taut, h], [ca.densify(crossed)])
-    scale = Function("scale", [u], [ca.densify(equation.gap_scale(u))])
-    return interpolant(equation), crossed, room, lowest, scale
+    x, u, taut, h = equation.symbols(ca.MX)
+    xd, x1, xd1 = (ca.MX.sym(name, equation.states) for name in ("xd", "x1", "xd1"))
+    crossed = ca.MX.sym("crossed", equation.switches)
+    allowed, least = ca.MX.sym("allowed"), ca.MX.sym("least")
+    room = _room(equation)
+    zoom, chord = where_needed(_zoom(room)), _chord(room)
+    given = _path(equation)(x, xd, x1, xd1, h), u, taut, h
+    window = ca.DM([0, 1, 0, 0])
+    for count in range(_ZOOMS if equation.contacts is None else _ZOOMS_ON_GROUND):
+        # Where one string alone is out, nothing else can be first.
+        needed = 1 if count <= _ZOOMS else ca.logic_or(window[2] == 0, window[3] != 1)
+        window = zoom(needed, window, *given, crossed)
+    low, high, is_out, _ = ca.vertsplit(window)
+    inside, outside = room(*given, low), room(*given, high)
+    # What is out already there went out before: the ends of the step did not tell of it.
+    earlier = ca.logic_and(ca.logic_and(inside < 0, crossed == 0), low > 0)
+    edge = BAND * ca.mmin(equation.gap_scale(u))
+    # The string that is out first, by the secants; several, where they go out together.
+    start = ca.fmax(inside, 0)
+    first = ca.mmin(ca.if_else(outside < 0, start / (start - outside), 1))
+    at_first = inside + first * (outside - inside)
+    is_chosen = ca.logic_and(outside < 0, at_first <= 0.5 * edge)
+    chosen = is_chosen / ca.sum1(is_chosen)
+    # Their mean gap, and where it is to end.
+    before, after = ca.dot(chosen, inside) - edge, ca.dot(chosen, outside) - edge
+    speed = (after - before) / (high - low)
+    late: Any = 0
+    if not equation.velocity_dependent:
+        late = ca.fmin(ca.sqrt(allowed * ca.fabs(speed) / h), _MOST_LATE * ca.fabs(speed))
+        late = ca.fmax(late, least * edge / BAND)
+    aim = ca.fmax(-ca.fmax(late, 0.2 * edge), after) / 2
+    state = ca.vertcat(low, high, before - aim, after - aim, high, after - aim, speed)
+    for _ in range(_CHORDS):
+        state = chord(state, *given, chosen, edge + aim)
+    cut = ca.vertcat(is_out, ca.mmax(earlier), state[4], state[6], aim)
+    return Function(
+        "search",
+        [x, xd, x1, xd1, u, taut, h, crossed, allowed, least],
+        [cut, chosen, outside < inside, ca.fmax(crossed, earlier)],
+    )
+
+
+def _zoom(room: ca.Function) -> ca.Function:
+    """Return ``(window, …, crossed) -> window``: next to the first sample that is out, or lowest.
+
+    A window is (low, high, whether one is out there, how many strings are).
+    """
+    *given, part = room.mx_in()
+    crossed = ca.MX.sym("crossed", room.size1_out(0))
+    seen, window, j = ca.MX.sym("seen", 4), ca.MX.sym("window", 4), ca.MX.sym("j")
+    rooms = room(*given, part) + validation.LARGEST * (1 - crossed)
+    lowest = ca.mmin(rooms)
+    is_out = lowest < 0
+    at = ca.vertcat(lowest, j, ca.fmin(j + 2 - is_out, _SAMPLES), ca.sum1(rooms < 0))
+    inputs = [seen, j, part, *given, crossed]
+    sample = where_needed(Function("sample", inputs, [ca.if_else(lowest < seen[0], at, seen)]))
+    low, high, *_ = ca.vertsplit(window)
+    width, best = (high - low) / _SAMPLES, ca.MX(ca.DM([np.inf, 0, 1, 0]))
+    for k in range(_SAMPLES):
+        best = sample(best[0] >= 0, best, k, low + (k + 1) * width, *given, crossed)
+    least, first, last, out = ca.vertsplit(best)
+    end = ca.vertcat(low + first * width, low + last * width, least < 0, out)
+    return Function("zoom", [window, *given, crossed], [end])
+
+
+def _chord(room: ca.Function) -> ca.Function:
+    """Return ``(state, …, chosen, edge) -> state``: a step of the Illinois method.
+
+    The chord of a string that starts at rest on the border is far from its slope there, and others
+    that start next to it are not to be passed. A state is (left, right, over, under, part, gap,
+    speed).
+    """
+    *given, _ = room.mx_in()
+    chosen, edge = ca.MX.sym("chosen", room.size1_out(0)), ca.MX.sym("edge")
+    state = ca.MX.sym("state", 7)
+    left, right, over, under, place, gap_there, speed = ca.vertsplit(state)
+    part = ca.fmin(ca.fmax(left + over * (right - left) / (over - under), left), right)
+    gap = ca.dot(chosen, room(*given, part)) - edge
+    moved = part - place
+    secant = (gap - gap_there) / moved
+    speed = ca.if_else(ca.logic_and(ca.fabs(moved) > _APART, secant < 0), secant, speed)
+    is_in = gap > 0
+    end = ca.vertcat(
+        ca.if_else(is_in, part, left), ca.if_else(is_in, right, part),
+        ca.if_else(is_in, gap, over / 2), ca.if_else(is_in, under / 2, gap), part, gap, speed,
+    )  # fmt: skip
+    return Function("chord", [state, *given, chosen, edge], [end])
 
 
 def crossings(equation: Equation) -> ca.Function:
-    """Return ``(x, x1, u, taut, h) -> count`` of switches in a step that is not cut at them.
+    """Return ``(x, x1, u, taut, h) -> (count, crossed)``: switches of a step not cut at them.
 
     A string that is out at the end has switched once, at least; one that comes back in, twice.
     It is one function, as every step is looked at. A state that is not finite, or whose square is
-    not, is not searched: -1.
+    not, is not searched: -1. What may switch is 1 in crossed, else 0.
     """
     x, u, taut, h = equation.symbols()
     x1 = equation.symbol("x1", equation.states)
-    count: Any = ca.DM(0)
+    count, crossed = ca.DM(0), ca.DM(0, 1)
     if equation.switches:
-        crossed, out = crossed_within(equation, x, x1, u, taut, h)
+        crossed, out = _crossed_within(equation, x, x1, u, taut, h)
         count = ca.sum1(2 * crossed - crossed * out)
     count = ca.if_else(ca.sumsqr(x1) < ca.inf, count, -1)
-    return Function("crossings", [x, x1, u, taut, h], [ca.densify(count)])
+    outputs = [ca.densify(count), ca.densify(crossed)]
+    return Function("crossings", [x, x1, u, taut, h], outputs)
 
 
-def crossed_within(
+def _crossed_within(
     equation: Equation, x: Any, x1: Any, u: Any, taut: Any, h: Any
 ) -> tuple[Any, Any]:
     """Return the expressions of which strings may switch within a step, and are out at its end.
@@ -335,7 +354,7 @@ def _meet_outside(room0: Any, room1: Any, out: Any, back: Any, h: Any) -> Any:
     return ca.logic_and(ca.logic_and(out > 0, back > 0), below)
 
 
-def interpolant(equation: Equation) -> ca.Function:
+def _path(equation: Equation) -> ca.Function:
     """Return ``(x, xd, x1, xd1, h) -> coefficients`` of the positions inside a step.
 
     They belong to the polynomial of degree 5 with the positions, velocities and
@@ -348,10 +367,10 @@ def interpolant(equation: Equation) -> ca.Function:
     a0, a1 = h**2 * xd[n // 2 :], h**2 * xd1[n // 2 :]
     d, e, f = q1 - q0 - v0 - a0 / 2, v1 - v0 - a0, a1 - a0
     higher = (10 * d - 4 * e + f / 2, -15 * d + 7 * e - f, 6 * d - 3 * e + f / 2)
-    return Function("interpolant", [x, xd, x1, xd1, h], [ca.horzcat(q0, v0, a0 / 2, *higher)])
+    return Function("path", [x, xd, x1, xd1, h], [ca.horzcat(q0, v0, a0 / 2, *higher)])
 
 
-def room_inside(equation: Equation) -> ca.Function:
+def _room(equation: Equation) -> ca.Function:
     """Return ``(coefficients, u, taut, h, part) -> room`` of each string inside a step."""
     coefficients = equation.symbol("coefficients", equation.states // 2, 6)
     _, u, taut, h = equation.symbols()

@@ -92,14 +92,15 @@ class FixedStep(Integrator):
         return projected(one, self._equation) if project else one
 
     def _attempt_of(self, step: ca.Function) -> ca.Function:
-        """Return ``(x, u, taut, h) -> (x1, crossings)``: a step, and how many switches cut it."""
+        """Return ``(x, u, taut, h) -> (x1, count, crossed)``: a step, and what switches in it."""
         equation = self._equation
         written = step.is_a("SXFunction") and equation.form == "flat"
         x, u, taut, h = equation.symbols(ca.SX if written else ca.MX)
         x1 = step(x, u, taut, h)
-        crossed = crossings(equation)(x, x1, u, taut, h) if self.locates else x1.zeros(1, 1)
-        outputs = [ca.densify(output) for output in (x1, crossed)]
-        return Function("attempt", [x, u, taut, h], outputs)
+        told = [x1.zeros(1, 1), x1.zeros(0, 1)]
+        if self.locates:
+            told = crossings(equation)(x, x1, u, taut, h)
+        return Function("attempt", [x, u, taut, h], [ca.densify(x1), *map(ca.densify, told)])
 
     @abstractmethod
     def step_function(self, equation: Equation) -> ca.Function:
@@ -132,11 +133,11 @@ class FixedStep(Integrator):
                 while done < total:
                     check()
                     u = layout.later(held, step * done)
-                    end, crossed = self._attempt(x, u, taut, step)
-                    if crossed[0]:
+                    end, (count,), crossed = self._attempt(x, u, taut, step)
+                    if count:
                         before = counts.copy()
                         given = u, step, counts, trace, step * done
-                        x, taut = self._cut(x, end.copy(), crossed[0], taut, *given)
+                        x, taut = self._cut(x, end.copy(), count, crossed, taut, *given)
                         if not np.isfinite(x).all():
                             reached = Span(states[:, : done // inner], self.work_of(done, before))
                             raise IntegrationError(not_finite(done, step), step * done, reached)
@@ -155,52 +156,50 @@ class FixedStep(Integrator):
         return Span(states, self.work_of(total, counts), ends=trace.ends)
 
     def _cut(
-        self, x: FloatArray, x1: FloatArray, crossed: float, taut: FloatArray, u: FloatArray,
-        h: float, counts: FloatArray, trace: Trace, time: float,
+        self, x: FloatArray, x1: FloatArray, count: float, crossed: FloatArray, taut: FloatArray,
+        u: FloatArray, h: float, counts: FloatArray, trace: Trace, time: float,
     ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
         """Return the state and ``taut`` after a step to x1, cut at its switches; count them."""
         left, layout = h, self._equation.layout
         for _ in range(SUBSTEPS):
-            if not crossed > 0:
+            if not count > 0:
                 if self.traces:
                     trace.append(time + h, x1, taut)
                 return x1, taut
             before = taut
-            x, taut, taken = self._landed(x, x1, taut, layout.later(u, h - left), left, counts)
+            given = layout.later(u, h - left), left, crossed, counts
+            x, taut, taken = self._landed(x, x1, taut, *given)
             left -= taken
             if self.traces:
                 trace.append(time + h - left, x, before)
             if left <= REST * h:
                 return x, taut
-            end, (crossed,) = self._attempt(x, layout.later(u, h - left), taut, left)
+            end, (count,), crossed = self._attempt(x, layout.later(u, h - left), taut, left)
             x1 = end.copy()
             counts[_MORE] += 1
-        counts[_MISSED] += max(crossed, 0)
+        counts[_MISSED] += max(count, 0)
         if self.traces:
             trace.append(time + h, x1, taut)
         return x1, self._switches.taut(x1, layout.later(u, h))
 
     def _landed(
         self, x: FloatArray, x1: FloatArray, taut: FloatArray, u: FloatArray, h: float,
-        counts: FloatArray,
+        crossed: FloatArray, counts: FloatArray,
     ) -> tuple[FloatArray, FloatArray, float]:  # fmt: skip
         """Return the state and ``taut`` at the first switch of a step, and the time up to it."""
-        layout = self._equation.layout
         slope = self._slope(x, u, taut)[0].copy()
-        slope1 = self._slope(x1, layout.later(u, h), taut)[0]
-        step = Step(x, slope, x1, slope1, u, taut, h)
+        slope1 = self._slope(x1, self._equation.layout.later(u, h), taut)[0]
+        step = Step(x, slope, x1, slope1, u, taut, h, crossed)
         counts[_LANDINGS] += 1
         cut = self._switches.first(step, 0.0, 0.0 if self.traces else LATE)
         if cut is None:
             return x1, taut, h
-        x1, fraction, tries = self._switches.approach(
+        landing = self._switches.approach(
             step, cut, lambda fraction: self._attempt(x, u, taut, fraction * h)[0]
         )
-        x1, taken = x1.copy(), fraction * h
-        taut, switches = self._switches.switched(x1, layout.later(u, taken), taut, cut)
-        counts[_MORE] += tries
-        counts[_SWITCHES] += switches
-        return x1, taut, taken
+        counts[_MORE] += landing.places
+        counts[_SWITCHES] += landing.switches
+        return landing.x, landing.taut, landing.part * h
 
     def steps_between(self, duration: float, outputs: int) -> int:
         """Return the number of steps from one state that is kept to the next.

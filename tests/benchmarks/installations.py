@@ -35,6 +35,8 @@ STRUCTURES = {
 SIMULATIONS = {
     "ball, thrown for 5 s": "thrown, 5.0, velocities=spin, rest_length=loose, error='none'",
     "with its estimate": "thrown, 5.0, velocities=spin, rest_length=loose",
+    "tolerance 1e-4": "thrown, 5.0, velocities=spin, rest_length=loose, error='none', tolerance=1e-4",
+    "tolerance 1e-9": "thrown, 5.0, velocities=spin, rest_length=loose, error='none', tolerance=1e-9",
     "rk4, 2.5 ms": "thrown, 5.0, velocities=spin, rest_length=loose, error='none', method='rk4',"
     " step=2.5e-3",
     "energy_momentum, 5 ms, 1 s": "thrown, 1.0, velocities=spin, rest_length=loose, error='none',"
