@@ -32,16 +32,16 @@ STRUCTURES = {
 }
 
 # Run in either installation: names that both have.
+THROWN = "thrown, 5.0, velocities=spin, rest_length=loose"
+SHORT = "thrown, 1.0, velocities=spin, rest_length=loose, error='none'"
 SIMULATIONS = {
-    "ball, thrown for 5 s": "thrown, 5.0, velocities=spin, rest_length=loose, error='none'",
-    "with its estimate": "thrown, 5.0, velocities=spin, rest_length=loose",
-    "tolerance 1e-4": "thrown, 5.0, velocities=spin, rest_length=loose, error='none', tolerance=1e-4",
-    "tolerance 1e-9": "thrown, 5.0, velocities=spin, rest_length=loose, error='none', tolerance=1e-9",
-    "rk4, 2.5 ms": "thrown, 5.0, velocities=spin, rest_length=loose, error='none', method='rk4',"
-    " step=2.5e-3",
-    "energy_momentum, 5 ms, 1 s": "thrown, 1.0, velocities=spin, rest_length=loose, error='none',"
-    " method='energy_momentum', step=5e-3",
-    "cvodes, 1 s": "thrown, 1.0, velocities=spin, rest_length=loose, error='none', method='cvodes'",
+    "ball, thrown for 5 s": f"{THROWN}, error='none'",
+    "with its estimate": THROWN,
+    "tolerance 1e-4": f"{THROWN}, error='none', tolerance=1e-4",
+    "tolerance 1e-9": f"{THROWN}, error='none', tolerance=1e-9",
+    "rk4, 2.5 ms": f"{THROWN}, error='none', method='rk4', step=2.5e-3",
+    "energy_momentum, 5 ms, 1 s": f"{SHORT}, method='energy_momentum', step=5e-3",
+    "cvodes, 1 s": f"{SHORT}, method='cvodes'",
     "ball, dropped for 1 s": "dropped, 1.0, raised, rest_length=loose, error='none'",
     "tower, 10 stages, 0.1 s": "tower, 0.1, rest_length=wound, error='none'",
     "prism under LQR, 1 s": "prism, 1.0, velocities=pushed, controller=lqr, error='none'",
