@@ -25,7 +25,7 @@ from tenscontrol.integrate.integrator import (
     Work,
     differences,
     first_vector,
-    longest_member,
+    length_and_mass,
     speed_scale,
 )
 
@@ -258,7 +258,7 @@ class AdaptiveLanes(CoreLanes):
     ) -> LaneSpans:  # fmt: skip
         """See :meth:`CoreLanes.advance`."""
         half, calls = states.shape[1] // 2, self._calls(runs, states, held)
-        size, memory = longest_member(self._equation), self._memory
+        size, memory = length_and_mass(self._equation)[0], self._memory
         asked = differences(states), first_vector(self._equation)
         if memory is None:
             frequency, (force, slope, taut) = calls.begin(*asked)

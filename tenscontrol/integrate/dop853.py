@@ -23,7 +23,7 @@ from tenscontrol.integrate.core_run import (
     spans_in_core,
 )
 from tenscontrol.integrate.core_scene import CoreMotion, core_scene
-from tenscontrol.integrate.events import Step, Switches, crossings
+from tenscontrol.integrate.events import Landing, Step, Switches, crossings
 from tenscontrol.integrate.integrator import (
     AdvancedSpans,
     FloatOrArray,
@@ -188,8 +188,9 @@ class DOP853(Integrator):
         step, longest = map(float, steps)
         allowed = self.tolerance * scale
         states = np.empty((outputs, self._equation.states))
-        trace = Trace() if self.traces else None
-        given = _Given(held, duration, duration / outputs, longest, allowed, states, trace)
+        given = _Given(
+            held, duration, duration / outputs, longest, allowed, states, Trace(self.traces)
+        )
         return self._advance(given, _Motion(state, slope, taut, step), report)
 
     def advance_spans(self, state: FloatArray, given: SpanInputs) -> AdvancedSpans:
@@ -257,7 +258,7 @@ class DOP853(Integrator):
         if states is None:
             times = span.spacing * np.arange(1, now.done + 1)
             states = self._projected(span.states[: now.done].T, span.held, times)
-        return Span(states, now.work, ends=None if span.trace is None else span.trace.ends)
+        return Span(states, now.work, ends=span.trace.ends)
 
     def _try_step(self, span: _Given, now: _Motion) -> None:
         """Try a step: it is accepted, cut at a switch, or thrown away."""
@@ -271,49 +272,52 @@ class DOP853(Integrator):
             now.rejections += 1
             now.is_stuck = now.step < _SHORTEST * span.duration
             return
-        end = _End(x1, h, taut)
+        end, interpolant = Landing(x1, taut), None
         if switches > 0:
-            end = self._landed(Step(x, f, x1, f1, u, taut, h, crossed), K, error, span, now)
-        is_last = end.taken >= span.duration - now.time
-        after = span.duration if is_last else now.time + end.taken
+            step = Step(x, f, x1, f1, u, taut, h, crossed)
+            end, interpolant = self._landed(step, K, error, span, now)
+        taken = end.part * h
+        is_last = taken >= span.duration - now.time
+        after = span.duration if is_last else now.time + taken
         # A step may reach a time but for round-off, as one to a switch may.
         done = min(int(after * (1 + 2e-14) / span.spacing), len(span.states) - 1)
         if done > now.done:
-            interpolant, reach = end.made, h
+            reach = h
             if interpolant is None:
-                reach, ends = end.taken, (x, end.x, f, f1)
-                interpolant = self._interpolant(*ends, K, u, taut, reach)[0]
+                reach = taken
+                interpolant = self._interpolant(x, end.x, f, f1, K, u, taut, reach)[0]
                 now.interpolants += 1
             times = span.spacing * np.arange(now.done + 1, done + 1)
             factors = _factors((times - now.time) / reach)
             span.states[now.done : done] = x + factors.T @ interpolant.T
         now.x, now.taut, now.time, now.done = end.x.copy(), end.taut, after, done
-        if span.trace is not None:
-            span.trace.append(after, now.x, taut)
+        span.trace.append(after, now.x, taut)
         factor = _factor(error)
         if switches > 0:
             now.landings += 1
-            now.stalls = now.stalls + 1 if end.taken < _SHORTEST * span.duration else 0
+            now.stalls = now.stalls + 1 if taken < _SHORTEST * span.duration else 0
             now.is_stuck = now.stalls > _MOST_STALLS
             # The slope jumps with the strings.
-            now.slope = self._slope(now.x, layout.later(u, end.taken), now.taut)[0].copy()
+            now.slope = self._slope(now.x, layout.later(u, taken), now.taut)[0].copy()
             factor = min(factor, 1.0)
         else:
             now.slope = f1.copy()
         now.step = h * factor
 
-    def _landed(self, step: Step, K: FloatArray, error: float, span: _Given, now: _Motion) -> _End:
-        """Return the end of a step at its first switch; K are the slopes of its stages.
+    def _landed(
+        self, step: Step, K: FloatArray, error: float, span: _Given, now: _Motion
+    ) -> tuple[Landing, FloatArray | None]:
+        """Return the end of a step at its first switch, and the interpolant of the whole if made.
 
         It is on the interpolant where that is good enough, else found by true steps, whose slopes
-        are then what the evaluator of steps holds.
+        are then what the evaluator of steps holds. K are those of the stages.
         """
         # What ending late may change of velocities, as part of what a step may err.
-        exact = span.trace is not None
+        exact = span.trace.wanted
         allowed = 0.0 if exact else 2 * _LATE * span.allowed[-1] * (span.longest / _STABLE) ** 2
         cut = self._switches.first(step, allowed, 0.0)
         if cut is None:
-            return _End(step.x1, step.h, step.taut)
+            return Landing(step.x1, step.taut), None
         interpolant: FloatArray | None = None
         off = error * abs(np.polynomial.polynomial.polyval(cut.part, _interpolant_error()))
         if off < STEP_RULES[self._is_shortened].smooth and not exact:
@@ -326,7 +330,7 @@ class DOP853(Integrator):
         landing = self._switches.approach(step, cut, state_at)
         now.approaches += landing.places if interpolant is None else 0
         now.switches += landing.switches
-        return _End(landing.x, landing.part * step.h, landing.taut, interpolant)
+        return landing, interpolant
 
     def _inside(self, step: Step, interpolant: FloatArray, fraction: float) -> FloatArray:
         """Return the state at a part of the step, by its interpolant."""
@@ -353,7 +357,7 @@ class _Given:
     longest: float  # step, s
     allowed: FloatArray  # error of a step
     states: FloatArray  # at the outputs, one a row
-    trace: Trace | None
+    trace: Trace
 
 
 @dataclass(eq=False)
@@ -379,15 +383,6 @@ class _Motion:
     def work(self) -> Work:
         """What the motion cost."""
         return work_of(self)
-
-
-class _End(NamedTuple):
-    """The end of a step."""
-
-    x: FloatArray
-    taken: float  # s
-    taut: FloatArray
-    made: FloatArray | None = None  # the interpolant of the whole step, if it was needed
 
 
 def cost_in_core(states: int) -> float:

@@ -197,7 +197,7 @@ class EnergyMomentum(Integrator):
         output = 0
         inputs = held.copy()
         clock = self._equation.layout.degree > 0
-        trace = Trace() if self.traces else None
+        trace = Trace(self.traces)
         try:
             for output in range(outputs):
                 work[left] = interval
@@ -208,11 +208,11 @@ class EnergyMomentum(Integrator):
                     began = perf_counter()
                     expected = ceil(min(work[left] / work[step], self._most, _CHUNKS[-1]))
                     chunk = next(count for count in _CHUNKS if count >= expected)
-                    if trace is not None:
+                    if trace.wanted:
                         chunk, taken = 1, work[left + 3]
                     work = self._chunks[chunk](work, inputs, limits)[0].copy()
                     self._most = next_size(self._most, chunk, perf_counter() - began)
-                    if trace is not None and work[left + 3] > taken:
+                    if trace.wanted and work[left + 3] > taken:
                         time = interval * (output + 1) - float(work[left])
                         trace.append(time, work[: len(state)], np.zeros(self._equation.switches))
                     if work[failed]:
@@ -239,8 +239,7 @@ class EnergyMomentum(Integrator):
         except KeyboardInterrupt:
             span = Span(states[:, :output], _work(work[-3:], evaluations))
             raise IntegrationInterrupt(interval * output, span) from None
-        ends = None if trace is None else trace.ends
-        return Span(states, _work(work[-3:], evaluations), ends=ends)
+        return Span(states, _work(work[-3:], evaluations), ends=trace.ends)
 
     def _first_step(self, state: FloatArray, held: FloatArray, interval: float) -> float:
         """Return a step in which the motion goes a small part of the size of the structure."""

@@ -85,13 +85,13 @@ class Cut(NamedTuple):
 
 
 class Landing(NamedTuple):
-    """The end of a step at a switch."""
+    """The end of a step, at a switch or, where there is none, as it was tried."""
 
     x: FloatArray
-    part: float  # of the step
     taut: FloatArray  # from there on
-    places: int  # that were gone to
-    switches: int  # there
+    part: float = 1.0  # of the step
+    places: int = 0  # that were gone to
+    switches: int = 0  # there
 
 
 class Switches:
@@ -135,11 +135,11 @@ class Switches:
         crossed = step.crossed
         while True:
             cut, chosen, leaving, crossed = self._search(*step[:-1], crossed, allowed, least)
-            is_out, is_again, *found = cut.tolist()
+            is_out, is_again, part, speed, aim = cut.tolist()
             if not is_out:
                 return None
             if not is_again:
-                return Cut(*found, chosen, leaving)
+                return Cut(part, speed, aim, chosen, leaving)
 
     def approach(self, step: Step, cut: Cut, state_at: Callable[[float], FloatArray]) -> Landing:
         """Go to a switch by the secant method, past its border by twice the aim at most.
@@ -180,7 +180,7 @@ class Switches:
             gap_before = gap
         switch = (gaps <= 0.5 * BAND * scale) * cut.leaving
         taut = np.abs(step.taut - switch)
-        return Landing(x.copy(), fraction, taut, places, int(switch.sum()))
+        return Landing(x.copy(), taut, fraction, places, int(switch.sum()))
 
 
 def _border(equation: Equation) -> ca.Function:
@@ -289,51 +289,37 @@ def _chord(room: ca.Function) -> ca.Function:
 def crossings(equation: Equation) -> ca.Function:
     """Return ``(x, x1, u, taut, h) -> (count, crossed)``: switches of a step not cut at them.
 
-    A string that is out at the end has switched once, at least; one that comes back in, twice.
-    It is one function, as every step is looked at. A state that is not finite, or whose square is
-    not, is not searched: -1. What may switch is 1 in crossed, else 0.
+    A string that is inside at both ends, but goes out at the start and comes in at the end, may
+    switch within where the tangents at both ends meet outside: no less can be said without looking
+    at the inside of the step. One that is out at the end has switched once, at least; one that
+    comes back in, twice. What may switch is 1 in crossed, else 0. A state that is not finite, or
+    whose square is not, is not searched: its count is -1.
     """
     x, u, taut, h = equation.symbols()
     x1 = equation.symbol("x1", equation.states)
-    count, crossed = ca.DM(0), ca.DM(0, 1)
-    if equation.switches:
-        crossed, out = _crossed_within(equation, x, x1, u, taut, h)
-        count = ca.sum1(2 * crossed - crossed * out)
-    count = ca.if_else(ca.sumsqr(x1) < ca.inf, count, -1)
-    outputs = [ca.densify(count), ca.densify(crossed)]
-    return Function("crossings", [x, x1, u, taut, h], outputs)
-
-
-def _crossed_within(
-    equation: Equation, x: Any, x1: Any, u: Any, taut: Any, h: Any
-) -> tuple[Any, Any]:
-    """Return the expressions of which strings may switch within a step, and are out at its end.
-
-    A string that is inside at both ends, but goes out at the start and comes in
-    at the end, is taken as a crossing where the tangents at both ends meet
-    outside: no less can be said without looking at the inside of the step.
-    """
     sign, band = 2 * taut - 1, BAND * equation.gap_scale(u)
     (gap0, rate0), (gap1, rate1) = equation.gap(x, u), equation.gap(x1, equation.ahead(u, h))
     room0, room1 = sign * gap0 + band, sign * gap1 + band
     crossed = ca.logic_or(room1 < 0, _meet_outside(room0, room1, -sign * rate0, sign * rate1, h))
     if equation.velocity_dependent:
-        damped = _damped_crossing(equation)(x, x1, u, taut, h, rate0, rate1)
+        damped = _damped_crossing(equation, x, x1, u, taut, h, rate0, rate1)
         crossed = ca.logic_or(crossed, damped)
-    return crossed, room1 < 0
+    count = ca.sum1(2 * crossed - crossed * (room1 < 0))
+    count = ca.if_else(ca.sumsqr(x1) < ca.inf, count, -1)
+    outputs = [ca.densify(count), ca.densify(crossed)]
+    return Function("crossings", [x, x1, u, taut, h], outputs)
 
 
-def _damped_crossing(equation: Equation) -> ca.Function:
-    """Return ``(x, x1, u, taut, h, rate, rate1) -> crossed`` where forces depend on velocities.
+def _damped_crossing(
+    equation: Equation, x: Any, x1: Any, u: Any, taut: Any, h: Any, rate: Any, rate1: Any
+) -> Any:
+    """Return the expression of what may switch besides where forces depend on velocities.
 
     The border of a damped string has other tangents than its stretch: the middle of the step is
     looked at. And a slack string pulls as soon as its stretch grows through zero, however soon the
     damping lets it go again: a stretch that is above zero at the end, or tangents that meet there.
     """
     n = equation.states
-    x, u, taut, h = equation.symbols()
-    x1 = equation.symbol("x1", n)
-    rate, rate1 = (equation.symbol(name, equation.switches) for name in ("rate", "rate1"))
     later, sign, band = equation.ahead(u, h), 2 * taut - 1, BAND * equation.gap_scale(u)
     q, v, q1, v1 = x[: n // 2], x[n // 2 :], x1[: n // 2], x1[n // 2 :]
     middle = ca.vertcat((q + q1) / 2 + h / 8 * (v - v1), 1.5 / h * (q1 - q) - (v + v1) / 4)
@@ -344,8 +330,7 @@ def _damped_crossing(equation: Equation) -> ca.Function:
     room1 = band - equation.gap(ca.vertcat(q1, still), later)[0]
     dips = _meet_outside(room0, room1, rate, -rate1, h)
     pulls = ca.logic_and(room0 > 0, ca.logic_or(room1 < 0, dips))
-    outputs = [ca.logic_or(inside, ca.logic_and(taut == 0, pulls))]
-    return Function("damped", [x, x1, u, taut, h, rate, rate1], outputs)
+    return ca.logic_or(inside, ca.logic_and(taut == 0, pulls))
 
 
 def _meet_outside(room0: Any, room1: Any, out: Any, back: Any, h: Any) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from functools import partial
 from math import ceil
 from typing import Any, final
 
@@ -22,7 +23,7 @@ from tenscontrol.integrate.core_run import (
     spans_in_core,
 )
 from tenscontrol.integrate.core_scene import CoreMotion, core_scene
-from tenscontrol.integrate.events import LATE, Step, Switches, crossings
+from tenscontrol.integrate.events import LATE, Landing, Step, Switches, crossings
 from tenscontrol.integrate.integrator import (
     AdvancedSpans,
     IntegrationError,
@@ -49,7 +50,7 @@ REST = 1e-13
 #: What is counted beside the steps: what is tried in those that are cut, each with the evaluations
 #: of a step; landings on a switch, with two more; switches there, and in rests taken whole.
 COUNTS = ("tries", "landings", "switches", "missed")
-_MORE, _LANDINGS, _SWITCHES, _MISSED = range(len(COUNTS))
+_TRIES, _MISSED = COUNTS.index("tries"), COUNTS.index("missed")
 
 
 class FixedStep(Integrator):
@@ -126,25 +127,23 @@ class FixedStep(Integrator):
         step = duration / total
         states = np.empty((len(state), outputs))
         counts, done = np.zeros(len(COUNTS)), 0
-        x, taut, trace = state, self._switches.taut(state, held), Trace()
+        x, taut, trace = state, self._switches.taut(state, held), Trace(self.traces)
         try:
             # A state that is not finite is looked for, so NumPy need not warn of it.
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
                 while done < total:
                     check()
                     u = layout.later(held, step * done)
-                    end, (count,), crossed = self._attempt(x, u, taut, step)
-                    if count:
+                    tried = self._attempt(x, u, taut, step)
+                    if tried[1][0]:
                         before = counts.copy()
-                        given = u, step, counts, trace, step * done
-                        x, taut = self._cut(x, end.copy(), count, crossed, taut, *given)
+                        x, taut = self._cut(x, tried, taut, u, step, counts, trace, step * done)
                         if not np.isfinite(x).all():
                             reached = Span(states[:, : done // inner], self.work_of(done, before))
                             raise IntegrationError(not_finite(done, step), step * done, reached)
                     else:
-                        x = end.copy()
-                        if self.traces:
-                            trace.append(step * (done + 1), x, taut)
+                        x = tried[0].copy()
+                        trace.append(step * (done + 1), x, taut)
                     if (done + 1) % inner == 0:
                         states[:, done // inner] = x
                     done += 1
@@ -156,50 +155,43 @@ class FixedStep(Integrator):
         return Span(states, self.work_of(total, counts), ends=trace.ends)
 
     def _cut(
-        self, x: FloatArray, x1: FloatArray, count: float, crossed: FloatArray, taut: FloatArray,
-        u: FloatArray, h: float, counts: FloatArray, trace: Trace, time: float,
+        self, x: FloatArray, tried: list[FloatArray], taut: FloatArray, u: FloatArray, h: float,
+        counts: FloatArray, trace: Trace, time: float,
     ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-        """Return the state and ``taut`` after a step to x1, cut at its switches; count them."""
-        left, layout = h, self._equation.layout
+        """Return the state and ``taut`` after a step that was tried, cut at its switches.
+
+        They are counted, and ends of its parts are kept.
+        """
+        left, later = h, self._equation.layout.later
         for _ in range(SUBSTEPS):
+            begin = later(u, h - left)
+            x1, (count,), crossed = (output.copy() for output in tried)
             if not count > 0:
-                if self.traces:
-                    trace.append(time + h, x1, taut)
+                trace.append(time + h, x1, taut)
                 return x1, taut
-            before = taut
-            given = layout.later(u, h - left), left, crossed, counts
-            x, taut, taken = self._landed(x, x1, taut, *given)
-            left -= taken
-            if self.traces:
-                trace.append(time + h - left, x, before)
+            slope = self._slope(x, begin, taut)[0].copy()
+            slope1 = self._slope(x1, later(begin, left), taut)[0]
+            step = Step(x, slope, x1, slope1, begin, taut, left, crossed)
+            cut = self._switches.first(step, 0.0, 0.0 if self.traces else LATE)
+            end = Landing(x1, taut)
+            if cut is not None:
+                end = self._switches.approach(step, cut, partial(self._end_of, step))
+            counts += end.places, 1, end.switches, 0
+            left -= end.part * left
+            trace.append(time + h - left, end.x, taut)
+            x, taut = end.x, end.taut
             if left <= REST * h:
                 return x, taut
-            end, (count,), crossed = self._attempt(x, layout.later(u, h - left), taut, left)
-            x1 = end.copy()
-            counts[_MORE] += 1
+            tried = self._attempt(x, later(u, h - left), taut, left)
+            counts[_TRIES] += 1
+        x1, (count,), _ = tried
         counts[_MISSED] += max(count, 0)
-        if self.traces:
-            trace.append(time + h, x1, taut)
-        return x1, self._switches.taut(x1, layout.later(u, h))
+        trace.append(time + h, x1, taut)
+        return x1.copy(), self._switches.taut(x1, later(u, h))
 
-    def _landed(
-        self, x: FloatArray, x1: FloatArray, taut: FloatArray, u: FloatArray, h: float,
-        crossed: FloatArray, counts: FloatArray,
-    ) -> tuple[FloatArray, FloatArray, float]:  # fmt: skip
-        """Return the state and ``taut`` at the first switch of a step, and the time up to it."""
-        slope = self._slope(x, u, taut)[0].copy()
-        slope1 = self._slope(x1, self._equation.layout.later(u, h), taut)[0]
-        step = Step(x, slope, x1, slope1, u, taut, h, crossed)
-        counts[_LANDINGS] += 1
-        cut = self._switches.first(step, 0.0, 0.0 if self.traces else LATE)
-        if cut is None:
-            return x1, taut, h
-        landing = self._switches.approach(
-            step, cut, lambda fraction: self._attempt(x, u, taut, fraction * h)[0]
-        )
-        counts[_MORE] += landing.places
-        counts[_SWITCHES] += landing.switches
-        return landing.x, landing.taut, landing.part * h
+    def _end_of(self, step: Step, part: float) -> FloatArray:
+        """Return the state after a part of a step."""
+        return self._attempt(step.x, step.u, step.taut, part * step.h)[0]
 
     def steps_between(self, duration: float, outputs: int) -> int:
         """Return the number of steps from one state that is kept to the next.

@@ -94,14 +94,16 @@ class StepEnds(NamedTuple):
 
 
 class Trace:
-    """The ends of steps of a span, one by one, where all are kept."""
+    """The ends of steps of a span, one by one, where all are wanted."""
 
-    def __init__(self) -> None:
+    def __init__(self, wanted: bool) -> None:
+        self.wanted = wanted
         self._ends: list[tuple[float, FloatArray, FloatArray]] = []
 
     def append(self, time: float, state: FloatArray, taut: FloatArray) -> None:
-        """Keep the end of a step, with what pulled and pressed in it."""
-        self._ends.append((time, state.copy(), taut.copy()))
+        """Keep the end of a step, with what pulled and pressed in it, if it is wanted."""
+        if self.wanted:
+            self._ends.append((time, state.copy(), taut.copy()))
 
     @property
     def ends(self) -> StepEnds | None:
@@ -441,11 +443,6 @@ def scale_under(
 def length_and_mass(equation: Equation) -> tuple[float, float]:
     """Return the length of the longest bar or straight piece of string, m, and what moves, kg."""
     return equation.prepared.get("length and mass", partial(_length_and_mass, equation.structure))
-
-
-def longest_member(equation: Equation) -> float:
-    """Return the length of the longest bar or straight piece of string, m."""
-    return length_and_mass(equation)[0]
 
 
 def speed_scale(
