@@ -32,7 +32,10 @@ def library() -> ctypes.CDLL | None:
     """Return the core, or None where there is none; :func:`absence` says why."""
     core, missing = _loaded()
     if missing == _OTHER:
-        warn(f"{_OTHER}; until then runs go without it, and are slower", RuntimeWarning)
+        warn(
+            f"{_OTHER}; until then runs and controllers go without it, and are slower",
+            RuntimeWarning,
+        )
     return core
 
 

@@ -239,15 +239,13 @@ class DOP853(Integrator):
 
     def _go_on(self, span: _Given, now: _Motion, report: Report | None) -> None:
         """Try steps up to the end of the span."""
-        tries = 0
         while now.time < span.duration:
             check()
             self._try_step(span, now)
-            tries += 1
             is_over = now.time >= span.duration
             if now.is_stuck:
                 raise _stuck(now.time, now.step, self._reached(span, now))
-            if is_over or tries % _TRIES == 0:
+            if is_over or now.tries % _TRIES == 0:
                 if report is not None:
                     report(now.time)
                 if not is_over and now.work.evaluations >= self.limit:

@@ -27,7 +27,7 @@ from tenscontrol.control.mpc.problem import (
 )
 from tenscontrol.control.mpc.qp_solver import QPSolver
 from tenscontrol.control.mpc.sparse import Sparse
-from tenscontrol.core.library import absence
+from tenscontrol.core.library import absence, library
 from tenscontrol.fields import check_fields, checked
 from tenscontrol.plant.controllability import (
     lasting,
@@ -293,13 +293,14 @@ def uses_stages(settings: MPCSettings) -> bool:
     """Return whether programs are solved along the stages, or raise where that cannot be."""
     if settings.solver not in ("auto", "stages"):
         return False
-    missing = absence()
-    if missing and settings.solver == "stages":
+    if settings.solver == "auto":
+        return library() is not None
+    if missing := absence():
         raise ValueError(
             f"solver is 'stages', which is in the compiled core, but {missing}. Take 'auto' or "
             "'osqp'"
         )
-    return not missing
+    return True
 
 
 def make_solver(settings: MPCSettings, form: Sparse, equations: bool = False) -> QPSolver:

@@ -324,6 +324,7 @@ def test_the_core_solves_programs_where_it_is(plant, monkeypatch):
     assert usual.solver == ("stages" if core else "osqp")
     named = tc.MPC(plant, horizon=20, **GIVEN, solver="osqp")
     assert repr(named).endswith("sample time 0.02 s, osqp)")
+    monkeypatch.setattr(settings, "library", lambda: None)
     monkeypatch.setattr(settings, "absence", lambda: "the package was installed without it")
     assert tc.MPC(plant, horizon=20, **GIVEN).solver == "osqp"
     with pytest.raises(
