@@ -31,6 +31,9 @@ _SPARE, _ROUND_OFF = 1.02, 1e-12
 # Least pace, as a fraction of the largest: no division by zero where the nodes do not move.
 _LEAST_PACE = 1e-6
 
+# A motion as one body that moves no node by more than this part of the size moves none.
+_STILL = 1e-9
+
 
 @dataclass(frozen=True, eq=False)
 class Waypoint:
@@ -67,6 +70,11 @@ class Continuation:
         straight = (1 - s) * ca.DM(start) + s * ca.DM(goal)
         off = v - straight
         cost = ca.sumsqr(off[: rows.start]) + _FORCES * ca.sumsqr(off[rows])
+        fields = [problem.neutral_fields(problem.read(end)[0]) for end in (start, goal)]
+        if any(np.linalg.matrix_rank(of_end, _STILL) < of_end.shape[1] for of_end in fields):
+            # A straight string is not moved by a turn about itself: the equations do not tell that
+            # there is none.
+            cost += ca.sumsqr(v[v.numel() - problem.neutral.shape[1] :])
         mu = ca.SX.sym("mu", problem.equations.numel())
         slope = ca.gradient(cost + ca.dot(mu, problem.equations), v)
         conditions = ca.vertcat(slope, problem.equations)

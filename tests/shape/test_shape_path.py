@@ -156,6 +156,28 @@ def test_a_path_under_gravity_on_supports():
         assert np.abs(np.array(Ndd)).max() < 1e-11
 
 
+def test_a_string_that_hangs_straight_has_the_path_of_the_plane():
+    """A turn about itself moves none of its nodes, and the equations do not tell of it."""
+    paths = []
+    for d in (2, 3):
+        load = np.zeros((d, 3))
+        load[-1] = -9.81
+        ends = []
+        for length in (0.5, 0.6):
+            hung = tc.Structure(
+                -length * np.eye(d)[:, -1:] * np.arange(3.0), [], [[0, 1], [1, 2]], bar_mass=1.0,
+                string_node_mass=1.0, fixed=[0],
+            )  # fmt: skip
+            tension = 9.81 * np.array([2.0, 1.0])
+            ends.append(tc.prestress(hung, tension / length, external_force=load))
+        model = tc.Model(hung, external_force=load)
+        paths.append(shape_path(model, *ends, duration=1.0, step=0.2))
+    plane, space = paths
+    np.testing.assert_allclose(space.nodes[-1], plane.nodes[-1], atol=1e-12)
+    np.testing.assert_allclose(space.velocities[-1], plane.velocities[-1], atol=1e-12)
+    assert not space.nodes[:2].any()
+
+
 def test_without_a_string_law_the_path_is_one_of_force_densities():
     bare = tc.Model(tc.prism())
     found = shape_path(bare, start(), low(), duration=2.0)
