@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -40,7 +40,7 @@ from tenscontrol.optimize.motor_states import MotorStates
 from tenscontrol.plant.linear_plant import LinearPlant
 from tenscontrol.plant.reference import Reference
 from tenscontrol.progress import progress_bar
-from tenscontrol.shape.demands import Demand
+from tenscontrol.shape.demands import Demand, checked_demands
 from tenscontrol.shape.force_bounds import refuse_ground
 from tenscontrol.shape.held_strings import HeldStrings, held_strings
 from tenscontrol.shape.shape_path import path_end, refuse_same
@@ -473,7 +473,8 @@ def optimal_motion(
         min_clearance, obstacles, level,
     )  # fmt: skip
     if not isinstance(goal, ShapeTarget | Prestress):
-        goal = _target(model, begin, goal, limits, winches, plant)
+        demands = checked_demands("goal", goal, model.structure)
+        goal = _target(model, begin, demands, limits, winches, plant)
     ends = begin, path_end(model, "goal", goal)
     refuse_same(model, *ends)
     for name, rest in zip(("start", "goal"), ends, strict=True):
@@ -516,8 +517,8 @@ def _driven(model: Model, begin: Prestress, input: str, held: HeldStrings | None
 
 
 def _target(
-    model: Model, begin: Prestress, demands: Any, limits: MotionLimits, winches: Winches | None,
-    plant: LinearPlant | None,
+    model: Model, begin: Prestress, demands: Sequence[Demand], limits: MotionLimits,
+    winches: Winches | None, plant: LinearPlant | None,
 ) -> ShapeTarget:  # fmt: skip
     """Return the equilibrium that meets demands, at the level of prestress of the start."""
     groups = model.structure.string_groups

@@ -410,6 +410,18 @@ class CentreKept(Demand):
         return ca.mtimes(ca.DM(self.motions), ca.vec(N) - ca.DM(self.start.ravel(order="F")))
 
 
+def checked_demands(name: str, value: object, structure: Structure) -> tuple[Demand, ...]:
+    """Return demands on a structure as a tuple, from one, a sequence of them or None."""
+    wanted: Any = (value,) if isinstance(value, Demand) else () if value is None else value
+    if not isinstance(wanted, Sequence) or isinstance(wanted, str):
+        how = "a demand or a sequence of them: NodesAt, PointAt, Height, Twist"
+        raise validation.wrong_kind(name, value, how)
+    for i, demand in enumerate(wanted):
+        validation.instance(f"{name}[{i}]", demand, Demand, "NodesAt, PointAt, Height or Twist")
+        demand.refuse_other_nodes(f"{name}[{i}]", structure)
+    return tuple(wanted)
+
+
 def centre_kept(structure: Structure, start: FloatArray) -> tuple[CentreKept, ...]:
     """Return the demand that internal forces can bring the structure from this shape, at rest.
 

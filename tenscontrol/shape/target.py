@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from tenscontrol.dynamics.coordinates import coordinates
 from tenscontrol.dynamics.model import Model
 from tenscontrol.plant.linear_plant import LinearPlant
 from tenscontrol.plant.reference import STRINGS_MOVE_NO_CENTRE
-from tenscontrol.shape.demands import Demand, centre_kept
+from tenscontrol.shape.demands import Demand, centre_kept, checked_demands
 from tenscontrol.shape.force_bounds import ForceLimits, checked_limits, refuse_ground
 from tenscontrol.shape.held_strings import HeldStrings, shape_drives
 from tenscontrol.shape.shape_search import MET, STIFF, Solved, solve_shape
@@ -263,13 +262,7 @@ def shape_target(
     validation.choice("place", place, PLACES)
     validation.truth("require_stable", require_stable, "whether a shape that buckles is refused")
     structure = model.structure
-    wanted: Any = (demands,) if isinstance(demands, Demand) else () if demands is None else demands
-    if not isinstance(wanted, Sequence) or isinstance(wanted, str):
-        how = "a demand or a sequence of them: NodesAt, PointAt, Height, Twist"
-        raise validation.wrong_kind("demands", demands, how)
-    for i, demand in enumerate(wanted):
-        validation.instance(f"demands[{i}]", demand, Demand, "NodesAt, PointAt, Height or Twist")
-        demand.refuse_other_nodes(f"demands[{i}]", structure)
+    wanted = checked_demands("demands", demands, structure)
     if symmetry is not None:
         how = "make one by RotationalSymmetry(cycles)"
         validation.instance("symmetry", symmetry, RotationalSymmetry, how)
@@ -291,7 +284,7 @@ def shape_target(
     if held is None or held.struts is None:
         begin = restore_bar_lengths(structure, begin)
     refuse_load_without_support(structure, model.constant_force)
-    asked = tuple(wanted) + (centre_kept(structure, begin) if place == "centre" else ())
+    asked = wanted + (centre_kept(structure, begin) if place == "centre" else ())
     solved = solve_shape(model, asked, limits, prestress, symmetry, begin, held)
     if solved is None:
         level = f", {limits.level:g} N/m in the reference strings" if limits.level else ""

@@ -439,6 +439,7 @@ def test_distances_of_bars_are_those_of_the_structure():
         ({"max_tension": -1.0}, "max_tension"),
         ({"min_clearance": 0.1}, "plane"),
         ({"intervals": 0}, "intervals"),
+        ({"goal": iter([])}, "goal is a list_iterator, expected a demand"),
         ({"min_force_density": 60.0}, "start"),
         ({"winches": tc.Winches(motor=tc.Motor(0.01, lag=0.1))}, "lag or backlash"),
         (
@@ -452,8 +453,10 @@ def test_distances_of_bars_are_those_of_the_structure():
     ],
 )
 def test_bad_arguments_are_named(arm, arguments, text):
+    model, start, goal = arm
+    given = {"goal": goal, "winches": WINCHES} | arguments
     with pytest.raises((TypeError, ValueError), match=text):
-        tc.optimal_motion(*arm, **({"winches": WINCHES} | arguments))
+        tc.optimal_motion(model, start, **given)
 
 
 def test_what_a_plant_cannot_hold_is_refused(ganged):
