@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache, partial
+from itertools import accumulate, cycle, islice
 from math import factorial
+from operator import mul
 from typing import Any, NamedTuple, final
 
 import casadi as ca
@@ -133,11 +135,8 @@ class DOP853(Integrator):
             self.back_end = "core"
             return
         built = self._kept(lambda: self._build(project), project)
-        self._tried, self._interpolant = map(Evaluator, built)
+        self._tried, self._interpolant, self._inside = map(Evaluator, built)
         self._slope, self._switches = Evaluator(equation.slope), Switches(equation)
-        exact = projection(equation) if project else None
-        self._exact = None if exact is None else Evaluator(exact)
-        self._drives = exact is not None and exact.n_in() > 1
         self._projected = Projector(equation, project)
 
     @property
@@ -149,9 +148,9 @@ class DOP853(Integrator):
         return 5.0 + 0.025 * states if self._equation.form == "loops" else 0.3 + 0.1 * states
 
     def _build(self, project: bool) -> tuple[ca.Function, ...]:
-        """Return the step and its interpolant."""
+        """Return the step, its interpolant, and what that gives inside the step."""
         method = _DormandPrince(self._equation, project)
-        return method.tried(), method.interpolant()
+        return method.tried(), method.interpolant(), method.inside()
 
     def shorten(self) -> None:
         """See :meth:`Integrator.shorten`."""
@@ -233,7 +232,7 @@ class DOP853(Integrator):
             if exact.shape[1] < len(span.states) - 1:
                 raise _not_rigid(span.spacing, exact, now.work)
             span.states[:-1], span.states[-1] = exact.T, now.x
-            return self._reached(span, now, span.states.T)
+            return Span(span.states.T, now.work, ends=span.trace.ends)
         except KeyboardInterrupt:
             raise IntegrationInterrupt(now.time, self._reached(span, now)) from None
 
@@ -251,11 +250,10 @@ class DOP853(Integrator):
                 if not is_over and now.work.evaluations >= self.limit:
                     raise IntegrationPause(now.time, now.x, self._reached(span, now))
 
-    def _reached(self, span: _Given, now: _Motion, states: FloatArray | None = None) -> Span:
+    def _reached(self, span: _Given, now: _Motion) -> Span:
         """Return the outputs so far."""
-        if states is None:
-            times = span.spacing * np.arange(1, now.done + 1)
-            states = self._projected(span.states[: now.done].T, span.held, times)
+        times = span.spacing * np.arange(1, now.done + 1)
+        states = self._projected(span.states[: now.done].T, span.held, times)
         return Span(states, now.work, ends=span.trace.ends)
 
     def _try_step(self, span: _Given, now: _Motion) -> None:
@@ -286,7 +284,7 @@ class DOP853(Integrator):
                 interpolant = self._interpolant(x, end.x, f, f1, K, u, taut, reach)[0]
                 now.interpolants += 1
             times = span.spacing * np.arange(now.done + 1, done + 1)
-            factors = _factors((times - now.time) / reach)
+            factors = np.array(_factors((times - now.time) / reach))
             span.states[now.done : done] = x + factors.T @ interpolant.T
         now.x, now.taut, now.time, now.done = end.x.copy(), end.taut, after, done
         span.trace.append(after, now.x, taut)
@@ -322,27 +320,20 @@ class DOP853(Integrator):
             ends = step.x, step.x1, step.slope, step.slope1
             interpolant = self._interpolant(*ends, K, step.u, step.taut, step.h)[0]
             now.interpolants += 1
-            state_at = partial(self._inside, step, interpolant)
-        else:
-            state_at = partial(self._by_step, step, span.allowed)
-        landing = self._switches.approach(step, cut, state_at)
+        landing = self._switches.approach(
+            step, cut, partial(self._state_at, step, interpolant, span.allowed)
+        )
         now.approaches += landing.places if interpolant is None else 0
         now.switches += landing.switches
         return landing, interpolant
 
-    def _inside(self, step: Step, interpolant: FloatArray, fraction: float) -> FloatArray:
-        """Return the state at a part of the step, by its interpolant."""
-        end = np.asarray(step.x + interpolant @ _factors(fraction))
-        if self._exact is None:
-            return end
-        layout, later = self._equation.layout, fraction * step.h
-        inputs = (layout.later(step.u, later),) if self._drives else ()
-        return self._exact(end, *inputs)[0]
-
-    def _by_step(self, step: Step, allowed: FloatArray, fraction: float) -> FloatArray:
-        """Return the state after a part of a step."""
-        given = step.x, step.slope, step.u, step.taut, fraction * step.h, allowed
-        return self._tried(*given)[0]
+    def _state_at(
+        self, step: Step, interpolant: FloatArray | None, allowed: FloatArray, part: float
+    ) -> FloatArray:
+        """Return the state after a part of a step, by its interpolant or by a step."""
+        if interpolant is not None:
+            return self._inside(step.x, interpolant, step.u, step.h, part)[0]
+        return self._tried(step.x, step.slope, step.u, step.taut, part * step.h, allowed)[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -458,15 +449,12 @@ def _factor(error: float) -> float:
     return min(max(wanted, _LEAST), _MOST)
 
 
-def _factors(fraction: Any) -> FloatArray:
+def _factors(part: Any) -> list[Any]:
     """Return what the coefficients of the interpolant count by at a part of the step, or several.
 
     Coefficient k counts by k factors: the part, what is left of the step, and so on in turns.
     """
-    rest = 1 - fraction
-    return np.multiply.accumulate(
-        np.array([fraction, rest, fraction, rest, fraction, rest, fraction])
-    )
+    return list(accumulate(islice(cycle([part, 1 - part]), _POWERS), mul))
 
 
 def _coefficients() -> Any:
@@ -561,6 +549,15 @@ class _DormandPrince:
         rest = [h * _combined(slopes, d) for d in self._method.D]
         inputs = [x, x1, f, f1, K, u, taut, h]
         return Function("interpolant", inputs, [ca.horzcat(*first, *rest)])
+
+    def inside(self) -> ca.Function:
+        """Return ``(x, coefficients, u, h, part) -> x`` after a part of the step."""
+        x, _, u, _, h = self._inputs
+        coefficients, part = ca.MX.sym("coefficients", x.shape[0], _POWERS), ca.MX.sym("part")
+        end = x + ca.mtimes(coefficients, ca.vertcat(*_factors(part)))
+        if self._project is not None:
+            end = put_on_lengths(self._project, end, self._at(part))
+        return Function("inside", [x, coefficients, u, h, part], [end])
 
 
 def _combined(slopes: list[Any], weights: Any) -> Any:
