@@ -260,8 +260,8 @@ class DOP853(Integrator):
         """Try a step: it is accepted, cut at a switch, or thrown away."""
         layout, h = self._equation.layout, min(now.step, span.longest, span.duration - now.time)
         x, f, taut, u = now.x, now.slope, now.taut, layout.later(span.held, now.time)
-        x1, f1, told, K, crossed = self._tried(x, f, u, taut, h, span.allowed)
-        error, switches = told.tolist()
+        x1, f1, numbers, K, crossed = self._tried(x, f, u, taut, h, span.allowed)
+        error, switches = numbers.tolist()
         now.tries += 1
         if not error < 1:
             now.step = h * (min(_factor(error), 1.0) if error < np.inf else _LEAST / 2)
@@ -551,13 +551,13 @@ class _DormandPrince:
         return Function("interpolant", inputs, [ca.horzcat(*first, *rest)])
 
     def inside(self) -> ca.Function:
-        """Return ``(x, coefficients, u, h, part) -> x`` after a part of the step."""
+        """Return ``(x, coefficients, u, h, share) -> x`` after a share of the step."""
         x, _, u, _, h = self._inputs
-        coefficients, part = ca.MX.sym("coefficients", x.shape[0], _POWERS), ca.MX.sym("part")
-        end = x + ca.mtimes(coefficients, ca.vertcat(*_factors(part)))
+        coefficients, share = ca.MX.sym("coefficients", x.shape[0], _POWERS), ca.MX.sym("share")
+        end = x + ca.mtimes(coefficients, ca.vertcat(*_factors(share)))
         if self._project is not None:
-            end = put_on_lengths(self._project, end, self._at(part))
-        return Function("inside", [x, coefficients, u, h, part], [end])
+            end = put_on_lengths(self._project, end, self._at(share))
+        return Function("inside", [x, coefficients, u, h, share], [end])
 
 
 def _combined(slopes: list[Any], weights: Any) -> Any:

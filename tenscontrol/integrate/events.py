@@ -135,11 +135,11 @@ class Switches:
         crossed = step.crossed
         while True:
             cut, chosen, leaving, crossed = self._search(*step[:-1], crossed, allowed, least)
-            is_out, is_again, part, speed, aim = cut.tolist()
+            is_out, is_again, fraction, speed, aim = cut.tolist()
             if not is_out:
                 return None
             if not is_again:
-                return Cut(part, speed, aim, chosen, leaving)
+                return Cut(fraction, speed, aim, chosen, leaving)
 
     def approach(self, step: Step, cut: Cut, state_at: Callable[[float], FloatArray]) -> Landing:
         """Go to a switch by the secant method, past its border by twice the aim at most.
@@ -244,14 +244,14 @@ def _zoom(room: ca.Function) -> ca.Function:
 
     A window is (low, high, whether one is out there, how many strings are).
     """
-    *given, part = room.mx_in()
+    *given, fraction = room.mx_in()
     crossed = ca.MX.sym("crossed", room.size1_out(0))
     seen, window, j = ca.MX.sym("seen", 4), ca.MX.sym("window", 4), ca.MX.sym("j")
-    rooms = room(*given, part) + validation.LARGEST * (1 - crossed)
+    rooms = room(*given, fraction) + validation.LARGEST * (1 - crossed)
     lowest = ca.mmin(rooms)
     is_out = lowest < 0
     at = ca.vertcat(lowest, j, ca.fmin(j + 2 - is_out, _SAMPLES), ca.sum1(rooms < 0))
-    inputs = [seen, j, part, *given, crossed]
+    inputs = [seen, j, fraction, *given, crossed]
     sample = where_needed(Function("sample", inputs, [ca.if_else(lowest < seen[0], at, seen)]))
     low, high, *_ = ca.vertsplit(window)
     width, best = (high - low) / _SAMPLES, ca.MX(ca.DM([np.inf, 0, 1, 0]))
@@ -273,15 +273,15 @@ def _chord(room: ca.Function) -> ca.Function:
     chosen, edge = ca.MX.sym("chosen", room.size1_out(0)), ca.MX.sym("edge")
     state = ca.MX.sym("state", 7)
     left, right, over, under, place, gap_there, speed = ca.vertsplit(state)
-    part = ca.fmin(ca.fmax(left + over * (right - left) / (over - under), left), right)
-    gap = ca.dot(chosen, room(*given, part)) - edge
-    moved = part - place
+    fraction = ca.fmin(ca.fmax(left + over * (right - left) / (over - under), left), right)
+    gap = ca.dot(chosen, room(*given, fraction)) - edge
+    moved = fraction - place
     secant = (gap - gap_there) / moved
     speed = ca.if_else(ca.logic_and(ca.fabs(moved) > _APART, secant < 0), secant, speed)
     is_in = gap > 0
     end = ca.vertcat(
-        ca.if_else(is_in, part, left), ca.if_else(is_in, right, part),
-        ca.if_else(is_in, gap, over / 2), ca.if_else(is_in, under / 2, gap), part, gap, speed,
+        ca.if_else(is_in, fraction, left), ca.if_else(is_in, right, fraction),
+        ca.if_else(is_in, gap, over / 2), ca.if_else(is_in, under / 2, gap), fraction, gap, speed,
     )  # fmt: skip
     return Function("chord", [state, *given, chosen, edge], [end])
 

@@ -98,10 +98,10 @@ class FixedStep(Integrator):
         written = step.is_a("SXFunction") and equation.form == "flat"
         x, u, taut, h = equation.symbols(ca.SX if written else ca.MX)
         x1 = step(x, u, taut, h)
-        told = [x1.zeros(1, 1), x1.zeros(0, 1)]
+        switching = [x1.zeros(1, 1), x1.zeros(0, 1)]
         if self.locates:
-            told = crossings(equation)(x, x1, u, taut, h)
-        return Function("attempt", [x, u, taut, h], [ca.densify(x1), *map(ca.densify, told)])
+            switching = crossings(equation)(x, x1, u, taut, h)
+        return Function("attempt", [x, u, taut, h], [ca.densify(x1), *map(ca.densify, switching)])
 
     @abstractmethod
     def step_function(self, equation: Equation) -> ca.Function:
