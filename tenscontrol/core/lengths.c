@@ -36,9 +36,9 @@ static inline void stretch(const Input *input, const int32_t *bars, int i, int d
 
    Rates are scaled by the inverse, so that the cross product of bar and rate stays. Centres, string
    nodes and hinges stay, and momenta with them, to round-off. */
-static void restore_alone(Span *span, const Input *input, Number *x) {
+static inline void restore_alone(Span *span, const Input *input, int d, Number *x) {
   const Scene *s = span->scene;
-  const int d = s->dimension, free = s->free;
+  const int free = s->free;
   for (int i = 0; i < s->free_bars; ++i) {
     Number *a = x + s->bar_row[2 * i], *b = x + s->bar_row[2 * i + 1];
     Number bar[3], rate[3], new_bar[3], new_rate[3];
@@ -267,6 +267,7 @@ SHARED void restore_bars(Span *span, Number *x, Number time) {
   if (!span->lengths) return;
   memset(&input, 0, sizeof input);
   if (span->drive->is_driven) input = input_at(span, time);
-  restore_alone(span, &input, x);
+  if (span->scene->dimension == 2) restore_alone(span, &input, 2, x);
+  else restore_alone(span, &input, 3, x);
   if (span->scene->block_bars) restore_blocks(span, &input, x);
 }
