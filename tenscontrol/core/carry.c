@@ -90,23 +90,24 @@ SHARED Number carry(Span *span, Truth meant, const Tried *step, Number *x, Numbe
   Number *rooms = span->carried, *weights = rooms + PATH * m;
   Number *y = weights + 2 * PATH * m, *dx = y + 2 * half, *a = dx + 2 * half;
   Number switches = all(0);
+  const Some *some = list(span, span->marked);
   const Number *scale;
   make_path(span, step);
   on_path(span, h, all(0.5), y);
-  gap_at(span, y, step->time + 0.5 * h, span->marked, span->gap, 0);
+  gap_at(span, y, step->time + 0.5 * h, some, span->gap, 0);
   scale = gap_scales(span, step->time);
-  for (int i = 0; i < m; ++i) {
+  for (int k = 0; k < some->count; ++k) {
+    const int i = some->which[k];
     const Number sign = 2 * step->taut[i] - 1, band = BAND * scale[i];
-    if (!any(span->marked[i] != 0)) continue;
     rooms[PATH * i] = sign * span->gap0[i] + band;
     rooms[PATH * i + 1] = sign * span->gap[i] + band;
     rooms[PATH * i + 2] = sign * span->gap1[i] + band;
   }
   memset(weights, 0, 2 * PATH * m * sizeof *weights);
-  for (int i = 0; i < m; ++i) {
+  for (int k = 0; k < some->count; ++k) {
+    const int i = some->which[k];
     Number plain[PATH], falling[PATH], count;
     const Number sign = 1 - 2 * step->taut[i];
-    if (!any(span->marked[i] != 0)) continue;
     count = weigh(rooms + PATH * i, meant & (span->marked[i] != 0), plain, falling);
     switches += count;
     for (int j = 0; j < PATH && any(count > 0); ++j) {

@@ -10,13 +10,14 @@
 typedef struct {
   Number *p, *v, *f, *g, *a, *b;                     /* (entries) */
   Number *ends, *end_rates;                          /* (entries): of strings that supports move */
-  Number *S, *length, *rate, *gamma;                 /* (d, segments), (segments) */
+  Number *S, *changes;                               /* (segments, d) */
+  Number *length, *rate, *gamma;                     /* (segments) */
   Number *string_length, *string_rate, *string_gamma, *string_taut; /* (strings) */
   Number *factors, *unknowns;
 } Work;
 
 SHARED size_t equation_work_size(const Scene *s) {
-  return 8 * (size_t)s->entries + (size_t)(s->dimension + 3) * s->segments +
+  return 8 * (size_t)s->entries + (size_t)(2 * s->dimension + 3) * s->segments +
          4 * (size_t)s->strings + (size_t)s->factors + 2 * (size_t)s->unknowns + 1;
 }
 
@@ -25,7 +26,8 @@ static inline Work parts_of(const Scene *s, Number *work) {
   Number **arrays[] = {&w.p, &w.v, &w.f, &w.g, &w.a, &w.b, &w.ends, &w.end_rates};
   for (size_t i = 0; i < sizeof arrays / sizeof *arrays; ++i, work += s->entries) *arrays[i] = work;
   w.S = work;
-  w.length = w.S + s->dimension * s->segments;
+  w.changes = w.S + s->dimension * s->segments;
+  w.length = w.changes + s->dimension * s->segments;
   w.rate = w.length + s->segments;
   w.gamma = w.rate + s->segments;
   w.string_length = w.gamma + s->segments;
@@ -227,7 +229,7 @@ SHARED void forces_of(const Scene *s, const Number *state, const Input *input, c
     forces_3(s, p, v, input, taut, forces, &w);
 }
 
-SHARED void gap_of(const Scene *s, const Number *state, const Input *input, const Number *marked,
+SHARED void gap_of(const Scene *s, const Number *state, const Input *input, const Some *some,
                    Number *gap, Number *rate, Number *work) {
   const Work w = parts_of(s, work);
   const Number *p, *v;
@@ -235,7 +237,7 @@ SHARED void gap_of(const Scene *s, const Number *state, const Input *input, cons
   p = moved(p, input->offset, w.ends, s->entries);
   v = moved(v, input->offset_rate, w.end_rates, s->entries);
   if (s->dimension == 2)
-    gaps_2(s, p, v, input->strings, marked, gap, rate, &w);
+    gaps_2(s, p, v, input->strings, some, gap, rate, &w);
   else
-    gaps_3(s, p, v, input->strings, marked, gap, rate, &w);
+    gaps_3(s, p, v, input->strings, some, gap, rate, &w);
 }

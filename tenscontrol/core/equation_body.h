@@ -4,43 +4,41 @@
 #define NAME2(name, d) NAME_(name, d)
 #define N(name) NAME2(name, D)
 
-/* The vectors of segments, one row a direction, and their lengths. */
-WIDE static void N(segments)(const Scene *s, const Number *restrict p, const Number *restrict rest,
-                             Number *restrict S, Number *restrict length) {
+static inline void N(difference)(const Number *from, int start, int end, Number *to) {
+  Number apart[D];
+  for (int k = 0; k < D; ++k) apart[k] = from[end + k] - from[start + k];
+  for (int k = 0; k < D; ++k) to[k] = apart[k];
+}
+
+/* The vectors of segments, or their rates, one after another. Compilers that would gather entries from
+   several segments into one register take longer; they do not, as S is not known to be elsewhere. */
+static void N(differences)(const Scene *s, const Number *p, Number *S) {
   const int count = s->segments;
-  const int32_t *restrict start = s->segment_start, *restrict end = s->segment_end;
-  for (int i = 0; i < count; ++i)
-    for (int k = 0; k < D; ++k) S[k * count + i] = p[end[i] + k] - p[start[i] + k];
-  if (!length) return;
+  const int32_t *start = s->segment_start, *end = s->segment_end;
+  for (int i = 0; i < count; ++i) N(difference)(p, start[i], end[i], S + D * i);
+}
+
+/* Lengths of segments. */
+WIDE static void N(lengths)(const Scene *s, const Number *restrict S, const Number *restrict rest,
+                            Number *restrict length) {
+  const int count = s->segments;
   if (s->clustered) {
     const Number least = all(s->shortest * s->shortest);
     for (int i = 0; i < count; ++i) {
       Number square = all(0);
-      for (int k = 0; k < D; ++k) square += S[k * count + i] * S[k * count + i];
+      for (int k = 0; k < D; ++k) square += S[D * i + k] * S[D * i + k];
       length[i] = root(larger(square, least));
     }
     return;
   }
-  for (int i = 0; i < count; ++i) {
-    Number one[D];
-    for (int k = 0; k < D; ++k) one[k] = S[k * count + i];
-    N(pulling_length)(one, rest[i], length + i);
-  }
+  for (int i = 0; i < count; ++i) N(pulling_length)(S + D * i, rest[i], length + i);
 }
 
-WIDE static void N(length_rates)(const Scene *s, const Number *restrict v,
+WIDE static void N(length_rates)(const Scene *s, const Number *restrict changes,
                                  const Number *restrict S, const Number *restrict length,
                                  Number *restrict rate) {
   const int count = s->segments;
-  const int32_t *restrict start = s->segment_start, *restrict end = s->segment_end;
-  for (int i = 0; i < count; ++i) {
-    Number one[D], change[D];
-    for (int k = 0; k < D; ++k) {
-      one[k] = S[k * count + i];
-      change[k] = v[end[i] + k] - v[start[i] + k];
-    }
-    N(length_rate)(one, change, length[i], rate + i);
-  }
+  for (int i = 0; i < count; ++i) N(length_rate)(S + D * i, changes + D * i, length[i], rate + i);
 }
 
 /* Adds the pull of the strings to the forces on nodes string by string, all runs at once: for lanes,
@@ -72,6 +70,7 @@ static void N(pull_in_lanes)(const Scene *s, const Number *p, const Number *v, c
 WIDE static void N(pull)(const Scene *s, const Number *p, const Number *v, const Number *u,
                          const Number *taut, Number *restrict f, const Work *w) {
   const int count = s->segments;
+  const int32_t *restrict start = s->segment_start, *restrict end = s->segment_end;
   Number *restrict S = w->S, *restrict length = w->length, *restrict rate = w->rate;
   Number *restrict gamma = w->gamma;
   const int is_held = s->law == FORCE_DENSITY_HELD;
@@ -79,8 +78,12 @@ WIDE static void N(pull)(const Scene *s, const Number *p, const Number *v, const
     N(pull_in_lanes)(s, p, v, u, taut, f);
     return;
   }
-  N(segments)(s, p, u, S, is_held && !s->clustered ? 0 : length);
-  if (!is_held && s->damped) N(length_rates)(s, v, S, length, rate);
+  N(differences)(s, p, S);
+  if (!is_held || s->clustered) N(lengths)(s, S, u, length);
+  if (!is_held && s->damped) {
+    N(differences)(s, v, w->changes);
+    N(length_rates)(s, w->changes, S, length, rate);
+  }
   if (s->clustered) {
     sum_by_string(s, length, w->string_length);
     if (!is_held && s->damped) sum_by_string(s, rate, w->string_rate);
@@ -94,14 +97,16 @@ WIDE static void N(pull)(const Scene *s, const Number *p, const Number *v, const
     taut = pulling(s, length, rate, u, taut, w->string_taut);
     force_densities(s, length, rate, u, taut, gamma);
   }
-  for (int k = 0; k < D; ++k)
-    for (int i = 0; i < count; ++i) S[k * count + i] *= gamma[i];
   for (int i = 0; i < count; ++i) {
-    Number *on_start = f + s->segment_start[i], *on_end = f + s->segment_end[i];
+    Number *on_start = f + start[i], *on_end = f + end[i];
+    Number pulled[D], held[D];
     for (int k = 0; k < D; ++k) {
-      on_start[k] += S[k * count + i];
-      on_end[k] -= S[k * count + i];
+      const Number pull = S[D * i + k] * gamma[i];
+      pulled[k] = on_start[k] + pull;
+      held[k] = on_end[k] - pull;
     }
+    for (int k = 0; k < D; ++k) on_start[k] = pulled[k];
+    for (int k = 0; k < D; ++k) on_end[k] = held[k];
   }
 }
 
@@ -144,10 +149,6 @@ static void N(forces)(const Scene *s, const Number *p, const Number *v, const In
     const int first = s->ground[i].first_switch;
     N(touch)(s, i, p, v, first < 0 || !taut ? 0 : taut + s->slacking + first, f);
   }
-}
-
-static inline void N(difference)(const Number *from, int start, int end, Number *to) {
-  for (int k = 0; k < D; ++k) to[k] = from[end + k] - from[start + k];
 }
 
 static void N(coupled)(const Scene *s, const Number *p, const Number *v, const Number *f,
@@ -271,13 +272,12 @@ static void N(weighed)(const Scene *s, const Number *p, const Number *ends, cons
   for (int k = 0; k < 2; ++k) N(accelerations)(s, p, w->v, forces[k], 0, to[k], w);
 }
 
-/* Gaps of a few strings, those that are marked. */
+/* Gaps of some strings. */
 static void N(gaps_of)(const Scene *s, const Number *p, const Number *v, const Number *u,
-                       const Number *marked, Number *gap, Number *rate) {
-  for (int i = 0; i < s->slacking; ++i) {
-    const int start = s->segment_start[i], end = s->segment_end[i];
+                       const Some *some, Number *gap, Number *rate) {
+  for (int j = 0; j < some->count && some->which[j] < s->slacking; ++j) {
+    const int i = some->which[j], start = s->segment_start[i], end = s->segment_end[i];
     Number segment[D], change[D], length;
-    if (!any(marked[i] != 0)) continue;
     for (int k = 0; k < D; ++k) segment[k] = p[end + k] - p[start + k];
     N(pulling_length)(segment, u[i], &length);
     for (int k = 0; k < D && rate; ++k) change[k] = v[end + k] - v[start + k];
@@ -287,13 +287,17 @@ static void N(gaps_of)(const Scene *s, const Number *p, const Number *v, const N
 }
 
 static void N(gaps)(const Scene *s, const Number *p, const Number *v, const Number *u,
-                    const Number *marked, Number *gap, Number *rate, const Work *w) {
-  if (s->slacking && marked && !s->clustered) {
-    N(gaps_of)(s, p, v, u, marked, gap, rate);
+                    const Some *some, Number *gap, Number *rate, const Work *w) {
+  if (s->slacking && some && !s->clustered) {
+    N(gaps_of)(s, p, v, u, some, gap, rate);
   } else if (s->slacking) {
     Number *length = w->length, *change = s->clustered ? w->rate : rate;
-    N(segments)(s, p, u, w->S, length);
-    if (rate) N(length_rates)(s, v, w->S, length, change);
+    N(differences)(s, p, w->S);
+    N(lengths)(s, w->S, u, length);
+    if (rate) {
+      N(differences)(s, v, w->changes);
+      N(length_rates)(s, w->changes, w->S, length, change);
+    }
     if (s->clustered) {
       sum_by_string(s, length, w->string_length);
       if (rate) sum_by_string(s, change, rate);
@@ -304,14 +308,15 @@ static void N(gaps)(const Scene *s, const Number *p, const Number *v, const Numb
   for (int i = 0; i < s->grounds; ++i) {
     const Ground *g = s->ground + i;
     const Number *own = numbers(s->ground_numbers) + GROUND_NUMBERS * i;
+    const int first = s->slacking + g->first_switch, count = some ? some->count : g->count;
     Number normal[D];
     if (g->first_switch < 0) continue;
     for (int j = 0; j < D; ++j) normal[j] = all(g->normal[j]);
-    for (int j = 0; j < g->count; ++j) {
-      const int at = s->slacking + g->first_switch + j, node = g->node[j];
+    for (int j = 0; j < count; ++j) {
+      const int at = some ? some->which[j] : first + j;
       Number depth, sinking;
-      if (marked && !any(marked[at] != 0)) continue;
-      N(sinking)(p + node, v + node, own[4], normal, &depth, &sinking);
+      if (at < first || at >= first + g->count) continue;
+      N(sinking)(p + g->node[at - first], v + g->node[at - first], own[4], normal, &depth, &sinking);
       ground_gap(depth, sinking, own[1], gap + at);
       if (rate) rate[at] = sinking;
     }

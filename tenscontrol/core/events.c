@@ -28,9 +28,17 @@ SHARED int velocity_dependent(const Scene *s) {
   return 0;
 }
 
-/* Gaps alone, of all or of what is marked. */
-static void gaps_at(Span *span, const Number *x, Number time, const Number *marked, Number *gap) {
-  gap_at(span, x, time, marked, gap, velocity_dependent(span->scene) ? span->rate : 0);
+SHARED const Some *list(Span *span, const Number *marked) {
+  Some *some = &span->some;
+  some->count = 0;
+  for (int i = 0; i < span->switches; ++i)
+    if (any(marked[i] != 0)) some->which[some->count++] = i;
+  return some;
+}
+
+/* Gaps alone, of all or of some. */
+static void gaps_at(Span *span, const Number *x, Number time, const Some *some, Number *gap) {
+  gap_at(span, x, time, some, gap, velocity_dependent(span->scene) ? span->rate : 0);
 }
 
 /* Lengths that round-off in each gap is a part of, m, at a time: rest lengths, and the size. */
@@ -66,12 +74,12 @@ static void middle_of(Span *span, const Tried *step) {
   }
 }
 
-/* Gaps of a state at rest, of what is marked. */
-static void gap_at_rest(Span *span, const Number *x, Number time, const Number *marked, Number *gap) {
+/* Gaps of a state at rest, of some. */
+static void gap_at_rest(Span *span, const Number *x, Number time, const Some *some, Number *gap) {
   const int half = span->states / 2;
   memcpy(span->middle, x, half * sizeof *x);
   memset(span->middle + half, 0, half * sizeof *x);
-  gap_at(span, span->middle, time, marked, gap, span->rate);
+  gap_at(span, span->middle, time, some, gap, span->rate);
 }
 
 /* Marks strings that may switch within a step with 1, and with 2 those that come back in; returns how
@@ -110,8 +118,9 @@ SHARED Number crossings(Span *span, const Tried *step) {
     /* A slack string pulls as soon as its stretch grows through zero, however soon the damping lets
        it go again. At rest nothing is damped, and the gap is the stretch. */
     for (int i = 0; i < m; ++i) slack[i] = 1 - taut[i];
-    gap_at_rest(span, step->x, step->time, slack, gap);
-    gap_at_rest(span, step->x1, step->time + h, slack, end_gap);
+    list(span, slack);
+    gap_at_rest(span, step->x, step->time, &span->some, gap);
+    gap_at_rest(span, step->x1, step->time + h, &span->some, end_gap);
     scale = gap_scales(span, step->time);
     for (int i = 0; i < m; ++i) {
       const Number band = BAND * scale[i], room0 = band - gap[i], room1 = band - end_gap[i];
@@ -143,13 +152,12 @@ SHARED Number missed_switches(Span *span, const Tried *step) {
 }
 
 /* The polynomials of degree 5 with positions, velocities and accelerations at both ends. */
-SHARED void make_path(Span *span, const Tried *step) {
-  const int half = span->states / 2;
-  const Number h = step->h, *x = step->x, *x1 = step->x1;
-  Number *c = span->coefficients;
+WIDE static void path_by(const Number *restrict x, const Number *restrict x1,
+                         const Number *restrict slope, const Number *restrict slope1, Number h,
+                         Number *restrict c, int half) {
   for (int i = 0; i < half; ++i) {
     const Number q0 = x[i], v0 = h * x[half + i], q1 = x1[i], v1 = h * x1[half + i];
-    const Number a0 = h * h * step->slope[half + i], a1 = h * h * step->slope1[half + i];
+    const Number a0 = h * h * slope[half + i], a1 = h * h * slope1[half + i];
     const Number d = q1 - q0 - v0 - a0 / 2, e = v1 - v0 - a0, f = a1 - a0;
     c[i] = q0;
     c[half + i] = v0;
@@ -160,14 +168,22 @@ SHARED void make_path(Span *span, const Tried *step) {
   }
 }
 
+SHARED void make_path(Span *span, const Tried *step) {
+  path_by(step->x, step->x1, step->slope, step->slope1, step->h, span->coefficients,
+          span->states / 2);
+}
+
 /* Positions at a part of a step. */
-static void places_on_path(const Span *span, Number part, Number *x) {
-  const int half = span->states / 2;
-  const Number *c = span->coefficients;
+WIDE static void places_by(const Number *restrict c, Number part, Number *restrict x, int half) {
   for (int i = 0; i < half; ++i) {
-    x[i] = c[5 * half + i];
-    for (int k = 4; k >= 0; --k) x[i] = x[i] * part + c[k * half + i];
+    Number value = c[5 * half + i];
+    for (int k = 4; k >= 0; --k) value = value * part + c[k * half + i];
+    x[i] = value;
   }
+}
+
+static void places_on_path(const Span *span, Number part, Number *x) {
+  places_by(span->coefficients, part, x, span->states / 2);
 }
 
 SHARED void on_path(const Span *span, Number h, Number part, Number *x) {
@@ -181,26 +197,32 @@ SHARED void on_path(const Span *span, Number h, Number part, Number *x) {
   }
 }
 
-/* Room of each string up to its border at a part of a step, m; of marked ones, if there are any marks,
-   and no end of it of the others. */
-static void rooms_at(Span *span, const Tried *step, Number part, const Number *marked,
-                     Number *rooms) {
+/* Room of each string up to its border at a part of a step, m, or of some. */
+static void rooms_at(Span *span, const Tried *step, Number part, const Some *some, Number *rooms) {
+  const int count = some ? some->count : span->switches;
   const Number *scale;
   Number *y = span->middle;
   if (velocity_dependent(span->scene)) on_path(span, step->h, part, y);
   else places_on_path(span, part, y);
-  gaps_at(span, y, step->time + part * step->h, marked, span->gap);
+  gaps_at(span, y, step->time + part * step->h, some, span->gap);
   scale = gap_scales(span, step->time);
-  for (int i = 0; i < span->switches; ++i) {
-    const Number room = sign_of(step->taut[i]) * span->gap[i] + BAND * scale[i];
-    rooms[i] = marked ? choice(marked[i] != 0, room, all(INFINITY)) : room;
+  for (int j = 0; j < count; ++j) {
+    const int i = some ? some->which[j] : j;
+    rooms[i] = sign_of(step->taut[i]) * span->gap[i] + BAND * scale[i];
   }
 }
 
-static Number count_out(const Number *rooms, int count) {
-  Number out = all(0);
-  for (int i = 0; i < count; ++i) out += truth(rooms[i] < 0);
-  return out;
+/* The least room of what is listed and marked, and how many are out. */
+static Number least_marked(const Span *span, Number *out) {
+  Number least = all(INFINITY);
+  *out = all(0);
+  for (int j = 0; j < span->some.count; ++j) {
+    const int i = span->some.which[j];
+    const Truth is_marked = span->marked[i] != 0;
+    least = choice(is_marked, smaller(span->rooms[i], least), least);
+    *out += truth(is_marked & (span->rooms[i] < 0));
+  }
+  return least;
 }
 
 /* Closes in on the first sample that is out, else on the lowest; whether one is out, and how many
@@ -210,15 +232,15 @@ static Truth zoom(Span *span, const Tried *step, Number *low, Number *high, Numb
   Number least = all(INFINITY), first = all(0), last = all(1);
   for (int j = 0; j < SAMPLES && any((least < 0) == 0); ++j) {
     const Truth is_in = (least < 0) == 0;
-    Number lowest;
+    Number lowest, count;
     Truth better;
-    rooms_at(span, step, *low + (j + 1.0) * width, span->marked, span->rooms);
-    lowest = least_of(span->rooms, span->switches);
+    rooms_at(span, step, *low + (j + 1.0) * width, &span->some, span->rooms);
+    lowest = least_marked(span, &count);
     better = is_in & (lowest < least);
     first = choice(better, all(j), first);
     last = choice(better, choice(lowest < 0, all(j + 1), all(j + 2 > SAMPLES ? j + 1 : j + 2)), last);
     least = choice(better, lowest, least);
-    *out = choice(better, count_out(span->rooms, span->switches), *out);
+    *out = choice(better, count, *out);
   }
   *high = *low + last * width;
   *low += first * width;
@@ -237,9 +259,11 @@ static Truth mark_earlier(Span *span, Truth found) {
   return earlier;
 }
 
+/* Of what is listed and chosen. */
 static Number mean_of_chosen(const Span *span, const Number *of) {
   Number sum = all(0), count = all(0);
-  for (int i = 0; i < span->switches; ++i) {
+  for (int j = 0; j < span->some.count; ++j) {
+    const int i = span->some.which[j];
     sum += only(span->chosen[i] != 0, of[i]);
     count += span->chosen[i];
   }
@@ -263,6 +287,7 @@ SHARED Cut first_switch(Span *span, Truth meant, const Tried *step, Number allow
   do {
     Truth is_settled = all(0) > 1;
     low = all(0), high = all(1);
+    list(span, span->marked);
     for (int i = 0; i < (span->scene->grounds ? ZOOMS_ON_GROUND : ZOOMS) && any(is_settled == 0);
          ++i) {
       Number from = low, to = high, out = all(0);
@@ -288,6 +313,7 @@ SHARED Cut first_switch(Span *span, Truth meant, const Tried *step, Number allow
     chosen[i] = choice(cut.found, truth(is_out), truth(outside[i] <= lowest + near));
     span->leaving[i] = truth(outside[i] < inside[i]);
   }
+  list(span, chosen);
   edge = BAND * size;
   before = mean_of_chosen(span, inside) - edge;
   after = mean_of_chosen(span, outside) - edge;
@@ -306,7 +332,7 @@ SHARED Cut first_switch(Span *span, Truth meant, const Tried *step, Number allow
     Number value, moved_by, secant;
     Truth is_in, apart;
     cut.part = smaller(larger(left + over * (right - left) / (over - under), left), right);
-    rooms_at(span, step, cut.part, chosen, span->rooms);
+    rooms_at(span, step, cut.part, &span->some, span->rooms);
     value = mean_of_chosen(span, span->rooms) - edge - cut.aim;
     moved_by = cut.part - part_before;
     apart = positive(moved_by) > APART;
@@ -329,6 +355,7 @@ SHARED Number approach(Span *span, const Tried *step, Cut cut, Place *place, voi
   Number fraction = choice(cut.found, all(0), all(1)), wanted = cut.part, speed = cut.speed;
   Number gap_before = cut.aim;
   Truth going = cut.found;
+  const Some *some = list(span, span->chosen);
   *places = all(0);
   for (int count = 0; count < POLISHES && any(going); ++count) {
     const Number before = fraction;
@@ -337,8 +364,9 @@ SHARED Number approach(Span *span, const Tried *step, Cut cut, Place *place, voi
     *places += truth(going);
     fraction = choice(going, smaller(larger(only(speed < 0, wanted), all(0)), all(1)), fraction);
     place(by, fraction, x);
-    gaps_at(span, x, step->time + fraction * step->h, span->chosen, span->gap);
-    for (int i = 0; i < span->switches; ++i) span->gap[i] *= sign_of(step->taut[i]);
+    gaps_at(span, x, step->time + fraction * step->h, some, span->gap);
+    for (int j = 0; j < some->count; ++j)
+      span->gap[some->which[j]] *= sign_of(step->taut[some->which[j]]);
     gap = mean_of_chosen(span, span->gap);
     /* The gap of a damped string has a kink next to the border: the tension falls fast up to it,
        and beyond it is the stretch that counts. Where it is flat between two places beyond, the

@@ -14,6 +14,11 @@ typedef struct {
   const Number *length, *length_rate, *extension;
 } Input;
 
+/* Some of what can switch, ascending: strings, then contacts. */
+typedef struct {
+  int32_t count, *which;
+} Some;
+
 /* A span of a motion: a scene, its inputs as polynomials in time, and memory. */
 typedef struct {
   const Scene *scene;
@@ -27,13 +32,14 @@ typedef struct {
   Number *restored; /* of bars that are put on their lengths */
   Number *coefficients, *rooms, *inside, *outside, *chosen, *leaving, *within, *marked;
   Number *gap0, *gap1; /* at both ends of the step that was searched last */
+  Some some;           /* those that were listed last */
   Number *carried; /* of switches in steps that are not cut */
 } Span;
 
 /* Of equation.c: memory of one evaluation; by inputs at one time xdot, where what pulls and presses is
    given, or null for what the state says; accelerations by the forces of
-   what can switch, each counted by one weight and by another, forces on all entries, and gaps: of all that can switch, or at least of
-   what is marked. Where no force depends on velocities, rates of gaps need not be asked for. Where
+   what can switch, each counted by one weight and by another, forces on all entries, and gaps: of all
+   that can switch, or at least of some. Where no force depends on velocities, rates of gaps need not be asked for. Where
    lengths are driven, xdot with the force densities of all bars, N/m: of bars that are redundant, those
    of a set that holds the others. */
 SHARED size_t equation_work_size(const Scene *scene);
@@ -47,7 +53,7 @@ SHARED void forces_of(const Scene *scene, const Number *state, const Input *inpu
 SHARED void slope_and_bars(const Scene *scene, const Number *state, const Input *input,
                            const Number *taut, Number *slope, Number *density, Number *work);
 SHARED void gap_of(const Scene *scene, const Number *state, const Input *input,
-                   const Number *marked, Number *gap, Number *rate, Number *work);
+                   const Some *some, Number *gap, Number *rate, Number *work);
 
 /* Of span.c: lays out a span in memory, and returns what is left of it. */
 SHARED size_t span_size(const Scene *scene, const Drive *drive);
@@ -55,7 +61,7 @@ SHARED Number *begin(Span *span, const Scene *scene, const Drive *drive, const L
                      Number *work);
 SHARED Input input_at(Span *span, Number time);
 SHARED void slope_at(Span *span, const Number *x, Number time, const Number *taut, Number *slope);
-SHARED void gap_at(Span *span, const Number *x, Number time, const Number *marked, Number *gap,
+SHARED void gap_at(Span *span, const Number *x, Number time, const Some *some, Number *gap,
                    Number *rate);
 
 /* Of frequency.c: the largest frequency of small motions about a state, rad/s, by power iteration that
@@ -86,8 +92,9 @@ typedef void Place(void *by, Number part, Number *x);
    contact as part of the size: it covers round-off. */
 static const double BAND = 1e-11;
 
-/* Of events.c: how many strings may switch within a step, whether their force depends on velocities,
+/* Of events.c: what is marked in any run, how many strings may switch within a step, whether their force depends on velocities,
    lengths that round-off in each gap is a part of, and the path of a step, of degree 5 in time. */
+SHARED const Some *list(Span *span, const Number *marked);
 SHARED Number crossings(Span *span, const Tried *step);
 SHARED Number missed_switches(Span *span, const Tried *step);
 SHARED int velocity_dependent(const Scene *scene);

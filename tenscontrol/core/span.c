@@ -11,7 +11,7 @@ static size_t restored_size(const Scene *s) {
 
 SHARED size_t span_size(const Scene *s, const Drive *drive) {
   const size_t n = 2 * (size_t)s->free, m = s->switches;
-  return equation_work_size(s) + 2 * (size_t)drive->count + (drive->is_driven ? s->bars : 0) + 12 * m +
+  return equation_work_size(s) + 2 * (size_t)drive->count + (drive->is_driven ? s->bars : 0) + 13 * m +
          4 * n + restored_size(s) + carry_size(s);
 }
 
@@ -33,6 +33,8 @@ SHARED Number *begin(Span *span, const Scene *s, const Drive *drive, const Lengt
   span->extension = work + 2 * drive->count;
   work = span->extension + (drive->is_driven ? s->bars : 0);
   for (size_t i = 0; i < sizeof arrays / sizeof *arrays; ++i, work += m) *arrays[i] = work;
+  span->some.which = (int32_t *)work;
+  work += m;
   span->middle = work;
   span->coefficients = work + n;
   span->restored = work + 4 * n;
@@ -96,11 +98,11 @@ SHARED void slope_at(Span *span, const Number *x, Number time, const Number *tau
 }
 
 /* The rate of a stretch is less by that of the rest length. */
-SHARED void gap_at(Span *span, const Number *x, Number time, const Number *marked, Number *gap,
+SHARED void gap_at(Span *span, const Number *x, Number time, const Some *some, Number *gap,
                    Number *rate) {
   const Input input = input_at(span, time);
   const Drive *drive = span->drive;
-  gap_of(span->scene, x, &input, marked, gap, rate, span->work);
+  gap_of(span->scene, x, &input, some, gap, rate, span->work);
   if (rate && drive->degree) {
     const int n = drive->count;
     const Number t = drive->begin + time;
