@@ -21,7 +21,7 @@ class PackageCopy:
     def __init__(self, folder: Path, *others: str) -> None:
         self._folder = folder
         self.changed: set[str] = set()
-        skipped = shutil.ignore_patterns("__pycache__", "images")
+        skipped = shutil.ignore_patterns("images")  # compiled modules go along
         for path in (_PACKAGE.name, *others):
             shutil.copytree(_PACKAGE.parent / path, folder / path, ignore=skipped)
 
