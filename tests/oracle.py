@@ -17,7 +17,7 @@ Of the package only the :class:`Structure`, a bag of indices and masses, is used
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -86,19 +86,26 @@ class Plane:
     height: float = 0.0
     exponent: float = 1.0
 
+    @cached_property
+    def _up(self):
+        return np.array(self.normal)
+
     def sinking(self, N, V):
         """Return depths and their rates of nodes, one a row."""
-        normal = np.array(self.normal)
-        return self.height - N @ normal, -(V @ normal)
+        return self.height - N @ self._up, -(V @ self._up)
 
     def force(self, N, V, presses):
         """Return the force on each node, N, one a row, where it presses."""
         depth, rate = self.sinking(N, V)
-        size = np.where(presses, self.stiffness * np.abs(depth) ** self.exponent, 0.0)
-        size *= np.sign(depth) * (1 + self.damping * rate)
-        slip = V + rate[:, None] * np.array(self.normal)
-        speed = np.sqrt((slip * slip).sum(axis=1) + self.slip_speed**2)
-        return size[:, None] * self.normal - (self.friction * size / speed)[:, None] * slip
+        force, at = np.zeros_like(V), np.flatnonzero(presses)
+        if len(at):
+            depth, rate = depth[at], rate[at]
+            size = self.stiffness * np.abs(depth) ** self.exponent
+            size *= np.sign(depth) * (1 + self.damping * rate)
+            slip = V[at] + rate[:, None] * self._up
+            speed = np.sqrt((slip * slip).sum(axis=1) + self.slip_speed**2)
+            force[at] = size[:, None] * self._up - (self.friction * size / speed)[:, None] * slip
+        return force
 
     def border(self, N, V):
         """Positive where a node presses."""
@@ -108,7 +115,7 @@ class Plane:
 
 def _pushes(planes, N, V, presses):
     """Return the forces of several planes on the nodes, one a row."""
-    parts = np.split(presses, len(planes))
+    parts = presses.reshape(len(planes), -1)
     return sum(plane.force(N, V, part) for plane, part in zip(planes, parts, strict=True))
 
 

@@ -3,6 +3,7 @@
 import re
 import sys
 from contextlib import redirect_stdout
+from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
 from io import StringIO
@@ -109,18 +110,14 @@ def test_arm_shape(printed):
 
 
 def test_driven_choices(printed):
-    text = printed("driven_choices", "--start 4 --count 1 --each")
+    text = printed("driven_choices", "--start 3 --count 1 --each --struts")
     assert "silent: 0" in text
-    assert " stable" in text
-    assert "one way" in text
-    both = printed("driven_choices", "--start 3 --count 1 --each --struts")
-    assert "silent: 0" in both
-    assert both.count(" stable") >= 2
+    assert text.count(" stable") >= 2
 
 
 @needs("mujoco", "test")
 def test_stepping(printed):
-    text = printed("stepping", "--counts 1 2 --parts 5 10 --rounds 1 --seconds 0.01")
+    text = printed("stepping", "--counts 1 --parts 5 10 --rounds 1 --seconds 0.001")
     for name in ("Stepper", "MuJoCo rk4", "MuJoCo implicitfast"):
         (_, coarse, *rates), (_, fine, *_) = (row(text, name + " " * 4, k) for k in (0, 1))
         assert 0 < fine < coarse < 0.05
@@ -130,13 +127,11 @@ def test_stepping(printed):
 
 def test_motor_substeps(printed, monkeypatch):
     module = import_module("tests.benchmarks.motor_substeps")
-    monkeypatch.delitem(module.MOTORS, "inertia 1e-5 kg m²")
-    monkeypatch.delitem(module.MOTORS, "lag 30 ms")
+    monkeypatch.setattr(module, "MOTORS", {"torque alone": {}})
     text = printed("motor_substeps", "--substeps 2 4 --finest 16")
-    for name in ("torque alone", "play 0.3 rad"):
-        few, more = row(text, name), row(text, name, 1)
-        assert more[1] < 0.5 * few[1]  # rest length, after the substeps
-        assert 0.5 < few[3] / few[1] < 3
+    few, more = row(text, "torque alone"), row(text, "torque alone", 1)
+    assert more[1] < 0.5 * few[1]  # rest length, after the substeps
+    assert 0.5 < few[3] / few[1] < 3
 
 
 def test_driven_bars(printed, monkeypatch):
@@ -184,7 +179,8 @@ def test_suite(printed):
     assert "6 runs: 5 accurate" in text
 
 
-def test_frontier(printed):
+def test_frontier(printed, monkeypatch):
+    monkeypatch.setattr(import_module("tests.benchmarks.frontier"), "SHORT", 2e-3)  # s
     text = printed("frontier", "--count 0 --library 1 --limit 0.01 --methods rk4 dop853 --cells")
     assert "library in the air: prism, massless strings, 1e-02: ms " in text
     assert text.count("  library in the air: 7 cells") == 2  # time and evaluations
@@ -251,7 +247,10 @@ def test_coupled_bars(printed):
 
 
 def test_ground_motions(printed, monkeypatch):
-    monkeypatch.delitem(import_module("tests.benchmarks.ground_motions").SCENES, "tower")
+    module = import_module("tests.benchmarks.ground_motions")
+    monkeypatch.setattr(module, "SCENES", {"ball": module.SCENES["ball"]})
+    few = partial(module.resting, copies=1)
+    monkeypatch.setattr(module, "resting", lambda on_ground, _: few(on_ground))
     text = printed("ground_motions", "--duration 0.3 --rest 0.1")
     for error in re.findall(r"farthest node, m +(.*)", text):
         assert max(map(float, error.split())) < 1e-11
@@ -298,21 +297,22 @@ def test_qp_solvers(printed):
     assert row(text, "stages")[0] == 1.0
 
 
-def test_contact_estimation(printed):
+def test_contact_estimation(printed, monkeypatch):
+    module = import_module("tests.benchmarks.contact_estimation")
+    monkeypatch.setattr(module, "normalized_errors", lambda *_: (1.0, 1.0))  # estimation has them
     text = printed("contact_estimation", "--seeds 1 --structures 1")
-    places, rates, places_by_load, rates_by_load, *shares = row(text, "x")
+    places, rates, places_by_load, rates_by_load, *_ = row(text, "x")
     assert 2 * places < places_by_load
     assert 4 * rates < rates_by_load
-    assert np.abs(np.array(shares) - 1).max() < 0.5
 
 
 def test_filter_consistency(printed, monkeypatch):
     kinds = import_module("tests.benchmarks.filter_consistency").KINDS
-    for name in list(kinds)[2:]:  # tests/estimation has them all
+    for name in list(kinds)[1:]:  # tests/estimation has them all
         monkeypatch.delitem(kinds, name)
-    text = printed("filter_consistency", "--runs 3")
+    text = printed("filter_consistency", "--runs 2")
     assert "outside" not in text
-    assert len(text.splitlines()) == 1 + 2 * 2
+    assert len(text.splitlines()) == 1 + 2
 
 
 def test_nmpc_contact(printed, nothing_compiled):
@@ -363,7 +363,7 @@ def test_installations(printed):
 
 @pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="Linux alone tells the memory")
 def test_many_models(printed):
-    text = printed("many_models", "--count 12")
+    text = printed("many_models", "--count 7")
     rows = np.array([list(map(float, line.split())) for line in text.splitlines()[1:]])
     memory, mappings, files = rows[4:, 1:4].T  # the first ones import
     assert np.ptp(memory) < 4.0  # MB
@@ -391,9 +391,18 @@ def test_robustness(printed, monkeypatch):
     assert "equal to the last bit: True" in text
 
 
-def test_rolling(printed, nothing_compiled):
+def test_rolling(printed, monkeypatch, nothing_compiled):
+    module = import_module("tests.benchmarks.rolling")
+    runs = {}
+
+    def once(case, drawn, count, **how):
+        """In place of a sweep, which tests/robustness has: the nominal ball, here."""
+        runs["steps"] = case({}, None).figures["steps"]
+        return SimpleNamespace(summary=str)
+
+    monkeypatch.setattr(module.tc, "sweep", once)
     text = printed("rolling", "--count 1 --steps 1 --slopes 5 --plans 1")
-    assert row(text, "steps") == [1, 1, 1, 1, 1]
+    assert runs == {"steps": 1}
     assert row(text, "slope of 5°: a command takes")[0] > 0
 
 
@@ -444,10 +453,10 @@ def test_identification(printed):
 
 
 def test_trust(printed, tmp_path):
-    text = printed("trust", f"--seed 9 --count 2 --methods rk4 energy_momentum --cache {tmp_path}")
-    assert "2 scenes: 2 ok" in text
-    assert row(text, "rk4 ")[0] + row(text, "rk4 ")[1] == 6
-    assert row(text, "all with fixed steps")[0] >= 10
+    text = printed("trust", f"--seed 9 --count 1 --methods rk4 energy_momentum --cache {tmp_path}")
+    assert "1 scenes: 1 ok" in text
+    assert row(text, "rk4 ")[0] + row(text, "rk4 ")[1] == 3
+    assert row(text, "all with fixed steps")[0] >= 5
     text = printed("trust", f"--scene 9 --methods rk4 --cache {tmp_path}")
     assert len(re.findall(r"rk4 .* (?:ok|stopped) ", text)) == 9
 
