@@ -218,7 +218,7 @@ def forces_on_inputs(actuation: Actuation, tensions: FloatArray) -> FloatArray:
     """
     if not actuation.is_ganged:
         return np.asarray(tensions[actuation.lead])
-    return np.asarray(actuation.matrix.T @ tensions)
+    return sums_by_input(actuation, (actuation.ratio * tensions.T).T)
 
 
 def sums_by_input(actuation: Actuation, values: FloatArray) -> FloatArray:
