@@ -14,8 +14,8 @@ if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # each worker has a core for itself
 
 # A setting of some containers: each process that a test starts would compile all that it imports.
-os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
-sys.dont_write_bytecode = False
+if os.environ.pop("PYTHONDONTWRITEBYTECODE", None):
+    sys.dont_write_bytecode = False
 
 import numpy as np
 import pytest
@@ -52,6 +52,9 @@ def pytest_collection_modifyitems(items):
             crossing = "ignore::tenscontrol.simulation.BarCrossingWarning"
             beside = r"ignore:strings\[\d+\] joins nodes:UserWarning"
             item.add_marker(pytest.mark.filterwarnings(crossing, beside))
+
+
+gc.set_threshold(10_000, 20, 20)  # searched less often: one per cent of the time went there
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -1,15 +1,18 @@
 """The suite of extreme cases: what it finds, and that it would find what is wrong."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 
 import tenscontrol as tc
 from tenscontrol.integrate.methods import METHODS
-from tests.benchmarks import suite
-from tests.benchmarks.extreme_cases import ASKED, Extreme, extremes, methods
+from tests.benchmarks import extreme_cases, suite
+from tests.benchmarks.extreme_cases import ASKED, Extreme, methods
 from tests.benchmarks.suite import Truth, cells, judge, judged, main, summary, truth
+
+extremes = cache(extreme_cases.extremes)
 
 GAMMA = np.repeat([10.0, 10.0, 0.9 * np.sqrt(3) * 10.0], 3)
 

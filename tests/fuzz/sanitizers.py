@@ -27,12 +27,12 @@ from tests.deploy import scenes
 
 # Casts of what does not fit are not in "undefined".
 CHECKED = (
-    "-g",
+    "-g1",  # lines alone
     "-O0",  # long straight code takes a tenth of the time of -O1
     "-fsanitize=address,undefined,float-cast-overflow",
     "-fno-sanitize-recover=all",
 )
-PLAIN = ("-g", "-O0")
+PLAIN = ("-g1", "-O0")
 WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
 
 # Nothing is left allocated on purpose, and finding leaks is not possible everywhere.
