@@ -9,11 +9,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tenscontrol import validation
-from tenscontrol.arrays import FloatArray, IntArray, freeze_arrays, frozen
+from tenscontrol.arrays import FloatArray, IntArray, freeze_arrays
 from tenscontrol.dynamics.evaluator import evaluate_columns
 from tenscontrol.dynamics.model import Model
 from tenscontrol.fields import Array, OptionalArray, check_fields, checked, converted
 from tenscontrol.short_repr import short_repr
+
+# Numbers that need not be given.
+_ABSENT = {"torque": np.inf, "speed": np.inf, "zero": np.nan}
 
 # Parts of an interval in which a string goes slack or taut.
 _PARTS = 32
@@ -28,6 +31,17 @@ class EachMotor(NamedTuple):
     lag: FloatArray  # s
     play: FloatArray  # rest length within the play of the drum, m
     zero: FloatArray  # rest length at angle zero, m; not finite where it is that at the start
+    rate: FloatArray  # rest length wound at the largest speed, m/s; infinite where there is none
+
+    @classmethod
+    def of(cls, numbers: Mapping[str, Any]) -> EachMotor:
+        """Return what follows of the numbers of :class:`Motor`, or of ones with derivatives."""
+        lever = numbers["drum_radius"] / numbers["gear_ratio"]
+        play = numbers["backlash"] * numbers["drum_radius"]
+        torque, inertia, lag, zero = (
+            numbers[name] for name in ("torque", "inertia", "lag", "zero")
+        )
+        return cls(lever, torque, inertia, lag, play, zero, numbers["speed"] * lever)
 
     @property
     def most_tension(self) -> FloatArray:
@@ -217,23 +231,25 @@ def with_motor_numbers(motor: Motor, values: Mapping[str, FloatArray]) -> Motor:
     return replace(motor, **changes) if changes else motor
 
 
-def each_motor(motor: Motor, count: int) -> EachMotor:
+def each_motor(motor: Motor | None, count: int) -> EachMotor:
     """Return the numbers of each motor, for so many strings, or raise if they do not fit."""
-    for name, value in vars(motor).items():
+    for name, value in ({} if motor is None else vars(motor)).items():
         if value is not None:
             validation.one_or_per_member(f"motor.{name}", value, count)
 
-    def each(value: FloatArray | None, absent: float = np.inf) -> FloatArray:
-        return frozen(np.broadcast_to(absent if value is None else value, count))
+    return EachMotor.of(all_numbers(motor, count))
 
-    return EachMotor(
-        lever=each(motor.lever),
-        torque=each(motor.torque),
-        inertia=each(motor.inertia),
-        lag=each(motor.lag),
-        play=each(motor.backlash * motor.drum_radius),
-        zero=each(motor.zero, np.nan),
-    )
+
+def all_numbers(motor: Motor | None, count: int) -> dict[str, FloatArray]:
+    """Return all numbers of motors by name, for so many strings; infinite where there is no limit.
+
+    Of no motor those of one that moves at once, with any torque.
+    """
+    numbers = vars(Motor(drum_radius=1.0) if motor is None else motor)
+    return {
+        name: np.broadcast_to(_ABSENT[name] if value is None else value, (count,))
+        for name, value in numbers.items()
+    }
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from tenscontrol import validation
-from tenscontrol.actuation.motors import Motor, Turning, each_motor
+from tenscontrol.actuation.motors import EachMotor, Motor, Turning, each_motor
 from tenscontrol.arrays import FloatArray, IntArray, freeze_arrays, frozen
 from tenscontrol.dynamics.profile import polynomial_at
 from tenscontrol.fields import Field, OptionalArray, check_fields, checked, converted
@@ -29,7 +30,7 @@ _LEAST_INERTIA = 1e-30
 #: Force that pulls at each winch, N, and how fast it falls with the rest length, N/m, each of shape
 #: (α,), at rest lengths, m, shape (α,), so long after now, s. The force is that of the strings that
 #: it winds in, less that of the strings that it then pays out.
-Pull = Callable[[FloatArray, float], tuple[FloatArray, FloatArray]]
+Pull = Callable[[Any, float], tuple[Any, FloatArray]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,8 +270,7 @@ class Winches:
             validation.one_or_per_member("rate", self.rate, len(start))
         within = np.clip(goal, *self.range(len(start)))
         rate = self.largest_rate
-        reach = np.inf if rate is None else rate * sample_time
-        reached = np.clip(within, start - reach, start + reach)
+        reached = _within_reach(within, start, np.inf if rate is None else rate * sample_time)
         return WinchMove(
             frozen(reached),
             frozen(np.flatnonzero(reached != within)),
@@ -278,8 +278,9 @@ class Winches:
         )
 
 
-# Moves at once, with any torque.
-_NO_MOTOR = Motor(drum_radius=1.0)
+def _within_reach(goal: Any, start: Any, reach: Any) -> Any:
+    """Return what comes next to a goal, m, at most so far from a start."""
+    return np.clip(goal, start - reach, start + reach)
 
 
 @dataclass(frozen=True, eq=False)
@@ -304,6 +305,200 @@ class Tick:
         freeze_arrays(self)
 
 
+class Instant(NamedTuple):
+    """Winches between two ticks, shape (α,) each: arrays, or numbers with derivatives."""
+
+    rest_length: Any  # m
+    position: Any  # m: the rest length that there would be without play
+    speed: Any  # m/s, of the position
+    start: Any  # m: the reference at the beginning of the sample
+
+
+class Moved(NamedTuple):
+    """What a tick has made of winches."""
+
+    end: Instant
+    motor: tuple[Any, Any, Any]  # coefficients of the position
+    string: tuple[Any, ...]  # and of the rest length, degree + 1 of them
+    share: Any
+    reference: Any
+    slow: Any  # whether the largest speed was met
+    weak: Any  # whether the torque was
+
+
+class TickMap:
+    """What one tick makes of winches, each on its own.
+
+    All that it takes may be arrays of one shape, or numbers with derivatives in place of them.
+
+    Parameters
+    ----------
+    winches : Winches
+    motor : EachMotor
+        Their motors.
+    rate : array_like, optional
+        Largest speeds, m/s, beside those of the motors.
+    sample_time : float
+        s.
+    ticks : int
+        Parts of a sample.
+    """
+
+    def __init__(
+        self, winches: Winches, motor: EachMotor, rate: Any, sample_time: float, ticks: int
+    ) -> None:
+        self._winches, self._motor = winches, motor
+        self._rate = motor.rate if rate is None else np.minimum(motor.rate, rate)
+        self._sample_time, self._ticks = sample_time, ticks
+
+    def __call__(self, number: Any, at: Instant, within: Any, stuck: Any, pull: Pull) -> Moved:
+        """Return what a tick of the sample, counted from 1, makes of winches.
+
+        ``within`` is the command, m, within their range. What is stuck stays.
+        """
+        winches, time = self._winches, self._sample_time / self._ticks
+        before, target = self._reference(number, at.start, within)
+        first = at.speed
+        slow = weak = np.zeros(1, dtype=bool)
+        if winches.degree == 2:
+            end, speed, slow, weak = self._accelerated(at, target, time, pull)
+            end = np.where(stuck, at.position, end)
+            first, speed = (np.where(stuck, 0.0, v) for v in (first, speed))
+            acceleration = (speed - first) / time
+            slow, weak = slow & ~stuck, weak & ~stuck
+        else:
+            end, slow = self._followed(at.position, before, target, time)
+            end, weak = self._within_torque(at.position, end, pull, time * (not winches.jumps))
+            end = np.where(stuck, at.position, end)
+            acceleration = np.zeros(end.shape)
+            first = speed = acceleration if winches.jumps else (end - at.position) / time
+        play = self._motor.play / 2
+        reached = np.clip(at.rest_length, end - play, end + play)
+        moved = end - at.position
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = np.where(moved != 0, (reached - at.rest_length) / moved, 1.0)
+        after = Instant(reached, end, speed, at.start)
+        if winches.jumps:
+            motor = end, acceleration, acceleration
+            return Moved(after, motor, (reached,), share, target, slow, weak)
+        motor = at.position, first, acceleration / 2
+        string = at.rest_length, share * first, share * acceleration / 2
+        string_of_degree = string[: winches.degree + 1]
+        return Moved(after, motor, string_of_degree, share, target, slow, weak)
+
+    def _reference(self, number: Any, start: Any, within: Any) -> tuple[Any, Any]:
+        """Return what winches follow from the beginning of a tick to its end, m."""
+        target = within
+        if not self._winches.has_drive:
+            target = _within_reach(within, start, self._rate * self._sample_time)
+        if not self._winches.ramp:
+            return target, target
+        way = target - start
+        until = np.where(number < self._ticks, start + number / self._ticks * way, target)
+        return start + (number - 1) / self._ticks * way, until
+
+    def _followed(self, position: Any, before: Any, target: Any, time: float) -> tuple[Any, Any]:
+        """Return the positions at the end of a tick, without inertia or limit of torque.
+
+        And which were at their largest speed. The reference goes in a straight line from ``before``
+        to ``target``. A drive with a lag closes the gap g to it by dg/dt = v - g/lag, v its speed,
+        or at the largest speed.
+        """
+        lag, rate = self._motor.lag, self._rate
+        at_once = _within_reach(target, position, rate * time)
+        if not (lag > 0).any():
+            return at_once, np.zeros(1, dtype=bool)
+        gap, speed = before - position, (target - before) / time
+        left, slow = np.full(gap.shape, time), (lag == 0) & (at_once != target)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            most, still = rate * lag, speed * lag
+            # At the largest speed, then slower, then at the largest speed the other way.
+            for _ in range(_PHASES):
+                way = np.sign(gap)
+                closing = rate - way * speed
+                full = (np.abs(gap) > most) | ((np.abs(gap) == most) & (closing <= 0))
+                edge = np.where(full, way, np.sign(speed)) * most
+                until = np.where(closing > 0, (np.abs(gap) - most) / closing, np.inf)
+                slower = np.where(
+                    np.abs(speed) > rate, lag * np.log((still - gap) / (still - edge)), np.inf
+                )
+                until = np.where(full, until, slower)
+                span = np.minimum(left, until)
+                moved = np.where(
+                    full, gap - way * closing * span, still + (gap - still) * np.exp(-span / lag)
+                )
+                slow = slow | (full & (span > 0) & (lag > 0))
+                gap, left = np.where(until < left, edge, moved), left - span
+        return np.where(lag > 0, target - gap, at_once), slow
+
+    def _accelerated(
+        self, at: Instant, target: Any, time: float, pull: Pull
+    ) -> tuple[Any, Any, Any, Any]:
+        """Return positions and speeds at the end of a tick of constant acceleration.
+
+        As fast as torque and speed allow, and no faster than can be stopped at the target. And
+        which motors met their speed, and their torque.
+        """
+        motor, lever = self._motor, self._motor.lever
+        expected = np.maximum(at.rest_length + at.speed * time, at.rest_length / 2)
+        force = (pull(at.rest_length, 0.0)[0] + pull(expected, time)[0]) / 2
+        gain = lever / np.maximum(motor.inertia, _LEAST_INERTIA)
+        winding = gain * (motor.torque - lever * force)
+        paying = gain * (motor.torque + lever * force)
+        low, high = at.speed - winding * time, at.speed + paying * time
+        low = np.where(winding < 0, np.minimum(low, 0.0), low)  # a brake holds
+        high = np.where(paying < 0, np.maximum(high, 0.0), high)
+        gap = target - at.position - at.speed * time / 2
+        braking = np.maximum(np.where(gap > 0, winding, paying), 0.0)
+        # What is left at the end of the tick must do to stop in whole ticks.
+        stopping = braking * time + np.sqrt((braking * time) ** 2 + 2 * braking * np.abs(gap))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            # Where the torque cannot stop it, the brake does, at once.
+            closing = np.where(stopping > 0, 2 * braking / stopping, np.inf)
+        wished = gap * np.minimum(closing, 1 / (motor.lag + time / 2))
+        wanted = np.clip(wished, -self._rate, self._rate)
+        speed = np.clip(wanted, low, high)
+        end = at.position + (at.speed + speed) * time / 2
+        return end, speed, np.abs(wished) > self._rate, speed != wanted
+
+    def _within_torque(self, position: Any, end: Any, pull: Pull, time: float) -> tuple[Any, Any]:
+        """Return positions so long after now up to which motors turn on the way to others.
+
+        Against the pull a motor turns up to where that takes all of its torque, or holds. And which
+        motors met it.
+        """
+        motor = self._motor
+        if not np.isfinite(motor.torque).any():
+            return end, np.zeros(1, dtype=bool)
+        first, last = np.asarray(position), np.asarray(end)  # without derivatives
+        way = np.sign(first - last)  # 1 where it winds in
+
+        def excess(at: FloatArray) -> tuple[Any, FloatArray]:
+            force, stiffness = pull(at + way * motor.play / 2, time)
+            return way * force - motor.most_tension, stiffness
+
+        over, slope = excess(last)
+        strained = (way != 0) & (over > 0)
+        if not strained.any():
+            return end, strained
+        moves = strained & (excess(first)[0] < 0)
+        # The pull falls with the rest length: what it takes grows on the way.
+        reached, too_far, at = first, last, last
+        for _ in range(_NEWTON):
+            over = np.asarray(over)
+            with np.errstate(all="ignore"):  # where nothing pulls, and of motions that run away
+                step = at + way * over / slope
+                is_between = (step - too_far) * (step - reached) <= 0
+            before, at = at, np.where(is_between, step, (too_far + reached) / 2)
+            over, slope = excess(at)
+            if (np.abs(at - before) <= _CONVERGED * np.abs(first))[moves].all():
+                break
+            too_far, reached = np.where(over > 0, at, too_far), np.where(over > 0, reached, at)
+        with np.errstate(all="ignore"):
+            at = at + way * over / slope
+        return np.where(moves, at, np.where(strained, position, end)), strained
+
+
 class Drive:
     """Winches in motion: follows one command a sample, tick by tick.
 
@@ -313,13 +508,13 @@ class Drive:
     ----------
     ticks : int
         Parts of a sample.
-    rest_length : ndarray, shape (α,)
-        Where they are, m.
-    position, speed : ndarray, shape (α,)
-        The rest length that there would be without play, m, and its rate, m/s.
+    now : Instant
+        Where the winches are.
     reference : ndarray, shape (α,)
         The rest length that the motors follow, m: a ramp goes from that of the last sample to the
         command, wherever a lag or an inertia has left the motors.
+    within, stuck : ndarray, shape (α,)
+        The command of the sample, m, within the range of the winches, and which of them are stuck.
     """
 
     def __init__(
@@ -332,69 +527,50 @@ class Drive:
     ) -> None:
         count = len(rest_length)
         winches.move(rest_length, rest_length, sample_time)  # or the limits do not fit
-        motor = _NO_MOTOR if winches.motor is None else winches.motor
-        self._winches, self._motor = winches, each_motor(motor, count)
-        self._sample_time, self._play = sample_time, self._motor.play / 2
+        self._winches, self._sample_time = winches, sample_time
         self.ticks = finer * winches.ticks
-        rate = np.inf if winches.largest_rate is None else winches.largest_rate
-        self._rate = np.broadcast_to(rate, count)
-        self.rest_length = rest_length
+        motor = each_motor(winches.motor, count)
+        self._map = TickMap(winches, motor, winches.rate, sample_time, self.ticks)
         if motion is None:
             motion = np.stack([rest_length, np.zeros(count), rest_length])
-        self.position: FloatArray = motion[0]
-        self.speed: FloatArray = motion[1]
+        self.now = Instant(rest_length, motion[0], motion[1], motion[0])
         self.reference: FloatArray = motion[2]
-        self._before = self.position
+        self._before = self.now.position
         self._history: list[tuple[float, Tick]] = []
+
+    @property
+    def rest_length(self) -> FloatArray:
+        """Where they are, m."""
+        return np.asarray(self.now.rest_length)
+
+    @property
+    def position(self) -> FloatArray:
+        """The rest length that there would be without play, m."""
+        return np.asarray(self.now.position)
 
     def begin(self, wanted: FloatArray, stuck: IntArray) -> WinchMove:
         """Take a command, m, shape (α,), and return the move that it leads to if torque allows."""
         self._move = self._winches.move(self.position, wanted, self._sample_time)
-        self._stuck = np.isin(np.arange(len(wanted)), stuck)
-        self._target = self._move.rest_length
-        self._start = self.position
+        self.stuck = np.isin(np.arange(len(wanted)), stuck)
+        self.within = np.clip(wanted, *self._winches.range(len(wanted)))
+        start = self.position
         if self._winches.has_drive:
-            self._start = self.reference
-            self._target = np.clip(wanted, *self._winches.range(len(wanted)))
+            start = self.reference
             self._move = replace(self._move, rate_limited=self._move.rate_limited[:0])
+        self.now = self.now._replace(start=start)
         self._slow = np.zeros(len(wanted), dtype=bool)
         self._weak = np.zeros(len(wanted), dtype=bool)
         return self._move
 
     def tick(self, number: int, now: float, pull: Pull) -> Tick:
         """Move through a tick of the sample, counted from 1, that begins now, s; return how."""
-        winches, ticks = self._winches, self.ticks
-        time = self._sample_time / ticks
-        before = target = self._target
-        if winches.ramp:
-            way = target - self._start
-            before = self._start + (number - 1) / ticks * way
-            if number < ticks:
-                target = self._start + number / ticks * way
-        self.reference = target
-        if winches.degree == 2:
-            end, speed = self._accelerated(target, time, pull)
-            acceleration = (speed - self.speed) / time
-            first = self.speed
-        else:
-            end = self._followed(before, target, time)
-            end = self._within_torque(end, pull, time * (not winches.jumps))
-            end = np.where(self._stuck, self.position, end)
-            still = np.zeros_like(end)
-            speed = still if winches.jumps else (end - self.position) / time
-            first, acceleration = speed, still
-        reached = np.clip(self.rest_length, end - self._play, end + self._play)
-        moved = end - self.position
-        with np.errstate(divide="ignore", invalid="ignore"):
-            share = np.where(moved != 0, (reached - self.rest_length) / moved, 1.0)
-        if winches.jumps:
-            tick = Tick(reached[:, None], np.column_stack([end, still, still]), share)
-        else:
-            motion = np.column_stack([self.position, first, acceleration / 2])
-            string = np.column_stack([self.rest_length, share * first, share * acceleration / 2])
-            tick = Tick(string[:, : winches.degree + 1], motion, share)
-        self.rest_length, self.position, self.speed = reached, end, speed
-        if winches.motor is not None:
+        moved = self._map(number, self.now, self.within, self.stuck, pull)
+        self._slow |= moved.slow
+        self._weak |= moved.weak
+        self.now, self.reference = moved.end, moved.reference
+        string, motor = (np.stack(rows, axis=-1) for rows in (moved.string, moved.motor))
+        tick = Tick(string, motor, moved.share)
+        if self._winches.motor is not None:
             self._history.append((now, tick))
         return tick
 
@@ -434,103 +610,3 @@ class Drive:
             rate_limited=frozen(slow.astype(np.int64)),
             torque_limited=frozen(np.flatnonzero(self._weak)),
         )
-
-    def _followed(self, before: FloatArray, target: FloatArray, time: float) -> FloatArray:
-        """Return the positions at the end of a tick, without inertia or limit of torque.
-
-        The reference goes in a straight line from ``before`` to ``target``. A drive with a lag
-        closes the gap g to it by dg/dt = v - g/lag, v its speed, or at the largest speed.
-        """
-        lag, rate = self._motor.lag, self._rate
-        if not lag.any():
-            return np.clip(target, self.position - rate * time, self.position + rate * time)
-        gap, speed = before - self.position, (target - before) / time
-        left = np.full(len(gap), time)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            most, still = rate * lag, speed * lag
-            # At the largest speed, then slower, then at the largest speed the other way.
-            for _ in range(_PHASES):
-                way = np.sign(gap)
-                closing = rate - way * speed
-                full = (np.abs(gap) > most) | ((np.abs(gap) == most) & (closing <= 0))
-                edge = np.where(full, way, np.sign(speed)) * most
-                until = np.where(closing > 0, (np.abs(gap) - most) / closing, np.inf)
-                slower = np.where(
-                    np.abs(speed) > rate, lag * np.log((still - gap) / (still - edge)), np.inf
-                )
-                until = np.where(full, until, slower)
-                span = np.minimum(left, until)
-                moved = np.where(
-                    full, gap - way * closing * span, still + (gap - still) * np.exp(-span / lag)
-                )
-                self._slow |= full & (span > 0) & (lag > 0)
-                gap, left = np.where(until < left, edge, moved), left - span
-        at_once = np.clip(target, self.position - rate * time, self.position + rate * time)
-        self._slow |= (lag == 0) & (at_once != target)
-        return np.where(lag > 0, target - gap, at_once)
-
-    def _accelerated(
-        self, target: FloatArray, time: float, pull: Pull
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return positions and speeds at the end of a tick of constant acceleration.
-
-        As fast as torque and speed allow, and no faster than can be stopped at the target.
-        """
-        motor, lever = self._motor, self._motor.lever
-        expected = np.maximum(self.rest_length + self.speed * time, self.rest_length / 2)
-        force = (pull(self.rest_length, 0.0)[0] + pull(expected, time)[0]) / 2
-        gain = lever / np.maximum(motor.inertia, _LEAST_INERTIA)
-        winding = gain * (motor.torque - lever * force)
-        paying = gain * (motor.torque + lever * force)
-        low, high = self.speed - winding * time, self.speed + paying * time
-        low = np.where(winding < 0, np.minimum(low, 0.0), low)  # a brake holds
-        high = np.where(paying < 0, np.maximum(high, 0.0), high)
-        gap = target - self.position - self.speed * time / 2
-        braking = np.maximum(np.where(gap > 0, winding, paying), 0.0)
-        # What is left at the end of the tick must do to stop in whole ticks.
-        stopping = braking * time + np.sqrt((braking * time) ** 2 + 2 * braking * np.abs(gap))
-        with np.errstate(invalid="ignore", divide="ignore"):
-            # Where the torque cannot stop it, the brake does, at once.
-            most = np.where(stopping > 0, 2 * braking * np.abs(gap) / stopping, np.inf)
-        most = np.minimum(most, np.abs(gap) / (motor.lag + time / 2))
-        self._slow |= (most > self._rate) & ~self._stuck
-        wanted = np.sign(gap) * np.minimum(most, self._rate)
-        speed = np.clip(wanted, low, high)
-        self._weak |= (speed != wanted) & ~self._stuck
-        end = self.position + (self.speed + speed) * time / 2
-        # What jams stops at once.
-        self.speed = np.where(self._stuck, 0.0, self.speed)
-        return np.where(self._stuck, self.position, end), np.where(self._stuck, 0.0, speed)
-
-    def _within_torque(self, end: FloatArray, pull: Pull, time: float) -> FloatArray:
-        """Return positions so long after now up to which motors turn on the way to others.
-
-        Against the pull a motor turns up to where that takes all of its torque, or holds.
-        """
-        motor, position = self._motor, self.position
-        if not np.isfinite(motor.torque).any():
-            return end
-        way = np.sign(position - end)  # 1 where it winds in
-
-        def excess(at: FloatArray) -> tuple[FloatArray, FloatArray]:
-            force, stiffness = pull(at + way * self._play, time)
-            return way * force - motor.most_tension, stiffness
-
-        over, slope = excess(end)
-        strained = (way != 0) & (over > 0)
-        if not strained.any():
-            return end
-        self._weak |= strained
-        moves = strained & (excess(position)[0] < 0)
-        # The pull falls with the rest length: what it takes grows on the way.
-        reached, too_far, at = position, end, end
-        for _ in range(_NEWTON):
-            with np.errstate(all="ignore"):  # where nothing pulls, and of motions that run away
-                step = at + way * over / slope
-                is_between = (step - too_far) * (step - reached) <= 0
-            before, at = at, np.where(is_between, step, (too_far + reached) / 2)
-            if (np.abs(at - before) <= _CONVERGED * np.abs(position))[moves].all():
-                break
-            over, slope = excess(at)
-            too_far, reached = np.where(over > 0, at, too_far), np.where(over > 0, reached, at)
-        return np.where(moves, at, np.where(strained, position, end))

@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
+from typing import NamedTuple
 
+import casadi as ca
 import numpy as np
 
 from tenscontrol import validation
@@ -15,6 +17,7 @@ from tenscontrol.actuation.driven_strings import (
     changes_of_inputs,
     forces_on_inputs,
     inputs_of,
+    moved_by,
     polynomials_of,
     refuse_passive,
     strings_of,
@@ -30,11 +33,11 @@ from tenscontrol.actuation.motors import (
     motor_record,
     winding_work,
 )
-from tenscontrol.actuation.winches import Drive, Winches, WinchMove
-from tenscontrol.arrays import FloatArray, IntArray, frozen
+from tenscontrol.actuation.winches import Drive, Instant, Winches, WinchMove
+from tenscontrol.arrays import BoolArray, FloatArray, IntArray, frozen
 from tenscontrol.control.command import Command
 from tenscontrol.control.controller import BaseController, Controller
-from tenscontrol.dynamics.evaluator import Evaluator
+from tenscontrol.dynamics.evaluator import Evaluator, evaluate_columns
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.profile import Pieces
 from tenscontrol.plant.input_bounds import refuse_still
@@ -47,6 +50,18 @@ from tenscontrol.structure.segments import to_segments, to_strings
 from tenscontrol.structure.structure import same_members
 
 _NONE = frozen(np.zeros(0, dtype=np.int64))
+
+
+class TakenTick(NamedTuple):
+    """A tick of a run that was traced, as winches took it."""
+
+    time: float  # at its beginning, s
+    number: int  # of the sample, counted from 1
+    begin: Instant
+    within: FloatArray  # the command, within the range
+    stuck: BoolArray
+    motion: FloatArray  # positions, then velocities, of all nodes
+
 
 # Of winches: force and its slope, see ``Pull``.
 _Forces = tuple[FloatArray, FloatArray]
@@ -66,6 +81,7 @@ class Actuators:
     reached: FloatArray
     held: FloatArray
     lengths: Pieces | None = None  # of bars, which these do not drive
+    taken: list[TakenTick]  # of a run that is traced
 
     def __init__(
         self,
@@ -102,6 +118,7 @@ class Actuators:
         self._asked: list[FloatArray] = []
         self._weak: list[int] = []
         self._earlier: MotorRecord | None = None
+        self.taken: list[TakenTick] = []
         self.start: FloatArray | None = None
         self._current: FloatArray | None = None
         if run is not None and rest_length is None:
@@ -256,14 +273,22 @@ class Actuators:
 
         if number == 1:
             self._begins.append(now)
-        motion: list[FloatArray] = []  # of all nodes, where it is asked for
+        known: list[FloatArray] = []  # motion of all nodes, where it is asked for
+
+        def motion() -> FloatArray:
+            if not known:
+                columns = [nodes.ravel(order="F") for nodes in self._plant_run.motion(state)]
+                known.append(np.concatenate(columns))
+            return known[0]
 
         def pull(rest_length: FloatArray, later: float) -> _Forces:
-            if not motion:
-                motion.extend(columns.ravel(order="F") for columns in self._plant_run.motion(state))
-            N, V = motion
-            return self._pull(np.concatenate([N + later * V, V]), rest_length)
+            return self.pulls(moved_on(motion(), later), rest_length)
 
+        if self._plant_run.traces:
+            drive = self._drive
+            self.taken.append(
+                TakenTick(now, number, drive.now, drive.within, drive.stuck, motion())
+            )
         tick = self._drive.tick(number, now, pull)
         self._current = self.reached = strings_of(self._actuation, self._drive.rest_length)
         self.held = self._to_plant("rest_length", self.reached)
@@ -273,17 +298,40 @@ class Actuators:
             return lengths[:, 0]
         return Pieces(np.array([-np.inf]), np.array([now]), lengths[None])
 
-    def _pull(self, motion: FloatArray, inputs: FloatArray) -> _Forces:
-        """Return the force at each winch and its slope, see ``Pull``, in a motion."""
-        lengths = self._to_plant("rest_length", strings_of(self._actuation, inputs))
-        _, force, _, slope = self._winding(motion, lengths, np.zeros_like(lengths))
+    def pulls(self, motion: FloatArray, inputs: FloatArray) -> _Forces:
+        """Return the force at each winch and its slope, see ``Pull``, in one motion or in columns.
+
+        Of positions and velocities of all nodes, and rest lengths that winches have wound, m.
+        """
+        act, lengths = self._actuation, self.wound(inputs)
+        given = motion, lengths, np.zeros_like(lengths)
+        if motion.ndim == 1:
+            _, force, _, slope = self._winding(*given)
+        else:
+            _, force, _, slope = evaluate_columns(self._winding_function, *given)
         share = self._to_plant("rest_length", np.ones(self._count))
-        tension = self._to_strings("tension", force.copy())  # the next call overwrites them
-        stiffness = self._to_strings("length", slope * share**2)
-        act = self._actuation
+        tension = self._to_strings("tension", force.T.copy()).T  # the next call overwrites them
+        stiffness = self._to_strings("length", slope.T * share**2).T
         if act.is_whole:
             return tension, stiffness
-        return forces_on_inputs(act, tension), sums_by_input(act, act.ratio**2 * stiffness)
+        by_strings = (act.ratio**2 * stiffness.T).T
+        return forces_on_inputs(act, tension), sums_by_input(act, by_strings)
+
+    def wound(self, inputs: FloatArray) -> FloatArray:
+        """Return rest lengths of the plant's strings, m, where winches have wound these, (m, K)."""
+        return self._to_plant("rest_length", strings_of(self._actuation, inputs).T).T
+
+    @cached_property
+    def winds(self) -> FloatArray:
+        """Derivative of the rest lengths of the plant's strings by those of winches, (α′, m)."""
+        units = moved_by(self._actuation, np.eye(len(self._actuation.lead)))
+        return self._to_plant("rest_length", units).T
+
+    @cached_property
+    def feels(self) -> FloatArray:
+        """Derivative of the forces at winches by the tensions of the plant's strings, (m, α′)."""
+        units = np.eye(len(self._plant_run.model.structure.strings))
+        return forces_on_inputs(self._actuation, self._to_strings("tension", units).T)
 
     def end(self) -> WinchMove:
         """Return the move of the sample, with the limits that were met."""
@@ -293,9 +341,13 @@ class Actuators:
         self._weak[-1] = len(move.torque_limited)
         return of_all_members(self._actuation, move)
 
+    @property
+    def _winding_function(self) -> ca.Function:
+        return self._plant_run.model.of_all_nodes("winding")
+
     @cached_property
     def _winding(self) -> Evaluator:
-        return Evaluator(self._plant_run.model.of_all_nodes("winding"))
+        return Evaluator(self._winding_function)
 
     def _checked(self, value: object) -> FloatArray:
         """Return a command, or raise: a user's controller may break its promises."""
@@ -383,7 +435,7 @@ class Actuators:
             if self.start is not None:
                 start = inputs_of(self._actuation, self.start)
             drive = self._drive
-            at_end = np.stack([drive.position, drive.speed, drive.reference])
+            at_end = np.stack([drive.position, drive.now.speed, drive.reference])
         if self._earlier is not None:
             start = self._earlier.zero
         return motor_record(
@@ -391,31 +443,20 @@ class Actuators:
             self._rest_length_error(segments),
         )  # fmt: skip
 
-    def followed(self, winches: Winches) -> Pieces:
-        """Return the rest lengths of the strings by other winches that are told the same.
-
-        No torque limits them. Of winches that drive each string of the plant on its own.
-        """
-        drive = self._new_drive(winches)
-        whole = self._actuation.is_whole and not self._by_segment
-        assert whole  # refused by those who ask
-
-        def pull(rest_length: FloatArray, _: float) -> _Forces:
-            return np.zeros_like(rest_length), np.ones_like(rest_length)
-
-        begins, coefficients = list[float](), list[FloatArray]()
-        for begin, move in zip(self._begins, self._moves, strict=True):
-            drive.begin(*move)
-            for i in range(drive.ticks):
-                begins.append(begin + i * self._sample_time / drive.ticks)
-                coefficients.append(drive.tick(i + 1, begins[-1], pull).rest_length)
-        start = np.array(begins)
-        return Pieces(np.concatenate([[-np.inf], start[1:]]), start, np.stack(coefficients))
+    @property
+    def follows_motion(self) -> bool:
+        """Whether what a motor winds depends on the motion: by inertia, or a torque that it met."""
+        return self._motor is not None and bool(self._motor.inertia.any() or any(self._weak))
 
     @property
-    def meets_torque(self) -> bool:
-        """Whether a motor met its torque so far."""
-        return any(self._weak)
+    def sample_time(self) -> float:
+        """Time between commands, s."""
+        return self._sample_time
+
+    @property
+    def winches(self) -> Winches | None:
+        """The winches of the inputs."""
+        return self._winches
 
     def _rest_length_error(self, segments: DenseMotion) -> float:
         """Estimate the error of rest lengths, m, that follows from few parts of a sample.
@@ -433,7 +474,7 @@ class Actuators:
         tick, limited = self._sample_time / finer.ticks, np.isfinite(self._motor.torque).any()
 
         def pull(ends: list[FloatArray], rest_length: FloatArray, later: float) -> _Forces:
-            return self._pull(ends[later > 0], rest_length)
+            return self.pulls(ends[later > 0], rest_length)
 
         # The last sample may have been interrupted before it began to move.
         for begin, move in zip(self._begins, self._moves, strict=False):
@@ -498,6 +539,12 @@ class Actuators:
                 f"stiffness, {limit[i]:g} N/m, whatever its rest length. Give the controller "
                 f"max_force_density below {limit[i] / segments[i]:g} N/m"
             )
+
+
+def moved_on(motion: FloatArray, later: float) -> FloatArray:
+    """Return a motion, or columns of them, so long later at the same velocities."""
+    nodes, velocities = np.split(motion, 2)
+    return np.concatenate([nodes + later * velocities, velocities])
 
 
 def stuck_inputs(actuation: Actuation, strings: IntArray) -> IntArray:
