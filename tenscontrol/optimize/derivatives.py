@@ -101,7 +101,7 @@ class Derivatives:
         if equation.form == "loops":  # without derivatives
             equation = model.equation(input, form="mapped", **options)
         self.equation = equation
-        self._by_input = by_input or any(by.kind in ("input", "motor") for by in parameters)
+        self._by_input = by_input or any(by.kind == "input" for by in parameters)
         self._by_supports = any(by.kind == "supports" for by in parameters)
         self._by_bars = drives  # also for what a push makes of the rates at the start
         self._of = [parameter for parameter in parameters if parameter.kind not in BESIDE]
@@ -361,9 +361,8 @@ def sources(
 ) -> Iterator[tuple[slice, tuple[FloatArray, ...]]]:
     """Yield columns of parameters with what they change, as matrices to be multiplied.
 
-    ``counts`` says by what each counts: the values of an input, (K,); a number of motors in each
-    rest length, (α,); a motion of supports or bars in what moves with them, (3 d n, P) or (3 β, P).
-    The others are the columns of ``by_parameters``.
+    ``counts`` says by what each counts: the values of an input, (K,); a motion of supports or bars
+    in what moves with them, (3 d n, P) or (3 β, P). The others are those of ``by_parameters``.
     """
     first = 0
     for parameter, own, count in zip(parameters, columns, counts, strict=True):
@@ -372,10 +371,6 @@ def sources(
             assert by is not None  # it was asked for
             assert count is not None  # what moves with them
             yield own, (by, count)
-        elif parameter.kind == "motor":
-            assert by_input is not None  # it was asked for
-            assert count is not None  # of each rest length
-            yield own, (by_input * count,)
         elif parameter.kind == "input":
             assert by_input is not None  # it was asked for
             if count is None:

@@ -41,6 +41,9 @@ class Feedback:
         If what the strings were given is not what the law commands of the motion itself.
     """
 
+    #: Of the polynomials in time of an answer: strings are held at it.
+    degree = 0
+
     def __init__(self, scene: Scene, steps: TracedSteps, gain: slice | None) -> None:
         law = regulator_of(scene)
         self._law, self._steps, self._gain = law, steps, gain
@@ -53,11 +56,20 @@ class Feedback:
         self._sample_of = {int(k): i for i, k in enumerate(first)}
         self._check(first, ticks)
 
+    @property
+    def size(self) -> int:
+        """Number of rows of an answer."""
+        return len(self._structure.strings)
+
     def begins(self, step: int) -> bool:
         """Whether a command is given at the beginning of a step."""
         return step in self._sample_of
 
-    def answer(self, step: int, X: FloatArray) -> FloatArray:
+    def elapsed(self, step: int) -> float:
+        """Return 0: what strings are given does not depend on the time since."""
+        return 0.0
+
+    def answer(self, step: int, X: FloatArray, before: FloatArray | None) -> FloatArray:
         """Return the derivative of what strings are given from a step on, (α, P)."""
         i = self._sample_of[step]
         moved = self._by_state[i] @ X
@@ -71,7 +83,9 @@ class Feedback:
         if self._gain is not None:
             by_input = (cost @ self._matrix) * self._is_free[i]
             slope[self._gain] -= np.kron(by_input, self._states[i])
-        return np.asarray(cost @ self._by_state[i])
+        by_state = np.asarray(cost @ self._by_state[i])
+        cost[:] = 0.0  # of the command before
+        return by_state
 
     def _check(self, first: FloatArray, ticks: FloatArray) -> None:
         law, strings = self._law, self._steps.layout.strings

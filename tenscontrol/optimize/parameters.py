@@ -23,8 +23,11 @@ from tenscontrol.simulation.scene import Scene
 BESIDE = frozenset({"nodes", "velocities", "input", "supports", "bars", "motor", "gain"})
 
 
-# Numbers of motors that rest lengths depend on, beside torque and inertia.
-_OF_MOTORS = "motor.drum_radius", "motor.gear_ratio", "motor.speed", "motor.lag", "motor.backlash"
+# Numbers of motors that rest lengths depend on.
+_OF_MOTORS = tuple(
+    f"motor.{name}"
+    for name in ("drum_radius", "gear_ratio", "torque", "speed", "inertia", "lag", "backlash")
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,14 +134,16 @@ def _of_motors(scene: Scene) -> list[Parameter]:
     winches, law = scene.winches, scene.law
     if winches is None or law is None or scene.input != "rest_length":
         return []
-    motor, count = winches.motor, len(scene.structure.strings)
-    if law.input in BAR_INPUTS or not law.actuation.is_whole:
+    if law.input in BAR_INPUTS:
         return []
-    if len(law.commanded.strings) != count or (motor and motor.inertia.any()):
-        return []
+    motor, count = winches.motor, len(law.commanded.strings)
     numbers = {} if motor is None else motor_numbers(motor, count)
-    names = [name for name in _OF_MOTORS if (numbers.get(name, 0.0) > np.zeros(count)).all()]
-    if winches.rate is not None:
+    names = [
+        name
+        for name in _OF_MOTORS
+        if np.all((value := numbers.get(name, np.zeros(count))) > 0) and np.isfinite(value).all()
+    ]
+    if winches.rate is not None and law.actuation.is_whole and np.isfinite(winches.rate).all():
         names.append("winches.rate")
     return [Parameter(name, "motor", (count,), field=name.split(".")[1]) for name in names]
 

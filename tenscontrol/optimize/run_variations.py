@@ -13,11 +13,11 @@ from tenscontrol.optimize.bar_changes import BarChanges
 from tenscontrol.optimize.derivatives import Derivatives
 from tenscontrol.optimize.feedback import feedback_of
 from tenscontrol.optimize.implicit_steps import halved
-from tenscontrol.optimize.motor_changes import MotorChanges
+from tenscontrol.optimize.motor_answers import MotorAnswers, TickSlopes
 from tenscontrol.optimize.parameters import Parameter
 from tenscontrol.optimize.support_changes import SupportChanges
 from tenscontrol.optimize.traced_steps import steps_of
-from tenscontrol.optimize.variations import IMPLICIT, Variations, columns_of, stable
+from tenscontrol.optimize.variations import IMPLICIT, Answers, Variations, columns_of, stable
 from tenscontrol.simulation.actuators import Actuators
 from tenscontrol.simulation.plant_run import PlantRun
 from tenscontrol.simulation.scene import Scene, trace
@@ -61,11 +61,13 @@ class RunVariations:
         run = scene.plant_run(traces=True)
         assert isinstance(run, TracedRun)  # as it was asked for
         self._run = run
+        of_motors = [parameter for parameter in parameters if parameter.kind == "motor"]
+        answers = feedback or bool(of_motors) or feels_motion(scene)
         self.derivatives = Derivatives(
-            scene.model, scene.input, run.degree, parameters, feedback, scene.supports is not None,
+            scene.model, scene.input, run.degree, parameters, answers, scene.supports is not None,
             scene.bars is not None,
         )  # fmt: skip
-        self._motors: MotorChanges | None = None
+        self._motors: tuple[TickSlopes, Actuators] | None = None
         self._changes: SupportChanges | None = None
         self._lengths: BarChanges | None = None
         for parameter in parameters:
@@ -83,11 +85,24 @@ class RunVariations:
         self._last: tuple[int, Variations] | None = None
         loop = trace(scene, run)
         run.take = None
-        of_motors = [parameter for parameter in parameters if parameter.kind == "motor"]
-        if of_motors and loop is not None and scene.winches is not None:
-            assert isinstance(loop.actuators, Actuators)  # bars have no such numbers
-            self._motors = MotorChanges(loop.actuators, scene.winches, of_motors)
+        actuators = None if loop is None else loop.actuators
+        if isinstance(actuators, Actuators) and (of_motors or actuators.follows_motion):
+            self._refuse_beside_motors(actuators)
+            self._motors = TickSlopes(actuators, of_motors), actuators
             self._last = None
+
+    def _refuse_beside_motors(self, actuators: Actuators) -> None:
+        """Refuse what motors are not differentiated with."""
+        if self._feedback:
+            raise ValueError(
+                "feedback: no derivative is taken through motors that wind what an LQR commands. "
+                "Leave feedback out, or the motors and their numbers"
+            )
+        if actuators.follows_motion and any(by.kind == "supports" for by in self.parameters):
+            raise ValueError(
+                "no derivative by 'support_motion' is taken where motors have an inertia or meet "
+                "their torque: leave it out of to, or give the motors more torque and no inertia"
+            )
 
     @property
     def grazing(self) -> tuple[float, ...]:
@@ -118,7 +133,8 @@ class RunVariations:
         costs : ndarray, shape (T, states)
         """
         slope = np.zeros(self.width)
-        mu, answered = np.zeros(costs.shape[1]), np.zeros(len(self._scene.structure.strings))
+        mu, answers = np.zeros(costs.shape[1]), self._part(len(self._ends) - 1).answers
+        answered = np.zeros(0 if answers is None else answers.size)
         for i in reversed(range(len(self._ends))):
             mu = self._part(i).backward(mu, costs[self._of(i)], slope, answered)
         self._part(0).start_back(mu, slope)
@@ -214,13 +230,24 @@ class RunVariations:
         if i == len(self._ends):
             close = max(1e-9 * float(steps.length[-1]), 1e-12 * scene.duration)
             self._ends.append(int(np.searchsorted(self.times, steps.end + close, side="right")))
-        answers = None
+        answers: Answers | None = None
         if self._feedback:
             answers = feedback_of(scene, steps, self.parameters, self.columns)
+        elif self._motors is not None:
+            ticks, actuators = self._motors
+            answers = MotorAnswers(
+                ticks, scene.model, steps, self.parameters, self.columns, actuators
+            )
         return Variations(
             steps, derivatives, self.parameters, self.times[self._of(i)], answers, self._changes,
-            self._motors, self._lengths, None if scene.bars is None else scene.bars.bars,
+            self._lengths, None if scene.bars is None else scene.bars.bars,
         )  # fmt: skip
+
+
+def feels_motion(scene: Scene) -> bool:
+    """Whether motors of a scene may wind what depends on the motion."""
+    motor = None if scene.winches is None else scene.winches.motor
+    return motor is not None and motor.torque is not None and scene.input == "rest_length"
 
 
 def _finite(array: FloatArray) -> FloatArray:

@@ -196,8 +196,9 @@ def sensitivity(
         ``"support_motion"``, a displacement or the values of a :class:`Profile`, (d, fixed, K);
         ``"bar_length"`` of driven bars, lengths that are held or the values of a profile, (β, K);
         numbers of winches, ``"winches.rate"``, ``"motor.drum_radius"``, ``"motor.gear_ratio"``,
-        ``"motor.speed"``, ``"motor.lag"`` and ``"motor.backlash"``, where rest lengths are held;
-        with ``feedback`` the ``"gain"`` of an LQR.
+        ``"motor.torque"``, ``"motor.speed"``, ``"motor.inertia"``, ``"motor.lag"`` and
+        ``"motor.backlash"``, where rest lengths are held; with ``feedback`` the
+        ``"gain"`` of an LQR.
     times : float or array_like, shape (T,), optional
         Ascending, s; the end of the run if not given.
     feedback : bool
@@ -222,8 +223,12 @@ def sensitivity(
     :func:`simulate` does. A change of a mass changes its weight, too. A displacement of supports
     moves the nodes with it that bars join to them, at the start, too. A bar that has another length
     at the start has its nodes put on it, as in :func:`simulate`. Numbers of motors, all
-    positive, change what strings are given under the same commanded rest lengths, as long as no
-    motor meets its torque. Motors with inertia, and those of ganged strings, have no derivatives.
+    positive, change what strings are given under the same commanded rest lengths; of strings that
+    share a winch that of the first counts, and ``"winches.rate"`` is no parameter. Motors with
+    inertia, or that meet their torque, feel changes of the motion: what they wind is differentiated
+    as it was computed, part by part of a sample. The input is then a string's length in addition
+    to what its motor winds. Through such motors there is no derivative with ``feedback``, nor by
+    ``"support_motion"``.
 
     Where a damped string goes taut, its force jumps, and the derivatives with it. Elsewhere forces
     are continuous. The steps are those of the run, or of a thousandth of its tolerance: a pair of
@@ -408,12 +413,6 @@ class _Differentiable:
                 f"run has supports that move, and through {through} no derivative is taken then"
             )
         self.parameters = parameters_of(scene, to)
-        of_motors = [by.name for by in self.parameters if by.kind == "motor"]
-        if of_motors and choice.method == IMPLICIT:
-            raise ValueError(
-                f"no derivative by {of_motors[0]} is taken through steps of the method "
-                "'energy_momentum'"
-            )
         validation.truth("feedback", feedback, "whether the commands of an LQR answer changes")
         if feedback:
             regulator_of(scene)

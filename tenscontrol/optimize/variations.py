@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from itertools import accumulate, pairwise
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -16,9 +16,7 @@ from tenscontrol.interrupt import check
 from tenscontrol.optimize.bar_changes import BarChanges
 from tenscontrol.optimize.core_steps import CoreSteps, Tableau, core_steps
 from tenscontrol.optimize.derivatives import Derivatives, Slopes, Switches, sources
-from tenscontrol.optimize.feedback import Feedback
 from tenscontrol.optimize.implicit_steps import ImplicitSteps
-from tenscontrol.optimize.motor_changes import MotorChanges
 from tenscontrol.optimize.parameters import Parameter, shares
 from tenscontrol.optimize.support_changes import SupportChanges
 from tenscontrol.optimize.traced_steps import Push, TracedSteps
@@ -34,6 +32,34 @@ IMPLICIT = "energy_momentum"
 # finds the rates.
 _STABLE = {"rk4": 2.2, "dop853": 4.9}
 _POWERS = 16
+
+
+class Answers(Protocol):
+    """What strings are given anew at some steps of a part, in answer to changes.
+
+    An answer, shape (rows, P), has the coefficients of polynomials of the strings first, powers of
+    the time since it began; what else it carries on is its own.
+    """
+
+    @property
+    def degree(self) -> int:
+        """Of the polynomials."""
+
+    @property
+    def size(self) -> int:
+        """Number of rows."""
+
+    def begins(self, step: int) -> bool:
+        """Whether an answer begins with a step."""
+
+    def elapsed(self, step: int) -> float:
+        """Return how long an answer has lasted when a step begins, s."""
+
+    def answer(self, step: int, X: FloatArray, before: FloatArray | None) -> FloatArray:
+        """Return the answer that begins with a step, from that before it."""
+
+    def answer_back(self, step: int, answered: FloatArray, slope: FloatArray) -> FloatArray:
+        """Return a cost by the state from that by an answer, (rows,), which is carried back."""
 
 
 def tableau(method: str) -> Tableau:
@@ -157,12 +183,10 @@ class Variations:
     parameters : sequence of Parameter
     times : ndarray, shape (T,)
         At which derivatives are asked for in the part, s, ascending.
-    feedback : Feedback, optional
-        By which commands answer changes of the state.
+    answers : Answers, optional
+        By which commands, or motors, answer changes.
     supports : SupportChanges, optional
         What the parameter of a motion of supports changes.
-    motors : MotorChanges, optional
-        What the numbers of motors change.
     lengths : BarChanges, optional
         What the parameter of lengths of bars changes.
     driven : ndarray of int, optional
@@ -173,9 +197,8 @@ class Variations:
     derivatives: Derivatives
     parameters: Sequence[Parameter]
     times: FloatArray
-    feedback: Feedback | None = None
+    answers: Answers | None = None
     supports: SupportChanges | None = None
-    motors: MotorChanges | None = None
     lengths: BarChanges | None = None
     driven: IntArray | None = None
 
@@ -200,16 +223,13 @@ class Variations:
         Those at the times are entered in ``sensitivities``, shape (T, states, P). ``answer`` is
         what the command before the part made of the inputs; that at its end is returned, too.
         """
-        at, feedback = self._first_switch, self.feedback
-        ends, last = self._places[0], -1
-        X = self._pushed(0, X)
+        at, ends, last = self._first_switch, self._places[0], 0
+        X, answer = self._begun(0, X, answer)
         sensitivities[self.times <= self.steps.begin[0]] = X
         for leg in self._legs(is_back=False):
             check()
             if leg.step != last:
-                X = self._pushed(leg.step, X) if leg.step else X
-                if feedback is not None and feedback.begins(leg.step):
-                    answer = feedback.answer(leg.step, X)
+                X, answer = self._begun(leg.step, X, answer)
             last = leg.step
             reached = self._forward(X, leg, answer)
             if leg.part is not None:
@@ -221,6 +241,23 @@ class Variations:
                 X = X + self._jumped(e, X, answer)
             sensitivities[ends.get(end, [])] = X
         return X, answer
+
+    def _begun(
+        self, step: int, X: FloatArray, answer: FloatArray | None
+    ) -> tuple[FloatArray, FloatArray | None]:
+        """Return the derivative of the state when a step begins, and the answer in it."""
+        if self.answers is not None and self.answers.begins(step):
+            answer = self.answers.answer(step, X, answer)
+        return self._pushed(step, X), answer
+
+    def _begun_back(
+        self, step: int, mu: FloatArray, answered: FloatArray, slope: FloatArray
+    ) -> FloatArray:
+        """Return a cost by x before a step begins; add those by the answer and by parameters."""
+        mu = self._pushed_back(step, mu, slope)
+        if self.answers is not None and self.answers.begins(step):
+            mu = mu + self.answers.answer_back(step, answered, slope)
+        return mu
 
     def motion(self) -> FloatArray:
         """Return the states at the times, shape (states, T)."""
@@ -263,8 +300,8 @@ class Variations:
             By x at the times.
         slope : ndarray, shape (P,)
             Those by parameters are added to it.
-        answered : ndarray, shape (α,)
-            By the input of the sample that is under way; changed.
+        answered : ndarray, shape (rows,)
+            By the answer that is under way; changed.
         """
         at, ends = self._first_switch, self._places[0]
         partial = np.zeros_like(mu)
@@ -274,35 +311,41 @@ class Variations:
                 end = costs[leg.output]
             else:
                 last = leg.step + leg.steps - 1
-                mu = self._answered_back(last + 1, mu + partial, answered, slope)
-                mu = self._pushed_back(last + 1, mu, slope)
+                mu = self._begun_back(last + 1, mu + partial, answered, slope)
                 mu = mu + costs[ends.get(last, [])].sum(axis=0)
                 partial = np.zeros_like(mu)
                 for e in range(at[last + 1] - 1, at[last] - 1, -1):
                     mu = self._jumped_back(e, mu, slope, answered)
                 end = self._restored_back(last, mu, slope)
-            back, by_input = self._backward(end, leg, slope)
-            if self.feedback is not None and by_input is not None:
-                answered += by_input
+            back = self._backward(end, leg, slope, answered)
             if leg.part is not None:
                 partial += back
             else:
                 mu = back
         if self._stepper is not None:
             self._stepper.take_costs(slope)
-        mu = self._answered_back(0, mu + partial, answered, slope)
-        mu = mu + costs[self.times <= self.steps.begin[0]].sum(axis=0)
-        return self._pushed_back(0, mu, slope)
+        mu = mu + partial + costs[self.times <= self.steps.begin[0]].sum(axis=0)
+        return self._begun_back(0, mu, answered, slope)
 
-    def _answered_back(
-        self, step: int, mu: FloatArray, answered: FloatArray, slope: FloatArray
-    ) -> FloatArray:
-        """Return a cost by x at the beginning of a step, with that of the command there."""
-        if self.feedback is None or not self.feedback.begins(step):
-            return mu
-        mu = mu + self.feedback.answer_back(step, answered, slope)
-        answered[:] = 0.0
-        return mu
+    # ---- answers ----
+
+    def _given(self, answer: FloatArray, time: float) -> FloatArray:
+        """Return what an answer gives the strings, (α, P), so long after it began, s."""
+        assert self.answers is not None  # of which it is one
+        given, strings = np.zeros(1), self.steps.layout.strings
+        for i in reversed(range(self.answers.degree + 1)):
+            given = answer[i * strings : (i + 1) * strings] + time * given
+        return given
+
+    def _given_back(self, by_input: FloatArray, time: float, answered: FloatArray) -> None:
+        """Add what a cost by the input of the strings, (α,), makes of that by an answer."""
+        if self.answers is not None:
+            powers = time ** np.arange(self.answers.degree + 1)
+            answered[: len(powers) * len(by_input)] += np.outer(powers, by_input).ravel()
+
+    def _elapsed(self, step: int, after: float = 0.0) -> float:
+        """Return how long an answer has lasted so long after a step began, s."""
+        return 0.0 if self.answers is None else self.answers.elapsed(step) + after
 
     # ---- a step ----
 
@@ -313,19 +356,22 @@ class Variations:
         if self.steps.method == IMPLICIT:
             return ImplicitSteps(self.steps, derivatives, self.parameters, self.columns)
         layout = self.steps.layout
-        if layout.offset or layout.lengths or self.motors is not None:
+        answers = self.answers
+        if layout.offset or layout.lengths or (answers is not None and answers.degree):
             return None
         return core_steps(
             derivatives.model, derivatives.equation, self.steps, self._tableau, self.parameters,
-            self.columns, self.feedback is not None,
+            self.columns, answers is not None,
         )  # fmt: skip
 
     def _forward(self, X: FloatArray, leg: _Leg, answer: FloatArray | None) -> FloatArray:
         """Return the derivative of the state after a leg."""
+        length = self._length_of(leg)
         if self._stepper is not None:
+            if answer is not None:  # implicit steps take the input in their middle
+                answer = self._given(answer, self._elapsed(leg.step, length / 2))
             return self._stepper.forward(leg.step, leg.steps, leg.part, X, answer)
         a, b, half = self._tableau.a, self._tableau.b, self.derivatives.half
-        length = self._length_of(leg)
         assert leg.stages is not None  # without a stepper
         K = np.empty((len(a), *X.shape))
         flat = K.reshape(len(a), -1)
@@ -339,21 +385,23 @@ class Variations:
                 K[i, half:, columns] += reduce(np.matmul, factors)
             if answer is not None:
                 assert leg.stages.by_input is not None  # it was asked for
-                K[i, half:] += leg.stages.by_input[i] @ answer
+                given = self._given(answer, self._elapsed(leg.step, self._tableau.c[i] * length))
+                K[i, half:] += leg.stages.by_input[i] @ given
         return np.asarray(X + length * (b @ flat).reshape(X.shape))
 
     def _backward(
-        self, end: FloatArray, leg: _Leg, slope: FloatArray
-    ) -> tuple[FloatArray, FloatArray | None]:
-        """Return a cost by the state before a leg, and by the input; add those by parameters."""
-        if self._stepper is not None:
-            return self._stepper.backward(leg.step, leg.steps, leg.part, end, slope)
-        a, b, half = self._tableau.a, self._tableau.b, self.derivatives.half
+        self, end: FloatArray, leg: _Leg, slope: FloatArray, answered: FloatArray
+    ) -> FloatArray:
+        """Return a cost by the state before a leg; add those by the answer and by parameters."""
         length = self._length_of(leg)
+        if self._stepper is not None:
+            back, by_input = self._stepper.backward(leg.step, leg.steps, leg.part, end, slope)
+            if by_input is not None:
+                self._given_back(by_input, self._elapsed(leg.step, length / 2), answered)
+            return back
+        a, b, half = self._tableau.a, self._tableau.b, self.derivatives.half
         assert leg.stages is not None  # without a stepper
-        back, stages, by_input = end.copy(), len(b), None
-        if leg.stages.by_input is not None:
-            by_input = np.zeros(leg.stages.by_input.shape[2])
+        back, stages = end.copy(), len(b)
         later = np.zeros((stages, len(end)))
         for i in reversed(range(stages)):
             kappa = length * (b[i] * end + a[i + 1 :, i] @ later[i + 1 :])
@@ -362,9 +410,11 @@ class Variations:
             back += later[i]
             for columns, factors in self._sources(leg.stages, leg.counts, i):
                 slope[columns] += reduce(np.matmul, factors, kappa[half:])
-            if by_input is not None and leg.stages.by_input is not None:
-                by_input += kappa[half:] @ leg.stages.by_input[i]
-        return back, by_input
+            if self.answers is not None:
+                assert leg.stages.by_input is not None  # it was asked for
+                time = self._elapsed(leg.step, self._tableau.c[i] * length)
+                self._given_back(kappa[half:] @ leg.stages.by_input[i], time, answered)
+        return back
 
     def _length_of(self, leg: _Leg) -> float:
         return float(self.steps.length[leg.step]) if leg.part is None else leg.part
@@ -383,8 +433,6 @@ class Variations:
         counts = list[FloatArray | None]()
         for parameter in self.parameters:
             count = shares(parameter, time, within) if parameter.kind == "input" else None
-            if parameter.kind == "motor" and self.motors is not None:
-                count = self.motors.at(parameter, time, within)
             count = None if count is None else count.T
             if parameter.kind == "supports" and self.supports is not None:
                 count = self.supports.inputs(time, within)
@@ -510,9 +558,6 @@ class Variations:
             if parameter.kind == "supports" and self.supports is not None:
                 displaced = self.supports.at(begin + length, begin + length / 2)[0]
                 yield columns, switches.by_offset[e] @ displaced
-            if parameter.kind == "motor" and self.motors is not None:
-                moved = self.motors.at(parameter, begin + length, begin + length / 2)
-                yield columns, switches.by_input[e] * moved[:, 0]
             if parameter.kind != "input":
                 continue
             share = shares(parameter, begin + length, begin + length / 2)
@@ -524,7 +569,7 @@ class Variations:
         switches = self.switches
         moved = switches.by_state[e] @ X
         if answer is not None:
-            moved = moved + switches.by_input[e] @ answer
+            moved = moved + switches.by_input[e] @ self._given(answer, self._at_switch(e))
         for columns, change in self._gap_by(e):
             moved[columns] += change
         return np.outer(switches.jump[e], moved / switches.rate[e])
@@ -537,9 +582,13 @@ class Variations:
         weight = float(switches.jump[e] @ mu / switches.rate[e])
         for columns, change in self._gap_by(e):
             slope[columns] += weight * change
-        if self.feedback is not None:
-            answered += weight * switches.by_input[e]
+        self._given_back(weight * switches.by_input[e], self._at_switch(e), answered)
         return np.asarray(mu + weight * switches.by_state[e])
+
+    def _at_switch(self, e: int) -> float:
+        """Return how long an answer has lasted at a switch, s."""
+        step = int(self.switches.step[e])
+        return self._elapsed(step, float(self.steps.length[step]))
 
     # ---- what is prepared ----
 
@@ -674,8 +723,8 @@ class Variations:
         count = len(self.steps.length)
         most = 1 if self._stepper is None else self._stepper.most
         stops = {*self.switches.step.tolist(), *ends, *parts, *(k - 1 for k in parts), count - 1}
-        if self.feedback is not None:
-            stops |= {k - 1 for k in range(count) if self.feedback.begins(k)}
+        if self.answers is not None:
+            stops |= {k - 1 for k in range(count) if self.answers.begins(k)}
         legs, first = list[list[_Leg]](), 0
         for stop in sorted(k for k in stops if k >= 0):
             for k in range(first, stop + 1, most):

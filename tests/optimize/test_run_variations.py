@@ -21,6 +21,8 @@ class KeptVariations(RunVariations):
         self.known = [*getattr(self, "known", []), self._last[1]]
 
     def _part(self, i):
+        if self._motors is not None:  # which are known only at the end
+            self.known[i] = super()._part(i)
         return self.known[i]
 
 
@@ -44,6 +46,13 @@ def scene_of(kind):
     if kind == "law":
         law = tc.LQR(plant, sample_time=0.2)
         given = {"controller": law, "rest_length": plant.equilibrium_input}
+    if kind == "motors":
+        law = tc.FunctionController(
+            prism, lambda time, *_: LENGTHS * (1 + 0.1 * np.sin(20 * time + np.arange(9))),
+            input="rest_length", sample_time=0.1,
+        )  # fmt: skip
+        motor = tc.Motor(0.02, torque=0.2, inertia=1e-4, backlash=0.02)
+        given |= {"controller": law, "winches": tc.Winches(substeps=3, motor=motor)}
     if kind == "energy_momentum":
         how = {"method": kind, "step": 8e-3}
     limits = HealthLimits(crossings=None)
@@ -51,10 +60,11 @@ def scene_of(kind):
     return tc.Scene(model, 0.4, velocities=velocities, integration=integration, **given)
 
 
-@pytest.mark.parametrize("kind", ["wound", "law", "shaken", "energy_momentum"])
+@pytest.mark.parametrize("kind", ["wound", "law", "motors", "shaken", "energy_momentum"])
 def test_steps_that_are_found_again_have_the_same_derivatives_to_the_last_bit(kind):
     scene, feedback = scene_of(kind), kind == "law"
     names = ["gain" if feedback else "rest_length", "velocities", "stiffness"]
+    names += ["motor.torque", "motor.inertia"] if kind == "motors" else []
     names += ["support_motion"] if kind == "shaken" else []
     parameters = parameters_of(scene, names)
     whole = RunVariations(scene, parameters, TIMES, feedback)
