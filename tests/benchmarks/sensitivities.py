@@ -1,14 +1,17 @@
 """Derivatives of runs against central differences of the simulator, on random scenes.
 
 Run: ``python -m tests.benchmarks.sensitivities --count 100 [--seed 0] [--steps 3000]
-[--implicit]``.
+[--implicit] [--motors]``.
 
 Each scene is run at a tolerance of 1e-12 and differentiated along one random direction of all that
 it depends on: input, laws of strings and ground, masses, gravity and load. ``--implicit`` takes 200
 steps of the energy-momentum method in its place, and differences of the same steps. Beside it are
 central differences of order 4 at several sizes of the change, of runs with as many switches. Of two
 sizes that follow one another, those that differ least are the reference, and their difference is
-what it is certain to. Scenes of more steps are left out. The columns:
+what it is certain to. Scenes of more steps are left out. ``--motors`` winds the strings of the
+scenes by motors under a command of the time: with limits of torque and speed, inertia, lag and
+play, some with two strings on a drum, and strings that no motor drives. Their numbers are in the
+direction, and runs whose motors meet limits in other samples are no neighbours. The columns:
 
 - error: of the derivative of the nodes at the end, as part of the largest; certain: that of the
   differences; adjoint: of the slope of a cost of nodes and velocities, by both ways
@@ -26,10 +29,16 @@ import numpy as np
 
 import tenscontrol as tc
 from tests.benchmarks.command_line import options
-from tests.random_scenes import Scene, random_scene
+from tests.random_scenes import Scene, random_scene, stiffness_of
 
 TOLERANCE = 1e-12
 STEPS = 200
+SAMPLES = 8
+KINDS = (
+    {"jumps"}, {"jumps", "rate"}, {"ramps"}, {"ramps", "speed", "play"}, {"ramps", "lag"},
+    {"jumps", "lag", "inertia"}, {"ramps", "inertia"}, {"ramps", "inertia", "speed", "play"},
+    {"ramps", "lag", "rate", "play"},
+)  # fmt: skip
 SIZES = 10.0 ** -np.arange(3.5, 8, 0.5)
 
 _OF_GROUND = "stiffness", "damping", "friction", "height"
@@ -61,16 +70,86 @@ class Comparison:
         return self.is_judged and self.error > 1e-7 + 3 * self.certain
 
 
-def run_of(scene: Scene, implicit: bool = False) -> tc.Trajectory:
+@dataclass(frozen=True)
+class Wound:
+    """A scene whose strings are wound by motors."""
+
+    scene: Scene
+    winches: tc.Winches
+    sway: np.ndarray  # of the command of each string, m
+    phase: np.ndarray
+    actuated: dict | None
+
+    def __getattr__(self, name: str):
+        return getattr(self.scene, name)
+
+    def simulate(self, **options) -> tc.Trajectory:
+        """Run the scene by the package; its value are rest lengths at the start."""
+        scene, start, sample = self.scene, self.scene.value, self.scene.duration / SAMPLES
+
+        def command(time, nodes, velocities):
+            return law.actuation.inputs(start + self.sway * np.sin(2 * time / sample + self.phase))
+
+        low = np.full(len(start), 1e-9 * scene.size)
+        law = tc.FunctionController(
+            scene.structure, command, input="rest_length", sample_time=sample, low=low,
+            actuated=self.actuated, equilibrium_input=start,
+        )  # fmt: skip
+        return tc.simulate(
+            scene.model, scene.duration, velocities=scene.velocities, controller=law,
+            winches=self.winches, rest_length=start, **options,
+        )  # fmt: skip
+
+
+def wound(scene: Scene, random: np.random.Generator) -> Wound:
+    """Return a scene with random motors."""
+    count, length = len(scene.structure.strings), scene.structure.string_length()
+    if scene.input == "force_density":
+        scene = replace(scene, input="rest_length", value=length * random.uniform(0.8, 1.02, count))
+    start, sample = scene.value, scene.duration / SAMPLES
+    actuated, several = None, count > 2 and random.random() < 0.4
+    if several:
+        first, second, *others = random.permutation(count).tolist()
+        ratio = float(random.choice([-1.0, 1.0]) * random.uniform(0.5, 2.0))
+        actuated = {"pair": {first: 1.0, second: ratio}}
+        actuated |= {f"motor_{i}": [i] for i in others[: len(others) // 2 + 1]}
+
+    def around(low: float, high: float) -> np.ndarray:
+        return 10 ** random.uniform(low, high, count)
+
+    # The most that a string moves by, and what pulls then.
+    sway = start * around(-2, -1)
+    pull = stiffness_of(scene.strings, start) * np.maximum(np.abs(length - start), sway)
+    torque, radius, gear = pull * around(-0.5, 0.7), length * around(-3, -2), around(0, 2)
+    lever = radius / gear
+    kind = KINDS[int(random.integers(len(KINDS)))]
+    numbers = {"torque": torque * lever}
+    if "speed" in kind or random.random() < 0.3:
+        numbers["speed"] = sway / sample * around(-0.3, 0.7) / lever
+    if "lag" in kind:
+        numbers["lag"] = sample * around(-1, 0)
+    if "inertia" in kind:
+        numbers["inertia"] = lever**2 * torque * sample**2 / sway * around(-1.5, 0.5)
+    if "play" in kind:
+        numbers["backlash"] = sway * around(-1.5, -0.5) / radius
+    rate = sway / sample * around(-0.3, 0.7) if "rate" in kind and not several else None
+    steps = None if "jumps" in kind else int(random.integers(2, 8))
+    winches = tc.Winches(
+        rate=rate, substeps=steps, motor=tc.Motor(drum_radius=radius, gear_ratio=gear, **numbers)
+    )
+    return Wound(scene, winches, sway, random.uniform(0, 2 * np.pi, count), actuated)
+
+
+def run_of(scene: Scene | Wound, implicit: bool = False) -> tc.Trajectory:
     """Return the motion of a scene, tight, or in so many implicit steps."""
-    limits = tc.HealthLimits(crossings=None)
+    limits = tc.HealthLimits(crossings=None, rest_length_error=None)
     how = {"method": "dop853", "tolerance": TOLERANCE}
     if implicit:
         how = {"method": "energy_momentum", "step": scene.duration / STEPS}
     return scene.simulate(**how, error="none", limits=limits)
 
 
-def random_direction(scene: Scene, random: np.random.Generator) -> Direction:
+def random_direction(scene: Scene | Wound, random: np.random.Generator) -> Direction:
     """Return a direction of all that a scene depends on, each as part of its size."""
     law, structure = scene.strings, scene.structure
     found: Direction = {scene.input: scene.value * random.normal(size=len(scene.value))}
@@ -90,11 +169,32 @@ def random_direction(scene: Scene, random: np.random.Generator) -> Direction:
         for name in _OF_GROUND:
             size = scene.size if name == "height" else getattr(ground, name)
             found[f"ground.{name}"] = size * random.normal() * (0.1 if name == "height" else 1.0)
+    if isinstance(scene, Wound):
+        # A string that is longer throughout, at the start and in commands.
+        found["rest_length"] = np.repeat(found["rest_length"][:, None], SAMPLES, axis=1)
+        for name, value in _numbers(scene.winches).items():
+            found[name] = value * random.normal(size=len(scene.value))
     return found
 
 
-def changed(scene: Scene, direction: Direction, by: float) -> Scene:
+def _numbers(winches: tc.Winches) -> dict[str, np.ndarray]:
+    """Return the numbers of motors and winches that a run is differentiated by."""
+    motor = {f"motor.{name}": value for name, value in vars(winches.motor).items()}
+    numbers = motor | {"winches.rate": winches.rate}
+    return {name: value for name, value in numbers.items() if value is not None and value.any()}
+
+
+def changed(scene: Scene | Wound, direction: Direction, by: float) -> Scene | Wound:
     """Return a scene a part of a direction away."""
+    if isinstance(scene, Wound):
+        start = direction | {"rest_length": direction["rest_length"][:, 0]}
+        values = {
+            name: value + by * direction[name] for name, value in _numbers(scene.winches).items()
+        }
+        rate = values.pop("winches.rate", None)
+        motor = tc.Motor(**{name.split(".")[1]: value for name, value in values.items()})
+        winches = replace(scene.winches, motor=motor, rate=rate)
+        return replace(scene, scene=changed(scene.scene, start, by), winches=winches)
     law, s = scene.strings, scene.structure
 
     def moved(name: str, value):
@@ -118,7 +218,7 @@ def changed(scene: Scene, direction: Direction, by: float) -> Scene:
 
 
 def differences(
-    scene: Scene, direction: Direction, run: tc.Trajectory, implicit: bool
+    scene: Scene | Wound, direction: Direction, run: tc.Trajectory, implicit: bool
 ) -> tuple[np.ndarray, float]:
     """Return the derivative of the nodes at the end by differences, and what it is certain to."""
     found, best, certain = [], np.zeros(1), np.inf
@@ -144,12 +244,20 @@ def _relative(error: float, size: float) -> float:
 def _pieces(run: tc.Trajectory) -> tuple[int, ...]:
     """Return counts that differ where the map from the start to the end is another one."""
     implicit = run.choice.method == "energy_momentum"
-    return (run.steps, run.work.rejections) if implicit else (run.work.switches,)
+    pieces = (run.steps, run.work.rejections) if implicit else (run.work.switches,)
+    if run.control is not None:
+        limited = run.control.motors.torque_limited.tolist(), run.control.rate_limited.tolist()
+        pieces = *pieces, *map(tuple, limited)
+    return pieces
 
 
-def comparison(seed: int, most_steps: int, implicit: bool = False) -> Comparison | None:
+def comparison(
+    seed: int, most_steps: int, implicit: bool = False, motors: bool = False
+) -> Comparison | None:
     """Return how a random scene does; None if it has too many steps."""
     scene, random = random_scene(seed), np.random.default_rng([31, seed])
+    if motors:
+        scene = wound(scene, random)
     began = perf_counter()
     run = run_of(scene, implicit)
     run_seconds = perf_counter() - began
@@ -191,11 +299,11 @@ def comparison(seed: int, most_steps: int, implicit: bool = False) -> Comparison
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    given = options(__doc__, arguments, count=100, seed=0, steps=3000, implicit=False)
+    given = options(__doc__, arguments, count=100, seed=0, steps=3000, implicit=False, motors=False)
     found, left_out = [], 0
     print(" seed  steps switches    error  certain  adjoint   s, of which run")
     for seed in range(given.seed, given.seed + given.count):
-        each = comparison(seed, given.steps, given.implicit)
+        each = comparison(seed, given.steps, given.implicit, given.motors)
         if each is None:
             left_out += 1
             continue
