@@ -105,9 +105,9 @@ def _times(slope: FloatArray, by: Any) -> FloatArray:
 def _of_all(function: Callable[..., Any], given: Sequence[Any]) -> Dual:
     """Return a function that is linear in each of the given, in values and derivatives."""
     values = np.broadcast_arrays(*map(_value, given))
-    count = max(len(each.slope) for each in given if isinstance(each, Dual))
+    count = max(len(numbers.slope) for numbers in given if isinstance(numbers, Dual))
     slopes = [
-        np.broadcast_to(each.slope if isinstance(each, Dual) else 0.0, (count, *value.shape))
-        for each, value in zip(given, values, strict=True)
+        np.broadcast_to(numbers.slope if isinstance(numbers, Dual) else 0.0, (count, *value.shape))
+        for numbers, value in zip(given, values, strict=True)
     ]
     return Dual(function(*values), function(*slopes))

@@ -29,8 +29,9 @@ from tenscontrol.tables import aligned
 # before the next is taken, and at the end.
 _PARTS, _ROUGHLY, _WELL = (0.1, 0.25, 0.5, 1.0), 3e-2, 1e-6
 
-# Steps in a part at most; damping of the first step, and by how much it changes.
-_MOST, _DAMPING, _LESS, _MORE, _MOST_DAMPING = 12, 1e-3, 0.2, 6.0, 1e8
+# Steps in a part at most; damping of the first step, and by how much it changes after one that
+# lessened the cost. Part of a step that did not, within which the next is.
+_MOST, _DAMPING, _LESS, _SHORTER = 12, 1e-3, 0.2, (0.1, 0.5)
 
 # Longest step of an unknown, in standard deviations of its prior: slopes do not hold far away.
 _LONGEST = 2.0
@@ -463,23 +464,27 @@ class _Solver:
         self, theta: FloatArray, readings: Readings, share: float, least: float
     ) -> tuple[FloatArray, Readings, str]:
         damping, cost = _DAMPING, self._cost(readings, theta)
+        linear = self._linear(readings, theta)
         most = self._most if share == 1.0 else _MOST
         for _ in range(most):
             if self._is_over(share):
                 return theta, readings, f"stopped after {self._rollouts.count} rollouts"
-            step, fall = self._step(readings, theta, damping)
-            if damping <= _DAMPING and fall <= least * cost:  # none is worth a rollout
+            step, fall = linear.step(damping)
+            if fall <= (least if damping <= _DAMPING else _WELL) * cost:  # not worth a rollout
                 return theta, readings, "converged"
-            moved = theta + step
+            moved = theta + self._scale * step
             tried = self._tried(moved, share)
             new = np.inf if tried is None else self._cost(tried, moved)
             if tried is None or not new < cost:
-                damping *= _MORE
-                if damping > _MOST_DAMPING or abs(new - cost) <= least * cost:
+                if abs(new - cost) <= least * cost:
                     return theta, readings, "converged"
+                # Least of the parabola along the step: what is known is its slope and both ends.
+                shorter = fall / (new - cost + 2 * fall)
+                damping = linear.damping(damping, float(np.clip(shorter, *_SHORTER)))
                 continue
             fall = (cost - new) / max(cost, np.finfo(float).tiny)
             theta, readings, cost = moved, tried, new
+            linear = self._linear(readings, theta)
             damping *= _LESS
             if fall < least:
                 break
@@ -505,25 +510,44 @@ class _Solver:
             squares = np.where(far, 2 * _HUBER * np.abs(r) - _HUBER**2, squares)
         return float(squares.sum() + ((theta / self._scale) ** 2).sum())
 
-    def _step(
-        self, readings: Readings, theta: FloatArray, damping: float
-    ) -> tuple[FloatArray, float]:
-        """Return a step of the unknowns, and by how much the cost should fall, were it linear."""
+    def _linear(self, readings: Readings, theta: FloatArray) -> _Linear:
+        """Return the residuals, and what unknowns are off from what was known, made linear."""
         assert readings.slope is not None  # every try has one
         weight = np.ones(len(readings.residuals))
         if self._is_robust:
             weight = np.sqrt(_HUBER / np.maximum(np.abs(readings.residuals), _HUBER))
-        J = readings.slope * self._scale * weight[:, None]
-        own = np.eye(len(theta))
-        size = np.sqrt(damping * ((J**2).sum(axis=0) + 1))
-        rows = np.vstack([J, own, np.diag(size)])
-        right = np.concatenate([weight * readings.residuals, theta / self._scale, 0 * theta])
-        step = -np.linalg.lstsq(rows, right, None)[0]
-        longest = float(np.abs(step).max())
-        step *= min(1.0, _LONGEST / max(longest, 1e-300))
-        undamped = slice(len(right) - len(theta))
-        left = right[undamped] + rows[undamped] @ step
-        return self._scale * step, float((right[undamped] ** 2).sum() - (left**2).sum())
+        rows = np.vstack([readings.slope * self._scale * weight[:, None], np.eye(len(theta))])
+        return _Linear(rows, np.concatenate([weight * readings.residuals, theta / self._scale]))
+
+
+class _Linear:
+    """Steps that lessen the squares of residuals ``rows @ step + right``.
+
+    A damping is relative to the squares of the columns (J. J. Moré, *The Levenberg-Marquardt
+    algorithm: implementation and theory*, 1978, doi:10.1007/BFb0067700).
+    """
+
+    def __init__(self, rows: FloatArray, right: FloatArray) -> None:
+        self._size = np.sqrt((rows**2).sum(axis=0))
+        left, self._singular, self._directions = np.linalg.svd(rows / self._size, False)
+        self._right = left.T @ right
+
+    def step(self, damping: float) -> tuple[FloatArray, float]:
+        """Return a step, of no unknown too long, and by how much the squares should fall."""
+        step = -(self._parts(damping) @ self._directions) / self._size
+        step *= min(1.0, _LONGEST / max(float(np.abs(step).max()), 1e-300))
+        moved = self._singular * (self._directions @ (self._size * step))
+        return step, float(-(moved * (2 * self._right + moved)).sum())
+
+    def damping(self, damping: float, share: float) -> float:
+        """Return a damping by which a step is at most a share of what another makes it."""
+        longest = share * np.linalg.norm(self._parts(damping))
+        while np.linalg.norm(self._parts(damping)) > longest:
+            damping *= 2
+        return damping
+
+    def _parts(self, damping: float) -> FloatArray:
+        return np.asarray(self._singular / (self._singular**2 + damping) * self._right)
 
 
 def identifiability_of(rollouts: Rollouts, slope: FloatArray | None = None) -> Identifiability:
