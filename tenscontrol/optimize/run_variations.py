@@ -93,6 +93,11 @@ class RunVariations:
 
     def _refuse_beside_motors(self, actuators: Actuators) -> None:
         """Refuse what motors are not differentiated with."""
+        if self._scene.input == "force_density":
+            raise ValueError(
+                "a motor of the run met its torque where force densities are held: no derivative "
+                "is taken through that. Give more torque, or hold rest lengths"
+            )
         if self._feedback:
             raise ValueError(
                 "feedback: no derivative is taken through motors that wind what an LQR commands. "

@@ -81,7 +81,6 @@ class Actuators:
     reached: FloatArray
     held: FloatArray
     lengths: Pieces | None = None  # of bars, which these do not drive
-    taken: list[TakenTick]  # of a run that is traced
 
     def __init__(
         self,
@@ -118,7 +117,7 @@ class Actuators:
         self._asked: list[FloatArray] = []
         self._weak: list[int] = []
         self._earlier: MotorRecord | None = None
-        self.taken: list[TakenTick] = []
+        self.taken: list[TakenTick] = []  # of a run that is traced
         self.start: FloatArray | None = None
         self._current: FloatArray | None = None
         if run is not None and rest_length is None:

@@ -138,6 +138,14 @@ def test_what_motors_are_not_differentiated_with_is_named():
     )  # fmt: skip
     with pytest.raises(ValueError, match="feedback: no derivative is taken through motors"):
         tc.sensitivity(run, ["winches.rate"], feedback=True)
+    law = tc.FunctionController(
+        PRISM, lambda *_: np.full(COUNT, 10.0), input="force_density", sample_time=0.1
+    )
+    winches = tc.Winches(motor=tc.Motor(0.02, torque=0.05))
+    held = {"input": "force_density", "controller": law, "winches": winches}
+    run = tc.simulate(MODEL, 0.2, **held, step=1e-2)
+    with pytest.raises(ValueError, match="met its torque where force densities are held"):
+        tc.sensitivity(run, ["gravity"])
 
 
 def test_numbers_with_derivatives_know_no_other_functions():
