@@ -163,10 +163,10 @@ static void stages_unfactor(const Stages *s, int k, int transposed, const double
     stages_add(a, a, 1.0, (transposed ? s->S : s->S_t) + stages_step(s, k) * a * a, h, out);
 }
 
-static int stages_finite(const double *values, size_t count)
+SOLVER_WIDE static int stages_finite(const double *values, size_t count)
 {
     size_t i;
-    int wrong = 0;
+    long long wrong = 0; /* as wide as the numbers, for registers of several */
     for (i = 0; i < count; i++)
         wrong |= !(fabs(values[i]) < INFINITY);
     return !wrong;
@@ -295,16 +295,23 @@ static void stages_thin_input(const Stages *s, int k, const double *x, const dou
 }
 
 /* Whether costs differ from P right of the diagonal by no more than a part of their diagonal. */
-static int stages_near(int n, double tolerance, const double *P, const double *cost)
+SOLVER_WIDE static int stages_near(int n, double tolerance, const double *P, const double *cost,
+                                   double *diagonal)
 {
     int i, j;
     for (i = 0; i < n; i++)
+        diagonal[i] = P[(size_t)i * n + i];
+    for (i = 0; i < n; i++) {
+        const double *one = P + (size_t)i * n, *other = cost + (size_t)i * n;
+        double square = tolerance * tolerance;
+        long long wrong = 0;
         for (j = i; j < n; j++) {
-            double off = P[(size_t)i * n + j] - cost[(size_t)i * n + j];
-            double unit = P[(size_t)i * n + i] * P[(size_t)j * n + j];
-            if (!(off * off <= tolerance * tolerance * unit))
-                return 0;
+            double off = one[j] - other[j];
+            wrong |= !(off * off <= square * (diagonal[i] * diagonal[j]));
         }
+        if (wrong)
+            return 0;
+    }
     return 1;
 }
 
@@ -315,7 +322,7 @@ static int stages_known(const Stages *s, int k, const double *P, double toleranc
     int step;
     for (step = 0; step < s->stages; step++)
         if (s->from[step] == s->slot[k] &&
-            stages_near(s->states, tolerance, P, s->costs + square * step))
+            stages_near(s->states, tolerance, P, s->costs + square * step, s->work))
             return step;
     return -1;
 }
