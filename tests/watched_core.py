@@ -17,6 +17,7 @@ PROJECT = Path(__file__).parent.parent
 TESTS = (
     "tests/integrate/test_core_scene.py", "tests/integrate/test_core_run.py",
     "tests/simulation/test_batch.py", "tests/optimize/test_core_steps.py",
+    "tests/control/mpc/test_slopes.py",
 )  # fmt: skip
 # Without optimization: sanitized, the runs in lanes compile in a fifth of the time.
 FLAGS = ("-O0", "-g", "-std=c99", "-fPIC", "-shared", "-fno-sanitize-recover=all")

@@ -55,6 +55,7 @@ def _loaded() -> tuple[ctypes.CDLL | None, str]:
         return None, _OTHER
     core.tc_motion_work_size.restype = core.tc_runs_work_size.restype = ctypes.c_size_t
     core.tc_variations_work_size.restype = core.tc_strut_work_size.restype = ctypes.c_size_t
+    core.tc_reduced_work_size.restype = ctypes.c_size_t
     core.tc_near_bars.restype = ctypes.c_int64
     core.tc_begin.restype = core.tc_frequency.restype = ctypes.c_double
     core.tc_evaluations.restype = ctypes.c_double

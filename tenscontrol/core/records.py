@@ -205,6 +205,31 @@ class Changes(ctypes.Structure):
     )  # fmt: skip
 
 
+class Reduced(ctypes.Structure):
+    """A plant in reduced coordinates."""
+
+    _fields_ = (
+        ("scene", _POINTER),
+        *((name, _COUNT) for name in ("coordinates", "inputs", "bars")),
+        *((name, _POINTER) for name in ("place", "basis", "project")),
+        *((name, _COUNT) for name in ("inner", "is_complement")),
+        *((name, _POINTER) for name in (
+            "left", "right", "end", "axis", "share", "square", "spread", "offset", "taut",
+        )),
+    )  # fmt: skip
+
+
+class Rows(ctypes.Structure):
+    """Values of strings and places of nodes that are limited."""
+
+    _fields_ = (
+        *((name, _COUNT) for name in (
+            "count", "density", "tension", "nodes", "at_end", "node_rows",
+        )),
+        ("on_nodes", _POINTER),
+    )  # fmt: skip
+
+
 #: Numbers of a plane, in this order.
 GROUND_NUMBERS = "stiffness", "damping", "friction", "slip_speed", "height", "width"
 

@@ -7,6 +7,7 @@
 #include "avx512.h"
 #define LANES_NAME(name) name##_by_avx512
 #include "variations_lanes.h"
+#include "reduced_lanes.h"
 #ifdef __clang__
 #pragma clang attribute pop
 #endif

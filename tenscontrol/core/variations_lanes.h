@@ -283,6 +283,16 @@ static void advance_by(const Number *q0, const Number *v0, double c, Number h, c
   } while (left > 0);
 }
 
+/* Whole registers of numbers of the first lanes, each lane to a place of its own, so far apart. */
+static void from_lanes(const Number *x, size_t size, int count, double *to, size_t apart) {
+  for (size_t part = 0; part < size; part += WIDTH)
+    for (int i = 0; i < count; ++i) { /* whole registers, so that shuffles make them */
+      Number row = all(0);
+      for (int k = 0; k < WIDTH; ++k) put(lane(x + part + k, i), &row, k);
+      *(Number *)(to + i * apart + part) = row;
+    }
+}
+
 /* Finds the derivatives of all members at the stages of some steps, at most as many as there are lanes. */
 static void reach_stages(Sweep *sweep, int first, int count) {
   const Scene *lanes = &sweep->batch.scene;
@@ -322,12 +332,7 @@ static void reach_stages(Sweep *sweep, int first, int count) {
     if (lanes->dimension == 2) differentiated_2(lanes, &sweep->at, &input, sweep->taut, &there, sweep->x);
     else differentiated_3(lanes, &sweep->at, &input, sweep->taut, &there, sweep->x);
     from_all(lanes, now->a, to);
-    for (size_t part = 0; part < size; part += WIDTH)
-      for (int step = 0; step < count; ++step) { /* whole registers, so that shuffles make them */
-        Number row = all(0);
-        for (int k = 0; k < WIDTH; ++k) put(lane(sweep->x + part + k, step), &row, k);
-        *(Number *)(sweep->points + ((size_t)step * stages + i) * size + part) = row;
-      }
+    from_lanes(sweep->x, size, count, sweep->points + i * size, stages * size);
   }
 }
 

@@ -279,7 +279,7 @@ class Coordinates:
         nodes = self.nodes + self._columns(self.displacements(q))
         if self.kind == "nodes":
             return nodes
-        alone, axes = self._alone
+        alone, axes = self.alone
         lengths = self._lengths_of_bars(bar_length)
         vectors = self.structure.bar_vectors(nodes)[:, alone]
         along = (vectors * axes).sum(axis=0)
@@ -323,7 +323,7 @@ class Coordinates:
         if self.kind == "nodes":
             return velocities
         growth = self._growth(bar_length, bar_length_rate)
-        alone, axes = self._alone
+        alone, axes = self.alone
         vectors = structure.bar_vectors(shape)[:, alone]
         change = (vectors * structure.bar_vectors(velocities)[:, alone]).sum(axis=0)
         along = (vectors * axes).sum(axis=0)
@@ -385,7 +385,7 @@ class Coordinates:
         shape = structure.nodes.shape
         N, V = (ca.SX(ca.reshape(entries, *shape)) for entries in (places, rates))
         share = structure.end_share
-        for bar, column in zip(*self._alone[:1], self._alone[1].T, strict=True):
+        for bar, column in zip(*self.alone[:1], self.alone[1].T, strict=True):
             start, end = structure.bars[bar].tolist()
             axis = ca.DM(column)
             vector, change = N[:, end] - N[:, start], V[:, end] - V[:, start]
@@ -523,17 +523,17 @@ class Coordinates:
 
     def _stretch(self, columns: FloatArray, change: FloatArray) -> None:
         """Add a change to each bar on its own: half at each end, or all at the only free one."""
-        bars = self._alone[0]
+        bars = self.alone[0]
         share, ends = self.structure.end_share[bars], self.structure.bars[bars]
         columns[:, ends[:, 0]] -= share[:, 0] * change
         columns[:, ends[:, 1]] += share[:, 1] * change
 
     @cached_property
-    def _alone(self) -> tuple[IntArray, FloatArray]:
+    def alone(self) -> tuple[IntArray, FloatArray]:
         """Bars that move on their own, ascending, and their axes in the reference, (d, ·)."""
         bars = np.union1d(self.structure.free_bars, self.structure.swinging_bars)
         vectors = self.structure.bar_vectors(self.nodes)[:, bars]
-        return bars, vectors / np.linalg.norm(vectors, axis=0)
+        return frozen(bars), frozen(vectors / np.linalg.norm(vectors, axis=0))
 
     @property
     def _joined(self) -> tuple[Block, ...]:

@@ -272,15 +272,9 @@ def sampled_motion(plant: LinearPlant, sample_time: float) -> ca.Function:
     """Return ``(z, u) -> z⁺`` over a sample.
 
     Nonlinear, by RK4 in steps that resolve the fastest vibration; :func:`sampled` is the exact
-    counterpart of the linear plant. A ValueError says so where the steps would be too many.
+    counterpart of the linear plant.
     """
-    count = explicit_substeps(plant, sample_time)
-    if count > _MOST_SUBSTEPS:
-        raise ValueError(
-            f"plant vibrates with up to {plant.spectral_radius:.3g} rad/s: a sample of "
-            f"{sample_time:g} s takes {count} steps of RK4 to predict, expected at most "
-            f"{_MOST_SUBSTEPS}; give a shorter sample_time, or use a linear prediction"
-        )
+    count = possible_substeps(plant, sample_time)
     motion = _rk4_step(plant, sample_time / count)
     if count == 1:
         return motion
@@ -305,6 +299,18 @@ def sampled_dynamics(plant: LinearPlant, sample_time: float) -> tuple[ca.Functio
         columns = end[:, 0], end[:, 1 : 1 + s], end[:, 1 + s :]
         linearized = Function("linearized", [z, u], list(columns))
     return motion, linearized
+
+
+def possible_substeps(plant: LinearPlant, sample_time: float) -> int:
+    """Return :func:`explicit_substeps`, or raise where they are too many."""
+    count = explicit_substeps(plant, sample_time)
+    if count > _MOST_SUBSTEPS:
+        raise ValueError(
+            f"plant vibrates with up to {plant.spectral_radius:.3g} rad/s: a sample of "
+            f"{sample_time:g} s takes {count} steps of RK4 to predict, expected at most "
+            f"{_MOST_SUBSTEPS}; give a shorter sample_time, or use a linear prediction"
+        )
+    return count
 
 
 def explicit_substeps(plant: LinearPlant, sample_time: float) -> int:

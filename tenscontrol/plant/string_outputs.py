@@ -39,7 +39,7 @@ def model_input(plant: LinearPlant, u: Any) -> Any:
     """
     if plant.input == "bar_length":
         return ca.DM(plant.rest_length)
-    if _is_of_strings(plant):
+    if is_of_strings(plant):
         return u
     strings = member_rows(plant.input, plant.commanded)[0]
     offset = to_model_strings(plant, plant.string_input, plant.actuation.offset[strings])
@@ -56,7 +56,7 @@ def input_matrix(plant: LinearPlant, quantity: str) -> FloatArray:
     return to_model_strings(plant, quantity, matrix.T).T
 
 
-def _is_of_strings(plant: LinearPlant) -> bool:
+def is_of_strings(plant: LinearPlant) -> bool:
     """Whether each string of the model is an input, in order, and nothing else is."""
     whole = plant.commanded is plant.model.structure and plant.actuation.is_whole
     return whole and not plant.drives_bars
@@ -101,7 +101,7 @@ def string_map(plant: LinearPlant, input: str) -> StringMap:
     pulls = [lengths @ slopes[0] + diags_array(gamma) @ stretch, lengths @ slopes[1]]
     by_state = [np.hstack([slope @ plant.basis for slope in own]) for own in (slopes, pulls)]
     by_input = [diags_array(by_own), diags_array(length * by_own)]
-    if not _is_of_strings(plant):
+    if not is_of_strings(plant):
         spread = csc_array(input_matrix(plant, input))
         by_input = [slope @ spread for slope in by_input]
     if bars is not None:

@@ -178,8 +178,9 @@ class NonlinearSettings(MPCSettings):
         exact all the same. 0 finds all anew, in every sample, as C code does. By default 0.05 where
         steps are implicit and one program is solved in a sample, else 0.
     machine_code : bool
-        Compile the derivatives, where there is a C compiler: the same numbers, sooner. Libraries
-        are kept for the next run, and serve every horizon.
+        Compile the derivatives that the package's compiled core does not have, where there is a C
+        compiler: of laws of your own, and where bars share nodes. The same numbers, sooner.
+        Libraries are kept for the next run, and serve every horizon.
     """
 
     iterations: int = field(default=1, metadata=checked(validation.whole_number, 1))
@@ -321,7 +322,7 @@ class NMPC(PredictiveController):
 
     @property
     def back_end(self) -> str:
-        """What evaluates the derivatives: ``"machine code"`` or ``"virtual machine"``."""
+        """What finds the derivatives: ``"core"``, ``"machine code"`` or ``"virtual machine"``."""
         return self._law.model.back_end
 
     @property

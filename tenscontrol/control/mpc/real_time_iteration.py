@@ -10,6 +10,7 @@ import numpy as np
 from tenscontrol.actuation.winches import Winches
 from tenscontrol.arrays import BoolArray, FloatArray, IntArray
 from tenscontrol.control.disturbance import LoadObserver
+from tenscontrol.control.mpc.core_motion import CoreRows, core_rows
 from tenscontrol.control.mpc.problem import (
     Constraints,
     MPCProblem,
@@ -23,9 +24,9 @@ from tenscontrol.control.mpc.problem import (
 from tenscontrol.control.mpc.settings import MPCSettings
 from tenscontrol.control.mpc.shooting import (
     RK4,
-    AccelerationSlopes,
     Discretization,
     RadauIIA,
+    accelerations,
     executable,
     repeated,
     transposed_jacobians,
@@ -82,18 +83,17 @@ class TrajectoryModel:
             self.discretization = RadauIIA(plant, sample_time, length, ramp, machine_code)
         else:
             self.discretization = RK4(plant, sample_time, length, machine_code)
-        self.acceleration = reduced_acceleration(plant, taut=self.implicit)
         self.back_end = self.discretization.back_end
         self._plant, self._sample_time = plant, sample_time
-        self._balance: AccelerationSlopes | Evaluator = (
-            AccelerationSlopes(plant, length, taut=True, machine_code=machine_code)
-            if self.implicit
-            else Evaluator(repeated(self.acceleration, length))
+        self._accelerations = accelerations(
+            plant, length, taut=self.implicit, machine_code=machine_code
         )
         self._constraints = constraints
-        self._rows: RowSlopes | None = None
+        self._rows: CoreRows | RowSlopes | None = None
+        at_end = self.discretization.ramp
         if constraints.blocks:
-            at_end = self.discretization.ramp
+            self._rows = core_rows(plant, constraints.blocks, at_end)
+        if constraints.blocks and self._rows is None:
 
             def build() -> tuple[ca.Function, tuple[ca.Sparsity, ...]]:
                 linked, patterns = linked_rows(plant, constraints, at_end)
@@ -101,6 +101,11 @@ class TrajectoryModel:
 
             key = "linked rows", constraints.key, at_end, machine_code
             self._rows = RowSlopes(plant, *plant.prepared.get(key, build), length)
+
+    @property
+    def acceleration(self) -> ca.Function:
+        """``(z, u) -> q̈``, for C code."""
+        return reduced_acceleration(self._plant, taut=self.implicit)
 
     @property
     def limited(self) -> ca.Function | None:
@@ -150,15 +155,14 @@ class TrajectoryModel:
         reference, inputs, still = reference.copy(), inputs.copy(), np.zeros_like(reference[:, :r])
         for _ in range(_OWN_STEPS if self.implicit else NEWTON_STEPS):
             states = np.hstack([reference[:, :r], still])
-            if isinstance(self._balance, AccelerationSlopes):
-                values, by_z, by_u = self._balance(states, inputs)
-                left = values + observer.acceleration
+            values, entries = self._accelerations.values(states, inputs)
+            left = values + observer.acceleration
+            if self.implicit:
+                by_z, by_u = self._accelerations.slopes(entries, np.arange(len(states)))
                 by_q, by_u = (slope.swapaxes(1, 2) for slope in (by_z[:, :r], by_u))
                 shift, effort = observer.model.rest_of(left, by_q, by_u)
             else:
-                columns = (x.T if len(x) > 1 else x[0] for x in (states, inputs))
-                left = self._balance(*columns)[0].reshape(r, -1, order="F").T
-                shift, effort = observer.model.rest(left + observer.acceleration)
+                shift, effort = observer.model.rest(left)
             reference[:, :r] += shift
             inputs += effort
         return reference, inputs

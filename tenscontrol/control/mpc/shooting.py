@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from typing import Any, final
+from typing import Any, TypeAlias, final
 
 import casadi as ca
 import numpy as np
 
 from tenscontrol.arrays import BoolArray, FloatArray, IntArray
+from tenscontrol.control.mpc.core_motion import CoreMotion, core_motion
 from tenscontrol.control.mpc.problem import (
     Pair,
     StageJacobians,
@@ -19,8 +20,8 @@ from tenscontrol.dynamics.evaluator import Evaluator, Function, builds, built
 from tenscontrol.dynamics.machine_code import compiled, if_compiled
 from tenscontrol.plant.linear_plant import LinearPlant, acceleration_response
 from tenscontrol.plant.reduced_dynamics import (
-    explicit_substeps,
     linked_accelerations,
+    possible_substeps,
     reduced_acceleration,
     reduced_motion,
     sampled_dynamics,
@@ -36,9 +37,6 @@ _MATRIX = np.array([
     [(296 + 169 * _ROOT) / 1800, (88 + 7 * _ROOT) / 360, (-2 - 3 * _ROOT) / 225],
     [(16 - _ROOT) / 36, (16 + _ROOT) / 36, 1 / 9],
 ])  # fmt: skip
-
-# Up to so many coordinates a sample of one step is faster written out in machine code.
-_MOST_WRITTEN = 12
 
 # Points are differentiated in parts with so many numbers in the largest of their matrices, which
 # then stay in the cache of a processor, and in memory that was used before.
@@ -60,18 +58,6 @@ _QUICK = 0.1
 _BALANCED = 1e-9
 
 
-def stage_jacobians(evaluator: Evaluator, *arguments: FloatArray) -> StageJacobians:
-    """Return N values of ``(x, y, …) -> (value, slopes …)`` to first order, rows of arguments."""
-    N = len(arguments[0])
-    # One sample is a vector to an evaluator, several are columns.
-    values, *slopes = evaluator(*(x.T if N > 1 else x[0] for x in arguments))
-    blocks = (
-        slope.ravel(order="K").reshape(N, argument.shape[1], -1)
-        for slope, argument in zip(slopes, arguments, strict=True)
-    )
-    return StageJacobians(values.reshape(-1, N, order="F").T, tuple(blocks))
-
-
 @builds
 def repeated(function: ca.Function, count: int) -> ca.Function:
     """Return a function of so many columns."""
@@ -84,8 +70,16 @@ def executable(function: ca.Function, machine_code: bool) -> tuple[ca.Function, 
     return (function, "virtual machine") if code is None else (code, "machine code")
 
 
+def accelerations(
+    plant: LinearPlant, count: int, *, taut: bool, machine_code: bool
+) -> Accelerations:
+    """Return q̈ and its derivatives at a number of points, by the core where that has them."""
+    core = core_motion(plant, taut=taut)
+    return core or AccelerationSlopes(plant, count, taut=taut, machine_code=machine_code)
+
+
 class AccelerationSlopes:
-    """q̈ of a plant and its derivatives, at a number of points at once.
+    """q̈ of a plant and its derivatives, at a number of points at once, by CasADi.
 
     Of the maps from what the basis displaces to shapes with exact bar lengths, on to forces, and on
     to accelerations of nodes, each has a sparse Jacobian: its code grows with the members, and is
@@ -106,7 +100,6 @@ class AccelerationSlopes:
         self._patterns = patterns
         # Of as many points as are differentiated together.
         self._jacobians: dict[int, list[Any]] = {}
-        self.together = max(1, _IN_CACHE // (3 * self._basis.size))
 
     def values(self, states: FloatArray, inputs: FloatArray) -> tuple[FloatArray, list[FloatArray]]:
         """Return q̈, (K, r), and entries of Jacobians, (K, ·) each, which the next call changes."""
@@ -143,6 +136,9 @@ class AccelerationSlopes:
         """Return q̈ and its slopes at all points."""
         values, entries = self.values(states, inputs)
         return values, *self.slopes(entries, np.arange(self._count))
+
+
+Accelerations: TypeAlias = CoreMotion | AccelerationSlopes
 
 
 def transposed_jacobians(pattern: ca.Sparsity, count: int, apart: int) -> Any:
@@ -226,27 +222,21 @@ class RK4(Discretization):
     def __init__(
         self, plant: LinearPlant, sample_time: float, length: int, machine_code: bool
     ) -> None:
-        self._sampled = sampled_motion(plant, sample_time)
-        self._count = explicit_substeps(plant, sample_time)
+        self._count = possible_substeps(plant, sample_time)
         self._plant, self._sample_time = plant, sample_time
         h = self._step = sample_time / self._count
         self._r = plant.degrees_of_freedom
         # Of the stages of a step: weight, and how far ahead, s.
         self._weights = [(1.0, 0.0), (2.0, 0.5 * h), (2.0, 0.5 * h), (1.0, h)]
-        self._written: Evaluator | None = None
-        if machine_code and self._count == 1 and self._r <= _MOST_WRITTEN:
-            key = "RK4", sample_time
-            one, self.back_end = plant.prepared.get(key, lambda: executable(self.linearized, True))
-            self._written = Evaluator(repeated(one, length))
-        else:
-            self._slopes = AccelerationSlopes(plant, length, taut=False, machine_code=machine_code)
-            self.back_end = self._slopes.back_end
-            s, a = plant.B.shape
-            self._by_all = tuple(np.zeros((length, k, s)) for k in (s, a))
+        self._slopes = accelerations(plant, length, taut=False, machine_code=machine_code)
+        self.back_end = self._slopes.back_end
+        s, a = plant.B.shape
+        self._by_all = np.zeros((length, s, s)), np.zeros((length, a, s))
+        if isinstance(self._slopes, AccelerationSlopes):
             together = self._together = min(length, max(1, _IN_CACHE // (s * (s + a))))
             self._chain = np.empty((3, together, s, s + a))
             self._half_chain = np.empty((2, together, s // 2, s + a))
-        self._advance = Evaluator(self._sampled)
+            self._advance = Evaluator(self.sampled)
         self._response = acceleration_response(plant, sample_time)
         self._no_stages = np.zeros((0, plant.degrees_of_freedom))
 
@@ -258,20 +248,23 @@ class RK4(Discretization):
     @property
     def sampled(self) -> ca.Function:
         """See :attr:`Discretization.sampled`."""
-        return self._sampled
+        return sampled_motion(self._plant, self._sample_time)
 
     def advance(
         self, state: FloatArray, previous: FloatArray, held: FloatArray,
         stages: FloatArray | None = None, planned: bool = True,
     ) -> Pair:  # fmt: skip
         """See :meth:`Discretization.advance`."""
+        if isinstance(self._slopes, CoreMotion):
+            end = self._slopes.samples(state[None], held[None], self._count, self._step)
+            return end[0], self._no_stages
         return self._advance(state, held)[0].copy(), self._no_stages
 
     def predict(
         self, state: FloatArray, previous: FloatArray, held: FloatArray, load: FloatArray
     ) -> tuple[FloatArray, None]:
         """See :meth:`Discretization.predict`."""
-        return self._response @ load + self._advance(state, held)[0], None
+        return self._response @ load + self.advance(state, previous, held)[0], None
 
     def linearize(
         self, states: FloatArray, inputs: FloatArray, stages: FloatArray,
@@ -279,28 +272,53 @@ class RK4(Discretization):
     ) -> StageJacobians:  # fmt: skip
         """See :meth:`Discretization.linearize`."""
         held = inputs[1:]
-        if self._written is not None:
-            return stage_jacobians(self._written, states, held)
         slots = np.arange(len(states)) if slots is None else slots
         fresh = np.ones(len(states), bool) if fresh is None else fresh
-        r, h, s, samples = self._r, self._step, states.shape[1], np.flatnonzero(fresh)
+        samples = np.flatnonzero(fresh)
+        if isinstance(self._slopes, CoreMotion):
+            end = self._linearized_in_core(self._slopes, states, held, slots, samples)
+        else:
+            end = self._linearized_by_stages(self._slopes, states, held, slots, samples)
+        return StageJacobians(end, self._by_all, slots, fresh)
+
+    def _linearized_in_core(
+        self, core: CoreMotion, states: FloatArray, held: FloatArray, slots: IntArray,
+        samples: IntArray,
+    ) -> FloatArray:  # fmt: skip
+        """Return ends of all samples, and put slopes of some into their slots."""
+        steps = self._count, self._step
+        if np.array_equal(slots[samples], np.arange(len(states))):
+            return core.samples(states, held, *steps, self._by_all)
+        by_z, by_u = (np.empty((len(samples), *slopes.shape[1:])) for slopes in self._by_all)
+        core.samples(states[samples], held[samples], *steps, (by_z, by_u))
+        self._by_all[0][slots[samples]], self._by_all[1][slots[samples]] = by_z, by_u
+        return core.samples(states, held, *steps)
+
+    def _linearized_by_stages(
+        self, slopes: AccelerationSlopes, states: FloatArray, held: FloatArray, slots: IntArray,
+        samples: IntArray,
+    ) -> FloatArray:  # fmt: skip
+        """Return ends of all samples, and put slopes of some into their slots."""
+        r, h, s = self._r, self._step, states.shape[1]
         end, entries = states, []
         for _ in range(self._count):
             z, slope = end, np.zeros_like(end)
             for weight, ahead in self._weights:
                 stage = z + ahead * slope
-                values, by_stage = self._slopes.values(stage, held)
+                values, by_stage = slopes.values(stage, held)
                 entries.append([slope[samples] for slope in by_stage])
                 slope = np.hstack([stage[:, r:], values])
                 end = end + h / 6 * weight * slope
         for first in range(0, len(samples), self._together):
             points = np.arange(first, min(first + self._together, len(samples)))
-            by_all = self._chained(entries, points).swapaxes(1, 2)
+            by_all = self._chained(slopes, entries, points).swapaxes(1, 2)
             filled = slots[samples[points]]
             self._by_all[0][filled], self._by_all[1][filled] = by_all[:, :s], by_all[:, s:]
-        return StageJacobians(end, self._by_all, slots, fresh)
+        return end
 
-    def _chained(self, entries: list[list[FloatArray]], points: IntArray) -> FloatArray:
+    def _chained(
+        self, slopes: AccelerationSlopes, entries: list[list[FloatArray]], points: IntArray
+    ) -> FloatArray:
         """Return derivatives of z⁺ by z and u, by rows, from entries at stages of all steps.
 
         They are in memory that the next call takes. Of a stage, those of places are the first rows,
@@ -317,7 +335,7 @@ class RK4(Discretization):
                     np.multiply(stage[:, r:], ahead, out=stage[:, :r])
                     np.multiply(slope, ahead, out=stage[:, r:])
                     stage += start
-                by_z, by_u = self._slopes.slopes(next(stages), points)
+                by_z, by_u = slopes.slopes(next(stages), points)
                 np.matmul(by_z.swapaxes(1, 2), stage, out=slope)
                 slope[:, :, 2 * r :] += by_u.swapaxes(1, 2)
                 for rows, rate in ((end[:, :r], stage[:, r:]), (end[:, r:], slope)):
@@ -357,9 +375,10 @@ class RadauIIA(Discretization):
         self, plant: LinearPlant, sample_time: float, length: int, ramp: bool, machine_code: bool
     ) -> None:
         self._along, self._once = (
-            AccelerationSlopes(plant, count, taut=True, machine_code=machine_code)
+            accelerations(plant, count, taut=True, machine_code=machine_code)
             for count in (3 * length, 3)
         )
+        self._together = max(1, _IN_CACHE // (9 * plant.basis.size))
         self.back_end = self._along.back_end
         self._taut = Evaluator(plant.prepared.get("taut", lambda: _taut_force_density(plant)))
         self.ramp, self._plant = ramp, plant
@@ -368,6 +387,12 @@ class RadauIIA(Discretization):
         # What the accelerations at the stages do to places and speeds there.
         self._to_place, self._to_speed = sample_time**2 * _MATRIX @ _MATRIX, sample_time * _MATRIX
         self._size = float(np.ptp(plant.nodes, axis=1).max())
+        # Places and speeds at the stages by those at the start and by these accelerations.
+        to_stages = np.zeros((3, 2, 5))
+        to_stages[:, 0, 0] = to_stages[:, 1, 1] = 1.0
+        to_stages[:, 0, 1] = sample_time * _NODES
+        to_stages[:, 0, 2:], to_stages[:, 1, 2:] = self._to_place, self._to_speed
+        self._to_stages = to_stages.reshape(6, 5)
         # What they do to the end, by columns.
         to_end = np.stack([self._to_place[2], self._to_speed[2]], axis=1)
         to_end = np.kron(to_end, np.eye(self._r))
@@ -482,9 +507,9 @@ class RadauIIA(Discretization):
             if self.ramp:
                 by_before = ((1 - share) * by_input).reshape(-1, 3 * r)
                 np.matmul(by_before, by_stages, out=self._slopes[2][slot])
-        places = np.arange(r)
-        for half, row, size in ((0, 0, 1.0), (0, r, h), (r, r, 1.0)):
-            self._slopes[0][filled[:, None], row + places, half + places] += size
+            places = np.arange(r)
+            for half, row, size in ((0, 0, 1.0), (0, r, h), (r, r, 1.0)):
+                self._slopes[0][slot, row + places, half + places] += size
         ends = self._ends(states, stages)
         for slot, mine in by_slot(slots):
             ends[mine] -= self._remaining[mine] @ plan.to_end[slot].T
@@ -511,30 +536,34 @@ class RadauIIA(Discretization):
 
     def _ends(self, states: FloatArray, stages: FloatArray) -> FloatArray:
         """Return the states at the ends of samples, shape (N, s)."""
-        q, v = states[:, : self._r], states[:, self._r :]
-        return np.hstack([
-            q + self._sample_time * v + self._to_place[2] @ stages, v + self._to_speed[2] @ stages
-        ])  # fmt: skip
+        return self._points(self._to_stages[4:], states, stages)
+
+    def _points(self, by_all: FloatArray, states: FloatArray, stages: FloatArray) -> FloatArray:
+        """Return states at stages of N samples, one row each."""
+        N, r = len(states), self._r
+        start = np.concatenate([states.reshape(N, 2, r), stages], axis=1)
+        return np.asarray((by_all @ start).reshape(-1, 2 * r))
 
     def _left(
-        self, slopes: AccelerationSlopes, states: FloatArray, inputs: FloatArray, stages: FloatArray
+        self, slopes: Accelerations, states: FloatArray, inputs: FloatArray, stages: FloatArray
     ) -> tuple[FloatArray, list[FloatArray]]:
         """Return G = K − a, (N, 3r), 0 where the stages are solved, and entries of Jacobians."""
-        N, r = len(states), self._r
-        q, v = states[:, None, :r], states[:, None, r:]
-        speeds = v + self._to_speed @ stages
-        places = q + self._sample_time * _NODES[:, None] * v + self._to_place @ stages
-        at_stages = inputs[:-1, None] + self._share * (inputs[1:] - inputs[:-1])[:, None]
-        points = np.concatenate([places, speeds], axis=2).reshape(3 * N, -1)
-        values, entries = slopes.values(points, at_stages.reshape(3 * N, -1))
+        N, r = stages.shape[0], self._r
+        points = self._points(self._to_stages, states, stages)
+        if self.ramp:
+            moves = self._share * (inputs[1:] - inputs[:-1])[:, None]
+            at_stages = (inputs[:-1, None] + moves).reshape(3 * N, -1)
+        else:
+            at_stages = inputs[1:].repeat(3, axis=0)
+        values, entries = slopes.values(points, at_stages)
         return stages.reshape(N, 3 * r) - values.reshape(N, 3 * r), entries
 
     def _differentiate(
-        self, slopes: AccelerationSlopes, entries: list[FloatArray], samples: IntArray,
+        self, slopes: Accelerations, entries: list[FloatArray], samples: IntArray,
         equations: _StageEquations, slots: IntArray,
     ) -> None:  # fmt: skip
         """Put the derivatives of samples into slots of the equations, and factorize them."""
-        r, together = self._r, max(1, slopes.together // 3)
+        r, together = self._r, self._together
         for first in range(0, len(samples), together):
             block = slots[first : first + together]
             points = 3 * samples[first : first + together, None] + np.arange(3)

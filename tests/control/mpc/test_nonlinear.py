@@ -14,6 +14,7 @@ from tenscontrol.dynamics.machine_code import compiler
 from tenscontrol.plant.reduced_dynamics import explicit_substeps, sampled_dynamics
 from tests.control.mpc.nmpc_oracle import IpoptNMPC, closed_loop_cost
 from tests.control.mpc.test_linear import kkt_residual
+from tests.without_core import without_core
 
 SAMPLE = 0.02
 STILL = np.zeros((3, 6))
@@ -186,17 +187,19 @@ def test_preparation_is_apart_from_feedback_and_setup_happens_once(monkeypatch):
         NMPC(plant, horizon=6, sample_time=SAMPLE, max_force_density=60.0, solver="osqp")
         for _ in range(2)
     )
+    model, calls = nmpc.law.model, []
+    linearize = model.linearize
+    monkeypatch.setattr(model, "linearize", lambda *given: (calls.append(1), linearize(*given))[1])
     setups_before = len(setups)
     nmpc.prepare()  # nothing to prepare from
     for k in range(4):
         nodes = plant.to_nodes(disturbed(0.02, k)[:9])
-        motion = nmpc.law.model.discretization._slopes._evaluate  # once a stage of RK4
-        calls = motion.calls
+        calls.clear()
         first = nmpc.command(SAMPLE * k, nodes, STILL)
-        assert motion.calls == calls + 4 * (k == 0)  # prepared before, but the first time
+        assert len(calls) == (k == 0)  # prepared before, but the first time
         nmpc.prepare()
         nmpc.prepare()
-        assert motion.calls == calls + 4 + 4 * (k == 0)
+        assert len(calls) == 1 + (k == 0)
         assert np.array_equal(first.value, plain.command(SAMPLE * k, nodes, STILL).value)
     assert len(setups) == setups_before
 
@@ -267,18 +270,29 @@ def test_horizon_of_one_sample():
     assert np.allclose(*values, atol=0.02)
 
 
-def test_machine_code_gives_the_same_commands():
-    plant = at_rest()
-    fast, plain = (
-        NMPC(plant, horizon=3, sample_time=SAMPLE, max_force_density=60.0, machine_code=code)
-        for code in (True, False)
-    )
-    assert plain.back_end == "virtual machine"
-    assert fast.back_end == ("virtual machine" if compiler() is None else "machine code")
+@pytest.mark.parametrize(("held", "stiffness"), [("force_density", 100.0), ("rest_length", 1e4)])
+def test_the_core_and_machine_code_give_the_same_commands(held, stiffness):
+    """By explicit and by implicit steps; the second with limits of strings."""
+    plant = at_rest(held, stiffness)
+    limits = {"winches": tc.Winches(rate=0.3)} if held == "rest_length" else {"R": 1e-3}
+    size = 0.03 * 100 / stiffness
+
+    def nmpc(code=False):
+        return NMPC(
+            plant, horizon=3, sample_time=SAMPLE, max_force_density=60.0, machine_code=code,
+            **limits,
+        )  # fmt: skip
+
+    ways = [nmpc()]
+    with without_core():
+        ways += [nmpc(), nmpc(code=True)]
+    compiled = "virtual machine" if compiler() is None else "machine code"
+    assert [way.back_end for way in ways] == ["core", "virtual machine", compiled]
     for k in range(3):
-        nodes = plant.to_nodes(disturbed(0.03, k)[:9])
-        values = [each.command(SAMPLE * k, nodes, STILL).value for each in (fast, plain)]
-        assert np.allclose(*values, rtol=0, atol=1e-9 * 17)
+        nodes = plant.to_nodes(disturbed(size, k)[:9])
+        first, *others = (way.command(SAMPLE * k, nodes, STILL).value for way in ways)
+        for other in others:
+            np.testing.assert_allclose(other, first, rtol=0, atol=1e-11 * np.abs(first).max())
 
 
 def test_equations_are_not_over_relaxed(monkeypatch):

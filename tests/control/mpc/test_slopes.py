@@ -1,11 +1,14 @@
-"""Derivatives along a plan by sparse Jacobians of one point: their values, and what they cost."""
+"""Derivatives along a plan, by the core and by sparse Jacobians of one point, and their cost."""
 
+from contextlib import nullcontext
+from dataclasses import replace
 from functools import cache, partial
 
 import numpy as np
 import pytest
 
 import tenscontrol as tc
+from tenscontrol.control.mpc.core_motion import core_motion
 from tenscontrol.control.mpc.real_time_iteration import TrajectoryModel, limited_rows
 from tenscontrol.control.mpc.settings import MPCSettings, design
 from tenscontrol.control.mpc.shooting import RK4, AccelerationSlopes
@@ -17,6 +20,7 @@ from tenscontrol.plant.reduced_dynamics import (
 )
 from tests.control.mpc.contact_scenes import hanging
 from tests.random_structures import any_structure
+from tests.without_core import without_core
 
 CLOSE = 1e-12
 
@@ -37,6 +41,23 @@ def drawn(seed):
     )
 
 
+def held_up():
+    """Bars that swing about supports, by their weight and a load, with elastic strings."""
+    prism = replace(tc.prism(), fixed=[0, 1, 2])
+    model = tc.Model(prism, tc.ElasticStrings(1e3), gravity=9.81, external_force=True)
+    load = np.random.default_rng(5).normal(size=(3, 6))
+    at = tc.OperatingPoint(prism.nodes, np.full(len(prism.strings), 20.0), load)
+    return tc.linearize(model, at, input="rest_length", require_equilibrium=False)
+
+
+def few():
+    """Six modes, and winches of strings in threes, with some left as they are."""
+    tower = tc.prism_tower(2)
+    model, rest = tc.Model(tower, tc.LinearStrings(1e3)), tc.prestress(tower, 20.0)
+    gangs = {f"winch_{first}": [first, first + 1, first + 2] for first in range(0, 24, 3)}
+    return tc.reduce(tc.linearize(model, rest, input="rest_length", actuated=gangs), 6)
+
+
 NAMED = {
     "prism": lambda: tc.linearize(tc.Model(tc.prism()), tc.prestress(tc.prism(), 20.0)),
     "ball, damped": lambda: rest_lengths(tc.library.six_bar_ball(), damping=3.0),
@@ -44,6 +65,8 @@ NAMED = {
     "plane": lambda: rest_lengths(tc.library.d_bar()),
     "string nodes": lambda: rest_lengths(tc.subdivide(tc.prism(), 2, node_mass=0.1)),
     "ground": lambda: hanging(tc.prism(), -0.01),
+    "held up": held_up,
+    "few": few,
 }
 RANDOM = {f"random {seed}": partial(drawn, seed) for seed in (2, 3)}
 SCENES = NAMED | RANDOM
@@ -72,14 +95,18 @@ def test_slopes_are_those_of_the_whole_expression(name, taut):
     """Against CasADi's derivatives of the acceleration written out in reduced coordinates."""
     plant = plant_of(name)
     states, inputs = points(plant, 2)
-    found = AccelerationSlopes(plant, 2, taut=taut, machine_code=False)(states, inputs)
+    by_core = core_motion(plant, taut=taut)
+    assert (by_core is None) == bool(plant.model.structure.blocks)
+    ways = AccelerationSlopes(plant, 2, taut=taut, machine_code=False), by_core
+    found = [way(states, inputs) for way in ways if way is not None]
     whole = acceleration_slopes(plant, taut=taut)
     for k in range(2):
         qdd, by_q, by_v, by_u = (part.full() for part in whole(states[k], inputs[k]))
         assert np.isfinite(qdd).all()
         expected = qdd.ravel(), np.hstack([by_q, by_v]).T, by_u.T
-        for part, exact in zip(found, expected, strict=True):
-            assert off(part[k], exact) < CLOSE
+        for own in found:
+            for part, exact in zip(own, expected, strict=True):
+                assert off(part[k], exact) < CLOSE
 
 
 @pytest.mark.parametrize("name", ["ball, damped", "class 2", "ground"])
@@ -96,13 +123,17 @@ def test_slopes_are_differences_of_the_acceleration(name):
     assert off((ends[0] - ends[1]) / 2e-6, dz @ by_z[0] + du @ by_u[0]) < 1e-6
 
 
-@pytest.mark.parametrize("name", ["prism", "ball, damped"])
-def test_samples_are_linearized_alike_in_both_ways(name):
-    """In products of slopes, and by the function that C code is written of."""
+@pytest.mark.parametrize(
+    ("name", "context"),
+    [("ball, damped", without_core), ("ball, damped", nullcontext), ("held up", nullcontext)],
+)
+def test_samples_are_linearized_alike_in_all_ways(name, context):
+    """In products of slopes, by the core, and by the function that C code is written of."""
     plant = plant_of(name)
     states, inputs = points(plant, 3)
     held = np.vstack([inputs[:1], inputs])
-    found = RK4(plant, 0.02, 3, False).linearize(states, held, np.zeros((3, 0)))
+    with context():
+        found = RK4(plant, 0.02, 3, False).linearize(states, held, np.zeros((3, 0)))
     for k in range(3):
         end, by_z, by_u = (
             part.full() for part in sampled_dynamics(plant, 0.02)[1](states[k], inputs[k])
@@ -113,7 +144,8 @@ def test_samples_are_linearized_alike_in_both_ways(name):
 
 
 @pytest.mark.parametrize(
-    ("name", "ramp"), [("ball, damped", True), ("class 2", False), ("plane", True)]
+    ("name", "ramp"),
+    [("ball, damped", True), ("class 2", False), ("plane", True), ("few", False), ("prism", False)],
 )
 def test_limited_rows_are_those_of_the_whole_expression(name, ramp):
     plant = plant_of(name)
@@ -121,7 +153,7 @@ def test_limited_rows_are_those_of_the_whole_expression(name, ramp):
     settings = MPCSettings(
         horizon=2, sample_time=0.005, max_force_density=300.0, max_tension=500.0,
         outputs=(tc.control.OutputLimit(limit, np.full(2, -99.0), np.full(2, 99.0)),),
-        winches=tc.Winches(rate=1.0, ramp=ramp),
+        winches=tc.Winches(rate=1.0, ramp=ramp) if plant.input == "rest_length" else None,
     )  # fmt: skip
     constraints = design(plant, settings, nonlinear=True).constraints
     model = TrajectoryModel(plant, settings, constraints, False)
@@ -167,9 +199,10 @@ def test_every_horizon_takes_the_same_functions(monkeypatch):
     seen = []
     monkeypatch.setattr(of, "compiled", lambda function: seen.append(function))
     plant = rest_lengths(tc.prism())
-    for horizon in (2, 20):
-        tc.NMPC(
-            plant, horizon=horizon, sample_time=0.02, winches=tc.Winches(rate=1.0, ramp=True),
-            machine_code=True, solver="osqp",
-        )  # fmt: skip
+    with without_core():
+        for horizon in (2, 20):
+            tc.NMPC(
+                plant, horizon=horizon, sample_time=0.02, winches=tc.Winches(rate=1.0, ramp=True),
+                machine_code=True, solver="osqp",
+            )  # fmt: skip
     assert len(seen) == 2  # the accelerations and the limited rows
