@@ -315,41 +315,41 @@ def test_filter_consistency(printed, monkeypatch):
     assert len(text.splitlines()) == 1 + 2
 
 
-def test_nmpc_contact(printed, nothing_compiled):
+def test_nmpc_contact(printed):
     text = printed("nmpc_contact", "--scenes 1 --duration 1.1")
     sample, horizon, steps, clear, median, largest, *_ = row(text, "x")
     assert (sample, horizon, steps) == (0.02, 15, 7)
     assert clear > 0.1
     assert 0 < median < largest < 5
-    assert "virtual machine; commands: 55 ok" in text
+    assert "core; commands: 55 ok" in text
 
 
 @needs("do_mpc", "bench")
 def test_nmpc_step(printed, nothing_compiled):
     text = printed("nmpc_step", "--starts 3 --samples 3 --horizon 3")
     assert "3 starts, 3 samples each; a bound active in 1 commands of NMPC" in text
-    assert "derivatives of NMPC, machine code: virtual machine" in text  # nothing is compiled
+    assert "NMPC: core; with own laws, compiled: virtual machine" in text  # nothing is compiled
     cost = {name: row(text, name)[0] for name in (
-        "NMPC, machine code", "NMPC, no compiler", "NMPC, converged", "MPC, linear",
+        "NMPC  ", "own law, compiled", "own law  ", "NMPC, converged", "MPC, linear",
         "IPOPT (nlpsol)", "do-mpc (IPOPT)",
     )}  # fmt: skip
     assert cost["IPOPT (nlpsol)"] == 1.0
     assert cost["do-mpc (IPOPT)"] == pytest.approx(1.0, abs=1e-5)
     assert cost["NMPC, converged"] == pytest.approx(1.0, abs=1e-4)
-    assert cost["NMPC, machine code"] == cost["NMPC, no compiler"]
-    assert cost["NMPC, machine code"] == pytest.approx(1.0, abs=1e-3)
+    assert cost["NMPC  "] == cost["own law, compiled"] == cost["own law  "]
+    assert cost["NMPC  "] == pytest.approx(1.0, abs=1e-3)
     assert abs(cost["MPC, linear"] - 1.0) > 1e-2
 
 
-def test_nmpc_large(printed, nothing_compiled):
+def test_nmpc_large(printed):
     text = printed("nmpc_large", "--starts 1 --samples 4 --horizon 4 --stages 2")
     assert "tower, 2 stages: 6 bars, 30 winches" in text
     for structure in (0, 1):
         found = {name: row(text, name, structure) for name in (
-            "compiled  ", "compiled, all anew", "no compiler",
+            "core  ", "core, all anew", "own law",
         )}  # fmt: skip
-        assert found["compiled, all anew"][4:6] == [4.0, 1.0]
-        for name in ("compiled  ", "no compiler"):
+        assert found["core, all anew"][4:6] == [4.0, 1.0]
+        for name in ("core  ", "own law"):
             assert 0 <= found[name][4] < 2
             assert found[name][5] == pytest.approx(1.0, abs=1e-3)
 

@@ -33,7 +33,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print("                                  ground m    median    largest      median   largest")
     for name, sample, horizon, height in SCENES[: given.scenes]:
         plant = STRUCTURES[name](height=0.1)
-        nmpc = hop(plant, height, horizon, sample, machine_code=True, tolerance=1e-3)
+        nmpc = hop(plant, height, horizon, sample, tolerance=1e-3)
         timed = Timed(nmpc)
         sharp = models(plant.model.structure)[0]
         run = tc.simulate(

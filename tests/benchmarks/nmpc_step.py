@@ -2,12 +2,13 @@
 
 Run: ``python -m tests.benchmarks.nmpc_step``. The prism (36 states as nodes, 18 reduced), 9
 inputs, horizon 20, 0.02 s samples, from disturbed starts; the same prediction model, weights and
-bounds for all: NMPC with one program a sample, with and without machine code, and with as many
-programs as it takes; IPOPT through CasADi's nlpsol, and, where it is installed, do-mpc (which
-calls IPOPT as well, with MUMPS as it does by default). IPOPT and do-mpc start from their last
-solutions and stop at a tolerance of 1e-6. A step is preparation and feedback together. All
-controllers meet the same starts in turn. Numbers are ratios of one run on one machine; time of
-the processor is told beside that of the clock, since a busy machine adds to the latter.
+bounds for all: NMPC with one program a sample, with derivatives of the core, and of CasADi as with
+laws of one's own, compiled or not; NMPC with as many programs as it takes; IPOPT through CasADi's
+nlpsol, and, where it is installed, do-mpc (which calls IPOPT as well, with MUMPS as it does by
+default). IPOPT and do-mpc start from their last solutions and stop at a tolerance of 1e-6. A step
+is preparation and feedback together. All controllers meet the same starts in turn. Numbers are
+ratios of one run on one machine; time of the processor is told beside that of the clock, since a
+busy machine adds to the latter.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from tenscontrol.control import NMPC, Command, Controller, Status
 from tenscontrol.demo import tour as demo
 from tests.benchmarks.command_line import options
 from tests.control.mpc.nmpc_oracle import IpoptNMPC, closed_loop_cost
+from tests.without_core import without_core
 
 LIMIT = 33.0  # N/m, little above the prestress, so that bounds are met
 STARTS, SAMPLES, HORIZON = 5, 25, 20
@@ -36,22 +38,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     N = given.horizon
     prism = tc.prism()
     plant = tc.linearize(tc.Model(prism), tc.prestress(prism, demo.TOP_FORCE_DENSITY))
-    one = NMPC(
-        plant, horizon=N, sample_time=demo.SAMPLE, max_force_density=LIMIT, machine_code=True
-    )
+    asked = {"horizon": N, "sample_time": demo.SAMPLE, "max_force_density": LIMIT}
+    one = NMPC(plant, **asked)
+    with without_core():
+        own = {code: NMPC(plant, machine_code=code, **asked) for code in (True, False)}
     loops = {
-        "NMPC, machine code": one,
-        "NMPC, no compiler": NMPC(
-            plant, horizon=N, sample_time=demo.SAMPLE, max_force_density=LIMIT
-        ),
-        "NMPC, converged": NMPC(
-            plant,
-            horizon=N,
-            sample_time=demo.SAMPLE,
-            max_force_density=LIMIT,
-            iterations=20,
-            machine_code=True,
-        ),
+        "NMPC": one,
+        "own law, compiled": own[True],
+        "own law": own[False],
+        "NMPC, converged": NMPC(plant, iterations=20, **asked),
         "MPC, linear": tc.MPC(plant, horizon=N, sample_time=demo.SAMPLE, max_force_density=LIMIT),
         "IPOPT (nlpsol)": IpoptNMPC(one, tolerance=1e-6),
     }
@@ -84,7 +79,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         f"{given.starts} starts, {given.samples} samples each; "
         f"a bound active in {bounded} commands of NMPC"
     )
-    print(f"derivatives of NMPC, machine code: {one.back_end}")
+    print(f"derivatives of NMPC: {one.back_end}; with own laws, compiled: {own[True].back_end}")
     print(
         "                    closed-loop cost / IPOPT    time of a step: do-mpc / this      p99 /"
     )
@@ -100,7 +95,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             f" {reference[1] / processor:10.1f} {late_peer / late[0]:7.1f}"
             f" {late[0] / demo.SAMPLE:8.3f} {late[1] / demo.SAMPLE:10.3f}"
         )
-    print(f"feedback alone, machine code: {reference[0] / np.median(feedback):.1f}")
+    print(f"feedback of NMPC alone: {reference[0] / np.median(feedback):.1f}")
 
 
 class Timed(Controller):
