@@ -14,6 +14,7 @@ from tenscontrol.dynamics.contact_laws import Contacts
 from tenscontrol.dynamics.force import Force, Pass, sum_on_nodes
 from tenscontrol.dynamics.string_force import StringForce
 from tenscontrol.dynamics.string_laws import StringLaw
+from tenscontrol.properties import cached_property
 from tenscontrol.structure.structure import Structure
 
 #: The forces beside those of strings and loads, by the argument of a model that they come from.
@@ -47,27 +48,27 @@ class Forces:
     def __iter__(self) -> Iterator[Force]:
         return iter((self.strings, *self.terms))
 
-    @property
+    @cached_property
     def contacts(self) -> Contacts | None:
         """Those of the ground; None without ground."""
         return next((term for term in self.terms if isinstance(term, Contacts)), None)
 
-    @property
+    @cached_property
     def switches(self) -> int:
         """Number of switches."""
         return sum(term.switches for term in self)
 
-    @property
+    @cached_property
     def is_velocity_dependent(self) -> bool:
         """Whether a force depends on velocities."""
         return any(term.is_velocity_dependent for term in self)
 
-    @property
+    @cached_property
     def conserves_energy(self) -> bool:
         """Whether what is taken from the energy is recorded."""
         return not any(term.is_velocity_dependent and not term.is_recorded for term in self)
 
-    @property
+    @cached_property
     def conserves_momentum(self) -> bool:
         """Whether all leave linear and angular momentum as they are."""
         return all(term.conserves_momentum for term in self)

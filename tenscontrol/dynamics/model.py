@@ -33,6 +33,7 @@ from tenscontrol.dynamics.shared_equation import with_values
 from tenscontrol.dynamics.string_force import StringForce
 from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.dynamics.symbolic_model import SymbolicModel
+from tenscontrol.properties import cached_property
 from tenscontrol.structure.blocks import node_mass
 from tenscontrol.structure.structure import Structure
 
@@ -136,6 +137,7 @@ class Model:
         self._strings = strings
         others = {"ground": ground}
         self._terms = terms_of(structure, others)
+        self._forces: dict[bool, Forces] = {}  # by whether it is without a law of strings
         self._external_force = takes_load
         masses = structure.bar_mass, structure.point_mass
         self._constant_force = frozen(load + gravity_forces(structure, fall, *masses))
@@ -162,10 +164,16 @@ class Model:
         """The contact laws of the ground; empty where there is none."""
         return () if self.contacts is None else self.contacts.laws
 
-    @property
+    @cached_property
     def contacts(self) -> Contacts | None:
         """The nodes that can touch the ground; None where there is none."""
         return self.forces("force_density").contacts
+
+    @cached_property
+    def is_small(self) -> bool:
+        """Whether equations write out every member, by what members cost; not for users."""
+        members = len(self._structure.bars) + len(self._structure.strings)
+        return members <= LARGEST_FLAT >= members_alone(self._structure)
 
     @property
     def arguments(self) -> dict[str, Any]:
@@ -208,7 +216,10 @@ class Model:
             Input of the strings.
         """
         law = self._needed_strings() if input == "rest_length" else None
-        return Forces(self._structure, law, self._terms)
+        known = self._forces.get(law is None)
+        if known is None:
+            known = self._forces[law is None] = Forces(self._structure, law, self._terms)
+        return known
 
     @property
     def has_external_force(self) -> bool:
@@ -458,9 +469,8 @@ class Model:
         sizes = self._parameter_sizes(parameters, law)
         form = "flat" if sizes else form
         if form == "auto":
-            small = self._prepared.get("small", lambda: _is_small(self._structure))
-            no_loops = length_input or (not small and compiler() is None)
-            form = "flat" if small else "mapped" if no_loops else "auto"
+            no_loops = length_input or (not self.is_small and compiler() is None)
+            form = "flat" if self.is_small else "mapped" if no_loops else "auto"
         degree = validation.whole_number("degree", degree, 0, _MOST_DEGREE)
         validation.truth("load_input", load_input, "whether the load is an input")
         validation.truth("offset_input", offset_input, "whether supports move")
@@ -586,7 +596,7 @@ class Model:
     def _parameter_sizes(
         self, names: Sequence[str], law: StringLaw | None
     ) -> tuple[tuple[str, int], ...]:
-        given = validation.items("parameters", names, "names")
+        given = () if names == () else validation.items("parameters", names, "names")
         if not given:
             return ()
         structure = self._structure
@@ -808,9 +818,3 @@ class Model:
                 "build it as Model(structure, strings=LinearStrings(stiffness=...))"
             )
         return self._strings
-
-
-def _is_small(structure: Structure) -> bool:
-    """Whether every member is written out, by what members cost."""
-    members = len(structure.bars) + len(structure.strings)
-    return members <= LARGEST_FLAT >= members_alone(structure)

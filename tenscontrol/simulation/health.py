@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from tenscontrol import validation
 from tenscontrol.integrate.integrator import Work
+from tenscontrol.properties import cached_property
 from tenscontrol.short_repr import short_repr
 from tenscontrol.structure.bar_clearance import BarClearance, BarCrossing
 
@@ -193,11 +194,11 @@ class HealthLimits:
             else:
                 validation.positive_number(entry.name, value, "a limit; None or inf for none")
 
-    @property
-    def names(self) -> list[str]:
+    @cached_property
+    def names(self) -> tuple[str, ...]:
         """Names of the figures that have a limit."""
-        values = vars(self)
-        return [name for name in values if name not in _BESIDE and values[name] is not None]
+        named = (entry.name for entry in fields(self) if entry.name not in _BESIDE)
+        return tuple(name for name in named if getattr(self, name) is not None)
 
     def passed(self, health: Health) -> dict[str, str]:
         """Return a sentence for each limit that is passed, by its name.

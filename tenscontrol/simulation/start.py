@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from tenscontrol.arrays import FloatArray, frozen
-from tenscontrol.dynamics.equation import pack_state
 from tenscontrol.dynamics.model import Model
 from tenscontrol.integrate.integrator import largest_frequency, state_scale
 from tenscontrol.integrate.projection import Projector, project
@@ -21,7 +21,11 @@ from tenscontrol.structure.bar_geometry import (
     refuse_wrong_bar_lengths,
 )
 from tenscontrol.structure.structure import Structure, member_vectors
-from tenscontrol.structure.supports import carried_by_supports, refuse_moved_supports
+from tenscontrol.structure.supports import (
+    carried_by_supports,
+    free_coordinates,
+    refuse_moved_supports,
+)
 
 # A start whose bars are off by this part of their length, and stretching by this part of the
 # largest speed, is taken as it is; up to the second, at which a run counts as inaccurate, it is
@@ -112,9 +116,29 @@ def _state_at_rest(model: Model, input: str) -> FloatArray:
 
     def build() -> FloatArray:
         nodes = model.structure.nodes
-        return frozen(_checked_state(model, nodes, np.zeros_like(nodes), input, None, True)[0])
+        return frozen(_checked_state(model, nodes, None, input, None, True)[0])
 
     return model.prepared.get(("state at rest", input), build)
+
+
+class _Shape(NamedTuple):
+    """A shape, checked: free coordinates, vectors along bars, and the largest error of a bar."""
+
+    places: FloatArray
+    bars: FloatArray
+    off: float
+
+
+def _shape_of_structure(model: Model, input: str) -> _Shape:
+    """Return the shape of the structure, which depends on the model alone."""
+
+    def build() -> _Shape:
+        structure = model.structure
+        nodes, bars = structure.nodes, member_vectors(structure.nodes, structure.bars)
+        off = _checked_shape(structure, nodes, bars, input, True, None)
+        return _Shape(frozen(free_coordinates(structure, nodes)), frozen(bars), off)
+
+    return model.prepared.get(("shape of the structure", input), build)
 
 
 def _checked_state(
@@ -130,13 +154,16 @@ def _checked_state(
     true = structure.bar_length if driven is None else driven[1]
     N = structure.nodes if nodes is None else nodes
     V = np.zeros_like(N) if velocities is None else velocities
-    bars, off = member_vectors(N, structure.bars), 0.0
-    state = pack_state(structure, N, V)
-    if nodes is None and driven is None:
-        half = len(state) // 2
-        state[:half] = _state_at_rest(model, input)[:half]
+    is_known = driven is None and (nodes is None or measured)
+    if is_known and (nodes is None or np.array_equal(N, structure.nodes)):
+        places, bars, off = _shape_of_structure(model, input)
+        if nodes is None:
+            rest = _state_at_rest(model, input)
+            places, off = rest[: len(rest) // 2], 0.0
     else:
+        bars, places = member_vectors(N, structure.bars), free_coordinates(structure, N)
         off = _checked_shape(structure, N, bars, input, measured, None if driven is None else true)
+    state = np.concatenate([places, free_coordinates(structure, V)])
     if len(structure.fixed_rows) and V.ravel(order="F")[structure.fixed_rows].any():
         _refuse_moving_supports(structure, V)
     along = (bars * member_vectors(V, structure.bars)).sum(axis=0)
