@@ -16,6 +16,7 @@ from tenscontrol.arrays import FloatArray, frozen
 
 _Given = TypeVar("_Given", contravariant=True)
 _Held = TypeVar("_Held", covariant=True)
+_Record = TypeVar("_Record")
 
 
 class Field(Generic[_Given, _Held]):
@@ -61,9 +62,10 @@ def instance_of(name: str, value: object, kind: str, how: str) -> object:
 def check_fields(record: Any) -> None:
     """Check the fields of a frozen record in their order, and keep read-only arrays."""
     kind: Any = type(record)
-    for name, check, details, is_optional in _declared(kind):
-        given = value = getattr(record, name)
-        if given is None and is_optional:
+    values = vars(record)
+    for name, check, details, takes_none in _declared(kind):
+        given = value = values[name]
+        if given is None and takes_none:
             continue
         if check is not None:
             value = check(name, given, *details)
@@ -73,10 +75,18 @@ def check_fields(record: Any) -> None:
             object.__setattr__(record, name, value)
 
 
+def changed(record: _Record, **values: Any) -> _Record:
+    """Return a copy of a record with other values of some fields, which need no check."""
+    copy = object.__new__(type(record))
+    vars(copy).update(vars(record), **values)
+    return copy
+
+
 @cache
 def _declared(kind: Any) -> tuple[tuple[str, Callable[..., object] | None, Any, bool], ...]:
     """Return the fields of a class with their checks, and whether None passes those."""
     named = [(declared.name, declared.metadata) for declared in fields(kind)]
     return tuple(
-        (name, how.get("check"), how.get("details", ()), "optional" in how) for name, how in named
+        (name, how.get("check"), how.get("details", ()), "check" not in how or "optional" in how)
+        for name, how in named
     )

@@ -21,7 +21,5 @@ else:
             """Return the value of an object, or the property itself for a class."""
             if instance is None:
                 return self
-            values = vars(instance)
-            if self.attrname in values:
-                return values[self.attrname]
-            return values.setdefault(self.attrname, self.func(instance))
+            # What is found already is read without asking here.
+            return instance.__dict__.setdefault(self.attrname, self.func(instance))

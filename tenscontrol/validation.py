@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Set
 from contextlib import suppress
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 
@@ -100,10 +100,17 @@ def measured(
     name: str, value: object, shape: tuple[int, ...], meaning: str = "one column per node"
 ) -> FloatArray:
     """Return a measurement as an array of this shape; it may hold what is not finite."""
+    if _is_alike(value, shape):
+        return value.astype(float)
     array = real_array(name, value)
     if array.shape != shape:
         raise ValueError(f"{name} has shape {array.shape}, expected {shape}: {meaning}")
     return array
+
+
+def _is_alike(value: object, shape: tuple[int, ...]) -> TypeGuard[FloatArray]:
+    """Return whether a value is a float array of this shape, as most are."""
+    return type(value) is np.ndarray and value.dtype == np.float64 and value.shape == shape
 
 
 def real_array(name: str, value: object) -> FloatArray:
@@ -151,6 +158,8 @@ def array_of(name: str, value: object) -> object:
 
 def shaped(name: str, value: object, shape: tuple[int, ...], meaning: str) -> FloatArray:
     """Return ``value`` as a finite float array of this shape; a column serves as a vector."""
+    if _is_alike(value, shape) and is_bounded(value):
+        return value.astype(float)
     array = vector(name, value) if len(shape) == 1 else float_array(name, value)
     if array.shape != shape:
         raise ValueError(f"{name} has shape {array.shape}, expected {shape}: {meaning}")

@@ -69,9 +69,7 @@ def reached(motion: CoreMotion, work: Work) -> Span:
     whole = motion.whole
     if not motion.is_over:  # what follows has memory of its own: give back what is left of this
         whole = whole.copy()
-    # Of the room for ends of steps most is left as a rule.
-    ends = [array.copy(order="A") for array in motion.ends]
-    return Span(whole[:, 1:], work, whole, StepEnds(*ends))
+    return Span(whole[:, 1:], work, whole, StepEnds(*motion.ends))
 
 
 def advance_in_core(

@@ -74,11 +74,14 @@ class CoreScene:
         core = library()
         assert core is not None  # else there is nothing to make
         self.core = core
-        self._layout = equation.layout
+        layout = equation.layout
+        self._degree = layout.degree
+        self._of_inputs = (
+            layout.count, layout.degree, layout.load > 0, layout.offset > 0, layout.lengths > 0
+        )  # fmt: skip
         self._arrays: list[Any] = []  # that the records point to
         structure = equation.structure
         assert structure is not None  # it has forces
-        self._bar_length = structure.bar_length
         self.states = 2 * len(structure.free_rows)
         self.switches = equation.switches
         self.scene, self.lengths = records.Scene(), records.Lengths()
@@ -215,6 +218,8 @@ class CoreScene:
             self._put("point_mass", structure.point_mass[block.nodes], body)
             bodies.append(body)
         lengths.bodies, lengths.body = len(bodies), self._array_of(records.Body, bodies)
+        self._arrays.append(length)
+        self._bar_length = pointers(length)[0]
 
     def _put(self, name: str, values: Any, record: Any = None) -> None:
         kind = np.int32 if np.asarray(values).dtype.kind in "iub" else np.float64
@@ -231,12 +236,8 @@ class CoreScene:
 
     def drive(self, u: FloatArray) -> records.Drive:
         """Return the record of an input u."""
-        layout = self._layout
-        begin = float(u[-1]) if layout.degree and len(u) else 0.0
-        return records.Drive(
-            records.address(u), begin, layout.count, layout.degree, layout.load > 0,
-            layout.offset > 0, layout.lengths > 0,
-        )  # fmt: skip
+        begin = float(u[-1]) if self._degree and len(u) else 0.0
+        return records.Drive(records.address(u), begin, *self._of_inputs)
 
     def largest_force(self, state: FloatArray, u: FloatArray) -> float:
         """Return the largest force on a free entry in a state, N."""
@@ -322,7 +323,7 @@ class CoreScene:
         conserved, work = records.Conservation(), np.empty(4 * count)
         self.core.tc_conservation(
             byref(self.scene), count, *motions, *pointers(inputs), is_constant, _entries(load),
-            *pointers(self._bar_length), byref(conserved), *pointers(work),
+            self._bar_length, byref(conserved), *pointers(work),
         )  # fmt: skip
         return conserved
 
@@ -413,13 +414,18 @@ class CoreMotion:
 
     @property
     def ends(self) -> tuple[FloatArray, ...]:
-        """Times, states and ``taut``, with one column each, of the ends of steps that are kept."""
+        """Times, states and ``taut``, with one column each, of the ends of steps that are kept.
+
+        In memory of their own: of the room for them most is left as a rule.
+        """
         if not self._settings.traces:
             count = self.progress.kept
-            return self._step_times[:count], self._step_states[:count].T
+            return self._step_times[:count].copy(), self._step_states[:count].copy().T
         if not self._traced:
             return np.zeros(0), np.zeros((len(self.state), 0)), np.zeros((len(self._taut), 0))
-        time, states, taut = map(np.concatenate, zip(*self._traced, strict=True))
+        time, states, taut = self._traced[0]
+        if len(self._traced) > 1:
+            time, states, taut = map(np.concatenate, zip(*self._traced, strict=True))
         return time, states.T, taut.T
 
     @property

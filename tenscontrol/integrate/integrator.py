@@ -69,11 +69,17 @@ class Work:
     carried: int = 0
 
     def __add__(self, other: Work) -> Work:
+        if self is NO_WORK:
+            return other
         return Work(
             self.steps + other.steps, self.rejections + other.rejections,
             self.evaluations + other.evaluations, self.switches + other.switches,
             self.missed + other.missed, self.carried + other.carried,
         )  # fmt: skip
+
+
+#: What a motion has cost at its start.
+NO_WORK = Work()
 
 
 class StepEnds(NamedTuple):
@@ -151,7 +157,7 @@ class AdvancedSpans(NamedTuple):
 
     whole: Sequence[FloatArray] = ()
     ends: Sequence[StepEnds] = ()
-    work: Work = Work()
+    work: Work = NO_WORK
 
 
 @dataclass(frozen=True, eq=False)

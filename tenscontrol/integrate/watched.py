@@ -12,6 +12,7 @@ from tenscontrol import validation
 from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics.equation import Equation, InputLayout
 from tenscontrol.integrate.integrator import (
+    NO_WORK,
     AdvancedSpans,
     IntegrationError,
     IntegrationInterrupt,
@@ -287,7 +288,7 @@ class _Motion:
     begin: FloatArray  # the state at the start of the span
     done: int = 0  # outputs up to then
     spans: list[Span] = field(default_factory=list)  # with the states at the outputs
-    work: Work = field(default_factory=Work)
+    work: Work = NO_WORK
 
     def take(self, reached: Span, span: _Given) -> None:
         """Append outputs that follow one another."""
@@ -352,7 +353,7 @@ class _Given:
         """Put a motion that ended next to the time of an output there."""
         following = self.time_of(motion.done + 1)
         if following - motion.time <= _SAME * self.duration / self.outputs:
-            motion.take(Span(motion.state[:, None], Work()), self)
+            motion.take(Span(motion.state[:, None], NO_WORK), self)
 
 
 def _later(report: Report, by: float) -> Report:

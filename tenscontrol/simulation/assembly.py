@@ -43,7 +43,10 @@ def assembled(
     model, structure, forces = run.model, run.model.structure, run.equation.forces
     assert forces is not None  # a model has some
     time = np.concatenate([span.time for span in run.spans])
-    released = np.repeat([s.released for s in run.spans], [len(s.time) for s in run.spans])
+    released = np.zeros(len(time))
+    if run.faults.cuts:
+        counts = [len(span.time) for span in run.spans]
+        released = np.repeat([span.released for span in run.spans], counts)
     nodes, velocities = run.all_motion()
     inputs = run.all_values(run.string_rows)
     load = _load(run)

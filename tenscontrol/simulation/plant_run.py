@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from math import ceil
 from typing import NamedTuple
 from weakref import WeakMethod
@@ -21,8 +21,10 @@ from tenscontrol.dynamics.equation import (
 from tenscontrol.dynamics.evaluator import Evaluator
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.profile import Pieces, polynomial_at
+from tenscontrol.fields import changed
 from tenscontrol.integrate.core_scene import CoreScene, core_scene
 from tenscontrol.integrate.integrator import (
+    NO_WORK,
     IntegrationError,
     IntegrationInterrupt,
     Integrator,
@@ -102,7 +104,7 @@ class PlantRun:
     spans: list[RunSpan] = field(init=False, default_factory=list)
     moves: bool = field(init=False, default=False)  # an input changes without a controller
     lost_energy: float = field(init=False, default=0.0)
-    work: Work = field(init=False, default_factory=Work)
+    work: Work = field(init=False, default=NO_WORK)
     choice: Choice = field(init=False)
     integrator: Integrator = field(init=False)
 
@@ -127,16 +129,23 @@ class PlantRun:
         return self._equation
 
     def _equation_of(self, form: str) -> Equation:
-        load = None
+        model, load = self.model, None
         if not self.loads_given:
             assert not isinstance(self.load, Pieces)  # else they were given
-            constant = self.model.constant_force
+            constant = model.constant_force
             load = None if self.load is constant else self.load - constant
-        return self.model.equation(
-            self.input, load, form, degree=self.degree,
-            load_input=self.loads_given, offset_input=self.supports is not None,
-            length_input=self.bars is not None,
-        )  # fmt: skip
+        moved, driven = self.supports is not None, self.bars is not None
+
+        def equation() -> Equation:
+            return model.equation(
+                self.input, load, form, degree=self.degree, load_input=self.loads_given,
+                offset_input=moved, length_input=driven,
+            )  # fmt: skip
+
+        if load is not None or not model.is_small:  # or by another compiler the next time
+            return equation()
+        of = self.input, form, self.degree, self.loads_given, moved, driven
+        return model.prepared.get(("equation of a run", of), equation)
 
     def _prepare(self, state: FloatArray, u: FloatArray) -> None:
         """Make the integrator, chosen for the scene if the user has not."""
@@ -158,7 +167,7 @@ class PlantRun:
             )
         self.choice = chosen
         self.integrator = self.integrator_for(chosen.value)
-        self.choice = replace(chosen, back_end=self.integrator.back_end)
+        self.choice = changed(chosen, back_end=self.integrator.back_end)
 
     def integrator_for(self, value: float) -> Integrator:
         """Return an integrator of the whole motion, with a step or tolerance.
@@ -183,7 +192,7 @@ class PlantRun:
     def final_choice(self) -> Choice:
         """The choice of the method, with its changes so far."""
         changes = self.integrator.changes
-        return replace(self.choice, changes=changes) if changes else self.choice
+        return changed(self.choice, changes=changes) if changes else self.choice
 
     @property
     def methods(self) -> tuple[str, ...]:
@@ -244,7 +253,9 @@ class PlantRun:
         # Round-off of the times leaves no spans of no length.
         close = 1e-9 * duration
         within = self.now + close, end - close
-        cuts = sorted({*self.faults.cut_times(*within), *inputs.breaks(*within)})
+        cuts = inputs.breaks(*within)
+        if self.faults.cuts:
+            cuts = sorted({*self.faults.cut_times(*within), *cuts})
         durations, now = list[float](), self.now
         for cut in cuts:
             durations.append(cut - now)
@@ -526,9 +537,10 @@ class PlantRun:
         """Return some of the inputs at all times kept, or their rates, read-only."""
         first, *others = (span.coefficients for span in self.spans)
         # As a rule the first span, which is the start alone, has the inputs of the second one.
-        is_same = all(coefficients is first for coefficients in others)
-        different = [first] if is_same else [first, *others]
-        every = np.stack([coefficients[rows] for coefficients in different])
+        if all(coefficients is first for coefficients in others):
+            every = first[None, rows]
+        else:
+            every = np.stack([coefficients[rows] for coefficients in (first, *others)])
         if not (order or (self.degree and every[:, :, 1:].any())):  # constant in each span
             columns, counts = every[:, :, 0], [len(span.time) for span in self.spans]
             if len(columns) == 1 or (columns == columns[0]).all():  # one, read at all times

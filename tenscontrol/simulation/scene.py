@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
-from copy import copy
 from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +15,7 @@ from tenscontrol.dynamics.equation import Equation, pack_state, unpack_states
 from tenscontrol.dynamics.held_inputs import held_value, own_input
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.profile import Pieces, sampling_interval
-from tenscontrol.fields import check_fields, checked, instance_of, optional
+from tenscontrol.fields import changed, check_fields, checked, instance_of, optional
 from tenscontrol.interrupt import InterruptionWarning, finishing, interruptible
 from tenscontrol.progress import long_run_note, progress_bar
 from tenscontrol.properties import cached_property
@@ -692,9 +691,7 @@ class Scene:
         -------
         Scene
         """
-        scene = copy(self)
-        object.__setattr__(scene, "integration", integration)
-        return scene
+        return changed(self, integration=integration)
 
     def plant_run(
         self, report: Callable[[float], None] | None = None, traces: bool = False

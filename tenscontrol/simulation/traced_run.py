@@ -12,6 +12,7 @@ import numpy as np
 
 from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics.profile import Pieces
+from tenscontrol.fields import changed
 from tenscontrol.simulation.plant_run import PlantRun
 
 # Parts of a part, in which its steps are counted.
@@ -108,8 +109,7 @@ class TracedRun(PlantRun):
 
 def _copied(original: TracedRun) -> TracedRun:
     """Return a run as it is now, to go on from here."""
-    run = copy(original)
-    run.spans, run.parts, run.take = original.spans[-1:], [], None
+    run = changed(original, spans=original.spans[-1:], parts=[], take=None)
     if run.spans:
         run.integrator = copy(original.integrator)
     return run

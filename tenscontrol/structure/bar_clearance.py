@@ -196,6 +196,7 @@ class _Intervals:
     rates: tuple[FloatArray, FloatArray] | None  # of nodes that move in straight lines None
     follows: np.ndarray  # whether an interval begins where the one before ends
     origin: IntArray  # the interval of the motion given that each is part of
+    is_joined: bool = False  # else both ends are of the same states in memory
 
     @classmethod
     def between(
@@ -224,7 +225,7 @@ class _Intervals:
             np.concatenate(arrays, axis=-1) for arrays in zip(*flat, strict=True)
         )
         ends = (rates[0], rates[1]) if rates else None
-        return cls(begin, length, (x0, x1), ends, follows, origin)
+        return cls(begin, length, (x0, x1), ends, follows, origin, is_joined=True)
 
     @property
     def count(self) -> int:
@@ -268,7 +269,12 @@ class _Intervals:
     def _rates_of(self, nodes: np.ndarray) -> records.Rates:
         """Return the rates of some nodes as the core takes them."""
         assert self.rates is not None  # it is asked of motions that have some
-        begin, end = map(records.Motion.of, self.rates)
+        begin = records.Motion.of(self.rates[0])
+        if self.is_joined:
+            end = records.Motion.of(self.rates[1])
+        else:  # one state later
+            after = begin.values + self.rates[0].strides[2]
+            end = records.Motion(after, begin.axis, begin.node, begin.time)
         return records.Rates(begin, end, len(nodes), records.address(nodes))
 
     def near(self, pairs: _Pairs) -> tuple[IntArray, IntArray, FloatArray]:
@@ -731,9 +737,9 @@ class BarMotion:
             pairs = np.repeat(some, parts, axis=0)
             error = motion.error(self._bars, pairs, k)
             parts *= _PARTS
-        # Those that are together, up to round-off, by the numbers of their bars.
-        tick = _ROUND_OFF * float(self._kept.length.sum())
-        events.sort(key=lambda crossing: (round(crossing.time / tick), crossing.bars))
+        if events:  # those that are together, up to round-off, by the numbers of their bars
+            tick = _ROUND_OFF * float(self._kept.length.sum())
+            events.sort(key=lambda crossing: (round(crossing.time / tick), crossing.bars))
         return tuple(events), len(unresolved)
 
     def _crossed(
