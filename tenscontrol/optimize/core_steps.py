@@ -90,12 +90,9 @@ class CoreSteps:
             own = columns[list(parameters).index(self._profile)]
         self._by_values = np.zeros((strings, (own.stop - own.start) // max(strings, 1)))
         self._record_of_profile = records.Profile(own.start, self._by_values.shape[1], 1)
-        self._costs, self._derivatives = self._record(1)
-        self._costs.by_values = records.address(self._by_values)
         self._inputs = np.ascontiguousarray(steps.inputs.T)
         self._drive = scene.drive(self._inputs[0])
-        self._method = [np.ascontiguousarray(array, dtype=float) for array in method]
-        self._tableau = records.Tableau(len(self._c), *map(records.address, self._method))
+        self._tableau = records.Tableau(len(self._c), *map(records.address, method))
         self._states = np.ascontiguousarray(steps.states.T)
         self._taut = np.ascontiguousarray(steps.taut.T)
         self._length = np.ascontiguousarray(steps.length)
@@ -110,9 +107,17 @@ class CoreSteps:
     def _forwards(self) -> tuple[records.Changes, dict[str, FloatArray]]:
         """Changes by all parameters, with their arrays."""
         changes, given = self._record(self._padded)
-        for name, value in self._unit_changes().items():
-            given[name][..., : self._width] = value
+        if any(name for name, _ in self._pulls):
+            for name, value in self._unit_changes().items():
+                given[name][..., : self._width] = value
         return changes, given
+
+    @cached_property
+    def _backwards(self) -> tuple[records.Changes, dict[str, FloatArray]]:
+        """Costs by all parameters, which are added up, with their arrays."""
+        costs, derivatives = self._record(1)
+        costs.by_values = records.address(self._by_values)
+        return costs, derivatives
 
     @cached_property
     def _works(self) -> dict[int, FloatArray]:
@@ -154,22 +159,24 @@ class CoreSteps:
         Those by parameters are kept, and added to the slope by :meth:`take_costs`.
         """
         mu, by_input = end.copy(), None
+        costs, derivatives = self._backwards
         if self._answers:
-            by_input = self._derivatives["input"]
+            by_input = derivatives["input"]
             by_input[:] = 0.0
-        self._call(self._core.core.tc_costs, first, count, part, self._costs, mu)
+        self._call(self._core.core.tc_costs, first, count, part, costs, mu)
         return mu, None if by_input is None else by_input[:, 0]
 
     def take_costs(self, slope: FloatArray) -> None:
         """Add what steps backward have kept to the slope, and forget it."""
+        derivatives = self._backwards[1]
         for parameter, columns, (name, pull) in zip(
             self._parameters, self._columns, self._pulls, strict=True
         ):
             if parameter.kind == "input":
                 slope[columns] += self._by_values.ravel()
             elif name:
-                slope[columns] += pull(self._derivatives[name][..., 0])
-        for array in (*self._derivatives.values(), self._by_values):
+                slope[columns] += pull(derivatives[name][..., 0])
+        for array in (*derivatives.values(), self._by_values):
             array[:] = 0
 
     # ---- changes ----
@@ -180,7 +187,7 @@ class CoreSteps:
         record = records.Changes(columns)
         record.gravity[: self._model.structure.dimension] = self._model.gravity.tolist()
         for name, array in arrays.items():
-            setattr(record, name, array.ctypes.data)
+            setattr(record, name, records.address(array))
         if self._profile is not None:
             record.profile = ctypes.addressof(self._record_of_profile)
         return record, arrays

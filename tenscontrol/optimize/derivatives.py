@@ -97,10 +97,16 @@ class Derivatives:
         options: dict[str, Any] = {
             "degree": degree, "load_input": True, "offset_input": moves, "length_input": drives
         }  # fmt: skip
-        equation = model.equation(input, **options)
-        if equation.form == "loops":  # without derivatives
-            equation = model.equation(input, form="mapped", **options)
-        self.equation = equation
+
+        def build() -> Equation:
+            equation = model.equation(input, **options)
+            if equation.form == "loops":  # without derivatives
+                equation = model.equation(input, form="mapped", **options)
+            return equation
+
+        key = "equation with slopes", input, *options.values()
+        #: Of which loads are inputs, too.
+        self.equation = model.prepared.get(key, build) if model.is_small else build()
         self._by_input = by_input or any(by.kind == "input" for by in parameters)
         self._by_supports = any(by.kind == "supports" for by in parameters)
         self._by_bars = drives  # also for what a push makes of the rates at the start

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from math import prod
 
 import numpy as np
@@ -80,12 +81,26 @@ def known_parameters(scene: Scene) -> dict[str, Parameter]:
     """Return all that a run of a scene can be differentiated by."""
     model = scene.model
     shape = model.structure.nodes.shape
-    d, n = shape
     parameters = [Parameter("nodes", "nodes", shape), Parameter("velocities", "velocities", shape)]
     if len(model.structure.strings):
         parameters.append(_input(scene))
-    if scene.input == "rest_length":
-        count = len(model.structure.strings)
+    key = "parameters", scene.input == "rest_length"
+    parameters += model.prepared.get(key, partial(_of_model, model, key[1]))
+    if scene.supports is not None and not callable(scene.support_motion):
+        parameters.append(_of_supports(scene))
+    if scene.bars is not None and not scene.bars.is_commanded and not callable(scene.bar_length):
+        parameters.append(_of_bars(scene))
+    parameters += _of_motors(scene)
+    if isinstance(scene.law, LQR):
+        parameters.append(Parameter("gain", "gain", scene.law.gain.shape))
+    return {parameter.name: parameter for parameter in parameters}
+
+
+def _of_model(model: Model, has_rest_lengths: bool) -> list[Parameter]:
+    """Return what the equation of motion depends on beside the input."""
+    d, n = shape = model.structure.nodes.shape
+    parameters, count = list[Parameter](), len(model.structure.strings)
+    if has_rest_lengths:
         parameters += [
             Parameter(name, "strings", (count,), field=name) for name in law_parameters(model)
         ]
@@ -99,14 +114,7 @@ def known_parameters(scene: Scene) -> dict[str, Parameter]:
         Parameter(name, "ground", (), law=law, field=number)
         for name, (law, number) in ground_numbers(model).items()
     ]
-    if scene.supports is not None and not callable(scene.support_motion):
-        parameters.append(_of_supports(scene))
-    if scene.bars is not None and not scene.bars.is_commanded and not callable(scene.bar_length):
-        parameters.append(_of_bars(scene))
-    parameters += _of_motors(scene)
-    if isinstance(scene.law, LQR):
-        parameters.append(Parameter("gain", "gain", scene.law.gain.shape))
-    return {parameter.name: parameter for parameter in parameters}
+    return parameters
 
 
 def sample_times(scene: Scene) -> FloatArray:

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from tenscontrol import validation
 from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics.equation import unpack_states
 from tenscontrol.dynamics.profile import polynomial_at
@@ -256,7 +257,7 @@ def feels_motion(scene: Scene) -> bool:
 
 
 def _finite(array: FloatArray) -> FloatArray:
-    if not np.isfinite(array).all():
+    if not (validation.is_bounded(array) or np.isfinite(array).all()):
         raise ValueError(
             "the derivatives of the run grow beyond all bounds: it cannot be predicted so far. "
             "Take a shorter one"

@@ -13,6 +13,7 @@ import numpy as np
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, IntArray, frozen
 from tenscontrol.dynamics.evaluator import Evaluator, Function, builds
+from tenscontrol.fields import changed
 from tenscontrol.integrate.methods import Choice
 from tenscontrol.optimize.feedback import regulator_of
 from tenscontrol.optimize.parameters import parameters_of
@@ -439,11 +440,11 @@ def _traceable(scene: Scene, choice: Choice) -> Scene:
             f"run is by the method {choice.method!r}, expected one of {list(_METHODS)}, or 'auto': "
             "'rk4_plain', 'cvodes' and methods of your own are not differentiated"
         )
-    changed: dict[str, Any] = {}
+    others: dict[str, Any] = {"method": method, "error": "none", "limits": _LIMITS}
     if method == "dop853":
-        tolerance = max(how.tolerance * _TIGHTER, min(how.tolerance, _TIGHTEST))
-        changed = {"tolerance": tolerance, "output_step": scene.duration}
-    return scene.integrated(replace(how, method=method, error="none", limits=_LIMITS, **changed))
+        others["tolerance"] = max(how.tolerance * _TIGHTER, min(how.tolerance, _TIGHTEST))
+        others["output_step"] = scene.duration
+    return scene.integrated(changed(how, **others))
 
 
 def _looser(how: Integration) -> Integration:

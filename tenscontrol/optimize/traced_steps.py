@@ -103,14 +103,17 @@ class TracedSteps:
     def step_at(self, times: FloatArray) -> IntArray:
         """Return in which step each of some times is; a time between two is the end of one."""
         last = np.searchsorted(self.begin + 1e-9 * self.length, times) - 1
-        return np.asarray(np.clip(last, 0, len(self.begin) - 1))
+        return np.asarray(np.minimum(np.maximum(last, 0), len(self.begin) - 1))
 
     @property
     def switched(self) -> tuple[IntArray, IntArray]:
         """Return which steps end at a switch, and what switches there, one entry a switch."""
         before, after = self.taut[:, :-1], self.taut[:, 1:]
-        changes = (before != after).any(axis=0) & (self.span[1:] == self.span[:-1])
-        steps = np.flatnonzero(changes)
+        changes = before != after
+        if not changes.any():
+            nothing = np.zeros(0, dtype=int)
+            return nothing, nothing
+        steps = np.flatnonzero(changes.any(axis=0) & (self.span[1:] == self.span[:-1]))
         of, which = np.nonzero((before[:, steps] != after[:, steps]).T)
         return steps[of], which
 
@@ -131,15 +134,17 @@ def steps_of(run: PlantRun, load: FloatArray, start: FloatArray) -> TracedSteps:
     taut = [of_span.taut for of_span in ends if of_span.taut is not None]
     assert len(taut) == len(spans)  # it was traced
     counts = np.array([len(of_span.time) for of_span in ends])
-    which = np.repeat(np.arange(len(spans)), counts)
-    until, first = np.concatenate([of_span.time for of_span in ends]), np.cumsum(counts) - counts
-    within = np.append(0.0, until[:-1])
+    which, first = np.repeat(np.arange(len(spans)), counts), counts.cumsum() - counts
+    until = np.concatenate([of_span.time for of_span in ends])
+    within = np.empty(len(until))
+    within[1:] = until[:-1]
     within[first] = 0.0
     begins = np.array([before.time[-1] for before in run.spans[:-1]])
     states = np.concatenate(
         [spans[0].begin[:, None], *(of_span.states for of_span in ends)], axis=1
     )
-    states[:, first] = np.array([span.begin for span in spans]).T
+    if len(spans) > 1:
+        states[:, first] = np.array([span.begin for span in spans]).T
     rows = np.array([span.coefficients for span in spans])
     if not run.loads_given:
         constant = np.zeros((len(spans), load.size, rows.shape[2]))

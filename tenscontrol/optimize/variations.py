@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
+from functools import cache, reduce
 from itertools import accumulate, pairwise
 from typing import NamedTuple, Protocol
 
@@ -62,8 +62,9 @@ class Answers(Protocol):
         """Return a cost by the state from that by an answer, (rows,), which is carried back."""
 
 
+@cache
 def tableau(method: str) -> Tableau:
-    """Return the coefficients of a method by name."""
+    """Return the coefficients of a method by name, in one piece of memory each."""
     if method == "rk4":
         a = np.zeros((4, 4))
         a[1, 0] = a[2, 1] = 0.5
@@ -71,7 +72,7 @@ def tableau(method: str) -> Tableau:
         return Tableau(a, np.array([1, 2, 2, 1]) / 6, np.array([0, 0.5, 0.5, 1]))
     from scipy.integrate import DOP853
 
-    return Tableau(DOP853.A, DOP853.B, DOP853.C)
+    return Tableau(*map(np.ascontiguousarray, (DOP853.A, DOP853.B, DOP853.C)))
 
 
 def columns_of(parameters: Sequence[Parameter]) -> list[slice]:
@@ -225,7 +226,9 @@ class Variations:
         """
         at, ends, last = self._first_switch, self._places[0], 0
         X, answer = self._begun(0, X, answer)
-        sensitivities[self.times <= self.steps.begin[0]] = X
+        is_before = self.times <= self.steps.begin[0]
+        if is_before.any():
+            sensitivities[is_before] = X
         for leg in self._legs(is_back=False):
             check()
             if leg.step != last:
