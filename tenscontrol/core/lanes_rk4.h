@@ -1,7 +1,8 @@
 /* Steps of rk4 of many runs, some side by side.
 
    Runs are kept in groups, one a lane. All take a step; those whose step is crossed are then gathered
-   from all groups, so that few lanes are idle while steps are cut. */
+   from all groups, so that few lanes are idle while steps are cut. Where switches are not looked for,
+   each group goes to its end by itself, so that it stays in the cache. */
 
 /* A group of runs: where they are, what is left of their steps, how many strings may switch in it, and
    the numbers that they differ in, in this order. */
@@ -78,22 +79,25 @@ static Number *lay_out(Many *many, const Scene *scene, const Drive *drive, const
   return work;
 }
 
-/* Takes a step in all runs; returns how many are crossed, and which. */
-static int step_all(Many *many, double time, double h, Progress *progress, int *crossed) {
-  const int count = many->batch.runs->count;
+/* Takes a step in runs from one group to another; returns how many are crossed, and which. */
+static int step_groups(Many *many, int begin, int end, double time, double h, Progress *progress,
+                       int *crossed) {
   int waiting = 0;
-  for (int first = 0; first < count; first += WIDTH) {
+  for (int first = begin; first < end; first += WIDTH) {
     Number *numbers = numbers_of(many, first);
     const Group g = group_of(many, numbers);
     *g.time = all(time);
     *g.left = all(h);
     turn_to(many, numbers);
     *g.crossed = take_whole(&many->method);
-    for (int i = 0; i < WIDTH && first + i < count; ++i) {
+    for (int i = 0; i < WIDTH && first + i < end; ++i) {
       progress[first + i].tries += 1;
       if (lane(g.crossed, i) > 0) crossed[waiting++] = first + i;
     }
-    for (int k = 0; k < many->states; ++k) g.x[k] = choice(*g.crossed > 0, g.x[k], g.x1[k]);
+    if (any(*g.crossed > 0))
+      for (int k = 0; k < many->states; ++k) g.x[k] = choice(*g.crossed > 0, g.x[k], g.x1[k]);
+    else
+      memcpy(g.x, g.x1, many->states * sizeof(Number));
   }
   return waiting;
 }
@@ -167,18 +171,23 @@ static void advance_runs_by_rk4(const Scene *scene, const Drive *drive, const Le
   const FixedSteps steps = fixed_steps(settings);
   Many many;
   Number *batch = lay_out(&many, scene, drive, lengths, settings, runs, start, aligned(work));
-  int *crossed = (int *)(batch + many.size), going = runs->count;
-  for (int64_t done = 0; done < steps.total && going && !*stop; ++done) {
-    const double time = (double)done * steps.h;
-    int waiting = step_all(&many, time, steps.h, progress, crossed);
-    for (int cuts = 0; waiting; ++cuts) {
-      const int before = waiting;
-      waiting = 0;
-      for (int i = 0; i < before; i += WIDTH)
-        waiting += cut_some(&many, cuts, REST * steps.h, before - i < WIDTH ? before - i : WIDTH,
-                            crossed + i, batch, progress, crossed + waiting);
+  int *crossed = (int *)(batch + many.size);
+  const int together = many.is_plain ? WIDTH : runs->count;
+  for (int begin = 0; begin < runs->count; begin += together) {
+    const int end = begin + together < runs->count ? begin + together : runs->count;
+    int going = end - begin;
+    for (int64_t done = 0; done < steps.total && going && !*stop; ++done) {
+      const double time = (double)done * steps.h;
+      int waiting = step_groups(&many, begin, end, time, steps.h, progress, crossed);
+      for (int cuts = 0; waiting; ++cuts) {
+        const int before = waiting;
+        waiting = 0;
+        for (int i = 0; i < before; i += WIDTH)
+          waiting += cut_some(&many, cuts, REST * steps.h, before - i < WIDTH ? before - i : WIDTH,
+                              crossed + i, batch, progress, crossed + waiting);
+      }
+      for (int first = begin; first < end; first += WIDTH)
+        going -= end_step(&many, &steps, done, first, states, progress + first);
     }
-    for (int first = 0; first < runs->count; first += WIDTH)
-      going -= end_step(&many, &steps, done, first, states, progress + first);
   }
 }

@@ -9,7 +9,8 @@ of its own, on the ground of its own motion in steps 8 times finer than its fine
 Of ours the processor time of a second ``tc.simulate_many`` is told, whole, as it is typed first:
 with its defaults, its tolerance, its checks, start and end of a run and the estimate of the error
 of a sample of the runs; in a second row without the estimate; in a third by ``rk4`` in
-steps of one size, as the peers go, several runs side by side. JAX (in double and single precision,
+steps of one size, cut at switches; in a fourth by ``rk4_plain``, which steps across switches as the
+peers do, with the estimate, and in a fifth without it. JAX (in double and single precision,
 by blocks), NumPy and MuJoCo's rollout return the end alone. Not told: what compiling takes (JAX 1
 to 3 s), and that the others locate no switch. Needs the extra ``bench``.
 
@@ -114,7 +115,7 @@ def many(
 
 
 def ours(case: tc.Scene, velocities: np.ndarray) -> list[Program]:
-    """Return the default call, one that returns what the others do, and one in steps."""
+    """Return the default call, one that returns what the others do, and those in steps."""
     lean = {"error": "none", "output_step": case.duration}
 
     def program(name: str, settings: Sequence[float], kind: str, more: dict[str, Any]) -> Program:
@@ -124,11 +125,14 @@ def ours(case: tc.Scene, velocities: np.ndarray) -> list[Program]:
             lambda batch: batch.nodes[..., -1],
         )  # fmt: skip
 
-    finest = tolerances(finest=1e-10)
+    finest, steps = tolerances(finest=1e-10), grid(0.1, 1e-4)
+    plain = {"method": "rk4_plain"}
     return [
         program("tenscontrol, default call", finest, "tolerance", {}),
         program("tenscontrol, ends, no estimate", finest, "tolerance", lean),
-        program("tenscontrol, steps, ends", grid(0.1, 1e-4), "step", {"method": "rk4", **lean}),
+        program("tenscontrol, rk4, ends", steps, "step", {"method": "rk4", **lean}),
+        program("tenscontrol, rk4_plain", steps, "step", plain),
+        program("tenscontrol, rk4_plain, ends", steps, "step", plain | lean),
     ]
 
 

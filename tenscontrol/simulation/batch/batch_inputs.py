@@ -238,14 +238,14 @@ class BatchInputs:
     def states(self, first: int, last: int) -> tuple[FloatArray, dict[int, str]]:
         """Return the states at the start of some runs, and why others are refused: by number."""
         structure = self.model.structure
-        d, n = structure.nodes.shape
         count = last - first
         N, V = (
-            np.broadcast_to(self.some(name, first, last, getattr(self.base, name)), (count, d, n))
-            for name in ("nodes", "velocities")
+            self.some(name, first, last, getattr(self.base, name)) for name in ("nodes", "velocities")
         )
-        every = [array.transpose(0, 2, 1).reshape(count, -1) for array in (N, V)]
-        states = np.hstack([array[:, structure.free_rows] for array in every])
+        every = [array.transpose(0, 2, 1).reshape(len(array), -1) for array in (N, V)]
+        rows, half = structure.free_rows, len(structure.free_rows)
+        states = np.empty((count, 2 * half))
+        states[:, :half], states[:, half:] = (array[:, rows] for array in every)
         doubtful = ~self._clear(first, last, N, V, every)
         refused = {}
         for i in np.flatnonzero(doubtful):

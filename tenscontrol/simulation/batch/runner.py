@@ -49,6 +49,9 @@ from tenscontrol.structure.supports import moving_masses
 # Runs in a call, and numbers that it may return.
 _BLOCK, _MOST_NUMBERS = 256, 4_000_000
 
+# Blocks of a thread, at least: at the end of each lanes are idle.
+_PARTS = 2
+
 # Of fixed steps, which the core takes side by side.
 _FIXED = METHODS["rk4"], METHODS["rk4_plain"]
 
@@ -93,6 +96,7 @@ class Runner:
         place[structure.free_rows] = np.arange(len(structure.free_rows))
         self._from = place[entries]
         self._fixed = structure.nodes.ravel(order="F")[entries]
+        self._is_whole = np.array_equal(self._from, np.arange(len(structure.free_rows)))
         self.nodes, self.velocities = np.full(shape, np.nan), np.full(shape, np.nan)
         self.completed = np.zeros(scene.count, dtype=bool)
         self.end_time, self.messages = np.zeros(scene.count), dict[int, str]()
@@ -240,7 +244,7 @@ class Runner:
         most = _BLOCK if self._controller is None else MOST_CONTROLLERS
         block = int(np.clip(_MOST_NUMBERS / (states * outputs), 4, most))
         # So that all threads have work to the end.
-        block = max(4, min(block, -(-self.scene.count // (4 * threads))))
+        block = max(4, min(block, -(-self.scene.count // (_PARTS * threads))))
         count = self.scene.count
         firsts = range(0, count, block)
         blocks = (partial(self._block, first, min(first + block, count)) for first in firsts)
@@ -569,14 +573,18 @@ class Runner:
         d = self.scene.model.structure.dimension
         count, outputs, size = states.shape
         free = self._from >= 0
+        follow = len(runs) and runs[-1] - runs[0] == count - 1
+        where = slice(runs[0], runs[-1] + 1) if follow else runs
         for array, half, rest in (
             (self.nodes, states[:, :, : size // 2], self._fixed),
             (self.velocities, states[:, :, size // 2 :], np.zeros(len(free))),
         ):
-            entries = np.broadcast_to(rest, (count, outputs, len(free))).copy()
-            entries[:, :, free] = half[:, :, self._from[free]]
+            entries = half
+            if not self._is_whole:
+                entries = np.broadcast_to(rest, (count, outputs, len(free))).copy()
+                entries[:, :, free] = half[:, :, self._from[free]]
             shaped = entries.reshape(count, outputs, -1, d).transpose(0, 3, 2, 1)
-            array[runs, :, :, column : column + outputs] = shaped
+            array[where, :, :, column : column + outputs] = shaped
 
     # ---- single runs ----
 
