@@ -80,6 +80,27 @@ static Number weigh(const Number *room, Truth meant, Number *plain, Number *fall
   return count;
 }
 
+/* Weighs some strings, each of the run in one lane, side by side: few strings switch in many runs. */
+static void weigh_some(const Tried *step, int m, const Number *rooms, int some, const int *of,
+                       const int *in, Number *weights, Number *switches) {
+  Number room[PATH], plain[PATH], falling[PATH], meant = all(0), count;
+  for (int j = 0; j < PATH; ++j) room[j] = all(0);
+  for (int i = 0; i < some; ++i) {
+    put(1, &meant, i);
+    for (int j = 0; j < PATH; ++j) put(lane(rooms + PATH * of[i] + j, in[i]), room + j, i);
+  }
+  count = weigh(room, meant != 0, plain, falling);
+  for (int i = 0; i < some; ++i) {
+    const double times = lane(&count, i), sign = 1 - 2 * lane(step->taut + of[i], in[i]);
+    if (times == 0) continue;
+    put(lane(switches, in[i]) + times, switches, in[i]);
+    for (int j = 0; j < PATH; ++j) {
+      put(sign * lane(plain + j, i), weights + 2 * j * m + of[i], in[i]);
+      put(sign * lane(falling + j, i), weights + (2 * j + 1) * m + of[i], in[i]);
+    }
+  }
+}
+
 /* Adds to x, the end of a step, what its switches change, and sets the strings that pull then, in the
    runs that are meant. Returns how many switches there were. `defect` becomes what the next order
    adds to xdot at the end, if it is wanted. */
@@ -92,6 +113,7 @@ SHARED Number carry(Span *span, Truth meant, const Tried *step, Number *x, Numbe
   Number switches = all(0);
   const Some *some = list(span, span->marked);
   const Number *scale;
+  int of[WIDTH], in[WIDTH], waiting = 0;
   make_path(span, step);
   on_path(span, h, all(0.5), y);
   gap_at(span, y, step->time + 0.5 * h, some, span->gap, 0);
@@ -104,17 +126,16 @@ SHARED Number carry(Span *span, Truth meant, const Tried *step, Number *x, Numbe
     rooms[PATH * i + 2] = sign * span->gap1[i] + band;
   }
   memset(weights, 0, 2 * PATH * m * sizeof *weights);
-  for (int k = 0; k < some->count; ++k) {
-    const int i = some->which[k];
-    Number plain[PATH], falling[PATH], count;
-    const Number sign = 1 - 2 * step->taut[i];
-    count = weigh(rooms + PATH * i, meant & (span->marked[i] != 0), plain, falling);
-    switches += count;
-    for (int j = 0; j < PATH && any(count > 0); ++j) {
-      weights[2 * j * m + i] = only(count > 0, sign * plain[j]);
-      weights[(2 * j + 1) * m + i] = only(count > 0, sign * falling[j]);
+  for (int k = 0; k < some->count; ++k)
+    for (int i = some->which[k], j = 0; j < WIDTH; ++j) {
+      if (!is_in(meant, j) || lane(span->marked + i, j) == 0) continue;
+      of[waiting] = i;
+      in[waiting++] = j;
+      if (waiting < WIDTH) continue;
+      weigh_some(step, m, rooms, waiting, of, in, weights, &switches);
+      waiting = 0;
     }
-  }
+  if (waiting) weigh_some(step, m, rooms, waiting, of, in, weights, &switches);
   memset(dx, 0, 2 * half * sizeof *dx);
   for (int j = 0; j < PATH; ++j) {
     const Input input = input_at(span, step->time + j / (PATH - 1.) * h);
