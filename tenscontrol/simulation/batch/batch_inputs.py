@@ -239,9 +239,9 @@ class BatchInputs:
         """Return the states at the start of some runs, and why others are refused: by number."""
         structure = self.model.structure
         count = last - first
-        N, V = (
-            self.some(name, first, last, getattr(self.base, name)) for name in ("nodes", "velocities")
-        )
+        base = self.base
+        N = self.some("nodes", first, last, base.nodes)
+        V = self.some("velocities", first, last, base.velocities)
         every = [array.transpose(0, 2, 1).reshape(len(array), -1) for array in (N, V)]
         rows, half = structure.free_rows, len(structure.free_rows)
         states = np.empty((count, 2 * half))
