@@ -49,8 +49,9 @@ from tenscontrol.structure.supports import moving_masses
 # Runs in a call, and numbers that it may return.
 _BLOCK, _MOST_NUMBERS = 256, 4_000_000
 
-# Blocks of a thread, at least: at the end of each lanes are idle.
-_PARTS = 2
+# Blocks of a thread, at least. At the end of each lanes are idle; but of two, which wait in its
+# pool at once, an interrupt might leave none.
+_PARTS = 3
 
 # Of fixed steps, which the core takes side by side.
 _FIXED = METHODS["rk4"], METHODS["rk4_plain"]
