@@ -433,6 +433,13 @@ def test_optimal_goals(printed):
     assert row(text, "planned: 1") == []
 
 
+def test_optimal_motions(printed):
+    text = printed("optimal_motions", "--motions weight --finer 2")
+    _, _, _, change, finer, off, _ = row(text, "weight    ok")
+    assert 0 < finer < change < 1  # %
+    assert off < 1e-3
+
+
 def test_sensitivities(printed):
     text = printed("sensitivities", "--seed 24 --count 1 --steps 200")
     assert "1 scenes, 0 of more than 200 steps left out; 1 judged, 1 with switches" in text

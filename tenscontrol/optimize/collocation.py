@@ -405,10 +405,19 @@ class Collocation:
     def solve(
         self, guess: DiscreteMotion, most_iterations: int, report: Callable[[int], None]
     ) -> Solution:
-        """Return the optimum that IPOPT finds from a guess, or where it ended."""
+        """Return the optimum that IPOPT finds from a guess, or where it ended.
+
+        Raises ValueError if there are fewer unknowns than equations.
+        """
         x0 = self._packed(guess)
         low, high = self._bounds(guess.duration)
         row_low, row_high = self._row_bounds()
+        unknowns, equations = int((low < high).sum()), int((row_low == row_high).sum())
+        if unknowns < equations:
+            raise ValueError(
+                f"intervals is {self.intervals}, which leaves a motion {unknowns} unknowns for "
+                f"{equations} equations: give more intervals"
+            )
         with BUILDING:
             problem, derivatives = self._program()
             watch = _Watch((self._size, len(row_low)), report)

@@ -75,6 +75,9 @@ _MOST_INTERVALS, _MOST_REFINEMENTS = 10_000, 10
 # size are none.
 _SLACK, _NO_WAY = 1e-9, 1e-6
 
+# Changes of the cost below this part of its size are none.
+_NO_COST = 1e-6
+
 # Statuses with a motion that obeys the equation of motion.
 _PLANNED = (Status.OK, Status.INACCURATE)
 
@@ -86,7 +89,7 @@ _ADVICE = {
 
 
 class OptimalMotionWarning(RuntimeWarning):
-    """No motion was planned, or its replay misses the goal by more than the tolerance."""
+    """No motion was planned, its replay misses the goal, or its cost changes with the mesh."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,8 +133,9 @@ class OptimalMotion:
     minimize : str
         ``"time"``, ``"energy"``, ``"effort"``, or the name of the function that was given.
     status : Status
-        ``OK``: planned, and the replay meets the goal. ``INACCURATE``: planned, and the replay
-        misses it by more than the tolerance. Any other: nothing was planned.
+        ``OK``: planned, the replay meets the goal, and the cost has settled. ``INACCURATE``:
+        planned, but the replay misses the goal, or the last two meshes differ in cost, by more than
+        the tolerances. Any other: nothing was planned.
     message : str
         What ended it, and what to try.
     time : ndarray, shape (K + 1,)
@@ -143,6 +147,8 @@ class OptimalMotion:
         between intervals, the value after the jump.
     cost : float
         Duration, s; work, J; effort; or the integral of the function that was given.
+    cost_change : float
+        Between the last two meshes with a motion, as a part of the cost; NaN if there is one alone.
     run : Trajectory or None
         The replay by :func:`simulate`; None where nothing was planned.
     goal_miss, end_speed : float
@@ -172,6 +178,7 @@ class OptimalMotion:
     force_density: FloatArray
     rest_length: FloatArray | None
     cost: float
+    cost_change: float
     run: Trajectory | None
     goal_miss: float
     end_speed: float
@@ -336,16 +343,17 @@ def optimal_motion(
     min_clearance: float | None = None,
     obstacles: Callable[[Any], Any] | None = None,
     plant: LinearPlant | None = None,
-    intervals: int = 20,
+    intervals: int = 10,
     tolerance: float = 1e-4,
-    refinements: int = 3,
+    cost_tolerance: float | None = 1e-2,
+    refinements: int = 4,
     most_iterations: int = 200,
     progress: bool = False,
 ) -> OptimalMotion:
     """Return the motion of least time, work or effort from rest in one shape to rest in another.
 
     All strings stay taut. The plan is replayed by :func:`simulate`, which knows nothing of it, and
-    its intervals are halved until the replay ends at the goal.
+    its intervals are halved until the replay ends at the goal and the cost has settled.
 
     Parameters
     ----------
@@ -394,6 +402,9 @@ def optimal_motion(
     tolerance : float
         How far a node may be from the goal at the end of the replay, as a part of the size of the
         structure, and how fast, as a part of that size in the duration.
+    cost_tolerance : float or None
+        By how much the cost may differ between the last two meshes, as a part of it. A mesh alone,
+        as with ``refinements=0``, is not judged. None: the goal alone counts.
     refinements : int
         How often the intervals are halved at most.
     most_iterations : int
@@ -416,8 +427,8 @@ def optimal_motion(
     Warns
     -----
     OptimalMotionWarning
-        If no motion was planned, or its replay misses the goal. The status says which, and the
-        message which limit stands against it.
+        If no motion was planned, its replay misses the goal, or its cost has not settled. The
+        message says which, and which limit stands against a motion.
     InterruptionWarning
         If Ctrl-C ended it: what the finished meshes gave is returned.
 
@@ -462,6 +473,10 @@ def optimal_motion(
         raise ValueError("min_clearance is for bars in space; in the plane they lie in layers")
     intervals = validation.whole_number("intervals", intervals, 2, _MOST_INTERVALS)
     tolerance = validation.positive_number("tolerance", tolerance, "parts of the size", 1.0)
+    if cost_tolerance is not None:
+        cost_tolerance = validation.positive_number(
+            "cost_tolerance", cost_tolerance, "parts of the cost", 1.0
+        )
     refinements = validation.whole_number("refinements", refinements, 0, _MOST_REFINEMENTS)
     most_iterations = validation.whole_number("most_iterations", most_iterations, 1)
     duration = _checked_duration(minimize, duration)
@@ -480,7 +495,9 @@ def optimal_motion(
     for name, rest in zip(("start", "goal"), ends, strict=True):
         _refuse_end(model, limits, driven, name, rest)
     limits.keep_taut(ends)
-    planner = _Planner(model, ends, kind, minimize, duration, limits, winches, plant, tolerance)
+    planner = _Planner(
+        model, ends, kind, minimize, duration, limits, winches, plant, tolerance, cost_tolerance
+    )
     with progress_bar(1.0 + refinements, progress, "planning", "meshes") as report:
         return planner.run(intervals, refinements, most_iterations, report)
 
@@ -561,9 +578,11 @@ class _Planner:
         self, model: Model, ends: tuple[Prestress, Prestress], input: str,
         minimize: str | Callable[..., Any], duration: float | None, limits: MotionLimits,
         winches: Winches | None, plant: LinearPlant | None, tolerance: float,
+        cost_tolerance: float | None,
     ) -> None:  # fmt: skip
         self._model, self._ends, self._input, self._limits = model, ends, input, limits
         self._minimize, self._tolerance = minimize, tolerance
+        self._cost_tolerance = cost_tolerance
         structure = model.structure
         self._size = structure.size
         guess, self._kind = guessed_motion(
@@ -695,7 +714,7 @@ class _Planner:
     def run(
         self, intervals: int, refinements: int, most: int, report: Callable[[float], None]
     ) -> OptimalMotion:
-        """Return the motion of the first mesh whose replay meets the goal, or of the last."""
+        """Return the motion of the first mesh that is fine enough, or of the last."""
         guess = self._guess
         with keeping("meshes solved, their motion is returned", lambda: len(self._meshes)):
             for number in range(refinements + 1):
@@ -706,7 +725,7 @@ class _Planner:
                     is_lost = solution.status is Status.OUT_OF_ITERATIONS
                     if number or not is_lost:
                         break
-                elif self._is_met(solution.motion, self._meshes[-1]):
+                elif (number or self._cost_tolerance is None) and not self._shortfall():
                     break
                 else:
                     guess = solution.motion
@@ -726,9 +745,8 @@ class _Planner:
         run, miss = None, (np.nan, np.nan)
         if solution.status in _PLANNED:
             run = self._replayed(solution.motion)
-            if run is not None:
-                speed = np.linalg.norm(run.velocities[:, :, -1], axis=0).max()
-                miss = self._end.distance(run.nodes[:, :, -1]), float(speed)
+            speed = np.linalg.norm(run.velocities[:, :, -1], axis=0).max()
+            miss = self._end.distance(run.nodes[:, :, -1]), float(speed)
         mesh_of = Mesh(intervals, solution.iterations, solution.status, self._cost(solution), *miss)
         self._meshes.append(mesh_of)
         if self._best is None or run is not None or self._best[1] is None:
@@ -738,11 +756,33 @@ class _Planner:
     def _cost(self, solution: Solution) -> float:
         return solution.motion.duration if self._minimize == "time" else solution.cost
 
-    def _is_met(self, motion: DiscreteMotion, mesh: Mesh) -> bool:
+    def _shortfall(self) -> str:
+        """Return what the motion lacks, empty if nothing. The cost of one mesh is not judged."""
+        assert self._best is not None  # a mesh was solved
+        motion, mesh = self._best[0].motion, self._best[2]
         off = self._tolerance * self._size
-        return mesh.goal_miss <= off and mesh.end_speed <= off / motion.duration
+        if mesh.goal_miss > off or mesh.end_speed > off / motion.duration:
+            return (
+                f"the replay misses the goal by {mesh.goal_miss:.2g} m at {mesh.end_speed:.2g} m/s "
+                f"on {mesh.intervals} intervals"
+            )
+        change = self._cost_change()
+        if self._cost_tolerance is None or len(self._meshes) == 1 or change <= self._cost_tolerance:
+            return ""
+        if np.isnan(change):
+            return "the cost is that of one mesh, and the other was not solved"
+        return (
+            f"the cost changed by {100 * change:.2g} % by the last mesh, {mesh.intervals} intervals"
+        )
 
-    def _replayed(self, motion: DiscreteMotion) -> Trajectory | None:
+    def _cost_change(self) -> float:
+        """Return the change of the cost by the last mesh with a motion, NaN of one alone."""
+        costs = [mesh.cost for mesh in self._meshes if mesh.status in _PLANNED]
+        if len(costs) < 2:
+            return np.nan
+        return abs(costs[-1] - costs[-2]) / max(abs(costs[-1]), _NO_COST * self._program.price)
+
+    def _replayed(self, motion: DiscreteMotion) -> Trajectory:
         profile = _profile(self._of_strings(motion), self._input, None)
         inputs: dict[str, Any] = {self._input: profile}
         return simulate(
@@ -759,19 +799,19 @@ class _Planner:
     def _result(self) -> OptimalMotion:
         assert self._best is not None  # `run` has solved a mesh, or raised
         solution, run, last = self._best
-        status, message = solution.status, "the replay ends at the goal"
+        status, change = Status.OK, self._cost_change()
+        message = "the replay ends at the goal"
+        if np.isfinite(change):
+            message += f", and the last mesh changed the cost by {100 * change:.2g} %"
         if run is None:
-            worst = next(iter(solution.violations.items()))
+            status, worst = solution.status, next(iter(solution.violations.items()))
             message = (
                 f"IPOPT ended with {solution.message!r}, {worst[0]} violated by {worst[1]:.2g} of "
                 f"its scale. {_ADVICE.get(status, 'Give another goal or limits')}"
             )
-        elif not self._is_met(solution.motion, last):
+        elif shortfall := self._shortfall():
             status = Status.INACCURATE
-            message = (
-                f"the replay misses the goal by {last.goal_miss:.2g} m at {last.end_speed:.2g} m/s "
-                f"on {last.intervals} intervals. {_ADVICE[status]}"
-            )
+            message = f"{shortfall}. {_ADVICE[status]}"
         if status is not Status.OK:
             warn(f"{status}: {message}", OptimalMotionWarning)
         structure, motion = self._model.structure, self._of_strings(solution.motion)
@@ -796,7 +836,8 @@ class _Planner:
             velocities=velocities,
             force_density=gamma,
             rest_length=wound,
-            cost=self._cost(solution),
+            cost=last.cost,
+            cost_change=change,
             run=run,
             goal_miss=last.goal_miss,
             end_speed=last.end_speed,

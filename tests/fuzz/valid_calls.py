@@ -1001,6 +1001,7 @@ call(
             "min_clearance": None,
             "obstacles": lambda nodes: 5.0 - nodes[0, 1],
             "plant": tc.linearize(along_rail()["model"], on_rail(-0.2), input="rest_length"),
+            "cost_tolerance": 0.5,
             "refinements": 1,
             "most_iterations": 50,
             "progress": False,
