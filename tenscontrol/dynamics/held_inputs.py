@@ -6,6 +6,7 @@ from tenscontrol import validation
 from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.profile import Profile
+from tenscontrol.structure.structure import Structure
 
 
 def own_input(model: Model, rest_length: object, force_density: object) -> tuple[object, object]:
@@ -39,9 +40,9 @@ def refuse_load(model: Model) -> None:
         )
 
 
-def held_value(model: Model, rest_length: object, force_density: object) -> FloatArray:
+def held_value(structure: Structure, rest_length: object, force_density: object) -> FloatArray:
     """Return what is held, shape (α,): the one that is not None, checked."""
-    count = len(model.structure.strings)
+    count = len(structure.strings)
     if force_density is None:
         values = validation.per_member("rest_length", rest_length, count, "string")
         return validation.positive("rest_length", values, "length in m")

@@ -198,7 +198,7 @@ def _held(model: Model, rest_length: object, force_density: object, actuators: s
         )
     if actuators == "rest_length" and rest_length is None:
         raise ValueError("actuators is 'rest_length', but force_density is given: give rest_length")
-    return held_value(model, rest_length, force_density)
+    return held_value(model.structure, rest_length, force_density)
 
 
 class _Document:

@@ -16,6 +16,7 @@ from tenscontrol.dynamics.profile import Profile
 from tenscontrol.estimation.sensors import Sensors
 from tenscontrol.fields import converted
 from tenscontrol.files import opened_file, write_file
+from tenscontrol.simulation.inputs import checked_inputs
 from tenscontrol.simulation.trajectory import Trajectory
 
 # Numbers in a table at most: more is no log of a robot, and fills the memory.
@@ -97,6 +98,9 @@ class Log:
             raise ValueError("readings are all NaN: nothing was read")
         if (self.rest_length is None) == (self.force_density is None):
             raise ValueError("expected one of rest_length and force_density: what was held")
+        if not callable(getattr(self, self.input)):  # which is asked when it is simulated
+            structure, end = self.sensors.structure, float(time[-1])
+            checked_inputs(structure, self.rest_length, self.force_density, 0.0, end)
         put(self, "time", frozen(time))
         put(self, "readings", frozen(readings))
         for name in ("nodes", "velocities"):

@@ -112,9 +112,9 @@ class MotionLimits:
         self.inertia = None
         if winches is not None:
             rate = winches.largest_rate
-            largest = none if rate is None else np.broadcast_to(rate, count)
             if rate is not None:
                 validation.one_or_per_member("winches.rate", rate, count)
+                largest = np.broadcast_to(rate, count)
             self.pull = _most_pull(winches, self.actuation)
             self.inertia = _inertia(winches, self.actuation, self._input)
         pays_out = np.unique(self.actuation.input[self.actuation.ratio < 0])

@@ -189,7 +189,8 @@ def equilibrium(
     load = model.constant_force.copy()
     if external_force is not None:
         load += given_load(model, external_force)
-    held, kind = held_value(model, rest_length, force_density), INPUTS[rest_length is not None]
+    held = held_value(model.structure, rest_length, force_density)
+    kind = INPUTS[rest_length is not None]
     law = model.strings
     if kind == "rest_length":
         refuse_strings_without_length(called, structure, start)

@@ -277,7 +277,7 @@ class TippingPlanner:
             )
         self._structure, self.down = structure, force / weight
         self._shares = self.down @ model.constant_force / weight
-        self.home = held_value(model, rest_length, None)
+        self.home = held_value(model.structure, rest_length, None)
         self.size = structure.size
         self.gravity = weight / float(structure.bar_mass.sum() + structure.point_mass.sum())
         self.actuation = actuation_of(structure, actuated, self.home)

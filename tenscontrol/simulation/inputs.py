@@ -8,6 +8,7 @@ from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics.held_inputs import given_load, held_value
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.profile import Pieces, Profile, as_pieces
+from tenscontrol.structure.structure import Structure
 
 # An input below zero by this part of its largest value is zero.
 _ROUND_OFF = 1e-12
@@ -19,14 +20,14 @@ def changes_in_time(value: object) -> bool:
 
 
 def checked_inputs(
-    model: Model, rest_length: object, force_density: object, start: float, end: float
+    structure: Structure, rest_length: object, force_density: object, start: float, end: float
 ) -> Pieces:
     """Return what is held, or changes: the one of the two that is not None, checked."""
     name = "rest_length" if force_density is None else "force_density"
     value = rest_length if force_density is None else force_density
     if not changes_in_time(value):
-        return Pieces.constant(held_value(model, rest_length, force_density))
-    shape = (len(model.structure.strings),)
+        return Pieces.constant(held_value(structure, rest_length, force_density))
+    shape = (len(structure.strings),)
     pieces = as_pieces(name, value, shape, "one per string", start, end)
     least, time = pieces.least(start, end)
     round_off = _ROUND_OFF * float(np.abs(pieces.coefficients[:, :, 0]).max(initial=0.0))

@@ -404,7 +404,7 @@ class Scene:
         """What is held in open loop, or changes; None under a controller."""
         if self.controller is not None:
             return None
-        return checked_inputs(self.model, self.rest_length, self.force_density, *self._span)
+        return checked_inputs(self.structure, self.rest_length, self.force_density, *self._span)
 
     @cached_property
     def loads(self) -> FloatArray | Pieces:
@@ -488,7 +488,7 @@ class Scene:
             value = getattr(self, name)
             if value is not None and (name == "controller" or changes_in_time(value)):
                 raise ValueError(f"{name} changes the input in time, expected one that is held")
-        return frozen(held_value(self.model, self.rest_length, self.force_density))
+        return frozen(held_value(self.structure, self.rest_length, self.force_density))
 
     @property
     def load(self) -> FloatArray:

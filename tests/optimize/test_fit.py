@@ -172,6 +172,10 @@ def test_what_does_not_fit_is_refused():
         replace(log, time=np.where(np.arange(40) == 3, 0.0, log.time))
     with pytest.raises(ValueError, match=r"readings\[0, 0\] is infinite"):
         replace(log, readings=np.full(log.readings.shape, np.inf))
+    with pytest.raises(ValueError, match=r"rest_length has shape \(4,\)"):
+        replace(log, rest_length=REST[:4])
+    with pytest.raises(ValueError, match=r"rest_length\[0\] is nan"):
+        replace(log, rest_length=np.nan * REST)
     with pytest.raises(ValueError, match="nothing was read"):
         replace(log, readings=np.full(log.readings.shape, np.nan))
     with pytest.raises(ValueError, match="parameters is 'stifness'"):

@@ -443,6 +443,8 @@ def test_distances_of_bars_are_those_of_the_structure():
         ({"min_clearance": 0.1}, "plane"),
         ({"intervals": 0}, "intervals"),
         ({"goal": iter([])}, "goal is a list_iterator, expected a demand"),
+        ({"intervals": 2}, "intervals is 2, which leaves .* give more intervals"),
+        ({"winches": tc.Winches(rate=np.ones(5))}, "winches.rate"),
         ({"min_force_density": 60.0}, "start"),
         ({"winches": tc.Winches(motor=tc.Motor(0.01, lag=0.1))}, "lag or backlash"),
         (

@@ -221,7 +221,7 @@ class BatchInputs:
         held = None
         if self.held is None:
             own = {self.input: self.entry(self.input, run)}
-            held = held_value(model, own.get("rest_length"), own.get("force_density"))
+            held = held_value(model.structure, own.get("rest_length"), own.get("force_density"))
         else:
             held = self.held.at(np.zeros(1))[:, 0]
         if "external_force" in self.given:
