@@ -189,10 +189,10 @@ def test_interop():
 
 def test_optimal_motion():
     coarse = {
-        "0.4, tolerance=1e-3": "0.4, tolerance=0.1, intervals=6",
+        "0.4, tolerance=1e-3": "0.4, tolerance=0.1, intervals=6, cost_tolerance=None",
         "intervals=10, tolerance=3e-3": "intervals=10",
-        "intervals=10": "intervals=6, tolerance=0.1",
-        "winches)\nprint(motion": "winches, intervals=10, tolerance=0.02)\nprint(motion",
+        "intervals=10": "intervals=6, tolerance=0.1, cost_tolerance=None",
+        "winches)\nprint(motion": "winches, tolerance=0.02, cost_tolerance=None)\nprint(motion",
     }
     names = ran("optimal_motion", **coarse)
     motion, path = names["motion"], names["path"]
