@@ -6,7 +6,7 @@ A six-bar ball is thrown and spins for a second; its strings stay taut, or go sl
 the 36 coordinates of its nodes at the end by its 24 rest lengths. ``gradient``: a cost of where
 they are by 50 values of each rest length, one a sample of 0.02 s. Ours is the call as it is typed,
 the run itself with it; then central differences by ``simulate_many``; then JAX, forward and in
-reverse, through the steps of RK4, which passes over switches. An error is the largest of an entry,
+reverse, through the steps of RK4, which passes over switches. All keep the start and the end alone. An error is the largest of an entry,
 as part of the largest entry; the true derivative is ours at a tolerance of 1e-9, tested against
 differences (``python -m tests.benchmarks.sensitivities``). The Jacobian by MuJoCo's
 ``mjd_transitionFD`` stands beside it at steps and errors of its own: it differences each step of
@@ -64,8 +64,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def run_of(scene: tc.Scene, tolerance: float) -> tc.Trajectory:
-    """Return the motion of a scene as users ask for it, without limits that warn."""
-    how = tc.Integration(tolerance=tolerance, error="none", limits=LIMITS)
+    """Return the motion of a scene at its start and end, without limits that warn."""
+    how = tc.Integration(
+        tolerance=tolerance, error="none", output_step=scene.duration, limits=LIMITS
+    )
     return replace(scene, integration=how).simulate()
 
 
