@@ -6,11 +6,12 @@ A six-bar ball is thrown and spins for a second; its strings stay taut, or go sl
 the 36 coordinates of its nodes at the end by its 24 rest lengths. ``gradient``: a cost of where
 they are by 50 values of each rest length, one a sample of 0.02 s. Ours is the call as it is typed,
 the run itself with it; then central differences by ``simulate_many``; then JAX, forward and in
-reverse, through the steps of RK4, which passes over switches. All keep the start and the end alone. An error is the largest of an entry,
-as part of the largest entry; the true derivative is ours at a tolerance of 1e-9, tested against
-differences (``python -m tests.benchmarks.sensitivities``). The Jacobian by MuJoCo's
-``mjd_transitionFD`` stands beside it at steps and errors of its own: it differences each step of
-Euler's method, as it refuses RK4, and the matrices are multiplied. Needs the extra ``bench``.
+reverse, through the steps of RK4, which passes over switches. All keep the start and the end alone.
+An error is the largest of an entry, as part of the largest entry; the true derivative is ours at a
+tolerance of 1e-9, tested against differences (``python -m tests.benchmarks.sensitivities``). The
+Jacobian by MuJoCo's ``mjd_transitionFD`` stands beside it at steps and errors of its own: it
+differences each step of Euler's method, as it refuses RK4, and the matrices are multiplied. Needs
+the extra ``bench``.
 """
 
 from __future__ import annotations
