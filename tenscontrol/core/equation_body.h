@@ -49,11 +49,11 @@ static void N(pull_in_lanes)(const Scene *s, const Number *p, const Number *v, c
   for (int i = 0; i < s->segments; ++i) {
     const int start = s->segment_start[i], end = s->segment_end[i];
     Number one[D], change[D], length, rate = all(0), gamma = u[i];
-    for (int k = 0; k < D; ++k) one[k] = p[end + k] - p[start + k];
+    N(difference)(p, start, end, one);
     if (!is_held) {
       N(pulling_length)(one, u[i], &length);
       if (s->damped) {
-        for (int k = 0; k < D; ++k) change[k] = v[end + k] - v[start + k];
+        N(difference)(v, start, end, change);
         N(length_rate)(one, change, length, &rate);
       }
       gamma = force_density(s, i, length, rate, u[i]);
@@ -235,10 +235,8 @@ static void N(pull_by)(const Scene *s, const Number *p, const Number *v, const N
     const int start = s->segment_start[i], end = s->segment_end[i];
     Number segment[D], change[D], length, rate, gamma;
     if (!any((one[i] != 0) | (other[i] != 0))) continue;
-    for (int k = 0; k < D; ++k) {
-      segment[k] = p[end + k] - p[start + k];
-      change[k] = v[end + k] - v[start + k];
-    }
+    N(difference)(p, start, end, segment);
+    N(difference)(v, start, end, change);
     N(pulling_length)(segment, u[i], &length);
     N(length_rate)(segment, change, length, &rate);
     gamma = force_density(s, i, length, rate, u[i]);
@@ -278,10 +276,12 @@ static void N(gaps_of)(const Scene *s, const Number *p, const Number *v, const N
   for (int j = 0; j < some->count && some->which[j] < s->slacking; ++j) {
     const int i = some->which[j], start = s->segment_start[i], end = s->segment_end[i];
     Number segment[D], change[D], length;
-    for (int k = 0; k < D; ++k) segment[k] = p[end + k] - p[start + k];
+    N(difference)(p, start, end, segment);
     N(pulling_length)(segment, u[i], &length);
-    for (int k = 0; k < D && rate; ++k) change[k] = v[end + k] - v[start + k];
-    if (rate) N(length_rate)(segment, change, length, rate + i);
+    if (rate) {
+      N(difference)(v, start, end, change);
+      N(length_rate)(segment, change, length, rate + i);
+    }
     gap[i] = string_gap(s, i, length, rate ? rate[i] : all(0), u[i]);
   }
 }
