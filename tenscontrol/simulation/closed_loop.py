@@ -79,6 +79,11 @@ class ClosedLoop:
         """What applies the commands."""
         return self._actuators
 
+    @property
+    def corrects(self) -> bool:
+        """Whether the controller corrects errors of the motion: a function may be one of time."""
+        return isinstance(self._controller, Controller)
+
     def _begin(self, state: FloatArray) -> None:
         """Let controller and estimator begin, or go on."""
         run, controller, start = self._run, self._controller, self._start

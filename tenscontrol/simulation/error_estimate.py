@@ -439,14 +439,15 @@ class Motion:
 def estimated_errors(
     run: PlantRun,
     limit: float,
-    is_controlled: bool,
+    corrects: bool,
     report: Callable[[float], None] | None,
     work: FloatArray | None,
 ) -> FloatArray | None:
     """Return estimates of errors at all times kept, one a row; None if interrupted.
 
     Of the nodes, as part of the size, and of the work of drives of bars, J, if it is given, (β, T).
-    ``limit`` is that up to which the motion is trusted; ``report`` is told the time reached, s.
+    ``limit`` is that up to which the motion is trusted; ``corrects`` tells whether a controller
+    corrects what is wrong; ``report`` is told the time reached, s.
     """
     stages, half = [], len(run.model.structure.free_rows)
     for i, (before, span) in enumerate(pairwise(run.spans)):
@@ -458,7 +459,7 @@ def estimated_errors(
         stages.append(Stage(float(span.time[-1]) - start, len(span.time), u, begin, done))
     positions = _joined([span.states[:half] for span in run.spans[1:]])
     starts = None
-    if is_controlled:  # a controller corrects the motion
+    if corrects:
         starts = np.column_stack([span.begin for span in run.spans[1:]])
     motion = Motion(
         run.model.structure, run.spans[0].begin, stages,

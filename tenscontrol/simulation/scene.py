@@ -856,7 +856,8 @@ def _trajectory(
         if scene.integration.error == "estimate" and stopped is None:
             limit = limits.position_error or ERROR_LIMIT
             work = None if done is None else done[1]
-            errors = estimated_errors(run, limit, loop is not None, report_of_error, work)
+            corrects = loop is not None and loop.corrects
+            errors = estimated_errors(run, limit, corrects, report_of_error, work)
         return assembled(
             run, record, errors, stopped, limits, given=scene.given, note=scene.start_note,
             scene=scene if scene.start is None else None, done=done,

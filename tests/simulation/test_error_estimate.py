@@ -91,7 +91,10 @@ def test_states_between_steps_are_estimated_too():
 
 
 def test_a_motion_that_magnifies_errors_says_until_when_it_is_right():
-    """A ball pulled out of shape turns over and over; strings fall slack."""
+    """A ball pulled out of shape turns over and over; strings fall slack.
+
+    A controller that gives the same lengths whatever the motion corrects nothing.
+    """
     ball = tc.library.six_bar_ball()
     model = tc.Model(ball, strings=tc.LinearStrings(1000.0))
     random = np.random.default_rng(1)
@@ -103,6 +106,12 @@ def test_a_motion_that_magnifies_errors_says_until_when_it_is_right():
     assert true.max() > 0.01
     right = run.time[np.flatnonzero(true > 0.01)[0]]
     assert 0.3 * right < run.trusted_until <= right
+    with pytest.warns(AccuracyWarning, match="foretold for a time"):
+        commanded = tc.simulate(
+            model, 3.0, controller=lambda *motion: lengths, rest_length=lengths, sample_time=1.0,
+            tolerance=1e-4, limits=tc.HealthLimits(crossings=None),
+        )  # fmt: skip
+    assert 0.3 * right < commanded.trusted_until <= right
     assert f"trusted until     {run.trusted_until:.4g} s" in run.summary()
     shown = tc.plot.trajectory(run)["coordinates"].ax
     assert "not to be trusted" in shown.get_legend_handles_labels()[1]
