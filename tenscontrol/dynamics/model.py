@@ -596,7 +596,7 @@ class Model:
     def _parameter_sizes(
         self, names: Sequence[str], law: StringLaw | None
     ) -> tuple[tuple[str, int], ...]:
-        given = () if names == () else validation.items("parameters", names, "names")
+        given = validation.items("parameters", names, "names")
         if not given:
             return ()
         structure = self._structure
