@@ -415,7 +415,7 @@ class Sensors:
     @property
     def up(self) -> FloatArray:
         """Unit vector against gravity, shape (d,)."""
-        return np.asarray(-self.free_fall / np.linalg.norm(self.free_fall))
+        return -validation.direction("gravity", self.free_fall, self.structure.dimension)
 
     @cached_property
     def bar_at(self) -> IntArray:
