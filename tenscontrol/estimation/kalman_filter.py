@@ -469,7 +469,7 @@ class KalmanFilter:
         self._inputs: deque[tuple[FloatArray, FloatArray | None]] = deque()
         self._previous_input = self._design.start_input
         if held is not None:
-            self._previous_input = known_at_rest(self.plant, self._checked_input(held))
+            self._begin_after("held", held)
         z, P = self._design.start, self._design.start_covariance
         if state is not None:
             z = validation.shaped("state", state, (self._size,), "displacements, rates and load")
@@ -547,7 +547,7 @@ class KalmanFilter:
         TypeError, ValueError
             If it does not fit or is not finite.
         """
-        self._inputs.append((self._known(self._checked_input(held)), self._pushed(force)))
+        self._inputs.append((self._known(self._checked_input("held", held)), self._pushed(force)))
         if len(self._inputs) <= self.sensors.delay:
             return
         previous = self._previous_input
@@ -604,7 +604,9 @@ class KalmanFilter:
         forward = object.__new__(KalmanFilter)
         prompt = replace(self._design, sensors=replace(self.sensors, delay=0))
         forward._begin(prompt, self.C, self.__getstate__()[2])
-        forward.reset(held=previous)
+        forward.reset()
+        if previous is not None:
+            forward._begin_after("previous", previous)
         passes = [forward._pass(*columns) for columns in zip(y.T, inputs_held.T, strict=True)]
         for i, started_anew in enumerate(forward._anew[1:]):
             if started_anew:
@@ -650,20 +652,24 @@ class KalmanFilter:
         lost = self._tally.restarts > corrected
         return Pass(z, P, self._z, self._P, None if lost else self._transition, previous)
 
-    def _checked_input(self, held: object) -> FloatArray:
+    def _begin_after(self, name: str, held: object) -> None:
+        """Take the input before the first sample."""
+        self._previous_input = known_at_rest(self.plant, self._checked_input(name, held))
+
+    def _checked_input(self, name: str, held: object) -> FloatArray:
         shape = self.plant.actuation.input.shape
         if not self.plant.drives_bars:
-            strings = validation.shaped("held", held, shape, "one per string")
+            strings = validation.shaped(name, held, shape, "one per string")
             return inputs_of(self.plant.actuation, strings)
         lengths = inputs_of(
-            self.plant.actuation, validation.shaped("held", held, shape, "one length per member")
+            self.plant.actuation, validation.shaped(name, held, shape, "one length per member")
         )
         most = MOST_LENGTH * self.plant.equilibrium_input
         wrong = np.flatnonzero((lengths <= 0) | (lengths > most))
         if len(wrong):
             i = wrong[0]
             raise ValueError(
-                f"held[{i}] is {lengths[i]:.3g} m, expected a length above 0 and at most "
+                f"{name}[{i}] is {lengths[i]:.3g} m, expected a length above 0 and at most "
                 f"{most[i]:.3g} m"
             )
         return lengths

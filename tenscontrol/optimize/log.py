@@ -217,8 +217,10 @@ class Log:
         if seed is not None:
             seed = validation.whole_number("seed", seed, 0, validation.LARGEST_SEED)
         wanted = np.atleast_1d(validation.vector("times", times))
-        if wanted.ndim != 1:
-            raise ValueError(f"times has shape {wanted.shape}, expected (K,): one per reading")
+        if wanted.ndim != 1 or not len(wanted):
+            raise ValueError(
+                f"times has shape {wanted.shape}, expected (K,): one per reading, at least one"
+            )
         first, last = float(run.time[0]), float(run.time[-1])
         outside = np.flatnonzero(np.abs(wanted - (first + last) / 2) > 0.5000001 * (last - first))
         if len(outside):

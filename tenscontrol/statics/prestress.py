@@ -619,9 +619,9 @@ def _infeasible(
     which = f" (strings {listed(slack)} cannot be taut)" if len(slack) else ""
     return (
         f"no force densities γ ≥ 0 balance {subject} the reference strings at the wanted level, "
-        f"within the bounds: each of the {states} states of self-stress needs a string in "
-        f"compression, or leaves the reference strings slack{which}. Change the shape, the "
-        "strings, the reference or the bounds"
+        f"within min_force_density and max_force_density: each of the {states} states of "
+        f"self-stress needs a string in compression, or leaves the reference strings slack{which}. "
+        "Change the shape, the strings, the reference or the bounds"
     )
 
 

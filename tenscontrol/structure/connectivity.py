@@ -152,7 +152,7 @@ def refuse_untouched_nodes(bars: IntArray, segments: IntArray, held: IntArray, c
     untouched = np.setdiff1d(np.arange(count), touched)
     if len(untouched):
         raise ValueError(
-            f"nothing touches node {untouched[0]}"
+            f"nothing touches nodes[:, {untouched[0]}]"
             + (f" (nor {len(untouched) - 1} more)" if len(untouched) > 1 else "")
             + "; remove it, join it by a bar or a string, or fix it"
         )
