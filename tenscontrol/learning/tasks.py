@@ -81,7 +81,7 @@ class Rolling(Task):
     direction: Any
 
     def __post_init__(self) -> None:
-        along = validation.vector("direction", self.direction)
+        along = np.atleast_1d(validation.vector("direction", self.direction))
         object.__setattr__(self, "direction", validation.direction("direction", along, len(along)))
         freeze_arrays(self)
 

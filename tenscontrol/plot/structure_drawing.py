@@ -573,13 +573,13 @@ def structure(
 
     >>> plt.close(tc.plot.structure(rest).ax.figure)
     """
+    for name, flag in {"labels": labels, "member_labels": member_labels, "faint": faint}.items():
+        validation.truth(name, flag, "whether to draw so")
+    validation.truth("legend", legend, "whether to show one")
     run = structure if isinstance(structure, Trajectory) and not faint else None
     laws = () if run is None else run.ground
     actuation, struts = known_actuation(structure), driven_bars(structure)
     structure, nodes, colours, state = _in_a_shape(structure, nodes, force_density, time)
-    for name, flag in {"labels": labels, "member_labels": member_labels, "faint": faint}.items():
-        validation.truth(name, flag, "whether to draw so")
-    validation.truth("legend", legend, "whether to show one")
     shape = structure.nodes if nodes is None else structure.checked_nodes("nodes", nodes)
     gamma = None
     if force_density is not None or (colours is not None and not faint):

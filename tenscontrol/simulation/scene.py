@@ -608,6 +608,7 @@ class Scene:
         ValueError
             If the structure is not at rest under its force densities and loads.
         """
+        from tenscontrol.plant.linear_plant import PLANT_INPUTS
         from tenscontrol.plant.linearize import linearize
         from tenscontrol.statics.prestress import prestress
 
@@ -620,7 +621,9 @@ class Scene:
             raise ValueError(
                 f"the scene cannot be linearized, as it is not at rest: {error}"
             ) from error
-        kind, law = self.input if input is None else input, self.law
+        kind, law = self.input, self.law
+        if input is not None:
+            kind = validation.choice("input", input, PLANT_INPUTS)
         actuated = None
         if (
             law is not None
