@@ -319,10 +319,10 @@ def _program(
     E = sparse_equilibrium_matrix(structure, structure.nodes).tocsr()[structure.free_rows]
     w = loads.transpose(0, 2, 1).reshape(len(loads), -1)[:, structure.free_rows]
     unit = max(float(np.abs(w).max(initial=0.0)), float((least * pulls).max(initial=0.0)))
-    if unit == 0:
+    if unit < 1 / validation.LARGEST:
         raise ValueError(
-            "loads pulls on supports alone and min_force_density is 0, so that nothing is to "
-            "be carried; give min_force_density in N/m"
+            "loads pulls on supports alone and min_force_density is 0, or nearly, so that nothing "
+            "is to be carried; give min_force_density in N/m"
         )
     hollow = tube.inertia_ratio if tube else 1.0
     stress = tube.stress(bars) if tube else bars.yield_stress
