@@ -195,7 +195,7 @@ def limit_per_member(
 
 def is_unlimited(value: object) -> bool:
     """Return whether an upper limit is none: None or infinite."""
-    return value is None or (isinstance(value, float) and value == np.inf)
+    return value is None or (isinstance(value, float | np.floating) and float(value) == np.inf)
 
 
 def _repeated(name: str, array: FloatArray, count: int, member: str) -> FloatArray:

@@ -15,8 +15,9 @@ FOUND = (
     "Structure, any class|nodes||twice", "Model.symbolic|parameters||array complex",
     "Sensors, of a robot|gravity||1e-300", "KalmanFilter.smooth|previous|(6,)|error",
     "Scene.linearize|input||array (3, 6) zeros", "plot.structure, run|faint||array masked",
-    "design|min_force_density||1e-300", "learning.Rolling|direction||1e-15",
-    "prestress|min_force_density||100", "Log.of_run|times||empty list",
+    "design|min_force_density||1e-300", "LQR|max_change||longdouble",
+    "learning.Rolling|direction||1e-15", "prestress|min_force_density||100",
+    "Log.of_run|times||empty list",
 )  # fmt: skip
 
 
