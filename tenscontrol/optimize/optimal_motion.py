@@ -150,7 +150,7 @@ class OptimalMotion:
     cost_change : float
         Between the last two meshes with a motion, as a part of the cost; NaN if there is one alone.
     run : Trajectory or None
-        The replay by :func:`simulate`; None where nothing was planned.
+        The replay by :func:`simulate`; None where nothing was planned, and its figures are NaN.
     goal_miss, end_speed : float
         Of the replay at its end: largest distance of a node from the goal, m, of a structure that
         is free to move after the rigid-body motion that aligns both, and largest speed, m/s.

@@ -79,12 +79,20 @@ ALSO = {
     # What has one entry for each of others: which of them is wrong, nobody can know.
     "Structure|bars": ("bar_mass",),
     "Structure|fixed": ("string_node_mass",),
+    "dynamics.StringLaw.for_count|count": ("axial_rigidity",),
+    "Winches.refuse_out_of_range|rest_length": ("winches",),
+    "skin|panels": ("panel_mass", "areal_density"),
     "net|columns": ("fixed",),
     "net|rows": ("fixed",),
 }
 
 # Errors that tell what came of a call, rather than refuse an argument.
 TOLD = {"SimulationError", "IntegrationError", "ShapeError", "PathError", "SweepError"}
+
+# Figures of the replay of a planned motion, where there is one.
+REPLAYED = (
+    "cost_change", "goal_miss", "end_speed", "least_force_density", "peak_tension", "energy",
+)  # fmt: skip
 
 # Not finite, and documented as such.
 MAY_BE_INFINITE = {
@@ -103,21 +111,25 @@ MAY_BE_INFINITE = {
     "DemandCheck.high",
     "DemandCheck.low",
     "MPCSettings.longest_time",
+    "MPCSettings.max_change",
     "MPCSettings.string_penalty",
     "OutputLimit.high",
     "OutputLimit.low",
     "Predictability.horizon",
     "Stepper.limits",
     "StringLaw.largest_force_density",
+    *(f"{kind}.{name}" for kind in ("Mesh", "OptimalMotion") for name in REPLAYED),
 }
 
-# Returned as NaN, and documented so: an error that no run reaches, a reading that is lost.
+# Returned as NaN, and documented so: an error that no run reaches, a reading that is lost, an error
+# of a run that ended early.
 MAY_BE_NAN = {
     "accuracy.WorkPrecision.fastest[1]",
     "accuracy.WorkPrecision.time_at",
     "Sensors.disturb",
     "Sensors.measure, tension",
     "fit.interval",
+    "simulate_many.error",
 }
 
 
