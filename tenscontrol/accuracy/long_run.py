@@ -17,7 +17,7 @@ from tenscontrol.accuracy.measured_run import (
 from tenscontrol.accuracy.open_loop import fastest_rate, open_loop_of
 from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.integrate.integrator import IntegrationError, IntegrationInterrupt, Work
-from tenscontrol.interrupt import keeping
+from tenscontrol.interrupt import check, interruptible, keeping
 from tenscontrol.progress import progress_bar
 from tenscontrol.short_repr import short_repr
 from tenscontrol.simulation.scene import Scene
@@ -202,14 +202,14 @@ def long_run(
     )
     steps = validation.whole_number("steps", steps, least=10)
     outputs = validation.whole_number("outputs", outputs, _BLOCKS, validation.MOST_RUNS)
-    duration = setting * steps if chosen.setting == "step" else steps / fastest_rate(case)
-    case = replace(case, duration=duration)
-    recorder = _Recorder(case)
+    with interruptible():  # CasADi may lose a key while it builds
+        duration = setting * steps if chosen.setting == "step" else steps / fastest_rate(case)
+        case = replace(case, duration=duration)
+        recorder = _Recorder(case)
+        check()
     state, spacing, failure, work = case.state, duration / outputs, "", Work()
-    interruptible = keeping(
-        "states are judged", lambda: recorder.count * (recorder.count >= _BLOCKS)
-    )
-    with interruptible, progress_bar(duration, progress, f"running {chosen.name}") as report:
+    keep_states = keeping("states are judged", lambda: recorder.count * (recorder.count >= _BLOCKS))
+    with keep_states, progress_bar(duration, progress, f"running {chosen.name}") as report:
         equation = case.equation(chosen.differentiates)
         integrator = chosen.integrator(equation, setting)
         for first in range(0, outputs, _PART):

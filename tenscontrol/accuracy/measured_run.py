@@ -21,6 +21,7 @@ from tenscontrol.dynamics.equation import pack_state, unpack_states
 from tenscontrol.dynamics.evaluator import Function, builds, evaluate_columns
 from tenscontrol.integrate.integrator import Work
 from tenscontrol.integrate.methods import METHODS, Method
+from tenscontrol.interrupt import check, interruptible
 from tenscontrol.short_repr import short_repr
 from tenscontrol.simulation.health import AccuracyWarning, HealthLimits
 from tenscontrol.simulation.health_check import SimulationError
@@ -52,7 +53,9 @@ def default_settings(method: Method, case: Scene) -> tuple[float, ...]:
     """Return steps that fit the case, s, coarse to fine; or tolerances."""
     if method.setting == "tolerance":
         return _TOLERANCES
-    rate = fastest_rate(case)
+    with interruptible():  # CasADi may lose a key while it builds
+        rate = fastest_rate(case)
+        check()
     return tuple(float(f"{share / rate:.3g}") for share in _STEPS)
 
 

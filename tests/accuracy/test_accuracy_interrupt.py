@@ -3,14 +3,17 @@
 import os
 import signal
 import sys
+from contextlib import suppress
 
 import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.accuracy import long_run, predictability, stability_map
+from tenscontrol.accuracy import long_run, measured_run, predictability, stability_map
 from tenscontrol.accuracy.measured_run import Bench
 from tenscontrol.interrupt import InterruptionWarning
+
+LONG_RUN = sys.modules[long_run.__module__]
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 
@@ -21,15 +24,19 @@ def case():
     return tc.Scene(tc.Model(tc.prism()), 0.5, force_density=gamma)
 
 
-def press_at(call, monkeypatch, owner, name):
-    """Press the key at the beginning of the so many-th call of a function."""
+def press_at(call, monkeypatch, owner, name, lost=None):
+    """Press the key at the beginning of the so many-th call of a function.
+
+    ``lost`` is an error that the function swallows, as CasADi may.
+    """
     original, calls = getattr(owner, name), 0
 
     def pressed(*arguments, **options):
         nonlocal calls
         calls += 1
         if calls == call:
-            signal.raise_signal(signal.SIGINT)
+            with suppress(*[lost] if lost else []):
+                signal.raise_signal(signal.SIGINT)
         return original(*arguments, **options)
 
     monkeypatch.setattr(owner, name, pressed)
@@ -61,11 +68,24 @@ def test_before_the_first_row_there_is_nothing(case, monkeypatch):
 
 
 def test_long_run(case, monkeypatch):
-    press_at(3, monkeypatch, sys.modules[long_run.__module__]._Recorder, "add")
+    press_at(3, monkeypatch, LONG_RUN._Recorder, "add")
     with pytest.warns(InterruptionWarning, match="150 states are judged"):
         found = long_run(case, "rk4", 5e-3, steps=5000, outputs=1000)
     assert found.failure.startswith("interrupted at")
     assert len(found.time) == len(found.of("energy").error) == 150
+
+
+@pytest.mark.parametrize(
+    ("owner", "name", "loop"),
+    [
+        (LONG_RUN._Recorder, "__init__", lambda case: long_run(case, "rk4", 5e-3, 1000, 100)),
+        (measured_run, "fastest_rate", lambda case: tc.work_precision(case, ["rk4"], repeats=1)),
+    ],
+)
+def test_a_key_that_is_lost_before_a_long_loop_ends_it(case, monkeypatch, owner, name, loop):
+    press_at(1, monkeypatch, owner, name, lost=KeyboardInterrupt)
+    with pytest.raises(KeyboardInterrupt):
+        loop(case)
 
 
 def test_predictability(case, monkeypatch):
