@@ -15,7 +15,10 @@ from tenscontrol.integrate.multipliers import Coupled
 from tenscontrol.structure.structure import Structure
 
 #: Why states cannot be projected.
-NOT_RIGID = "bars that share nodes cannot be put on their lengths near by; try a smaller tolerance"
+NOT_RIGID = (
+    "bars that share nodes cannot be put on their lengths near by; try a smaller tolerance, unless "
+    "they came to a dead centre, where two ways lead on"
+)
 
 
 def project(structure: Structure, symbol: Any = ca.SX.sym, driven: bool = False) -> ca.Function:
