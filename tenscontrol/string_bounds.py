@@ -59,16 +59,28 @@ class StringBounds:
         """Raise if a rest length, shape (α, T), leaves the range of its winch on the way."""
         if self.rest_length is None:
             return
-        low, high = self.rest_length
-        below = rest_length < low[:, None] * (1 - 1e-9)
-        out = np.argwhere(below | (rest_length > high[:, None] * (1 + 1e-9)))
-        if len(out):
-            i, k = out[out[:, 1].argmin()]
-            raise ValueError(
-                f"on the way, at {time[k]:.4g} s, string {i} needs a rest length of "
-                f"{rest_length[i, k]:.6g} m, expected {validation.span(low[i], high[i], 'm')}: "
-                "the range of the winches"
-            )
+        refuse_out_of_range(
+            "string {} needs a rest length", rest_length, self.rest_length, time,
+            "the range of the winches",
+        )  # fmt: skip
+
+
+def refuse_out_of_range(
+    what: str, lengths: FloatArray, span: tuple[FloatArray, FloatArray], time: FloatArray, of: str
+) -> None:
+    """Raise if lengths on the way, m, shape (k, T), leave their span, naming the first that does.
+
+    The message has ``what`` with the index of a member put in, and what the span is ``of``.
+    """
+    low, high = span
+    below = lengths < low[:, None] * (1 - 1e-9)
+    out = np.argwhere(below | (lengths > high[:, None] * (1 + 1e-9)))
+    if len(out):
+        i, k = out[out[:, 1].argmin()]
+        raise ValueError(
+            f"on the way, at {time[k]:.4g} s, {what.format(i)} of {lengths[i, k]:.6g} m, expected "
+            f"{validation.span(low[i], high[i], 'm')}: {of}"
+        )
 
 
 def string_bounds(

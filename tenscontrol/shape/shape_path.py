@@ -32,6 +32,7 @@ from tenscontrol.shape.target import (
     with_lengths_of,
 )
 from tenscontrol.statics.prestress import Prestress
+from tenscontrol.string_bounds import refuse_out_of_range
 from tenscontrol.structure.bar_clearance import BarMotion, bar_distances
 from tenscontrol.structure.bar_geometry import put_on_lengths, refuse_wrong_bar_lengths
 from tenscontrol.structure.structure import same_members
@@ -399,15 +400,7 @@ def _bar_lengths(
     assert timed.bar_length_rate is not None  # then, too
     lengths[held.driven_bars] = timed.bar_length[held.driven_bars]
     rates[held.driven_bars] = timed.bar_length_rate[held.driven_bars]
-    low, high = strokes
-    below = lengths < low[:, None] * (1 - 1e-9)
-    out = np.argwhere(below | (lengths > high[:, None] * (1 + 1e-9)))
-    if len(out):
-        i, k = out[out[:, 1].argmin()]
-        raise ValueError(
-            f"on the way, at {time[k]:.4g} s, bar {i} needs a length of {lengths[i, k]:.6g} m, "
-            f"expected {validation.span(low[i], high[i], 'm')}: the stroke of its drive"
-        )
+    refuse_out_of_range("bar {} needs a length", lengths, strokes, time, "the stroke of its drive")
     return lengths, rates
 
 
