@@ -23,6 +23,7 @@ import numpy as np
 from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.structure.blocks import Block, block_mass, node_mass
 from tenscontrol.structure.structure import Structure
+from tenscontrol.structure.supports import held_directions
 
 # A string shorter than this part of its rest length has no direction to pull in.
 _NO_LENGTH = 1e-12
@@ -61,8 +62,7 @@ def all_nodes(structure: Structure, free: Symbolic, fixed: FloatArray | None = N
         order = np.argsort(np.concatenate([structure.free, structure.fixed]))
         columns = ca.horzcat(free, rest)[:, order.tolist()]
         if structure.rollers:
-            is_held = np.isin(np.arange(structure.nodes.size), structure.fixed_rows)
-            held = is_held.astype(float).reshape(structure.nodes.shape, order="F")
+            held = held_directions(structure).T.astype(float)
             columns = columns * ca.DM(1 - held) + ca.sparsify(ca.DM(places * held))
         return columns
     columns = type(free)(*structure.nodes.shape)

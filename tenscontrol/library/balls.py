@@ -9,6 +9,7 @@ from tenscontrol import validation
 from tenscontrol.arrays import FloatArray
 from tenscontrol.library.sizes import of_sizes
 from tenscontrol.structure.structure import Structure
+from tenscontrol.structure.supports import rotation_about
 
 _GOLDEN = (1 + np.sqrt(5)) / 2
 
@@ -191,9 +192,7 @@ def thirty_bar_ball(bar_length: float = 1.0, bar_mass: ArrayLike = 1.0) -> Struc
 
 def _turn(axis: list[float], angle: float) -> FloatArray:
     """Return the rotation by an angle about an axis."""
-    x, y, z = np.array(axis) / np.linalg.norm(axis)
-    across = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.asarray(np.eye(3) + np.sin(angle) * across + (1 - np.cos(angle)) * across @ across)
+    return rotation_about(np.array(axis) / np.linalg.norm(axis), angle)
 
 
 def _half_turn(axis: list[float]) -> FloatArray:

@@ -33,6 +33,7 @@ from tenscontrol.structure.supports import (
     free_coordinates,
     refuse_load_without_support,
     refuse_moved_supports,
+    rotation_between,
 )
 from tenscontrol.warn import warn
 
@@ -357,12 +358,10 @@ def _pulling(
 
 def _refuse_fall(start: FloatArray, end: FloatArray, resultant: FloatArray, kind: str) -> None:
     """Raise if a shape has tilted from the resultant of its loads, or gone far away."""
-    before, after = (nodes - nodes.mean(axis=1, keepdims=True) for nodes in (start, end))
+    turn = rotation_between(start, end)
     away = float(np.linalg.norm((end - start).mean(axis=1)))
-    U, _, Vt = np.linalg.svd(after @ before.T)
-    U[:, -1] *= np.linalg.det(U @ Vt)
     fall = resultant / (np.linalg.norm(resultant) or 1.0)
-    angle = float(np.arccos(np.clip(fall @ U @ Vt @ fall, -1.0, 1.0))) if fall.any() else 0.0
+    angle = float(np.arccos(np.clip(fall @ turn @ fall, -1.0, 1.0))) if fall.any() else 0.0
     if angle > _FALLEN or away > np.ptp(start, axis=1).max():
         motion = f"tilts by {np.degrees(angle):.0f}°"
         if angle <= _FALLEN:

@@ -14,6 +14,7 @@ from tenscontrol.shape.demands import MOST_NODES, node_list
 from tenscontrol.short_repr import short_repr
 from tenscontrol.structure.connectivity import member_images
 from tenscontrol.structure.structure import Structure
+from tenscontrol.structure.supports import held_directions, rotation_about
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -91,11 +92,7 @@ class RotationalSymmetry:
 
     def rotation(self) -> FloatArray:
         """Return the turn as a matrix, shape (3, 3)."""
-        angle = 2 * np.pi * self.turns / self.order
-        x, y, z = self.axis
-        cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-        turn = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
-        return np.asarray(turn)
+        return rotation_about(self.axis, 2 * np.pi * self.turns / self.order)
 
     def permutation(self, count: int) -> IntArray:
         """Return which node each node is taken to, shape (n,).
@@ -176,9 +173,7 @@ def _refuse_other_supports(
     structure: Structure, to: IntArray, turn: FloatArray, centre: FloatArray
 ) -> None:
     """Raise if a support is not taken to one that holds the same, at its place."""
-    d, count = structure.nodes.shape
-    held = np.isin(np.arange(d * count), structure.fixed_rows).reshape(count, d).astype(float)
-    size = structure.size
+    held, size = held_directions(structure).astype(float), structure.size
     off = turn @ (structure.nodes - centre[:, None]) + centre[:, None] - structure.nodes[:, to]
     for node in np.flatnonzero(held.any(axis=1)).tolist():
         image = int(to[node])

@@ -10,6 +10,7 @@ import numpy as np
 from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.structure.connectivity import member_images
 from tenscontrol.structure.structure import Structure
+from tenscontrol.structure.supports import held_directions
 
 # Nodes and lengths that differ by less than this part of the size are the same.
 _TOLERANCE = 1e-7
@@ -102,9 +103,8 @@ def _images_of_frame(
 
 def _keeps_supports(structure: Structure, turn: FloatArray, to: IntArray) -> bool:
     """Return whether each support is taken to one that holds the same directions."""
-    d, count = structure.nodes.shape
-    held = np.isin(np.arange(d * count), structure.fixed_rows).reshape(count, d).astype(float)
+    held = held_directions(structure).astype(float)
     some = np.flatnonzero(held.any(axis=1))
     turned = np.einsum("ij,nj,kj->nik", turn, held[some], turn)
-    images = held[to[some]][:, :, None] * np.eye(d)
+    images = held[to[some]][:, :, None] * np.eye(structure.dimension)
     return bool(np.abs(turned - images).max(initial=0.0) < _TOLERANCE)

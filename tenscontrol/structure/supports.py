@@ -23,6 +23,12 @@ def free_coordinates(structure: Structure, nodes: FloatArray) -> FloatArray:
     return np.asarray(nodes.ravel(order="F")[structure.free_rows])
 
 
+def held_directions(structure: Structure) -> np.ndarray:
+    """Return which coordinates of each node supports hold, shape (n, d)."""
+    held = np.isin(np.arange(structure.nodes.size), structure.fixed_rows)
+    return held.reshape(-1, structure.dimension)
+
+
 def is_movable(structure: Structure, pairs: IntArray) -> np.ndarray:
     """Return which members have a free end, shape (k,); those that have none are support."""
     return np.asarray(~np.isin(pairs, structure.fixed).all(axis=1))
@@ -60,6 +66,13 @@ def rotation_between(before: FloatArray, after: FloatArray) -> FloatArray:
     U, _, Vt = np.linalg.svd(after @ before.T)
     U[:, -1] *= np.linalg.det(U @ Vt)
     return np.asarray(U @ Vt)
+
+
+def rotation_about(axis: FloatArray, angle: float) -> FloatArray:
+    """Return the rotation by an angle, rad, about a unit vector, shape (3, 3)."""
+    x, y, z = axis
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.asarray(np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross)
 
 
 def affine_motions(nodes: FloatArray) -> FloatArray:
