@@ -12,7 +12,7 @@ from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, IntArray, freeze_arrays
 from tenscontrol.dynamics.evaluator import evaluate_columns
 from tenscontrol.dynamics.model import Model
-from tenscontrol.fields import Array, OptionalArray, check_fields, checked, converted
+from tenscontrol.fields import Array, OptionalArray, check_fields, checked, converted, optional
 from tenscontrol.short_repr import short_repr
 
 # Numbers that need not be given.
@@ -58,21 +58,23 @@ def _size(name: str, value: object, meaning: str) -> FloatArray:
     return array
 
 
-def _size_or_none(name: str, value: object, meaning: str) -> FloatArray | None:
-    return None if value is None else _size(name, value, meaning)
-
-
 def _size_or_zero(name: str, value: object, meaning: str) -> FloatArray:
     array = validation.vector(name, value)
     validation.non_negative(name, np.atleast_1d(array), f"{meaning}, 0 for none")
     return array
 
 
-def _limit(name: str, value: object, meaning: str) -> FloatArray | None:
-    array = validation.limits(name, value)
-    if not np.isfinite(array).any():
+def limits_or_none(
+    name: str, value: object, meaning: str, none: float = np.inf
+) -> FloatArray | None:
+    """Return limits, positive, of which some may be ``none``; None if all are."""
+    array = validation.limits(name, value, none)
+    if not (array != none).any():
         return None
-    validation.positive(name, np.atleast_1d(array), meaning)
+    if none:
+        validation.positive(name, np.atleast_1d(array), meaning)
+    else:
+        validation.non_negative(name, np.atleast_1d(array), f"{meaning}, 0 for any")
     return array
 
 
@@ -129,12 +131,12 @@ class Motor:
 
     drum_radius: Array = converted(metadata=checked(_size, "radius in m"))
     gear_ratio: Array = converted(1.0, checked(_size, "ratio"))
-    torque: OptionalArray = converted(None, checked(_limit, "torque in N m"))
-    speed: OptionalArray = converted(None, checked(_limit, "speed in rad/s"))
+    torque: OptionalArray = converted(None, checked(limits_or_none, "torque in N m"))
+    speed: OptionalArray = converted(None, checked(limits_or_none, "speed in rad/s"))
     inertia: Array = converted(0.0, checked(_size_or_zero, "moment of inertia in kg m²"))
     lag: Array = converted(0.0, checked(_size_or_zero, "time in s"))
     backlash: Array = converted(0.0, checked(_size_or_zero, "angle in rad"))
-    zero: OptionalArray = converted(None, checked(_size_or_none, "rest length in m"))
+    zero: OptionalArray = converted(None, optional(_size, "rest length in m"))
 
     __repr__ = short_repr
 

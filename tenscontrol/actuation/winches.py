@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tenscontrol import validation
-from tenscontrol.actuation.motors import EachMotor, Motor, Turning, each_motor
+from tenscontrol.actuation.motors import EachMotor, Motor, Turning, each_motor, limits_or_none
 from tenscontrol.arrays import FloatArray, IntArray, freeze_arrays, frozen
 from tenscontrol.dynamics.profile import polynomial_at
-from tenscontrol.fields import Field, OptionalArray, check_fields, checked, converted
+from tenscontrol.fields import Field, OptionalArray, check_fields, checked, converted, optional
 from tenscontrol.short_repr import short_repr
 
 _SUBSTEPS = 10
@@ -59,31 +59,6 @@ class WinchMove:
 
 _LIMITS = "rate", "shortest", "longest"
 
-# Checks of one argument each.
-
-
-def _limit(name: str, value: object, meaning: str, none: float = np.inf) -> FloatArray | None:
-    limit = validation.limits(name, value, none)
-    if not (limit != none).any():
-        return None
-    if none:
-        validation.positive(name, np.atleast_1d(limit), meaning)
-    else:
-        validation.non_negative(name, np.atleast_1d(limit), f"{meaning}, 0 for any")
-    return limit
-
-
-def _substeps(name: str, value: object) -> int | None:
-    return (
-        None if value is None else validation.whole_number(name, value, 1, validation.MOST_SAMPLES)
-    )
-
-
-def _motor(name: str, value: Motor | None) -> Motor | None:
-    if value is not None:
-        validation.instance(name, value, Motor, "make them by Motor(drum_radius=...)")
-    return value
-
 
 @dataclass(frozen=True, eq=False)
 class Winches:
@@ -127,15 +102,20 @@ class Winches:
     (array([0.79, 0.79]), array([1]))
     """
 
-    rate: OptionalArray = converted(None, checked(_limit, "speed in m/s"))
-    shortest: OptionalArray = converted(None, checked(_limit, "length in m", 0.0))
-    longest: OptionalArray = converted(None, checked(_limit, "length in m"))
+    rate: OptionalArray = converted(None, checked(limits_or_none, "speed in m/s"))
+    shortest: OptionalArray = converted(None, checked(limits_or_none, "length in m", 0.0))
+    longest: OptionalArray = converted(None, checked(limits_or_none, "length in m"))
     ramp: bool = field(
         default=False,
         metadata=checked(validation.truth, "whether rest lengths ramp through a sample"),
     )
-    substeps: Field[int | None, int] = converted(None, checked(_substeps))
-    motor: Motor | None = field(default=None, metadata=checked(_motor))
+    substeps: Field[int | None, int] = converted(
+        None, optional(validation.whole_number, 1, validation.MOST_SAMPLES)
+    )
+    motor: Motor | None = field(
+        default=None,
+        metadata=optional(validation.instance, Motor, "make them by Motor(drum_radius=...)"),
+    )
 
     __repr__ = short_repr
 

@@ -23,7 +23,7 @@ from tenscontrol.estimation.observability import (
 )
 from tenscontrol.estimation.rolling_frame import RollingFrame, RollingPose, rolling_frame
 from tenscontrol.estimation.sensors import Sensors
-from tenscontrol.fields import check_fields, checked
+from tenscontrol.fields import check_fields, checked, optional
 from tenscontrol.plant.driven_lengths import known_at_rest, lengths_of
 from tenscontrol.plant.linear_plant import (
     NO_JUMP,
@@ -59,15 +59,7 @@ def _probability(name: str, value: object) -> float:
     return number
 
 
-def _winches(name: str, value: object) -> object:
-    if value is not None:
-        validation.instance(name, value, Winches, "make them by Winches(substeps=...)")
-    return value
-
-
-def _random_walk(name: str, value: object, meaning: str) -> tuple[float, float] | None:
-    if value is None:
-        return None
+def _random_walk(name: str, value: object, meaning: str) -> tuple[float, float]:
     pair = validation.shaped(name, value, (2,), "at the start, and of the walk in a second")
     validation.positive(name, pair, meaning)
     return float(pair[0]), float(pair[1])
@@ -91,9 +83,11 @@ class FilterSettings:
     start_spread: float = field(
         metadata=checked(validation.positive_number, "sizes of the structure")
     )
-    winches: Winches | None = field(metadata=checked(_winches))
+    winches: Winches | None = field(
+        metadata=optional(validation.instance, Winches, "make them by Winches(substeps=...)")
+    )
     rest_length_error: tuple[float, float] | None = field(
-        metadata=checked(_random_walk, "standard deviations, m and m/√s")
+        metadata=optional(_random_walk, "standard deviations, m and m/√s")
     )
 
     def __post_init__(self) -> None:

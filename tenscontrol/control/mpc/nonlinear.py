@@ -28,7 +28,7 @@ from tenscontrol.control.mpc.settings import (
 from tenscontrol.control.mpc.sparse import Sparse, SparseSubproblem
 from tenscontrol.control.mpc.stages import StagesSubproblem
 from tenscontrol.docstrings import with_parameters_of
-from tenscontrol.fields import checked
+from tenscontrol.fields import checked, optional
 from tenscontrol.plant.linear_plant import LinearPlant, refuse_driven_bars
 from tenscontrol.plant.reference import ReferencePreview
 from tenscontrol.properties import cached_property
@@ -151,9 +151,7 @@ class NMPCLaw(PredictiveLaw):
         return np.asarray(self.path.at(np.array([time])).input[0] if ramp else inputs[0])
 
 
-def _part(name: str, value: object) -> float | None:
-    if value is None:
-        return None
+def _part(name: str, value: object) -> float:
     tolerance = validation.number(name, value, "a part")
     if tolerance < 0:
         raise ValueError(f"{name} is {tolerance:g}, expected at least 0")
@@ -184,7 +182,7 @@ class NonlinearSettings(MPCSettings):
     """
 
     iterations: int = field(default=1, metadata=checked(validation.whole_number, 1))
-    linearization_tolerance: float | None = field(default=None, metadata=checked(_part))
+    linearization_tolerance: float | None = field(default=None, metadata=optional(_part))
     machine_code: bool = field(
         default=False, metadata=checked(validation.truth, "whether to compile the derivatives")
     )

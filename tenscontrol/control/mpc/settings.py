@@ -28,7 +28,7 @@ from tenscontrol.control.mpc.problem import (
 from tenscontrol.control.mpc.qp_solver import QPSolver
 from tenscontrol.control.mpc.sparse import Sparse
 from tenscontrol.core.library import absence, library
-from tenscontrol.fields import check_fields, checked
+from tenscontrol.fields import check_fields, checked, optional
 from tenscontrol.plant.controllability import (
     lasting,
     reached_states,
@@ -81,12 +81,6 @@ def _limit(name: str, value: object) -> object:
 
 def _shapes(name: str, value: object) -> object:
     return value if isinstance(value, Reference) else _numbers(name, value)
-
-
-def _winches(name: str, value: Winches | None) -> Winches | None:
-    if value is not None:
-        validation.instance(name, value, Winches, "make them by Winches(rate=...)")
-    return value
 
 
 def _output_limits(name: str, value: object) -> Sequence[object]:
@@ -219,7 +213,10 @@ class MPCSettings:
     reference: object = field(default=None, metadata=checked(_shapes))
     min_force_density: object = field(default=0.0, metadata=checked(_numbers))
     max_tension: object = field(default=None, metadata=checked(_limit))
-    winches: Winches | None = field(default=None, metadata=checked(_winches))
+    winches: Winches | None = field(
+        default=None,
+        metadata=optional(validation.instance, Winches, "make them by Winches(rate=...)"),
+    )
     outputs: Sequence[OutputLimit] = field(default=(), metadata=checked(_output_limits))
     string_penalty: float | None = field(default=None, metadata=checked(_penalty))
     load_gain: float | None = field(default=None, metadata=checked(_gain))
