@@ -37,7 +37,7 @@ from tenscontrol.plant.modes import Modes
 from tenscontrol.plant.reduced_dynamics import refuse_lost_place, sampled_dynamics
 from tenscontrol.plant.reference import reduced_shape, refuse_passive_bars
 from tenscontrol.plant.riccati import filter_riccati
-from tenscontrol.structure.bar_geometry import rigid_shape
+from tenscontrol.structure.bar_geometry import bar_lengths, rigid_shape
 from tenscontrol.structure.structure import different_members
 
 PREDICTIONS = ("linear", "nonlinear")
@@ -378,7 +378,7 @@ def _start_state(plant: LinearPlant, nodes: object) -> tuple[FloatArray, FloatAr
     shape, known = structure.checked_nodes("start", nodes), None
     if is_driven:
         refuse_passive_bars(plant, "start", shape)
-        length = np.linalg.norm(structure.bar_vectors(shape), axis=0)
+        length = bar_lengths(structure, shape)
         assert plant.rest_length is not None  # bars are driven
         members = member_lengths(plant, plant.rest_length, length)
         known = known_at_rest(plant, inputs_of(plant.actuation, members))

@@ -18,6 +18,7 @@ from tenscontrol.dynamics.equation import gravity_vector
 from tenscontrol.dynamics.evaluator import built, evaluate_columns
 from tenscontrol.fields import Field, OptionalArray, converted
 from tenscontrol.properties import cached_property
+from tenscontrol.structure.bar_geometry import bar_lengths
 from tenscontrol.structure.structure import Structure
 
 _Chosen = Field[Sequence[int] | IntArray | None, IntArray | None]
@@ -598,7 +599,7 @@ class Sensors:
             If an argument does not fit or is not finite, or a bar has no length.
         """
         structure, N = self.structure, self.structure.checked_nodes("nodes", nodes)
-        length = np.linalg.norm(structure.bar_vectors(N), axis=0)
+        length = bar_lengths(structure, N)
         for taken in self._taken:
             which = taken.which if taken.kind.members == "bars" else self.bar_at[:0]
             if not length[which].all():

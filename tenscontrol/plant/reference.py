@@ -23,7 +23,7 @@ from tenscontrol.plant.linear_plant import (
 from tenscontrol.plant.string_outputs import input_matrix, to_commanded_strings, to_model_strings
 from tenscontrol.short_repr import short_repr
 from tenscontrol.structure.bar_clearance import bar_distances
-from tenscontrol.structure.bar_geometry import refuse_wrong_bar_lengths
+from tenscontrol.structure.bar_geometry import bar_lengths, refuse_wrong_bar_lengths
 from tenscontrol.structure.supports import refuse_moved_supports
 
 # Force densities of a reference shape may leave those of the operating point only as far as the
@@ -492,9 +492,7 @@ def reduced_shape(plant: LinearPlant, name: str, nodes: FloatArray, off: float) 
     Strings may then be ``off`` in their lengths, as a part of the size.
     """
     q = plant.measure(nodes, np.zeros_like(nodes))[: plant.degrees_of_freedom]
-    lengths = None
-    if plant.drives_bars:
-        lengths = np.linalg.norm(plant.model.structure.bar_vectors(nodes), axis=0)
+    lengths = bar_lengths(plant.model.structure, nodes) if plant.drives_bars else None
     try:
         reached = plant.to_nodes(q, lengths)
     except ValueError as cause:
@@ -522,7 +520,7 @@ def refuse_passive_bars(plant: LinearPlant, name: str, nodes: FloatArray) -> Non
     """Raise if a shape asks a bar that is not driven for another length."""
     structure, actuation = plant.model.structure, plant.actuation
     assert plant.rest_length is not None  # bars are driven
-    length = np.linalg.norm(structure.bar_vectors(nodes), axis=0)
+    length = bar_lengths(structure, nodes)
     members = member_lengths(plant, plant.rest_length, length)
     held = strings_of(actuation, inputs_of(actuation, members))
     held = held[member_rows(plant.input, plant.commanded)[1]]

@@ -21,6 +21,7 @@ from tenscontrol.shape.nonlinear_program import EXACT, MIRRORED, ShapeProblem
 from tenscontrol.shape.symmetry import RotationalSymmetry
 from tenscontrol.statics.prestress import Prestress, UnbalancedError, prestress
 from tenscontrol.structure.bar_clearance import bar_distances
+from tenscontrol.structure.bar_geometry import bar_lengths
 from tenscontrol.structure.structure import Structure
 
 # Weights of misses against distance from the start, one search after the other; the longer list is
@@ -209,10 +210,7 @@ class _EquilibriumSearch:
             (squares, shortest, np.full(len(shortest), np.inf)),
         ]
         if problem.held is not None and problem.held.struts is not None:
-            bars, length = (
-                problem.held.driven_bars,
-                np.linalg.norm(structure.bar_vectors(start), axis=0),
-            )
+            bars, length = problem.held.driven_bars, bar_lengths(structure, start)
             lengths, least = problem.bar_lengths[bars.tolist()], _SHORT * length[bars]
             most = np.full(len(bars), np.inf)
             self._rows.append((lengths / problem.size, least / problem.size, most))

@@ -14,6 +14,7 @@ from tenscontrol.plant.linear_plant import LinearPlant
 from tenscontrol.plant.reference import Reference
 from tenscontrol.shape.equilibrium_path import PathError
 from tenscontrol.statics.prestress import Prestress, prestress
+from tenscontrol.structure.bar_geometry import bar_lengths
 
 # Largest change of a length from one shape to the next, as part of it; Newton steps at most, and
 # the part of the size below which one is the last, and beyond which the shape is another one.
@@ -95,7 +96,7 @@ def strut_path(plant: LinearPlant, bar_length: object, time: object) -> Referenc
 
 def _followed(plant: LinearPlant, nodes: FloatArray, goal: FloatArray) -> FloatArray:
     """Return the shape at rest with other lengths of bars, from one near by, in short steps."""
-    begin = np.linalg.norm(plant.model.structure.bar_vectors(nodes), axis=0)
+    begin = bar_lengths(plant.model.structure, nodes)
     count = max(1, ceil(float(np.abs(goal / begin - 1).max(initial=0.0)) / _STEP))
     for k in range(1, count + 1):
         nodes = _stepped(plant, nodes, begin + k / count * (goal - begin))
@@ -111,7 +112,7 @@ def _stepped(plant: LinearPlant, begin: FloatArray, lengths: FloatArray) -> Floa
     for _ in range(_NEWTON):
         here = tangent(plant.model, nodes, "rest_length", plant.rest_length, plant.external_force)
         T = bar_basis(structure, nodes)
-        change = lengths - np.linalg.norm(structure.bar_vectors(nodes), axis=0)
+        change = lengths - bar_lengths(structure, nodes)
         grown = bar_displacements(structure, nodes, here.mass) @ change
         pushed = T.T @ (here.force - here.stiffness @ grown)
         stiffness = (T.T @ here.stiffness @ T).toarray()

@@ -21,7 +21,7 @@ from tenscontrol.shape.shape_search import MET, STIFF, Solved, solve_shape
 from tenscontrol.shape.symmetry import RotationalSymmetry
 from tenscontrol.statics.prestress import Prestress
 from tenscontrol.structure.bar_clearance import bar_distances
-from tenscontrol.structure.bar_geometry import restore_bar_lengths
+from tenscontrol.structure.bar_geometry import bar_lengths, restore_bar_lengths
 from tenscontrol.structure.structure import Structure
 from tenscontrol.structure.supports import refuse_load_without_support, refuse_moved_supports
 
@@ -334,7 +334,7 @@ def shape_target(
 
 def with_lengths_of(model: Model, nodes: FloatArray) -> Model:
     """Return a model whose bars have the lengths that they have in a shape."""
-    length = np.linalg.norm(model.structure.bar_vectors(nodes), axis=0)
+    length = bar_lengths(model.structure, nodes)
     if np.allclose(length, model.structure.bar_length, rtol=_SAME_LENGTH, atol=0):
         return model
     return model.replace(structure=replace(model.structure, nodes=nodes))
@@ -368,7 +368,7 @@ def _target(
 ) -> ShapeTarget:
     structure, rest = model.structure, solved.rest
     nodes, gamma = rest.structure.nodes, rest.force_density
-    length = np.linalg.norm(structure.bar_vectors(nodes), axis=0)
+    length = bar_lengths(structure, nodes)
     off = np.abs(length / structure.bar_length - 1)
     if held is not None:
         off[held.driven_bars] = 0.0

@@ -15,6 +15,11 @@ _TOLERANCE = 1e-8
 MEASURED = 0.05
 
 
+def bar_lengths(structure: Structure, nodes: FloatArray) -> FloatArray:
+    """Return the lengths of the bars in a shape, m, shape (β,)."""
+    return np.asarray(np.linalg.norm(structure.bar_vectors(nodes), axis=0))
+
+
 def restore_bar_lengths(structure: Structure, nodes: object) -> FloatArray:
     """Return the nodes, corrected so that every bar has its true length.
 
@@ -92,7 +97,7 @@ def put_on_lengths(structure: Structure, nodes: object, lengths: FloatArray) -> 
 
 def rigid_shape(name: str, structure: Structure, nodes: FloatArray) -> FloatArray:
     """Return a shape; of one that was measured, give bars their lengths, and warn of that."""
-    length = np.linalg.norm(structure.bar_vectors(nodes), axis=0)
+    length = bar_lengths(structure, nodes)
     off = float(np.abs(length / structure.bar_length - 1).max(initial=0.0))
     if off <= _TOLERANCE:
         return nodes
@@ -115,7 +120,7 @@ def refuse_wrong_bar_lengths(
     driven: IntArray | None = None,
 ) -> None:
     """Raise if a bar of this shape has not its length, naming the worst one that is not driven."""
-    length = np.linalg.norm(structure.bar_vectors(nodes), axis=0)
+    length = bar_lengths(structure, nodes)
     off = np.abs(length / structure.bar_length - 1)
     if driven is not None:
         off[driven] = 0.0
