@@ -90,9 +90,7 @@ def free_entries(structure: Structure, free: Symbolic) -> Symbolic:
     """Return the column of what supports leave free, in columns of the nodes that are not fixed."""
     if not structure.rollers:
         return ca.vec(free)
-    d = structure.dimension
-    rows = (d * structure.free[:, None] + np.arange(d)).ravel()
-    return ca.vec(free)[np.flatnonzero(np.isin(rows, structure.free_rows)).tolist()]
+    return ca.vec(free)[_free_places(structure)]
 
 
 def free_columns(structure: Structure, entries: Symbolic) -> Symbolic:
@@ -104,9 +102,14 @@ def free_columns(structure: Structure, entries: Symbolic) -> Symbolic:
     if not structure.rollers:
         return ca.reshape(entries, d, -1)
     columns = type(entries)(d * len(structure.free), 1)
-    rows = (d * structure.free[:, None] + np.arange(d)).ravel()
-    columns[np.flatnonzero(np.isin(rows, structure.free_rows)).tolist()] = entries
+    columns[_free_places(structure)] = entries
     return ca.reshape(columns, d, -1)
+
+
+def _free_places(structure: Structure) -> list[int]:
+    """Return where in columns of the nodes that are not fixed supports leave entries free."""
+    free = ~held_directions(structure)[structure.free]
+    return np.flatnonzero(free).tolist()
 
 
 def differences(columns: Symbolic, pairs: IntArray) -> Symbolic:
@@ -291,7 +294,7 @@ class SaddlePoint:
     """
 
     def __init__(self, structure: Structure, block: Block, J: Symbolic) -> None:
-        M = _sparse(block_mass(structure, block))
+        M = sparse(block_mass(structure, block))
         self._order, self._back = block.order.tolist(), np.argsort(block.order).tolist()
         if isinstance(J, ca.MX):
             self._J, self._share = J, 1 / ca.sum2(M)
@@ -508,7 +511,7 @@ def mass_product(structure: Structure, V: Symbolic, masses: Masses | None = None
     if masses is not None:
         return ca.mtimes(V, mass_matrix(structure, masses))
     if structure.blocks or structure.structure_class > 1:  # several masses meet at a node
-        return ca.mtimes(V, _sparse(node_mass(structure)))
+        return ca.mtimes(V, sparse(node_mass(structure)))
     product = type(V)(*structure.nodes.shape)
     if len(structure.bars):
         sixth = _row(structure.bar_mass / 6)
@@ -525,7 +528,7 @@ def mass_product(structure: Structure, V: Symbolic, masses: Masses | None = None
 def mass_matrix(structure: Structure, masses: Masses | None = None) -> Symbolic:
     """Return M_s, shape (n, n), sparse, in the order of the nodes (eq. 8), point masses added."""
     if masses is None:
-        return _sparse(node_mass(structure))
+        return sparse(node_mass(structure))
     M = ca.diag(masses.point_mass)
     if len(structure.bars):
         C_bar = _gather(structure.bars, structure.nodes.shape[1])
@@ -561,7 +564,7 @@ def _row(values: FloatArray) -> ca.DM:
     return ca.DM(values).T
 
 
-def _sparse(matrix: Any) -> ca.DM:
+def sparse(matrix: Any) -> ca.DM:
     """Return a SciPy matrix as one of CasADi's."""
     entries = matrix.tocoo()
     entries.sum_duplicates()

@@ -72,7 +72,7 @@ class Potential:
     ) -> None:  # fmt: skip
         structure = model.structure
         d, n = structure.nodes.shape
-        M, bars = _constant(motions), structure.kept_bars
+        M, bars = kernel.sparse(motions), structure.kept_bars
         q, lam, factor = (
             ca.MX.sym(name, size)
             for name, size in (("q", M.shape[1]), ("lambda", len(bars)), ("factor", 1))
@@ -172,14 +172,6 @@ def _of_terms(terms: tuple[Any, ...], nodes: Any) -> tuple[Any, Any, Any]:
     return tuple(function(nodes))
 
 
-def _constant(matrix: csc_array) -> ca.DM:
-    """Return a sparse matrix of SciPy as one of CasADi."""
-    matrix = matrix.tocsc()
-    matrix.sort_indices()
-    sparsity = ca.Sparsity(*matrix.shape, matrix.indptr.tolist(), matrix.indices.tolist())
-    return ca.DM(sparsity, matrix.data)
-
-
 def _summed(entries: Any, rows: IntArray, columns: IntArray, shape: tuple[int, int]) -> Any:
     """Return the sparse matrix of entries, a column, in which those at one place are added up."""
     from scipy.sparse import csc_array
@@ -191,4 +183,4 @@ def _summed(entries: Any, rows: IntArray, columns: IntArray, shape: tuple[int, i
     column, row = np.divmod(places, shape[0])
     starts = np.searchsorted(column, np.arange(shape[1] + 1))
     pattern = ca.Sparsity(*shape, starts.tolist(), row.tolist())
-    return ca.MX(pattern, ca.mtimes(_constant(gather), entries))
+    return ca.MX(pattern, ca.mtimes(kernel.sparse(gather), entries))
