@@ -414,6 +414,15 @@ def text(name: str, value: object, meaning: str) -> str:
     return value
 
 
+def named(name: str, value: Any, of: str) -> None:
+    """Refuse what is no dict with names for keys."""
+    if not isinstance(value, Mapping):
+        raise wrong_kind(name, value, of)
+    for key in value:
+        if not isinstance(key, str) or not key:
+            raise TypeError(f"{name} has the key {key!r}, expected a name")
+
+
 def items(name: str, value: object, of: str) -> tuple[Any, ...]:
     """Return the items of a sequence; a string is none."""
     with suppress(TypeError):

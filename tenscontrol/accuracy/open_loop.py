@@ -12,8 +12,6 @@ from tenscontrol.dynamics.evaluator import Function, builds
 from tenscontrol.integrate.cvodes import is_expandable
 from tenscontrol.simulation.scene import Scene
 from tenscontrol.structure.bar_geometry import restore_bar_lengths
-from tenscontrol.structure.structure import Structure
-from tenscontrol.structure.supports import free_coordinates
 
 
 def open_loop_of(scene: object) -> Scene:
@@ -25,13 +23,6 @@ def open_loop_of(scene: object) -> Scene:
     scene = scene.open_loop()
     _ = scene.input_value, scene.load  # refuse what changes in time
     return scene
-
-
-def only_free(structure: Structure, moves: FloatArray) -> FloatArray:
-    """Return moves of nodes, shape (d, n), with zeros where supports hold."""
-    free = np.zeros(moves.size)
-    free[structure.free_rows] = free_coordinates(structure, moves)
-    return free.reshape(moves.shape, order="F")
 
 
 def state_change(case: Scene, moves: FloatArray) -> FloatArray:

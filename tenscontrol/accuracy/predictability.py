@@ -8,13 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tenscontrol import validation
-from tenscontrol.accuracy.open_loop import only_free, open_loop_of, state_change
+from tenscontrol.accuracy.open_loop import open_loop_of, state_change
 from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.integrate.dop853 import DOP853
 from tenscontrol.interrupt import keeping
 from tenscontrol.short_repr import short_repr
 from tenscontrol.simulation.scene import Scene
 from tenscontrol.structure.structure import Structure
+from tenscontrol.structure.supports import random_moves
 
 # Size of the perturbation, m: far above round-off, far below what the motion is sensitive to.
 _PERTURBATION = 1e-10
@@ -167,10 +168,7 @@ def predictability(
 
 def _offset(case: Scene, random: np.random.Generator) -> FloatArray:
     """Return a change of the state that moves every node at random and stretches no bar."""
-    structure = case.structure
-    moves = np.zeros_like(case.nodes)
-    moves[:, structure.free] = random.normal(size=(structure.dimension, len(structure.free)))
-    return state_change(case, _PERTURBATION * only_free(structure, moves))
+    return state_change(case, _PERTURBATION * random_moves(case.structure, random))
 
 
 def _growths(case: Scene, times: FloatArray, offsets: list[FloatArray]) -> Iterator[float]:

@@ -96,13 +96,9 @@ class Outcome:
 
     def __init__(self, success: bool, figures: Mapping[str, object] | None = None) -> None:
         given = {} if figures is None else figures
-        if not isinstance(given, Mapping):
-            raise validation.wrong_kind("figures", given, "a dict of numbers")
+        validation.named("figures", given, "a dict of numbers")
         put = object.__setattr__  # the dataclass is frozen for everyone else
         put(self, "success", validation.truth("success", success, "whether the run was a success"))
-        for name in given:
-            if not isinstance(name, str) or not name:
-                raise TypeError(f"figures has the key {name!r}, expected a name")
         numbers = ((name, one_number(f"figures[{name!r}]", given[name])) for name in given)
         put(self, "_figures", tuple(numbers))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from math import prod
+from typing import Any
 
 import numpy as np
 
@@ -38,13 +39,11 @@ def grid(values: Mapping[str, object]) -> dict[str, FloatArray]:
     >>> vary["ground.friction"].tolist(), vary["bar_mass"].tolist()
     ([0.2, 0.2, 0.2, 0.5, 0.5, 0.5], [0.9, 1.0, 1.1, 0.9, 1.0, 1.1])
     """
-    if not isinstance(values, Mapping) or not values:
-        raise validation.wrong_kind("values", values, "a dict of arrays, by name, at least one")
-    choices = {}
-    for name, given in values.items():
-        if not isinstance(name, str) or not name:
-            raise TypeError(f"values has the key {name!r}, expected a name")
-        choices[name] = _rows(f"values[{name!r}]", given)
+    wanted = "a dict of arrays, by name, at least one"
+    validation.named("values", values, wanted)
+    if not values:
+        raise validation.wrong_kind("values", values, wanted)
+    choices = {name: _rows(f"values[{name!r}]", given) for name, given in values.items()}
     runs = prod(map(len, choices.values()))
     validation.whole_number("the number of runs", runs, 1, validation.MOST_RUNS)
     places = np.unravel_index(np.arange(runs), tuple(map(len, choices.values())))
@@ -124,13 +123,10 @@ def parameters_of_runs(parameters: object, count: object) -> tuple[dict[str, Dis
     return checked_distributions(given), validation.whole_number("count", count, 1, longest)
 
 
-def checked_distributions(parameters: object) -> dict[str, Distribution]:
+def checked_distributions(parameters: Any) -> dict[str, Distribution]:
     """Return distributions by name, or raise naming what is none."""
-    if not isinstance(parameters, Mapping):
-        raise validation.wrong_kind("parameters", parameters, "a dict of distributions")
+    validation.named("parameters", parameters, "a dict of distributions")
     for name, distribution in parameters.items():
-        if not isinstance(name, str) or not name:
-            raise TypeError(f"parameters has the key {name!r}, expected a name")
         validation.instance(
             f"parameters[{name!r}]", distribution, Distribution, "use Uniform, Normal or OneOf"
         )

@@ -40,6 +40,7 @@ from tenscontrol.structure.segments import (
 from tenscontrol.structure.skin import skin
 from tenscontrol.structure.structure import Structure
 from tenscontrol.structure.structure_file import from_table, points
+from tenscontrol.structure.supports import random_moves
 
 # What a value "per" refers to where strings are cut: the whole string, or each segment.
 _PER = ("string", "segment")
@@ -357,11 +358,7 @@ def build_struts(document: Document, structure: Structure) -> Profile | None:
 
 def _disturbed(structure: Structure, size: float, seed: int) -> FloatArray:
     """Return a shape with true bar lengths whose farthest node is moved by ``size``, m."""
-    moves = np.zeros_like(structure.nodes)
-    random = np.random.default_rng(seed)
-    moves[:, structure.free] = random.normal(size=(structure.dimension, len(structure.free)))
-    for node, axis in structure.rollers:
-        moves["xyz".index(axis), node] = 0.0
+    moves = random_moves(structure, np.random.default_rng(seed))
     step = size / 4
     for _ in range(40):  # the distance is nearly linear in the step: this converges at once
         nodes = restore_bar_lengths(structure, structure.nodes + step * moves)

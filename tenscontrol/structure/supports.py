@@ -29,6 +29,13 @@ def held_directions(structure: Structure) -> np.ndarray:
     return held.reshape(-1, structure.dimension)
 
 
+def random_moves(structure: Structure, random: np.random.Generator) -> FloatArray:
+    """Return normal random moves of nodes, shape (d, n), none where supports hold."""
+    moves = np.zeros_like(structure.nodes)
+    moves[:, structure.free] = random.normal(size=(structure.dimension, len(structure.free)))
+    return np.where(held_directions(structure).T, 0.0, moves)
+
+
 def is_movable(structure: Structure, pairs: IntArray) -> np.ndarray:
     """Return which members have a free end, shape (k,); those that have none are support."""
     return np.asarray(~np.isin(pairs, structure.fixed).all(axis=1))
