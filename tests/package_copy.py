@@ -11,6 +11,13 @@ import tenscontrol as tc
 
 _PACKAGE = Path(tc.__file__).parent
 
+# The finder of an editable installation comes before every path.
+_PAST_EDITABLE = """
+sys.meta_path[:] = [
+    finder for finder in sys.meta_path if not type(finder).__module__.startswith("_editable_")
+]
+"""
+
 
 class PackageCopy:
     """A copy of the package in a folder, with the files that were changed or added in it.
@@ -42,7 +49,7 @@ class PackageCopy:
 
     def run(self, script: str) -> str:
         """Return what a script prints that imports the copy; it fails where the script does."""
-        here = f"import sys; sys.path.insert(0, {str(self._folder)!r})\n"
+        here = f"import sys; sys.path.insert(0, {str(self._folder)!r})\n" + _PAST_EDITABLE
         checked = (
             f"import tenscontrol; assert tenscontrol.__file__.startswith({str(self._folder)!r})\n"
         )
