@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.actuation.motors import EachMotor, all_numbers
-from tenscontrol.actuation.winches import Instant, TickMap
+from tenscontrol.actuation.winch_motion import Instant, TickMap
 from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics.evaluator import Function, builds, evaluate_columns
 from tenscontrol.dynamics.model import Model

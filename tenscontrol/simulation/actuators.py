@@ -24,16 +24,16 @@ from tenscontrol.actuation.driven_strings import (
     sums_by_input,
     through,
 )
-from tenscontrol.actuation.motors import (
+from tenscontrol.actuation.motor_record import (
     Instants,
-    Motor,
     MotorRecord,
     cable_work,
-    each_motor,
     motor_record,
     winding_work,
 )
-from tenscontrol.actuation.winches import Drive, Instant, Winches, WinchMove
+from tenscontrol.actuation.motors import Motor, each_motor
+from tenscontrol.actuation.winch_motion import Drive, Instant
+from tenscontrol.actuation.winches import Winches, WinchMove
 from tenscontrol.arrays import BoolArray, FloatArray, IntArray, frozen
 from tenscontrol.control.command import Command
 from tenscontrol.control.controller import BaseController, Controller

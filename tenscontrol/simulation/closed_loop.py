@@ -12,7 +12,7 @@ import numpy as np
 
 from tenscontrol import validation
 from tenscontrol.actuation.driven_strings import BAR_INPUTS, Actuation, inputs_of
-from tenscontrol.actuation.motors import MotorRecord
+from tenscontrol.actuation.motor_record import MotorRecord
 from tenscontrol.actuation.winches import Winches, WinchMove
 from tenscontrol.arrays import FloatArray, IntArray, frozen
 from tenscontrol.control.command import Command

@@ -17,7 +17,7 @@ from tenscontrol.tables import percent
 
 if TYPE_CHECKING:
     from tenscontrol.actuation.driven_strings import Actuation
-    from tenscontrol.actuation.motors import MotorRecord
+    from tenscontrol.actuation.motor_record import MotorRecord
     from tenscontrol.control.command import Fallback
     from tenscontrol.simulation.observation import EstimateRecord
 

@@ -22,7 +22,8 @@ import numpy as np
 from tenscontrol import validation
 from tenscontrol._version import __version__
 from tenscontrol.actuation.driven_strings import Actuation
-from tenscontrol.actuation.motors import Motor, MotorRecord
+from tenscontrol.actuation.motor_record import MotorRecord
+from tenscontrol.actuation.motors import Motor
 from tenscontrol.actuation.winches import Winches
 from tenscontrol.control.command import Fallback
 from tenscontrol.control.feedback_linearization import FeedbackLinearizationStatistics

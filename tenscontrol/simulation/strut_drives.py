@@ -12,7 +12,8 @@ from tenscontrol.actuation.driven_strings import (
     strings_of,
     through,
 )
-from tenscontrol.actuation.winches import Drive, Winches, WinchMove
+from tenscontrol.actuation.winch_motion import Drive
+from tenscontrol.actuation.winches import Winches, WinchMove
 from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.control.command import Command
 from tenscontrol.control.controller import BaseController

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.actuation.winches import Drive
+from tenscontrol.actuation.winch_motion import Drive
 from tenscontrol.control import Command, Controller
 from tests.known_structures import arm, d_bar
 from tests.random_structures import any_structure
