@@ -130,3 +130,16 @@ KNOWN = {
     "dome": dome,
     "clustered D-bar": clustered_d_bar,
 }
+
+
+def lowered(height):
+    """Nodes of the prism with the bars of the usual one and another height, m."""
+    radius = tc.structure.prism_radius(tc.prism().bar_length[0], height)
+    return tc.prism(radius=radius, height=height).nodes
+
+
+def height_row():
+    """The height of the top of the prism above its bottom, as a row over all coordinates."""
+    row = np.zeros((3, 6))
+    row[2, :3], row[2, 3:] = 1 / 3, -1 / 3
+    return row.ravel(order="F")[None]

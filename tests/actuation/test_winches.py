@@ -133,7 +133,7 @@ def test_an_infinite_rate_is_no_limit(prism, rest, kind, more):
     np.testing.assert_array_equal(ends[0], ends[2])
 
 
-def test_one_winch_without_a_limit_of_rate_jumps(prism):
+def test_one_winch_without_a_limit_of_rate_jumps():
     rate = np.full(9, 0.1)
     rate[4] = np.inf
     move = tc.Winches(rate=rate).move(np.ones(9), np.full(9, 0.5), 0.02)

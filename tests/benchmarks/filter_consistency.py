@@ -14,6 +14,7 @@ from scipy.special import chdtri
 
 import tenscontrol as tc
 from tests.benchmarks.command_line import options
+from tests.benchmarks.filter_code import plant_of
 
 STEP = 0.02
 ANCHORS = np.array([[0.0, 4.0, 0.0, -2.0], [0.0, 4.0, -3.0, 2.0], [5.0, 5.0, 0.0, 2.0]])
@@ -44,12 +45,6 @@ class Consistency:
     @property
     def is_within(self):
         return self.low < self.error < self.high
-
-
-def held_prism():
-    model = tc.Model(tc.prism(), strings=tc.LinearStrings(100.0, damping=0.5))
-    rest = tc.prestress(model.structure, force_density=17.320508)
-    return tc.linearize(model, rest, input="rest_length")
 
 
 def filter_of(plant, kind, scale=1.0, prediction="linear"):
@@ -108,7 +103,7 @@ def consistency(estimator, runs, samples=25, seed=2):
 
 def main(arguments=None):
     runs = options(__doc__, arguments, runs=50).runs
-    plant = held_prism()
+    plant = plant_of()
     print("sensors               prediction  error  bounds        left alone")
     for kind in KINDS:
         for prediction, scale in (("linear", 1e-3), ("nonlinear", 0.3)):

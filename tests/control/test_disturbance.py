@@ -8,14 +8,9 @@ import tenscontrol as tc
 from tenscontrol.control.disturbance import LoadObserver, load_model
 from tenscontrol.demo import tour as demo
 from tenscontrol.plant.linear_plant import acceleration_response
+from tests.known_structures import height_row
 
 SAMPLE, LOAD = 0.02, 2.0
-
-
-def height_row():
-    row = np.zeros((3, 6))
-    row[2, :3], row[2, 3:] = 1 / 3, -1 / 3
-    return row.ravel(order="F")[None]
 
 
 def final_height(load_gain, duration):

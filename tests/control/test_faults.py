@@ -29,6 +29,7 @@ from tests.control.fault_loop import (
     plant,
     solve_nothing,
 )
+from tests.known_structures import height_row
 
 # Samples after the end of a fault by which a status is good again.
 RECOVERED = 0
@@ -288,9 +289,7 @@ def test_a_plan_that_is_used_up_ends_in_what_is_safe(kind, held, monkeypatch):
 def test_a_limit_that_cannot_be_kept_is_infeasible_and_over_with_the_reason():
     """Really infeasible, by a hard limit on the height that the shape is beyond."""
     at = plant("force_density")
-    row = np.zeros((3, 6))
-    row[2, :3], row[2, 3:] = 1 / 3, -1 / 3
-    limit = tc.OutputLimit(row.ravel(order="F")[None], [0.99], [1.05])
+    limit = tc.OutputLimit(height_row(), [0.99], [1.05])
     mpc = tc.MPC(
         at,
         horizon=8,

@@ -7,6 +7,7 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.control import Command, Controller, ControlWarning, Status
+from tests.known_structures import lowered
 
 SAMPLE = 0.02
 STILL = np.zeros((3, 6))
@@ -20,11 +21,6 @@ def model(stiffness=100.0):
 @cache
 def plant(input="rest_length", stiffness=100.0):
     return tc.linearize(model(stiffness), tc.prestress(tc.prism(), 17.3205), input=input)
-
-
-def lowered(height):
-    radius = tc.structure.prism_radius(tc.prism().bar_length[0], height)
-    return tc.prism(radius=radius, height=height).nodes
 
 
 def law(kind, input="rest_length", **settings):

@@ -8,6 +8,7 @@ import numpy as np
 import tenscontrol as tc
 from tenscontrol.demo import tour as demo
 from tests import coupled
+from tests.known_structures import height_row
 
 SAMPLE = 0.02
 SAMPLES = 200
@@ -91,13 +92,6 @@ def plant(held, height=demo.HEIGHT):
 
 def ramp(end=demo.TARGET):
     return demo.ramp(model().structure, demo.HEIGHT, end, demo.RAMP)
-
-
-def height_row():
-    """The height of the top of the prism above its bottom, as a row over all coordinates."""
-    row = np.zeros((3, 6))
-    row[2, :3], row[2, 3:] = 1 / 3, -1 / 3
-    return row.ravel(order="F")[None]
 
 
 def of_force_density(**options):

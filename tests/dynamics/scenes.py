@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 import tenscontrol as tc
+from tenscontrol.dynamics import ContactLaw
 
 # γ_t of the prism at rest to all digits, N/m: γ_v = √3 γ_t = 30 N/m.
 TOP_FORCE_DENSITY = 30 / np.sqrt(3)
@@ -118,3 +120,11 @@ def paper_force_density(vertical):
 def rest_lengths(structure, force_density, stiffness):
     """Rest lengths, m, that give γ in the reference shape: k (l - l0) = γ l."""
     return structure.string_length() * (1 - force_density / stiffness)
+
+
+@dataclass(frozen=True, eq=False)
+class Cubic(ContactLaw):
+    """A law of a user, with one formula."""
+
+    def normal_force(self, depth, rate):
+        return self.stiffness * depth**3 * (1 + self.damping * rate)

@@ -1,28 +1,19 @@
 """Contact laws: forces against formulas, energies, gaps, all forms of a model, bad input."""
 
-from dataclasses import dataclass
-
 import casadi as ca
 import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.dynamics import ContactLaw, HertzGround, SmoothGround
+from tenscontrol.dynamics import HertzGround, SmoothGround
 from tenscontrol.dynamics.equation import pack_state
 from tenscontrol.dynamics.machine_code import compiler
+from tests.dynamics.scenes import Cubic
 from tests.oracle import Plane, node_acceleration
 
 X, Y = ca.SX.sym("x"), ca.SX.sym("y")
 HILLS = ca.Function("hills", [X, Y], [0.2 * ca.sin(2 * X) * ca.cos(3 * Y)])
 RUBBING = {"damping": 0.3, "friction": 0.5, "slip_speed": 0.02}
-
-
-@dataclass(frozen=True, eq=False)
-class Cubic(ContactLaw):
-    """A law of a user, with one formula."""
-
-    def normal_force(self, depth, rate):
-        return self.stiffness * depth**3 * (1 + self.damping * rate)
 
 
 LAWS = {

@@ -3,7 +3,7 @@
 ``python -m tests.benchmarks.ground_motions`` takes the motions of the oracle over two seconds.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 
 import casadi as ca
@@ -13,11 +13,12 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 import tenscontrol as tc
-from tenscontrol.dynamics import ContactLaw, HertzGround, SmoothGround
+from tenscontrol.dynamics import HertzGround, SmoothGround
 from tenscontrol.dynamics.equation import pack_state
 from tenscontrol.dynamics.evaluator import evaluate_columns
 from tenscontrol.integrate.integrator import contact_frequency, largest_frequency
 from tenscontrol.integrate.methods import METHODS, choose
+from tests.dynamics.scenes import Cubic
 from tests.integrate.coupled_scenes import errors_of_bars
 from tests.integrate.ground_scenes import (
     GRAVITY,
@@ -228,14 +229,6 @@ def test_a_ball_at_rest_presses_with_its_weight():
 # ---- stiff ground ----
 
 STRUCTURES = {"prism": tc.prism, "ball": tc.library.six_bar_ball, "tower": free_tower}
-
-
-@dataclass(frozen=True, eq=False)
-class Cubic(ContactLaw):
-    """A law of a user, with one formula."""
-
-    def normal_force(self, depth, rate):
-        return self.stiffness * depth**3 * (1 + self.damping * rate)
 
 
 def hills():

@@ -8,7 +8,7 @@ from hypothesis import given, strategies as st
 import tenscontrol as tc
 from tenscontrol.integrate import RK4, IntegrationError
 from tests.dynamics.scenes import paper_force_density, rest_lengths
-from tests.integrate.stepping import smooth_equation
+from tests.integrate.stepping import fitted_order, smooth_equation
 from tests.oracle import HeldForceDensity, HeldRestLength, RigidBars
 
 STEPS = np.array([8e-3, 4e-3, 2e-3, 1e-3])
@@ -24,10 +24,6 @@ def explosion():
     """``ẋ = x²``: from 1 it reaches infinity at t = 1."""
     x, u = ca.SX.sym("x"), ca.SX.sym("u")
     return ca.Function("explosion", [x, u], [x**2 + 0 * u])
-
-
-def fitted_order(steps, errors):
-    return np.polyfit(np.log(steps), np.log(errors), 1)[0]
 
 
 def scene(name, prism):

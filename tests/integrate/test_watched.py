@@ -134,7 +134,7 @@ def test_spans_count_together(exact):
     assert np.abs(state - exact[:, -1]).max() < 1e-2
 
 
-def test_what_is_cheap_is_left_alone(exact):
+def test_what_is_cheap_is_left_alone():
     method = watched()
     alone = by("dop853").advance(START, LENGTHS, DURATION, 10)
     span = method.advance(START, LENGTHS, DURATION, 10)

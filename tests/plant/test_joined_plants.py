@@ -10,7 +10,7 @@ every_scene = pytest.mark.parametrize("structure", SCENES.values(), ids=SCENES)
 LAW = tc.LinearStrings(stiffness=200.0, damping=0.3)
 
 
-def acceleration(model, plant, load):
+def acceleration(plant, load):
     """q̈ of reduced states, by the oracle, from force densities by the law."""
     structure, r = plant.model.structure, plant.degrees_of_freedom
     project = plant.coordinates.project(np.eye(plant.nodes.size))[:, structure.free_rows]
@@ -35,7 +35,7 @@ def test_linear_plant_is_the_slope_of_the_full_dynamics(structure, held):
     model, at = at_rest(structure, strings=LAW)
     plant = tc.linearize(model, at, input=held, coordinates="minimal")
     assert plant.invariance_residual < 1e-13
-    of, r = acceleration(model, plant, at.external_force), plant.degrees_of_freedom
+    of, r = acceleration(plant, at.external_force), plant.degrees_of_freedom
     random, u = np.random.default_rng(5), plant.equilibrium_input
     assert np.abs(of(np.zeros(2 * r), u)).max() < 1e-10
     step = 1e-5
@@ -60,7 +60,7 @@ def test_reduced_dynamics_and_their_slopes_are_exact(name, held):
     structure = SCENES[name]
     model, at = at_rest(structure, strings=tc.LinearStrings(200.0, damping=0.3))
     plant = tc.linearize(model, at, input=held, coordinates="minimal")
-    of, r = acceleration(model, plant, at.external_force), plant.degrees_of_freedom
+    of, r = acceleration(plant, at.external_force), plant.degrees_of_freedom
     random, u = np.random.default_rng(6), plant.equilibrium_input
     z = 0.01 * random.uniform(-1, 1, 2 * r)
     found = tc.plant.reduced_dynamics.reduced_acceleration(plant, taut=False)(z, u)
@@ -190,7 +190,7 @@ def test_a_slack_string_moves_nothing_and_stops_nothing():
     assert plant.slack.tolist() == [2]
     assert not plant.B[:, 2].any()
     assert plant.rest_length[2] == rest[2]
-    of, r = acceleration(model, plant, at.external_force), plant.degrees_of_freedom
+    of, r = acceleration(plant, at.external_force), plant.degrees_of_freedom
     u, step, du = plant.equilibrium_input, 1e-6, np.array([0.1, -0.2, 0.3])
     damped = LAW.damping
     assert damped == 0.3

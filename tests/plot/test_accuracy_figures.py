@@ -116,7 +116,7 @@ def test_energy_over_a_long_run_and_bars_where_there_is_none():
     "draw",
     [tc.plot.work_precision, tc.plot.convergence_order, tc.plot.stability_map, tc.plot.long_run],
 )
-def test_other_things_are_refused(draw, space):
+def test_other_things_are_refused(draw):
     with pytest.raises(TypeError, match="result is a int, expected"):
         draw(3)
 

@@ -89,7 +89,7 @@ def test_histories_tell_them_apart(run):
     plt.close("all")
 
 
-def test_motors_are_those_of_driven_strings(prism, rest, plant):
+def test_motors_are_those_of_driven_strings(rest, plant):
     driven = tc.linearize(plant.model, rest, input="rest_length", actuated=[8, 0, 1])
     winches = tc.Winches(ramp=True, motor=tc.Motor(drum_radius=0.01, gear_ratio=20.0))
     law = tc.LQR(driven, sample_time=0.02)

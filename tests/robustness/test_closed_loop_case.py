@@ -63,7 +63,7 @@ def test_strings_that_are_all_stiffer_hold_the_same_shape(case):
     assert ratio == pytest.approx(1.3, rel=1e-9)
 
 
-def test_a_motion_as_one_body_is_no_error(case, prism, strings, regulator):
+def test_a_motion_as_one_body_is_no_error(prism, strings, regulator):
     turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
     moved = turn @ prism.nodes + np.array([[1.0], [2], [3]])
     elsewhere = loop_case(prism, strings, regulator, DURATION, STEP, 0.02, nodes=moved)

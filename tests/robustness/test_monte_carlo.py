@@ -356,7 +356,7 @@ class TestAnotherNumberOfRuns:
         assert lines(found) == lines(report)
         assert tc.robustness.SweepReport.load(file) == report
 
-    def test_fewer_runs_are_the_first_ones_and_the_file_keeps_all(self, file, report):
+    def test_fewer_runs_are_the_first_ones_and_the_file_keeps_all(self, file):
         inline(file=file)
         before = file.read_bytes()
         found, runs = inline(count=self.LESS, file=file)

@@ -166,7 +166,7 @@ def test_a_motion_that_runs_away_is_saved_up_to_there(tmp_path, capsys, scene):
     assert (folder / "trajectory.npz").exists()
 
 
-def test_a_folder_that_cannot_be_made(tmp_path, capsys, scene):
+def test_a_folder_that_cannot_be_made(capsys, scene):
     err = refused(capsys, "simulate", scene, "--output", scene / "below")
     assert "cannot write: Not a directory; give a folder" in err
     assert str(scene / "below") in err

@@ -188,7 +188,7 @@ def test_the_holds_agree_where_samples_are_short(model, by_force):
 # ---- winches ----
 
 
-def test_winches_ramp_at_their_rate_and_stop_at_the_command(model, by_length, rest):
+def test_winches_ramp_at_their_rate_and_stop_at_the_command(model, by_length):
     start = by_length.rest_length
     wanted = start - np.linspace(0.0, 0.04, 9)
     run = tc.simulate(

@@ -111,7 +111,7 @@ def test_a_run_that_cannot_begin_leaves_the_others_alone(prism, codes):
     assert np.array_equal(batch.command[[0, 2]], good.command[[0, 2]])
 
 
-def test_what_does_not_fit_is_refused(prism, tower, codes):
+def test_what_does_not_fit_is_refused(prism, codes):
     plant, mpc = prism
     starts = shaken(plant, 0.01)
     given = {"nodes": starts}, {"step": 0.01}

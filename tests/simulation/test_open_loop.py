@@ -238,7 +238,7 @@ def test_energy_is_kept_where_force_density_is_held(prism):
     assert swings[1] / swings[2] > 12
 
 
-def test_energy_with_a_load_counts_the_work_of_the_load(prism):
+def test_energy_with_a_load_counts_the_work_of_the_load():
     _, model, lengths, _, load = short_scene("load")
     run = tc.simulate(model, 1.0, rest_length=lengths, external_force=load, tolerance=1e-11)
     assert np.ptp(run.kinetic_energy) > 0.1
@@ -388,7 +388,7 @@ def test_by_default_an_adaptive_run_keeps_a_thousand_states(prism, rest):
     assert run.evaluations > run.steps > 0
 
 
-def test_one_number_serves_all_strings(prism):
+def test_one_number_serves_all_strings():
     model = paper_model()
     one = tc.simulate(model, 0.1, rest_length=0.7, step=1e-3)
     each = tc.simulate(model, 0.1, rest_length=np.full(9, 0.7), step=1e-3)

@@ -310,7 +310,7 @@ def test_a_load_that_is_a_function_is_named_and_its_values_are_kept(tmp_path):
         _ = again.given["external_force"]
 
 
-def test_a_run_with_a_function_is_pickled_and_names_it(tmp_path):
+def test_a_run_with_a_function_is_pickled_and_names_it():
     frame = tc.library.snelson_x(dimension=2)
     model = tc.Model(frame, external_force=True)
     run = tc.simulate(model, 0.01, force_density=5.0, external_force=lambda t: wind(t), step=1e-3)
@@ -662,7 +662,7 @@ def test_csv_has_all_with_names_and_units(runs, tmp_path):
     np.testing.assert_array_equal(command[at_end], run.control.command[0, :-1])
 
 
-def test_the_tension_of_a_clustered_string_is_that_of_its_whole_length(tmp_path):
+def test_the_tension_of_a_clustered_string_is_that_of_its_whole_length():
     seed = next(s for s in range(99) if any_structure(s).has_clusters)
     structure = any_structure(seed)
     run = tc.simulate(tc.Model(structure), 2e-5, force_density=2.0, step=1e-5)

@@ -5,6 +5,7 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.control import OutputLimit, Status
+from tests.known_structures import height_row, lowered
 
 SAMPLE = 0.02
 STILL = np.zeros((3, 6))
@@ -15,12 +16,6 @@ def plant(request):
     prism = tc.prism()
     model = tc.Model(prism, strings=tc.LinearStrings(200.0))
     return tc.linearize(model, tc.prestress(prism, 30 / np.sqrt(3)), input=request.param)
-
-
-def height_row():
-    row = np.zeros((3, 6))
-    row[2, :3], row[2, 3:] = 1 / 3, -1 / 3
-    return row.ravel(order="F")[None]
 
 
 def pushed(plant, size, seed=0):
@@ -201,11 +196,6 @@ def test_limit_out_of_reach_is_violated_softly_or_reported_when_hard(plant):
             max_change=1e-3,
         )
         assert mpc.command(0.0, low.nodes, STILL).status.split(":")[0] == status
-
-
-def lowered(height):
-    radius = tc.structure.prism_radius(tc.prism().bar_length[0], height)
-    return tc.prism(radius=radius, height=height).nodes
 
 
 @pytest.mark.parametrize("law", [tc.MPC, tc.NMPC])
