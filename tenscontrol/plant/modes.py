@@ -19,6 +19,7 @@ from tenscontrol.plant.linear_plant import (
     squared_frequencies,
 )
 from tenscontrol.plant.linearize import in_coordinates
+from tenscontrol.statics.equilibrium_matrix import orthogonal_part
 from tenscontrol.structure.structure import Structure
 from tenscontrol.structure.supports import affine_motions, left_by_supports, rigid_motions
 from tenscontrol.viewable import Viewable
@@ -233,11 +234,12 @@ def _slowest(
     size, shift = len(rigid), _SHIFT * top
     factors = splu(K + shift * eye_array(size, format="csc"), permc_spec="MMD_AT_PLUS_A")
 
-    def kept(y: FloatArray) -> FloatArray:
-        return np.asarray(y - rigid @ (rigid.T @ y))
-
-    inverse = LinearOperator(K.shape, lambda y: kept(factors.solve(kept(y))), dtype=float)
-    start = kept(np.random.default_rng(0).normal(size=size))
+    inverse = LinearOperator(
+        K.shape,
+        lambda y: orthogonal_part(rigid, factors.solve(orthogonal_part(rigid, y))),
+        dtype=float,
+    )
+    start = orthogonal_part(rigid, np.random.default_rng(0).normal(size=size))
     vectors = eigsh(K, count, sigma=-shift, OPinv=inverse, v0=start)[1]
     vectors = np.linalg.qr(vectors)[0]
     values, turn = np.linalg.eigh(vectors.T @ (K @ vectors))
@@ -256,17 +258,14 @@ def _slowest_damped(
     eye = eye_array(m, format="csc")
     factors = splu(K + shift * D + shift**2 * eye, permc_spec="MMD_AT_PLUS_A")
 
-    def kept(y: FloatArray) -> FloatArray:
-        return np.asarray(y - rigid @ (rigid.T @ y))
-
     def solve(z: FloatArray) -> FloatArray:
-        f, g = kept(z[:m]), kept(z[m:])
-        y = kept(factors.solve(-(g + D @ f + shift * f)))
+        f, g = orthogonal_part(rigid, z[:m]), orthogonal_part(rigid, z[m:])
+        y = orthogonal_part(rigid, factors.solve(-(g + D @ f + shift * f)))
         return np.concatenate([y, f + shift * y])
 
     A = block_array([[None, eye], [-K, -D]], format="csc")
     inverse = LinearOperator(A.shape, solve, dtype=float)
-    start = np.tile(kept(np.random.default_rng(0).normal(size=m)), 2)
+    start = np.tile(orthogonal_part(rigid, np.random.default_rng(0).normal(size=m)), 2)
     poles, vectors = eigs(A, 2 * count, sigma=shift, OPinv=inverse, v0=start)
     poles[np.abs(poles) ** 2 < _LOST * top] = 0.0
     still, keep = poles == 0, (poles != 0) & (poles.imag >= 0)

@@ -551,12 +551,7 @@ def _held(
         bars = np.linalg.norm([structure.bar_vectors(N) for N in shapes], axis=1)
         return _held_by_some(plant, q, chosen, (lengths, bars), offset, slope, response)
     left = offset + (slope @ chosen[..., None])[..., 0]
-    # Ridge regression from the operating point, shape by shape.
-    U, sizes, Vt = np.linalg.svd(slope, full_matrices=False)
-    floor = _RIDGE * sizes[:, :1]
-    gain = sizes / (sizes**2 + floor**2)
-    along = gain * (U.swapaxes(1, 2) @ left[..., None])[..., 0]
-    gamma = chosen - (Vt.swapaxes(1, 2) @ along[..., None])[..., 0]
+    gamma = chosen - _ridge(slope, left)  # from the operating point
     gamma = np.clip(gamma, 0.0, _STRONGEST * law.largest_force_density)
     left = offset + (slope @ gamma[..., None])[..., 0]
     rest_length = np.array(
@@ -571,6 +566,15 @@ def _held(
     rests = np.hstack([q, np.zeros_like(q)])
     wound = to_commanded_strings(plant, "rest_length", rest_length)
     return np.hstack([rests, wound, gamma, gamma * lengths, left @ response.T])
+
+
+def _ridge(matrix: FloatArray, target: FloatArray) -> FloatArray:
+    """Return x by ridge regression of ``A x = b``, shape by shape: (K, f, m) and (K, f)."""
+    U, sizes, Vt = np.linalg.svd(matrix, full_matrices=False)
+    squares = sizes**2 + (_RIDGE * sizes[:, :1]) ** 2
+    gain = np.divide(sizes, squares, out=np.zeros_like(sizes), where=squares > 0)
+    along = gain * (U.swapaxes(1, 2) @ target[..., None])[..., 0]
+    return np.asarray((Vt.swapaxes(1, 2) @ along[..., None])[..., 0])
 
 
 def _held_by_some(
@@ -612,13 +616,8 @@ def _held_by_some(
              for by_density, row in zip(slope, by_length, strict=True)]
         )  # fmt: skip
         # Of the inputs that balance the shape linearized here, those nearest to the chosen.
-        U, sizes, Vt = np.linalg.svd(by_input, full_matrices=False)
-        squares = sizes**2 + (_RIDGE * sizes[:, :1]) ** 2
-        gain = np.divide(sizes, squares, out=np.zeros_like(sizes), where=squares > 0)
         target = left + (by_input @ (near - inputs)[..., None])[..., 0]
-        along = gain * (U.swapaxes(1, 2) @ target[..., None])[..., 0]
-        inputs = near - (Vt.swapaxes(1, 2) @ along[..., None])[..., 0]
-        inputs = np.maximum(inputs, _SHORTEST * near)
+        inputs = np.maximum(near - _ridge(by_input, target), _SHORTEST * near)
     rests = np.hstack([q, np.zeros_like(q)])
     return np.hstack([rests, inputs, gamma, gamma * lengths[0], left @ response.T])
 

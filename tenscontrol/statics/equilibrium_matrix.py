@@ -121,6 +121,11 @@ def null_space(matrix: FloatArray, rank: int | None = None) -> FloatArray:
     return np.asarray(Vt[matrix_rank(sizes) if rank is None else rank :].T)
 
 
+def orthogonal_part(basis: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Return the part of vectors that is orthogonal to a basis, which is orthonormal."""
+    return np.asarray(vectors - basis @ (basis.T @ vectors))
+
+
 def matrix_rank(sizes: FloatArray) -> int:
     """Return the number of singular values above round-off."""
     return int(np.count_nonzero(sizes > _RANK_TOLERANCE * sizes.max(initial=0.0)))
@@ -277,7 +282,7 @@ def _by_lengths(
     Ascending, as parts of the largest singular value.
     """
     for _ in range(2):
-        motions = np.linalg.qr(motions - body @ (body.T @ motions))[0]
+        motions = np.linalg.qr(orthogonal_part(body, motions))[0]
     rates = pictured.T @ motions
     _, singular, Vt = np.linalg.svd(rates, full_matrices=len(rates) < rates.shape[1])
     sizes = np.zeros(len(Vt))

@@ -15,6 +15,7 @@ from tenscontrol.statics.equilibrium_matrix import (
     is_small,
     kept_lengths,
     null_space,
+    orthogonal_part,
     picture_axes,
     pictured_members,
     possible_mechanisms,
@@ -209,12 +210,9 @@ def _softest(
     factors = splu(block_array(saddle, format="csc"))
     none = np.zeros(pictured.shape[1])
 
-    def across(vector: FloatArray) -> FloatArray:
-        return np.asarray(vector - out @ (out.T @ vector))
-
     def inverse(force: FloatArray) -> FloatArray:
-        right = np.concatenate([picture @ across(force.ravel()), none])
-        return across(picture.T @ factors.solve(right)[:f])
+        right = np.concatenate([picture @ orthogonal_part(out, force.ravel()), none])
+        return orthogonal_part(out, picture.T @ factors.solve(right)[:f])
 
     start = inverse(np.cos(np.arange(1.0, f + 1) ** 2))  # any
     operator = LinearOperator((f, f), matvec=inverse, dtype=float)
@@ -309,12 +307,9 @@ def _lowest(
         shifted = shifted + diags_array(size * stiff.held)
     factors = splu(block_array([[shifted, J.T], [J, None]], format="csc"))
 
-    def across(vector: FloatArray) -> FloatArray:
-        return np.asarray(vector - out @ (out.T @ vector))
-
     def inverse(vector: FloatArray) -> FloatArray:
-        right = np.concatenate([across(vector.ravel()), np.zeros(len(bars))])
-        return across(factors.solve(right)[:f])
+        right = np.concatenate([orthogonal_part(out, vector.ravel()), np.zeros(len(bars))])
+        return orthogonal_part(out, factors.solve(right)[:f])
 
     # Some more, so that none of several equal ones is missed.
     more = min(count + _MORE, f - len(bars) - out.shape[1], f - 1)
@@ -403,7 +398,7 @@ def _left_free(
     free = free @ null_space(pictured.T @ free)
     # Orthonormal in the shape, and across the motions that are left out.
     basis, out = (np.linalg.qr(picture.T @ motions)[0] for motions in (free, pictured))
-    basis = np.linalg.qr(basis - out @ (out.T @ basis))[0]
+    basis = np.linalg.qr(orthogonal_part(out, basis))[0]
     return basis, max(_STIFF, _DIGITS * keeping.lost)
 
 
@@ -472,7 +467,7 @@ def _sparse_defect(matrix: csc_array, fields: FloatArray) -> tuple[int, bool]:
             negative, upto_zero = (int(np.count_nonzero(side.pivots < 0)) for side in sides)
             return upto_zero - negative, negative == 0
     vectors = nearly_null(factors, 0)
-    vectors = np.linalg.qr(vectors - fields @ (fields.T @ vectors))[0]
+    vectors = np.linalg.qr(orthogonal_part(fields, vectors))[0]
     values = np.linalg.eigvalsh(vectors.T @ (matrix @ vectors))
     if factors.is_semidefinite and values.min(initial=0.0) > -_TOLERANCE:
         return fields.shape[1] + int(np.count_nonzero(values <= _TOLERANCE)), True
