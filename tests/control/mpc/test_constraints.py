@@ -183,11 +183,12 @@ def test_soft_limit_that_can_be_kept_is_the_hard_one(plant):
     assert np.allclose(*values, atol=1e-3 * level)
 
 
-def test_limit_out_of_reach_is_violated_softly_or_reported_when_hard(plant):
-    low = tc.prism(radius=tc.structure.prism_radius(tc.prism().bar_length[0], 0.97), height=0.97)
+@pytest.mark.parametrize("law", [tc.MPC, tc.NMPC])
+def test_limit_out_of_reach_is_violated_softly_or_reported_when_hard(plant, law):
+    low = lowered(0.97)
     for penalty, status in ((1e3, "ok"), (None, "infeasible")):
         limit = OutputLimit(height_row(), low=0.999, penalty=penalty)  # after one sample already
-        mpc = tc.MPC(
+        controller = law(
             plant,
             horizon=4,
             sample_time=SAMPLE,
@@ -195,7 +196,7 @@ def test_limit_out_of_reach_is_violated_softly_or_reported_when_hard(plant):
             outputs=[limit],
             max_change=1e-3,
         )
-        assert mpc.command(0.0, low.nodes, STILL).status.split(":")[0] == status
+        assert controller.command(0.0, low, STILL).status.split(":")[0] == status
 
 
 @pytest.mark.parametrize("law", [tc.MPC, tc.NMPC])

@@ -173,21 +173,6 @@ def test_soft_output_limit_that_can_be_kept_is_the_hard_one(plant):
     assert np.allclose(*values, atol=1e-3 * (30.0 if plant.input == "force_density" else 0.1))
 
 
-def test_limit_out_of_reach_is_violated_softly_or_reported_when_hard(plant):
-    low = tc.prism(radius=tc.structure.prism_radius(tc.prism().bar_length[0], 0.97), height=0.97)
-    for penalty, status in ((1e3, "ok"), (None, "infeasible")):
-        limit = OutputLimit(height_row(), low=0.999, penalty=penalty)  # after one sample already
-        nmpc = NMPC(
-            plant,
-            horizon=4,
-            sample_time=SAMPLE,
-            max_force_density=60.0,
-            outputs=[limit],
-            max_change=1e-3,
-        )
-        assert nmpc.command(0.0, low.nodes, STILL).status.split(":")[0] == status
-
-
 def test_program_pays_only_for_the_limits_that_it_has(plant):
     if plant.input == "force_density":
         plain, limited = (
