@@ -449,8 +449,8 @@ def test_work_is_counted(prism):
     assert np.abs(np.subtract.outer([0.025, 0.05, 0.075, 0.1], times)).min(axis=1).max() < 1e-15
 
 
-@pytest.mark.parametrize("outputs", [7])
-def test_steps_are_chained_without_a_seam(prism, outputs):
+def test_steps_are_chained_without_a_seam(prism):
+    outputs = 7
     lengths = rest_lengths(prism, paper_force_density(45.0), 100.0)
     model = tc.Model(prism, strings=tc.LinearStrings(100.0))
     method = EnergyMomentum(model.equation("rest_length"), step=0.2 / 1400)
