@@ -432,7 +432,8 @@ def work_of(counts: _Motion | Progress, spans: int = 1) -> Work:
 def _stuck(time: float, step: float, reached: Span) -> IntegrationError:
     return IntegrationError(
         f"dop853 stopped after {time:.6g} s: its step fell to {step:.1e} s, as the forces are no "
-        "longer finite or change without end, as at a dead centre of bars that share nodes",
+        "longer finite or change without end; where bars that share nodes come to a dead centre, "
+        "longer steps may cross it: try a larger tolerance",
         time,
         reached,
     )
