@@ -32,6 +32,19 @@ void *dlopen(const char *file, int flags) {
 }
 """
 
+# An editable installation finds its own package and core before those of the folder.
+TESTED_HERE = """
+import sys
+from pathlib import Path
+sys.meta_path = [finder for finder in sys.meta_path if "editable" not in type(finder).__module__]
+from tenscontrol.core.library import library
+core = Path(library()._name)
+if not core.is_relative_to(Path.cwd()):
+    sys.exit(f"the core is that of {core}, expected the one that is watched")
+import pytest
+sys.exit(pytest.main(sys.argv[1:]))
+"""
+
 
 def main() -> int:
     """Build the core and run its tests; return what pytest returned."""
@@ -61,7 +74,7 @@ def main() -> int:
             "LD_PRELOAD": f"{copy / 'dlopen.so'} {library}",
             "ASAN_OPTIONS": "detect_leaks=0:verify_asan_link_order=0",
         }
-        command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *TESTS]
+        command = [sys.executable, "-c", TESTED_HERE, "-q", "-p", "no:cacheprovider", *TESTS]
         return subprocess.run(command, cwd=copy, env=os.environ | watched, check=False).returncode
 
 
