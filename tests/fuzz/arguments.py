@@ -121,8 +121,8 @@ MAY_BE_INFINITE = {
     *(f"{kind}.{name}" for kind in ("Mesh", "OptimalMotion") for name in REPLAYED),
 }
 
-# Returned as NaN, and documented so: an error that no run reaches, a reading that is lost, an error
-# of a run that ended early.
+# Returned as NaN or infinite, and documented so: an error that no run reaches, a reading that is
+# lost, an error of a run that ended early, a margin without force.
 MAY_BE_NAN = {
     "accuracy.WorkPrecision.fastest[1]",
     "accuracy.WorkPrecision.time_at",
@@ -130,6 +130,7 @@ MAY_BE_NAN = {
     "Sensors.measure, tension",
     "fit.interval",
     "simulate_many.error",
+    *(f"sizing.Sections.margins[{i}]" for i in range(2)),
 }
 
 
