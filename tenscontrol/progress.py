@@ -50,9 +50,8 @@ def _has_terminal() -> bool:
     return hasattr(stream, "isatty") and stream.isatty()
 
 
-@contextmanager
-def long_run_note(start: float, end: float) -> Iterator[Callable[[float], None]]:
-    """Yield a function that is told the simulated time reached, s, and logs once if it takes long.
+def long_run_note(start: float, end: float) -> Callable[[float], None]:
+    """Return a function that is told the simulated time reached, s; it logs once if it takes long.
 
     How long depends on the machine, so it is no warning, which a user may have made an error. The
     logger ``"tenscontrol"`` has it as one; without any settings, Python writes that to stderr.
@@ -74,7 +73,7 @@ def long_run_note(start: float, end: float) -> Iterator[Callable[[float], None]]
                 reached - start, end - start, taken, _readable(whole),
             )  # fmt: skip
 
-    yield report
+    return report
 
 
 def _readable(seconds: float) -> str:

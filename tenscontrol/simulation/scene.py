@@ -16,7 +16,12 @@ from tenscontrol.dynamics.held_inputs import held_value, own_input
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.profile import Pieces, sampling_interval
 from tenscontrol.fields import changed, check_fields, checked, instance_of, optional
-from tenscontrol.interrupt import InterruptionWarning, finishing, interruptible
+from tenscontrol.interrupt import (
+    Interruption,
+    InterruptionWarning,
+    finishing,
+    interruptible,
+)
 from tenscontrol.progress import long_run_note, progress_bar
 from tenscontrol.properties import cached_property
 from tenscontrol.simulation.arguments import Arguments
@@ -665,14 +670,14 @@ class Scene:
             If the motion runs away.
         """
         validation.truth("progress", progress, "whether to show a progress bar")
-        if start is None:
-            return run_scene(self, progress)
-        return run_scene(
-            replace(
-                self, start=start, nodes=None, velocities=None, rest_length=None, force_density=None
-            ),
-            progress,
-        )
+        with interruptible() as interruption:
+            scene = self
+            if start is not None:
+                scene = replace(
+                    self, start=start, nodes=None, velocities=None, rest_length=None,
+                    force_density=None,
+                )  # fmt: skip
+            return run_scene(scene, progress, interruption)
 
     @cached_property
     def _degree(self) -> int:
@@ -781,39 +786,38 @@ def trace(scene: Scene, run: TracedRun) -> ClosedLoop | None:
     return loop
 
 
-def run_scene(scene: Scene, progress: bool) -> Trajectory:
+def run_scene(scene: Scene, progress: bool, interruption: Interruption) -> Trajectory:
     """Return the motion of a scene; see :func:`simulate`. Warnings are those of the caller's."""
     how, stopped, loop = scene.integration, None, None
-    with interruptible() as interruption:
-        begin, end = scene.begin, scene.begin + scene.duration
-        bar = progress_bar(end, shown=True) if progress else long_run_note(begin, end)
-        with bar as report:
-            run = scene.plant_run(report)
-            try:
-                if scene.law is None:
-                    assert scene.inputs is not None  # held in open loop
-                    run.run(scene.state, scene.inputs, scene.duration)
-                else:
-                    estimator = scene.estimator
-                    used = nullcontext() if estimator is None else estimator.in_use
-                    with scene.law.in_use, used:
-                        loop = _loop(scene, run)
-                        loop.run(scene.state)
-            except StoppedError as stop:
-                reason = f"stopped at {run.now:.6g} s of motion: {stop}"
-                raise SimulationError(
-                    f"the simulation {reason}. The motion up to there is in the error's "
-                    ".trajectory",
-                    _trajectory(scene, run, loop, reason, None),
-                ) from stop.__cause__
-            except KeyboardInterrupt:
-                if not run.spans or interruption.whole:
-                    raise
-                stopped = f"stopped at {run.now:.6g} s of motion: interrupted"
-        estimates = progress and how.error == "estimate" and stopped is None
-        shown = progress_bar(scene.duration, True, label="estimating error") if estimates else None
-        with shown or nullcontext() as report_of_error:
-            trajectory = _trajectory(scene, run, loop, stopped, report_of_error)
+    begin, end = scene.begin, scene.begin + scene.duration
+    note = long_run_note(begin, end)
+    with progress_bar(end, shown=True) if progress else nullcontext(note) as report:
+        run = scene.plant_run(report)
+        try:
+            if scene.law is None:
+                assert scene.inputs is not None  # held in open loop
+                run.run(scene.state, scene.inputs, scene.duration)
+            else:
+                estimator = scene.estimator
+                used = nullcontext() if estimator is None else estimator.in_use
+                with scene.law.in_use, used:
+                    loop = _loop(scene, run)
+                    loop.run(scene.state)
+        except StoppedError as stop:
+            reason = f"stopped at {run.now:.6g} s of motion: {stop}"
+            raise SimulationError(
+                f"the simulation {reason}. The motion up to there is in the error's .trajectory",
+                _trajectory(scene, run, loop, reason, None),
+            ) from stop.__cause__
+        except KeyboardInterrupt:
+            if not run.spans or interruption.whole:
+                raise
+            stopped = f"stopped at {run.now:.6g} s of motion: interrupted"
+    if progress and how.error == "estimate" and stopped is None:
+        with progress_bar(scene.duration, True, label="estimating error") as report:
+            trajectory = _trajectory(scene, run, loop, stopped, report)
+    else:
+        trajectory = _trajectory(scene, run, loop, stopped, None)
     if stopped is not None or interruption.signal is not None:
         outcome = stopped or "was interrupted at its end, and is complete"
         warn(f"the simulation {outcome}", InterruptionWarning)

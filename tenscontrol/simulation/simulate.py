@@ -245,7 +245,7 @@ def simulate(
     validation.truth("progress", progress, "whether to show a progress bar")
     if controller is None and input is not None:
         raise ValueError("input goes with a controller; in open loop the given input is held")
-    with interruptible():  # CasADi may lose a key while it builds
+    with interruptible() as interruption:  # CasADi may lose a key while it builds
         integration = Integration(
             method, tolerance, step, output_step, project, error,
             _LIMITS if limits is None else limits,
@@ -271,4 +271,4 @@ def simulate(
             start=start,
             integration=integration,
         )
-        return run_scene(scene, progress)
+        return run_scene(scene, progress, interruption)

@@ -236,7 +236,8 @@ def test_a_run_says_which_methods_it_took(tmp_path):
 def test_a_long_run_says_how_long_it_takes_once(monkeypatch, caplog):
     clock = iter(np.arange(0.0, 1e3, 2.0))
     monkeypatch.setattr(progress, "perf_counter", lambda: next(clock))
-    with caplog.at_level(logging.WARNING), progress.long_run_note(1.0, 3.0) as report:
+    report = progress.long_run_note(1.0, 3.0)
+    with caplog.at_level(logging.WARNING):
         for reached in np.linspace(1.0, 1.1, 11):
             report(reached)
     (record,) = caplog.records
@@ -245,7 +246,8 @@ def test_a_long_run_says_how_long_it_takes_once(monkeypatch, caplog):
     assert "the run takes 10 minutes in all" in record.getMessage()
     monkeypatch.setattr(progress, "perf_counter", lambda: next(clock))
     caplog.clear()
-    with caplog.at_level(logging.WARNING), progress.long_run_note(0.0, 1.0) as report:
+    report = progress.long_run_note(0.0, 1.0)
+    with caplog.at_level(logging.WARNING):
         for reached in np.linspace(0.1, 1.0, 8):
             report(reached)
     assert not caplog.records
