@@ -303,6 +303,8 @@ def non_negative(name: str, array: FloatArray, why: str) -> FloatArray:
 
 def positive_number(name: str, value: object, unit: str, most: float = LARGEST) -> float:
     """Return a positive finite number of at most ``most``."""
+    if type(value) is float and 1 / LARGEST <= value <= most:  # most are
+        return value
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
     if isinstance(value, _NO_NUMBERS) or not isinstance(value, _NUMBERS):
@@ -321,6 +323,8 @@ def positive_number(name: str, value: object, unit: str, most: float = LARGEST) 
 
 def whole_number(name: str, value: Any, least: int, most: int = LARGEST_WHOLE) -> int:
     """Return an integer from ``least`` to ``most``; a float may stand for one."""
+    if type(value) is int and least <= value <= most:  # as a rule
+        return value
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
     is_whole = isinstance(value, _WHOLE)
@@ -340,6 +344,8 @@ def whole_number(name: str, value: Any, least: int, most: int = LARGEST_WHOLE) -
 def choice(name: str, value: object, options: Iterable[str]) -> str:
     """Return a string that is one of the options."""
     allowed = tuple(options)
+    if type(value) is str and value in allowed:
+        return value
     if not isinstance(value, str) or value not in allowed:
         quoted = ", ".join(repr(option) for option in allowed) or "none"
         near = get_close_matches(value, allowed, n=1) if isinstance(value, str) else ()
@@ -357,6 +363,8 @@ def identifier(name: str, value: object) -> str:
 
 def truth(name: str, value: object, meaning: str) -> bool:
     """Return True or False, and refuse what only looks like it."""
+    if value is True or value is False:
+        return value
     if not isinstance(value, _TRUTH):
         raise TypeError(
             f"{name} is {_brief(value)} ({type(value).__name__}), expected True or False: {meaning}"
@@ -384,7 +392,7 @@ def wrong_kind(name: str, value: object, expected: str) -> TypeError:
 
 def instance(name: str, value: object, kind: type, how: str) -> Any:
     """Return a value, and refuse one of the wrong class and say where the right one comes from."""
-    if not isinstance(value, kind):
+    if type(value) is not kind and not isinstance(value, kind):
         raise wrong_kind(name, value, f"{kind.__name__}: {how}")
     return value
 
