@@ -83,7 +83,8 @@ def is_bounded(array: FloatArray) -> bool:
     # threads. What is not a number makes all of it false.
     if array.size <= _FEW and np.vdot(array, array) <= LARGEST**2:
         return True
-    return bool(array.min(initial=0.0) >= -LARGEST and array.max(initial=0.0) <= LARGEST)
+    least = np.minimum.reduce(array, axis=None, initial=0.0)
+    return bool(least >= -LARGEST and np.maximum.reduce(array, axis=None, initial=0.0) <= LARGEST)
 
 
 def vector(name: str, value: object) -> FloatArray:

@@ -376,7 +376,7 @@ class _Calls:
         runs = self._runs({})
         work = self._work(settings_of("dop853", 1.0, 1, False), runs)
         scene.core.tc_begin_runs(
-            ctypes.byref(scene.scene), ctypes.byref(self._drive), ctypes.byref(runs),
+            scene.at, ctypes.byref(self._drive), ctypes.byref(runs),
             *pointers(self._states, difference, vector),
             *(pointers(frequency) if finds_frequency else [None]), *pointers(*arrays, work),
         )  # fmt: skip
@@ -392,7 +392,7 @@ class _Calls:
         runs = self._runs(own)
         work = self._work(settings, runs)
         scene.core.tc_advance_runs(
-            ctypes.byref(scene.scene), ctypes.byref(self._drive), ctypes.byref(scene.lengths),
+            scene.at, ctypes.byref(self._drive), scene.lengths_at,
             ctypes.byref(settings), ctypes.byref(runs),
             *pointers(self._states, reached, progress), ctypes.byref(stop), *pointers(work),
         )  # fmt: skip

@@ -26,8 +26,9 @@ from tenscontrol.integrate.integrator import (
 )
 from tenscontrol.interrupt import check
 
-# Steps in the first call, and seconds that a call should take at most.
-_FIRST, _LONGEST = 64, 0.05
+# Steps in the first call, or so many numbers in their states if that is more, and seconds that a
+# call should take at most.
+_FIRST, _FIRST_NUMBERS, _LONGEST = 64, 20_000, 0.05
 
 # Steps in a call over several spans, at most.
 _MOST_TRIES = 2048
@@ -66,10 +67,10 @@ def room_for(states: int) -> int:
 
 def reached(motion: CoreMotion, work: Work) -> Span:
     """Return the outputs so far of a motion, with what they have cost."""
-    whole = motion.whole
+    whole, ends = motion.whole, motion.ends
     if not motion.is_over:  # what follows has memory of its own: give back what is left of this
         whole = whole.copy()
-    return Span(whole[:, 1:], work, whole, StepEnds(*motion.ends))
+    return Span(whole[:, 1:], work, whole, StepEnds(*ends) if ends else None)
 
 
 def advance_in_core(
@@ -90,28 +91,26 @@ def advance_in_core(
     report : callable, optional
         Told the time reached.
     """
-    progress, budget = motion.progress, _FIRST
+    progress, budget = motion.progress, max(_FIRST, _FIRST_NUMBERS // max(len(motion.state), 1))
 
     def span() -> Span:
         return reached(motion, work_of(progress))
 
     try:
-        is_over = motion.is_over
-        while not is_over:
+        while True:
             check()
             began = perf_counter()
-            budget = min(budget, motion.most_steps)
-            motion.advance(budget)
+            is_over = motion.advance(budget)
             taken = perf_counter() - began
             if progress.stuck:
                 raise failure(motion)
             if report is not None:
                 report(progress.time)
-            is_over = motion.is_over
-            if not is_over and motion.is_paused:
+            if is_over:
+                return span()
+            if motion.is_paused:
                 raise IntegrationPause(progress.time, motion.state, span())
             budget = int(min(max(budget * _LONGEST / (taken + 1e-9), 1), 8 * budget))
-        return span()
     except KeyboardInterrupt:
         raise IntegrationInterrupt(progress.time, span()) from None
 
@@ -154,7 +153,7 @@ def spans_in_core(
     ends = [np.empty(shape) for shape in (room, (room, n), (room, scene.switches))]
     at = ctypes.byref
     done = scene.core.tc_advance_spans(
-        at(scene.scene), at(scene.drive(held[0])), at(scene.lengths), at(settings), at(spans),
+        scene.at, at(scene.drive(held[0])), scene.lengths_at, at(settings), at(spans),
         at(progress), *records.pointers(
             state.copy(), memory, *ends, np.empty(scene.work_size + 3 * n + scene.switches)
         ),

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Sequence
 from ctypes import byref, c_void_p
-from itertools import accumulate
 from typing import Any
 
 import casadi as ca
@@ -85,6 +84,7 @@ class CoreScene:
         self.states = 2 * len(structure.free_rows)
         self.switches = equation.switches
         self.scene, self.lengths = records.Scene(), records.Lengths()
+        self.at, self.lengths_at = byref(self.scene), byref(self.lengths)  # as the core takes them
         # Places of entries among those that are free.
         is_free = np.isin(np.arange(structure.nodes.size), structure.free_rows)
         free_place = np.cumsum(is_free) - 1
@@ -101,7 +101,7 @@ class CoreScene:
             self._put("swinging_bar", structure.swinging_bars)
             independent = [block.independent for block in structure.blocks]
             self._put("block_bar", np.concatenate([np.zeros(0, dtype=int), *independent]))
-        self.work_size = core.tc_motion_work_size(byref(self.scene), byref(self.drive(np.zeros(0))))
+        self.work_size = core.tc_motion_work_size(self.at, byref(self.drive(np.zeros(0))))
 
     # ---- tables ----
 
@@ -244,7 +244,7 @@ class CoreScene:
         taut, slope = np.zeros(self.switches), np.empty(self.states)
         work = np.empty(self.work_size)
         force = self.core.tc_begin(
-            byref(self.scene), byref(self.drive(u)), *pointers(state, taut, slope, work),
+            self.at, byref(self.drive(u)), *pointers(state, taut, slope, work),
         )  # fmt: skip
         return float(force)
 
@@ -252,7 +252,7 @@ class CoreScene:
         """Return ẋ for fixed switches, shape (states,)."""
         slope, work = np.empty(self.states), np.empty(self.work_size)
         self.core.tc_slope(
-            byref(self.scene), byref(self.drive(u)), *pointers(state, taut, slope, work),
+            self.at, byref(self.drive(u)), *pointers(state, taut, slope, work),
         )  # fmt: skip
         return slope
 
@@ -260,7 +260,7 @@ class CoreScene:
         """Return the gap of each switch, m, and its rate, m/s; see :class:`Equation`."""
         gap, rate, work = np.empty(self.switches), np.empty(self.switches), np.empty(self.work_size)
         self.core.tc_gap(
-            byref(self.scene), byref(self.drive(u)), *pointers(state, gap, rate, work),
+            self.at, byref(self.drive(u)), *pointers(state, gap, rate, work),
         )  # fmt: skip
         return gap, rate
 
@@ -268,9 +268,7 @@ class CoreScene:
         """Return a state with its bars on their lengths under an input; see :func:`project`."""
         state, work = state.copy(), np.empty(self.work_size)
         drive = self.drive(u)
-        self.core.tc_restore(
-            byref(self.scene), byref(drive), byref(self.lengths), *pointers(state, work)
-        )
+        self.core.tc_restore(self.at, byref(drive), self.lengths_at, *pointers(state, work))
         return state
 
     def frequency(
@@ -283,7 +281,7 @@ class CoreScene:
         work = np.empty(self.work_size)
         return float(
             self.core.tc_frequency(
-                byref(self.scene), byref(self.drive(u)), *pointers(state),
+                self.at, byref(self.drive(u)), *pointers(state),
                 ctypes.c_double(difference), *pointers(vector, work),
             )
         )  # fmt: skip
@@ -293,7 +291,7 @@ class CoreScene:
         count, rates = rates.shape[2], times_in_rows(rates)
         energy = np.empty(count)
         motion = records.Motion.of(rates)
-        self.core.tc_kinetic_energy(byref(self.scene), count, byref(motion), *pointers(energy))
+        self.core.tc_kinetic_energy(self.at, count, byref(motion), *pointers(energy))
         return energy
 
     def potential_energy(
@@ -308,7 +306,7 @@ class CoreScene:
         motion = records.Motion.of(nodes)
         inputs, is_constant = _rows_of(inputs)
         self.core.tc_potential_energy(
-            byref(self.scene), count, byref(motion), *pointers(inputs), is_constant,
+            self.at, count, byref(motion), *pointers(inputs), is_constant,
             _entries(load), *pointers(energy, work),
         )  # fmt: skip
         return energy
@@ -322,7 +320,7 @@ class CoreScene:
         motions = (byref(records.Motion.of(array)) for array in (nodes, rates))
         conserved, work = records.Conservation(), np.empty(4 * count)
         self.core.tc_conservation(
-            byref(self.scene), count, *motions, *pointers(inputs), is_constant, _entries(load),
+            self.at, count, *motions, *pointers(inputs), is_constant, _entries(load),
             self._bar_length, byref(conserved), *pointers(work),
         )  # fmt: skip
         return conserved
@@ -340,10 +338,10 @@ class CoreScene:
         states, (shares, weights) = np.ascontiguousarray(states.T), quadrature
         parts, bars, drive = len(times) - 1, self.scene.bars, byref(self.drive(u))
         density, done = np.empty((parts + 1, bars)), np.empty((parts, bars))
-        work = np.empty(self.core.tc_strut_work_size(byref(self.scene), drive))
+        work = np.empty(self.core.tc_strut_work_size(self.at, drive))
         rule = records.Quadrature(len(shares), *map(records.address, (shares, weights)))
         self.core.tc_strut_work(
-            byref(self.scene), drive, byref(rule), parts,
+            self.at, drive, byref(rule), parts,
             *pointers(np.ascontiguousarray(times), states, density, done, work),
         )  # fmt: skip
         return density.T, done.T
@@ -367,6 +365,8 @@ class CoreMotion:
         Where it has come to.
     done : int
         Outputs that are reached.
+    is_over : bool
+        Whether the last of them is.
     progress : Progress
     """
 
@@ -375,87 +375,82 @@ class CoreMotion:
         rules: records.Spans | None = None,
     ) -> None:  # fmt: skip
         self._scene, self._u, self._settings = scene, u, settings
-        self._states = np.empty((len(state), settings.outputs + 1))
+        states, switches, room = len(state), scene.switches, settings.room
+        self._states = np.empty((states, settings.outputs + 1))
         self._states[:, 0] = state
-        self._step_times = np.empty(settings.room)
-        self._step_states = np.empty((settings.room, len(state)))
-        self._step_taut = np.empty((settings.room, scene.switches))
-        self._traced: list[tuple[FloatArray, ...]] = []  # ends of steps of the calls before
-        self.done = 0
+        # Ends of steps that are kept: of the call at work, and of those before.
+        shapes = (room, (room, states), (room, switches)) if room else ()
+        self._steps, self._traced = list(map(np.empty, shapes)), list[list[FloatArray]]()
+        # All parts of steps are to be kept where they are traced.
+        self._most_steps = room // _PARTS if settings.traces else _MOST_STEPS
+        self.done, self.is_over = 0, False
         self.progress = records.Progress(every=1)
         # The state, what pulls, its slope, what a step may err, and the memory of the core.
-        sizes = len(state), scene.switches, *((0 if rules is None else len(state),) * 2)
-        ends = list(accumulate(sizes))
-        memory = np.empty(ends[-1] + scene.work_size)
-        self.state, self._taut = memory[: ends[0]], memory[ends[0] : ends[1]]
+        memory = np.empty(3 * states + switches + scene.work_size)
+        self.state = memory[:states]
         self.state[:] = state
-        first = records.address(memory)
-        state_at, taut_at, slope_at, scale_at, work_at = (
-            c_void_p(first + memory.itemsize * place) for place in (0, *ends)
-        )
-        drive = scene.drive(u)
-        given = byref(scene.scene), byref(drive)
+        first, ends = records.address(memory), states + switches
+        state_at, taut_at, slope_at, scale_at, work_at = [
+            c_void_p(first + memory.itemsize * place)
+            for place in (0, states, ends, states + ends, 2 * states + ends)
+        ]
+        given, how = (scene.at, byref(scene.drive(u))), byref(settings)
         if rules is None:
             scene.core.tc_taut(*given, state_at, taut_at, work_at)
         else:
-            start = byref(rules), byref(settings), state_at, taut_at, slope_at, scale_at, work_at
+            start = byref(rules), how, state_at, taut_at, slope_at, scale_at, work_at
             scene.core.tc_start(*given, *start)
-        self.progress.step = settings.step
-        kept = pointers(self._states, self._step_times, self._step_states, self._step_taut)
+        self.progress.step, self._progress_at = settings.step, byref(self.progress)
+        kept = pointers(self._states, *self._steps) + [None] * (0 if room else 3)
         self._arguments = (
-            *given, byref(scene.lengths), byref(settings), byref(self.progress), state_at, slope_at,
-            taut_at, *kept, work_at,
+            *given, scene.lengths_at, how, self._progress_at, state_at, slope_at, taut_at, *kept,
+            work_at,
         )  # fmt: skip
 
     @property
     def whole(self) -> FloatArray:
         """The start and the outputs that are reached, shape (states, done + 1)."""
-        return self._states[:, : self.done + 1]
+        return self._states if self.is_over else self._states[:, : self.done + 1]
 
     @property
     def ends(self) -> tuple[FloatArray, ...]:
         """Times, states and ``taut``, with one column each, of the ends of steps that are kept.
 
-        In memory of their own: of the room for them most is left as a rule.
+        Where they are not traced times and states; nothing where none are kept. In memory of their
+        own: of the room for them most is left as a rule.
         """
-        if not self._settings.traces:
-            count = self.progress.kept
-            return self._step_times[:count].copy(), self._step_states[:count].copy().T
-        if not self._traced:
-            return np.zeros(0), np.zeros((len(self.state), 0)), np.zeros((len(self._taut), 0))
-        time, states, taut = self._traced[0]
-        if len(self._traced) > 1:
-            time, states, taut = map(np.concatenate, zip(*self._traced, strict=True))
-        return time, states.T, taut.T
+        if not self._steps:
+            return ()
+        if self._settings.traces:
+            parts = self._traced or [[array[:0] for array in self._steps]]
+            time, *rest = map(np.concatenate, zip(*parts, strict=True))
+        else:
+            time, *rest = self._kept(self._steps[:2])
+        return time, *(array.T for array in rest)
 
-    @property
-    def most_steps(self) -> int:
-        """Steps that a call may take at most: all of their parts are to be kept where traced."""
-        return self._settings.room // _PARTS if self._settings.traces else _MOST_STEPS
-
-    @property
-    def is_over(self) -> bool:
-        """Whether the last output is reached."""
-        return bool(self.done == self._settings.outputs)
+    def _kept(self, steps: list[FloatArray]) -> list[FloatArray]:
+        """Return those of some numbers of ends of steps that the last call kept."""
+        return [array[: self.progress.kept].copy() for array in steps]
 
     @property
     def evaluations(self) -> int:
         """Of the equation, by DOP853."""
-        return int(self._scene.core.tc_evaluations(byref(self.progress)))
+        return int(self._scene.core.tc_evaluations(self._progress_at))
 
     @property
     def is_paused(self) -> bool:
         """Whether the evaluations of the settings are used up."""
         return bool(self.evaluations >= self._settings.limit)
 
-    def advance(self, budget: int) -> None:
-        """Go on by at most so many steps that are tried."""
-        self._settings.budget = budget
+    def advance(self, budget: int) -> bool:
+        """Go on by at most so many steps that are tried; return whether it is over."""
+        self._settings.budget = min(budget, self._most_steps)
         self.done = self._scene.core.tc_advance(*self._arguments)
+        self.is_over = self.done == self._settings.outputs
         if self._settings.traces:
-            count, self.progress.kept = self.progress.kept, 0
-            ends = self._step_times, self._step_states, self._step_taut
-            self._traced.append(tuple(array[:count].copy() for array in ends))
+            self._traced.append(self._kept(self._steps))
+            self.progress.kept = 0
+        return self.is_over
 
 
 def _rows_of(inputs: FloatArray) -> tuple[FloatArray, bool]:

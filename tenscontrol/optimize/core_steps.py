@@ -78,7 +78,7 @@ class CoreSteps:
         self._c = method.c
         #: Whether it puts bars on their lengths after steps, too.
         self.projects = steps.projects and not model.structure.blocks
-        self._lengths = ctypes.byref(scene.lengths) if self.projects else None
+        self._lengths = scene.lengths_at if self.projects else None
         self._width = columns[-1].stop if columns else 0
         self._padded = -(-max(self._width, 1) // records.COLUMNS) * records.COLUMNS
         self._pulls = [self._pull(parameter) for parameter in parameters]

@@ -55,8 +55,9 @@ def test_outputs_whose_bars_have_no_place_end_a_run(monkeypatch):
     original = CoreMotion.advance
 
     def advance(self, budget):
-        original(self, budget)
+        is_over = original(self, budget)
         self._states[:, 4:] = np.nan  # what the core writes for them
+        return is_over
 
     monkeypatch.setattr(CoreMotion, "advance", advance)
     with pytest.raises(tc.simulation.SimulationError, match="came to a dead centre") as it:

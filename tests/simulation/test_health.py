@@ -84,8 +84,8 @@ def test_without_limits_nothing_is_said(example):
 @pytest.mark.parametrize(
     ("method", "options", "kind", "calls"),
     [
-        ("rk4", {"step": 1e-3}, CoreMotion, 3),
-        ("dop853", {"tolerance": 1e-9}, CoreMotion, 3),
+        ("rk4", {"step": 1e-3}, CoreMotion, 2),
+        ("dop853", {"tolerance": 1e-9}, CoreMotion, 2),
         ("energy_momentum", {"step": 1e-3}, Evaluator, 6),
     ],
 )
