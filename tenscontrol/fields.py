@@ -62,7 +62,7 @@ def instance_of(name: str, value: object, kind: str, how: str) -> object:
 def check_fields(record: Any) -> None:
     """Check the fields of a frozen record in their order, and keep read-only arrays."""
     kind: Any = type(record)
-    values = vars(record)
+    values = record.__dict__
     for name, check, details, takes_none in _declared(kind):
         given = value = values[name]
         if given is None and takes_none:
@@ -78,7 +78,7 @@ def check_fields(record: Any) -> None:
 def changed(record: _Record, **values: Any) -> _Record:
     """Return a copy of a record with other values of some fields, which need no check."""
     copy = object.__new__(type(record))
-    vars(copy).update(vars(record), **values)
+    copy.__dict__.update(record.__dict__, **values)
     return copy
 
 

@@ -121,7 +121,8 @@ class _Outermost:
 
 def _own() -> Interruption:
     """Return what has come to this thread: to all but the main one no signal does."""
-    return _STATE if _thread.get_ident() == _main_thread() else Interruption()
+    is_main = _thread.get_ident() == threading.main_thread().ident
+    return _STATE if is_main else Interruption()
 
 
 def interruptible(whole: bool = False) -> AbstractContextManager[Interruption]:
@@ -168,6 +169,9 @@ def at_once() -> AbstractContextManager[Interruption]:
     return _Flag(_own(), "at_once")
 
 
-def finishing() -> AbstractContextManager[Interruption]:
-    """Let a first signal raise nothing while a result is put together, however long it takes."""
-    return _Flag(_own(), "finishing")
+def finishing(came: Interruption | None = None) -> AbstractContextManager[Interruption]:
+    """Let a first signal raise nothing while a result is put together, however long it takes.
+
+    ``came`` is what :func:`interruptible` yielded, where that is known.
+    """
+    return _Flag(_own() if came is None else came, "finishing")

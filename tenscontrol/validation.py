@@ -177,6 +177,8 @@ def node_forces(name: str, value: object, shape: tuple[int, ...]) -> FloatArray:
 
 def per_member(name: str, value: object, count: int, member: str) -> FloatArray:
     """Return one finite float a member: a scalar is repeated, a vector or column must fit."""
+    if _is_alike(value, (count,)) and is_bounded(value):
+        return value.astype(float)
     return _repeated(name, vector(name, value), count, member)
 
 
@@ -418,7 +420,7 @@ def function(name: str, value: object, meaning: str) -> None:
 
 def text(name: str, value: object, meaning: str) -> str:
     """Return a string."""
-    if not isinstance(value, str):
+    if type(value) is not str and not isinstance(value, str):
         raise TypeError(f"{name} is {_brief(value)}, expected text: {meaning}")
     return value
 

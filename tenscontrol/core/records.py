@@ -8,13 +8,13 @@ from typing import Any
 _POINTER = ctypes.c_void_p
 _COUNT = ctypes.c_int32
 _NUMBER = ctypes.c_double
-_BYTE = ctypes.c_char
+_BYTES = ctypes.c_char * 1
 
 
 def address(array: Any) -> int:
     """Return where in memory an array is, which has to outlive what is given it."""
     if array.size and array.flags.carray:  # in a third of the time of the other
-        return ctypes.addressof(_BYTE.from_buffer(array))
+        return ctypes.addressof(_BYTES.from_buffer(array))
     place: int = array.__array_interface__["data"][0]
     return place
 
@@ -22,7 +22,7 @@ def address(array: Any) -> int:
 def pointers(*arrays: Any) -> list[Any]:
     """Return arrays as calls of the core take them."""
     return [
-        ctypes.byref(_BYTE.from_buffer(array))
+        _BYTES.from_buffer(array)  # which goes as a pointer
         if array.size and array.flags.carray
         else _POINTER(array.__array_interface__["data"][0])
         for array in arrays

@@ -15,7 +15,6 @@ from collections import deque
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
 from functools import cache, wraps
-from itertools import count
 from threading import Lock, RLock, get_ident
 from traceback import clear_frames
 from typing import Any, ClassVar, Concatenate, ParamSpec, TypeVar
@@ -266,10 +265,10 @@ class Prepared:
     """Functions and matrices by key: bounded, thread-safe, and left out of pickles and copies."""
 
     def __init__(self) -> None:
-        # Each value with the number of its last use. There is no lock for what is done in one
-        # operation: a child that is forked meanwhile would wait for it.
+        # Each value with the number of its last use, which threads may share. There is no lock for
+        # what is done in one operation: a child that is forked meanwhile would wait for it.
         self._kept: dict[Hashable, list[Any]] = {}
-        self._uses = count()
+        self._uses = 0
 
     def get(self, key: Hashable, build: Callable[[], _Value]) -> _Value:
         """Return what was built for a key; the first time, build it: anything but None.
@@ -277,27 +276,25 @@ class Prepared:
         The key holds all that the value depends on, beside the owner of this object. Threads share
         the value, so it has no memory: functions, not evaluators.
         """
-        value: _Value | None = self._find(key)
-        if value is None:
-            with BUILDING:
-                value = self._find(key)
-                if value is None:
-                    value = self._keep(key, _guarded(build()))
+        try:
+            entry = self._kept[key]
+        except KeyError:
+            return self._built(key, build)
+        entry[1] = self._uses = self._uses + 1
+        value: _Value = entry[0]
         return value
 
-    def _find(self, key: Hashable) -> Any:
-        entry = self._kept.get(key)
-        if entry is None:
-            return None
-        entry[1] = next(self._uses)
-        return entry[0]
-
-    def _keep(self, key: Hashable, value: _Value) -> _Value:
-        """Keep a value, by the thread that holds the lock."""
-        self._kept[key] = [value, next(self._uses)]
-        while len(self._kept) > _MOST:
-            del self._kept[min(self._kept, key=lambda stored: self._kept[stored][1])]
-        return value
+    def _built(self, key: Hashable, build: Callable[[], _Value]) -> _Value:
+        """Build a value and keep it, by the thread that holds the lock."""
+        with BUILDING:
+            if key in self._kept:  # another thread was first
+                return self.get(key, build)
+            value: _Value = _guarded(build())
+            self._uses += 1
+            self._kept[key] = [value, self._uses]
+            while len(self._kept) > _MOST:
+                del self._kept[min(self._kept, key=lambda stored: self._kept[stored][1])]
+            return value
 
     def __reduce__(self) -> tuple[type[Prepared], tuple[()]]:
         """Pickle and copy as an empty store."""

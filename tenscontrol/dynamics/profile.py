@@ -165,6 +165,10 @@ class Profile:
         )
 
 
+# Where a single piece begins, and the time from which it counts, s.
+_ALWAYS, _ZERO = frozen(np.array([-np.inf])), frozen(np.zeros(1))
+
+
 @dataclass(frozen=True, eq=False)
 class Pieces:
     """A polynomial in time for each piece of time, one row a quantity.
@@ -186,7 +190,7 @@ class Pieces:
     @classmethod
     def constant(cls, values: FloatArray) -> Pieces:
         """Return what has these values, shape (rows,), at all times."""
-        return cls(np.array([-np.inf]), np.zeros(1), values[None, :, None])
+        return cls(_ALWAYS, _ZERO, values[None, :, None])
 
     @classmethod
     def ramp(cls, start: float, duration: float, first: FloatArray, last: FloatArray) -> Pieces:

@@ -91,7 +91,7 @@ def advance_in_core(
     report : callable, optional
         Told the time reached.
     """
-    progress, budget = motion.progress, max(_FIRST, _FIRST_NUMBERS // max(len(motion.state), 1))
+    progress, budget = motion.progress, max(_FIRST, _FIRST_NUMBERS // (len(motion.state) + 1))
 
     def span() -> Span:
         return reached(motion, work_of(progress))

@@ -317,11 +317,12 @@ class CoreScene:
         """Return how well a motion keeps its energy and its bars, to the bits of what is above."""
         count, nodes, rates = nodes.shape[2], times_in_rows(nodes), times_in_rows(rates)
         inputs, is_constant = _rows_of(inputs)
-        motions = (byref(records.Motion.of(array)) for array in (nodes, rates))
+        motions = byref(records.Motion.of(nodes)), byref(records.Motion.of(rates))
         conserved, work = records.Conservation(), np.empty(4 * count)
+        given, work_at = pointers(inputs, work)
         self.core.tc_conservation(
-            self.at, count, *motions, *pointers(inputs), is_constant, _entries(load),
-            self._bar_length, byref(conserved), *pointers(work),
+            self.at, count, *motions, given, is_constant, _entries(load), self._bar_length,
+            byref(conserved), work_at,
         )  # fmt: skip
         return conserved
 

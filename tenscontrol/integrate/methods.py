@@ -242,7 +242,8 @@ def choose(
     implicit one, or CVODES where bars are driven, which the implicit one does not take. The ground
     does so only while something touches it, which is not known before.
     """
-    strings, ground = (of(equation, state, held) for of in (largest_frequency, contact_frequency))
+    strings = largest_frequency(equation, state, held)
+    ground = contact_frequency(equation, state, held)
     frequency, where = max(strings, ground), " (ground)" if ground > strings else ""
     slack = "strings can go slack, each switch ends a step" if equation.switches else "no switches"
     if ground and equation.law is None:

@@ -194,7 +194,7 @@ class Watched(Integrator):
         while ahead.time < span.duration:
             method.limit = evaluations_within(budget - (self._spent - before), cost)
             origin = ahead.time
-            later_report = None if report is None else _later(report, origin)
+            later_report = report if report is None or not origin else _later(report, origin)
             rest = span.rest(ahead)
             try:
                 advanced = method.advance(ahead.state, span.inputs(origin), *rest, later_report)
@@ -322,6 +322,8 @@ class _Motion:
                 done += some.shape[1]
             self.spans = [Span(whole[:, 1:], self.work, whole)]
         span = self.spans[0]
+        if span.work is self.work:
+            return span
         return Span(span.states, self.work, span.whole, span.ends)
 
 

@@ -169,7 +169,7 @@ def steps_of(run: PlantRun, load: FloatArray, start: FloatArray) -> TracedSteps:
             held = layout.packed(rows[i], begins[i] - span.origin)
             moved = 0.0 if jump.supports is None else jump.supports
             pushes[i] = Push(state, *run.impulse_inputs(layout, held, jump), moved, is_first)
-    method = run.methods[-1]
+    method = run.last_method
     how = run.integration
     projects = method == "dop853" if how.project is None else how.project
     return TracedSteps(

@@ -71,7 +71,7 @@ def assembled(
         conserves_energy=control is None and not run.moves and forces.conserves_energy,
         conserves_momentum=free
         and forces.conserves_momentum
-        and not (load is not None and load.any()),
+        and not (load is not None and (load is run.load or load.any())),
         control=control,
         stopped=stopped,
         error=None if errors is None else frozen(errors[0]),
@@ -87,9 +87,13 @@ def assembled(
         _ground=model.ground,
         _functions=functions,
     )
-    vars(trajectory).update(known)
+    evaluated = vars(trajectory)
+    evaluated |= known
     if limits.crossings is not None:
-        vars(trajectory).update(_bars=_bars(run, time, nodes, velocities).searched())
+        bars = _bars(run, time, nodes, velocities)
+        crossings, unresolved = bars.searched
+        evaluated["_bars"], evaluated["unresolved_intervals"] = bars, unresolved
+        evaluated["bar_crossings"] = crossings if bars.has_pairs else None
     return trajectory
 
 

@@ -118,7 +118,7 @@ def _joined(parts: Sequence[FloatArray]) -> FloatArray:
 
 def _common(one: IntArray, other: IntArray) -> IntArray:
     """Return the outputs that are among both, ascending."""
-    same = np.array_equal(one, other)
+    same = one.shape == other.shape and (one == other).all()
     return one if same else np.intersect1d(one, other, assume_unique=True)
 
 
@@ -225,8 +225,9 @@ class Motion:
 
     def _without_dips(self, error: FloatArray) -> FloatArray:
         """Return estimates that are at least those of just before: motions may meet for once."""
-        ends = np.cumsum([stage.length for stage in self.stages])
-        begins = ends - [stage.length for stage in self.stages]
+        lengths = np.array([stage.length for stage in self.stages])
+        ends = lengths.cumsum()
+        begins = ends - lengths
         parts = (np.arange(1, stage.outputs + 1) / stage.outputs for stage in self.stages)
         time = np.concatenate(
             [
@@ -404,7 +405,8 @@ class Motion:
         At one that the other does not have, it is the larger of those beside.
         """
         columns = _common(self.path.columns, other.columns)
-        off = np.atleast_2d(self._distance(self.path.at(columns), other.at(columns)))
+        off = self._distance(self.path.at(columns), other.at(columns))
+        off = off if off.ndim > 1 else off[None]
         if self.path.work is not None:
             work = np.abs(self.path.work_at(columns) - other.work_at(columns))
             off = np.vstack([off, work])
@@ -429,7 +431,10 @@ class Motion:
     def _first_of_nodes(self) -> IntArray:
         """Place of the first coordinate of each node among those that were kept."""
         node = self.structure.free_rows[self.rows] // self.structure.dimension
-        return np.flatnonzero(np.diff(node, prepend=-1))
+        is_first = np.ones(len(node), dtype=bool)
+        is_first[1:] = node[1:] != node[:-1]
+        first: IntArray = is_first.nonzero()[0]
+        return first
 
     @property
     def _size(self) -> float:
@@ -471,9 +476,12 @@ def estimated_errors(
         run.equation.layout.later, starts, report,
     )  # fmt: skip
     try:
-        return np.pad(motion.estimated_errors(limit), ((0, 0), (1, 0)))
+        later = motion.estimated_errors(limit)
     except KeyboardInterrupt:
         return None
+    errors = np.zeros((len(later), later.shape[1] + 1))  # none at the start
+    errors[:, 1:] = later
+    return errors
 
 
 def _work_of_stage(

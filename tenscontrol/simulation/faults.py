@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
@@ -184,9 +184,10 @@ class LostMeasurement(Fault):
 class Faults:
     """The faults of a run, checked, of a structure of a size, m, under an input of a kind."""
 
-    def __init__(self, faults: object, size: float, input: str) -> None:
+    def __init__(self, faults: Any, size: float, input: str) -> None:
         faults = () if faults is None else faults
-        if isinstance(faults, Fault) or not isinstance(faults, Sequence):
+        is_list = type(faults) in (list, tuple)
+        if not is_list and (isinstance(faults, Fault) or not isinstance(faults, Sequence)):
             raise TypeError(
                 f"faults is a {type(faults).__name__}, expected a list, like "
                 "[CutString(string=3, time=1.0)]"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from tenscontrol import validation
 from tenscontrol.integrate.integrator import Work
@@ -197,8 +197,13 @@ class HealthLimits:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the figures that have a limit."""
-        named = (entry.name for entry in fields(self) if entry.name not in _BESIDE)
-        return tuple(name for name in named if getattr(self, name) is not None)
+        return tuple(self._limits)
+
+    @cached_property
+    def _limits(self) -> dict[str, Any]:
+        """The limits that there are, by the names of their figures."""
+        named = {entry.name: getattr(self, entry.name) for entry in fields(self)}
+        return {k: v for k, v in named.items() if k not in _BESIDE and v is not None}
 
     def passed(self, health: Health) -> dict[str, str]:
         """Return a sentence for each limit that is passed, by its name.
@@ -213,14 +218,13 @@ class HealthLimits:
         """
         validation.instance("health", health, Health, "health of a trajectory")
         sentences: dict[str, str] = {}
-        for name in self.names:
-            limit = getattr(self, name)
+        values = vars(health.work) | vars(health)
+        for name, limit in self._limits.items():
             if name == "crossings":
                 if len(health.crossings or ()) > limit:
                     sentences[name] = _passing(health.crossings or ())
                 continue
-            source = health if hasattr(health, name) else health.work
-            value = getattr(source, name)
+            value = values[name]
             if value is not None and value > limit:
                 label = name.replace("_", " ")
                 why = _PHYSICAL.get(name, "")

@@ -174,7 +174,7 @@ class PlantRun:
 
         One that is watched begins with the method that was last at work.
         """
-        last = self.methods[-1]
+        last = self.last_method
         if self._method is None and self.choice.setting == "tolerance":
             begin = self.spans[0].time[0] if self.spans else self.now
             # A cycle of references would keep the memory of runs that are over.
@@ -195,14 +195,15 @@ class PlantRun:
         return changed(self.choice, changes=changes) if changes else self.choice
 
     @property
-    def methods(self) -> tuple[str, ...]:
-        """The methods so far."""
-        return self.final_choice.methods if self.spans else self.choice.methods
+    def last_method(self) -> str:
+        """The method that was last at work, or is to begin."""
+        changes = self.integrator.changes if self.spans else ()
+        return changes[-1].method if changes else self.choice.method
 
     @property
     def order(self) -> int:
         """Order of the method that was last at work."""
-        return (self._method or METHODS[self.methods[-1]]).order
+        return (self._method or METHODS[self.last_method]).order
 
     @property
     def core(self) -> CoreScene | None:
@@ -385,7 +386,8 @@ class PlantRun:
             self.work += span.work
 
         start, report = self.now, self.report
-        reached = None if report is None else lambda time: report(start + time)
+        # A motion from 0 tells the time reached as it is.
+        reached = report if report is None or not start else lambda time: report(start + time)
         try:
             span = self.integrator.advance(state, held, duration, outputs, reached)
         except (IntegrationError, IntegrationInterrupt) as error:
@@ -535,12 +537,14 @@ class PlantRun:
 
     def all_values(self, rows: slice, order: int = 0) -> FloatArray:
         """Return some of the inputs at all times kept, or their rates, read-only."""
-        first, *others = (span.coefficients for span in self.spans)
+        first, is_one = self.spans[0].coefficients, True
+        for span in self.spans:
+            is_one &= span.coefficients is first
         # As a rule the first span, which is the start alone, has the inputs of the second one.
-        if all(coefficients is first for coefficients in others):
+        if is_one:
             every = first[None, rows]
         else:
-            every = np.stack([coefficients[rows] for coefficients in (first, *others)])
+            every = np.stack([span.coefficients[rows] for span in self.spans])
         if not (order or (self.degree and every[:, :, 1:].any())):  # constant in each span
             columns, counts = every[:, :, 0], [len(span.time) for span in self.spans]
             if len(columns) == 1 or (columns == columns[0]).all():  # one, read at all times

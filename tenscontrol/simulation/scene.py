@@ -57,12 +57,17 @@ if TYPE_CHECKING:
     from tenscontrol.estimation.sensors import Sensors
     from tenscontrol.plant.linear_plant import LinearPlant
     from tenscontrol.simulation.closed_loop import ClosedLoop
+    from tenscontrol.sizing.sections import Sections
 
 # States kept of an adaptive run, unless the user says otherwise, and numbers in them at most.
 _OUTPUTS, _NUMBERS = 1000, 50_000_000
 
 # Of a run with fewer states than this the ends of steps are kept, to look for bars that cross.
 _FEW_OUTPUTS = 256
+
+# What is given as arrays, or as functions of time, in open loop; the state first.
+_GIVEN = "rest_length", "force_density", "external_force", "support_motion", "bar_length"
+_ARRAYS = "nodes", "velocities", *_GIVEN
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,22 +199,21 @@ class Scene:
         refuse_all_fixed(self.model.structure)
         if self.sensors is not None and self.estimator is None:
             raise ValueError("sensors go with an estimator; KalmanFilter(...) makes one")
-        of_loop = self.winches, self.sample_time, self.estimator
-        if self.controller is None and any(setting is not None for setting in of_loop):
+        is_alone = self.winches is None and self.sample_time is None and self.estimator is None
+        if self.controller is None and not is_alone:
             raise ValueError("estimator, winches and sample_time go with a controller")
-        self._check_strength()
-        self._take_over_start()
+        if self.integration.limits.sections is not None:
+            self._check_strength(self.integration.limits.sections)
+        if self.start is not None:
+            self._take_over_start(self.start)
         if self.bar_length is not None or self.controller is not None:
             self._check_bars()
         self._check_inputs()
         _ = self.loads, self.initial
         self._keep_arrays()
 
-    def _check_strength(self) -> None:
+    def _check_strength(self, sections: Sections) -> None:
         """Refuse limits on members of another structure, or whose forces will not be found."""
-        sections = self.integration.limits.sections
-        if sections is None:
-            return
         refuse_other_members(self.model.structure, sections)
         if self.support_motion is not None:
             raise ValueError(
@@ -250,11 +254,9 @@ class Scene:
 
         return getattr(self.controller, "input", None) in BAR_INPUTS
 
-    def _take_over_start(self) -> None:
+    def _take_over_start(self, run: Trajectory) -> None:
         """Check the run to go on from, and take its faults and inputs where none are given."""
-        run, put = self.start, object.__setattr__
-        if run is None:
-            return
+        put = object.__setattr__
         if self.nodes is not None or self.velocities is not None:
             raise ValueError("start gives nodes and velocities: leave those out")
         structure = self.structure
@@ -279,7 +281,7 @@ class Scene:
             self._check_closed_loop()
         object.__setattr__(self, "faults", self._faults.listed)
         winches = None if self.law is None else len(self.law.commanded.strings)
-        self._faults.refuse_unknown(len(self.structure.strings), winches)
+        self._faults.refuse_unknown(len(self.model.structure.strings), winches)
         _ = self.inputs
 
     def _check_closed_loop(self) -> None:
@@ -357,12 +359,12 @@ class Scene:
                 object.__setattr__(self, "nodes", nodes)
             if self.velocities is None:
                 object.__setattr__(self, "velocities", frozen(np.zeros_like(nodes)))
-        names = "nodes", "velocities", "rest_length", "force_density", "external_force"
-        for name in (*names, "support_motion", "bar_length"):
-            value = getattr(self, name)
-            if isinstance(value, np.ndarray) and value.dtype == np.float64:
+        values = vars(self)
+        for name in _ARRAYS:
+            value = values[name]
+            if value is None or (isinstance(value, np.ndarray) and value.dtype == np.float64):
                 continue  # kept when it was checked
-            if value is not None and not changes_in_time(value):
+            if not changes_in_time(value):
                 array = np.asarray(validation.array_of(name, value), dtype=float)
                 object.__setattr__(self, name, frozen(array))
 
@@ -397,31 +399,34 @@ class Scene:
         return 0.0 if self.start is None else float(self.start.time[-1])
 
     @property
-    def _span(self) -> tuple[float, float]:
-        return self.begin, self.begin + self.duration
+    def span(self) -> tuple[float, float]:
+        """Times at which the motion begins and ends, s; not for users."""
+        begin = self.begin
+        return begin, begin + self.duration
 
     @cached_property
     def _faults(self) -> Faults:
-        return Faults(self.faults, self.structure.size, self.input)
+        return Faults(self.faults, self.model.structure.size, self.input)
 
     @cached_property
     def inputs(self) -> Pieces | None:
         """What is held in open loop, or changes; None under a controller."""
         if self.controller is not None:
             return None
-        return checked_inputs(self.structure, self.rest_length, self.force_density, *self._span)
+        held = self.rest_length, self.force_density
+        return checked_inputs(self.model.structure, *held, *self.span)
 
     @cached_property
     def loads(self) -> FloatArray | Pieces:
         """All that acts on the nodes from outside, N, shape (d, n), or in time."""
-        return load_in_time(self.model, self.external_force, *self._span)
+        return load_in_time(self.model, self.external_force, *self.span)
 
     @cached_property
     def supports(self) -> MovingSupports | None:
         """What moves with supports, None where they stand."""
         if self.support_motion is None:
             return None
-        offset = support_offset(self.model, self.support_motion, *self._span)
+        offset = support_offset(self.model, self.support_motion, *self.span)
         return None if offset is None else MovingSupports(self.model, offset)
 
     @cached_property
@@ -442,7 +447,7 @@ class Scene:
             return DrivenBars(Pieces.constant(lengths), driven, is_commanded=True)
         before = None if self.start is None else self.start.struts
         stretches = before is not None and bool(before.rate[:, -1].any())
-        return driven_bars(self.structure, self.bar_length, *self._span, stretches)
+        return driven_bars(self.structure, self.bar_length, *self.span, stretches)
 
     @cached_property
     def _length_rate(self) -> FloatArray:
@@ -534,11 +539,8 @@ class Scene:
 
         Rest lengths at the start of a closed loop are in its record.
         """
-        names = ["force_density", "external_force", "support_motion", "bar_length"]
-        if self.controller is None:
-            names.insert(0, "rest_length")
-        values = {name: getattr(self, name) for name in names}
-        return Arguments({name: value for name, value in values.items() if value is not None})
+        names, values = _GIVEN if self.controller is None else _GIVEN[1:], vars(self)
+        return Arguments({name: values[name] for name in names if values[name] is not None})
 
     def open_loop(self) -> Scene:
         """Return the scene without controller and faults: what is held at its start is held.
@@ -679,7 +681,7 @@ class Scene:
                 )  # fmt: skip
             return run_scene(scene, progress, interruption)
 
-    @cached_property
+    @property
     def _degree(self) -> int:
         """Degree of the polynomials in time that the inputs of the strings are."""
         if self.inputs is not None:
@@ -741,28 +743,29 @@ class Scene:
     def _output_step(self) -> float:
         """Time between states kept, after checking that they can be kept."""
         how, duration = self.integration, self.duration
+        numbers = 2 * self.model.structure.nodes.size
         if how.output_step is None and how.step is None:
-            return duration / min(_OUTPUTS, max(1, _NUMBERS // (2 * self.structure.nodes.size)))
+            return duration / min(_OUTPUTS, max(1, _NUMBERS // numbers))
         name = "step" if how.output_step is None else "output_step"
         value: float = getattr(how, name)
         if how.step is not None:
             validation.refuse_time(f"step is {how.step:g} s", duration / how.step, "steps", 1e-6)
-        size = 8 * 2 * self.structure.nodes.size
-        advice = ". A longer output_step keeps fewer"
+        advice, size = ". A longer output_step keeps fewer", 8 * numbers
         validation.refuse_memory(f"{name} is {value:g} s", duration / value, "states", size, advice)
         return value
 
     @property
     def start_note(self) -> str | None:
         """What was put right at the start, and in which intervals functions are sampled."""
-        notes = [self.initial[1]]
+        note = self.initial[1]
         names = [name for name, value in self.given.raw.items() if callable(value)]
-        if names:
-            notes.append(
-                f"{' and '.join(names)} sampled every {sampling_interval(*self._span):.2g} s: "
-                "shorter pulses may be missed"
-            )
-        return "; ".join(note for note in notes if note) or None
+        if not names:
+            return note
+        missed = (
+            f"{' and '.join(names)} sampled every {sampling_interval(*self.span):.2g} s: shorter "
+            "pulses may be missed"
+        )
+        return f"{note}; {missed}" if note else missed
 
     def __repr__(self) -> str:
         parts = [self.name] if self.name else []
@@ -789,7 +792,7 @@ def trace(scene: Scene, run: TracedRun) -> ClosedLoop | None:
 def run_scene(scene: Scene, progress: bool, interruption: Interruption) -> Trajectory:
     """Return the motion of a scene; see :func:`simulate`. Warnings are those of the caller's."""
     how, stopped, loop = scene.integration, None, None
-    begin, end = scene.begin, scene.begin + scene.duration
+    begin, end = scene.span
     note = long_run_note(begin, end)
     with progress_bar(end, shown=True) if progress else nullcontext(note) as report:
         run = scene.plant_run(report)
@@ -807,7 +810,7 @@ def run_scene(scene: Scene, progress: bool, interruption: Interruption) -> Traje
             reason = f"stopped at {run.now:.6g} s of motion: {stop}"
             raise SimulationError(
                 f"the simulation {reason}. The motion up to there is in the error's .trajectory",
-                _trajectory(scene, run, loop, reason, None),
+                _trajectory(scene, run, loop, reason, None, interruption),
             ) from stop.__cause__
         except KeyboardInterrupt:
             if not run.spans or interruption.whole:
@@ -815,9 +818,9 @@ def run_scene(scene: Scene, progress: bool, interruption: Interruption) -> Traje
             stopped = f"stopped at {run.now:.6g} s of motion: interrupted"
     if progress and how.error == "estimate" and stopped is None:
         with progress_bar(scene.duration, True, label="estimating error") as report:
-            trajectory = _trajectory(scene, run, loop, stopped, report)
+            trajectory = _trajectory(scene, run, loop, stopped, report, interruption)
     else:
-        trajectory = _trajectory(scene, run, loop, stopped, None)
+        trajectory = _trajectory(scene, run, loop, stopped, None, interruption)
     if stopped is not None or interruption.signal is not None:
         outcome = stopped or "was interrupted at its end, and is complete"
         warn(f"the simulation {outcome}", InterruptionWarning)
@@ -854,10 +857,11 @@ def _trajectory(
     loop: ClosedLoop | None,
     stopped: str | None,
     report_of_error: Callable[[float], None] | None,
+    interruption: Interruption,
 ) -> Trajectory:
     """Return the motion so far, with an estimate of its error if it was not stopped."""
     limits = scene.integration.limits
-    with finishing():
+    with finishing(interruption):
         errors, record = None, None if loop is None else loop.record()
         done = None if run.bars is None else done_by_drives(run)
         if scene.integration.error == "estimate" and stopped is None:

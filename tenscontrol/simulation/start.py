@@ -59,11 +59,11 @@ def start_beside_supports(
 ) -> Start:
     """Return the start at a time, s, by nodes and velocities, or at the end of a run."""
     structure = model.structure
-    if supports is None and run is None:
-        pairs = ("nodes", nodes), ("velocities", velocities)
-        return Start(*(None if v is None else structure.checked_nodes(k, v) for k, v in pairs))
-    N = structure.nodes if nodes is None else structure.checked_nodes("nodes", nodes)
+    given = None if nodes is None else structure.checked_nodes("nodes", nodes)
     V = None if velocities is None else structure.checked_nodes("velocities", velocities)
+    if supports is None and run is None:
+        return Start(given, V)
+    N = structure.nodes if given is None else given
     if run is not None:
         N, V = run.nodes[:, :, -1], run.velocities[:, :, -1]
     carried = carried_by_supports(structure)
@@ -141,6 +141,16 @@ def _shape_of_structure(model: Model, input: str) -> _Shape:
     return model.prepared.get(("shape of the structure", input), build)
 
 
+def _shape_at_rest(model: Model, input: str) -> _Shape:
+    """Return the shape of the structure with its bars on their lengths."""
+
+    def build() -> _Shape:
+        rest = _state_at_rest(model, input)
+        return _Shape(rest[: len(rest) // 2], _shape_of_structure(model, input).bars, 0.0)
+
+    return model.prepared.get(("shape at rest", input), build)
+
+
 def _checked_state(
     model: Model,
     nodes: FloatArray | None,
@@ -154,31 +164,29 @@ def _checked_state(
     true = structure.bar_length if driven is None else driven[1]
     N = structure.nodes if nodes is None else nodes
     V = np.zeros_like(N) if velocities is None else velocities
-    is_known = driven is None and (nodes is None or measured)
-    if is_known and (nodes is None or np.array_equal(N, structure.nodes)):
+    if driven is None and nodes is None:
+        places, bars, off = _shape_at_rest(model, input)
+    elif driven is None and measured and np.array_equal(N, structure.nodes):
         places, bars, off = _shape_of_structure(model, input)
-        if nodes is None:
-            rest = _state_at_rest(model, input)
-            places, off = rest[: len(rest) // 2], 0.0
     else:
         bars, places = member_vectors(N, structure.bars), free_coordinates(structure, N)
         off = _checked_shape(structure, N, bars, input, measured, None if driven is None else true)
     state = np.concatenate([places, free_coordinates(structure, V)])
     if len(structure.fixed_rows) and V.ravel(order="F")[structure.fixed_rows].any():
         _refuse_moving_supports(structure, V)
-    along = (bars * member_vectors(V, structure.bars)).sum(axis=0)
-    stretching = np.abs(along) / true
+    along = np.add.reduce(bars * member_vectors(V, structure.bars))
+    stretching, fastest = np.abs(along) / true, float(np.maximum.reduce(np.abs(V), None))
     if driven is not None:
         stretching[driven[0].bars] = 0.0  # at any rate
-    worst = float(stretching.max(initial=0.0))
-    if off <= _EXACT and worst <= _EXACT * float(np.abs(V).max()):
+    worst = float(np.maximum.reduce(stretching, initial=0.0))
+    if off <= _EXACT and worst <= _EXACT * fastest:
         return state, None
     equation = model.equation(input)
     u = structure.string_length(N) * (input == "rest_length") if held is None else held()
     speed = float(state_scale(equation, state, u, largest_frequency(equation, state, u))[-1])
     if off <= _EXACT and worst <= _ROUND_OFF * speed:
         return state, None
-    most = max(_PROJECTED * float(np.abs(V).max()), _LEFT * speed)
+    most = max(_PROJECTED * fastest, _LEFT * speed)
     if worst > (MEASURED * speed if measured else most):
         raise ValueError(
             f"velocities stretch bar {stretching.argmax()} at {worst:.3g} m/s, expected 0: bars "

@@ -148,7 +148,7 @@ class Trajectory(Viewable):
         """Time up to which the error stays below its limit, s; None where it was not estimated."""
         if self.error is None:
             return None
-        above = np.flatnonzero(self.error > self.error_limit)
+        above = (self.error > self.error_limit).nonzero()[0]
         return float(self.time[above[0] - 1] if len(above) else self.time[-1])
 
     def __getstate__(self) -> dict[str, Any]:

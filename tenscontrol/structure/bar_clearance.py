@@ -285,16 +285,15 @@ class _Intervals:
         core, ends, nodes = library(), pairs.ends, pairs.nodes
         assert core is not None  # it was asked for
         motion, room = records.Motion.of(self.nodes[0]), 2 * len(ends) + 1000
-        rates, work = self._rates_of(nodes), np.empty(6 * len(nodes))
-        begin, length = (np.ascontiguousarray(array) for array in (self.begin, self.length))
-        speed = np.zeros(self.nodes[0].shape[1])
+        motions = byref(motion), byref(self._rates_of(nodes)), self.count
+        times = np.ascontiguousarray(self.begin), np.ascontiguousarray(self.length)
+        speed, work = np.zeros(self.nodes[0].shape[1]), np.empty(6 * len(nodes))
         while True:
             near = np.empty((room, 2), dtype=np.int32)
+            begin, length, *at = pointers(*times, ends, near, speed, work)
             count = core.tc_near_bars(
-                byref(motion), byref(rates), self.count, *pointers(begin, length),
-                len(ends), *pointers(ends), c_double(_FASTER), c_int64(room),
-                *pointers(near, speed, work),
-            )  # fmt: skip
+                *motions, begin, length, len(ends), at[0], c_double(_FASTER), c_int64(room), *at[1:]
+            )
             if not count:  # as a rule
                 none = np.zeros(0, dtype=int)
                 return none, none, speed
@@ -416,17 +415,19 @@ class BarMotion:
         self._size = structure.size
         self.has_pairs = structure.dimension == 3 and len(self._bars) > 1 and len(time) > 0
         count, far = len(time), _AWAY * self._size
-        if self.has_pairs and not (nodes.min() > -far and nodes.max() < far):
+        least, most = np.minimum.reduce, np.maximum.reduce
+        if self.has_pairs and not (least(nodes, None) > -far and most(nodes, None) < far):
             count = int((~(np.abs(nodes) < far).all(axis=(0, 1))).argmax())
             self.has_pairs = count > 0
         rates = None if velocities is None else velocities[:, :, :count]
-        where = np.arange(max(0, count - 1))
-        self._kept = _Intervals.between(time[:count], nodes[:, :, :count], rates, where)
+        intervals = max(0, count - 1)
+        origin = np.arange(intervals)
+        self._kept = _Intervals.between(time[:count], nodes[:, :, :count], rates, origin)
         self._time, self._nodes, self._left = time, nodes, _MOST_PARTS + steps // 2
         # Fewer states than steps may be too few to bound the motion.
-        self._is_short = velocities is not None and len(where) < _FEWEST
-        self._is_short &= not 0 < steps <= len(where)
-        self._parts = min(max(steps // max(1, len(where)), _PARTS), _STEPS)
+        self._is_short = velocities is not None and intervals < _FEWEST
+        self._is_short &= not 0 < steps <= intervals
+        self._parts = min(max(steps // max(1, intervals), _PARTS), _STEPS)
         # Intervals that were integrated again, with the pairs and places that asked for it.
         self._finer: list[tuple[_Intervals, IntArray, IntArray]] = []
         self._made_finer = np.zeros(0, dtype=int)
@@ -434,12 +435,12 @@ class BarMotion:
     @property
     def crossings(self) -> tuple[BarCrossing, ...]:
         """The crossings in order of time."""
-        return self._found[0]
+        return self.searched[0]
 
     @property
     def unresolved(self) -> int:
         """Number of intervals whose states are too few to tell whether bars cross in them."""
-        return self._found[1]
+        return self.searched[1]
 
     @cached_property
     def clearance(self) -> BarClearance | None:
@@ -684,14 +685,12 @@ class BarMotion:
         pair = pairs[:, 0] * len(self._bars) + pairs[:, 1]
         return np.asarray(pair * (self._kept.count + 1) + motion.origin[k])
 
-    def searched(self) -> BarMotion:
-        """Return it after the search for crossings, which keeps nothing to integrate with."""
-        assert self._found is not None  # evaluated by asking
-        return self
-
     @cached_property
-    def _found(self) -> tuple[tuple[BarCrossing, ...], int]:
-        """Crossings, and the number of intervals that could not be resolved."""
+    def searched(self) -> tuple[tuple[BarCrossing, ...], int]:
+        """Crossings, and the number of intervals that could not be resolved.
+
+        What the motion is integrated again with is let go of.
+        """
         with np.errstate(over="ignore", invalid="ignore"):  # of motions that run away
             crossings = self._searched() if self.has_pairs and self._kept.count else ((), 0)
         self._again = None  # which holds all that was integrated with

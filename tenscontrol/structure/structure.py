@@ -618,7 +618,8 @@ class Structure(Viewable):
 def member_vectors(nodes: FloatArray, pairs: IntArray) -> FloatArray:
     """Return the vectors between pairs of nodes (d, n, ...), (d, pairs, ...), from start to end."""
     ends = nodes.take(pairs, axis=1)
-    return np.asarray(ends[:, :, 1] - ends[:, :, 0])
+    vectors: FloatArray = ends[:, :, 1] - ends[:, :, 0]
+    return vectors
 
 
 def refuse_all_fixed(structure: Structure) -> None:

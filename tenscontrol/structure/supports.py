@@ -20,7 +20,8 @@ _TOLERANCE = 1e-8
 
 def free_coordinates(structure: Structure, nodes: FloatArray) -> FloatArray:
     """Return the free coordinates, shape (f,), of positions, velocities or forces, shape (d, n)."""
-    return np.asarray(nodes.ravel(order="F")[structure.free_rows])
+    free: FloatArray = nodes.ravel(order="F")[structure.free_rows]
+    return free
 
 
 def held_directions(structure: Structure) -> np.ndarray:

@@ -188,7 +188,7 @@ class Batch:
         if len(self.kept_nodes) < self.structure.nodes.shape[1]:
             raise ValueError("runs have some of their nodes only: leave keep_nodes out")
         assert self._runner is not None  # made by simulate_many
-        runs = [self._runner.bars(run).searched() for run in range(len(self.completed))]
+        runs = [self._runner.bars(run) for run in range(len(self.completed))]
         first = [motion.crossings[0].time if motion.crossings else np.nan for motion in runs]
         return BatchCrossings(
             np.array([len(motion.crossings) for motion in runs]),
