@@ -184,6 +184,7 @@ typedef struct {
   int32_t kept, every, since; /* ends of steps: how many, every which of them, since the last */
   int32_t short_left; /* by dop853: how many steps of order 5 are to follow */
   double carry_rate;  /* 1/s: of the longest step whose switches could be carried last, if known */
+  double last;        /* by dop853: the error of the step before, if it was of order 8 */
 } Progress;
 
 /* How a motion is integrated. */

@@ -17,14 +17,24 @@
 enum { STAGES = 12, MORE_STAGES = 3, SLOPES = 16, POWERS = 7, ORDER = 8, MOST_STALLS = 50 };
 enum { SHORT_STAGES = 6, SHORT_ORDER = 5 };
 
-/* Steps aim at an error of this part of what it may be; they change by these factors at most. */
+/* Steps aim at an error of a tenth of what it may be: of order 8 by this factor. They change by these
+   factors at most. */
 static const double SAFETY = 0.75, LEAST = 0.2, MOST = 10;
+
+/* After a step that is taken the next is longer by DAMPED (last / error^3)^FEEDBACK, PI control by its
+   error and that of the step before, which counts as SMALLEST at least. It aims at the same error. */
+static const double DAMPED = 0.832, FEEDBACK = 0.04, SMALLEST = 1e-4;
+
+/* Steps longer than 1 / frequency err by the phase of the fastest vibration. Once one was thrown away,
+   they grow by this factor at most, lest every third is. */
+static const double GROWTH = 1.2;
 
 /* A step shorter than this part of the span is lost in round-off. */
 static const double SHORTEST = 10 * DBL_EPSILON;
 
-/* A longer step, times the largest frequency, makes round-off grow, which no estimate sees. */
-static const double STABLE = 4;
+/* The longest step times the largest frequency at the start: round-off grows from 5.9 on. Where the
+   frequency is higher later, the error of a step keeps what grows below what it may be. */
+static const double STABLE = 5;
 
 /* What ending late at a switch may change of velocities, as part of what a step may err. */
 static const double LATE_IMPULSE = 0.003;
@@ -50,6 +60,7 @@ typedef struct {
   Number tries, rejections, landings, approaches, switches, interpolants, carries, carried;
   Number short_tries, short_left; /* tries and approaches of order 5, and how many are to follow */
   Number carry_rate; /* 1/s: of the longest step whose switches could be carried last, if known */
+  Number last;       /* the error of the step before, if it was of order 8 */
   Number h, error, factor;     /* length and error of the step, and how much longer the next is */
   Number crossed, taken;       /* how many strings may switch in it; what of it is taken, s */
   Number is_inside, is_carried; /* ends on its interpolant; its switches are carried */
@@ -187,6 +198,15 @@ static Number factor_of(Number error, double order) {
   return smaller(larger(wanted, all(LEAST)), all(MOST));
 }
 
+/* How much longer than a step of order 8 that is taken the next is. */
+static Number damped_factor_of(const Adaptive *now) {
+  const Number error = larger(now->error, all(1e-16)), last = larger(now->last, all(SMALLEST));
+  const Number wanted = DAMPED * power(last / (error * error * error), FEEDBACK);
+  const Number slow = larger(now->longest / (STABLE * now->h), all(GROWTH));
+  const Number most = choice(now->rejections > 0, smaller(slow, all(MOST)), all(MOST));
+  return smaller(larger(wanted, all(LEAST)), most);
+}
+
 /* What carried switches err, as error_of a step, by what the next order adds to xdot. */
 static Number carry_error(const Number *defect, const Number *scale, Number h, int n) {
   Number sum = all(0);
@@ -298,7 +318,7 @@ static Truth try_step(Dop853 *m) {
   now->tries += 1;
   if (any(is_short == 0)) {
     now->error = error_of(m->K, m->scale, h, n);
-    now->factor = factor_of(now->error, ORDER);
+    now->factor = damped_factor_of(now);
   }
   if (any(is_short)) {
     Number error;
@@ -312,7 +332,8 @@ static Truth try_step(Dop853 *m) {
   good = now->error < 1;
   bad = good == 0;
   if (any(bad)) {
-    const Number shorter = choice(now->error < INFINITY, smaller(now->factor, all(1)), all(LEAST / 2));
+    const Number wanted = choice(is_short, now->factor, factor_of(now->error, ORDER));
+    const Number shorter = choice(now->error < INFINITY, smaller(wanted, all(1)), all(LEAST / 2));
     now->step = choice(bad, h * shorter, now->step);
     now->rejections += truth(bad);
     now->stuck = choice(bad, truth(now->step < SHORTEST * duration), now->stuck);
@@ -390,6 +411,7 @@ static void end_steps(Dop853 *m, Truth meant) {
   for (int i = 0; i < n; ++i) m->x[i] = choice(meant, m->x1[i], m->x[i]);
   now->step = choice(meant, now->h * choice(landed, smaller(now->factor, all(1)), now->factor),
                      now->step);
+  now->last = choice(meant, only(now->short_left == 0, now->error), now->last);
   now->landings += truth(crossed);
   now->short_left = choice(meant, choice(carried, all(SHORT_FOLLOWING),
                                          larger(now->short_left - 1, all(0))), now->short_left);
@@ -522,7 +544,7 @@ static void take_up(const Progress *from, double longest, double done, int i, Ad
   const double numbers[] = {from->time, from->step, longest, from->stuck, from->stalls, done,
                             from->tries, from->rejections, from->landings, from->approaches,
                             from->switches, from->interpolants, from->carries, from->carried,
-                            from->short_tries, from->short_left, from->carry_rate};
+                            from->short_tries, from->short_left, from->carry_rate, from->last};
   Number *place = (Number *)to;
   for (int k = 0; k < ADAPTIVE_NUMBERS; ++k) put(0, place + k, i);
   for (size_t k = 0; k < sizeof numbers / sizeof *numbers; ++k) put(numbers[k], place + k, i);
@@ -544,6 +566,7 @@ static void put_down(const Adaptive *from, int i, Progress *to) {
   to->short_tries = (int64_t)lane(&from->short_tries, i);
   to->short_left = (int32_t)lane(&from->short_left, i);
   to->carry_rate = lane(&from->carry_rate, i);
+  to->last = lane(&from->last, i);
 }
 
 #ifndef LANES

@@ -55,14 +55,23 @@ _POWERS = 7
 # Steps tried from one report of the time, and look at the limit of evaluations, to the next.
 _TRIES = 32
 
-# How the step follows the error: by a factor 0.75 error^(-1/8) within these bounds.
+# How a step follows an error that is too large: by a factor 0.75 error^(-1/8) within these bounds.
 _SAFETY, _LEAST, _MOST, _ORDER = 0.75, 0.2, 10.0, 8
+
+# After a step that is taken: by 0.832 (last / error³)^0.04, PI control by its error and that of the
+# step before, which counts as the last of these at least. It aims at the same error.
+_DAMPED, _FEEDBACK, _SMALLEST = 0.832, 0.04, 1e-4
+
+# Steps longer than 1/ω err by the phase of the fastest vibration. Once one was thrown away, they
+# grow by this factor at most, lest every third is.
+_GROWTH = 1.2
 
 # A step shorter than this part of the span is lost in round-off.
 _SHORTEST = 10 * float(np.finfo(float).eps)
 
-# A longer step, times the largest frequency, makes round-off grow, which no error estimate sees.
-_STABLE = 4.0
+# The longest step times the largest frequency at the start: round-off grows from 5.9 on. Where the
+# frequency is higher later, the error of a step keeps what grows below what it may be.
+_STABLE = 5.0
 
 # Where it limits the steps, this is what a tenth of the tolerance makes of them: its eighth root.
 _SHORTER = 0.75
@@ -264,7 +273,8 @@ class DOP853(Integrator):
         error, switches = numbers.tolist()
         now.tries += 1
         if not error < 1:
-            now.step = h * (min(_factor(error), 1.0) if error < np.inf else _LEAST / 2)
+            shorter = max(float(_SAFETY * error ** (-1 / _ORDER)), _LEAST)
+            now.step = h * (min(shorter, 1.0) if error < np.inf else _LEAST / 2)
             now.rejections += 1
             now.is_stuck = now.step < _SHORTEST * span.duration
             return
@@ -288,7 +298,9 @@ class DOP853(Integrator):
             span.states[now.done : done] = x + factors.T @ interpolant.T
         now.x, now.taut, now.time, now.done = end.x.copy(), end.taut, after, done
         span.trace.append(after, now.x, taut)
-        factor = _factor(error)
+        factor = _factor(error, now.last)
+        if now.rejections:
+            factor = min(factor, max(span.longest / (_STABLE * h), _GROWTH))
         if switches > 0:
             now.landings += 1
             now.stalls = now.stalls + 1 if taken < _SHORTEST * span.duration else 0
@@ -298,7 +310,7 @@ class DOP853(Integrator):
             factor = min(factor, 1.0)
         else:
             now.slope = f1.copy()
-        now.step = h * factor
+        now.step, now.last = h * factor, error
 
     def _landed(
         self, step: Step, K: FloatArray, error: float, span: _Given, now: _Motion
@@ -357,6 +369,7 @@ class _Motion:
     slope: FloatArray
     taut: FloatArray
     step: float  # to try next, s
+    last: float = 0.0  # error of the step before
     time: float = 0.0
     is_stuck: bool = False
     stalls: int = 0  # switches in a row without any time between them
@@ -444,9 +457,10 @@ def _core_failure(motion: CoreMotion) -> IntegrationError:
     return _stuck(progress.time, progress.step, reached(motion, work_of(progress)))
 
 
-def _factor(error: float) -> float:
-    """Return by how much the step changes after an error."""
-    wanted = float(_SAFETY * max(error, 1e-16) ** (-1 / _ORDER))
+def _factor(error: float, last: float) -> float:
+    """Return by how much the step grows after an error, and that of the step before."""
+    error, last = max(error, 1e-16), max(last, _SMALLEST)
+    wanted = float(_DAMPED * (last / (error * error * error)) ** _FEEDBACK)
     return min(max(wanted, _LEAST), _MOST)
 
 

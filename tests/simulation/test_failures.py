@@ -70,8 +70,8 @@ def test_a_failure_in_the_first_step_leaves_the_start():
 
 def test_the_adaptive_method_fails_loudly_too():
     """A tolerance so loose that a bar loses its length and with it its direction."""
-    model = tc.Model(tc.prism(), strings=tc.LinearStrings(1e4))
-    options = {"rest_length": tight(), "tolerance": 1e-2, "project": False}
+    model = tc.Model(tc.prism(), strings=tc.LinearStrings(1e5))
+    options = {"rest_length": tight(), "tolerance": 2e-2, "project": False}
     with pytest.raises(tc.simulation.SimulationError, match="dop853 stopped after") as info:
         tc.simulate(model, 2.0, method="dop853", **options)
     with pytest.warns(RuntimeWarning, match="bar length error .* smaller tolerance"):
@@ -82,8 +82,8 @@ def test_the_adaptive_method_fails_loudly_too():
 
 
 def test_one_that_stops_before_the_first_output_leaves_the_start():
-    model = tc.Model(tc.prism(), strings=tc.LinearStrings(1e4))
-    options = {"rest_length": tight(), "tolerance": 1e-2, "project": False, "output_step": 2.0}
+    model = tc.Model(tc.prism(), strings=tc.LinearStrings(1e5))
+    options = {"rest_length": tight(), "tolerance": 2e-2, "project": False, "output_step": 2.0}
     with pytest.raises(tc.simulation.SimulationError, match="dop853 stopped after") as info:
         tc.simulate(model, 2.0, method="dop853", **options)
     assert info.value.trajectory.time.tolist() == [0.0]
@@ -106,7 +106,7 @@ def test_a_motion_that_stretches_bars_is_returned_with_a_warning():
     """A tolerance too loose for stiff strings: nothing breaks, but the motion means nothing."""
     model = tc.Model(tc.prism(), strings=tc.LinearStrings(1e5))
     with pytest.warns(RuntimeWarning, match="bar length error .* smaller tolerance"):
-        tc.simulate(model, 1.0, rest_length=tight(), tolerance=1e-4, project=False)
+        tc.simulate(model, 1.0, rest_length=tight(), tolerance=5e-4, project=False)
 
 
 @pytest.mark.parametrize(("stiffness", "step"), [(1e4, 5e-3), (1e5, 5e-3), (1e7, 0.02)])
