@@ -200,6 +200,8 @@ typedef struct {
   double smooth;       /* a step of dop853 ends at a switch on its interpolant where that errs less than
                           this part of what it may err */
   const double *scale; /* (states): what a step may err, of dop853 */
+  double path;         /* outputs are on the path from the ends of a step of dop853 where that errs less
+                          than this part of the same */
 } Settings;
 
 /* The last looks for no switches: each evaluation finds what pulls and presses in its state. */

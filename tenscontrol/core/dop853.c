@@ -39,6 +39,10 @@ static const double STABLE = 5;
 /* What ending late at a switch may change of velocities, as part of what a step may err. */
 static const double LATE_IMPULSE = 0.003;
 
+/* What a path from the ends of a step errs of positions, and times the step of velocities, at most along
+   it: so many times what the embedded order 5 errs of positions, at the leading order, h^6. */
+static const double PATH_OF_POSITIONS = 1.61, PATH_OF_VELOCITIES = 5.52;
+
 /* What switches that are carried err is of order 4 in the step. So much of the next order, of
    positions and velocities, is what they err: an impulse that grows from zero leaves less. */
 static const double OF_POSITIONS = 1. / 12, OF_VELOCITIES = 1. / 3;
@@ -191,6 +195,18 @@ WIDE static Number short_error_of(const Number *restrict K, const Number *restri
     sum += a * a;
   }
   return h * root(sum / (double)n);
+}
+
+/* What a path from the ends of the step errs, as error_of. */
+WIDE static Number path_error_of(const Number *restrict K, const Number *restrict scale, Number h,
+                                 int n) {
+  Number sum = all(0);
+  for (int i = 0; i < n / 2; ++i) {
+    const Number off = FIFTH, q = PATH_OF_POSITIONS * h * off / scale[i];
+    const Number v = PATH_OF_VELOCITIES * off / scale[n / 2 + i];
+    sum += q * q + v * v;
+  }
+  return root(sum / (double)n);
 }
 
 static Number factor_of(Number error, double order) {
@@ -346,8 +362,7 @@ static Truth try_step(Dop853 *m) {
   return good;
 }
 
-/* Writes the outputs up to a time, on the interpolant or, of steps whose switches are carried, on
-   their path. */
+/* Writes the outputs up to a time, on the interpolant or on the path from the ends of the step. */
 static void write_outputs_until(Dop853 *m, Truth meant, Number until, int is_on_path) {
   const double outputs = m->settings->outputs, spacing = m->settings->duration / outputs;
   Adaptive *now = m->now;
@@ -363,7 +378,7 @@ static void write_outputs_until(Dop853 *m, Truth meant, Number until, int is_on_
   }
 }
 
-/* Writes the outputs that a step passes. */
+/* Writes the outputs that a step passes, on a path where that is good enough. */
 static void write_passed(Dop853 *m, Truth meant, Number after) {
   const double outputs = m->settings->outputs, spacing = m->settings->duration / outputs;
   Adaptive *now = m->now;
@@ -378,20 +393,22 @@ static void write_passed(Dop853 *m, Truth meant, Number after) {
     write_outputs_until(m, inside, until, 0);
   }
   if (any(others)) {
-    const Truth on_short = others & (now->short_left > 0), on_long = others & (on_short == 0);
+    const Number off = path_error_of(m->K, m->scale, now->taken, m->span->states);
+    const Truth on_path = others & ((now->short_left > 0) | (off < m->settings->path));
+    const Truth on_interpolant = others & (on_path == 0);
     Number *slope1 = m->K + STAGES * m->span->states;
     m->pulls = m->started;
     if (any(others & (now->crossed > 0)))
       slope_at(m->span, m->x1, now->time + now->taken, m->started, slope1);
-    if (any(on_short)) {
+    if (any(on_path)) {
       const Tried step = {m->x, m->x1, m->slope, slope1, 0, now->time, now->taken};
       make_path(m->span, &step);
-      write_outputs_until(m, on_short, until, 1);
+      write_outputs_until(m, on_path, until, 1);
     }
-    if (any(on_long)) {
+    if (any(on_interpolant)) {
       interpolate(m, now->taken);
-      now->interpolants += truth(on_long);
-      write_outputs_until(m, on_long, until, 0);
+      now->interpolants += truth(on_interpolant);
+      write_outputs_until(m, on_interpolant, until, 0);
     }
     m->pulls = m->taut;
   }

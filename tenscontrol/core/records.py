@@ -146,7 +146,7 @@ class Settings(ctypes.Structure):
     _fields_ = (
         *((name, _COUNT) for name in ("method", "projects", "traces", "outputs", "budget", "room")),
         *((name, _NUMBER) for name in ("duration", "step", "longest", "limit", "smooth")),
-        ("scale", _POINTER),
+        ("scale", _POINTER), ("path", _NUMBER),
     )  # fmt: skip
 
 

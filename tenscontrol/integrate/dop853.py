@@ -25,7 +25,7 @@ from tenscontrol.integrate.core_run import (
     spans_in_core,
 )
 from tenscontrol.integrate.core_scene import CoreMotion, core_scene
-from tenscontrol.integrate.events import Landing, Step, Switches, crossings
+from tenscontrol.integrate.events import Landing, Step, Switches, crossings, path
 from tenscontrol.integrate.integrator import (
     AdvancedSpans,
     FloatOrArray,
@@ -81,21 +81,27 @@ class StepRules(NamedTuple):
     """The longest step over 1/ω and over the span, and the first over the usual.
 
     And ``smooth``: steps end at a switch on their interpolant where that errs less than this part
-    of what they may err.
+    of what they may err; ``path``: so are outputs on the path from the ends of a step.
     """
 
     stable: float
     whole: float
     first: float
     smooth: float
+    path: float
 
 
 #: By whether steps are shortened. What ends on an interpolant errs by chance: where stability
-#: limits the steps, a tenth of the tolerance alone makes no tenth of it.
+#: limits the steps, a tenth of the tolerance alone makes no tenth of it. Nor does it of outputs on
+#: a path, so there are none then; else they may err what steps aim at.
 STEP_RULES = (
-    StepRules(_STABLE, 1.0, 1.0, 0.3),
-    StepRules(_SHORTER * _STABLE, 0.5, _SHORTER, 0.03),
+    StepRules(_STABLE, 1.0, 1.0, 0.3, 0.1),
+    StepRules(_SHORTER * _STABLE, 0.5, _SHORTER, 0.03, 0.0),
 )
+
+# What a path from the ends of a step errs of positions, and times the step of velocities, at most
+# along it: so many times what the embedded order 5 errs of positions, at the leading order, h⁶.
+_PATH_OF_POSITIONS, _PATH_OF_VELOCITIES = 1.61, 5.52
 
 # What ending late at a switch may change of velocities, as part of what a step may err.
 _LATE = 0.003
@@ -147,6 +153,9 @@ class DOP853(Integrator):
         self._tried, self._interpolant, self._inside = map(Evaluator, built)
         self._slope, self._switches = Evaluator(equation.slope), Switches(equation)
         self._projected = Projector(equation, project)
+        self._path: Evaluator | None = None
+        if equation.structure is not None:  # states are positions and velocities
+            self._path = Evaluator(self._kept(partial(path, equation), "path"))
 
     @property
     def cost(self) -> float:
@@ -216,10 +225,12 @@ class DOP853(Integrator):
     def _settings(self, duration: float, outputs: int) -> Settings:
         """Return the settings of a span in the core."""
         room = room_for(self._equation.states) if self.keeps_steps or self.traces else 0
-        return settings_of(
+        settings = settings_of(
             "dop853", duration, outputs, self._project, limit=self.limit, room=room,
-            traces=self.traces, smooth=STEP_RULES[self._is_shortened].smooth,
+            traces=self.traces, smooth=self._own.smooth,
         )  # fmt: skip
+        settings.path = self._own.path
+        return settings
 
     def _rules(self) -> Spans:
         """Return by what the core finds steps, and what they may err."""
@@ -288,14 +299,16 @@ class DOP853(Integrator):
         # A step may reach a time but for round-off, as one to a switch may.
         done = min(int(after * (1 + 2e-14) / span.spacing), len(span.states) - 1)
         if done > now.done:
-            reach = h
-            if interpolant is None:
-                reach = taken
-                interpolant = self._interpolant(x, end.x, f, f1, K, u, taut, reach)[0]
+            times = span.spacing * np.arange(now.done + 1, done + 1) - now.time
+            if interpolant is not None:
+                states = _on_interpolant(x, interpolant, times / h)
+            elif self._path is not None and self._path_error(K, span, taken) < self._own.path:
+                states = _on_path(self._path(x, f, end.x, f1, taken)[0], times / taken, taken)
+            else:
+                interpolant = self._interpolant(x, end.x, f, f1, K, u, taut, taken)[0]
                 now.interpolants += 1
-            times = span.spacing * np.arange(now.done + 1, done + 1)
-            factors = np.array(_factors((times - now.time) / reach))
-            span.states[now.done : done] = x + factors.T @ interpolant.T
+                states = _on_interpolant(x, interpolant, times / taken)
+            span.states[now.done : done] = states
         now.x, now.taut, now.time, now.done = end.x.copy(), end.taut, after, done
         span.trace.append(after, now.x, taut)
         factor = _factor(error, now.last)
@@ -311,6 +324,18 @@ class DOP853(Integrator):
         else:
             now.slope = f1.copy()
         now.step, now.last = h * factor, error
+
+    def _path_error(self, K: FloatArray, span: _Given, taken: float) -> float:
+        """Return what the path from the ends of a step errs, as part of what a step may err."""
+        half = len(span.allowed) // 2
+        off = (K @ _coefficients().E5)[:half]
+        of_positions = _PATH_OF_POSITIONS * taken * off / span.allowed[:half]
+        of_velocities = _PATH_OF_VELOCITIES * off / span.allowed[half:]
+        return float(np.sqrt(np.mean(of_positions**2 + of_velocities**2) / 2))
+
+    @property
+    def _own(self) -> StepRules:
+        return STEP_RULES[self._is_shortened]
 
     def _landed(
         self, step: Step, K: FloatArray, error: float, span: _Given, now: _Motion
@@ -328,7 +353,7 @@ class DOP853(Integrator):
             return Landing(step.x1, step.taut), None
         interpolant: FloatArray | None = None
         off = error * abs(np.polynomial.polynomial.polyval(cut.part, _interpolant_error()))
-        if off < STEP_RULES[self._is_shortened].smooth and not exact:
+        if off < self._own.smooth and not exact:
             ends = step.x, step.x1, step.slope, step.slope1
             interpolant = self._interpolant(*ends, K, step.u, step.taut, step.h)[0]
             now.interpolants += 1
@@ -476,6 +501,19 @@ def _coefficients() -> Any:
     from scipy.integrate import DOP853
 
     return DOP853
+
+
+def _on_interpolant(x: FloatArray, interpolant: FloatArray, parts: FloatArray) -> FloatArray:
+    """Return the states, one a row, at parts of the step of an interpolant."""
+    return x + np.array(_factors(parts)).T @ interpolant.T
+
+
+def _on_path(coefficients: FloatArray, parts: FloatArray, h: float) -> FloatArray:
+    """Return the states, one a row, at parts of a step on a path: column k counts by power k."""
+    powers = np.arange(coefficients.shape[1])
+    positions = coefficients @ parts ** powers[:, None]
+    velocities = coefficients[:, 1:] * powers[1:] @ parts ** powers[:-1, None] / h
+    return np.vstack([positions, velocities]).T
 
 
 @cache

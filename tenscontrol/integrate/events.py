@@ -203,7 +203,7 @@ def _search(equation: Equation) -> ca.Function:
     allowed, least = ca.MX.sym("allowed"), ca.MX.sym("least")
     room = _room(equation)
     zoom, chord = where_needed(_zoom(room)), _chord(room)
-    given = _path(equation)(x, xd, x1, xd1, h), u, taut, h
+    given = path(equation)(x, xd, x1, xd1, h), u, taut, h
     window = ca.DM([0, 1, 0, 0])
     for count in range(_ZOOMS if equation.contacts is None else _ZOOMS_ON_GROUND):
         # Where one string alone is out, nothing else can be first.
@@ -339,7 +339,7 @@ def _meet_outside(room0: Any, room1: Any, out: Any, back: Any, h: Any) -> Any:
     return ca.logic_and(ca.logic_and(out > 0, back > 0), below)
 
 
-def _path(equation: Equation) -> ca.Function:
+def path(equation: Equation) -> ca.Function:
     """Return ``(x, xd, x1, xd1, h) -> coefficients`` of the positions inside a step.
 
     They belong to the polynomial of degree 5 with the positions, velocities and

@@ -8,7 +8,16 @@ import tenscontrol as tc
 from tenscontrol.dynamics.equation import pack_state
 from tenscontrol.dynamics.evaluator import Evaluator
 from tenscontrol.integrate import CVODES, DOP853, RK4, EnergyMomentum, IntegrationError
-from tenscontrol.integrate.dop853 import _DormandPrince, _factors, _interpolant_error
+from tenscontrol.integrate.dop853 import (
+    _PATH_OF_POSITIONS,
+    _PATH_OF_VELOCITIES,
+    _coefficients,
+    _DormandPrince,
+    _factors,
+    _interpolant_error,
+    _on_path,
+)
+from tenscontrol.integrate.events import path
 from tests.dynamics.scenes import paper_force_density, rest_lengths
 from tests.integrate.stepping import smooth_equation
 from tests.integrate.test_rk4 import explosion, oscillator
@@ -102,6 +111,22 @@ def test_what_the_interpolant_errs_is_known(h):
         off = found - [1, 0] - turn @ (x - [1, 0])
         share = abs(np.polynomial.polynomial.polyval(part, _interpolant_error()))
         assert np.sqrt(np.mean(off**2)) == pytest.approx(share * estimate, rel=0.03)
+
+
+def test_what_the_path_from_the_ends_of_a_step_errs_is_known():
+    """On ``ẍ = 1 - x``, at the leading order of the step."""
+    equation = smooth_equation(oscillator())
+    x, u, taut, h = np.array([0.3, 1.0]), np.ones(1), np.zeros(0), 0.05
+    f = Evaluator(equation.slope)(x, u, taut)[0]
+    tried = Evaluator(_DormandPrince(equation).tried())
+    x1, f1, _, K, _ = tried(x, f, u, taut, h, np.ones(2))
+    parts = np.linspace(0, 1, 201)
+    found = _on_path(Evaluator(path(equation))(x, f, x1, f1, h)[0], parts, h).T
+    cos, sin = np.cos(parts * h), np.sin(parts * h)
+    off = np.abs(found - [1 - 0.7 * cos + sin, 0.7 * sin + cos]).max(axis=1)
+    fifth = abs(K @ _coefficients().E5)[0]
+    known = [_PATH_OF_POSITIONS * h * fifth, _PATH_OF_VELOCITIES * fifth]
+    np.testing.assert_allclose(off, known, rtol=0.05)
 
 
 def test_a_tolerance_below_round_off_is_refused():
