@@ -26,9 +26,9 @@ _TIGHTER, _SAFETY, _LOOSER = 0.1, 2.0, 8.0
 # A tenth of so tight a tolerance is lost in round-off: ten times it is taken.
 _TIGHT = 1e-12
 
-# The motion found again is looked at at all outputs, as a state between two steps may be less
-# accurate than both: of a large structure at so many at least, and at so many numbers at most.
-_LOOKED_AT, _NUMBERS = 128, 2_000_000
+# The motion found again is looked at at so many outputs of a stage at most: states between two
+# steps may be less accurate than both, but cost the interpolants of the steps.
+_LOOKED_AT = 256
 
 # Parts of the time in which an estimate is at least that in the part before.
 _WINDOWS = 20
@@ -118,8 +118,8 @@ def _joined(parts: Sequence[FloatArray]) -> FloatArray:
 
 def _common(one: IntArray, other: IntArray) -> IntArray:
     """Return the outputs that are among both, ascending."""
-    same = one.shape == other.shape and (one == other).all()
-    return one if same else np.intersect1d(one, other, assume_unique=True)
+    at = np.searchsorted(one, other)
+    return other[np.append(one, -1)[at] == other]
 
 
 @dataclass(frozen=True, eq=False)
@@ -395,8 +395,7 @@ class Motion:
             return stage.strides(self.value, factor)
         # Outputs may limit the steps of a tolerance.
         is_close = factor > 1 or stage.work is not None
-        most = max(_LOOKED_AT, _NUMBERS // len(self.rows))
-        every = 2 if is_close else ceil(stage.outputs / most)
+        every = 2 if is_close else ceil(stage.outputs / _LOOKED_AT)
         return stage.strides(stage.spacing, every)
 
     def _difference(self, other: Path) -> FloatArray:
