@@ -199,9 +199,10 @@ typedef struct {
   double limit;        /* evaluations from which on no step is tried, of dop853 */
   double smooth;       /* a step of dop853 ends at a switch on its interpolant where that errs less than
                           this part of what it may err */
-  const double *scale; /* (states): what a step may err, of dop853 */
+  double loose;        /* the tolerance of dop853 above which few switches in a step are carried, too */
   double path;         /* outputs are on the path from the ends of a step of dop853 where that errs less
-                          than this part of the same */
+                          than this part of what it may err */
+  const double *scale; /* (states): what a step may err, of dop853 */
 } Settings;
 
 /* The last looks for no switches: each evaluation finds what pulls and presses in its state. */

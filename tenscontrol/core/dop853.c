@@ -51,10 +51,10 @@ enum { CARRY_ORDER = 4 };
 /* So many steps of order 5 follow one whose switches are carried. */
 enum { SHORT_FOLLOWING = 2 };
 
-/* Under a tolerance above this one few switches are carried, too, where the longest step that can has so
-   many. How long that is changes along a motion: after each landing it is taken to be longer by a
-   little. Under a smaller one what a string does that goes taut and slack within a step is to be seen. */
-static const double LOOSE = 1e-4, WORTH_CARRYING = 1.4, FORGETTING = 0.995;
+/* Under a loose tolerance few switches are carried, too, where the longest step that can has so many. How
+   long that is changes along a motion: after each landing it is taken to be longer by a little. Under a
+   smaller one what a string does that goes taut and slack within a step is to be seen. */
+static const double WORTH_CARRYING = 1.4, FORGETTING = 0.995;
 
 /* How far a motion is, what it has counted, and the step that it tries: numbers alone, so that runs
    can go from lane to lane. */
@@ -456,7 +456,7 @@ static Truth is_worth_carrying(const Dop853 *m) {
   const Adaptive *now = m->now;
   const Number often = (now->switches + now->crossed) / (now->time + now->h);
   const Number longest = smaller(1 / now->carry_rate, now->longest);
-  return (m->scale[0] > LOOSE * m->span->scene->size) & (often * longest > WORTH_CARRYING);
+  return (m->scale[0] > m->settings->loose * m->span->scene->size) & (often * longest > WORTH_CARRYING);
 }
 
 /* Adds to the ends of steps what their switches change. Returns which steps are thrown away: where

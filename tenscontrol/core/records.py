@@ -145,8 +145,11 @@ class Settings(ctypes.Structure):
 
     _fields_ = (
         *((name, _COUNT) for name in ("method", "projects", "traces", "outputs", "budget", "room")),
-        *((name, _NUMBER) for name in ("duration", "step", "longest", "limit", "smooth")),
-        ("scale", _POINTER), ("path", _NUMBER),
+        *(
+            (name, _NUMBER)
+            for name in ("duration", "step", "longest", "limit", "smooth", "loose", "path")
+        ),
+        ("scale", _POINTER),
     )  # fmt: skip
 
 

@@ -272,13 +272,12 @@ class AdaptiveLanes(CoreLanes):
             scale = np.repeat(np.stack([np.full(len(speed), size), speed], axis=1), half, axis=1)
             step, longest = steps_of(slope, scale, frequency, duration, self._is_shortened)
             scale *= self._tolerance
-        rules = STEP_RULES[self._is_shortened]
         own = {"step": step, "longest": longest, "scale": scale, "slope": slope, "taut": taut}
+        rules = STEP_RULES[self._is_shortened]
         settings = settings_of(
-            "dop853", duration, outputs, self._project, limit=self._limit,
-            smooth=rules.smooth,
+            "dop853", duration, outputs, self._project, limit=self._limit, smooth=rules.smooth,
+            loose=rules.loose, path=rules.path,
         )  # fmt: skip
-        settings.path = rules.path
         reached, progress = calls.advance(settings, own, stop)
         reaches_end = (
             (progress["time"] >= duration)

@@ -52,11 +52,13 @@ def settings_of(
     room: int = 0,
     traces: bool = False,
     smooth: float = 0.0,
+    loose: float = 0.0,
+    path: float = 0.0,
 ) -> records.Settings:
     """Return the settings of a span for the core."""
     return records.Settings(
         _METHODS.index(method), project, traces, outputs, 0, room, duration, step, 0.0, limit,
-        smooth, None,
+        smooth, loose, path, None,
     )  # fmt: skip
 
 

@@ -81,7 +81,8 @@ class StepRules(NamedTuple):
     """The longest step over 1/ω and over the span, and the first over the usual.
 
     And ``smooth``: steps end at a switch on their interpolant where that errs less than this part
-    of what they may err; ``path``: so are outputs on the path from the ends of a step.
+    of what they may err; ``path``: so are outputs on the path from the ends of a step. And
+    ``loose``: the tolerance above which the core carries few switches in a step, too.
     """
 
     stable: float
@@ -89,14 +90,16 @@ class StepRules(NamedTuple):
     first: float
     smooth: float
     path: float
+    loose: float
 
 
 #: By whether steps are shortened. What ends on an interpolant errs by chance: where stability
 #: limits the steps, a tenth of the tolerance alone makes no tenth of it. Nor does it of outputs on
-#: a path, so there are none then; else they may err what steps aim at.
+#: a path, so there are none then; else they may err what steps aim at. Switches are carried as by
+#: the run of ten times the tolerance.
 STEP_RULES = (
-    StepRules(_STABLE, 1.0, 1.0, 0.3, 0.1),
-    StepRules(_SHORTER * _STABLE, 0.5, _SHORTER, 0.03, 0.0),
+    StepRules(_STABLE, 1.0, 1.0, 0.3, 0.1, 1e-4),
+    StepRules(_SHORTER * _STABLE, 0.5, _SHORTER, 0.03, 0.0, 1e-5),
 )
 
 # What a path from the ends of a step errs of positions, and times the step of velocities, at most
@@ -225,12 +228,11 @@ class DOP853(Integrator):
     def _settings(self, duration: float, outputs: int) -> Settings:
         """Return the settings of a span in the core."""
         room = room_for(self._equation.states) if self.keeps_steps or self.traces else 0
-        settings = settings_of(
+        return settings_of(
             "dop853", duration, outputs, self._project, limit=self.limit, room=room,
-            traces=self.traces, smooth=self._own.smooth,
+            traces=self.traces, smooth=self._own.smooth, loose=self._own.loose,
+            path=self._own.path,
         )  # fmt: skip
-        settings.path = self._own.path
-        return settings
 
     def _rules(self) -> Spans:
         """Return by what the core finds steps, and what they may err."""
