@@ -26,12 +26,14 @@ from tenscontrol.simulation.plant_run import StoppedError
 from tenscontrol.tables import aligned
 
 # First parts of the logs that are fitted one after the other, and how little a cost must still fall
-# before the next is taken, and at the end.
-_PARTS, _ROUGHLY, _WELL = (0.1, 0.25, 0.5, 1.0), 3e-2, 1e-6
+# before the next is taken, and at the end. Where noise does not explain the first, the fit is in a
+# wrong minimum of fast motions: the second is how much shorter the part is that comes before it.
+_PARTS, _SHORTER_PART, _ROUGHLY, _WELL = (0.1, 0.25, 0.5, 1.0), 0.3, 3e-2, 1e-6
 
 # Steps in a part at most; damping of the first step, and by how much it changes after one that
-# lessened the cost. Part of a step that did not, within which the next is.
-_MOST, _DAMPING, _LESS, _SHORTER = 12, 1e-3, 0.2, (0.1, 0.5)
+# lessened the cost by more than a share of what was foreseen. Part of a step that did not lessen
+# it, within which the next is.
+_MOST, _DAMPING, _LESS, _GOOD, _SHORTER = 12, 1e-3, 0.2, 0.75, (0.1, 0.5)
 
 # Longest step of an unknown, in standard deviations of its prior: slopes do not hold far away.
 _LONGEST = 2.0
@@ -443,14 +445,19 @@ class _Solver:
         """Return the unknowns, the residuals with their slope, and why it ended."""
         theta, done, message = np.zeros(self._rollouts.size), 0.0, "converged"
         readings: Readings | None = None
+        parts = list(_PARTS)
         try:
-            for share in _PARTS:
+            while parts:
+                share = parts.pop(0)
                 if self._is_over(share):
                     continue
                 readings = self._rollouts.readings(theta, share, slopes=True)
                 least = _WELL if share == 1.0 else _ROUGHLY
-                theta, readings, message = self._fit_part(theta, readings, share, least)
-                done = share
+                moved, readings, message = self._fit_part(theta, readings, share, least)
+                if not done and self._is_too_long(share, readings):
+                    parts = [_SHORTER_PART * share, share, *parts]
+                    continue
+                theta, done = moved, share
                 report(share)
         except KeyboardInterrupt:
             if readings is None:
@@ -482,10 +489,11 @@ class _Solver:
                 shorter = fall / (new - cost + 2 * fall)
                 damping = linear.damping(damping, float(np.clip(shorter, *_SHORTER)))
                 continue
+            if cost - new > _GOOD * fall:
+                damping *= _LESS
             fall = (cost - new) / max(cost, np.finfo(float).tiny)
             theta, readings, cost = moved, tried, new
             linear = self._linear(readings, theta)
-            damping *= _LESS
             if fall < least:
                 break
         return theta, readings, "converged"
@@ -493,6 +501,12 @@ class _Solver:
     def _is_over(self, share: float) -> bool:
         """Return whether no rollout is left for a part of the logs, or only one for all of them."""
         return self._rollouts.count >= self._most - (share < 1.0)
+
+    def _is_too_long(self, share: float, readings: Readings) -> bool:
+        """Return whether noise does not explain a fitted part, of which there is a shorter one."""
+        if self._loss(readings) <= _FAR * len(readings.residuals):
+            return False
+        return any(share * log.time[-1] > log.time[0] for log in self._rollouts.logs)
 
     def _tried(self, theta: FloatArray, share: float) -> Readings | None:
         """Return the residuals for unknowns; None where the motion runs away."""
@@ -503,12 +517,15 @@ class _Solver:
         return readings if np.isfinite(readings.residuals).all() else None
 
     def _cost(self, readings: Readings, theta: FloatArray) -> float:
+        return self._loss(readings) + float(((theta / self._scale) ** 2).sum())
+
+    def _loss(self, readings: Readings) -> float:
         r = readings.residuals
         squares = r**2
         if self._is_robust:
             far = np.abs(r) > _HUBER
             squares = np.where(far, 2 * _HUBER * np.abs(r) - _HUBER**2, squares)
-        return float(squares.sum() + ((theta / self._scale) ** 2).sum())
+        return float(squares.sum())
 
     def _linear(self, readings: Readings, theta: FloatArray) -> _Linear:
         """Return the residuals, and what unknowns are off from what was known, made linear."""
