@@ -33,9 +33,10 @@ def with_values(
     u = ca.SX.sym("u", layout.size - len(own) * (layout.degree + 1))
     rows = []
     for power in range(layout.degree + 1):
-        begin = power * rest
+        begin, middle = power * rest, power * rest + before
         constant = ca.DM(own) if power == 0 else ca.DM.zeros(len(own))
-        rows += [u[begin : begin + before], constant, u[begin + before : begin + rest]]
+        # With the column: of a u of one entry, an empty slice else is a row.
+        rows += [u[begin:middle, 0], constant, u[middle : begin + rest, 0]]
     if layout.degree:
         rows.append(u[-1])
     arguments: list[Any] = [
