@@ -12,6 +12,9 @@ members a stage is wound in by 3 %, and it moves for 0.1 s. Three tables a tower
 - Processor time and the largest memory of a process of its own that makes the tower and runs it
   once, at the settings of the first table for 1e-6 m, and of one that only makes the tower.
 
+``--only default JAX`` prints the first and the last table, of the programs whose names contain one
+of these; ``--finer 2`` says by how much steps of peers differ.
+
 Not told: what JAX takes to compile in the first table; the third tells it. Needs the extra
 ``bench``; Linux alone tells the memory.
 """
@@ -30,22 +33,31 @@ import numpy as np
 import tenscontrol as tc
 from tenscontrol.simulation import AccuracyWarning
 from tenscontrol.tables import aligned
-from tests.benchmarks.cheapest import Program, Row, farthest, grid, ours, reported, tolerances
+from tests.benchmarks.cheapest import (
+    FINER_STEP,
+    Program,
+    Row,
+    farthest,
+    grid,
+    ours,
+    reported,
+    tolerances,
+)
 from tests.benchmarks.command_line import options
 from tests.benchmarks.rk4_peers import is_missing, jax_rk4, numpy_rk4
 
 DURATION = 0.1  # s
 
-# What a process of its own runs: the index of a program, and its setting.
+# What a process of its own runs: a program by its name, and its setting.
 _ALONE = r"""
 import json, re, sys, time
 from pathlib import Path
 from tests.benchmarks.towers import programs, tower
-stages, index, setting = json.loads(sys.argv[1])
-if index is None:
+stages, name, setting = json.loads(sys.argv[1])
+if setting is None:
     tower(stages)
 else:
-    programs(stages)[index].prepare(setting)()
+    {program.name: program for program in programs(stages)}[name].prepare(setting)()
 status = Path("/proc/self/status")  # getrusage tells the largest of the parent
 size = re.search(r"VmHWM:\s+(\d+) kB", status.read_text())[1] if status.exists() else "nan"
 print(json.dumps([time.process_time(), 1024 * float(size)]))
@@ -57,6 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     given = options(
         __doc__, arguments, stages=(100, 1000), errors=(1e-3, 1e-6), repeats=5,
         steps=(4e-3, 1e-3, 2.5e-4), tolerances=(1e-4, 1e-6, 1e-8), longest=30.0, switches=False,
+        only=("",), finer=FINER_STEP,
     )  # fmt: skip
     for stages in given.stages:
         case = tower(stages)
@@ -67,9 +80,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print(f"\ntower of {stages} stages, {members} members, {exact.work.switches} switches; at "
               f"a thousand times the tolerance {coarse.work.switches}", flush=True)  # fmt: skip
         judge = farthest(exact.nodes[:, :, -1:])
-        print_switches(case, exact, given.steps, given.tolerances, judge)
+        if given.only == ("",):
+            print_switches(case, exact, given.steps, given.tolerances, judge)
         if not given.switches:
-            rows = reported(programs(stages), judge, given.errors, given.repeats, given.longest)
+            some = [
+                program
+                for program in programs(stages, given.finer)
+                if any(text in program.name for text in given.only)
+            ]
+            rows = reported(some, judge, given.errors, given.repeats, given.longest)
             print_memory(stages, [row for row in rows if row.error == min(given.errors)])
 
 
@@ -83,10 +102,10 @@ def tower(stages: int) -> tc.Scene:
     return tc.Scene(model, DURATION, rest_length=lengths, name=f"tower of {stages} stages")
 
 
-def programs(stages: int) -> list[Program]:
-    """Return ours and the peers."""
+def programs(stages: int, finer: float = FINER_STEP) -> list[Program]:
+    """Return ours and the peers, whose steps differ by a factor."""
     case, times = tower(stages), np.array([DURATION])
-    steps = grid(0.01, 1e-6)
+    steps = grid(0.01, 1e-6, finer)
     found = ours(lambda: case, times, tolerances(), output_step=DURATION)
     found.append(numpy_rk4(case, times, steps))
     return found if is_missing("jax") else [*found, jax_rk4(case, times, steps)]
@@ -134,13 +153,11 @@ def print_switches(
 def print_memory(stages: int, rows: Sequence[Row]) -> None:
     """Print the processor time and the largest memory of a process for each row."""
     table = []
-    asked: list[tuple[str, int | None, float | None]] = [("the tower alone", None, None)]
-    asked += [
-        (row.name, index, row.setting) for index, row in enumerate(rows) if row.setting > 0
-    ]  # fmt: skip
-    for name, index, setting in asked:
+    asked = [("the tower alone", None)]
+    asked += [(row.name, row.setting) for row in rows if row.setting > 0]
+    for name, setting in asked:
         finished = subprocess.run(
-            [sys.executable, "-c", _ALONE, json.dumps([stages, index, setting])],
+            [sys.executable, "-c", _ALONE, json.dumps([stages, name, setting])],
             check=True, capture_output=True, text=True, env=os.environ | {"PYTHONPATH": "."},
         )  # fmt: skip
         seconds, size = json.loads(finished.stdout.splitlines()[-1])
