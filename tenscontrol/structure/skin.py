@@ -217,7 +217,8 @@ def _edges(loop: Loop) -> list[tuple[int, int]]:
 
 def _areas(triangles: Sequence[Loop], places: Sequence[FloatArray] | FloatArray) -> FloatArray:
     """Return the areas of triangles of nodes, m²; ``places`` are rows x, y, z."""
-    a, b, c = np.asarray(places)[np.array(triangles)].transpose(1, 0, 2)
+    corners = [[places[i] for i in triangle] for triangle in triangles]
+    a, b, c = np.array(corners).transpose(1, 0, 2)
     return np.asarray(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
 
 
