@@ -187,6 +187,16 @@ class Steps(ctypes.Structure):
 
     _fields_ = (
         ("count", _COUNT), *((name, _POINTER) for name in ("length", "states", "inputs", "taut")),
+        ("first", _COUNT),
+    )  # fmt: skip
+
+
+class Switches(ctypes.Structure):
+    """What switches at the ends of steps."""
+
+    _fields_ = (
+        ("count", _COUNT),
+        *((name, _POINTER) for name in ("step", "by_state", "by_input", "rate", "jump")),
     )  # fmt: skip
 
 

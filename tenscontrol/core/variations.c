@@ -18,17 +18,24 @@ size_t tc_variations_work_size(const Scene *scene, const Drive *drive, const Tab
 }
 
 void tc_tangents(const Scene *scene, const Drive *drive, const Lengths *lengths,
-                 const Tableau *method, const Steps *steps, const Changes *changes, double *X,
-                 double *work) {
+                 const Tableau *method, const Steps *steps, const Switches *switches,
+                 const Changes *changes, double *X, double *work) {
   Variations *tangents = WIDEST(tangents_by_avx512, tangents_by_avx2, tangents_by_all);
-  tangents(scene, drive, lengths, method, steps, changes, X, work);
+  tangents(scene, drive, lengths, method, steps, switches, changes, X, work);
 }
 
 void tc_costs(const Scene *scene, const Drive *drive, const Lengths *lengths,
-              const Tableau *method, const Steps *steps, const Changes *costs, double *mu,
-              double *work) {
+              const Tableau *method, const Steps *steps, const Switches *switches,
+              const Changes *costs, double *mu, double *work) {
   Variations *by = WIDEST(costs_by_avx512, costs_by_avx2, costs_by_all);
-  by(scene, drive, lengths, method, steps, costs, mu, work);
+  by(scene, drive, lengths, method, steps, switches, costs, mu, work);
+}
+
+void tc_accelerations(const Scene *scene, const Drive *drive, const Steps *steps,
+                      double *accelerations, double *work) {
+  Accelerations *of =
+      WIDEST(accelerations_by_avx512, accelerations_by_avx2, accelerations_by_all);
+  of(scene, drive, steps, accelerations, work);
 }
 
 size_t tc_reduced_work_size(const Reduced *plant, int32_t rows) {

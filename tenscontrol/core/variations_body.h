@@ -558,10 +558,7 @@ static void N(touched_backward)(const Scene *s, const Layout *at, const double *
 /* Of a cost by the tension of a string: those by its numbers, with what each value of a profile counts. */
 static inline void N(tension_backward)(const double *by, const Changes *c, int i,
                                        const Shares *shares, double cost) {
-  const double of_input = by[BY_REST] * cost;
-  if (c->input) c->input[i] += of_input;
-  for (int k = shares->first; k < shares->end; ++k)
-    c->by_values[(size_t)c->profile->values * i + k] += shares->share[k] * of_input;
+  add_input_cost(c, i, shares, by[BY_REST] * cost);
   if (c->stiffness) c->stiffness[i] += by[BY_STIFFNESS] * cost;
   if (c->damping) c->damping[i] += by[BY_DAMPING] * cost;
 }

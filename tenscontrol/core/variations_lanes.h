@@ -113,6 +113,13 @@ typedef struct {
   int first, end;
 } Shares;
 
+/* Adds a cost by what a string is given, by each value of a profile, too. */
+static inline void add_input_cost(const Changes *c, int string, const Shares *shares, double cost) {
+  if (c->input) c->input[string] += cost;
+  for (int k = shares->first; k < shares->end; ++k)
+    c->by_values[(size_t)c->profile->values * string + k] += shares->share[k] * cost;
+}
+
 static size_t point_size(const Scene *s) {
   return 4 * (size_t)s->entries + s->segments + 4 * (size_t)s->strings + s->unknowns;
 }
@@ -152,6 +159,7 @@ typedef struct {
   const Scene *scene;
   const Tableau *method;
   const Steps *steps;
+  const Switches *switches;
   Layout at;
   double *twice;  /* (stages + 1, stages): what accelerations count by in places, of the end, too */
   double *points; /* (steps, stages, numbers of a point) */
@@ -195,7 +203,7 @@ static Number *taken(Number **memory, size_t count) {
 }
 
 static void begin_sweep(Sweep *sweep, const Scene *s, const Drive *drive, const Tableau *method,
-                        const Steps *steps, double *work) {
+                        const Steps *steps, const Switches *switches, double *work) {
   const int n = method->stages;
   const size_t half = s->free;
   const Runs own = {.count = steps->count, .inputs = steps->inputs};
@@ -203,6 +211,7 @@ static void begin_sweep(Sweep *sweep, const Scene *s, const Drive *drive, const 
   sweep->scene = s;
   sweep->method = method;
   sweep->steps = steps;
+  sweep->switches = switches;
   sweep->at = layout_of(s);
   sweep->twice = work;
   for (int i = 0; i <= n; ++i)
@@ -232,6 +241,18 @@ static void begin_sweep(Sweep *sweep, const Scene *s, const Drive *drive, const 
 
 static const double *point_of(const Sweep *sweep, int step, int stage) {
   return sweep->points + ((size_t)step * sweep->method->stages + stage) * sweep->at.size;
+}
+
+/* The first switch at the end of a step or later; all of them come before `count`. */
+static int switch_from(const Sweep *sweep, int step) {
+  const Switches *switches = sweep->switches;
+  int first = 0, count = switches ? switches->count : 0;
+  while (first < count) { /* by halves */
+    const int middle = (first + count) / 2;
+    if (switches->step[middle] < sweep->steps->first + step) first = middle + 1;
+    else count = middle;
+  }
+  return first;
 }
 
 /* Adds so many accelerations to places and rates, each counted by a weight in both. */
@@ -387,6 +408,23 @@ static void enter_values(const Inputs *inputs, const double *share) {
         inputs->first + m);
 }
 
+/* A block of columns past what switches at the end of a step, with what changes of the inputs then. */
+static void pass_switches(const Sweep *sweep, int k, const Number *input, Number *block) {
+  const Scene *s = sweep->scene;
+  const Switches *switches = sweep->switches;
+  const int n = 2 * s->free, end = switch_from(sweep, k + 1);
+  for (int e = switch_from(sweep, k); e < end; ++e) {
+    const double *by_state = switches->by_state + (size_t)n * e;
+    const double *by_input = switches->by_input + (size_t)s->strings * e;
+    const double *jump = switches->jump + (size_t)n * e;
+    Number moved = all(0);
+    for (int i = 0; i < n; ++i) moved += by_state[i] * block[i];
+    for (int i = 0; i < s->strings && input; ++i) moved += by_input[i] * input[i];
+    moved *= 1 / switches->rate[e];
+    for (int i = 0; i < n; ++i) block[i] += jump[i] * moved;
+  }
+}
+
 /* A block of columns over a step. */
 static void step_block(const Sweep *sweep, const Lengths *lengths, int k, int in_lanes,
                        const Changes *changes, int first, Number *block, Number *memory) {
@@ -424,21 +462,21 @@ static void step_block(const Sweep *sweep, const Lengths *lengths, int k, int in
   }
   advance_by(block, block + half, 1, h, method->b, sweep->twice + stages * stages, stages,
              accelerations, half, block, block + half);
-  if (!lengths) return;
-  {
+  if (lengths) {
     const double *end = sweep->steps->states + (size_t)(k + 1) * 2 * half;
     if (s->dimension == 2) restored_forward_2(s, lengths, end, block);
     else restored_forward_3(s, lengths, end, block);
   }
+  pass_switches(sweep, k, inputs.input, block); /* the last stage was at the end */
 }
 
 void LANES_NAME(tangents)(const Scene *s, const Drive *drive, const Lengths *lengths,
-                          const Tableau *method, const Steps *steps, const Changes *changes,
-                          double *X, double *work) {
+                          const Tableau *method, const Steps *steps, const Switches *switches,
+                          const Changes *changes, double *X, double *work) {
   const int columns = changes->columns, n = 2 * s->free;
   Sweep sweep;
   Number *blocks;
-  begin_sweep(&sweep, s, drive, method, steps, work);
+  begin_sweep(&sweep, s, drive, method, steps, switches, work);
   blocks = taken(&sweep.rest, (size_t)n * (columns / WIDTH));
   for (int first = 0; first < columns; first += WIDTH)
     pack(X, columns, n, first, blocks + (size_t)n * (first / WIDTH));
@@ -475,6 +513,25 @@ static void add_vectors(int count, const double *weight, const double *const *ve
     Number sum = *numbers(to + k);
     for (int m = 0; m < count; ++m) sum += weight[m] * *numbers(vector[m] + k);
     *(Number *)(to + k) = sum;
+  }
+}
+
+/* The cost by the state after what switches at the end of a step becomes that before it, (2, padded). */
+static void pass_switches_back(const Sweep *sweep, int k, const Changes *costs, double *mu) {
+  const Scene *s = sweep->scene;
+  const Switches *switches = sweep->switches;
+  const int first = switch_from(sweep, k);
+  const size_t half = s->free, n = 2 * half, apart = padded(s) - half; /* of rates in mu */
+  const Shares shares = shares_of(costs, k, sweep->method->stages - 1); /* at the end */
+  for (int e = switch_from(sweep, k + 1) - 1; e >= first; --e) {
+    const double *by_state = switches->by_state + n * e;
+    const double *by_input = switches->by_input + (size_t)s->strings * e;
+    const double *jump = switches->jump + n * e;
+    double weight = 0;
+    for (size_t i = 0; i < n; ++i) weight += jump[i] * mu[i < half ? i : i + apart];
+    weight /= switches->rate[e];
+    for (size_t i = 0; i < n; ++i) mu[i < half ? i : i + apart] += weight * by_state[i];
+    for (int i = 0; i < s->strings; ++i) add_input_cost(costs, i, &shares, weight * by_input[i]);
   }
 }
 
@@ -533,12 +590,12 @@ static void step_cost(const Sweep *sweep, int k, int in_lanes, const Changes *co
 }
 
 void LANES_NAME(costs)(const Scene *s, const Drive *drive, const Lengths *lengths,
-                       const Tableau *method, const Steps *steps, const Changes *costs, double *mu,
-                       double *work) {
+                       const Tableau *method, const Steps *steps, const Switches *switches,
+                       const Changes *costs, double *mu, double *work) {
   const size_t half = s->free, size = padded(s);
   Sweep sweep;
   double *of_state;
-  begin_sweep(&sweep, s, drive, method, steps, work);
+  begin_sweep(&sweep, s, drive, method, steps, switches, work);
   of_state = (double *)sweep.rest;
   memset(of_state, 0, 2 * size * sizeof *of_state);
   memcpy(of_state, mu, half * sizeof *mu);
@@ -548,6 +605,7 @@ void LANES_NAME(costs)(const Scene *s, const Drive *drive, const Lengths *length
     reach_stages(&sweep, k, some);
     for (int i = some - 1; i >= 0; --i) {
       const double *end = steps->states + (size_t)(k + i + 1) * 2 * half;
+      pass_switches_back(&sweep, k + i, costs, of_state);
       if (lengths && s->dimension == 2) restored_backward_2(s, lengths, end, of_state, size);
       else if (lengths) restored_backward_3(s, lengths, end, of_state, size);
       step_cost(&sweep, k + i, i, costs, of_state, of_state + 2 * size);
@@ -555,4 +613,19 @@ void LANES_NAME(costs)(const Scene *s, const Drive *drive, const Lengths *length
   }
   memcpy(mu, of_state, half * sizeof *mu);
   memcpy(mu + half, of_state + size, half * sizeof *mu);
+}
+
+/* ---- accelerations ---- */
+
+void LANES_NAME(accelerations)(const Scene *s, const Drive *drive, const Steps *steps,
+                               double *accelerations, double *work) {
+  static const double nothing = 0;
+  const Tableau here = {1, &nothing, &nothing, &nothing};
+  Sweep sweep;
+  begin_sweep(&sweep, s, drive, &here, steps, 0, work);
+  for (int k = 0; k < steps->count; k += WIDTH) {
+    const int some = steps->count - k < WIDTH ? steps->count - k : WIDTH;
+    reach_stages(&sweep, k, some);
+    for (int i = 0; i < some; ++i) take_row(sweep.accelerations, i, s->free, accelerations, k + i);
+  }
 }

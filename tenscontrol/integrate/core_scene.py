@@ -27,6 +27,9 @@ _LAWS = (type(None), LinearStrings, ElasticStrings)
 # Steps in a call at most, and the parts that switches may cut one into.
 _MOST_STEPS, _PARTS = 2**30, 10
 
+# What has its memory by the count of stages alone.
+_ONE_STAGE = records.Tableau(1)
+
 
 def core_scene(equation: Equation) -> CoreScene | None:
     """Return an equation as the core runs it, kept with it; None where there is no core for it.
@@ -255,6 +258,20 @@ class CoreScene:
             self.at, byref(self.drive(u)), *pointers(state, taut, slope, work),
         )  # fmt: skip
         return slope
+
+    def slopes(self, states: FloatArray, u: FloatArray, taut: FloatArray) -> FloatArray:
+        """Return ẋ for fixed switches, shape (states, T), of states, inputs, switches as columns.
+
+        Supports stand, and no bar is driven.
+        """
+        count, half = states.shape[1], self.states // 2
+        rows = [np.ascontiguousarray(array.T) for array in (states, u, taut)]
+        lengths, accelerations = np.zeros(count), np.empty((count, half))
+        steps = records.Steps(count, *map(records.address, (lengths, *rows)))
+        given = byref(self.scene), byref(self.drive(rows[1][0]))
+        size = self.core.tc_variations_work_size(*given, byref(_ONE_STAGE), records.COLUMNS)
+        self.core.tc_accelerations(*given, byref(steps), *pointers(accelerations, np.empty(size)))
+        return np.concatenate([states[half:], accelerations.T])
 
     def gap(self, state: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the gap of each switch, m, and its rate, m/s; see :class:`Equation`."""

@@ -13,6 +13,7 @@ from tenscontrol.core import records
 from tenscontrol.dynamics.equation import Equation
 from tenscontrol.dynamics.model import Model
 from tenscontrol.integrate.core_scene import CoreScene, core_scene
+from tenscontrol.optimize.derivatives import Switches
 from tenscontrol.optimize.parameters import Parameter, load_of_gravity, shares, unit_load
 from tenscontrol.optimize.traced_steps import TracedSteps
 from tenscontrol.properties import cached_property
@@ -40,12 +41,13 @@ def core_steps(
     parameters: Sequence[Parameter],
     columns: Sequence[slice],
     answers: bool,
+    switches: Switches,
 ) -> CoreSteps | None:
     """Return the steps of a run as the core differentiates them; None where there is none."""
     scene = core_scene(equation)
     if scene is None:
         return None
-    return CoreSteps(scene, model, steps, method, parameters, columns, answers)
+    return CoreSteps(scene, model, steps, method, parameters, columns, answers, switches)
 
 
 class CoreSteps:
@@ -62,11 +64,14 @@ class CoreSteps:
         Which columns of a derivative are those of each parameter.
     answers : bool
         Whether the input answers changes by feedback.
+    switches : Switches
+        What switched at the ends of steps.
     """
 
     def __init__(
         self, scene: CoreScene, model: Model, steps: TracedSteps, method: Tableau,
         parameters: Sequence[Parameter], columns: Sequence[slice], answers: bool,
+        switches: Switches,
     ) -> None:  # fmt: skip
         self._core, self._tables = scene, records.Scene.from_buffer_copy(scene.scene)
         self._model, self._steps = model, steps
@@ -83,6 +88,15 @@ class CoreSteps:
         self._padded = -(-max(self._width, 1) // records.COLUMNS) * records.COLUMNS
         self._pulls = [self._pull(parameter) for parameter in parameters]
         self._answers = answers
+        #: Whether it passes what switches: after bars are on their lengths.
+        self.passes = self.projects or not steps.projects
+        self._of_switches = (
+            np.asarray(switches.step, dtype=np.int32), switches.by_state, switches.by_input,
+            switches.rate, switches.jump,
+        )  # fmt: skip
+        self._switches = records.Switches(
+            len(switches.step), *map(records.address, self._of_switches)
+        )
         #: The input among the parameters, its columns, and how many values a string has.
         self._profile = next((by for by in parameters if by.kind == "input"), None)
         strings, own = len(model.structure.strings), slice(0, 0)
@@ -259,16 +273,17 @@ class CoreSteps:
     ) -> None:  # fmt: skip
         at, *others = (begin + first * stride for begin, stride in self._rows)
         length, lengths = self._length[first : first + count], self._lengths
+        switches = ctypes.byref(self._switches) if self.passes else None
         if part is not None:  # after which bars are left as they are
-            length, lengths = np.array([part]), None
+            length, lengths, switches = np.array([part]), None, None
             at = records.address(length)
         share = self._shares(first, count, length)
         if share is not None:
             self._record_of_profile.rows = share.shape[1]
             self._record_of_profile.share = records.address(share)
-        steps = records.Steps(count, at, *others)
+        steps = records.Steps(count, at, *others, first)
         scene, drive, _, method = self._always
         function(
-            scene, drive, lengths, method, ctypes.byref(steps), ctypes.byref(record),
+            scene, drive, lengths, method, ctypes.byref(steps), switches, ctypes.byref(record),
             *records.pointers(array, self._work(record.columns)),
         )  # fmt: skip

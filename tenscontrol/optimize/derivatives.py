@@ -20,6 +20,7 @@ from tenscontrol.dynamics.evaluator import Function, evaluate_columns
 from tenscontrol.dynamics.force import Force
 from tenscontrol.dynamics.forces import Forces
 from tenscontrol.dynamics.model import Model
+from tenscontrol.integrate.core_scene import core_scene
 from tenscontrol.integrate.projection import projection
 from tenscontrol.optimize.parameters import BESIDE, Parameter, load_of_gravity, unit_load
 from tenscontrol.properties import cached_property
@@ -173,7 +174,10 @@ class Derivatives:
 
     def slope(self, x: FloatArray, u: FloatArray, taut: FloatArray) -> FloatArray:
         """Return ẋ, shape (states, K), of states, inputs and switches, one a column."""
-        return evaluate_columns(self.equation.slope, x, u, taut)[0]
+        layout, core = self.equation.layout, core_scene(self.equation)
+        if core is None or layout.offset or layout.lengths or not x.shape[1]:
+            return evaluate_columns(self.equation.slope, x, u, taut)[0]
+        return core.slopes(x, u, taut)
 
     def at(
         self, x: FloatArray, u: FloatArray, taut: FloatArray, slope: FloatArray,
@@ -278,17 +282,19 @@ class Derivatives:
                 np.zeros((0, size)) for size in (len(x), layout.strings, layout.offset)
             )
             return Switches(step, which, no_states, no_inputs, no_offsets, nothing, no_states)
-        after, every = before.copy(), np.arange(len(step))
-        after[which, every] = 1 - before[which, every]
-        slope = self.slope(x, u, before)
-        jump = self.slope(x, u, after) - slope
-        m = self.equation.switches
-        by_state, by_input, by_offset, by_time = evaluate_columns(self._gap, x, u)
-        by_state, by_input, by_offset = (
-            _stacked(entries, m)[every, which] for entries in (by_state, by_input, by_offset)
+        after, count = before.copy(), len(step)
+        own = which, np.arange(count)
+        after[own] = 1 - before[own]
+        slopes = self.slope(np.tile(x, 2), np.tile(u, 2), np.hstack([before, after]))
+        slope, jump = slopes[:, :count], slopes[:, count:] - slopes[:, :count]
+        chosen = np.zeros_like(before)
+        chosen[own] = 1.0
+        by_state, by_input, by_offset, by_time = (
+            np.ascontiguousarray(out.T) for out in evaluate_columns(self._gap, x, u, chosen)
         )
-        rate = (by_state * slope.T).sum(axis=1) + by_time[which, every]
-        return Switches(step, which, by_state, by_input, by_offset, rate, jump.T)
+        rate = (by_state * slope.T).sum(axis=1) + by_time[:, 0]
+        jump = np.ascontiguousarray(jump.T)
+        return Switches(step, which, by_state, by_input, by_offset, rate, jump)
 
     def projected(
         self, x: FloatArray, u: FloatArray | None = None
@@ -435,15 +441,15 @@ def _by_orders(layout: InputLayout, by_held: Any, u: Any, rows: slice, orders: i
 
 
 def _gap_slopes(equation: Equation) -> ca.Function:
-    """Return ``(x, u) -> columns of the gaps by state, input, offset and time``."""
-    x, u, *_ = equation.symbols()
-    gap = equation.gap(x, u)[0]
-    by_held, strings = ca.jacobian(gap, u), equation.layout.strings
-    by_time = by_held[:, -1] if equation.layout.degree else type(x)(*gap.shape)
-    layout = equation.layout
-    by_offset = by_held[:, layout.offset_rows]
-    outputs = [ca.jacobian(gap, x), by_held[:, :strings], by_offset, by_time]
-    return Function("gap_slopes", [x, u], [ca.densify(ca.vec(output)) for output in outputs])
+    """Return ``(x, u, chosen) -> a gap by state, input, offset and time``: where chosen is 1."""
+    x, u, chosen, _ = equation.symbols()
+    layout, gap = equation.layout, ca.dot(chosen, equation.gap(x, u)[0])
+    by_held = ca.gradient(gap, u)
+    by_time = by_held[-1] if layout.degree else type(x)(1, 1)
+    outputs = [
+        ca.gradient(gap, x), by_held[: layout.strings], by_held[layout.offset_rows], by_time
+    ]  # fmt: skip
+    return Function("gap_slopes", [x, u, chosen], [ca.densify(output) for output in outputs])
 
 
 def _projection_slope(equation: Equation) -> tuple[ca.Function, IntArray, IntArray]:

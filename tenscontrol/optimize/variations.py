@@ -364,7 +364,7 @@ class Variations:
             return None
         return core_steps(
             derivatives.model, derivatives.equation, self.steps, self._tableau, self.parameters,
-            self.columns, answers is not None,
+            self.columns, answers is not None, self.switches,
         )  # fmt: skip
 
     def _forward(self, X: FloatArray, leg: _Leg, answer: FloatArray | None) -> FloatArray:
@@ -621,9 +621,15 @@ class Variations:
         return tableau(self.steps.method)
 
     @cached_property
+    def _passed(self) -> IntArray:
+        """At the ends of which steps switches are passed here, one a switch, not by the stepper."""
+        is_done = isinstance(self._stepper, CoreSteps) and self._stepper.passes
+        return np.asarray(self.switches.step[: 0 if is_done else None])
+
+    @cached_property
     def _first_switch(self) -> IntArray:
-        """Where the switches at the end of each step begin, shape (K + 1,)."""
-        return np.searchsorted(self.switches.step, np.arange(len(self.steps.length) + 1))
+        """Where those at the end of each step begin, shape (K + 1,)."""
+        return np.searchsorted(self._passed, np.arange(len(self.steps.length) + 1))
 
     def _restored(self, step: int, X: FloatArray) -> FloatArray:
         """Return the derivative of the state after bars were put on their lengths."""
@@ -725,7 +731,7 @@ class Variations:
         ends, parts = self._places
         count = len(self.steps.length)
         most = 1 if self._stepper is None else self._stepper.most
-        stops = {*self.switches.step.tolist(), *ends, *parts, *(k - 1 for k in parts), count - 1}
+        stops = {*self._passed.tolist(), *ends, *parts, *(k - 1 for k in parts), count - 1}
         if self.answers is not None:
             stops |= {k - 1 for k in range(count) if self.answers.begins(k)}
         legs, first = list[list[_Leg]](), 0
