@@ -80,7 +80,7 @@ class RunVariations:
         of_step = 8 * _COPIES * (numbers.states + numbers.inputs + numbers.switches)
         run.most = max(_MOST_BYTES / of_step, 256) if most is None else most
         run.expected, run.take = expected, self._take
-        self._states: list[FloatArray] = []
+        self._states: list[FloatArray] = []  # at the times; of the last part when asked for
         self._ends, self._slow = list[int](), list[tuple[float, float]]()  # times and rates
         self._speed, self.switches = 0.0, 0
         self._last: tuple[int, Variations] | None = None
@@ -90,6 +90,7 @@ class RunVariations:
         if isinstance(actuators, Actuators) and (of_motors or actuators.follows_motion):
             self._refuse_beside_motors(actuators)
             self._motors = TickSlopes(actuators, of_motors), actuators
+            self.motion()  # before what has been found without the motors goes
             self._last = None
 
     def _refuse_beside_motors(self, actuators: Actuators) -> None:
@@ -117,6 +118,8 @@ class RunVariations:
 
     def motion(self) -> FloatArray:
         """Return the states at the times, shape (states, T)."""
+        if len(self._states) < len(self._ends):
+            self._states.append(self._part(len(self._ends) - 1).motion())
         return np.hstack(self._states)
 
     def slopes(self) -> FloatArray:
@@ -206,9 +209,11 @@ class RunVariations:
 
     def _take(self, run: PlantRun) -> None:
         """Look at a part of the run, and keep the last."""
+        if self._last is not None:
+            self._states.append(self._last[1].motion())
+            self._last = None  # or there were two at a time
         variations = self._variations(run, len(self._ends))
         switches, steps = variations.switches, variations.steps
-        self._states.append(variations.motion())
         self.switches += len(switches.step)
         ends = (steps.begin + steps.length)[switches.step]
         self._slow += zip(ends.tolist(), np.abs(switches.rate).tolist(), strict=True)
