@@ -12,7 +12,7 @@ import numpy as np
 
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, frozen
-from tenscontrol.dynamics.profile import Profile
+from tenscontrol.dynamics.profile import Profile, as_pieces
 from tenscontrol.estimation.sensors import Sensors
 from tenscontrol.fields import converted
 from tenscontrol.files import opened_file, write_file
@@ -41,7 +41,7 @@ class Log:
         γ in place of rest lengths, N/m.
     nodes, velocities : array_like, shape (d, n), optional
         At time 0, m and m/s, as well as they are known; the reference shape at rest if not given.
-    external_force : array_like, shape (d, n), optional
+    external_force : array_like, shape (d, n), 0, Profile or callable, optional
         A load, N, for a model with ``external_force=True``.
 
     Raises
@@ -98,15 +98,18 @@ class Log:
             raise ValueError("readings are all NaN: nothing was read")
         if (self.rest_length is None) == (self.force_density is None):
             raise ValueError("expected one of rest_length and force_density: what was held")
+        structure, load, end = self.sensors.structure, self.external_force, float(time[-1])
         if not callable(getattr(self, self.input)):  # which is asked when it is simulated
-            structure, end = self.sensors.structure, float(time[-1])
             checked_inputs(structure, self.rest_length, self.force_density, 0.0, end)
+        if load is not None and not callable(load):
+            shape = structure.nodes.shape
+            as_pieces("external_force", load, shape, "one force per node", 0.0, end)
         put(self, "time", frozen(time))
         put(self, "readings", frozen(readings))
         for name in ("nodes", "velocities"):
             value = getattr(self, name)
             if value is not None:
-                put(self, name, frozen(self.sensors.structure.checked_nodes(name, value)))
+                put(self, name, frozen(structure.checked_nodes(name, value)))
 
     @property
     def input(self) -> str:
@@ -171,7 +174,9 @@ class Log:
         for i in np.unique(of[~np.isnan(self.readings).all(axis=1)]):
             begin, rows = i * length, of == i
             nearest = int(np.abs(run.time - run.time[0] - begin).argmin())
-            held = {self.input: _later(getattr(self, self.input), begin)}
+            held = {
+                name: _later(getattr(self, name), begin) for name in (self.input, "external_force")
+            }
             windows.append(
                 replace(
                     self, time=np.maximum(self.time[rows] - begin, 0.0),

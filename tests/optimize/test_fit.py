@@ -216,6 +216,9 @@ def test_windows_of_a_log_are_logs_with_their_own_start():
     run = tc.simulate(model, 0.5, rest_length=wound, step=2e-3, error="none")
     sensors = tc.Sensors(structure=PRISM, node_position=1e-3)
     log = tc.Log.of_run(run, sensors, np.arange(1, 26) * 0.02)
+    gusts = tc.Profile([0.0, 0.5], np.stack([np.zeros((3, 6)), np.ones((3, 6))], axis=2))
+    last = replace(log, external_force=gusts).windows(0.2, run)[-1]
+    np.testing.assert_allclose(last.external_force.at(0.07), gusts.at(0.47))
     windows = log.windows(0.2, run)
     assert [len(window.time) for window in windows] == [10, 10, 5]
     for i, window in enumerate(windows):
@@ -250,6 +253,8 @@ def test_logs_in_other_units_and_times_beyond_the_run_are_said():
     far = replace(log, readings=1000.0 * log.readings)
     found = tc.fit(model_of(), far, ["stiffness"], groups={"stiffness": "all"}, step=0.01)
     assert "times the noise: the model lacks something" in found.table()
+    with pytest.raises(ValueError, match=r"external_force has shape \(2, 6\)"):
+        replace(log, external_force=np.ones((2, 6)))
     run = tc.simulate(model_of(), 0.1, rest_length=REST, output_step=0.02, error="none")
     with pytest.raises(ValueError, match=r"times\[1\] is 0\.2 s, expected times of the run"):
         tc.Log.of_run(run, log.sensors, [0.1, 0.2])
