@@ -346,7 +346,7 @@ def optimal_motion(
     intervals: int = 10,
     tolerance: float = 1e-4,
     cost_tolerance: float | None = 1e-2,
-    refinements: int = 4,
+    refinements: int = 5,
     most_iterations: int = 200,
     progress: bool = False,
 ) -> OptimalMotion:
@@ -459,7 +459,7 @@ def optimal_motion(
     refuse_ground(model)
     kind = validation.choice(
         "input",
-        input or _usual_input(model, plant),
+        _usual_input(model, plant) if input is None else input,
         ("rest_length", "force_density"),
     )
     held = held_strings(model, plant)
@@ -602,7 +602,7 @@ class _Planner:
     def _least_duration(self, duration: float | None) -> float:
         """Return the time of a mass on a rail over the way under all the tension at rest, s.
 
-        Or that of the slowest motor alone, if it is longer.
+        Or what the slowest winch needs, by its rate and its inertia, if it is longer.
         """
         if duration is not None:
             return duration
@@ -614,11 +614,12 @@ class _Planner:
             float((rest.force_density * rest.structure.string_length()).sum())
             for rest in self._ends
         )
-        squared, limits = mass * max(way, _NO_WAY * self._size) / force, self._limits
+        limits = self._limits
+        turned = np.abs(np.subtract(*(self._end_input(rest) for rest in self._ends)))
+        squared = mass * max(way, _NO_WAY * self._size) / force
         if limits.inertia is not None:
-            turned = np.abs(np.subtract(*(self._end_input(rest) for rest in self._ends)))
             squared = max(squared, float((limits.inertia * turned / limits.pull).max()))
-        return 2 * float(np.sqrt(squared))
+        return max(2 * float(np.sqrt(squared)), float((turned / limits.rate).max()))
 
     @builds
     def _made(self) -> MotionProgram:
@@ -735,9 +736,12 @@ class _Planner:
     def _solved(
         self, guess: DiscreteMotion, intervals: int, most: int
     ) -> tuple[Solution, Trajectory | None]:
-        """Return what a mesh gives, with its replay; a first mesh is tried from slower guesses."""
+        """Return what a mesh gives, with its replay; a free duration is tried from slower guesses.
+
+        One that is as short as rates allow leaves IPOPT no room to begin in.
+        """
         mesh = Collocation(self._program, intervals)
-        tries = _SLOWER if not self._meshes and self._duration is None else _SLOWER[:1]
+        tries = _SLOWER if self._duration is None else _SLOWER[:1]
         for slower in tries:
             solution = mesh.solve(_slowed(guess, slower), most, lambda _: None)
             if solution.status in _PLANNED:

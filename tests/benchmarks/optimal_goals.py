@@ -33,7 +33,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     counts = {"planned": 0, "said why not": 0}
     print(f"{'structure':14s} {'status':24s} {'s':>8s} {'path':>8s} {'mesh':>5s} {'iter':>5s} "
           f"{'missed':>8s} {'speed':>8s} {'least γ':>8s} {'cpu':>6s} {'last %':>7s} "
-          f"{'finer %':>7s}")  # fmt: skip
+          f"{'finer %':>7s} {'times':>5s}")  # fmt: skip
     for name in given.structures:
         random = np.random.default_rng(given.seed)
         for _ in range(given.goals):
@@ -73,7 +73,7 @@ def one_goal(name: str, random: np.random.Generator, finer: int = 1) -> tuple[bo
     last = motion.meshes[-1]
     if motion.run is None:
         return False, f"{motion.status}: {motion.message} ({seconds:.0f} s)"
-    gain = np.nan
+    gain = np.nan, 1.0
     if finer > 1:
         how = {"winches": winches, "min_force_density": 1.0}
         gain = finer_gain(motion, (model, rest, goal), how, finer)
@@ -82,7 +82,7 @@ def one_goal(name: str, random: np.random.Generator, finer: int = 1) -> tuple[bo
         f"{motion.status:24s} {motion.duration:8.4f} {path:8.4f} {last.intervals:5d} "
         f"{last.iterations:5d} {motion.goal_miss / size:8.1e} {motion.end_speed / fastest:8.1e} "
         f"{motion.least_force_density:8.3g} {seconds:6.1f} "
-        f"{100 * motion.cost_change:7.3f} {gain:7.3f}"
+        f"{100 * motion.cost_change:7.3f} {gain[0]:7.3f} {gain[1]:5.1f}"
     )
 
 

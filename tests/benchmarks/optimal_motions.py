@@ -15,6 +15,7 @@ have their sign. The prism has none, since it may turn as a whole.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from time import process_time
@@ -24,6 +25,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 import tenscontrol as tc
+from tenscontrol.optimize.optimal_motion import OptimalMotionWarning
 from tests.benchmarks.command_line import options
 
 # Tolerance of the replays; of a free duration, the change that its slope is taken by.
@@ -32,6 +34,9 @@ TOLERANCE, STRETCH = 1e-9, 1e-4
 # Limits that are met to this part of them are active; a motor that gives less than this part of the
 # largest power is idle. Times in an interval, where work and force densities are seen.
 ACTIVE, IDLE, TIMES = 1e-2, 1e-2, 20
+
+# Finer grids: how often they are halved on the way to the last, and iterations of IPOPT on each.
+HALVINGS, MOST_ITERATIONS = 3, 1000
 
 
 def arm(minimize: str) -> tuple[tuple[Any, ...], dict[str, Any]]:
@@ -94,27 +99,40 @@ MOTIONS = {
 def main(arguments: Sequence[str] | None = None) -> None:
     given = options(__doc__, arguments, motions=tuple(MOTIONS), finer=10)
     print(f"{'motion':9s} {'status':18s} {'mesh':>5s} {'iter':>5s} {'cost':>10s} {'last %':>7s} "
-          f"{'finer %':>8s} {'not optimal':>11s} {'cpu':>6s}")  # fmt: skip
+          f"{'finer %':>8s} {'times':>5s} {'not optimal':>11s} {'cpu':>6s}")  # fmt: skip
     for name in given.motions:
         ends, how = MOTIONS[name]()
         began = process_time()
         motion = tc.optimal_motion(*ends, **how)
-        seconds, last, gain = process_time() - began, motion.meshes[-1], np.nan
+        seconds, last, finer = process_time() - began, motion.meshes[-1], (np.nan, 1.0)
         if given.finer > 1:
-            gain = finer_gain(motion, ends, how, given.finer)
+            finer = finer_gain(motion, ends, how, given.finer)
         off = f"{optimality(motion, how):11.1e}" if name != "prism" else f"{'-':>11s}"
         print(f"{name:9s} {motion.status:18s} {last.intervals:5d} {last.iterations:5d} "
-              f"{motion.cost:10.6f} {100 * motion.cost_change:7.3f} {gain:8.3f} {off} "
-              f"{seconds:6.1f}", flush=True)  # fmt: skip
+              f"{motion.cost:10.6f} {100 * motion.cost_change:7.3f} {finer[0]:8.3f} "
+              f"{finer[1]:5.1f} {off} {seconds:6.1f}", flush=True)  # fmt: skip
 
 
 def finer_gain(
     motion: tc.OptimalMotion, ends: tuple[Any, ...], how: dict[str, Any], finer: int
-) -> float:
-    """Return by how much a motion costs more than one on a finer grid, %; NaN if that has none."""
-    intervals = finer * motion.meshes[-1].intervals
-    fine = tc.optimal_motion(*ends, **how | {"intervals": intervals, "refinements": 0})
-    return 100 * (motion.cost / fine.cost - 1) if fine.run is not None else np.nan
+) -> tuple[float, float]:
+    """Return by how much a motion costs more than one on a finer grid, %, and how much finer it is.
+
+    That grid is so many times finer at least, or the finest below that has a motion: each is solved
+    from what one of twice its step gave. NaN and 1 if none has.
+    """
+    last = motion.meshes[-1].intervals
+    grids = {
+        "intervals": -(-finer * last // 2**HALVINGS), "refinements": HALVINGS,
+        "cost_tolerance": 1e-12, "most_iterations": MOST_ITERATIONS,
+    }  # fmt: skip
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", OptimalMotionWarning)
+        meshes = tc.optimal_motion(*ends, **how | grids).meshes
+    solved = [mesh for mesh in meshes if mesh.goal_miss >= 0 and mesh.intervals > last]
+    if not solved:
+        return np.nan, 1.0
+    return 100 * (motion.cost / solved[-1].cost - 1), solved[-1].intervals / last
 
 
 def optimality(motion: tc.OptimalMotion, how: dict[str, Any]) -> float:
