@@ -412,10 +412,18 @@ def span(low: float, high: float, unit: str) -> str:
     return f"at least {low:g} {unit}" if np.isposinf(high) else f"{low:g} to {high:g} {unit}"
 
 
-def function(name: str, value: object, meaning: str) -> None:
-    """Refuse what cannot be called."""
+def function(name: str, value: object, meaning: str, arguments: int | None = None) -> None:
+    """Refuse what cannot be called, or not with so many arguments."""
     if not callable(value):
         raise wrong_kind(name, value, f"a function: {meaning}")
+    if arguments is None:
+        return
+    import inspect
+
+    try:
+        inspect.signature(value).bind(*range(arguments))
+    except (TypeError, ValueError) as error:  # of some that are built in, nobody knows them
+        raise TypeError(f"{name} cannot be called as {meaning}: {error}") from None
 
 
 def text(name: str, value: object, meaning: str) -> str:

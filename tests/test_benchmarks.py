@@ -435,7 +435,7 @@ def test_optimal_goals(printed):
 
 def test_optimal_motions(printed):
     text = printed("optimal_motions", "--motions weight --finer 2")
-    _, _, _, change, finer, times, off, _ = row(text, "weight    ok")
+    _, _, _, change, finer, times, off, _ = row(text, "weight     ok")
     assert 0 < finer < change < 1  # %
     assert times >= 2
     assert off < 1e-3

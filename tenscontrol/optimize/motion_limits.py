@@ -131,7 +131,7 @@ class MotionLimits:
         if min_clearance is not None:
             self._clearance = validation.positive_number("min_clearance", min_clearance, "m")
         if obstacles is not None:
-            validation.function("obstacles", obstacles, "nodes -> expressions of at least 0")
+            validation.function("obstacles", obstacles, "nodes -> expressions of at least 0", 1)
         self._obstacles = obstacles
         self._least = np.zeros((2, count))  # force density and stretch of strings that are taut
 
@@ -156,7 +156,10 @@ class MotionLimits:
         value = rest.force_density
         if self._input == "rest_length":
             assert law is not None  # rest lengths are the input
-            value = law.rest_length(rest.structure.string_length(), value)
+            try:
+                value = law.rest_length(rest.structure.string_length(), value)
+            except ValueError as error:  # the strings are too soft
+                raise ValueError(f"{name} is not held by the strings of model: {error}") from None
         value = inputs_of(self.actuation, value)
         places = free_coordinates(structure, rest.structure.nodes)
         symbols = [

@@ -68,6 +68,9 @@ _SLOWER = (1.0, 2.0, 10.0)
 # Tolerance of the replay, as a part of that of the goal; shapes in each interval of a reference.
 _REPLAY, _SHAPES = 1e-3, 4
 
+# The least tolerance of the goal.
+_FINEST = 1e-10
+
 # More intervals, or halvings of them, are refused.
 _MOST_INTERVALS, _MOST_REFINEMENTS = 10_000, 10
 
@@ -84,6 +87,7 @@ _PLANNED = (Status.OK, Status.INACCURATE)
 _ADVICE = {
     Status.INFEASIBLE: "Give more time, faster winches or wider limits, or a nearer goal",
     Status.OUT_OF_ITERATIONS: "Give more iterations, fewer intervals or a nearer goal",
+    Status.BAD_DATA: "Give functions that are finite and smooth on the way, or other limits",
     Status.INACCURATE: "Give more intervals or refinements, or a larger tolerance",
 }
 
@@ -462,6 +466,11 @@ def optimal_motion(
         _usual_input(model, plant) if input is None else input,
         ("rest_length", "force_density"),
     )
+    if kind == "rest_length" and model.strings is None:
+        raise ValueError(
+            "input is 'rest_length', but the model has no law of strings: make it by "
+            "Model(structure, strings=...), or give input='force_density'"
+        )
     held = held_strings(model, plant)
     if held is not None and held.input != kind:
         raise ValueError(
@@ -473,6 +482,11 @@ def optimal_motion(
         raise ValueError("min_clearance is for bars in space; in the plane they lie in layers")
     intervals = validation.whole_number("intervals", intervals, 2, _MOST_INTERVALS)
     tolerance = validation.positive_number("tolerance", tolerance, "parts of the size", 1.0)
+    if tolerance < _FINEST:
+        raise ValueError(
+            f"tolerance is {tolerance:g}, expected at least {_FINEST:g}: a replay that is a "
+            "thousand times as accurate comes up to double precision there"
+        )
     if cost_tolerance is not None:
         cost_tolerance = validation.positive_number(
             "cost_tolerance", cost_tolerance, "parts of the cost", 1.0
@@ -487,13 +501,13 @@ def optimal_motion(
         model, driven, winches, min_force_density, max_force_density, max_tension, max_power,
         min_clearance, obstacles, level,
     )  # fmt: skip
+    _refuse_end(model, limits, driven, "start", begin)
     if not isinstance(goal, ShapeTarget | Prestress):
         demands = checked_demands("goal", goal, model.structure)
         goal = _target(model, begin, demands, limits, winches, plant)
     ends = begin, path_end(model, "goal", goal)
     refuse_same(model, *ends)
-    for name, rest in zip(("start", "goal"), ends, strict=True):
-        _refuse_end(model, limits, driven, name, rest)
+    _refuse_end(model, limits, driven, "goal", ends[1])
     limits.keep_taut(ends)
     planner = _Planner(
         model, ends, kind, minimize, duration, limits, winches, plant, tolerance, cost_tolerance
@@ -503,7 +517,10 @@ def optimal_motion(
 
 
 def _checked_duration(minimize: object, duration: float | None) -> float | None:
-    if not callable(minimize):
+    if callable(minimize):
+        meaning = "(nodes, velocities, input, rate) -> cost per second"
+        validation.function("minimize", minimize, meaning, 4)
+    else:
         validation.choice("minimize", minimize, COSTS)
     if duration is not None:
         if minimize == "time":

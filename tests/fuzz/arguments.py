@@ -224,17 +224,23 @@ def outcome_of(key):
         value = arguments.get(argument, _signature(name).get(argument))
         place = ast.literal_eval(place) if place else None
         arguments[argument] = spoilers.spoilt(value, place, spoiler)
+    names = [argument, *ALSO.get(f"{name.split(',')[0]}|{argument}", ())]
+    return judged(call.target(), arguments, names, name, call.after)
+
+
+def judged(target, arguments, names, name, after=None):
+    """Call, where an error may use any of the names: (outcome, what was found)."""
     with warnings.catch_warnings(record=True) as warned, _out_of_the_way():
         warnings.simplefilter("always")
         try:
-            result = call.target()(**arguments)
+            result = target(**arguments)
         except Exception as error:
-            outcome = _kind_of_error(error, name, argument)
+            outcome = _kind_of_error(error, names)
         else:
             outcome = _kind_of_result(result, name, arguments)
-        if outcome[0] in OUTCOMES[:3] and call.after is not None:
+        if outcome[0] in OUTCOMES[:3] and after is not None:
             try:
-                found = not_finite(call.after(), "afterwards", set())
+                found = not_finite(after(), "afterwards", set())
             except Exception as error:
                 found = f"afterwards: {_last_line(error)}"
             if found:
@@ -246,7 +252,7 @@ def outcome_of(key):
     return outcome
 
 
-def _kind_of_error(error, name, argument):
+def _kind_of_error(error, names):
     text = _last_line(error)
     last = error.__traceback__
     while last.tb_next is not None:
@@ -268,7 +274,6 @@ def _kind_of_error(error, name, argument):
                 f" from {own[-1].filename.removeprefix(PACKAGE)}:{own[-1].lineno}" if own else ""
             )
         return "traceback from within", f"{where}: {text}"
-    names = [argument, *ALSO.get(f"{name.split(',')[0]}|{argument}", ())]
     words = "|".join(str(each).replace("_", "[_ ]") for each in names)
     # In any case: a system says "File name too long".
     named = re.search(rf"(?<![A-Za-z0-9_])({words})(?![A-Za-z0-9_])", str(error), re.IGNORECASE)
@@ -282,7 +287,7 @@ def _kind_of_result(result, name, arguments):
     try:
         found = not_finite(result, name, given)
     except Exception as error:
-        kind, text = _kind_of_error(error, name, None)
+        kind, text = _kind_of_error(error, [None])
         return (
             ("fine", "") if kind == "error without the name" else (kind, f"in the result: {text}")
         )
