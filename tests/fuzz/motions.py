@@ -92,9 +92,10 @@ def _other_plant(scene, draw):
 
 
 def _motors(scene, draw):
+    torque = draw((None, 1e-9, 0.1, 1e9))
     motor = tc.Motor(
-        0.01, gear_ratio=draw((1.0, 10.0)), torque=draw((None, 1e-9, 0.1, 1e9)),
-        speed=draw((None, 1e-6, 800.0)), inertia=draw((0.0, 0.0, 1e-12, 3e-5, 1e6)),
+        0.01, gear_ratio=draw((1.0, 10.0)), torque=torque, speed=draw((None, 1e-6, 800.0)),
+        inertia=draw((0.0, 0.0, 1e-12, 3e-5, 1e6)) if torque else 0.0,
         lag=draw((0.0, 0.0, 0.1)), backlash=draw((0.0, 0.0, 1e-3)),
     )  # fmt: skip
     return {"winches": tc.Winches(motor=motor)}
