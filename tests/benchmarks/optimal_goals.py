@@ -7,7 +7,8 @@ node, a tenth of the size of the structure away in a random direction, with stri
 status or error; duration, s, and what the path through equilibria takes; intervals and iterations
 of the last mesh; by how much the replay misses the goal, as a part of the size; its speed at the
 end, as a part of the largest; least γ, N/m; processor time, s; by how much the last mesh changed
-the duration, in %, and with ``--finer 10`` a grid so many times finer. The last lines count.
+the duration, in %, and with ``--finer 10`` a grid so many times finer, or the finest below that has
+a motion, and how many times finer that is. The last lines count.
 """
 
 from __future__ import annotations

@@ -2,15 +2,17 @@
 
 Run: ``python -m tests.benchmarks.optimal_motions``; ``--motions weight arm`` are two rows. The
 motions: the arm in least time and at least effort, a weight that is raised at least effort, the
-mast of the gallery at least work, a free prism that gets lower in least time. The columns: status;
-intervals and iterations of the last mesh; cost; by how much the last mesh changed it, in %, and a
-grid ``--finer`` times finer (1: none); how far the plan is from an optimum of the simulator;
-processor time, s.
+mast of the gallery at least work, a free prism that gets lower in least time and at least work. The
+columns: status; intervals and iterations of the last mesh; cost; by how much the last mesh changed
+it, in %, and a grid ``--finer`` times finer (1: none), or the finest below that has a motion, and
+how many times finer that is; how far the plan is from an optimum of the simulator; processor time,
+s.
 
 The last but one is the part of the cost's slope that no multipliers balance, over that slope: by
 the rest lengths between the ends, and the duration if it is free. The plan is replayed, and
 derivatives of its end, and of the work on the way, are those of the replay. Multipliers of limits
-have their sign. The prism has none, since it may turn as a whole.
+have their sign. Where nearly all winches are at their limits, as those of the prism, multipliers
+are as many as slopes, and a small part says less than elsewhere.
 """
 
 from __future__ import annotations
