@@ -275,8 +275,7 @@ class AdaptiveLanes(CoreLanes):
         own = {"step": step, "longest": longest, "scale": scale, "slope": slope, "taut": taut}
         rules = STEP_RULES[self._is_shortened]
         settings = settings_of(
-            "dop853", duration, outputs, self._project, limit=self._limit, smooth=rules.smooth,
-            loose=rules.loose, path=rules.path,
+            "dop853", duration, outputs, self._project, limit=self._limit, within=rules.within
         )  # fmt: skip
         reached, progress = calls.advance(settings, own, stop)
         reaches_end = (

@@ -51,14 +51,12 @@ def settings_of(
     limit: float = float("inf"),
     room: int = 0,
     traces: bool = False,
-    smooth: float = 0.0,
-    loose: float = 0.0,
-    path: float = 0.0,
+    within: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> records.Settings:
-    """Return the settings of a span for the core."""
+    """Return the settings of a span for the core, with what is allowed within a step of dop853."""
     return records.Settings(
         _METHODS.index(method), project, traces, outputs, 0, room, duration, step, 0.0, limit,
-        smooth, loose, path, None,
+        *within, None,
     )  # fmt: skip
 
 

@@ -81,16 +81,21 @@ class StepRules(NamedTuple):
     """The longest step over 1/ω and over the span, and the first over the usual.
 
     And ``smooth``: steps end at a switch on their interpolant where that errs less than this part
-    of what they may err; ``path``: so are outputs on the path from the ends of a step. And
-    ``loose``: the tolerance above which the core carries few switches in a step, too.
+    of what they may err; ``loose``: the tolerance above which the core carries few switches in a
+    step, too; ``path``: as ``smooth``, of outputs on the path from the ends of a step.
     """
 
     stable: float
     whole: float
     first: float
     smooth: float
-    path: float
     loose: float
+    path: float
+
+    @property
+    def within(self) -> tuple[float, float, float]:
+        """What is allowed within a step: the last three."""
+        return self.smooth, self.loose, self.path
 
 
 #: By whether steps are shortened. What ends on an interpolant errs by chance: where stability
@@ -98,8 +103,8 @@ class StepRules(NamedTuple):
 #: a path, so there are none then; else they may err what steps aim at. Switches are carried as by
 #: the run of ten times the tolerance.
 STEP_RULES = (
-    StepRules(_STABLE, 1.0, 1.0, 0.3, 0.1, 1e-4),
-    StepRules(_SHORTER * _STABLE, 0.5, _SHORTER, 0.03, 0.0, 1e-5),
+    StepRules(_STABLE, 1.0, 1.0, 0.3, 1e-4, 0.1),
+    StepRules(_SHORTER * _STABLE, 0.5, _SHORTER, 0.03, 1e-5, 0.0),
 )
 
 # What a path from the ends of a step errs of positions, and times the step of velocities, at most
@@ -230,8 +235,7 @@ class DOP853(Integrator):
         room = room_for(self._equation.states) if self.keeps_steps or self.traces else 0
         return settings_of(
             "dop853", duration, outputs, self._project, limit=self.limit, room=room,
-            traces=self.traces, smooth=self._own.smooth, loose=self._own.loose,
-            path=self._own.path,
+            traces=self.traces, within=self._own.within,
         )  # fmt: skip
 
     def _rules(self) -> Spans:

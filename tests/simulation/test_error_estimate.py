@@ -87,7 +87,7 @@ def test_states_between_steps_are_estimated_too():
     run = tc.simulate(model, 5.0, **given, method="dop853", tolerance=1e-4)
     true = off(run, exact)
     assert true.max() > 100 * true[-1]
-    # Where the errors of both runs pass through zero the estimate says nothing, and few are not looked at.
+    # It says nothing where the errors of both runs pass through zero; few are not looked at.
     assert np.mean(true <= np.maximum(3 * run.error, 1e-4 * true.max())) > 0.99
 
 
