@@ -305,7 +305,7 @@ class DOP853(Integrator):
         # A step may reach a time but for round-off, as one to a switch may.
         done = min(int(after * (1 + 2e-14) / span.spacing), len(span.states) - 1)
         if done > now.done:
-            times = span.spacing * np.arange(now.done + 1, done + 1) - now.time
+            times = span.spacing * np.arange(now.done + 1.0, done + 1.0) - now.time
             if interpolant is not None:
                 states = _on_interpolant(x, interpolant, times / h)
             elif self._path is not None and self._path_error(K, span, taken) < self._own.path:

@@ -447,7 +447,7 @@ def _gap_slopes(equation: Equation) -> ca.Function:
     by_held = ca.gradient(gap, u)
     by_time = by_held[-1] if layout.degree else type(x)(1, 1)
     outputs = [
-        ca.gradient(gap, x), by_held[: layout.strings], by_held[layout.offset_rows], by_time
+        ca.gradient(gap, x), by_held[: layout.strings, 0], by_held[layout.offset_rows, 0], by_time
     ]  # fmt: skip
     return Function("gap_slopes", [x, u, chosen], [ca.densify(output) for output in outputs])
 

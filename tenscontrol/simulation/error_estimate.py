@@ -118,8 +118,8 @@ def _joined(parts: Sequence[FloatArray]) -> FloatArray:
 
 def _common(one: IntArray, other: IntArray) -> IntArray:
     """Return the outputs that are among both, ascending."""
-    at = np.searchsorted(one, other)
-    return other[np.append(one, -1)[at] == other]
+    among: IntArray = other[np.append(one, -1)[np.searchsorted(one, other)] == other]
+    return among
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from tenscontrol.accuracy.open_loop import only_free, state_change
+from tenscontrol.accuracy.open_loop import state_change
 from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.dynamics.equation import unpack_states
 from tenscontrol.integrate import CVODES, DOP853, RK4, EnergyMomentum, Integrator
@@ -34,6 +34,7 @@ from tenscontrol.simulation import (
     Trajectory,
     simulate,
 )
+from tenscontrol.structure.supports import random_moves
 from tenscontrol.tables import aligned
 from tests.benchmarks.command_line import options
 from tests.benchmarks.extreme_cases import ASKED, TOLERANCE, Extreme, extremes, methods
@@ -139,7 +140,7 @@ def _apart(extreme: Extreme, nodes: FloatArray, others: FloatArray) -> FloatArra
 def _perturbation(extreme: Extreme) -> FloatArray:
     """Return a small change of the state that stretches no bar."""
     case = extreme.case
-    moves = only_free(case.structure, np.random.default_rng(0).standard_normal(case.nodes.shape))
+    moves = random_moves(case.structure, np.random.default_rng(0))
     moves *= _PERTURBATION * case.size / np.linalg.norm(moves, axis=0).max()
     return state_change(case, moves)
 
