@@ -7,8 +7,6 @@ its own keeps them. Signals come to the main thread; loops in other threads run 
 
 from __future__ import annotations
 
-# Its calls take a tenth of the time of those of `signal`, which make enumerations.
-import _signal  # type: ignore[import-not-found]
 import _thread
 import os
 import signal
@@ -26,8 +24,8 @@ _PATIENCE = 0.5
 
 # Signals with the handlers that are taken over. On Windows nothing sends SIGTERM.
 _TAKEN: tuple[tuple[int, Any], ...] = (
-    (_signal.SIGINT, _signal.default_int_handler),
-    *(((_signal.SIGTERM, _signal.SIG_DFL),) if os.name == "posix" else ()),
+    (signal.SIGINT, signal.default_int_handler),
+    *(((signal.SIGTERM, signal.SIG_DFL),) if os.name == "posix" else ()),
 )
 
 
@@ -104,8 +102,8 @@ class _Outermost:
         try:
             state.active = True
             for number, default in _TAKEN:
-                if _signal.getsignal(number) is default:
-                    self._former[number] = _signal.signal(number, state.handle)
+                if signal.getsignal(number) is default:
+                    self._former[number] = signal.signal(number, state.handle)
         except BaseException:  # a signal that came before its handler was set
             self.__exit__()
             raise
@@ -115,7 +113,7 @@ class _Outermost:
         state = _STATE
         state.active = False  # from here on nothing is raised, so that all handlers are restored
         for number, handler in self._former.items():
-            _signal.signal(number, handler)
+            signal.signal(number, handler)
         state.terminated = state.signal == signal.SIGTERM
 
 
