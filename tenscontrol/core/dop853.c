@@ -393,8 +393,10 @@ static void write_passed(Dop853 *m, Truth meant, Number after) {
     write_outputs_until(m, inside, until, 0);
   }
   if (any(others)) {
-    const Number off = path_error_of(m->K, m->scale, now->taken, m->span->states);
-    const Truth on_path = others & ((now->short_left > 0) | (off < m->settings->path));
+    const double most = m->settings->path;
+    const Number off =
+        most > 0 ? path_error_of(m->K, m->scale, now->taken, m->span->states) : all(most);
+    const Truth on_path = others & ((now->short_left > 0) | (off < most));
     const Truth on_interpolant = others & (on_path == 0);
     Number *slope1 = m->K + STAGES * m->span->states;
     m->pulls = m->started;

@@ -306,10 +306,11 @@ class DOP853(Integrator):
         done = min(int(after * (1 + 2e-14) / span.spacing), len(span.states) - 1)
         if done > now.done:
             times = span.spacing * np.arange(now.done + 1.0, done + 1.0) - now.time
+            quintic = self._path if self._own.path else None
             if interpolant is not None:
                 states = _on_interpolant(x, interpolant, times / h)
-            elif self._path is not None and self._path_error(K, span, taken) < self._own.path:
-                states = _on_path(self._path(x, f, end.x, f1, taken)[0], times / taken, taken)
+            elif quintic is not None and self._path_error(K, span, taken) < self._own.path:
+                states = _on_path(quintic(x, f, end.x, f1, taken)[0], times / taken, taken)
             else:
                 interpolant = self._interpolant(x, end.x, f, f1, K, u, taut, taken)[0]
                 now.interpolants += 1
