@@ -119,8 +119,7 @@ class _Outermost:
 
 def _own() -> Interruption:
     """Return what has come to this thread: to all but the main one no signal does."""
-    is_main = _thread.get_ident() == threading.main_thread().ident
-    return _STATE if is_main else Interruption()
+    return _STATE if _thread.get_ident() == _main_thread() else Interruption()
 
 
 def interruptible(whole: bool = False) -> AbstractContextManager[Interruption]:

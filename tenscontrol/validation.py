@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 import sys
 from collections.abc import Iterable, Mapping, Set
@@ -418,8 +419,6 @@ def function(name: str, value: object, meaning: str, arguments: int | None = Non
         raise wrong_kind(name, value, f"a function: {meaning}")
     if arguments is None:
         return
-    import inspect
-
     try:
         inspect.signature(value).bind(*range(arguments))
     except (TypeError, ValueError) as error:  # of some that are built in, nobody knows them

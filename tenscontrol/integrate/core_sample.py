@@ -44,9 +44,9 @@ class CoreSample:
         none, work = self._kept[1:]
         state, taut, at = _data(self._state), _data(self._taut), ctypes.byref
         self._advance, self._find_taut = scene.core.tc_advance, scene.core.tc_taut
-        self._of_taut = at(scene.scene), at(self._drive), state, taut, _data(work)
+        self._of_taut = scene.at, at(self._drive), state, taut, _data(work)
         self._of_sample = (
-            at(scene.scene), at(self._drive), at(scene.lengths), at(self._settings),
+            scene.at, at(self._drive), scene.lengths_at, at(self._settings),
             at(self._progress), state, _data(none), taut, _data(self._outputs), _data(none),
             _data(none), _data(none), _data(work),
         )  # fmt: skip

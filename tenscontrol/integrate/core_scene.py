@@ -268,7 +268,7 @@ class CoreScene:
         rows = [np.ascontiguousarray(array.T) for array in (states, u, taut)]
         lengths, accelerations = np.zeros(count), np.empty((count, half))
         steps = records.Steps(count, *map(records.address, (lengths, *rows)))
-        given = byref(self.scene), byref(self.drive(rows[1][0]))
+        given = self.at, byref(self.drive(rows[1][0]))
         size = self.core.tc_variations_work_size(*given, byref(_ONE_STAGE), records.COLUMNS)
         self.core.tc_accelerations(*given, byref(steps), *pointers(accelerations, np.empty(size)))
         return np.concatenate([states[half:], accelerations.T])

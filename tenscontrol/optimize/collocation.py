@@ -11,6 +11,7 @@ import numpy as np
 
 from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.dynamics.evaluator import BUILDING, Function, builds, on_one_thread
+from tenscontrol.dynamics.kernel import sparse
 from tenscontrol.interrupt import check
 from tenscontrol.status import Status
 
@@ -349,7 +350,7 @@ class Collocation:
             functions.value(block) for functions, block in zip(self._parts, given, strict=True)
         ]
         cost = ca.sum2(values[0][1])
-        L = _sparse(links, links.data)
+        L = sparse(links)
         g = ca.vertcat(*(ca.vec(value[0]) for value in values), ca.mtimes(L, x))
         slope = ca.vertcat(ca.vec(self._parts[0].slope(given[0])), ca.DM.zeros(given[1].numel()))
         entries = [
@@ -590,11 +591,6 @@ def _pattern(matrix: Any) -> Any:
     """Return the pattern of a matrix of SciPy in CasADi."""
     matrix = matrix.tocsc()
     return ca.Sparsity(*matrix.shape, matrix.indptr.tolist(), matrix.indices.tolist())
-
-
-def _sparse(matrix: Any, values: FloatArray) -> ca.DM:
-    row, column = matrix.row.tolist(), matrix.col.tolist()
-    return ca.DM.triplet(row, column, ca.DM(values), *matrix.shape)
 
 
 def zero(value: Any, label: str) -> Rows:

@@ -14,7 +14,7 @@ from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics import kernel
 from tenscontrol.dynamics.evaluator import Function, evaluate_columns
 from tenscontrol.dynamics.model import Model
-from tenscontrol.dynamics.profile import Profile, polynomial_at
+from tenscontrol.dynamics.profile import Profile
 from tenscontrol.dynamics.string_force import StringForce
 from tenscontrol.dynamics.tangent import bar_basis
 from tenscontrol.estimation.sensors import Moment, Sensors, symbolic_readings
@@ -153,7 +153,8 @@ class Rollouts:
             shape = model.structure.nodes.shape
             carried += [Parameter(name, name, shape) for name in ("nodes", "velocities")]
         variations = RunVariations(scene, carried if slopes else (), kept)
-        inputs = _at(scene, kept)
+        assert scene.inputs is not None  # a log is of an open loop
+        inputs = scene.inputs.at(kept)
         states = variations.motion()
         law = _law_values(model, log.input)
         function = _reading_function(model, log.sensors, log.input)
@@ -261,14 +262,6 @@ def _shifted(held: Any, by: FloatArray) -> Any:
     if isinstance(held, Profile):
         return replace(held, values=held.values + by[:, None])
     return np.asarray(held) + by
-
-
-def _at(scene: Scene, times: FloatArray) -> FloatArray:
-    """Return the inputs of the strings at times, shape (α, T)."""
-    pieces = scene.inputs
-    assert pieces is not None  # a log is of an open loop
-    i = pieces.index(times)
-    return polynomial_at(pieces.coefficients[i].transpose(1, 2, 0), times - pieces.origin[i])
 
 
 def _law_values(model: Model, input: str) -> FloatArray:

@@ -94,4 +94,4 @@ class Integration:
     @property
     def chosen(self) -> Method | None:
         """The method asked for; None where it is left to the simulation."""
-        return self.method if isinstance(self.method, Method) else METHODS.get(self.method)
+        return method_of(self.method)

@@ -17,6 +17,7 @@ from tenscontrol.simulation.moving_supports import MovingSupports
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.structure.bar_geometry import (
     MEASURED,
+    bar_lengths,
     refuse_strings_without_length,
     refuse_wrong_bar_lengths,
 )
@@ -254,7 +255,7 @@ def refuse_other_lengths(
     name: str, structure: Structure, nodes: FloatArray, true: FloatArray
 ) -> None:
     """Raise a ValueError if bars of a shape are not as long as they are driven."""
-    length = np.linalg.norm(structure.bar_vectors(nodes), axis=0)
+    length = bar_lengths(structure, nodes)
     if len(true) and np.abs(length / true - 1).max() > _PROJECTED:
         _refuse_other_lengths(name, length, true)
 
