@@ -98,6 +98,18 @@ class StepEnds(NamedTuple):
     states: FloatArray
     taut: FloatArray | None = None
 
+    @classmethod
+    def joined(cls, parts: Sequence[StepEnds]) -> StepEnds:
+        """Return ends that follow one another; their times count from the same start."""
+        if len(parts) == 1:
+            return parts[0]
+        taut = [part.taut for part in parts if part.taut is not None]
+        return cls(
+            np.concatenate([part.time for part in parts]),
+            np.concatenate([part.states.T for part in parts]).T,
+            np.concatenate(taut, axis=1) if len(taut) == len(parts) else None,
+        )
+
 
 class Trace:
     """The ends of steps of a span, one by one, where all are wanted."""

@@ -22,6 +22,7 @@ from tenscontrol.integrate.integrator import (
     Report,
     Span,
     SpanInputs,
+    StepEnds,
     Work,
 )
 
@@ -288,11 +289,17 @@ class _Motion:
     begin: FloatArray  # the state at the start of the span
     done: int = 0  # outputs up to then
     spans: list[Span] = field(default_factory=list)  # with the states at the outputs
+    ends: list[StepEnds] = field(default_factory=list)  # of steps, from the start of the span
+    knows_ends: bool = True  # of all steps
     work: Work = NO_WORK
 
     def take(self, reached: Span, span: _Given) -> None:
         """Append outputs that follow one another."""
         self.work += reached.work
+        if reached.ends is not None:
+            self.ends.append(reached.ends._replace(time=self.time + reached.ends.time))
+        elif reached.work.steps:
+            self.knows_ends = False
         if reached.states.shape[1]:
             from_start = self.time == 0
             self.spans.append(reached if from_start else Span(reached.states, reached.work))
@@ -303,6 +310,8 @@ class _Motion:
         """Append a motion that goes on from this one."""
         self.time, self.state, self.done = ahead.time, ahead.state, ahead.done
         self.spans += ahead.spans
+        self.ends += ahead.ends
+        self.knows_ends &= ahead.knows_ends
         self.work += ahead.work
 
     def give_up(self, trials: Mapping[str, _Motion]) -> None:
@@ -322,9 +331,8 @@ class _Motion:
                 done += some.shape[1]
             self.spans = [Span(whole[:, 1:], self.work, whole)]
         span = self.spans[0]
-        if span.work is self.work:
-            return span
-        return Span(span.states, self.work, span.whole, span.ends)
+        ends = StepEnds.joined(self.ends) if self.ends and self.knows_ends else None
+        return Span(span.states, self.work, span.whole, ends)
 
 
 @dataclass(frozen=True, eq=False)

@@ -136,7 +136,7 @@ def _bars(run: PlantRun, time: FloatArray, nodes: FloatArray, velocities: FloatA
     """
     dense = DenseMotion.of_steps(run)
     if dense is not None:
-        time, nodes, velocities = dense.take(np.arange(1, len(dense.ends))).followed()
+        time, nodes, velocities = dense.take(slice(1, None)).followed()
 
     def again(first: int, last: int, parts: int) -> States | None:
         nonlocal dense

@@ -62,10 +62,10 @@ class DenseMotion:
         time, states = begin + ends.time, ends.states
         if last - time[-1] > 1e-9 * (last - begin):  # steps are thinned out
             time, states = np.append(time, last), np.column_stack([states, span.states[:, -1]])
-        ends_of, after = np.append(begin, time), np.column_stack([span.begin, states])
-        begins, before = np.append(begin, ends_of[:-1]), after[:, [0, *range(len(time))]]
+        times, start_state = np.concatenate([[begin, begin], time]), span.begin[None]
+        every = np.concatenate([start_state, start_state, states.T]).T  # of large runs, once
         of = np.repeat([0, 1], [1, len(time)])
-        return cls(run, of, begins, ends_of, before, after)
+        return cls(run, of, times[:-1], times[1:], every[:, :-1], every[:, 1:])
 
     @classmethod
     def joined(cls, parts: Sequence[DenseMotion]) -> DenseMotion:
@@ -79,7 +79,7 @@ class DenseMotion:
             np.hstack([motion.after for motion in parts]),
         )
 
-    def take(self, k: IntArray) -> DenseMotion:
+    def take(self, k: IntArray | slice) -> DenseMotion:
         """Return some of them."""
         times, before, after = (self.begins[k], self.ends[k]), self.before[:, k], self.after[:, k]
         some = DenseMotion(self.run, self.of[k], *times, before, after)
@@ -94,7 +94,7 @@ class DenseMotion:
         """
         run, span = self.run, self.run.spans[self.of[-1]]
         time = np.append(self.begins, self.ends[-1:])
-        states = np.column_stack([self.before, self.after[:, -1]])
+        states = np.concatenate([self.before.T, self.after[:, -1:].T]).T
         inputs = np.repeat(span.coefficients[:, :, None], len(time), axis=2)
         d, n = run.model.structure.nodes.shape
         motion = run.all_nodes(states, inputs, time - span.origin)

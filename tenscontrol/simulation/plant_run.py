@@ -166,10 +166,10 @@ class PlantRun:
                 "Method(follows=True)"
             )
         self.choice = chosen
-        self.integrator = self.integrator_for(chosen.value)
+        self.integrator = self.integrator_for(chosen.value, keeps_steps=self.keeps_steps)
         self.choice = changed(chosen, back_end=self.integrator.back_end)
 
-    def integrator_for(self, value: float) -> Integrator:
+    def integrator_for(self, value: float, keeps_steps: bool = False) -> Integrator:
         """Return an integrator of the whole motion, with a step or tolerance.
 
         One that is watched begins with the method that was last at work.
@@ -183,10 +183,10 @@ class PlantRun:
             def make(name: str) -> Integrator:
                 integrator_of = maker()
                 assert integrator_of is not None  # the run is there while it is integrated
-                return integrator_of(value, name)
+                return integrator_of(value, name, keeps_steps)
 
             return Watched(self._equation, last, make, self.duration, float(begin))
-        return self._made(value, last)
+        return self._made(value, last, keeps_steps)
 
     @property
     def final_choice(self) -> Choice:
@@ -210,7 +210,7 @@ class PlantRun:
         """The equation as the compiled core runs it, if it does."""
         return core_scene(self._equation)
 
-    def _made(self, value: float, name: str) -> Integrator:
+    def _made(self, value: float, name: str, keeps_steps: bool) -> Integrator:
         """Return the integrator of a method, with a step or tolerance."""
         method, equation, how = self._method or METHODS[name], self._equation, self.integration
         if method.differentiates and equation.form == "loops":
@@ -218,7 +218,7 @@ class PlantRun:
         # Not what the user says of a method that he has not chosen, and that needs no projection.
         project = how.project if method.drifts or self._method is not None else None
         integrator = method.integrator(equation, value, self.choice.setting, project)
-        integrator.keeps_steps, integrator.traces = self.keeps_steps, self.traces
+        integrator.keeps_steps, integrator.traces = keeps_steps, self.traces
         return integrator
 
     def go_to(self, time: float) -> None:

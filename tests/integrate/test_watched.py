@@ -7,6 +7,7 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol import progress
+from tenscontrol.core.library import library
 from tenscontrol.dynamics.equation import pack_state
 from tenscontrol.integrate import (
     DOP853,
@@ -84,6 +85,37 @@ def test_outputs_before_a_pause_are_told(name, exact):
     np.testing.assert_allclose(drift, PRISM.bar_length, rtol=1e-12)
 
 
+def keeping(name):
+    method = by(name)
+    method.keeps_steps = True
+    return method
+
+
+@pytest.mark.skipif(library() is None, reason="ends of steps are kept in the compiled core")
+def test_ends_of_steps_are_kept_over_pauses(monkeypatch):
+    monkeypatch.setattr("tenscontrol.integrate.watched._FREE", 1e2)
+    pauses, advance = [], DOP853.advance
+
+    def counted(*given):
+        try:
+            return advance(*given)
+        except IntegrationPause as pause:
+            pauses.append(pause)
+            raise
+
+    monkeypatch.setattr(DOP853, "advance", counted)
+    span = watched(keeping).advance(START, LENGTHS, DURATION, 3)
+    ends = span.ends
+    assert len(pauses) >= 2
+    assert len(ends.time) == ends.states.shape[1] == span.work.steps
+    assert (np.diff(ends.time) > 0).all()
+    assert ends.time[-1] == pytest.approx(DURATION, rel=1e-12)
+    np.testing.assert_array_equal(ends.states[:, -1], span.states[:, -1])
+    for k in (len(ends.time) // 3, len(ends.time) // 2):
+        there = by("dop853").advance(START, LENGTHS, float(ends.time[k]), 1).states[:, 0]
+        np.testing.assert_allclose(ends.states[:, k], there, atol=1e-8)
+
+
 # ---- changes of the method ----
 
 
@@ -110,6 +142,18 @@ def test_a_slow_method_is_left(exact):
     assert change.reason.endswith("times as far as dop853")
     assert np.abs(span.states - exact).max() < 1e-2
     assert span.work.rejections > 0  # the trials that were given up
+
+
+@pytest.mark.usefixtures("no_grace")
+def test_ends_of_some_steps_alone_are_not_told():
+    """CVODES keeps none."""
+
+    def keeping_some(name):
+        return keeping(name) if name == "dop853" else looser(name)
+
+    method = watched(keeping_some)
+    assert method.advance(START, LENGTHS, DURATION, 10).ends is None
+    assert method.changes[0].method in WATCHED[1:]
 
 
 @pytest.mark.usefixtures("no_grace")
