@@ -128,10 +128,15 @@ def refuse_repeats(bars: IntArray) -> None:
 
 def warn_of_useless_strings(bars: IntArray, strings: IntArray, groups: tuple[str, ...]) -> None:
     """Warn of straight strings that repeat another of their group, or that run along a bar."""
-    along = {tuple(sorted(ends)): i for i, ends in enumerate(bars.tolist())}
+    pairs = np.sort(np.concatenate([bars, strings]), axis=1)
+    nodes = int(pairs.max(initial=0)) + 1
+    _, which, members = np.unique(pairs @ [nodes, 1], return_inverse=True, return_counts=True)
+    is_alone = members[which] == 1  # as most are: an object of Python for each would cost more
+    joined = pairs.tolist() if not is_alone.all() else []
+    along = {tuple(joined[i]): i for i in np.flatnonzero(~is_alone[: len(bars)]).tolist()}
     first: dict[tuple[object, ...], int] = {}
-    for i, (ends, group) in enumerate(zip(strings.tolist(), groups, strict=True)):
-        low, high = sorted(ends)
+    for i in np.flatnonzero(~is_alone[len(bars) :]).tolist():
+        (low, high), group = joined[len(bars) + i], groups[i]
         if (bar := along.get((low, high))) is not None:
             warn(
                 f"strings[{i}] joins nodes {low} and {high}, as bars[{bar}] does: it never changes "

@@ -219,9 +219,11 @@ class Structure(Viewable):
                 f"string_groups has {len(groups)} names, "
                 f"expected {len(self.strings)}: one per string"
             )
-        return tuple(
-            validation.identifier(f"string_groups[{i}]", group) for i, group in enumerate(groups)
-        )
+        known = set[str]()
+        for i, group in enumerate(groups):
+            if type(group) is not str or group not in known:  # a few names stand for many strings
+                known.add(validation.identifier(f"string_groups[{i}]", group))
+        return groups
 
     def _checked_string_parent(self, given: Any) -> IntArray | None:
         if given is None:
