@@ -1,33 +1,46 @@
 """Derivatives of runs against central differences of the simulator, on random scenes.
 
-Run: ``python -m tests.benchmarks.sensitivities --count 100 [--seed 0] [--steps 3000]
-[--implicit] [--motors]``.
+Run: ``python -m tests.benchmarks.sensitivities [--judged 100] [--count 300] [--seed 0]
+[--steps 3000] [--implicit] [--motors] [--processes 2]``.
 
-Each scene is run at a tolerance of 1e-12 and differentiated along one random direction of all that
-it depends on: input, laws of strings and ground, masses, gravity and load. ``--implicit`` takes 200
-steps of the energy-momentum method in its place, and differences of the same steps. Beside it are
-central differences of order 4 at several sizes of the change, of runs with as many switches. Of two
-sizes that follow one another, those that differ least are the reference, and their difference is
-what it is certain to. Scenes of more steps are left out. ``--motors`` winds the strings of the
-scenes by motors under a command of the time: with limits of torque and speed, inertia, lag and
+Scenes follow one another until so many are judged, or so many were tried. A third
+of them has inputs that change: profiles that are held, straight or cubic. Each is run at a
+tolerance of 1e-12 and differentiated along one random direction of all that it depends on: input,
+laws of strings and ground, masses, gravity and load. ``--implicit`` takes 200 steps of the
+energy-momentum method in its place, and differences of the same steps. Beside it are central
+differences of order 4 at smaller and smaller sizes of the change, of runs with as many switches. Of
+two sizes that follow one another, those that differ least are the reference, and their difference
+is what it is certain to. Sizes end where that is 1e-10, or below 1e-7 and growing. A scene is
+judged where it is below 1e-7; scenes of more steps are left out. ``--motors`` winds the strings of
+the scenes by motors under a command of the time: with limits of torque and speed, inertia, lag and
 play, some with two strings on a drum, and strings that no motor drives. Their numbers are in the
 direction, and runs whose motors meet limits in other samples are no neighbours. The columns:
 
 - error: of the derivative of the nodes at the end, as part of the largest; certain: that of the
   differences; adjoint: of the slope of a cost of nodes and velocities, by both ways
-- the last column names scenes whose number of switches changes at every size
+
+Then the kinds of scenes that were judged, with counts, and what was left out, and why.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+import warnings
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, fields, replace
+from functools import partial
+from multiprocessing import get_context
 from time import perf_counter
+from unittest.mock import patch
 
 import casadi as ca
 import numpy as np
 
 import tenscontrol as tc
+from tenscontrol.dynamics.machine_code import VARIABLE
+from tenscontrol.simulation.health_check import AccuracyWarning
 from tests.benchmarks.command_line import options
 from tests.random_scenes import Scene, random_scene, stiffness_of
 
@@ -41,6 +54,13 @@ KINDS = (
 )  # fmt: skip
 SIZES = 10.0 ** -np.arange(3.5, 8, 0.5)
 
+# Differences that are certain to the first are good enough; beyond the second nothing is judged.
+CERTAIN, JUDGED = 1e-10, 1e-7
+
+# Where both ways differ by more than the first, what a change by the second makes of one of them
+# says how much of that is round-off.
+ADJOINT, ROUND_OFF = 1e-10, 1e-15
+
 _OF_GROUND = "stiffness", "damping", "friction", "height"
 
 Direction = dict[str, np.ndarray | float]
@@ -51,23 +71,25 @@ class Comparison:
     """How far a derivative is from differences, and a gradient from the derivative."""
 
     seed: int
+    kinds: tuple[str, ...]
     steps: int
     switches: int
     error: float
     certain: float
     adjoint: float
+    round_off: float  # of the derivative of the cost; found where adjoint is large
     seconds: float
     run_seconds: float
 
     @property
     def is_judged(self) -> bool:
         """Whether differences are certain enough to tell."""
-        return self.certain < 1e-7
+        return self.certain < JUDGED
 
     @property
     def is_wrong(self) -> bool:
         """Whether the derivative is off by more than differences are."""
-        return self.is_judged and self.error > 1e-7 + 3 * self.certain
+        return self.is_judged and self.error > JUDGED + 3 * self.certain
 
 
 @dataclass(frozen=True)
@@ -99,6 +121,38 @@ class Wound:
             scene.model, scene.duration, velocities=scene.velocities, controller=law,
             winches=self.winches, rest_length=start, **options,
         )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Driven:
+    """A scene whose input changes in time."""
+
+    scene: Scene
+    profile: tc.Profile
+
+    def __getattr__(self, name: str):
+        return getattr(self.scene, name)
+
+    @property
+    def value(self) -> np.ndarray:
+        """Values of the profile, (α, K)."""
+        return self.profile.values
+
+    def simulate(self, **options) -> tc.Trajectory:
+        """Run the scene by the package."""
+        return replace(self.scene, value=self.profile).simulate(**options)
+
+
+AnyScene = Scene | Wound | Driven
+
+
+def driven(scene: Scene, random: np.random.Generator) -> Driven:
+    """Return a scene with a random profile."""
+    kind = ("hold", "linear", "cubic")[int(random.integers(3))]
+    times = np.linspace(0, scene.duration, int(random.integers(2, 7)), endpoint=kind != "hold")
+    sway = 10 ** random.uniform(-2, -0.7, len(scene.value))
+    parts = 1 + sway[:, None] * random.uniform(-1, 1, (len(sway), len(times)))
+    return Driven(scene, tc.Profile(times, scene.value[:, None] * parts, kind))
 
 
 def wound(scene: Scene, random: np.random.Generator) -> Wound:
@@ -140,7 +194,7 @@ def wound(scene: Scene, random: np.random.Generator) -> Wound:
     return Wound(scene, winches, sway, random.uniform(0, 2 * np.pi, count), actuated)
 
 
-def run_of(scene: Scene | Wound, implicit: bool = False) -> tc.Trajectory:
+def run_of(scene: AnyScene, implicit: bool = False) -> tc.Trajectory:
     """Return the motion of a scene, tight, or in so many implicit steps."""
     limits = tc.HealthLimits(crossings=None, rest_length_error=None)
     how = {"method": "dop853", "tolerance": TOLERANCE}
@@ -149,10 +203,10 @@ def run_of(scene: Scene | Wound, implicit: bool = False) -> tc.Trajectory:
     return scene.simulate(**how, error="none", limits=limits)
 
 
-def random_direction(scene: Scene | Wound, random: np.random.Generator) -> Direction:
+def random_direction(scene: AnyScene, random: np.random.Generator) -> Direction:
     """Return a direction of all that a scene depends on, each as part of its size."""
     law, structure = scene.strings, scene.structure
-    found: Direction = {scene.input: scene.value * random.normal(size=len(scene.value))}
+    found: Direction = {scene.input: scene.value * random.normal(size=scene.value.shape)}
     if scene.input == "rest_length":
         for field in fields(law):
             found[field.name] = getattr(law, field.name) * random.normal(size=len(scene.value))
@@ -184,7 +238,7 @@ def _numbers(winches: tc.Winches) -> dict[str, np.ndarray]:
     return {name: value for name, value in numbers.items() if value is not None and value.any()}
 
 
-def changed(scene: Scene | Wound, direction: Direction, by: float) -> Scene | Wound:
+def changed(scene: AnyScene, direction: Direction, by: float) -> AnyScene:
     """Return a scene a part of a direction away."""
     if isinstance(scene, Wound):
         start = direction | {"rest_length": direction["rest_length"][:, 0]}
@@ -195,6 +249,11 @@ def changed(scene: Scene | Wound, direction: Direction, by: float) -> Scene | Wo
         motor = tc.Motor(**{name.split(".")[1]: value for name, value in values.items()})
         winches = replace(scene.winches, motor=motor, rate=rate)
         return replace(scene, scene=changed(scene.scene, start, by), winches=winches)
+    if isinstance(scene, Driven):
+        others = {name: step for name, step in direction.items() if name != scene.input}
+        values = scene.value + by * direction[scene.input]
+        profile = replace(scene.profile, values=values)
+        return Driven(changed(scene.scene, others, by), profile)
     law, s = scene.strings, scene.structure
 
     def moved(name: str, value):
@@ -218,22 +277,34 @@ def changed(scene: Scene | Wound, direction: Direction, by: float) -> Scene | Wo
 
 
 def differences(
-    scene: Scene | Wound, direction: Direction, run: tc.Trajectory, implicit: bool
+    scene: AnyScene, direction: Direction, run: tc.Trajectory, implicit: bool
 ) -> tuple[np.ndarray, float]:
     """Return the derivative of the nodes at the end by differences, and what it is certain to."""
-    found, best, certain = [], np.zeros(1), np.inf
+    before, best, certain = None, np.zeros(1), np.inf
     for size in SIZES:
-        runs = [run_of(changed(scene, direction, k * size), implicit) for k in (1, -1, 2, -2)]
-        if any(_pieces(other) != _pieces(run) for other in runs):
-            found.clear()
-            continue
-        ends = [run.nodes[:, :, -1] for run in runs]
-        found.append((8 * (ends[0] - ends[1]) - (ends[2] - ends[3])) / (12 * size))
-        if len(found) > 1:
-            apart = _relative(np.abs(found[-1] - found[-2]).max(), np.abs(found[-1]).max())
+        found = _difference(scene, direction, run, size, implicit)
+        if found is not None and before is not None:
+            apart = _relative(np.abs(found - before).max(), np.abs(found).max())
+            is_over = certain < JUDGED and apart > certain
             if apart < certain:
-                certain, best = apart, found[-1]
+                certain, best = apart, found
+            if is_over or certain < CERTAIN:
+                break
+        before = found
     return best, certain
+
+
+def _difference(
+    scene: AnyScene, direction: Direction, run: tc.Trajectory, size: float, implicit: bool
+) -> np.ndarray | None:
+    """Return the difference of order 4; None where a neighbour has other switches."""
+    ends = []
+    for k in (-2, 2, -1, 1):
+        other = run_of(changed(scene, direction, k * size), implicit)
+        if _pieces(other) != _pieces(run):
+            return None
+        ends.append(other.nodes[:, :, -1])
+    return (8 * (ends[3] - ends[2]) - (ends[1] - ends[0])) / (12 * size)
 
 
 def _relative(error: float, size: float) -> float:
@@ -258,6 +329,8 @@ def comparison(
     scene, random = random_scene(seed), np.random.default_rng([31, seed])
     if motors:
         scene = wound(scene, random)
+    elif seed % 3 == 2 and not implicit:
+        scene = driven(scene, random)
     began = perf_counter()
     run = run_of(scene, implicit)
     run_seconds = perf_counter() - began
@@ -269,61 +342,127 @@ def comparison(
     tangent = tc.sensitivity(run, names)
     seconds = perf_counter() - began
     weights = [random.normal(size=scene.structure.nodes.shape) for _ in range(2)]
-    pace = scene.size / scene.duration
+    weights[1] *= scene.duration / scene.size
 
     def cost(time, nodes, velocities):
-        return ca.dot(ca.DM(weights[0]), nodes) + ca.dot(ca.DM(weights[1] / pace), velocities)
+        return ca.dot(ca.DM(weights[0]), nodes) + ca.dot(ca.DM(weights[1]), velocities)
 
     slope = tc.gradient(run, cost, names).slope
-    along, back = np.zeros(scene.structure.nodes.shape), 0.0
-    size, forth = 0.0, 0.0
-    for name, step in direction.items():
-        by_nodes, by_velocities = (
-            part[name][:, :, 0] for part in (tangent.nodes, tangent.velocities)
-        )
-        along += np.tensordot(by_nodes, step, np.ndim(step))
-        costs = np.tensordot(weights[0], by_nodes, 2)
-        costs = costs + np.tensordot(weights[1] / pace, by_velocities, 2)
-        forth += np.sum(costs * step)
-        back += np.sum(slope[name] * step)
-        size += np.sum(np.abs(costs * step))
+    back = sum(np.sum(slope[name] * step) for name, step in direction.items())
+    forth, size = _along(tangent, weights, direction)
+    adjoint, round_off = _relative(abs(back - forth), size), 0.0
+    if adjoint > ADJOINT:
+        beside = run_of(changed(scene, direction, ROUND_OFF), implicit)
+        other = _along(tc.sensitivity(beside, names), weights, direction)[0]
+        round_off = _relative(abs(other - forth), size)
+    along = sum(
+        np.tensordot(tangent.nodes[name][:, :, 0], step, np.ndim(step))
+        for name, step in direction.items()
+    )
     reference, certain = differences(scene, direction, run, implicit)
     error = np.inf
     if np.isfinite(certain):
         error = _relative(np.abs(along - reference).max(), np.abs(reference).max())
-    adjoint = _relative(abs(back - forth), size)
     return Comparison(
-        seed, run.steps, run.work.switches, float(error), certain, float(adjoint), seconds,
-        run_seconds,
+        seed, tuple(_kinds(scene, run)), run.steps, run.work.switches, float(error), certain,
+        float(adjoint), float(round_off), seconds, run_seconds,
     )  # fmt: skip
 
 
+def _along(
+    tangent: tc.Sensitivity, weights: Sequence[np.ndarray], direction: Direction
+) -> tuple[float, float]:
+    """Return the derivative of a cost along a direction, and the sum of the sizes of its terms."""
+    terms = [
+        np.tensordot(weights[0], tangent.nodes[name][:, :, 0], 2) * step
+        + np.tensordot(weights[1], tangent.velocities[name][:, :, 0], 2) * step
+        for name, step in direction.items()
+    ]
+    return sum(float(term.sum()) for term in terms), sum(float(np.abs(t).sum()) for t in terms)
+
+
+def _kinds(scene: AnyScene, run: tc.Trajectory) -> Iterable[str]:
+    """Yield the kinds of a scene, and of its run."""
+    s = scene.structure
+    yield f"class {np.bincount(s.bars.ravel()).max(initial=0)}"
+    yield f"in {'the plane' if s.dimension == 2 else 'space'}"
+    yield scene.input.replace("_", " ")
+    has = {
+        "switches": run.work.switches, "damping": scene.strings.damping.any(),
+        "clusters": s.paths, "ground": scene.ground, "fixed nodes": len(s.fixed),
+        "rollers": s.rollers, "gravity": scene.gravity is not None,
+        "loads": scene.external_force is not None, "motors": isinstance(scene, Wound),
+    }  # fmt: skip
+    yield from (name for name, there in has.items() if there)
+    if isinstance(scene, Driven):
+        yield f"{scene.profile.interpolation} profile"
+
+
+def _quietly(most_steps: int, implicit: bool, motors: bool, seed: int) -> Comparison | None:
+    """Return how a random scene does in a process of its own."""
+    # Each model is run a few times, by the core: what is compiled for one takes longer than that.
+    with (
+        patch.dict(os.environ, {VARIABLE: "none"}),
+        warnings.catch_warnings(action="ignore", category=AccuracyWarning),
+    ):
+        return comparison(seed, most_steps, implicit, motors)
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
-    given = options(__doc__, arguments, count=100, seed=0, steps=3000, implicit=False, motors=False)
-    found, left_out = [], 0
+    given = options(
+        __doc__, arguments, judged=100, count=300, seed=0, steps=3000, implicit=False, motors=False,
+        processes=os.cpu_count() or 1,
+    )  # fmt: skip
+    found, long = list[Comparison](), list[int]()
     print(" seed  steps switches    error  certain  adjoint   s, of which run")
-    for seed in range(given.seed, given.seed + given.count):
-        each = comparison(seed, given.steps, given.implicit, given.motors)
-        if each is None:
-            left_out += 1
-            continue
-        found.append(each)
-        print(
-            f"{each.seed:5d} {each.steps:6d} {each.switches:8d} {each.error:8.1e} "
-            f"{each.certain:8.1e} {each.adjoint:8.1e} {each.seconds:6.2f} {each.run_seconds:6.2f}",
-            flush=True,
-        )
+    seeds = range(given.seed, given.seed + given.count)
+    compare = partial(_quietly, given.steps, given.implicit, given.motors)
+    with ProcessPoolExecutor(given.processes, get_context("spawn")) as executor:
+        each_in_turn = map if given.processes == 1 else executor.map
+        for seed, each in zip(seeds, each_in_turn(compare, seeds), strict=True):
+            if each is None:
+                long.append(seed)
+                continue
+            found.append(each)
+            print(
+                f"{each.seed:5d} {each.steps:6d} {each.switches:8d} {each.error:8.1e} "
+                f"{each.certain:8.1e} {each.adjoint:8.1e} {each.seconds:6.2f} "
+                f"{each.run_seconds:6.2f}",
+                flush=True,
+            )
+            if sum(each.is_judged for each in found) == given.judged:
+                executor.shutdown(cancel_futures=True)
+                break
+    _report(found, long, given.steps)
+
+
+def _report(found: list[Comparison], long: list[int], most_steps: int) -> None:
+    """Print what was found of all scenes, with those that were left out."""
     judged = [each for each in found if each.is_judged]
-    wrong = [each.seed for each in judged if each.is_wrong]
-    far = [each.seed for each in judged if each.error > 1e-7]
     print(
-        f"{len(found)} scenes, {left_out} of more than {given.steps} steps left out; "
-        f"{len(judged)} judged, {sum(each.switches > 0 for each in judged)} with switches"
+        f"{len(found) + len(long)} scenes, {len(judged)} judged: largest error "
+        f"{max((each.error for each in judged), default=0):.1e}"
     )
-    print(f"largest error {max((each.error for each in judged), default=0):.1e}")
-    print(f"above 1e-7: {far}; beyond what differences are certain to: {wrong}")
-    print(f"adjoint from forward: {max((each.adjoint for each in found), default=0):.1e}")
-    print(f"not judged: {[each.seed for each in found if not each.is_judged]}")
+    print(f"  above {JUDGED:g}: {[each.seed for each in judged if each.error > JUDGED]}")
+    print(f"  beyond what differences are certain to: {[e.seed for e in judged if e.is_wrong]}")
+    adjoint = max((each.adjoint for each in found), default=0)
+    print(f"adjoint from forward: {adjoint:.1e}, judged or not; above {ADJOINT:g}: ")
+    for each in found:
+        if each.adjoint > ADJOINT:
+            print(
+                f"  {each.seed}: {each.adjoint:.1e}; a change of the scene by {ROUND_OFF:g} of it "
+                f"makes {each.round_off:.1e}"
+            )
+    counts = Counter(kind for each in judged for kind in each.kinds)
+    print(f"judged: {', '.join(f'{kind} {counts[kind]}' for kind in sorted(counts))}")
+    others = [each for each in found if not each.is_judged]
+    apart = [f"{each.seed} ({each.certain:.0e})" for each in others if np.isfinite(each.certain)]
+    print(f"left out, of more than {most_steps} steps: {long}")
+    print(
+        "left out, as switches of neighbours differ at every size: "
+        f"{[each.seed for each in others if not np.isfinite(each.certain)]}"
+    )
+    print(f"left out, as differences are certain to less than {JUDGED:g}: {', '.join(apart)}")
 
 
 if __name__ == "__main__":
