@@ -23,8 +23,8 @@ _SHORTEST, _LONGEST = 0.02, 4.0
 #: more often.
 STAGES = 2
 
-# Rows that are the equation of motion.
-_MOTION = "equation of motion"
+#: Label of the rows that are the equation of motion.
+EQUATION = "equation of motion"
 
 # No time limit, so that iterations are the same in each run. Nearly optimal is not accepted.
 _IPOPT = {
@@ -291,8 +291,8 @@ class Collocation:
         for i in range(s):
             now = Instant(N[:, i], V[:, i], w["begin"] + points[i + 1] * change, rate)
             force = program.acceleration(now.places, now.velocities, now.input)
-            rows.append(zero((moved[:, i] - step * now.velocities) / program.size, _MOTION))
-            rows.append(zero((gained[:, i] - step * force) / speed, _MOTION))
+            rows.append(zero((moved[:, i] - step * now.velocities) / program.size, EQUATION))
+            rows.append(zero((gained[:, i] - step * force) / speed, EQUATION))
             rows.append(program.limits(now))
             cost += step * weights[i] * program.cost_rate(now)
             if program.power is not None:
@@ -435,7 +435,8 @@ class Collocation:
             message = str(solver.stats()["return_status"])
         if watch.interrupted:
             raise KeyboardInterrupt
-        x, rows = (np.array(answer[name].full()).ravel() for name in ("x", "g"))
+        names = ("x", "g", "lam_x", "lam_g")
+        x, rows, *multipliers = (np.array(answer[name].full()).ravel() for name in names)
         return Solution(
             motion=self._unpacked(x),
             violations=self._violations(np.maximum(row_low - rows, rows - row_high)),
@@ -443,11 +444,12 @@ class Collocation:
             status=_STATUSES.get(message, Status.UNSOLVED),
             message=message.replace("_", " ").lower(),
             iterations=watch.iterations,
+            multipliers=(multipliers[0], multipliers[1]),
         )
 
     def _violations(self, outside: FloatArray) -> dict[str, float]:
         """Return by how much rows of each label are outside their bounds, the largest first."""
-        links = (_MOTION,) * self._links.shape[0]
+        links = (EQUATION,) * self._links.shape[0]
         labels = np.array([*self._rows.labels * self.intervals, *self._end.labels, *links])
         worst = {str(label): float(outside[labels == label].max()) for label in np.unique(labels)}
         return dict(sorted(worst.items(), key=lambda item: -item[1]))
@@ -543,7 +545,11 @@ class Collocation:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Where IPOPT ended; ``violations`` are those of rows by their labels, scaled to order one."""
+    """Where IPOPT ended.
+
+    ``violations`` are those of rows by their labels, scaled to order one; ``multipliers`` are those
+    of the bounds of the unknowns, and of the rows.
+    """
 
     motion: DiscreteMotion
     violations: dict[str, float]
@@ -551,6 +557,7 @@ class Solution:
     status: Status
     message: str
     iterations: int
+    multipliers: tuple[FloatArray, FloatArray]
 
 
 class _Derivatives:

@@ -8,11 +8,11 @@ it, in %, and a grid ``--finer`` times finer (1: none), or the finest below that
 how many times finer that is; how far the plan is from an optimum of the simulator; processor time,
 s.
 
-The last but one is the part of the cost's slope that no multipliers balance, over that slope: by
-the rest lengths between the ends, and the duration if it is free. The plan is replayed, and
-derivatives of its end, and of the work on the way, are those of the replay. Multipliers of limits
-have their sign. Where nearly all winches are at their limits, as those of the prism, multipliers
-are as many as slopes, and a small part says less than elsewhere.
+The last but one is the slope of the Lagrangian of the simulator, over that of the cost: by the rest
+lengths between the ends, and the duration if it is free. Places and velocities are those of the
+replay, their derivatives those of :func:`tenscontrol.sensitivity`. Multipliers of the end and of
+all limits are those of the plan. Of an optimum of the simulator it is zero, and the plan comes
+nearer to one with order 4: by a factor of 16 as intervals are halved.
 """
 
 from __future__ import annotations
@@ -22,21 +22,29 @@ from collections.abc import Sequence
 from dataclasses import replace
 from time import process_time
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
-from scipy.optimize import lsq_linear
+from scipy.interpolate import KroghInterpolator
 
 import tenscontrol as tc
+from tenscontrol.arrays import FloatArray
+from tenscontrol.optimize.collocation import (
+    EQUATION,
+    STAGES,
+    Collocation,
+    DiscreteMotion,
+    Solution,
+    gauss_points,
+)
 from tenscontrol.optimize.optimal_motion import OptimalMotionWarning
 from tests.benchmarks.command_line import options
 
 # Tolerance of the replays; of a free duration, the change that its slope is taken by.
 TOLERANCE, STRETCH = 1e-9, 1e-4
 
-# Limits that are met to this part of them are active; a motor that gives less than this part of the
-# largest power is idle. Times in an interval, where work and force densities are seen. Strings keep
-# this part of the force densities at the ends.
-ACTIVE, IDLE, TIMES, TAUT = 1e-2, 1e-2, 20, 0.02
+# Replays are read at so many times in an interval, and by a polynomial through them between.
+POINTS = 6
 
 # Finer grids: how often they are halved on the way to the last, and iterations of IPOPT on each.
 HALVINGS, MOST_ITERATIONS = 3, 1000
@@ -110,11 +118,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for name in given.motions:
         ends, how = MOTIONS[name]()
         began = process_time()
-        motion = tc.optimal_motion(*ends, **how)
+        motion, mesh, solution = planned(ends, how)
         seconds, last, finer = process_time() - began, motion.meshes[-1], (np.nan, 1.0)
         if given.finer > 1:
             finer = finer_gain(motion, ends, how, given.finer)
-        off = optimality(motion, how)
+        off = optimality(motion, mesh, solution.multipliers)
         print(f"{name:10s} {motion.status:18s} {last.intervals:5d} {last.iterations:5d} "
               f"{motion.cost:10.6f} {100 * motion.cost_change:7.3f} {finer[0]:8.3f} "
               f"{finer[1]:5.1f} {off:11.1e} {seconds:6.1f}", flush=True)  # fmt: skip
@@ -142,119 +150,123 @@ def finer_gain(
     return 100 * (motion.cost / solved[-1].cost - 1), solved[-1].intervals / last
 
 
-def optimality(motion: tc.OptimalMotion, how: dict[str, Any]) -> float:
-    """Return the part of the slope of the cost that no multipliers balance.
+def planned(
+    ends: tuple[Any, ...], how: dict[str, Any]
+) -> tuple[tc.OptimalMotion, Collocation, Solution]:
+    """Return a motion, and the program of its last mesh with its solution."""
+    solved = []
+
+    def solve(mesh: Collocation, *arguments: Any) -> Solution:
+        solution = original(mesh, *arguments)
+        solved.append((mesh, solution))
+        return solution
+
+    original = Collocation.solve
+    with patch.object(Collocation, "solve", solve):
+        motion = tc.optimal_motion(*ends, **how)
+    count = motion.meshes[-1].intervals if motion.run is None else len(motion.time) - 1
+    return motion, *[pair for pair in solved if pair[0].intervals == count][-1]
+
+
+def optimality(
+    motion: tc.OptimalMotion, mesh: Collocation, multipliers: tuple[FloatArray, FloatArray]
+) -> float:
+    """Return the slope of the Lagrangian of the simulator, as a part of that of the cost.
 
     With K intervals and m winches, slopes are by the m (K - 1) rest lengths between the ends,
-    winches first, and then by the duration.
+    winches first, and by the duration if it is free, in the scales of the program.
     """
-    K, winches = len(motion.time) - 1, motion.actuation.lead
-    h, m = motion.duration / K, len(winches)
-    rate = motion.rate[winches]
-    by_value = (np.eye(K, K - 1) - np.eye(K, K - 1, -1)) / h
-    rates = np.einsum("wv,kj->wkvj", np.eye(m), by_value).reshape(m, K, -1)
-    rates = np.concatenate([rates, -rate[:, :, None] / motion.duration], axis=2)
-    limit = np.full(m, how["winches"].rate if "winches" in how else np.inf)
-    active = np.abs(rate) > (1 - ACTIVE) * limit[:, None]
-    limits = (np.sign(rate)[:, :, None] * rates)[active]
-    ends = end_slope(motion)
-    rows, low = [ends, limits], [np.full(len(ends), -np.inf), np.zeros(len(limits))]
-    high = [np.full(len(ends) + len(limits), np.inf)]
-    if motion.minimize == "energy":
-        slope, idle, slack = work_slope(motion, rates, how.get("min_force_density", 0.0))
-        rows += [idle, -slack]
-        low += [np.zeros(len(idle)), np.zeros(len(slack))]
-        high += [np.ones(len(idle)), np.full(len(slack), np.inf)]
-    else:
-        is_fastest = motion.minimize == "time"  # and of those, that of least effort
-        factor = 1e-3 / m / limit[0] ** 2 if is_fastest else 1.0
-        slope = 2 * h * factor * np.einsum("wk,wkp->p", rate, rates)
-        slope[-1] += is_fastest + factor * np.sum(rate**2) / K
-    if motion.minimize != "time":
-        slope, rows = slope[:-1], [row[:, :-1] for row in rows]
-    A = np.vstack(rows).T
-    scale = np.linalg.norm(A, axis=0)
-    bounds = np.concatenate(low) * scale, np.concatenate(high) * scale
-    left = lsq_linear(A / scale, -slope, bounds, tol=1e-14).fun
-    return float(np.linalg.norm(left) / np.linalg.norm(slope))
+    K, program, f = mesh.intervals, mesh.program, len(mesh.program.start)
+    width, height = mesh._width, mesh._parts[0].height
+    shares = np.append((np.arange(K)[:, None] + gauss_points(STAGES)).ravel() / K, 1.0)
+    states, by = replayed_states(motion, shares)
+    if program.duration is not None:
+        by = by[..., :-1]
+    x = mesh._packed(of_states(motion, states))
+    last = x[K * width :]
+    x = x[: K * width].reshape(K, width).T
+
+    # The cost, and what each limit adds by its multiplier; the simulator obeys the motion itself.
+    of_bounds, of_rows = multipliers
+    of_end = of_rows[K * height :][: mesh._parts[1].height]
+    of_rows = of_rows[: K * height].reshape(K, height).T
+    labels = np.array(mesh._rows.labels)
+    of_cost = np.where(labels[:, None] == "energy", of_rows, 0.0)
+    of_rows = np.where(labels[:, None] == EQUATION, 0.0, of_rows)
+    first = np.array(mesh._parts[0].slope(x))
+    cost, total = (first + by_rows(mesh._parts[0], x, rows) for rows in (of_cost, of_rows))
+    total += of_bounds[: K * width].reshape(K, width).T
+    end = by_rows(mesh._parts[1], last[:, None], of_end[:, None])[:, 0]
+
+    # Unknowns of the program by rest lengths and duration; those of powers are stationary already.
+    count = by.shape[-1]
+    lengths = np.zeros((program.input_range.shape[1], K + 1, count))
+    inner = np.arange(lengths.shape[0] * (K - 1))
+    lengths[inner // (K - 1), inner % (K - 1) + 1, inner] = 1.0
+    at = by[:, :, :-1].reshape(2, f, K, STAGES + 1, count)
+    value = {
+        "places": at[0, :, :, 0], "velocities": at[1, :, :, 0],
+        "begin": lengths[:, :-1], "end": lengths[:, 1:],
+        "stage_places": np.concatenate([at[0, :, :, i + 1] for i in range(STAGES)]),
+        "stage_velocities": np.concatenate([at[1, :, :, i + 1] for i in range(STAGES)]),
+    }  # fmt: skip
+    unknowns = np.zeros((width, K, count))
+    for name, slopes in value.items():
+        unknowns[mesh._places[name]] = slopes / mesh._scales[name]
+    if program.duration is None:
+        unknowns[mesh._places["step"], :, -1] = 1 / K / mesh._scales["step"]
+    scales = [mesh._scales["places"], mesh._scales["velocities"]]
+    final = np.concatenate([rows / scale for rows, scale in zip(by[:, :, -1], scales, strict=True)])
+    units = np.full(count, program.unit)
+    if program.duration is None:
+        units[-1] = program.time
+    left = np.einsum("wk,wkp->p", total, unknowns) + end @ final
+    slope = np.einsum("wk,wkp->p", cost, unknowns)
+    return float(np.linalg.norm(left * units) / np.linalg.norm(slope * units))
 
 
-def end_slope(motion: tc.OptimalMotion) -> np.ndarray:
-    """Return derivatives of the end of the replay, in internal coordinates and their rates."""
-    run = replay(motion)
-    shape = run.nodes[:, :, -1]  # where a free structure may have turned as a whole
-    frame = tc.dynamics.coordinates(motion.model, shape, "internal").projection
-
-    def end(stretch: float) -> np.ndarray:
-        other = replay(motion, stretch)
-        last = (other.nodes[:, :, -1] - shape, other.velocities[:, :, -1])
-        return np.concatenate([frame @ x.ravel(order="F") for x in last])
-
-    by_duration = (end(1 + STRETCH) - end(1 - STRETCH)) / (2 * STRETCH * motion.duration)
-    tangent = tc.sensitivity(run, ["rest_length"])
-    by_values = []
-    for by in (tangent.nodes, tangent.velocities):
-        slope = by_winch(motion, by["rest_length"][:, :, 0])
-        by_values.append(frame @ slope.swapaxes(0, 1).reshape(frame.shape[1], -1))
-    return np.column_stack([np.vstack(by_values), by_duration])
+def by_rows(part: Any, x: FloatArray, multipliers: FloatArray) -> FloatArray:
+    """Return slopes of the sum of rows times multipliers, by the unknowns of blocks."""
+    row, column = part.entries
+    slope = np.zeros_like(x)
+    np.add.at(slope, column, np.array(part.jacobian(x)) * multipliers[row])
+    return slope
 
 
-def work_slope(
-    motion: tc.OptimalMotion, rates: np.ndarray, least: float | np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the slope of the work of the motors, and two sets of rows.
+def replayed_states(motion: tc.OptimalMotion, shares: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return places and velocities of the replay, (2, f, T), and their derivatives.
 
-    Those of work where motors neither give nor take, of which any part from 0 to 1 may count; and
-    those of force densities that are as low as they may be, or as taut strings may be.
+    By the rest lengths between the ends, winches first, and by the duration, which stretches all.
     """
-    model, K = motion.model, len(motion.time) - 1
-    ends = np.minimum(motion.start.force_density, motion.goal.force_density)
-    least = np.maximum(least, TAUT * ends)
-    dt = motion.duration / (K * TIMES)
-    run = replay(motion, output_step=dt / 2)
-    times, nodes, velocities = run.time[1::2], run.nodes[:, :, 1::2], run.velocities[:, :, 1::2]
-    tangent = tc.sensitivity(run, ["rest_length"], times)
-    first, last = model.structure.strings.T
-    along, fast = (array[:, last] - array[:, first] for array in (nodes, velocities))
-    moved, quicker = (
-        by_winch(motion, by["rest_length"][:, last] - by["rest_length"][:, first])
-        for by in (tangent.nodes, tangent.velocities)
+    K, structure = len(motion.time) - 1, motion.model.structure
+
+    def states(stretch: float) -> FloatArray:
+        run = replay(motion, stretch, stretch * motion.duration / (K * POINTS))
+        both = np.array([run.nodes, run.velocities]).swapaxes(1, 2).reshape(2, -1, K * POINTS + 1)
+        k = np.minimum((shares * K).astype(int), K - 1)
+        points = np.linspace(0.0, 1.0, POINTS + 1)
+        weights = KroghInterpolator(points, np.eye(POINTS + 1))(shares * K - k)
+        inside = both[:, structure.free_rows][:, :, k[:, None] * POINTS + np.arange(POINTS + 1)]
+        return np.einsum("sftp,tp->sft", inside, weights)
+
+    tangent = tc.sensitivity(replay(motion), ["rest_length"], shares * motion.duration)
+    G, slopes = motion.actuation.matrix.toarray(), []
+    for by in (tangent.nodes["rest_length"], tangent.velocities["rest_length"]):
+        by = np.einsum("dnTsj,sw->ndTwj", by[..., 1:-1], G)
+        slopes.append(by.reshape(-1, len(shares), G.shape[1] * (K - 1))[structure.free_rows])
+    by_duration = (states(1 + STRETCH) - states(1 - STRETCH)) / (2 * STRETCH * motion.duration)
+    return states(1.0), np.concatenate([np.array(slopes), by_duration[..., None]], axis=3)
+
+
+def of_states(motion: tc.OptimalMotion, states: FloatArray) -> DiscreteMotion:
+    """Return the motion of a replay, from its states at the instants of the program."""
+    K, lengths = len(motion.time) - 1, motion.rest_length[motion.actuation.lead]
+    at = states[:, :, :-1].reshape(2, -1, K, STAGES + 1)
+    nodes, velocities = np.concatenate([at[..., 0], states[:, :, -1:]], axis=2)
+    stages = at[..., 1:].swapaxes(2, 3)
+    return DiscreteMotion(
+        motion.duration, nodes, velocities, lengths[:, :-1], lengths[:, 1:], *stages
     )
-    length = np.linalg.norm(along, axis=0)
-    unit = along / length
-    rate_of_length = (unit * fast).sum(axis=0)
-    stretched = np.einsum("dst,dstp->stp", unit, moved)
-    quickened = np.einsum("dst,dstp->stp", unit, quicker)
-    quickened += np.einsum("dst,dstp->stp", (fast - unit * rate_of_length) / length, moved)
-    # Rest lengths by their values: hats over the intervals.
-    hat = np.array([np.interp(times, motion.time, row) for row in np.eye(K + 1)[1:-1]])
-    G = motion.actuation.matrix.toarray()
-    wound = np.einsum("sw,jt->stwj", G, hat).reshape(len(G), len(times), -1)
-    k = np.broadcast_to(model.strings.stiffness, len(G))[:, None]
-    pull = G.T @ (k * (length - motion.profile.at(times)))
-    by_pull = np.einsum("sw,stp->wtp", k * G, stretched - wound)
-    interval = np.arange(K).repeat(TIMES)
-    rate = motion.rate[motion.actuation.lead][:, interval]
-    power, slope = -pull * rate, -pull[:, :, None] * rates[:, interval]
-    slope[:, :, :-1] -= by_pull * rate[:, :, None]
-    idle = np.abs(power) < IDLE * power.max()
-    # γ = (k (l - l0) + c l̇) / l.
-    c = np.broadcast_to(model.strings.damping, len(G))[:, None]
-    gamma = (k * (length - motion.profile.at(times)) + c * rate_of_length) / length
-    by_gamma = k[:, :, None] * (stretched - wound) + c[:, :, None] * quickened
-    by_gamma = (by_gamma - gamma[:, :, None] * stretched) / length[:, :, None]
-    slack = np.zeros((*gamma.shape, len(slope[0, 0])))
-    slack[:, :, :-1] = by_gamma
-    return (
-        dt * slope[(power > 0) & ~idle].sum(axis=0), dt * slope[idle],
-        slack[gamma < (1 + ACTIVE) * least[:, None]],
-    )  # fmt: skip
-
-
-def by_winch(motion: tc.OptimalMotion, slope: np.ndarray) -> np.ndarray:
-    """Return derivatives by rest lengths between the ends, winches first, from those by strings."""
-    by = np.einsum("...sj,sw->...wj", slope[..., 1:-1], motion.actuation.matrix.toarray())
-    return by.reshape(*by.shape[:-2], -1)
 
 
 def replay(
