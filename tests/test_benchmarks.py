@@ -458,8 +458,8 @@ def test_derivatives(printed, jax_compiles_quickly):
 
 
 def test_identification(printed):
-    text = printed("identification", "--count 0 --mujoco 1")
-    assert "converged, 0 not told, validated Validation(residuals 1.0" in text
+    text = printed("identification", "--rows mujoco --count 1")
+    assert "0 not told, validated Validation(residuals 1.0" in text
     assert "of 20 intervals of 95 % hold" in text
 
 

@@ -1,35 +1,46 @@
 """Fits of models to simulated logs: rollouts, errors beside intervals, and other methods.
 
-Run: ``python -m tests.benchmarks.identification [--count 100] [--noise 8] [--ball 1] [--mujoco 3]
-[--peers]``; ``--first 50 --count 50`` are the draws from the 50th on.
+Run: ``python -m tests.benchmarks.identification [--rows prism ball ...] [--count 100]``; ``--first
+50 --count 50`` are the draws from the 50th on. Each row prints a line for each draw of parameters
+and noise, then how many of the intervals of 95 % hold the true value, of all fits and of those
+whose residuals are near the noise. Squares of errors are by the covariance of a fit: 1 an unknown
+as a rule if it is right, and beyond what chance leaves one of 1000 where a fit is wrong, or bends
+within its intervals. Rows:
 
-A prism with 29 unknowns, 9 rest lengths, 9 stiffnesses, 9 dampings and 2 masses, off by about 20 %
-and 1 cm, is fitted to the places of its nodes, read to 1 mm at 50 Hz for 1 s while its strings are
-wound. The table has a line for each draw of parameters and noise. Below is how many of all
-intervals of 95 % hold the true value. ``--noise`` fits the prism read to so many mm, with unknowns
-that are as far off as the fit is told, dampings by 50 %; several numbers are several tables.
-``--ball`` fits six-bar balls that fall on ground, by the
-lengths of strings and directions of bars over 2 s: 24 stiffnesses, friction, and a payload.
-``--mujoco`` fits spinning prisms to logs from MuJoCo, by its rk4 in steps of 0.25 ms: 9
-stiffnesses, 9 dampings and 2 masses. The residuals at the end of its lines are those on another
-log, of other rest lengths and the spin the other way: 1 deviation where only noise is left.
-``--peers`` fits the prism by ``scipy.optimize.least_squares`` with differences and by Nelder and
-Mead's method, on the same rollouts.
+- ``prism``: 29 unknowns, 9 rest lengths, 9 stiffnesses, 9 dampings and 2 masses, off by about 20 %
+  and 1 cm, are fitted to the places of its nodes, read to 1 mm at 50 Hz for 1 s while its strings
+  are wound. ``--noise 2 4`` fits the prism read to so many mm, with unknowns that are as far off as
+  the fit is told, dampings by 50 %; several numbers are several tables.
+- ``outliers``: the same prism with 5 % of the readings off by some 10 cm, fitted by Huber's loss.
+- ``delay``: the same prism with readings that are late by some 2 cs, as a 30th unknown.
+- ``windows``: the same prism by windows of 0.3 s whose starts are unknown, from a first fit.
+- ``ball``: six-bar balls that fall on ground, by the lengths of strings and directions of bars over
+  2 s: 24 stiffnesses, friction, and a payload. ``nodes``: by the places of nodes.
+- ``mujoco``: spinning prisms, by logs from MuJoCo and its rk4 in steps of 0.25 ms: 9 stiffnesses, 9
+  dampings and 2 masses. The residuals at the end of its lines are those on another log, of other
+  rest lengths and the spin the other way: 1 deviation where only noise is left.
+- ``random``: random structures, ground, sensors and unknowns, in units over decades.
+- ``peers``: one prism by ``scipy.optimize.least_squares`` with differences and by Nelder and Mead's
+  method, on the same rollouts.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from time import perf_counter
+from typing import Any
 
 import numpy as np
+from scipy.stats import chi2
 
 import tenscontrol as tc
 from tenscontrol.accuracy.peers import MuJoCo
 from tenscontrol.optimize.fit import Fit
+from tenscontrol.optimize.unknowns import fitted_model, unknowns_of
 from tests.benchmarks.command_line import options
+from tests.random_scenes import random_scene
 
 TIMES = np.arange(1, 51) * 0.02
 
@@ -46,22 +57,23 @@ class Case:
     """A log, the model to begin with, and the values that made the log."""
 
     model: tc.Model
-    log: tc.Log
+    log: tc.Log | tuple[tc.Log, ...]
     names: list[str] | dict[str, float]
-    known: dict[str, list[int]]
-    true: np.ndarray  # factors, or shifts
-
+    true: np.ndarray  # shifts, then factors
+    shifts: int = 0
+    options: dict[str, Any] = field(default_factory=dict)  # of the fit
     other: tc.Log | None = None  # to validate by
 
     def fit(self) -> Fit:
         """Return the fit by the package."""
-        return tc.fit(self.model, self.log, self.names, known=self.known)
+        return tc.fit(self.model, self.log, self.names, **self.options)
 
 
-def wound(rest: np.ndarray) -> tc.Profile:
-    """Return rest lengths that change by 8 % up and down, out of step."""
+def wound(rest: np.ndarray, shifts: np.ndarray | float = 0.0) -> tc.Profile:
+    """Return rest lengths that change by 8 % up and down, out of step, and are off by shifts."""
     changes = [0.08 * rest.mean() * np.sin(3 * i + np.arange(len(rest))) for i in range(6)]
-    return tc.Profile(np.linspace(0, 1, 6), np.stack([rest + each for each in changes], 1), "cubic")
+    values = np.stack([rest + shifts + each for each in changes], axis=1)
+    return tc.Profile(np.linspace(0, 1, 6), values, "cubic")
 
 
 def prism_case(seed: int, millimetres: float | None = None) -> Case:
@@ -75,17 +87,51 @@ def prism_case(seed: int, millimetres: float | None = None) -> Case:
     model = tc.Model(replace(prism, bar_mass=mass), strings=strings)
     rest = 0.95 * prism.string_length()
     run = tc.simulate(
-        model, 1.0, rest_length=wound(rest + shifts), tolerance=1e-9, output_step=0.02,
+        model, 1.0, rest_length=wound(rest, shifts), tolerance=1e-9, output_step=0.02,
         error="none", limits=_NO_LIMITS,
     )  # fmt: skip
     sensors = tc.Sensors(structure=prism, node_position=1e-3 * (millimetres or 1.0))
     log = replace(tc.Log.of_run(run, sensors, TIMES, seed=seed), rest_length=wound(rest))
     guess = tc.Model(prism, strings=tc.LinearStrings(300.0, 1.5))
     names = NAMES if millimetres is None else DEVIATIONS
-    return Case(guess, log, names, {"bar_mass": [0]}, np.concatenate([shifts, factors]))
+    return Case(
+        guess, log, names, np.concatenate([shifts, factors]), 9, {"known": {"bar_mass": [0]}}
+    )
 
 
-def ball_case(seed: int) -> Case:
+def outliers_case(seed: int) -> Case:
+    """Return the prism, with readings of which some are far off."""
+    case, random = prism_case(seed), np.random.default_rng([32, seed])
+    readings = np.array(case.log.readings)
+    wild = random.random(readings.shape) < 0.05
+    readings[wild] += 0.1 * random.normal(size=wild.sum())
+    log = replace(case.log, readings=readings)
+    return replace(case, log=log, options=case.options | {"loss": "huber"})
+
+
+def delay_case(seed: int) -> Case:
+    """Return the prism, with readings that are late."""
+    case = prism_case(seed)
+    late = 0.02 * abs(np.random.default_rng([33, seed]).normal())
+    return replace(
+        case, log=replace(case.log, time=case.log.time + late), shifts=10,
+        names=["delay", *case.names], true=np.append(late, case.true),
+    )  # fmt: skip
+
+
+def windows_case(seed: int) -> Case:
+    """Return the prism, with its log in windows that begin where a first fit was."""
+    case = prism_case(seed)
+    first = case.fit()
+    rest = wound(0.95 * tc.prism().string_length(), first.parameters["rest_length"])
+    run = tc.simulate(
+        first.model, 1.0, rest_length=rest, output_step=0.02, error="none", limits=_NO_LIMITS
+    )
+    options = case.options | {"start": (0.002, 0.02)}
+    return replace(case, log=case.log.windows(0.3, run), options=options)
+
+
+def ball_case(seed: int, **measured: float) -> Case:
     """Return a six-bar ball that falls on ground, with a payload."""
     random = np.random.default_rng([30, seed])
     ball = tc.library.six_bar_ball()
@@ -110,10 +156,10 @@ def ball_case(seed: int) -> Case:
         true, 2.0, start, push, rest_length=rest, tolerance=1e-9, output_step=0.02, error="none",
         limits=_NO_LIMITS,
     )  # fmt: skip
-    sensors = tc.Sensors(structure=ball, string_length=1e-3, bar_direction=5e-3)
+    sensors = tc.Sensors(structure=ball, **measured)
     log = tc.Log.of_run(run, sensors, np.arange(1, 101) * 0.02, seed=seed)
     names = ["stiffness", "ground.friction", "point_mass"]
-    return Case(model(800.0, 0.5, payload), log, names, {}, factors)
+    return Case(model(800.0, 0.5, payload), log, names, factors)
 
 
 def mujoco_case(seed: int) -> Case:
@@ -136,56 +182,139 @@ def mujoco_case(seed: int) -> Case:
     rest, uneven = 0.9 * prism.string_length(), np.linspace(0.95, 1.05, 9)
     guess = tc.Model(prism, strings=tc.LinearStrings(300.0, 1.5))
     first, other = log(rest * uneven, spin), log(0.98 * rest * uneven[::-1], -spin)
-    return Case(guess, first, NAMES[1:], {"bar_mass": [0]}, factors, other)
+    return Case(guess, first, NAMES[1:], factors, 0, {"known": {"bar_mass": [0]}}, other)
+
+
+def random_case(seed: int) -> Case:
+    """Return a random scene that random sensors read; its unknowns are drawn as the fit is told."""
+    random = np.random.default_rng([35, seed])
+    while True:
+        scene = random_scene(int(random.integers(2**31)))
+        if scene.input == "rest_length" and len(scene.structure.strings) <= 10:
+            break
+    structure, believed = scene.structure, scene.model
+    names: dict[str, float] = {}
+    if random.random() < 0.3:
+        names["rest_length"] = 0.02 * float(structure.string_length().mean())
+    names["stiffness" if isinstance(scene.strings, tc.LinearStrings) else "axial_rigidity"] = 0.3
+    if scene.strings.damping.any() and random.random() < 0.7:
+        names["damping"] = 0.5
+    if len(structure.bars) > 1 and random.random() < 0.3:
+        names["bar_mass"] = 0.3
+    if scene.ground and scene.ground[0].friction and random.random() < 0.7:
+        names["ground.friction"] = 0.3
+    unknowns = unknowns_of(believed, "rest_length", names, None, None, scene.value)
+    theta = [each.deviation * random.normal(size=len(each.groups)) for each in unknowns]
+    shifts = len(theta[0]) if "rest_length" in names else 0
+    rest = scene.value + theta[0] if shifts else scene.value
+    noise = scene.size * 10 ** random.uniform(-4, -2.5)
+    measured = [{"node_position": noise}, {"string_length": noise}][int(random.random() < 0.4)]
+    sensors, count = tc.Sensors(structure=structure, **measured), int(random.integers(30, 101))
+    run = tc.simulate(
+        fitted_model(believed, unknowns, theta), scene.duration, velocities=scene.velocities,
+        rest_length=rest, tolerance=1e-9, output_step=scene.duration / count, error="none",
+        limits=_NO_LIMITS,
+    )  # fmt: skip
+    log = replace(tc.Log.of_run(run, sensors, run.time[1:], seed=seed), rest_length=scene.value)
+    whole = np.concatenate(theta)
+    whole[shifts:] = np.exp(whole[shifts:])
+    return Case(believed, log, names, whole, shifts)
+
+
+ROWS = {
+    "prism": prism_case, "outliers": outliers_case, "delay": delay_case, "windows": windows_case,
+    "ball": partial(ball_case, string_length=1e-3, bar_direction=5e-3),
+    "nodes": partial(ball_case, node_position=1e-3), "mujoco": mujoco_case,
+    "random": random_case,
+}  # fmt: skip
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    given = options(
-        __doc__, arguments, count=20, first=0, noise=(0.0,), ball=0, mujoco=0, peers=False
-    )
-    noisy = [
-        (f"prism, {size:g} mm", partial(prism_case, millimetres=size), given.count)
-        for size in given.noise
-        if size
-    ]
-    for title, case_of, count in (
-        *(noisy or [("prism", prism_case, given.count)]), ("ball", ball_case, given.ball),
-        ("mujoco", mujoco_case, given.mujoco),
-    ):  # fmt: skip
-        if count:
-            print_fits(title, case_of, range(given.first, given.first + count))
-    if given.peers:
-        print_peers(prism_case(0))
+    given = options(__doc__, arguments, rows=("prism",), count=20, first=0, noise=(0.0,))
+    seeds = range(given.first, given.first + given.count)
+    for row in given.rows:
+        if row == "peers":
+            print_peers(prism_case(given.first))
+            continue
+        for size in given.noise if row == "prism" else [0.0]:
+            if size:
+                print_fits(f"prism, {size:g} mm", partial(prism_case, millimetres=size), seeds)
+            else:
+                print_fits(row, ROWS[row], seeds)
 
 
-def print_fits(title: str, case_of, seeds: range) -> None:
+@dataclass(frozen=True)
+class Judged:
+    """A fit beside what is true."""
+
+    found: Fit
+    held: int  # of told
+    told: int
+    squares: float  # of all errors, by the covariance
+    unknowns: int
+
+    @property
+    def is_far(self) -> bool:
+        """Whether noise does not explain the residuals, and intervals mean little."""
+        return self.found.chi_squared > 2.0
+
+
+def judged(case: Case, found: Fit) -> Judged:
+    """Return what of a fit is true."""
+    count = len(case.true)
+    told = found.identifiability.is_told[:count]
+    low, high = found.interval[:count].T
+    held = (low <= case.true) & (case.true <= high)
+    errors = np.concatenate([
+        found.value[: case.shifts] - case.true[: case.shifts],
+        np.log(found.value[case.shifts : count] / case.true[case.shifts :]),
+    ])  # fmt: skip
+    errors /= found.identifiability.rollouts.deviations[:count]
+    directions = found.identifiability.directions[:, :count]
+    known = found.identifiability.singular**2 / found.chi_squared
+    covariance = (directions.T / (1 + known)) @ directions
+    squares = float(errors @ np.linalg.solve(covariance, errors))
+    return Judged(found, int(held[told].sum()), int(told.sum()), squares, count)
+
+
+def print_fits(title: str, case_of: Callable[[int], Case], seeds: range) -> None:
     """Print a line for each fit, and how many intervals hold."""
-    held, of, ratios = 0, 0, []
-    print(f"{title}: seed rollouts chi2   error/deviation rms   s")
+    every = []
+    print(f"{title}: seed rollouts chi2   squares an unknown   s")
     for seed in seeds:
         case = case_of(seed)
         began = perf_counter()
         found = case.fit()
         seconds = perf_counter() - began
-        low, high = found.interval.T
-        told = found.identifiability.is_told
-        held += int(((low <= case.true) & (case.true <= high))[told].sum())
-        of += int(told.sum())
-        is_prism = "rest_length" in case.names
-        scaled = np.arange(len(case.true)) >= len(case.true) - 20 if is_prism else True
-        values, true, ends = (
-            np.where(scaled, np.log(np.where(scaled, part, 1.0)), part)
-            for part in (found.value, case.true, high)
-        )
-        own = (values - true) / ((ends - values) / 1.959964)
-        ratios.append(float(np.sqrt(np.mean(own[told] ** 2))))
+        own = judged(case, found)
+        every.append(own)
         print(
-            f"{title} {seed:8d} {found.rollouts:8d} {found.chi_squared:4.2f} {ratios[-1]:20.2f} "
-            f"{seconds:5.1f}  {found.message}, {int((~told).sum())} not told"
+            f"{title} {seed:8d} {found.rollouts:8d} {found.chi_squared:4.2f} "
+            f"{own.squares / own.unknowns:20.2f} {seconds:5.1f}  {found.message}, "
+            f"{own.told - own.held} of {own.told} missed, {own.unknowns - own.told} not told"
             + (f", validated {found.validate(case.other)}" if case.other is not None else ""),
             flush=True,
         )
-    print(f"{title}: {held} of {of} intervals of 95 % hold, {100 * held / max(of, 1):.1f} %")
+    rollouts = [own.found.rollouts for own in every]
+    stopped = sum(not own.found.converged for own in every)
+    near = [own for own in every if not own.is_far]
+    print(
+        f"{title}: {np.median(rollouts):g} rollouts as a rule, {max(rollouts)} at most; {stopped} "
+        f"stopped, {len(every) - len(near)} far from the log"
+    )
+    for name, some in ("of all", every), ("near the log", near):
+        print(f"{title}, {name}: {_counted(some)}")
+
+
+def _counted(some: list[Judged]) -> str:
+    held, told = (sum(getattr(own, name) for own in some) for name in ("held", "told"))
+    squares = [own.squares / own.unknowns for own in some]
+    beyond = sum(chi2.sf(own.squares, own.unknowns) < 1e-3 for own in some)
+    return (
+        f"{held} of {told} intervals of 95 % hold, {100 * held / max(told, 1):.1f} %; squares of "
+        f"errors {np.median(squares) if some else 0:.2f} an unknown as a rule, beyond chance in "
+        f"{beyond} of {len(some)} fits"
+    )
 
 
 def print_peers(case: Case) -> None:
@@ -194,7 +323,9 @@ def print_peers(case: Case) -> None:
 
     from tenscontrol.optimize.fit import rollouts_of
 
-    rollouts = rollouts_of(case.model, case.log, case.names, case.known, None, None, 1e-8, None)
+    rollouts = rollouts_of(
+        case.model, case.log, case.names, case.options["known"], None, None, 1e-8, None
+    )
     scale = rollouts.deviations
 
     def residuals(scaled: np.ndarray) -> np.ndarray:
