@@ -158,7 +158,8 @@ class Fit:
     identifiability : Identifiability
         At what was found.
     chi_squared : float
-        Squares of the residuals over the degrees of freedom: 1 where only noise is left.
+        Squares of the residuals over the degrees of freedom: 1 where only noise is left. By
+        Huber's loss, what far readings make of the variances.
     rollouts : int
         Simulations of all logs.
     message : str
@@ -410,7 +411,7 @@ def fit(
     solver = _Solver(rollouts, loss == "huber", most)
     with progress_bar(1.0, progress, label="fitting") as report:
         theta, readings, message = solver.run(report)
-    return _result(rollouts, theta, readings, message)
+    return _result(rollouts, theta, readings, message, loss == "huber")
 
 
 def rollouts_of(
@@ -504,9 +505,16 @@ class _Solver:
 
     def _is_too_long(self, share: float, readings: Readings) -> bool:
         """Return whether noise does not explain a fitted part, of which there is a shorter one."""
-        if self._loss(readings) <= _FAR * len(readings.residuals):
+        r = readings.residuals
+        if _chi_squared(r, len(r), self._is_robust) <= _FAR:
             return False
-        return any(share * log.time[-1] > log.time[0] for log in self._rollouts.logs)
+        return self._times(_SHORTER_PART * share) < self._times(share)
+
+    def _times(self, share: float) -> int:
+        """Return how many times of the logs a part has, at least one of each."""
+        return sum(
+            max(1, int((log.time <= share * log.time[-1]).sum())) for log in self._rollouts.logs
+        )
 
     def _tried(self, theta: FloatArray, share: float) -> Readings | None:
         """Return the residuals for unknowns; None where the motion runs away."""
@@ -583,14 +591,16 @@ def identifiability_of(rollouts: Rollouts, slope: FloatArray | None = None) -> I
     )
 
 
-def _result(rollouts: Rollouts, theta: FloatArray, readings: Readings, message: str) -> Fit:
+def _result(
+    rollouts: Rollouts, theta: FloatArray, readings: Readings, message: str, is_robust: bool
+) -> Fit:
     assert readings.slope is not None  # every try has one
     identifiability = identifiability_of(rollouts, readings.slope)
     # What is known before pulls at what is found, and so it is part of the interval too: else those
     # of unknowns that noise nearly hides are too wide.
     known = identifiability.singular**2
     freedom = max(len(readings.residuals) - float((known / (1 + known)).sum()), 1.0)
-    chi_squared = float((readings.residuals**2).sum() / freedom)
+    chi_squared = _chi_squared(readings.residuals, freedom, is_robust)
     spread = max(chi_squared, float(np.finfo(float).tiny))
     variance = identifiability.directions.T**2 @ (spread / (spread + known))
     reach = _INTERVAL * np.sqrt(variance) * rollouts.deviations
@@ -615,6 +625,19 @@ def _result(rollouts: Rollouts, theta: FloatArray, readings: Readings, message: 
         frozen(interval), MappingProxyType(parameters), identifiability, chi_squared,
         rollouts.count, message, rollouts, frozen(theta),
     )  # fmt: skip
+
+
+def _chi_squared(residuals: FloatArray, freedom: float, is_robust: bool) -> float:
+    """Return squares of residuals a degree of freedom.
+
+    Huber's loss bounds them, and divides by the part that is near: few that are far widen no
+    interval (P. J. Huber, *Robust Statistics*, 1981, 7.6).
+    """
+    if not is_robust:
+        return float((residuals**2).sum() / freedom)
+    bounded = np.clip(residuals, -_HUBER, _HUBER)
+    near = max(float((bounded == residuals).mean()), 1 / len(residuals))
+    return float((bounded**2).sum() / freedom) / near**2
 
 
 def _described(labels: Sequence[str], direction: FloatArray) -> str:

@@ -113,6 +113,11 @@ def test_lost_and_wild_readings_are_skipped_and_bounded():
     off = [abs(each.parameters["stiffness"][0] - 120.0) for each in (wild, bounded)]
     assert 5 * off[1] < off[0]
     assert off[1] < 2.0
+    # Few that are far off widen an interval by little, and are no reason to begin again.
+    fair = tc.fit(model_of(), clean, ["stiffness"], groups={"stiffness": "all"})
+    assert bounded.chi_squared == pytest.approx(1.0, abs=0.2)
+    assert 0.9 < np.ptp(bounded.interval) / np.ptp(fair.interval) < 1.2
+    assert bounded.rollouts <= fair.rollouts + 2
 
 
 def test_a_start_that_is_not_known_is_found_with_the_rest():
