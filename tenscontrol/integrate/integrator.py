@@ -99,15 +99,15 @@ class StepEnds(NamedTuple):
     taut: FloatArray | None = None
 
     @classmethod
-    def joined(cls, parts: Sequence[StepEnds]) -> StepEnds:
+    def joined(cls, spans: Sequence[StepEnds]) -> StepEnds:
         """Return ends that follow one another; their times count from the same start."""
-        if len(parts) == 1:
-            return parts[0]
-        taut = [part.taut for part in parts if part.taut is not None]
+        if len(spans) == 1:
+            return spans[0]
+        taut = [span.taut for span in spans if span.taut is not None]
         return cls(
-            np.concatenate([part.time for part in parts]),
-            np.concatenate([part.states.T for part in parts]).T,
-            np.concatenate(taut, axis=1) if len(taut) == len(parts) else None,
+            np.concatenate([span.time for span in spans]),
+            np.concatenate([span.states.T for span in spans]).T,
+            np.concatenate(taut, axis=1) if len(taut) == len(spans) else None,
         )
 
 
