@@ -23,6 +23,9 @@ _TOLERANCE = 1e-9
 _ROUND_OFF = 1e-12
 _EXACT = 1e-11
 
+# Changes of the active set that least squares may take, for each inequality.
+_CHANGES = 10
+
 # Equations may be missed by this part of a multiplier, which takes dependent ones; each repetition
 # takes the rest of what they are missed by.
 _GIVE, _REPETITIONS = 1e-12, 40
@@ -41,13 +44,18 @@ def least_distance(G: FloatArray, h: FloatArray) -> FloatArray | None:
     By non-negative least squares (Lawson & Hanson, *Solving Least Squares
     Problems*, chapter 23): exact up to round-off. G and h are of order one.
     """
-    from scipy.optimize import nnls
+    from scipy.optimize import lsq_linear
 
     matrix = np.vstack([G.T, h[None, :]])
     goal = np.zeros(len(matrix))
     goal[-1] = 1.0
-    multipliers, _ = nnls(matrix, goal)
-    slack = matrix @ multipliers - goal
+    # Not nnls: from SciPy 1.15 on it may end before the optimum, and not say so.
+    answer = lsq_linear(
+        matrix, goal, (0.0, np.inf), method="bvls", tol=_ROUND_OFF, max_iter=_CHANGES * len(h)
+    )
+    if answer.status <= 0:
+        raise ArithmeticError(f"least squares of the prestress failed: {answer.message}")
+    slack = matrix @ answer.x - goal
     if slack[-1] > -_TOLERANCE:
         return None
     return np.asarray(-slack[:-1] / slack[-1])
