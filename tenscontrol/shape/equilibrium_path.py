@@ -112,7 +112,10 @@ class Continuation:
             wrong = (at_low & (push < -1e-9)) | (at_high & (push > 1e-9))
             wrong &= self._low < self._high
             if not (below | above | wrong).any():
-                change = np.asarray(np.linalg.solve(jacobian, -along), dtype=float)
+                try:
+                    change = np.asarray(np.linalg.solve(jacobian, -along), dtype=float)
+                except np.linalg.LinAlgError:
+                    return None  # paths part there: no single one goes on
                 return Waypoint(share, point[:size], change[:size], point[size:])
             at_low, at_high = (at_low & ~wrong) | below, (at_high & ~wrong) | above
         return None
