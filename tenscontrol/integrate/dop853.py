@@ -531,18 +531,21 @@ def _interpolant_error() -> tuple[float, ...]:
     h⁸. Coefficients of the polynomial in the part, from the lowest on.
     """
     method, count = _coefficients(), _STAGES + 1 + _MORE_STAGES
-    A = np.zeros((count, count))
+    # In numbers of Python: sums in BLAS differ from machine to machine.
+    A = np.zeros((count, count), dtype=object)
     A[:_STAGES, :_STAGES], A[_STAGES, :_STAGES] = method.A, method.B
     A[_STAGES + 1 :] = method.A_EXTRA
-    # Slopes of the stages at each order of h, from 0 to 7.
-    slopes = [np.linalg.matrix_power(A, order) @ np.ones(count) for order in range(_ORDER)]
+    B, D, E3, E5 = (array.astype(object) for array in (method.B, method.D, method.E3, method.E5))
+    slopes = [np.ones(count).astype(object)]  # of the stages at each order of h, from 0 to 7
+    for _ in range(1, _ORDER):
+        slopes.append(A @ slopes[-1])
     last, s = slopes[-1], np.polynomial.Polynomial([0.0, 1.0])
-    step = method.B @ last[:_STAGES]
+    step = B @ last[:_STAGES]
     polynomial = np.polynomial.Polynomial([0.0])
-    coefficients = [step, last[0] - step, 2 * step - last[0] - last[_STAGES], *(method.D @ last)]
+    coefficients = [step, last[0] - step, 2 * step - last[0] - last[_STAGES], *(D @ last)]
     for k in reversed(range(_POWERS)):
         polynomial = (polynomial + coefficients[k]) * (1 - s if k % 2 else s)
-    third, fifth = (e @ slopes[k][: _STAGES + 1] for e, k in ((method.E3, 3), (method.E5, 5)))
+    third, fifth = (e @ slopes[k][: _STAGES + 1] for e, k in ((E3, 3), (E5, 5)))
     true = s**_ORDER / factorial(_ORDER)
     # The estimate is the fifth by the root of its square and of a hundredth of that of the third.
     return tuple(((true - polynomial) * 0.1 * abs(third) / fifth**2).coef.tolist())
