@@ -96,7 +96,7 @@ def test_what_the_string_stored_is_lost_and_all_else_is_kept(held):
 def test_the_balance_of_energy_still_tells_of_a_coarse_step(held):
     with pytest.warns(tc.simulation.AccuracyWarning, match="energy error"):
         coarse = tc.simulate(
-            model(), 4.0, faults=[tc.CutString(6, CUT)], method="rk4", step=0.2,
+            model(), 0.8, faults=[tc.CutString(6, CUT)], method="rk4", step=0.08,
             **{held: 0.9 * value(held)},
         )  # fmt: skip
     assert coarse.health.energy_error > 0.05
