@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Mapping
+from copy import deepcopy
 from time import perf_counter
 from types import MappingProxyType
 from typing import Any
@@ -488,6 +489,22 @@ class Controller(BaseController):
         self._compared = None
         if predicted is not None and state is not None:
             self._compared = state, predicted
+
+    def twin(self) -> Controller:
+        """Return a controller that decides as this one, with a memory of its own.
+
+        Returns
+        -------
+        Controller
+            On the same plant. Reset it before its first command.
+
+        Raises
+        ------
+        TypeError
+            If it has parts that cannot be copied, as locks and open files.
+        """
+        shared = self._plant, self._plant.model, self._structure, self._commanded
+        return deepcopy(self, {id(kept): kept for kept in shared})
 
     @property
     def left_alone(self) -> Modes:

@@ -19,6 +19,7 @@ from tenscontrol.control.controller import BaseController, Controller
 from tenscontrol.deploy.code_text import status_and_fallback
 from tenscontrol.dynamics.machine_code import CompilerError, compiler, link
 from tenscontrol.plant.linear_plant import LinearPlant
+from tenscontrol.properties import cached_property
 from tenscontrol.status import Status
 from tenscontrol.structure.structure import Structure
 
@@ -119,6 +120,14 @@ class CompiledController(_RunByCode, Controller):
     def another(self) -> CompiledController:
         """Return a controller of the same code with a memory of its own; nothing is compiled."""
         return CompiledController(*self._made_of)
+
+    def twin(self) -> CompiledController:
+        """See :meth:`Controller.twin`; it is the same each time, as a library is never unloaded."""
+        return self._twin
+
+    @cached_property
+    def _twin(self) -> CompiledController:
+        return self.another()
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the compiled code, for processes of like machines; what it remembers stays."""

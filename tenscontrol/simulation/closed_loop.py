@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
 from math import ceil
@@ -55,7 +56,7 @@ class ClosedLoop:
         start: Trajectory | None,
     ) -> None:
         self._run, self._controller, self._start = run, controller, start
-        self._rest_length = rest_length
+        self._rest_length, self._winches = rest_length, winches
         self._sample = sample = _sample_time(controller, sample_time, run.integration.step)
         size = 1500 + 48 * len(controller.commanded.strings)  # bytes of objects and numbers
         validation.refuse_memory(
@@ -79,10 +80,23 @@ class ClosedLoop:
         """What applies the commands."""
         return self._actuators
 
-    @property
-    def corrects(self) -> bool:
-        """Whether the controller corrects errors of the motion: a function may be one of time."""
-        return isinstance(self._controller, Controller)
+    def again(self) -> Callable[[PlantRun], ClosedLoop] | None:
+        """Return what closes the loop of another run, with copies of controller and estimator.
+
+        None where there are none that begin alike. A function may be one of time alone, or remember
+        what it was asked; and a run that goes on began with what both remembered then.
+        """
+        if self._start is not None or not isinstance(self._controller, Controller):
+            return None
+        try:
+            twin = self._controller.twin()
+        except TypeError:  # parts of a controller of the user, as locks and files
+            return None
+        estimation = self._estimation
+        if estimation is not None:
+            estimation = copy(estimation[0]), *estimation[1:]
+        given = self._sample, self._rest_length, self._winches, estimation, None
+        return lambda run: ClosedLoop(run, twin, *given)
 
     def _begin(self, state: FloatArray) -> None:
         """Let controller and estimator begin, or go on."""

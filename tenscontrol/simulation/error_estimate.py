@@ -15,7 +15,7 @@ from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.integrate.integrator import IntegrationError, Span
 from tenscontrol.properties import cached_property
 from tenscontrol.simulation.plant_run import PlantRun
-from tenscontrol.simulation.strut_record import drive_work, impulse_work
+from tenscontrol.simulation.strut_record import done_by_drives, drive_work, impulse_work
 from tenscontrol.structure.structure import Structure
 
 # With a tolerance, the motion is found again with this part of it, and so many times the difference
@@ -155,6 +155,10 @@ class Path:
         return work[:, np.searchsorted(self.columns, columns)]
 
 
+def no_loop() -> None:
+    """Return no loop: of a motion without a controller."""
+
+
 @dataclass(frozen=True, eq=False)
 class Motion:
     """A motion that can be integrated again at another resolution.
@@ -177,8 +181,11 @@ class Motion:
         Makes the integrator for another value.
     later : callable
         ``(held, time) -> held`` of a span that begins a time later, s.
-    starts : ndarray, shape (states, stages), optional
-        States at the beginning of the stages, of a motion that a controller corrects.
+    loop : callable
+        Makes ``value -> path`` of the motion at another value with its controller in the loop, or
+        None where there is no controller, or no other one like it.
+    is_doubted : bool
+        Whether the loop is known not to do what it is for.
     report : callable, optional
         Told the time reached by another motion, s.
     """
@@ -193,7 +200,8 @@ class Motion:
     order: int
     integrator: Callable[[float], Resolved]
     later: Callable[[FloatArray, float], FloatArray]
-    starts: FloatArray | None = None
+    loop: Callable[[], Callable[[float], Path] | None] = no_loop
+    is_doubted: bool = False
     report: Callable[[float], None] | None = None
 
     def estimated_error(self, limit: float) -> FloatArray:
@@ -207,12 +215,17 @@ class Motion:
         As part of the size, and in J, one a row.
 
         Under a controller the inputs are replayed. An unstable structure that the loop holds would
-        leave under them, where the loop corrects what is wrong. So above a limit it is the errors
-        of the stages, added up, if they are less.
+        leave under them, and a loop that does not hold its structure may magnify what is wrong as
+        the structure alone does not. So above a limit, and where it is doubted, the motion is found
+        again with the controller in the loop.
         """
-        error = self._from_another(limit)
-        if self.starts is not None and error.size and float(error[0].max()) > limit:
-            error = np.asarray(np.minimum(error, self._added(self.starts)))
+        loop = self.loop() if self.is_doubted else None
+        if loop is None:
+            error = self._from_another(limit)
+            if error.size and float(error[0].max()) > limit:
+                loop = self.loop()
+        if loop is not None:
+            error = self._in_loop(loop)
         return self._without_dips(error)
 
     def errors_by_tolerance(self) -> FloatArray:
@@ -221,7 +234,7 @@ class Motion:
         Starts, positions, inputs of stages, and states that the integrator takes and returns then
         have a first axis of runs. Not finite at the end where another run has to be looked for.
         """
-        return self._without_dips(self._by_tolerance())
+        return self._without_dips(self._by_tolerance(self._again))
 
     def _without_dips(self, error: FloatArray) -> FloatArray:
         """Return estimates that are at least those of just before: motions may meet for once."""
@@ -254,10 +267,9 @@ class Motion:
         motion can be found.
         """
         if self.setting == "tolerance":
-            if self.order <= 2:
-                return self._difference(self._again(_LOOSER))
-            error = self._by_tolerance()
-            if self.value > _TIGHT and not np.isfinite(error[0, -1]):
+            error = self._by_tolerance(self._again)
+            is_tighter = self.order > 2 and self.value > _TIGHT
+            if is_tighter and not np.isfinite(error[0, -1]):
                 return self._difference(self._again(1 / _TIGHTER))
             return error
         steps, fewer = (sum(stage.steps(self.value, f) for stage in self.stages) for f in (1, 2))
@@ -277,49 +289,19 @@ class Motion:
                 return finer
         return error
 
-    def _by_tolerance(self) -> FloatArray:
-        """Return the error by a motion with a tenth of the tolerance, if that can be had."""
+    def _by_tolerance(self, again: Callable[[float], Path]) -> FloatArray:
+        """Return the error by a motion found again at a part or a multiple of the tolerance."""
+        if self.order <= 2:
+            return self._difference(again(_LOOSER))
         if self.value > _TIGHT:
-            return _SAFETY * self._difference(self._again(_TIGHTER))
-        return self._difference(self._again(1 / _TIGHTER))
+            return _SAFETY * self._difference(again(_TIGHTER))
+        return self._difference(again(1 / _TIGHTER))
 
-    def _added(self, starts: FloatArray) -> FloatArray:
-        """Return the errors made in the stages, each from the state at its beginning, added up.
-
-        An error of velocities counts by how far it leads in the time in which the motion covers the
-        size. Of fixed steps, half of them are taken for comparison.
-        """
-        factor = _TIGHTER if self.setting == "tolerance" else 0.5
-        integrator, half = self._integrator_of(factor), len(self.start) // 2
-        speed = float(np.abs(starts[half:]).max())
-        reach = self._size / speed if speed > 0 else 0.0
-        rates = starts[half + self.rows]
-        work = self.path.work_at(self.path.columns)
-        errors, before, first = [], np.zeros((1 + len(work), 1)), 0
-        for i, stage in enumerate(self.stages):
-            try:
-                span = integrator.advance(starts[:, i], stage.held, stage.length, stage.outputs)
-            except IntegrationError:
-                rest = sum(other.outputs for other in self.stages[i:])
-                errors.append(np.full((len(before), rest), np.inf))
-                break
-            columns = np.arange(first, first + stage.outputs)
-            off = self._distance(self.path.at(columns), span.states[self.rows])[None]
-            if stage.work is not None:
-                times: FloatArray = stage.spacing * np.arange(float(stage.outputs + 1))
-                states = np.column_stack([starts[:, i], span.states])
-                done = stage.work(states[:, 0], times, states).cumsum(axis=1)
-                own = work[:, columns] - (work[:, first - 1 : first] if first else 0.0)
-                off = np.vstack([off, np.abs(own - done)])
-            errors.append(before + off)
-            led = 0.0
-            if i + 1 < len(self.stages):
-                end = span.states[half + self.rows, -1:]
-                led = reach * float(self._distance(rates[:, i + 1 : i + 2], end)[0])
-            before = before + off[:, -1:]
-            before[0] += max(0.0, led - float(off[0, -1]))
-            first += stage.outputs
-        return _SAFETY * np.hstack(errors)
+    def _in_loop(self, loop: Callable[[float], Path]) -> FloatArray:
+        """Return the error by a motion that its controller corrects, or leads away."""
+        if self.setting == "step":
+            return _SAFETY * self._difference(loop(0.5 * self._step))
+        return self._by_tolerance(lambda factor: loop(factor * self.value))
 
     def _order_seen(self, coarse: Path) -> float:
         """Return the order by which differences grow with the step, at most that of the method."""
@@ -382,13 +364,16 @@ class Motion:
 
     def _integrator_of(self, factor: float) -> Resolved:
         """Return the integrator for a value by a factor larger than what was taken."""
-        value = self.value
-        if self.setting == "step":  # outputs may lie closer
-            value = max(stage.spacing / _steps(stage.spacing, value) for stage in self.stages)
+        value = self._step if self.setting == "step" else self.value
         integrator = self.integrator(factor * value)
         if factor < 1:
             integrator.shorten()
         return integrator
+
+    @property
+    def _step(self) -> float:
+        """The longest step that was taken, s: outputs may lie closer than that asked for."""
+        return max(stage.spacing / _steps(stage.spacing, self.value) for stage in self.stages)
 
     def _strides(self, stage: Stage, factor: float) -> list[tuple[int, int]]:
         if self.setting == "step":
@@ -443,15 +428,16 @@ class Motion:
 def estimated_errors(
     run: PlantRun,
     limit: float,
-    corrects: bool,
+    loop: Callable[[], Callable[[float], PlantRun] | None],
+    is_doubted: bool,
     report: Callable[[float], None] | None,
     work: FloatArray | None,
 ) -> FloatArray | None:
     """Return estimates of errors at all times kept, one a row; None if interrupted.
 
     Of the nodes, as part of the size, and of the work of drives of bars, J, if it is given, (β, T).
-    ``limit`` is that up to which the motion is trusted; ``corrects`` tells whether a controller
-    corrects what is wrong; ``report`` is told the time reached, s.
+    ``limit`` is that up to which the motion is trusted; ``loop`` and ``is_doubted`` are as in
+    :class:`Motion`; ``report`` is told the time reached, s.
     """
     stages, half = [], len(run.model.structure.free_rows)
     for i, (before, span) in enumerate(pairwise(run.spans)):
@@ -461,18 +447,22 @@ def estimated_errors(
         begin = partial(run.pushed, held=u, jump=span.jump if i else None)
         done = None if work is None else partial(_work_of_stage, run, i + 1)
         stages.append(Stage(float(span.time[-1]) - start, len(span.time), u, begin, done))
-    positions = _joined([span.states[:half] for span in run.spans[1:]])
-    starts = None
-    if corrects:
-        starts = np.column_stack([span.begin for span in run.spans[1:]])
+
+    def of_loop() -> Callable[[float], Path] | None:
+        again = loop()
+        if again is None:
+            return None
+
+        def path(value: float) -> Path:
+            other = again(value)
+            return _path(other, None if work is None else done_by_drives(other)[1])
+
+        return path
+
     motion = Motion(
-        run.model.structure, run.spans[0].begin, stages,
-        Path(
-            np.arange(positions.shape[1]), positions, run.work.switches + run.work.missed,
-            None if work is None else work[:, 1:],
-        ),
-        np.arange(half), run.choice.setting, run.choice.value, run.order, run.integrator_for,
-        run.equation.layout.later, starts, report,
+        run.model.structure, run.spans[0].begin, stages, _path(run, work), np.arange(half),
+        run.choice.setting, run.choice.value, run.order, run.integrator_for,
+        run.equation.layout.later, of_loop, is_doubted, report,
     )  # fmt: skip
     try:
         later = motion.estimated_errors(limit)
@@ -481,6 +471,17 @@ def estimated_errors(
     errors = np.zeros((len(later), later.shape[1] + 1))  # none at the start
     errors[:, 1:] = later
     return errors
+
+
+def _path(run: PlantRun, work: FloatArray | None) -> Path:
+    """Return all that was kept of a run after its start, with the work of drives, (β, T)."""
+    half = len(run.model.structure.free_rows)
+    positions = [span.states[:half] for span in run.spans[1:]] or [np.zeros((half, 0))]
+    joined = _joined(positions)
+    return Path(
+        np.arange(joined.shape[1]), joined, run.work.switches + run.work.missed,
+        None if work is None else work[:, 1:],
+    )  # fmt: skip
 
 
 def _work_of_stage(

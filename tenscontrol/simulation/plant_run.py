@@ -101,6 +101,7 @@ class PlantRun:
     report: Callable[[float], None] | None = None  # of the time reached, s
     keeps_steps: bool = False  # whether ends of steps are kept beside states at outputs
     traces: bool = False  # whether all are, with what pulled; see Integrator.traces
+    shortens: bool = False  # whether steps are shorter wherever they can; see Integrator.shorten
     spans: list[RunSpan] = field(init=False, default_factory=list)
     moves: bool = field(init=False, default=False)  # an input changes without a controller
     lost_energy: float = field(init=False, default=0.0)
@@ -167,6 +168,8 @@ class PlantRun:
             )
         self.choice = chosen
         self.integrator = self.integrator_for(chosen.value, keeps_steps=self.keeps_steps)
+        if self.shortens:
+            self.integrator.shorten()
         self.choice = changed(chosen, back_end=self.integrator.back_end)
 
     def integrator_for(self, value: float, keeps_steps: bool = False) -> Integrator:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import KW_ONLY, dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -704,7 +705,10 @@ class Scene:
         return changed(self, integration=integration)
 
     def plant_run(
-        self, report: Callable[[float], None] | None = None, traces: bool = False
+        self,
+        report: Callable[[float], None] | None = None,
+        traces: bool = False,
+        integration: Integration | None = None,
     ) -> PlantRun:
         """Return the plant side of a run, at its start.
 
@@ -714,6 +718,8 @@ class Scene:
             It is told the time reached, s.
         traces : bool
             Whether all steps are kept; see :attr:`Integrator.traces`.
+        integration : Integration, optional
+            Another one than that of the scene, for the same states kept.
         """
         output_step = self._output_step
         is_few = self.duration < _FEW_OUTPUTS * output_step
@@ -723,7 +729,7 @@ class Scene:
             self.input,
             self.loads,
             self.duration,
-            self.integration,
+            integration or self.integration,
             self._faults,
             degree=self._degree,
             supports=self.supports,
@@ -851,6 +857,26 @@ def _loop(scene: Scene, run: PlantRun) -> ClosedLoop:
     )
 
 
+def _run_again(
+    scene: Scene, run: PlantRun, loop: ClosedLoop | None, report: Callable[[float], None] | None
+) -> Callable[[float], PlantRun] | None:
+    """Return what does a run under a controller again with another step or tolerance, if it can."""
+    closed = None if loop is None else loop.again()
+    if closed is None:
+        return None
+
+    def again(value: float) -> PlantRun:
+        how = changed(scene.integration, **{run.choice.setting: value})
+        other = scene.plant_run(report, integration=how)
+        other.shortens = value < run.choice.value
+        assert scene.law is not None  # it has a loop
+        with scene.law.in_use, suppress(StoppedError):
+            closed(other).run(scene.state)
+        return other
+
+    return again
+
+
 def _trajectory(
     scene: Scene,
     run: PlantRun,
@@ -867,8 +893,9 @@ def _trajectory(
         if scene.integration.error == "estimate" and stopped is None:
             limit = limits.position_error or ERROR_LIMIT
             work = None if done is None else done[1]
-            corrects = loop is not None and loop.corrects
-            errors = estimated_errors(run, limit, corrects, report_of_error, work)
+            again = partial(_run_again, scene, run, loop, report_of_error)
+            is_doubted = record is not None and bool(record.problems)
+            errors = estimated_errors(run, limit, again, is_doubted, report_of_error, work)
         return assembled(
             run, record, errors, stopped, limits, given=scene.given, note=scene.start_note,
             scene=scene if scene.start is None else None, done=done,

@@ -120,7 +120,7 @@ def test_an_x_jumps_by_estimates_through_an_outage():
     nmpc = contact_scenes.hop(plant, 0.15, 12)
     run = tc.simulate(
         sharp, 1.2, plant.nodes, rest_length=plant.rest_length, controller=nmpc,
-        estimator=estimator, seed=1, faults=[tc.LostMeasurement(0.12, 0.2)],
+        estimator=estimator, seed=1, faults=[tc.LostMeasurement(0.12, 0.2)], tolerance=1e-8,
     )  # fmt: skip
     assert set(nmpc.status_count) == {tc.control.Status.OK}
     assert estimator.statistics.status_count["lost"] == 4

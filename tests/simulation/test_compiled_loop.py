@@ -9,6 +9,7 @@ import tenscontrol as tc
 from tenscontrol.control import Status
 from tenscontrol.dynamics.machine_code import compiler
 from tenscontrol.interrupt import InterruptionWarning
+from tenscontrol.simulation import AccuracyWarning
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="no C compiler")
 
@@ -126,6 +127,25 @@ def test_what_does_not_fit_is_refused(prism, codes):
     gust = tc.Profile([0.0, 0.05, 0.1], np.zeros((3, 6, 3)))
     with pytest.raises(ValueError, match="external_force changes in time"):
         loops(model, 0.1, codes["prism"], *given, external_force=gust)
+
+
+@pytest.mark.parametrize("how", [{"tolerance": 1e-4}, {"step": 5e-3}])
+def test_loops_that_magnify_errors_say_so_as_one_by_one(how, tmp_path):
+    """A law that does little leaves a motion that magnifies errors."""
+    model = tc.Model(tc.prism(), strings=tc.LinearStrings(1000.0))
+    plant = tc.linearize(model, tc.prestress(model.structure, 10.0), input="rest_length")
+    Q, R = tc.energy_weights(plant)
+    law = tc.LQR(plant, Q, 1e4 * R, sample_time=0.05)
+    code = tc.generate_c(law, tmp_path / "own").compile()
+    starts, how = shaken(plant, 0.1, 1), {**how, "method": "dop853"} if "tolerance" in how else how
+    with pytest.warns(AccuracyWarning, match="passes 0.01"):
+        batch = loops(model, 2.0, code, {"nodes": starts}, {**how, "output_step": 0.05})
+    with pytest.warns(AccuracyWarning, match="foretold for a time"):
+        run = tc.simulate(model, 2.0, starts[0], controller=code, **how, output_step=0.05)
+    assert run.error.max() > 0.01
+    # Round-off of a time decides in which part of the run an output is.
+    largest = (np.maximum.accumulate(error) for error in (batch.error[0], run.error))
+    np.testing.assert_allclose(*largest, rtol=1e-6, atol=1e-12)
 
 
 def test_another_has_a_memory_of_its_own(prism, codes):

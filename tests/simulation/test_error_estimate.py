@@ -2,11 +2,13 @@
 
 import warnings
 from dataclasses import replace
+from threading import Lock
 
 import numpy as np
 import pytest
 
 import tenscontrol as tc
+from tenscontrol.control import ControlWarning
 from tenscontrol.simulation import AccuracyWarning
 from tests.oracle import HeldRestLength, NodeMotion
 
@@ -116,6 +118,69 @@ def test_a_motion_that_magnifies_errors_says_until_when_it_is_right():
     assert f"trusted until     {run.trusted_until:.4g} s" in run.summary()
     shown = tc.plot.trajectory(run)["coordinates"].ax
     assert "not to be trusted" in shown.get_legend_handles_labels()[1]
+
+
+@pytest.mark.parametrize(
+    ("weight", "sample_time"),
+    [
+        pytest.param(1e4, 0.05, id="does little"),
+        pytest.param(1.0, 0.05, id="is unstable away from its reference"),
+    ],
+)
+def test_a_loop_that_magnifies_errors_says_until_when_it_is_right(weight, sample_time):
+    model = tc.Model(tc.prism(), strings=tc.LinearStrings(1000.0))
+    plant = tc.linearize(model, tc.prestress(model.structure, 10.0), input="rest_length")
+    start = plant.to_nodes(0.1 * np.random.default_rng(0).normal(size=9))
+    Q, R = tc.energy_weights(plant)
+    law = tc.LQR(plant, Q, weight * R, sample_time=sample_time)
+    given = {"controller": law, "output_step": 0.05, "limits": tc.HealthLimits(crossings=None)}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ControlWarning)
+        exact = tc.simulate(model, 2.0, start, **given, tolerance=1e-12, error="none")
+        with pytest.warns(AccuracyWarning, match="foretold for a time"):
+            run = tc.simulate(model, 2.0, start, **given, tolerance=1e-4)
+    true = off(run, exact)
+    assert true.max() > 0.01
+    assert (true <= np.maximum(3 * run.error, 1e-9)).all()
+    right = run.time[np.flatnonzero(true > 0.01)[0]]
+    assert 0.3 * right < run.trusted_until <= right
+
+
+def pendulum():
+    """A heavy bar that stands on its foot between four strings too soft to hold it, and its LQR."""
+    structure = tc.Structure(
+        nodes=[[0, 0, 1, 0, -1, 0], [0, 0, 0, 1, 0, -1], [0, 1, 0, 0, 0, 0]],
+        bars=[(0, 1)], strings=[(1, 2), (1, 3), (1, 4), (1, 5)], bar_mass=1.0,
+        fixed=[0, 2, 3, 4, 5],
+    )  # fmt: skip
+    model = tc.Model(structure, strings=tc.LinearStrings(20.0), gravity=200.0)
+    rest = tc.prestress(structure, force_density=2.0, external_force=model.constant_force)
+    plant = tc.linearize(model, rest, input="rest_length")
+    return plant, tc.LQR(plant, *tc.energy_weights(plant), sample_time=0.02)
+
+
+def test_a_loop_that_holds_what_would_fall_is_trusted():
+    plant, law = pendulum()
+    given = {"controller": law, "output_step": 0.1}
+    start = plant.to_nodes([0.05, 0.02])
+    exact = tc.simulate(plant.model, 3.0, start, **given, tolerance=1e-12, error="none")
+    run = tc.simulate(plant.model, 3.0, start, **given, tolerance=1e-4)
+    assert off(run, exact).max() <= run.error.max() < 1e-3
+    time = np.append(run.control.time, 3.0)
+    wound = tc.Profile(time, np.column_stack([run.control.applied, law.bounds[0]]), "hold")
+    with pytest.warns(AccuracyWarning, match="foretold for a time"):
+        tc.simulate(plant.model, 3.0, start, rest_length=wound, tolerance=1e-4)
+
+
+def test_what_cannot_be_run_again_in_its_loop_is_replayed():
+    """A controller that cannot be copied, and one that goes on with what it remembers."""
+    plant, law = pendulum()
+    first = tc.simulate(plant.model, 0.1, plant.to_nodes([0.05, 0.02]), controller=law)
+    with pytest.warns(AccuracyWarning, match="foretold for a time"):
+        tc.simulate(plant.model, 3.0, start=first, controller=law)
+    law.lock = Lock()
+    with pytest.warns(AccuracyWarning, match="foretold for a time"):
+        tc.simulate(plant.model, 3.0, plant.to_nodes([0.05, 0.02]), controller=law)
 
 
 def test_steps_that_stability_limits_show_their_error():

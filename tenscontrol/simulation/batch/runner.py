@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from functools import partial
 from threading import local
@@ -39,9 +40,9 @@ from tenscontrol.simulation.arguments import Arguments
 from tenscontrol.simulation.batch.batch_inputs import BatchInputs, InputSpan
 from tenscontrol.simulation.batch.compiled_loop import MOST_CONTROLLERS, CompiledLoops
 from tenscontrol.simulation.batch.sample import Sample, SampledRun, TightenedRuns
-from tenscontrol.simulation.error_estimate import Motion, Path, Resolved, Stage
+from tenscontrol.simulation.error_estimate import Motion, Path, Resolved, Stage, no_loop
 from tenscontrol.simulation.health import ERROR_LIMIT
-from tenscontrol.simulation.motion_functions import MotionFunctions, by_node
+from tenscontrol.simulation.motion_functions import MotionFunctions
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.structure.bar_clearance import BarMotion
 from tenscontrol.structure.supports import moving_masses
@@ -313,7 +314,7 @@ class Runner:
             partial(TightenedRuns, lanes, in_lanes, self._stop),
         )  # fmt: skip
         errors = np.pad(motion.errors_by_tolerance(), ((0, 0), (1, 0)))
-        # Under a controller errors above the limit are those of the stages, added up.
+        # Under a controller those above the limit are found again in its loop.
         most = np.inf if self.command is None else ERROR_LIMIT
         is_known = np.isfinite(errors[:, -1]) & (errors.max(axis=1) <= most)
         return dict(zip(in_lanes[is_known].tolist(), errors[is_known], strict=True))
@@ -696,7 +697,8 @@ class Runner:
     def error(self, run: int) -> FloatArray:
         """Return an estimate of the error of the nodes that were kept, as part of the size.
 
-        At each time kept, of a run that was completed. Commands of a controller are replayed.
+        At each time kept, of a run that was completed. Commands of a controller are replayed,
+        unless that passes the limit.
         """
         if run not in self._errors:
             start = self.scene.states(run, run + 1)[0][0]
@@ -729,25 +731,42 @@ class Runner:
         is_known = self._from >= 0
         nodes = self.nodes[run].swapaxes(-3, -2)
         positions = nodes.reshape(*nodes.shape[:-3], -1, nodes.shape[-1])[..., is_known, 1:]
-        starts, switches, order = None, 0, METHODS["dop853"].order
+        loop: Callable[[], Callable[[float], Path] | None] = no_loop
+        switches, order = 0, METHODS["dop853"].order
         if np.ndim(run) == 0:
             switches = int(self.switches[run] + self.missed[run])
             order = (self.how.chosen or METHODS[self._methods_of(run)[-1]]).order
-            starts = self._starts_of_spans(run)
+            if self._controller is not None:
+                loop = partial(partial, self._looped_again, run, start, integrator)
         return Motion(
             structure, start, stages, Path(columns, positions, switches), self._from[is_known],
-            self.choice.setting, self.choice.value, order, integrator, self._later, starts,
+            self.choice.setting, self.choice.value, order, integrator, self._later, loop,
         )  # fmt: skip
 
-    def _starts_of_spans(self, run: int) -> FloatArray | None:
-        """Return the states at which a controller corrects a run, one a column, if all are kept."""
-        structure = self.scene.model.structure
-        whole = len(self.kept) == structure.nodes.shape[1]
-        if self.command is None or not whole or self._ends_alone:
-            return None
-        first = np.cumsum([0, *(span.outputs for span in self.spans[:-1])])
-        halves = (by_node(history[run])[:, first] for history in (self.nodes, self.velocities))
-        return np.vstack([array[structure.free_rows] for array in halves])
+    def _looped_again(
+        self, run: int, start: FloatArray, integrator_for: Callable[[float], Resolved], value: float
+    ) -> Path:
+        """Return a run at another step or tolerance, under a controller that begins anew."""
+        assert self._controller is not None  # asked for under one
+        integrator, state, positions = integrator_for(value), start, list[FloatArray]()
+        if value < self.choice.value:
+            integrator.shorten()
+        loops = CompiledLoops(self._controller, self.scene.model.structure)
+        loops.reset(1)
+        with suppress(IntegrationError), ExitStack() as after:
+            after.callback(loops.give_back)
+            for number, span in enumerate(self.spans):
+                if np.abs(state).max() > validation.LARGEST:
+                    break
+                (command,), _ = loops.commands(span.start, state[None], np.zeros(1, dtype=int))
+                u = self._inputs(run, number)
+                u[: len(command)] = command
+                states = integrator.advance(state, u, span.length, span.outputs).states
+                positions.append(states[self._from[self._from >= 0]])
+                state = states[:, -1]
+        known = np.zeros((np.count_nonzero(self._from >= 0), 0))
+        joined = np.hstack([known, *positions])
+        return Path(np.arange(joined.shape[1]), joined, 0)
 
     @cached_property
     def _later(self) -> Callable[[FloatArray, float], FloatArray]:
