@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, strategies as st
 from scipy.optimize import lsq_linear
 
+import tenscontrol as tc
 from tenscontrol.statics.least_distance import nearest_between
 
 
@@ -57,3 +58,10 @@ def test_a_set_without_interior_is_not_taken_for_an_empty_one():
     point = directions @ found + offset
     np.testing.assert_allclose(point[:2], 0, atol=1e-9)
     assert point.min() > -1e-9
+
+
+@pytest.mark.parametrize("sides", [3, 4, 5, 6])
+@pytest.mark.parametrize("stages", [1, 2, 3])
+def test_towers_whose_bounds_meet_in_many_places_have_a_prestress(stages, sides):
+    tower = tc.prism_tower(stages, sides, radius=0.12, height=0.3)
+    assert tc.prestress(tower, min_force_density=60.0).force_density.min() > 60 - 1e-8
