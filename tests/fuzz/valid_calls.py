@@ -1333,6 +1333,7 @@ call(
     share=0.5,
 )
 call("LQR.to_statespace", on=regulator)
+call("control.Controller.twin", on=regulator)
 call(
     "control.LinearController",
     lambda: {
@@ -2231,6 +2232,7 @@ call(
 )
 call("deploy.GeneratedController.compile", lambda: {"timeout": 60.0}, generated, 0.02)
 call("deploy.CompiledController.another", on=compiled)
+call("deploy.CompiledController.twin", on=compiled)
 call(
     "plot.structure",
     lambda: {
