@@ -1,4 +1,4 @@
-"""What integrators share: their interface, results, and the scales that errors are measured by."""
+"""The interface of integrators."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Trajectory of a plant run: its motion with contacts, bars, errors and control record."""
+"""Trajectories of plant runs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The controller side of a simulation: samples, commands and their record."""
+"""The controller side of a simulation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Motion between the states kept of a run: quintics, and parts integrated again."""
+"""Motion between the states kept of a run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The structure: nodes, bars, strings, masses, and the connectivity matrices they define."""
+"""The structure, which all else starts from."""
 
 from __future__ import annotations
 
