@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Any, NamedTuple, final
 
 import casadi as ca
@@ -194,7 +194,7 @@ class _Taken(NamedTuple):
 
 
 @final
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class Sensors:
     """Sensors: what is measured at each sample, with Gaussian noise on each number.
 
@@ -295,6 +295,7 @@ class Sensors:
     """
 
     structure: Structure
+    _: KW_ONLY
     node_position: OptionalArray = converted(None)
     string_length: OptionalArray = converted(None)
     bar_direction: OptionalArray = converted(None)
