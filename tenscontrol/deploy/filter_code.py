@@ -12,9 +12,9 @@ from tenscontrol.actuation.driven_strings import moves_alike
 from tenscontrol.deploy.code_interface import CodeInterface
 from tenscontrol.deploy.controllers import LawCode
 from tenscontrol.dynamics.evaluator import Function
-from tenscontrol.estimation.correction import MOST_REPEATS, SETTLED, Gate
+from tenscontrol.estimation.correction import LEAST_NOISE, MOST_REPEATS, SETTLED, Gate
 from tenscontrol.estimation.filter_design import FilterDesign
-from tenscontrol.estimation.kalman_filter import NOTHING_KNOWN, WIDER, KalmanFilter
+from tenscontrol.estimation.kalman_filter import MOST_WIDER, NOTHING_KNOWN, WIDER, KalmanFilter
 from tenscontrol.estimation.rolling_frame import RollingFrame, RollingPose
 from tenscontrol.plant.driven_lengths import MOST_LENGTH, known_at_rest, known_size
 from tenscontrol.plant.reduced_dynamics import near_symbol, reduced_motion, settled
@@ -64,6 +64,8 @@ def with_filter(law: LawCode, interface: CodeInterface, estimator: object) -> La
         "FILTER_REPEATS": MOST_REPEATS,
         "FILTER_SETTLED": SETTLED,
         "FILTER_WIDER": WIDER,
+        "FILTER_MOST_WIDER": MOST_WIDER,
+        "FILTER_LEAST_NOISE": LEAST_NOISE,
         "FILTER_NOTHING_KNOWN": NOTHING_KNOWN,
         "FILTER_TINY": float(np.finfo(float).tiny),
         "FILTER_KNOWN": known_size(plant),

@@ -15,6 +15,10 @@ from tenscontrol.estimation.sensors import Sensors
 # standard deviation before it, but not more often than this.
 SETTLED, MOST_REPEATS = 1e-3, 6
 
+#: Readings are taken to be no better than this part of the variance that is predicted: where they
+#: are, round-off makes the covariance of the innovation singular.
+LEAST_NOISE = 1e-12
+
 
 @dataclass(frozen=True, eq=False)
 class Fit:
@@ -122,12 +126,15 @@ class Correction:
         refused, until every one agrees with the rest. What is held acts on the tensions.
         """
         innovation, C = self._innovation(y, z, held)
-        passed = usable & self.gate.passes(innovation, C @ P @ C.T + np.diag(self._noise))
+        if not np.isfinite(C).all():  # the prediction is no shape of the structure
+            return Fit(z, P, np.zeros_like(usable), np.nan)
+        passed = usable & self.gate.passes(innovation, self._covariance(C, P, self._noise)[0])
         while passed.any():
             rows = np.flatnonzero(passed[self._reading_of])
-            fit, innovation, weight = self._use(y, rows, passed, z, P, held)
-            if fit is None:  # what these readings say is no shape of the structure
+            used = self._use(y, rows, passed, z, P, held)
+            if used is None:  # what these readings say is no shape of the structure
                 break
+            fit, innovation, weight = used
             beyond = self.gate.beyond(innovation, weight, rows, passed)
             if beyond.max() <= 1:
                 return fit
@@ -142,6 +149,13 @@ class Correction:
         read, C = self._outputs(z, held)
         return y - np.atleast_1d(read), C.reshape(len(y), -1)
 
+    @staticmethod
+    def _covariance(C: FloatArray, P: FloatArray, noise: FloatArray) -> tuple[FloatArray, ...]:
+        """Return S of the innovation, and R of the readings from their variances."""
+        predicted = C @ P @ C.T
+        R = np.diag(np.maximum(noise, LEAST_NOISE * np.diag(predicted)))
+        return predicted + R, R
+
     def _use(
         self,
         y: FloatArray,
@@ -150,22 +164,24 @@ class Correction:
         prior: FloatArray,
         P: FloatArray,
         held: FloatArray,
-    ) -> tuple[Fit | None, FloatArray, FloatArray]:
-        """Return the most likely state by some entries of y (None: no shape), ν and S⁻¹."""
+    ) -> tuple[Fit, FloatArray, FloatArray] | None:
+        """Return the most likely state by some entries of y, ν and S⁻¹; None if it is no shape."""
         z = prior
         size = np.sqrt(np.maximum(np.diag(P), np.finfo(float).tiny))  # 0 where the state is known
-        R = np.diag(self._noise[rows])
         for _ in range(MOST_REPEATS):
             innovation, C = self._innovation(y, z, held)
             C = C[rows].copy()
+            if not np.isfinite(C).all():  # at the edge of what the coordinates reach
+                return None
             linear = innovation[rows] - C @ (prior - z)
-            weight = np.linalg.inv(C @ P @ C.T + R)
+            S, R = self._covariance(C, P, self._noise[rows])
+            weight = np.asarray(np.linalg.inv(S), dtype=float)
             gain = P @ C.T @ weight
             new = prior + gain @ linear
             moved = float(np.max(np.abs(new - z) / size))
             z = new
             if not self.reaches(z, held):
-                return None, linear, weight
+                return None
             if moved < SETTLED:
                 break
         # Joseph's form stays symmetric and positive definite.

@@ -26,8 +26,9 @@ from tenscontrol.plant.modes import Modes
 from tenscontrol.short_repr import short_repr
 from tenscontrol.status import Status
 
-# From one start anew to the next, without a good sample between, the spread grows by this.
-WIDER = 10.0
+# From one start anew to the next, without a good sample between, the variance grows by this, so
+# many times at most: the spread then covers any structure.
+WIDER, MOST_WIDER = 10.0, 9
 
 # A variance so many times that of the start says nothing any more, and would overflow in the end.
 NOTHING_KNOWN = 1e12
@@ -712,7 +713,7 @@ class KalmanFilter:
             self._mostly_refused += 1
             late = self._mostly_refused - self._design.settings.patience
             if late >= 0:
-                self._P = self._design.start_covariance * WIDER**late
+                self._P = self._design.start_covariance * WIDER ** min(late, MOST_WIDER)
                 self._tally.start_over()
                 correction = self._correction.fit(y, usable, self._z, self._P, held)
         elif usable.any():

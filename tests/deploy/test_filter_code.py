@@ -18,6 +18,25 @@ def test_a_loop_with_c_is_that_with_python(name, tmp_path):
     assert {Status.OK, Status.PARTLY_USED, Status.LOST, Status.RESTARTED} <= statuses
 
 
+def test_c_goes_on_where_readings_never_agree_or_are_very_good(tmp_path):
+    plant = plant_of()
+    sensors = tc.Sensors(plant.model.structure, node_position=1e-9)
+    estimator = tc.KalmanFilter(plant, sensors, sample_time=STEP, patience=1)
+    code = filter_code.Code(tc.generate_c(regulator_of(plant), tmp_path, estimator=estimator))
+    good, held = sensors.measure(plant.nodes), plant.rest_length
+    for k in range(400):  # a spread that grew without bound would leave the range of numbers
+        y = good if k > 380 else -good
+        N, V, status = code.estimate(y)
+        expected = estimator.update(y)
+        assert status == expected.status
+        np.testing.assert_allclose(N, expected.nodes, rtol=0, atol=1e-6)
+        np.testing.assert_allclose(V, expected.velocities, rtol=0, atol=1e-4)
+        code.predict(held)
+        estimator.predict(held)
+    assert status == Status.OK
+    assert estimator.statistics.restarts > 100
+
+
 PLAY = """
 #include <stdio.h>
 #include "controller.h"

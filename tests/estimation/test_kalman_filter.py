@@ -192,6 +192,27 @@ def test_a_start_far_beyond_the_spread_is_found_all_the_same(held, sensors_of, m
     assert off(estimates[119], motion, 119)[0] < 2e-3
 
 
+def test_readings_that_never_agree_are_refused_without_end(held, sensors_of):
+    estimator = tc.KalmanFilter(held, sensors_of("node_position"), sample_time=STEP, patience=1)
+    y = -estimator.sensors.measure(held.nodes)
+    for _ in range(400):  # a spread that grew each time would leave the range of numbers
+        assert np.isfinite(estimator.update(y).covariance).all()
+        estimator.predict(held.rest_length)
+    assert estimator.statistics.restarts > 100
+
+
+@pytest.mark.parametrize("kind", ["node_position", "string_length"])
+def test_readings_may_be_as_good_as_round_off(held, sensors_of, motion, kind):
+    sensors = tc.Sensors(held.model.structure, **{kind: 1e-11})
+    estimator = tc.KalmanFilter(held, sensors, sample_time=STEP, prediction="nonlinear")
+    estimates = follow(estimator, motion, 50)
+    assert {estimate.status for estimate in estimates} <= {"ok", "partly used"}
+    lengths = (
+        held.model.structure.string_length(N) for N in (estimates[49].nodes, motion.nodes[:, :, 49])
+    )
+    np.testing.assert_allclose(*lengths, rtol=1e-9)
+
+
 def test_an_estimate_of_no_shape_starts_again_from_the_operating_point(held, sensors_of):
     estimator = tc.KalmanFilter(held, sensors_of("string_length"), sample_time=STEP)
     state = np.r_[np.zeros(9), 40.0 * np.ones(9)]  # so fast that bars turn over in a sample

@@ -22,6 +22,7 @@ typedef struct {
 static double jacobian[FILTER_NUMBERS * FILTER_STATES], read_now[FILTER_NUMBERS];
 static double gain_rows[FILTER_NUMBERS * FILTER_STATES]; /* C P, then S^-1 C P */
 static double weight[FILTER_NUMBERS * FILTER_NUMBERS], spread_of[FILTER_NUMBERS * FILTER_NUMBERS];
+static double variance_of[FILTER_NUMBERS];
 static double of_state[FILTER_STATES * FILTER_STATES], product[FILTER_STATES * FILTER_STATES];
 static double shape_nodes[CONTROLLER_COORDINATES], shape_velocities[CONTROLLER_COORDINATES];
 
@@ -301,7 +302,8 @@ static double distance(const double *v, const double *matrix, int rows, int firs
     return sum;
 }
 
-/* S = C P C' + R of some entries, into spread_of; gain_rows is C P. */
+/* S = C P C' + R of some entries, into spread_of, and R into variance_of; gain_rows is C P. Readings
+   that were much better than predicted would make S singular by round-off. */
 static void innovation_spread(const int *entries, int count, const double *P)
 {
     int a, b, i, k;
@@ -319,8 +321,11 @@ static void innovation_spread(const int *entries, int count, const double *P)
                 sum += gain_rows[a * FILTER_STATES + k] * jacobian[k * FILTER_NUMBERS + entries[b]];
             spread_of[a * count + b] = sum;
         }
-    for (a = 0; a < count; a++)
-        spread_of[a * count + a] += reading_noise[entries[a]] * reading_noise[entries[a]];
+    for (a = 0; a < count; a++) {
+        double noise = reading_noise[entries[a]], *own = spread_of + a * count + a;
+        variance_of[a] = fmax(noise * noise, FILTER_LEAST_NOISE * *own);
+        *own += variance_of[a];
+    }
 }
 
 /* P <- (I - K C) P (I - K C)' + K R K', symmetric; K' is in gain_rows. */
@@ -346,11 +351,9 @@ static void joseph(const int *entries, int count, double *P)
             double sum = 0.0;
             for (k = 0; k < FILTER_STATES; k++)
                 sum += product[i * FILTER_STATES + k] * of_state[j * FILTER_STATES + k];
-            for (a = 0; a < count; a++) {
-                double noise = reading_noise[entries[a]];
-                sum += gain_rows[a * FILTER_STATES + i] * noise * noise *
+            for (a = 0; a < count; a++)
+                sum += gain_rows[a * FILTER_STATES + i] * variance_of[a] *
                        gain_rows[a * FILTER_STATES + j];
-            }
             P[i * FILTER_STATES + j] = P[j * FILTER_STATES + i] = sum;
         }
 }
@@ -518,7 +521,7 @@ static int correct_sample(const double *readings)
     if (mostly) {
         int late = ++filter_mostly_refused - FILTER_PATIENCE;
         if (late >= 0) {
-            double wider = pow(FILTER_WIDER, late < 100 ? late : 100);
+            double wider = pow(FILTER_WIDER, late < FILTER_MOST_WIDER ? late : FILTER_MOST_WIDER);
             for (i = 0; i < FILTER_STATES * FILTER_STATES; i++)
                 filter_covariance[i] = start_covariance[i] * wider;
             copy(filter_state, predicted, FILTER_STATES);
