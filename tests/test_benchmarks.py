@@ -472,6 +472,14 @@ def test_trust(printed, tmp_path):
     assert len(re.findall(r"rk4 .* (?:ok|stopped) ", text)) == 9
 
 
+def test_trust_in_loops(printed):
+    text = printed("trust_in_loops", "--seed 3 --count 2")
+    for name in ("default call ", "tolerance 1e-4 "):
+        judged, _, silent = row(text, name)[:3]
+        assert (judged, silent) == (2, 0)
+    assert "LQR" in printed("trust_in_loops", "--scene 36")
+
+
 @needs("mujoco", "bench")
 def test_exported_models(printed):
     text = printed("exported_models", "--names arm d_bar --steps 2e-3 1e-3 --duration 0.05")

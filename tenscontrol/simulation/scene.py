@@ -894,7 +894,10 @@ def _trajectory(
             limit = limits.position_error or ERROR_LIMIT
             work = None if done is None else done[1]
             again = partial(_run_again, scene, run, loop, report_of_error)
-            is_doubted = record is not None and bool(record.problems)
+            # A filter that refuses readings, or starts over, may magnify errors unseen.
+            is_doubted = record is not None and (
+                record.estimate is not None or bool(record.problems)
+            )
             errors = estimated_errors(run, limit, again, is_doubted, report_of_error, work)
         return assembled(
             run, record, errors, stopped, limits, given=scene.given, note=scene.start_note,

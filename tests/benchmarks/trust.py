@@ -52,6 +52,12 @@ from tests.references import (
 
 WRONG, RIGHT = 1e-2, 1e-3
 
+#: Above the lines of :func:`row`.
+HEADER = (
+    "method                       runs stopped        silent early caught"
+    "         false           low  estimate / error at 5, 50, 95 %  s a run"
+)
+
 # Errors are compared with estimates where they are above this, as part of the size, and so many
 # times above what the reference is certain to.
 _ROUND_OFF, _ABOVE = 1e-9, 10.0
@@ -143,10 +149,7 @@ def print_trust(seeds: Sequence[int], given) -> None:
         runs += found
     kinds = Counter(state.split(":")[0] for state in states.values())
     print(f"{len(states)} scenes: " + ", ".join(f"{n} {kind}" for kind, n in kinds.most_common()))
-    print(
-        "method                       runs stopped        silent early caught"
-        "         false           low  estimate / error at 5, 50, 95 %  s a run"
-    )
+    print(HEADER)
     groups = [(m, [run for run in runs if run.method == m]) for m in given.methods]
     fixed = [run for run in runs if run.method in _FIXED]
     for name, some in [*groups, ("all with fixed steps", fixed)]:

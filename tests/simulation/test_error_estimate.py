@@ -10,6 +10,7 @@ import pytest
 import tenscontrol as tc
 from tenscontrol.control import ControlWarning
 from tenscontrol.simulation import AccuracyWarning
+from tests.benchmarks.trust_in_loops import random_loop
 from tests.oracle import HeldRestLength, NodeMotion
 
 STEPPING = ["rk4", "energy_momentum"]
@@ -144,6 +145,18 @@ def test_a_loop_that_magnifies_errors_says_until_when_it_is_right(weight, sample
     assert (true <= np.maximum(3 * run.error, 1e-9)).all()
     right = run.time[np.flatnonzero(true > 0.01)[0]]
     assert 0.3 * right < run.trusted_until <= right
+
+
+def test_a_filter_that_magnifies_errors_is_part_of_the_estimate():
+    # The loop comes to its goal, and under its commands the motion alone errs by 5e-4.
+    loop = random_loop(1010)
+    exact = loop.simulate(method="dop853", tolerance=1e-11, error="none")
+    with pytest.warns(AccuracyWarning, match="foretold for a time"):
+        run = loop.simulate(tolerance=1e-4)
+    assert not run.control.problems
+    true = off(run, exact)
+    assert true.max() > 0.1
+    assert (true <= np.maximum(3 * run.error, 1e-9)).all()
 
 
 def pendulum():
