@@ -185,7 +185,7 @@ class Motion:
         Makes ``value -> path`` of the motion at another value with its controller in the loop, or
         None where there is no controller, or no other one like it.
     is_doubted : bool
-        Whether the loop is known not to do what it is for.
+        Whether commands that are replayed would not tell the errors of the loop.
     report : callable, optional
         Told the time reached by another motion, s.
     """

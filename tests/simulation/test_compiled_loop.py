@@ -10,6 +10,7 @@ from tenscontrol.control import Status
 from tenscontrol.dynamics.machine_code import compiler
 from tenscontrol.interrupt import InterruptionWarning
 from tenscontrol.simulation import AccuracyWarning
+from tests.benchmarks.trust_in_loops import random_loop
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="no C compiler")
 
@@ -146,6 +147,20 @@ def test_loops_that_magnify_errors_say_so_as_one_by_one(how, tmp_path):
     # Round-off of a time decides in which part of the run an output is.
     largest = (np.maximum.accumulate(error) for error in (batch.error[0], run.error))
     np.testing.assert_allclose(*largest, rtol=1e-6, atol=1e-12)
+
+
+def test_errors_are_those_of_the_loop_not_of_its_commands(tmp_path):
+    """Under commands that are replayed, this motion errs by a ninth of what it does in the loop."""
+    loop = random_loop(38)
+    code = tc.generate_c(loop.controller(), tmp_path / "own").compile()
+    vary = {"velocities": loop.velocities[None]}
+    exact, run = (
+        loops(loop.plant.model, loop.duration, code, vary,
+              {"tolerance": tolerance, "output_step": loop.sample_time})
+        for tolerance in (1e-11, 1e-4)
+    )  # fmt: skip
+    error = np.abs(run.nodes - exact.nodes).max() / loop.size
+    assert 1e-5 < error < 3 * run.error.max()
 
 
 def test_another_has_a_memory_of_its_own(prism, codes):

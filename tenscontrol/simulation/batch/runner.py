@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from contextlib import ExitStack, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import partial
 from threading import local
@@ -114,7 +114,6 @@ class Runner:
         # Of each run: what lanes counted, and the work of integrators.
         self._counts, self._work = np.zeros((scene.count, 0)), dict[int, Work]()
         self._threads, self._has_no_memory = local(), False
-        self._loops_made: list[CompiledLoops] = []
         self._watches = self._shares = False
         self._lanes: CoreLanes | None = None
         self._changes: dict[int, tuple[MethodChange, ...]] = {}  # of methods, run by run
@@ -255,10 +254,7 @@ class Runner:
             self.done += done
             report(self.done)
 
-        try:
-            self._in_threads(threads, blocks, count_up)
-        finally:
-            self._give_back()
+        self._in_threads(threads, blocks, count_up)
 
     def estimate_errors(
         self, runs: IntArray, threads: int, report: Callable[[float], None]
@@ -308,15 +304,14 @@ class Runner:
         in_lanes = np.setdiff1d(runs, [*self._work, *self._errors])
         if not isinstance(lanes, AdaptiveLanes) or not len(in_lanes):
             return {}
-        motion = self._motion(
-            in_lanes, starts[np.searchsorted(runs, in_lanes)],
-            [self._inputs_of(in_lanes, number) for number in range(len(self.spans))],
-            partial(TightenedRuns, lanes, in_lanes, self._stop),
-        )  # fmt: skip
-        errors = np.pad(motion.errors_by_tolerance(), ((0, 0), (1, 0)))
-        # Under a controller those above the limit are found again in its loop.
-        most = np.inf if self.command is None else ERROR_LIMIT
-        is_known = np.isfinite(errors[:, -1]) & (errors.max(axis=1) <= most)
+        with self._loops(len(in_lanes)) as loops:
+            motion = self._motion(
+                in_lanes, starts[np.searchsorted(runs, in_lanes)],
+                [self._inputs_of(in_lanes, number) for number in range(len(self.spans))],
+                partial(TightenedRuns, lanes, in_lanes, loops, self._stop),
+            )  # fmt: skip
+            errors = np.pad(motion.errors_by_tolerance(), ((0, 0), (1, 0)))
+        is_known = np.isfinite(errors[:, -1])
         return dict(zip(in_lanes[is_known].tolist(), errors[is_known], strict=True))
 
     def _in_threads(
@@ -341,13 +336,13 @@ class Runner:
                 for future in pending:
                     future.cancel()
 
-    def _give_back(self) -> None:
-        """Leave the controllers of all threads to later runs."""
-        while self._loops_made:
-            self._loops_made.pop().give_back()
-
     def _block(self, first: int, last: int) -> int:
         """Do some runs; return how many were done, whatever became of them."""
+        with self._loops(last - first) as loops:
+            return self._done(first, last, loops)
+
+    def _done(self, first: int, last: int, loops: CompiledLoops | None) -> int:
+        """Do so under their controllers, if there are any."""
         states, refused = self.scene.states(first, last)
         self.messages.update(refused)
         self._keep(np.arange(first, last), 0, states[:, None])
@@ -357,7 +352,7 @@ class Runner:
         column = 1
         if not self._has_no_memory:
             self._threads.__dict__.pop("made", None)
-        loops, lanes = self._loops(last - first), self._lanes
+        lanes = self._lanes
         if lanes is not None and len(self.spans) > 1:
             lanes = lanes.over_spans(first, last)
         for number, span in enumerate(self.spans):
@@ -382,17 +377,18 @@ class Runner:
             self.completed[at] = True
         return 0 if self._stop.value else last - first
 
-    def _loops(self, runs: int) -> CompiledLoops | None:
-        """Return the controllers of so many runs, which remember nothing; None if there is none."""
+    @contextmanager
+    def _loops(self, runs: int) -> Iterator[CompiledLoops | None]:
+        """Yield the controllers of so many runs, which remember nothing; None if there is none."""
         if self._controller is None:
-            return None
-        loops: CompiledLoops | None = self._threads.__dict__.get("loops")
-        if loops is None:
-            loops = CompiledLoops(self._controller, self.scene.model.structure)
-            self._threads.loops = loops
-            self._loops_made.append(loops)
-        loops.reset(runs)
-        return loops
+            yield None
+            return
+        loops = CompiledLoops(self._controller, self.scene.model.structure)
+        try:
+            loops.reset(runs)
+            yield loops
+        finally:
+            loops.give_back()
 
     def _commanded(
         self, loops: CompiledLoops, at: IntArray, places: IntArray, states: FloatArray,
@@ -697,8 +693,8 @@ class Runner:
     def error(self, run: int) -> FloatArray:
         """Return an estimate of the error of the nodes that were kept, as part of the size.
 
-        At each time kept, of a run that was completed. Commands of a controller are replayed,
-        unless that passes the limit.
+        At each time kept, of a run that was completed: by another run, under a controller that
+        begins anew.
         """
         if run not in self._errors:
             start = self.scene.states(run, run + 1)[0][0]
@@ -741,20 +737,18 @@ class Runner:
         return Motion(
             structure, start, stages, Path(columns, positions, switches), self._from[is_known],
             self.choice.setting, self.choice.value, order, integrator, self._later, loop,
+            is_doubted=self._controller is not None,
         )  # fmt: skip
 
     def _looped_again(
         self, run: int, start: FloatArray, integrator_for: Callable[[float], Resolved], value: float
     ) -> Path:
         """Return a run at another step or tolerance, under a controller that begins anew."""
-        assert self._controller is not None  # asked for under one
         integrator, state, positions = integrator_for(value), start, list[FloatArray]()
         if value < self.choice.value:
             integrator.shorten()
-        loops = CompiledLoops(self._controller, self.scene.model.structure)
-        loops.reset(1)
-        with suppress(IntegrationError), ExitStack() as after:
-            after.callback(loops.give_back)
+        with suppress(IntegrationError), self._loops(1) as loops:
+            assert loops is not None  # asked for under a controller
             for number, span in enumerate(self.spans):
                 if np.abs(state).max() > validation.LARGEST:
                     break

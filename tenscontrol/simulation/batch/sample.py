@@ -9,10 +9,12 @@ from typing import final
 
 import numpy as np
 
+from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.integrate.core_lanes import AdaptiveLanes, FixedStepLanes
 from tenscontrol.integrate.integrator import Span, Work
 from tenscontrol.properties import cached_property
+from tenscontrol.simulation.batch.compiled_loop import CompiledLoops
 from tenscontrol.simulation.error_estimate import Resolved
 
 
@@ -103,6 +105,8 @@ class TightenedRuns:
         What integrated the runs.
     runs : ndarray of int
         Their numbers, ascending.
+    loops : CompiledLoops, optional
+        Controllers that begin anew, in place of the commands of each span.
     stop : ctypes.c_int
         All end once it is not 0.
     value : float
@@ -110,9 +114,11 @@ class TightenedRuns:
     """
 
     def __init__(
-        self, lanes: AdaptiveLanes, runs: IntArray, stop: ctypes.c_int, value: float
-    ) -> None:
-        self._runs, self._stop = runs, stop
+        self, lanes: AdaptiveLanes, runs: IntArray, loops: CompiledLoops | None,
+        stop: ctypes.c_int, value: float,
+    ) -> None:  # fmt: skip
+        self._runs, self._loops, self._stop = runs, loops, stop
+        self._time = 0.0
         self._make = partial(lanes.of_tolerance, value)
         self._is_shortened = False
 
@@ -130,10 +136,14 @@ class TightenedRuns:
         self, state: FloatArray, held: FloatArray, duration: float, outputs: int, /
     ) -> Span:
         """See :meth:`Resolved.advance`."""
-        going = np.flatnonzero(np.isfinite(state).all(axis=1))
+        going = np.flatnonzero((np.abs(state) <= validation.LARGEST).all(axis=1))
         states = np.full((*state.shape, outputs), np.nan)
         if len(going):
             rows = held[going] if len(held) > 1 else held
+            if self._loops is not None:
+                commands, _ = self._loops.commands(self._time, state[going], going)
+                rows = np.hstack([commands, rows[:, commands.shape[1] :]])
+            self._time += duration
             states[going] = self._lanes.advance(
                 self._runs[going], state[going], rows, duration, outputs, self._stop
             ).states.transpose(0, 2, 1)
