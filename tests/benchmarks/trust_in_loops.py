@@ -4,10 +4,10 @@ Run: ``python -m tests.benchmarks.trust_in_loops --count 100 [--seed 0] [--jobs 
 
 A structure of the library or a random prism is thrown out of its prestress, by speeds over decades
 and with weights over decades, under LQR or linear MPC, for 20 to 80 samples. Some have winches with
-a largest rate, some a Kalman filter that reads noisy places of nodes. The reference is the same
-loop, under a controller of its own, at a tolerance of 1e-11. It is certain to what the loop at
-1e-10 is off. Each loop is run at the default tolerance and at 1e-4, and judged as in
-``tests.benchmarks.trust``, whose table this prints. ``--scene 7`` prints one loop.
+a largest rate, half of these with motors, some a Kalman filter that reads noisy places of nodes.
+The reference is the same loop, under a controller of its own, at a tolerance of 1e-11. It is
+certain to what the loop at 1e-10 is off. Each loop is run at the default tolerance and at 1e-4, and
+judged as in ``tests.benchmarks.trust``, whose table this prints. ``--scene 7`` prints one loop.
 """
 
 from __future__ import annotations
@@ -96,6 +96,7 @@ class Loop:
             f"{kind}, {self.samples} samples of {self.sample_time:.3g} s, "
             f"{np.abs(self.velocities).max():.3g} m/s"
             + ("" if self.winches is None else ", winches")
+            + ("" if self.winches is None or self.winches.motor is None else " with motors")
             + ("" if self.noise is None else ", filter")
         )
 
@@ -143,13 +144,31 @@ def random_loop(seed: int) -> Loop:
     velocities *= speed / np.abs(velocities).max()
     winches, noise = None, None
     if input_ == "rest_length" and random.random() < 0.4:
-        winches = tc.Winches(rate=speed * 10 ** random.uniform(-2, 0.5))
+        motor = None
+        if random.random() < 0.5:
+            pull = float(np.max(density * structure.string_length()))
+            motor = _motor(random, size, pull, frequency)
+        winches = tc.Winches(rate=speed * 10 ** random.uniform(-2, 0.5), motor=motor)
     if random.random() < 0.25:
         noise = size * 10 ** random.uniform(-4, -2)
     return Loop(
         seed, plant, velocities, int(random.integers(5, 16)) * (random.random() < 0.4),
         20 * int(random.integers(1, 5)), 10 ** random.uniform(-1.3, 0) / frequency,
         10 ** random.uniform(-3, 3), winches, noise,
+    )  # fmt: skip
+
+
+def _motor(random: np.random.Generator, size: float, pull: float, frequency: float) -> tc.Motor:
+    """Return motors that hold up to ten times a pull, N; frequency in rad/s."""
+    radius, ratio = 0.01 * size, 20.0
+    torque = pull * radius / ratio * 10 ** random.uniform(0, 1)
+    slow = random.integers(4)  # by nothing more, inertia, lag or backlash
+    fastest = frequency**2 * 10 ** random.uniform(0, 2) / 0.01 * ratio  # rad/s², a size a second²
+    return tc.Motor(
+        radius, ratio, torque=torque,
+        inertia=torque / fastest if slow == 1 else 0.0,
+        lag=0.1 / frequency if slow == 2 else 0.0,
+        backlash=10 ** random.uniform(-2, 0) if slow == 3 else 0.0,
     )  # fmt: skip
 
 
