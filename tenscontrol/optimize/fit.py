@@ -525,15 +525,7 @@ class _Solver:
         return readings if np.isfinite(readings.residuals).all() else None
 
     def _cost(self, readings: Readings, theta: FloatArray) -> float:
-        return self._loss(readings) + float(((theta / self._scale) ** 2).sum())
-
-    def _loss(self, readings: Readings) -> float:
-        r = readings.residuals
-        squares = r**2
-        if self._is_robust:
-            far = np.abs(r) > _HUBER
-            squares = np.where(far, 2 * _HUBER * np.abs(r) - _HUBER**2, squares)
-        return float(squares.sum())
+        return cost_of(readings.residuals, theta / self._scale, self._is_robust)
 
     def _linear(self, readings: Readings, theta: FloatArray) -> _Linear:
         """Return the residuals, and what unknowns are off from what was known, made linear."""
@@ -625,6 +617,15 @@ def _result(
         frozen(interval), MappingProxyType(parameters), identifiability, chi_squared,
         rollouts.count, message, rollouts, frozen(theta),
     )  # fmt: skip
+
+
+def cost_of(residuals: FloatArray, scaled: FloatArray, is_robust: bool) -> float:
+    """Return what a fit makes least, of residuals and unknowns in their standard deviations."""
+    squares = residuals**2
+    if is_robust:
+        far = np.abs(residuals) > _HUBER
+        squares = np.where(far, 2 * _HUBER * np.abs(residuals) - _HUBER**2, squares)
+    return float(squares.sum()) + float((scaled**2).sum())
 
 
 def _chi_squared(residuals: FloatArray, freedom: float, is_robust: bool) -> float:

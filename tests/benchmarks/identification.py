@@ -3,9 +3,10 @@
 Run: ``python -m tests.benchmarks.identification [--rows prism ball ...] [--count 100]``; ``--first
 50 --count 50`` are the draws from the 50th on. Each row prints a line for each draw of parameters
 and noise, then how many of the intervals of 95 % hold the true value, of all fits and of those
-whose residuals are near the noise. Squares of errors are by the covariance of a fit: 1 an unknown
-as a rule if it is right, and beyond what chance leaves one of 1000 where a fit is wrong, or bends
-within its intervals. Rows:
+whose residuals are near the noise. The lead of a fit is by how much its cost is below the least
+with the unknowns at their true values, in squares of deviations: 1 an unknown as a rule if it is
+right, and beyond what chance leaves one of 1000 where it is not. Below 0 the fit is in a wrong
+minimum. Rows:
 
 - ``prism``: 29 unknowns, 9 rest lengths, 9 stiffnesses, 9 dampings and 2 masses, off by about 20 %
   and 1 cm, are fitted to the places of its nodes, read to 1 mm at 50 Hz for 1 s while its strings
@@ -37,7 +38,7 @@ from scipy.stats import chi2
 
 import tenscontrol as tc
 from tenscontrol.accuracy.peers import MuJoCo
-from tenscontrol.optimize.fit import Fit
+from tenscontrol.optimize.fit import Fit, cost_of
 from tenscontrol.optimize.unknowns import fitted_model, unknowns_of
 from tests.benchmarks.command_line import options
 from tests.random_scenes import random_scene
@@ -250,7 +251,7 @@ class Judged:
     found: Fit
     held: int  # of told
     told: int
-    squares: float  # of all errors, by the covariance
+    lead: float
     unknowns: int
 
     @property
@@ -265,22 +266,35 @@ def judged(case: Case, found: Fit) -> Judged:
     told = found.identifiability.is_told[:count]
     low, high = found.interval[:count].T
     held = (low <= case.true) & (case.true <= high)
-    errors = np.concatenate([
-        found.value[: case.shifts] - case.true[: case.shifts],
-        np.log(found.value[case.shifts : count] / case.true[case.shifts :]),
-    ])  # fmt: skip
-    errors /= found.identifiability.rollouts.deviations[:count]
-    directions = found.identifiability.directions[:, :count]
-    known = found.identifiability.singular**2 / found.chi_squared
-    covariance = (directions.T / (1 + known)) @ directions
-    squares = float(errors @ np.linalg.solve(covariance, errors))
-    return Judged(found, int(held[told].sum()), int(told.sum()), squares, count)
+    return Judged(found, int(held[told].sum()), int(told.sum()), lead_of(case, found), count)
+
+
+def lead_of(case: Case, found: Fit) -> float:
+    """Return by how much the cost of a fit is below the least with what is true."""
+    rollouts, count = found.identifiability.rollouts, len(case.true)
+    deviations, is_robust = rollouts.deviations, case.options.get("loss") == "huber"
+
+    def scaled(values: np.ndarray) -> np.ndarray:
+        parts = values[: case.shifts], np.log(values[case.shifts : count]), values[count:]
+        return np.concatenate(parts) / deviations[: len(values)]
+
+    def cost(unknowns: np.ndarray) -> float:
+        readings = rollouts.readings(unknowns * deviations, 1.0, slopes=False)
+        return cost_of(readings.residuals, unknowns, is_robust)
+
+    least, true = scaled(found.value), scaled(np.append(case.true, found.value[count:]))
+    for _ in range(3 if len(true) > count else 0):  # starts, by the method of Gauss
+        readings = rollouts.readings(true * deviations, 1.0, slopes=True)
+        rows = np.vstack([(readings.slope * deviations)[:, count:], np.eye(len(true) - count)])
+        right = np.concatenate([readings.residuals, true[count:]])
+        true[count:] -= np.linalg.lstsq(rows, right, rcond=None)[0]
+    return cost(true) - cost(least)
 
 
 def print_fits(title: str, case_of: Callable[[int], Case], seeds: range) -> None:
     """Print a line for each fit, and how many intervals hold."""
     every = []
-    print(f"{title}: seed rollouts chi2   squares an unknown   s")
+    print(f"{title}: seed rollouts chi2   lead an unknown   s")
     for seed in seeds:
         case = case_of(seed)
         began = perf_counter()
@@ -290,7 +304,7 @@ def print_fits(title: str, case_of: Callable[[int], Case], seeds: range) -> None
         every.append(own)
         print(
             f"{title} {seed:8d} {found.rollouts:8d} {found.chi_squared:4.2f} "
-            f"{own.squares / own.unknowns:20.2f} {seconds:5.1f}  {found.message}, "
+            f"{own.lead / own.unknowns:17.2f} {seconds:5.1f}  {found.message}, "
             f"{own.told - own.held} of {own.told} missed, {own.unknowns - own.told} not told"
             + (f", validated {found.validate(case.other)}" if case.other is not None else ""),
             flush=True,
@@ -308,12 +322,12 @@ def print_fits(title: str, case_of: Callable[[int], Case], seeds: range) -> None
 
 def _counted(some: list[Judged]) -> str:
     held, told = (sum(getattr(own, name) for own in some) for name in ("held", "told"))
-    squares = [own.squares / own.unknowns for own in some]
-    beyond = sum(chi2.sf(own.squares, own.unknowns) < 1e-3 for own in some)
+    leads = [own.lead / own.unknowns for own in some]
+    beyond = sum(chi2.sf(own.lead, own.unknowns) < 1e-3 for own in some)
     return (
-        f"{held} of {told} intervals of 95 % hold, {100 * held / max(told, 1):.1f} %; squares of "
-        f"errors {np.median(squares) if some else 0:.2f} an unknown as a rule, beyond chance in "
-        f"{beyond} of {len(some)} fits"
+        f"{held} of {told} intervals of 95 % hold, {100 * held / max(told, 1):.1f} %; lead "
+        f"{np.median(leads) if some else 0:.2f} an unknown as a rule, beyond chance in {beyond} of "
+        f"{len(some)} fits, below 0 in {sum(lead < 0 for lead in leads)}"
     )
 
 
