@@ -38,6 +38,10 @@ _MOST, _DAMPING, _LESS, _GOOD, _SHORTER = 12, 1e-3, 0.2, 0.75, (0.1, 0.5)
 # Longest step of an unknown, in standard deviations of its prior: slopes do not hold far away.
 _LONGEST = 2.0
 
+# Part of a step after which it is seen how residuals bend along it, and the longest correction for
+# that, as part of the step.
+_AHEAD, _BENT = 0.1, 0.375
+
 # Data does not tell directions with a singular value below the first. Of an unknown that it tells,
 # the second is at most the part in these, and the third what is left of the variance of its prior.
 _BLIND, _TOLD, _LEFT = 0.1, 0.01, 0.5
@@ -450,7 +454,7 @@ class _Solver:
         try:
             while parts:
                 share = parts.pop(0)
-                if self._is_over(share):
+                if self._left(share) < 1:
                     continue
                 readings = self._rollouts.readings(theta, share, slopes=True)
                 least = _WELL if share == 1.0 else _ROUGHLY
@@ -471,18 +475,24 @@ class _Solver:
     def _fit_part(
         self, theta: FloatArray, readings: Readings, share: float, least: float
     ) -> tuple[FloatArray, Readings, str]:
-        damping, cost = _DAMPING, self._cost(readings, theta)
+        damping, cost, is_bent = _DAMPING, self._cost(readings, theta), False
         linear = self._linear(readings, theta)
         most = self._most if share == 1.0 else _MOST
         for _ in range(most):
-            if self._is_over(share):
+            if self._left(share) < 1:
                 return theta, readings, f"stopped after {self._rollouts.count} rollouts"
             step, fall = linear.step(damping)
             if fall <= (least if damping <= _DAMPING else _WELL) * cost:  # not worth a rollout
                 return theta, readings, "converged"
+            straight = step
+            if is_bent and self._left(share) > 1:
+                ahead = self._tried(theta + _AHEAD * self._scale * step, share, slopes=False)
+                if ahead is not None:
+                    step = linear.bent(step, damping, ahead.residuals - readings.residuals)
             moved = theta + self._scale * step
             tried = self._tried(moved, share)
             new = np.inf if tried is None else self._cost(tried, moved)
+            is_bent = step is not straight or cost - new < _GOOD * fall
             if tried is None or not new < cost:
                 if abs(new - cost) <= least * cost:
                     return theta, readings, "converged"
@@ -499,9 +509,9 @@ class _Solver:
                 break
         return theta, readings, "converged"
 
-    def _is_over(self, share: float) -> bool:
-        """Return whether no rollout is left for a part of the logs, or only one for all of them."""
-        return self._rollouts.count >= self._most - (share < 1.0)
+    def _left(self, share: float) -> int:
+        """Return how many rollouts are left for a part of the logs; one is kept for all of them."""
+        return self._most - (share < 1.0) - self._rollouts.count
 
     def _is_too_long(self, share: float, readings: Readings) -> bool:
         """Return whether noise does not explain a fitted part, of which there is a shorter one."""
@@ -516,10 +526,10 @@ class _Solver:
             max(1, int((log.time <= share * log.time[-1]).sum())) for log in self._rollouts.logs
         )
 
-    def _tried(self, theta: FloatArray, share: float) -> Readings | None:
+    def _tried(self, theta: FloatArray, share: float, slopes: bool = True) -> Readings | None:
         """Return the residuals for unknowns; None where the motion runs away."""
         try:
-            readings = self._rollouts.readings(theta, share, slopes=True)
+            readings = self._rollouts.readings(theta, share, slopes)
         except (IntegrationError, StoppedError):
             return None
         return readings if np.isfinite(readings.residuals).all() else None
@@ -534,7 +544,8 @@ class _Solver:
         if self._is_robust:
             weight = np.sqrt(_HUBER / np.maximum(np.abs(readings.residuals), _HUBER))
         rows = np.vstack([readings.slope * self._scale * weight[:, None], np.eye(len(theta))])
-        return _Linear(rows, np.concatenate([weight * readings.residuals, theta / self._scale]))
+        right = np.concatenate([weight * readings.residuals, theta / self._scale])
+        return _Linear(rows, right, weight)
 
 
 class _Linear:
@@ -544,27 +555,43 @@ class _Linear:
     algorithm: implementation and theory*, 1978, doi:10.1007/BFb0067700).
     """
 
-    def __init__(self, rows: FloatArray, right: FloatArray) -> None:
-        self._size = np.sqrt((rows**2).sum(axis=0))
-        left, self._singular, self._directions = np.linalg.svd(rows / self._size, False)
-        self._right = left.T @ right
+    def __init__(self, rows: FloatArray, right: FloatArray, weight: FloatArray) -> None:
+        self._size, self._weight = np.sqrt((rows**2).sum(axis=0)), weight
+        self._left, self._singular, self._directions = np.linalg.svd(rows / self._size, False)
+        self._right = self._left.T @ right
 
     def step(self, damping: float) -> tuple[FloatArray, float]:
         """Return a step, of no unknown too long, and by how much the squares should fall."""
-        step = -(self._parts(damping) @ self._directions) / self._size
+        step = -(self._parts(damping, self._right) @ self._directions) / self._size
         step *= min(1.0, _LONGEST / max(float(np.abs(step).max()), 1e-300))
         moved = self._singular * (self._directions @ (self._size * step))
         return step, float(-(moved * (2 * self._right + moved)).sum())
 
     def damping(self, damping: float, share: float) -> float:
         """Return a damping by which a step is at most a share of what another makes it."""
-        longest = share * np.linalg.norm(self._parts(damping))
-        while np.linalg.norm(self._parts(damping)) > longest:
+        longest = share * np.linalg.norm(self._parts(damping, self._right))
+        while np.linalg.norm(self._parts(damping, self._right)) > longest:
             damping *= 2
         return damping
 
-    def _parts(self, damping: float) -> FloatArray:
-        return np.asarray(self._singular / (self._singular**2 + damping) * self._right)
+    def bent(self, step: FloatArray, damping: float, ahead: FloatArray) -> FloatArray:
+        """Return a step that keeps to the floor of a valley that is narrow and bent.
+
+        It adds what the step lacks as residuals bend along it, unless that is too long (M. K.
+        Transtrum and J. P. Sethna, *Improvements to the Levenberg-Marquardt algorithm for nonlinear
+        least-squares minimization*, 2012, arXiv:1201.5885). ``ahead`` is how residuals change in
+        the first part of the step.
+        """
+        along, count = self._size * step, len(ahead)
+        moved = self._left[:count] @ (self._singular * (self._directions @ along))
+        second = self._weight * ahead / _AHEAD**2 - moved / _AHEAD  # half of the derivative
+        bend = -(self._parts(damping, self._left[:count].T @ second) @ self._directions)
+        if np.linalg.norm(bend) > _BENT * np.linalg.norm(along):
+            return step
+        return np.asarray((along + bend) / self._size)
+
+    def _parts(self, damping: float, right: FloatArray) -> FloatArray:
+        return np.asarray(self._singular / (self._singular**2 + damping) * right)
 
 
 def identifiability_of(rollouts: Rollouts, slope: FloatArray | None = None) -> Identifiability:

@@ -6,10 +6,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 import tenscontrol as tc
 from tenscontrol.optimize.fit import identifiability_of
-from tests.benchmarks.identification import prism_case
+from tests.benchmarks.identification import lead_of, prism_case, random_case
 
 PRISM = tc.prism()
 REST = 0.95 * PRISM.string_length()
@@ -67,6 +68,17 @@ def test_a_fast_vibration_is_not_taken_for_another_number_of_periods():
     found = tc.fit(model(100.0), log, ["stiffness"])
     assert found.parameters["stiffness"][0] == pytest.approx(165.0, rel=1e-3)
     assert found.rollouts <= 15
+
+
+def test_a_narrow_and_bent_valley_is_followed_to_its_end():
+    """Rest lengths and rigidities that make the same tension: straight steps leave the valley."""
+    case = random_case(11)
+    found = case.fit()
+    assert found.converged
+    assert found.rollouts <= 75
+    # By how much the truth costs more is a sum of as many squares as there are unknowns.
+    assert chi2.sf(lead_of(case, found), len(case.true)) > 1e-3
+    assert lead_of(case, found) > 0
 
 
 def test_what_data_cannot_tell_is_named_and_gets_no_interval():
