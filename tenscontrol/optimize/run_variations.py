@@ -49,11 +49,14 @@ class RunVariations:
         About how many steps there will be.
     most : float, optional
         How many are kept at a time, about.
+    is_shortened : bool
+        Whether steps are shorter where stability limits them; see :meth:`Integrator.shorten`.
     """
 
     def __init__(
         self, scene: Scene, parameters: Sequence[Parameter], times: FloatArray,
         feedback: bool = False, expected: float = 0.0, most: float | None = None,
+        is_shortened: bool = False,
     ) -> None:  # fmt: skip
         self.parameters, self.times = parameters, times
         #: Which columns of a derivative are those of each parameter, and how many there are.
@@ -62,6 +65,7 @@ class RunVariations:
         run = scene.plant_run(traces=True)
         assert isinstance(run, TracedRun)  # as it was asked for
         self._run = run
+        run.shortens = is_shortened
         of_motors = [parameter for parameter in parameters if parameter.kind == "motor"]
         answers = feedback or bool(of_motors) or feels_motion(scene)
         self.derivatives = Derivatives(

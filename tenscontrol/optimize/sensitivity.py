@@ -72,8 +72,8 @@ class Sensitivity:
         """Estimated error of the derivatives of the nodes by each parameter, shape (T,).
 
         As part of the largest at that time: the difference from those of the same run at ten times
-        the tolerance, or twice the step. Found when it is first read, in about the time that the
-        derivatives took.
+        the tolerance, in steps longer where stability limits them, or twice the step. Found when it
+        is first read, in about the time that the derivatives took.
         """
         other = _differentiable(self.run, self._to, self.time, self._feedback, looser=True)
         again, errors = _derivatives(other)[0], dict[str, FloatArray]()
@@ -424,7 +424,10 @@ class _Differentiable:
         if looser:
             able = able.integrated(_looser(able.integration))
         expected = steps * (scene.integration.tolerance / able.integration.tolerance) ** (1 / 8)
-        self.variations = RunVariations(able, self.parameters, times, feedback, expected)
+        # Steps that stability limits are as long at ten times the tolerance, and no error showed.
+        self.variations = RunVariations(
+            able, self.parameters, times, feedback, expected, is_shortened=not looser
+        )
 
 
 def _traceable(scene: Scene, choice: Choice) -> Scene:

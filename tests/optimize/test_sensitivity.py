@@ -1,11 +1,14 @@
 """Derivatives of runs: closed forms, differences of the simulator, both ways alike."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
 
 import tenscontrol as tc
 from tenscontrol.optimize.derivatives import Derivatives
+from tests.benchmarks.error_against_time import thrown
 from tests.benchmarks.sensitivities import comparison
 
 # Of one mass on a string that goes taut: m, k, c, l0, where it starts, its speed, the time.
@@ -249,6 +252,22 @@ def test_the_error_is_estimated_on_the_safe_side(how):
         off /= np.abs(exact.nodes[name]).max(axis=(0, 1, 3))
         assert (found.error[name] > 0.7 * off).all()
         assert (found.error[name] < 1e4 * off).all()
+
+
+@pytest.mark.parametrize("tolerance", [1e-1, 1e-2, 1e-3])
+def test_the_error_is_seen_where_stability_limits_the_steps(tolerance):
+    """A stiff ball vibrates by little: ten times the tolerance makes no longer steps."""
+    ball = thrown(1.0, 1.5, 2000.0, 40.0)
+
+    def tangent(tolerance):
+        how = tc.Integration(tolerance=tolerance, error="none")
+        run = replace(ball, integration=how).simulate()
+        return tc.sensitivity(run, ["rest_length"])
+
+    found, exact = tangent(tolerance), tangent(1e-9).nodes["rest_length"]
+    off = np.abs(found.nodes["rest_length"] - exact).max() / np.abs(exact).max()
+    assert off > 1e-3
+    assert found.error["rest_length"][0] > 0.7 * off
 
 
 def test_many_runs_have_the_derivatives_of_each():
