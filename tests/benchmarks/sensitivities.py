@@ -11,7 +11,8 @@ energy-momentum method in its place, and differences of the same steps. Beside i
 differences of order 4 at smaller and smaller sizes of the change, of runs with as many switches. Of
 two sizes that follow one another, those that differ least are the reference, and their difference
 is what it is certain to. Sizes end where that is 1e-10, or below 1e-7 and growing. A scene is
-judged where it is below 1e-7; scenes of more steps are left out. ``--motors`` winds the strings of
+judged where it is below 1e-7. Scenes are left out whose run has more steps, or that of a neighbour
+more than twice as many: the runs end there. ``--motors`` winds the strings of
 the scenes by motors under a command of the time: with limits of torque and speed, inertia, lag and
 play, some with two strings on a drum, and strings that no motor drives. Their numbers are in the
 direction, and runs whose motors meet limits in other samples are no neighbours. The columns:
@@ -40,6 +41,8 @@ import numpy as np
 
 import tenscontrol as tc
 from tenscontrol.dynamics.machine_code import VARIABLE
+from tenscontrol.integrate.dop853 import DOP853
+from tenscontrol.integrate.integrator import IntegrationPause
 from tenscontrol.simulation.health_check import AccuracyWarning
 from tests.benchmarks.command_line import options
 from tests.random_scenes import Scene, random_scene, stiffness_of
@@ -60,6 +63,9 @@ CERTAIN, JUDGED = 1e-10, 1e-7
 # Where both ways differ by more than the first, what a change by the second makes of one of them
 # says how much of that is round-off.
 ADJOINT, ROUND_OFF = 1e-10, 1e-15
+
+# Evaluations after which a run ends, for each step that it may have: 12 and those of rejected ones.
+EVALUATIONS = 24
 
 _OF_GROUND = "stiffness", "damping", "friction", "height"
 
@@ -194,13 +200,27 @@ def wound(scene: Scene, random: np.random.Generator) -> Wound:
     return Wound(scene, winches, sway, random.uniform(0, 2 * np.pi, count), actuated)
 
 
-def run_of(scene: AnyScene, implicit: bool = False) -> tc.Trajectory:
+class TooLongError(Exception):
+    """A run of a scene, or of a neighbour, that has more steps than it may."""
+
+    def __init__(self, most_steps: int) -> None:
+        super().__init__(f"a run of more than {most_steps} steps")
+
+
+def run_of(scene: AnyScene, most_steps: int, implicit: bool = False) -> tc.Trajectory:
     """Return the motion of a scene, tight, or in so many implicit steps."""
     limits = tc.HealthLimits(crossings=None, rest_length_error=None)
     how = {"method": "dop853", "tolerance": TOLERANCE}
     if implicit:
         how = {"method": "energy_momentum", "step": scene.duration / STEPS}
-    return scene.simulate(**how, error="none", limits=limits)
+    with patch.object(DOP853, "limit", EVALUATIONS * most_steps):
+        try:
+            run = scene.simulate(**how, error="none", limits=limits)
+        except IntegrationPause as pause:
+            raise TooLongError(most_steps) from pause
+    if run.steps > most_steps:
+        raise TooLongError(most_steps)
+    return run
 
 
 def random_direction(scene: AnyScene, random: np.random.Generator) -> Direction:
@@ -277,12 +297,12 @@ def changed(scene: AnyScene, direction: Direction, by: float) -> AnyScene:
 
 
 def differences(
-    scene: AnyScene, direction: Direction, run: tc.Trajectory, implicit: bool
+    scene: AnyScene, direction: Direction, run: tc.Trajectory, most_steps: int, implicit: bool
 ) -> tuple[np.ndarray, float]:
     """Return the derivative of the nodes at the end by differences, and what it is certain to."""
     before, best, certain = None, np.zeros(1), np.inf
     for size in SIZES:
-        found = _difference(scene, direction, run, size, implicit)
+        found = _difference(scene, direction, run, size, most_steps, implicit)
         if found is not None and before is not None:
             apart = _relative(np.abs(found - before).max(), np.abs(found).max())
             is_over = certain < JUDGED and apart > certain
@@ -295,12 +315,13 @@ def differences(
 
 
 def _difference(
-    scene: AnyScene, direction: Direction, run: tc.Trajectory, size: float, implicit: bool
-) -> np.ndarray | None:
+    scene: AnyScene, direction: Direction, run: tc.Trajectory, size: float, most_steps: int,
+    implicit: bool,
+) -> np.ndarray | None:  # fmt: skip
     """Return the difference of order 4; None where a neighbour has other switches."""
     ends = []
     for k in (-2, 2, -1, 1):
-        other = run_of(changed(scene, direction, k * size), implicit)
+        other = run_of(changed(scene, direction, k * size), most_steps, implicit)
         if _pieces(other) != _pieces(run):
             return None
         ends.append(other.nodes[:, :, -1])
@@ -324,18 +345,22 @@ def _pieces(run: tc.Trajectory) -> tuple[int, ...]:
 
 def comparison(
     seed: int, most_steps: int, implicit: bool = False, motors: bool = False
-) -> Comparison | None:
-    """Return how a random scene does; None if it has too many steps."""
+) -> Comparison:
+    """Return how a random scene does.
+
+    Raises
+    ------
+    TooLongError
+        If its run has more steps, or that of a neighbour twice as many.
+    """
     scene, random = random_scene(seed), np.random.default_rng([31, seed])
     if motors:
         scene = wound(scene, random)
     elif seed % 3 == 2 and not implicit:
         scene = driven(scene, random)
     began = perf_counter()
-    run = run_of(scene, implicit)
+    run = run_of(scene, most_steps, implicit)
     run_seconds = perf_counter() - began
-    if run.steps > most_steps:
-        return None
     direction = random_direction(scene, random)
     names = list(direction)
     began = perf_counter()
@@ -352,14 +377,14 @@ def comparison(
     forth, size = _along(tangent, weights, direction)
     adjoint, round_off = _relative(abs(back - forth), size), 0.0
     if adjoint > ADJOINT:
-        beside = run_of(changed(scene, direction, ROUND_OFF), implicit)
+        beside = run_of(changed(scene, direction, ROUND_OFF), 2 * most_steps, implicit)
         other = _along(tc.sensitivity(beside, names), weights, direction)[0]
         round_off = _relative(abs(other - forth), size)
     along = sum(
         np.tensordot(tangent.nodes[name][:, :, 0], step, np.ndim(step))
         for name, step in direction.items()
     )
-    reference, certain = differences(scene, direction, run, implicit)
+    reference, certain = differences(scene, direction, run, 2 * most_steps, implicit)
     error = np.inf
     if np.isfinite(certain):
         error = _relative(np.abs(along - reference).max(), np.abs(reference).max())
@@ -398,14 +423,17 @@ def _kinds(scene: AnyScene, run: tc.Trajectory) -> Iterable[str]:
         yield f"{scene.profile.interpolation} profile"
 
 
-def _quietly(most_steps: int, implicit: bool, motors: bool, seed: int) -> Comparison | None:
-    """Return how a random scene does in a process of its own."""
+def _quietly(most_steps: int, implicit: bool, motors: bool, seed: int) -> Comparison | str:
+    """Return how a random scene does in a process of its own, or why it is left out."""
     # Each model is run a few times, by the core: what is compiled for one takes longer than that.
     with (
         patch.dict(os.environ, {VARIABLE: "none"}),
         warnings.catch_warnings(action="ignore", category=AccuracyWarning),
     ):
-        return comparison(seed, most_steps, implicit, motors)
+        try:
+            return comparison(seed, most_steps, implicit, motors)
+        except TooLongError as error:
+            return str(error)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -413,15 +441,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
         __doc__, arguments, judged=100, count=300, seed=0, steps=3000, implicit=False, motors=False,
         processes=os.cpu_count() or 1,
     )  # fmt: skip
-    found, long = list[Comparison](), list[int]()
+    found, long = list[Comparison](), list[str]()
     print(" seed  steps switches    error  certain  adjoint   s, of which run")
     seeds = range(given.seed, given.seed + given.count)
     compare = partial(_quietly, given.steps, given.implicit, given.motors)
     with ProcessPoolExecutor(given.processes, get_context("spawn")) as executor:
         each_in_turn = map if given.processes == 1 else executor.map
         for seed, each in zip(seeds, each_in_turn(compare, seeds), strict=True):
-            if each is None:
-                long.append(seed)
+            if isinstance(each, str):
+                long.append(f"{seed} ({each})")
                 continue
             found.append(each)
             print(
@@ -433,10 +461,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
             if sum(each.is_judged for each in found) == given.judged:
                 executor.shutdown(cancel_futures=True)
                 break
-    _report(found, long, given.steps)
+    _report(found, long)
 
 
-def _report(found: list[Comparison], long: list[int], most_steps: int) -> None:
+def _report(found: list[Comparison], long: list[str]) -> None:
     """Print what was found of all scenes, with those that were left out."""
     judged = [each for each in found if each.is_judged]
     print(
@@ -457,7 +485,7 @@ def _report(found: list[Comparison], long: list[int], most_steps: int) -> None:
     print(f"judged: {', '.join(f'{kind} {counts[kind]}' for kind in sorted(counts))}")
     others = [each for each in found if not each.is_judged]
     apart = [f"{each.seed} ({each.certain:.0e})" for each in others if np.isfinite(each.certain)]
-    print(f"left out, of more than {most_steps} steps: {long}")
+    print(f"left out, {len(long)}: {', '.join(long)}")
     print(
         "left out, as switches of neighbours differ at every size: "
         f"{[each.seed for each in others if not np.isfinite(each.certain)]}"
