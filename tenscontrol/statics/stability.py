@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -30,6 +31,7 @@ from tenscontrol.structure.structure import Structure
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array, csr_array
+    from scipy.sparse.linalg import SuperLU
 
 _TOLERANCE = 1e-9
 
@@ -54,6 +56,9 @@ _MANY, _LOWEST = 100, 20
 
 # Give of what keeps lengths, the least shift from zero, parts of the stiffness, and its growth.
 _GIVE, _NEAR_ZERO, _FARTHER = 1e-13, 1e-11, 8.0
+
+# What factors without pivoting may leave of a right side.
+_SOLVED = 1e-7
 
 # Change of length of a motion that keeps lengths, per length of the motion.
 _KEEPS = 1e-6
@@ -190,7 +195,7 @@ def _softest(
     in place of rigid ones is positive definite. ``pictured`` are unit columns of the picture.
     """
     from scipy.sparse import block_array, eye_array
-    from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh, splu
+    from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh
 
     f, size = len(out), float(gross.diagonal().max())
     size, shift = size or 1.0, _NEAR_ZERO * (size or 1.0)
@@ -205,16 +210,21 @@ def _softest(
         if stiff.is_semidefinite and stiff.pivots.min() > -_NO_PIVOT:
             break
         shift *= _FARTHER
-    give = _GIVE / unit * eye_array(pictured.shape[1])
-    saddle = [[energy + shift * inertia, pictured], [pictured.T, -give]]
-    factors = splu(block_array(saddle, format="csc"))
+    give = _GIVE * eye_array(pictured.shape[1])
+    held = [[(energy + shift * inertia) / unit, pictured], [pictured.T, -give]]
+    saddle = block_array(held, format="csc")
     none = np.zeros(pictured.shape[1])
 
-    def inverse(force: FloatArray) -> FloatArray:
-        right = np.concatenate([picture @ orthogonal_part(out, force.ravel()), none])
-        return orthogonal_part(out, picture.T @ factors.solve(right)[:f])
+    def applied(force: FloatArray) -> FloatArray:
+        return np.concatenate([picture @ orthogonal_part(out, force.ravel()), none])
 
-    start = inverse(np.cos(np.arange(1.0, f + 1) ** 2))  # any
+    load = np.cos(np.arange(1.0, f + 1) ** 2)  # any
+    factors = _factors_of_saddle(saddle, applied(load))
+
+    def inverse(force: FloatArray) -> FloatArray:
+        return orthogonal_part(out, picture.T @ factors.solve(applied(force))[:f])
+
+    start = inverse(load)
     operator = LinearOperator((f, f), matvec=inverse, dtype=float)
     more = _LOWEST + _MORE
     try:
@@ -236,6 +246,23 @@ def _softest(
     lowest = vectors @ turn[:, 0]
     floor = max(_STIFF * float(lowest @ (gross @ lowest)), f * np.finfo(float).eps * size)
     return values[:_LOWEST], bool(values[0] > floor)
+
+
+def _factors_of_saddle(saddle: csc_array, right: FloatArray) -> SuperLU:
+    """Return the factors of a symmetric matrix that is not definite.
+
+    Without pivoting those of a net have a quarter of the entries. They are taken where they solve
+    for a given right side. Where bars share nodes they may not, as pivots may be round-off.
+    """
+    from scipy.sparse.linalg import splu
+
+    how = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+    with suppress(RuntimeError):  # a pivot that is zero
+        factors = splu(saddle, permc_spec="MMD_AT_PLUS_A", **how)
+        off = saddle @ factors.solve(right) - right
+        if np.linalg.norm(off) < _SOLVED * np.linalg.norm(right):
+            return factors
+    return splu(saddle)
 
 
 def _in_picture(picture: csr_array, motions: FloatArray) -> FloatArray:

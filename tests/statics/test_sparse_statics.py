@@ -112,6 +112,7 @@ MANY = {
     "class-2 tower": lambda: tc.library.class2_tower(25),
     "net": lambda: tc.net(9, 9, 0.1, 0.01, fixed="edges"),
     "net held at corners": lambda: tc.net(9, 9, 0.1, 0.01),
+    "skins": lambda: tc.skin(tc.prism_tower(4), ("top", "bottom"), iterations=3, node_mass=0.01),
 }
 
 
