@@ -19,6 +19,7 @@ from tenscontrol.plant.linear_plant import (
     spectral_norm,
     squared_frequencies,
     state_units,
+    tall_qr,
 )
 from tenscontrol.plant.modes import Modes, modes_of
 from tenscontrol.plant.reduced_dynamics import reduce
@@ -395,7 +396,7 @@ def normalized_input(plant: LinearPlant) -> FloatArray:
 def _reach(plant: LinearPlant) -> FloatArray:
     """Return a matrix B of norm 1 with the same B Bᵀ, and no more columns than states."""
     B = normalized_input(plant)
-    return B if B.shape[1] <= len(B) else np.asarray(np.linalg.qr(B.T, mode="r")).T
+    return B if B.shape[1] <= len(B) else tall_qr(B.T)[1].T
 
 
 def _margin(vectors: np.ndarray, B: FloatArray) -> float:

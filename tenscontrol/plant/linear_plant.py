@@ -49,6 +49,9 @@ _NOISE = 1e-13
 # A stiffness matrix this far from symmetric, relative to its size, is not that of a rest.
 _SYMMETRIC = 1e-9
 
+# Rows that are decomposed at once.
+_ROWS = 1000
+
 #: What the inputs of strings may be, and those of all plants.
 INPUTS = ("force_density", "rest_length")
 PLANT_INPUTS = (*INPUTS, *BAR_INPUTS)
@@ -576,6 +579,18 @@ def spectral_norm(matrix: FloatArray) -> float:
     is_wide = matrix.shape[0] < matrix.shape[1]
     squares = scaled @ scaled.T if is_wide else scaled.T @ scaled
     return largest * float(np.sqrt(np.linalg.norm(squares, 2)))
+
+
+def tall_qr(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return Q and R as ``numpy.linalg.qr``, of many rows part by part, each in the cache."""
+    count = len(matrix) // max(_ROWS, 2 * matrix.shape[1])
+    if count < 2:
+        Q, R = np.linalg.qr(matrix)
+        return Q, R
+    parts = [np.linalg.qr(rows) for rows in np.array_split(matrix, count)]
+    turns, R = np.linalg.qr(np.vstack([R for _, R in parts]))
+    turned = zip(parts, np.split(turns, count), strict=True)
+    return np.vstack([Q @ turn for (Q, _), turn in turned]), R
 
 
 @kept

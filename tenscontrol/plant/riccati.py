@@ -11,7 +11,7 @@ from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, frozen
 from tenscontrol.dynamics.evaluator import on_one_thread
 from tenscontrol.plant.controllability import reached_states
-from tenscontrol.plant.linear_plant import LinearPlant, spectral_norm, state_units
+from tenscontrol.plant.linear_plant import LinearPlant, spectral_norm, state_units, tall_qr
 
 # A Riccati residual above this fraction of its terms means that the solution is wrong.
 _RESIDUAL_TOLERANCE = 1e-6
@@ -88,7 +88,7 @@ def regulator_riccati(
     if B.shape[1] > len(A):  # inputs that move the state alike are one, by its least cost
         is_diagonal = R.ndim == 1
         root = diags_array(R**-0.5) if is_diagonal else np.linalg.inv(np.linalg.cholesky(R)).T
-        directions, factor = np.linalg.qr((B @ root).T)
+        directions, factor = tall_qr((B @ root).T)
         moved, sizes, Vt = np.linalg.svd(factor.T)
         spread, B, R = root @ (directions @ Vt.T), moved * sizes, np.ones(len(sizes))
     R = np.diag(R) if R.ndim == 1 else R

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
+from tenscontrol.plant.linear_plant import tall_qr
 from tenscontrol.plant.riccati import (
     check_riccati,
     filter_riccati,
@@ -86,3 +87,13 @@ def test_a_tower_is_solved_as_by_the_pencil(discrete):
     expected = (solve_discrete_are if discrete else solve_continuous_are)(A, B, Q, np.diag(R))
     np.testing.assert_allclose(law.cost, expected, atol=1e-9 * np.abs(expected).max())
     assert law.riccati_residual < 1e-12
+
+
+@pytest.mark.parametrize(("rows", "zeros"), [(300, 0), (2000, 0), (4321, 0), (4321, 5)])
+def test_a_tall_matrix_is_the_product_of_its_parts(rows, zeros):
+    matrix = np.random.default_rng(rows).normal(size=(rows, 12))
+    matrix[:, :zeros] = 0.0  # as inputs that move no positions
+    Q, R = tall_qr(matrix)
+    np.testing.assert_allclose(Q @ R, matrix, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(Q.T @ Q, np.eye(12), rtol=0, atol=1e-14)
+    np.testing.assert_array_equal(np.tril(R, -1), 0.0)

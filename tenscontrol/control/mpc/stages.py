@@ -31,6 +31,7 @@ from tenscontrol.control.mpc.problem import (
     Triple,
 )
 from tenscontrol.core.library import library
+from tenscontrol.plant.linear_plant import tall_qr
 from tenscontrol.status import Status
 
 # Of a limit, in its unit: what round-off may leave of it.
@@ -122,7 +123,7 @@ def _thin_factors(problem: MPCProblem) -> tuple[FloatArray, ...] | None:
         return None
     unit, (squares, axes) = 1 / np.sqrt(R), np.linalg.eigh(P)
     half = axes * np.sqrt(np.maximum(squares, 0.0))
-    V, T = np.linalg.qr(unit[:, None] * problem.input_matrix.T)
+    V, T = tall_qr(unit[:, None] * problem.input_matrix.T)
     turn, size, _ = np.linalg.svd(T @ half)
     return unit, V @ turn, turn.T @ T, 1 / np.sqrt(1 + size**2)
 
