@@ -109,7 +109,8 @@ def linearized(results: dict[str, Any]) -> tc.LinearPlant:
 
 
 def designed(controller: type[Any], results: dict[str, Any], **how: Any) -> Any:
-    law = controller(results["reduce"], sample_time=SAMPLE_TIME, **how)
+    plant = replace(results["reduce"])  # without what it remembers
+    law = controller(plant, sample_time=SAMPLE_TIME, **how)
     command(law, results)
     return law
 
