@@ -1,4 +1,4 @@
-"""Types of arrays, and arrays that do not change."""
+"""Types of arrays, arrays that do not change, and indices."""
 
 from __future__ import annotations
 
@@ -25,6 +25,13 @@ def frozen(array: NDArray[Any]) -> NDArray[Any]:
     copy = np.array(array, order="C", copy=True)
     copy.setflags(write=False)
     return copy
+
+
+def all_but(count: int, some: IntArray) -> IntArray:
+    """Return the indices below a count that are not among some, ascending."""
+    is_left = np.ones(count, dtype=bool)
+    is_left[some] = False
+    return np.flatnonzero(is_left)
 
 
 def freeze_arrays(record: object) -> None:

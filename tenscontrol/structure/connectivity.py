@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tenscontrol import validation
-from tenscontrol.arrays import FloatArray, IntArray
+from tenscontrol.arrays import FloatArray, IntArray, all_but
 from tenscontrol.warn import warn
 
 if TYPE_CHECKING:
@@ -154,7 +154,7 @@ def warn_of_useless_strings(bars: IntArray, strings: IntArray, groups: tuple[str
 def refuse_untouched_nodes(bars: IntArray, segments: IntArray, held: IntArray, count: int) -> None:
     """Raise if a node has no member, unless it is fixed."""
     touched = np.concatenate([bars.ravel(), segments.ravel(), held])
-    untouched = np.setdiff1d(np.arange(count), touched)
+    untouched = all_but(count, touched)
     if len(untouched):
         raise ValueError(
             f"nothing touches nodes[:, {untouched[0]}]"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from tenscontrol import validation
-from tenscontrol.arrays import FloatArray, IntArray, frozen
+from tenscontrol.arrays import FloatArray, IntArray, all_but, frozen
 from tenscontrol.properties import cached_property
 from tenscontrol.structure.blocks import Block, find_blocks
 from tenscontrol.structure.connectivity import (
@@ -195,7 +195,7 @@ class Structure(Viewable):
         validation.non_negative("point_mass", mass, "mass in kg")
         if alone is not None:
             array = validation.vector("string_node_mass", alone)
-            loose = np.setdiff1d(np.arange(count), self.bars.ravel())
+            loose = all_but(count, self.bars.ravel())
             if array.shape == loose.shape:
                 points = loose  # fixed nodes among them
             of_points = validation.per_member("string_node_mass", array, len(points), "string node")
@@ -235,7 +235,7 @@ class Structure(Viewable):
         parent = validation.indices(
             "string_parent", array, count, f"the parent has {count} strings"
         )
-        missing = np.setdiff1d(np.arange(count), parent)
+        missing = all_but(count, parent)
         if len(missing):
             raise ValueError(
                 f"string_parent leaves out string {missing[0]} of the parent, "
@@ -400,7 +400,8 @@ class Structure(Viewable):
     @cached_property
     def string_nodes(self) -> IntArray:
         """Indices of the free nodes on no bar, ascending, shape (σ,)."""
-        return frozen(np.setdiff1d(self.free, self.bars.ravel()))
+        held = np.concatenate([self.fixed, self.bars.ravel()])
+        return frozen(all_but(self.nodes.shape[1], held))
 
     @cached_property
     def string_node_mass(self) -> FloatArray:
@@ -410,7 +411,7 @@ class Structure(Viewable):
     @cached_property
     def free(self) -> IntArray:
         """Indices of the nodes that are not fixed, ascending; those on rollers are among them."""
-        return frozen(np.setdiff1d(np.arange(self.nodes.shape[1]), self.fixed))
+        return frozen(all_but(self.nodes.shape[1], self.fixed))
 
     @cached_property
     def fixed_rows(self) -> IntArray:
@@ -423,7 +424,7 @@ class Structure(Viewable):
     @cached_property
     def free_rows(self) -> IntArray:
         """Rows of ``vec(N)`` that supports leave free, ascending, shape (f,)."""
-        return frozen(np.setdiff1d(np.arange(self.nodes.size), self.fixed_rows))
+        return frozen(all_but(self.nodes.size, self.fixed_rows))
 
     @cached_property
     def _is_alone(self) -> np.ndarray:
