@@ -62,7 +62,7 @@ WHOLE = (10, 20, 40)
 LEVEL, SAMPLE_TIME, COUNT, HORIZON = 10.0, 0.02, 20, 20
 
 # Shorter runs are repeated, and the least time counts; and what an exponent is not fitted to.
-SHORT, REPEATS = 0.1, 3
+SHORT, REPEATS = 0.5, 3
 MEASURABLE = {"seconds": 0.02, "memory": 2e7}
 
 # Least and largest exponent by which the next size is predicted, and sizes it is fitted to.
