@@ -372,9 +372,10 @@ COEFFICIENTS = _CORE / "dop853_coefficients.h"
 
 
 def coefficients() -> str:
-    """Return the header of the coefficients of DOP853 and DOPRI5, as SciPy has them."""
-    from scipy.integrate import DOP853, RK45
+    """Return the header of the coefficients of DOP853, and of DOPRI5 as SciPy has them."""
+    from scipy.integrate import RK45
 
+    from tenscontrol.integrate import dop853_coefficients as order8
     from tenscontrol.integrate.dop853 import _interpolant_error
 
     def sums(name: str, weights: Any) -> str:
@@ -385,12 +386,12 @@ def coefficients() -> str:
         "/* Coefficients of DOP853 (Hairer, Norsett, Wanner), II.5 and II.6: printed by",
         "   tests/core_kernels.py. Sums of the slopes K of stages, entry i of n. */",
     ]
-    for k, (a, c) in enumerate(zip(DOP853.A[1:], DOP853.C[1:], strict=True), 1):
+    for k, (a, c) in enumerate(zip(order8.A[1:], order8.C[1:], strict=True), 1):
         lines += [sums(f"STAGE_{k}", a), f"#define TIME_{k} {float(c)!r}"]
-    for k, (a, c) in enumerate(zip(DOP853.A_EXTRA, DOP853.C_EXTRA, strict=True), len(DOP853.B) + 1):
+    for k, (a, c) in enumerate(zip(order8.A_EXTRA, order8.C_EXTRA, strict=True), len(order8.B) + 1):
         lines += [sums(f"STAGE_{k}", a), f"#define TIME_{k} {float(c)!r}"]
-    lines += [sums("END", DOP853.B), sums("FIFTH", DOP853.E5), sums("THIRD", DOP853.E3)]
-    lines += [sums(f"DENSE_{k}", d) for k, d in enumerate(DOP853.D)]
+    lines += [sums("END", order8.B), sums("FIFTH", order8.E5), sums("THIRD", order8.E3)]
+    lines += [sums(f"DENSE_{k}", d) for k, d in enumerate(order8.D)]
     share = ", ".join(repr(float(a)) for a in _interpolant_error())
     lines.append("/* What the interpolant errs at a part of a step, over the error estimate. */")
     lines.append(f"static const double INTERPOLANT_ERROR[] = {{{share}}};")

@@ -17,6 +17,7 @@ from tenscontrol.arrays import FloatArray
 from tenscontrol.core.records import Progress, Settings, Spans
 from tenscontrol.dynamics.equation import Equation
 from tenscontrol.dynamics.evaluator import Evaluator, Function
+from tenscontrol.integrate import dop853_coefficients as dormand_prince
 from tenscontrol.integrate.core_run import (
     advance_in_core,
     reached,
@@ -335,7 +336,7 @@ class DOP853(Integrator):
     def _path_error(self, K: FloatArray, span: _Given, taken: float) -> float:
         """Return what the path from the ends of a step errs, as part of what a step may err."""
         half = len(span.allowed) // 2
-        off = (K @ _coefficients().E5)[:half]
+        off = (K @ dormand_prince.E5)[:half]
         of_positions = _PATH_OF_POSITIONS * taken * off / span.allowed[:half]
         of_velocities = _PATH_OF_VELOCITIES * off / span.allowed[half:]
         return float(np.sqrt(np.mean(of_positions**2 + of_velocities**2) / 2))
@@ -504,12 +505,6 @@ def _factors(part: Any) -> list[Any]:
     return list(accumulate(islice(cycle([part, 1 - part]), _POWERS), mul))
 
 
-def _coefficients() -> Any:
-    from scipy.integrate import DOP853
-
-    return DOP853
-
-
 def _on_interpolant(x: FloatArray, interpolant: FloatArray, parts: FloatArray) -> FloatArray:
     """Return the states, one a row, at parts of the step of an interpolant."""
     return x + np.array(_factors(parts)).T @ interpolant.T
@@ -530,12 +525,15 @@ def _interpolant_error() -> tuple[float, ...]:
     Of an equation that is linear, at the leading order: both are then multiples of the same term in
     h⁸. Coefficients of the polynomial in the part, from the lowest on.
     """
-    method, count = _coefficients(), _STAGES + 1 + _MORE_STAGES
+    count = _STAGES + 1 + _MORE_STAGES
     # In numbers of Python: sums in BLAS differ from machine to machine.
     A = np.zeros((count, count), dtype=object)
-    A[:_STAGES, :_STAGES], A[_STAGES, :_STAGES] = method.A, method.B
-    A[_STAGES + 1 :] = method.A_EXTRA
-    B, D, E3, E5 = (array.astype(object) for array in (method.B, method.D, method.E3, method.E5))
+    A[:_STAGES, :_STAGES], A[_STAGES, :_STAGES] = dormand_prince.A, dormand_prince.B
+    A[_STAGES + 1 :] = dormand_prince.A_EXTRA
+    B, D, E3, E5 = (
+        array.astype(object)
+        for array in (dormand_prince.B, dormand_prince.D, dormand_prince.E3, dormand_prince.E5)
+    )
     slopes = [np.ones(count).astype(object)]  # of the stages at each order of h, from 0 to 7
     for _ in range(1, _ORDER):
         slopes.append(A @ slopes[-1])
@@ -557,7 +555,6 @@ class _DormandPrince:
     def __init__(self, equation: Equation, project: bool = False) -> None:
         self._equation = equation
         self._project = projection(equation) if project else None
-        self._method = _coefficients()
         x, *rest = equation.symbols(ca.MX)
         self._inputs = [x, ca.MX.sym("f", x.shape), *rest]
 
@@ -565,9 +562,9 @@ class _DormandPrince:
         """Return x after the step, and the slopes of its stages."""
         x, f, _, taut, h = self._inputs
         slopes = [f]
-        for a, c in zip(self._method.A[1:], self._method.C[1:], strict=True):
+        for a, c in zip(dormand_prince.A[1:], dormand_prince.C[1:], strict=True):
             slopes.append(self._equation.slope(x + h * _combined(slopes, a), self._at(c), taut))
-        x1 = x + h * _combined(slopes, self._method.B)
+        x1 = x + h * _combined(slopes, dormand_prince.B)
         if self._project is not None:
             x1 = put_on_lengths(self._project, x1, self._at(1.0))
         return x1, slopes
@@ -589,7 +586,7 @@ class _DormandPrince:
         f1 = self._equation.slope(x1, self._at(1.0), taut)
         slopes.append(f1)
         fifth, third = (
-            ca.sumsqr(_combined(slopes, e) / scale) for e in (self._method.E5, self._method.E3)
+            ca.sumsqr(_combined(slopes, e) / scale) for e in (dormand_prince.E5, dormand_prince.E3)
         )
         # Nothing moves: no error. Slopes whose squares overflow: a step far too long, no quotient.
         below = ca.sqrt((fifth + 0.01 * third) * x.shape[0])
@@ -605,11 +602,11 @@ class _DormandPrince:
         x1, f1 = ca.MX.sym("x1", x.shape), ca.MX.sym("f1", x.shape)
         K = ca.MX.sym("K", x.shape[0], _STAGES + 1)
         slopes = ca.horzsplit(K)
-        for a, c in zip(self._method.A_EXTRA, self._method.C_EXTRA, strict=True):
+        for a, c in zip(dormand_prince.A_EXTRA, dormand_prince.C_EXTRA, strict=True):
             slopes.append(self._equation.slope(x + h * _combined(slopes, a), self._at(c), taut))
         step = x1 - x
         first = [step, h * f - step, 2 * step - h * (f1 + f)]
-        rest = [h * _combined(slopes, d) for d in self._method.D]
+        rest = [h * _combined(slopes, d) for d in dormand_prince.D]
         inputs = [x, x1, f, f1, K, u, taut, h]
         return Function("interpolant", inputs, [ca.horzcat(*first, *rest)])
 

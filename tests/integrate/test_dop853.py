@@ -3,15 +3,22 @@
 import casadi as ca
 import numpy as np
 import pytest
+import scipy.integrate
 
 import tenscontrol as tc
 from tenscontrol.dynamics.equation import pack_state
 from tenscontrol.dynamics.evaluator import Evaluator
-from tenscontrol.integrate import CVODES, DOP853, RK4, EnergyMomentum, IntegrationError
+from tenscontrol.integrate import (
+    CVODES,
+    DOP853,
+    RK4,
+    EnergyMomentum,
+    IntegrationError,
+    dop853_coefficients,
+)
 from tenscontrol.integrate.dop853 import (
     _PATH_OF_POSITIONS,
     _PATH_OF_VELOCITIES,
-    _coefficients,
     _DormandPrince,
     _factors,
     _interpolant_error,
@@ -22,6 +29,12 @@ from tests.dynamics.scenes import paper_force_density, rest_lengths
 from tests.integrate.stepping import smooth_equation
 from tests.integrate.test_rk4 import explosion, oscillator
 from tests.oracle import HeldRestLength, RigidBars
+
+
+def test_coefficients_are_those_of_scipy():
+    for name in ("A", "B", "C", "D", "E3", "E5", "A_EXTRA", "C_EXTRA"):
+        known = getattr(scipy.integrate.DOP853, name)
+        np.testing.assert_array_equal(getattr(dop853_coefficients, name), known)
 
 
 @pytest.mark.parametrize("tolerance", [1e-4, 1e-6, 1e-8, 1e-10, 1e-12])
@@ -124,7 +137,7 @@ def test_what_the_path_from_the_ends_of_a_step_errs_is_known():
     found = _on_path(Evaluator(path(equation))(x, f, x1, f1, h)[0], parts, h).T
     cos, sin = np.cos(parts * h), np.sin(parts * h)
     off = np.abs(found - [1 - 0.7 * cos + sin, 0.7 * sin + cos]).max(axis=1)
-    fifth = abs(K @ _coefficients().E5)[0]
+    fifth = abs(K @ dop853_coefficients.E5)[0]
     known = [_PATH_OF_POSITIONS * h * fifth, _PATH_OF_VELOCITIES * fifth]
     np.testing.assert_allclose(off, known, rtol=0.05)
 
