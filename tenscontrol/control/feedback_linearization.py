@@ -348,7 +348,7 @@ class BoundedLeastSquares:
         """Forget the last answer, and what the solver adapted to it and to earlier matrices."""
         self.forget()
         # OSQP scales an updated A by the cost at that time: only a new program forgets.
-        self._program = OSQPSolver(*self._arguments, polish=True)
+        self._program = OSQPSolver(*self._arguments)
 
     def solve(
         self, J: FloatArray, d: FloatArray, c: FloatArray, low: FloatArray, high: FloatArray

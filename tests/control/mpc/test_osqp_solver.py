@@ -17,8 +17,8 @@ from tests.control.mpc.test_linear import kkt_residual
 FREE, HARD, SOFT = 12, 8, 5
 
 
-def make(P, A, most=20_000):
-    return OSQPSolver(csc_array(P), csc_array(A), 1e-9, most)
+def make(P, A, most=20_000, tolerance=1e-9):
+    return OSQPSolver(csc_array(P), csc_array(A), tolerance, most)
 
 
 def program(seed):
@@ -65,9 +65,32 @@ def test_answers_are_optimal(seed):
         assert answer.status is Status.OK
         bounds = (np.clip(bound, -1e9, 1e9) for bound in (low, high))
         error = kkt_residual(P, q, A, *bounds, answer.x, answer.y)
-        assert error < 1e-6
+        assert error < 1e-12
         violated += (answer.x[FREE:] > 1e-3).sum()
     assert violated > 2
+
+
+@pytest.mark.parametrize("tolerance", [1e-4, 1.0])
+def test_answers_are_exact_whatever_the_tolerance(tolerance):
+    """From other bounds than those that are active, and with a finer tolerance where it needs."""
+    exact = 0
+    for seed in range(40):
+        P, A, price = program(seed)
+        q, low, high = vectors(price, np.random.default_rng(seed))
+        answer = make(P, A, tolerance=tolerance).solve(q, low, high)
+        bounds = (np.clip(bound, -1e9, 1e9) for bound in (low, high))
+        exact += kkt_residual(P, q, A, *bounds, answer.x, answer.y) < 1e-12
+    assert exact == 40
+
+
+def test_bounds_that_depend_on_one_another_are_kept_exactly():
+    """The corner (1, 2) is on five rows, one of them twice: min |x − (3, 3)|²."""
+    rows = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [-2.0, 1.0]])
+    high = np.array([1.0, 2.0, 3.0, 1.0, 0.0])
+    answer = make(np.eye(2), rows, tolerance=1e-3).solve(-np.full(2, 3.0), np.full(5, -9.0), high)
+    np.testing.assert_allclose(answer.x, [1.0, 2.0], rtol=0, atol=1e-14)
+    assert answer.y.min() >= 0
+    np.testing.assert_allclose(rows.T @ answer.y, [2.0, 1.0], rtol=0, atol=1e-12)
 
 
 def test_reset_and_pickle_leave_a_fresh_solver():
