@@ -12,7 +12,6 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.control import ControlWarning
-from tenscontrol.core.library import absence
 from tenscontrol.dynamics.machine_code import compiler
 from tests.code_blocks import blocks
 from tests.docs_search import found
@@ -164,8 +163,7 @@ def test_coming_from():
     assert round(names["least"].mass, 4) == 8.8580
     assert names["lowest"].round(4).tolist() == [0.0109, 0.0195, 0.0340]
     assert names["hung"].string_length(names["run"].nodes[..., 0])[0] == 0.5
-    off = 1e-3 if absence() else 1e-6  # OSQP in place of the core
-    assert names["command"] == pytest.approx(names["plant"].force_density, abs=off)
+    assert names["command"] == pytest.approx(names["plant"].force_density, abs=1e-6)
 
 
 def test_interop():

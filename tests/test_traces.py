@@ -31,6 +31,7 @@ import pytest
 import tenscontrol as tc
 from tenscontrol.core.library import library
 from tests.benchmarks.error_against_time import MOTIONS
+from tests.marks import needs_core
 
 PACKAGE = str(Path(tc.__file__).parent) + "/"
 SAMPLE = 0.02
@@ -179,7 +180,7 @@ def test_what_a_later_run_costs_beside_its_steps(scene):
 
 
 # NumPy and Python differ by some calls from version to version.
-@pytest.mark.skipif(library() is None, reason="installed without a compiler")
+@needs_core
 @pytest.mark.parametrize(("error", "most"), [("none", 680), ("estimate", 960)])
 def test_a_later_run_enters_few_functions(error, most):
     scene = MOTIONS["taut"].make(5.0)

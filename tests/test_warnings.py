@@ -10,6 +10,7 @@ import pytest
 import tenscontrol as tc
 from tenscontrol.core import library
 from tenscontrol.warn import warn
+from tests.marks import needs_core
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +73,7 @@ def test_measured_shapes_warn_at_the_line_too():
     assert np.isfinite(told[0].lineno)
 
 
-@pytest.mark.skipif(library.absence() != "", reason="there is no compiled core")
+@needs_core
 def test_a_core_of_other_sources_is_named(monkeypatch):
     monkeypatch.setattr(library, "sources_id", lambda: "others")
     monkeypatch.setattr(library, "_loaded", library._loaded.__wrapped__)

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.core.library import library
 from tests.benchmarks.rk4_peers import numpy_rk4
 from tests.benchmarks.towers import simulated, tower
+from tests.marks import needs_core
 
-pytestmark = pytest.mark.skipif(library() is None, reason="switches are carried in the core")
+pytestmark = needs_core
 
 
 @pytest.fixture(scope="module")

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.core.library import library
 from tenscontrol.integrate.core_scene import CoreMotion
+from tests.marks import needs_core
 from tests.random_scenes import random_scene
 from tests.without_core import without_core
 
-pytestmark = pytest.mark.skipif(library() is None, reason="installed without a compiler")
+pytestmark = needs_core
 
 # Of the first sixteen scenes those that neither blow up nor magnify round-off to a billionth.
 SEEDS = (0, 3, 7, 9, 12, 15)

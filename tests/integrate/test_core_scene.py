@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.core.library import library
 from tenscontrol.integrate.core_scene import core_scene
 from tenscontrol.integrate.projection import projection
 from tests import core_kernels
+from tests.marks import needs_core
 from tests.random_scenes import random_scene
 from tests.without_core import without_core
 
-pytestmark = pytest.mark.skipif(library() is None, reason="installed without a compiler")
+pytestmark = needs_core
 
 
 def scene_and_state(seed):

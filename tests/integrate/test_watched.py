@@ -7,7 +7,6 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol import progress
-from tenscontrol.core.library import library
 from tenscontrol.dynamics.equation import pack_state
 from tenscontrol.integrate import (
     DOP853,
@@ -22,6 +21,7 @@ from tenscontrol.integrate import (
 from tenscontrol.integrate.methods import METHODS
 from tenscontrol.integrate.watched import WATCHED
 from tests.dynamics.scenes import paper_force_density, rest_lengths
+from tests.marks import needs_core
 from tests.without_core import without_core
 
 PRISM = tc.prism()
@@ -91,7 +91,7 @@ def keeping(name):
     return method
 
 
-@pytest.mark.skipif(library() is None, reason="ends of steps are kept in the compiled core")
+@needs_core
 def test_ends_of_steps_are_kept_over_pauses(monkeypatch):
     monkeypatch.setattr("tenscontrol.integrate.watched._FREE", 1e2)
     pauses, advance = [], DOP853.advance

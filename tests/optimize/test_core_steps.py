@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.core.library import library
 from tenscontrol.dynamics.model_parameters import ground_numbers, law_parameters
 from tenscontrol.optimize import variations
+from tests.marks import needs_core
 from tests.random_scenes import random_scene
 
-pytestmark = pytest.mark.skipif(library() is None, reason="installed without a compiler")
+pytestmark = needs_core
 
 
 def squares(_, nodes, velocities):

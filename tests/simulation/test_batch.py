@@ -11,15 +11,13 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.core.library import library
 from tenscontrol.dynamics.equation import pack_state, unpack_states
 from tenscontrol.integrate import Projector, watched
 from tenscontrol.integrate.dop853 import cost_in_core
 from tenscontrol.interrupt import InterruptionWarning
 from tenscontrol.simulation.batch.runner import Runner
+from tests.marks import needs_core
 from tests.random_scenes import random_scene
-
-needs_core = pytest.mark.skipif(library() is None, reason="no core")
 
 RUNS = 6
 MORE = 11  # than lanes, and not a multiple of them
@@ -365,7 +363,10 @@ def test_a_model_is_no_scene():
 
 @pytest.mark.parametrize(
     ("friction", "back_end"),
-    [([0.2, 0.9], "core, runs side by side"), ([0.0, 0.9], "a model built for each run")],
+    [
+        pytest.param([0.2, 0.9], "core, runs side by side", marks=needs_core),
+        ([0.0, 0.9], "a model built for each run"),
+    ],
 )
 def test_numbers_of_the_ground_vary(friction, back_end):
     ball = tc.library.six_bar_ball()

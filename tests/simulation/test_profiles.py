@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.core.library import library
 from tenscontrol.dynamics.equation import pack_state
 from tenscontrol.dynamics.profile import as_pieces
 from tenscontrol.integrate import Method
@@ -19,6 +18,7 @@ from tenscontrol.simulation.integration import Integration
 from tenscontrol.simulation.plant_run import PlantRun
 from tests.integrate.coupled_scenes import arm, mixed, spine
 from tests.known_structures import clustered_d_bar
+from tests.marks import needs_core
 from tests.oracle import string_motion
 from tests.simulation.piecewise import Moving, constant
 
@@ -412,7 +412,7 @@ def test_the_estimate_of_the_error_knows_the_pieces():
 HELD = Method("held", ("step",), "knows no time", METHODS["rk4"].make)
 
 
-@pytest.mark.skipif(library() is None, reason="installed without a compiler")
+@needs_core
 @pytest.mark.parametrize("method", ["auto", "rk4", "dop853"])
 @pytest.mark.parametrize("interpolation", ["hold", "linear"])
 def test_pieces_in_one_call_are_those_one_by_one(method, interpolation, prism, monkeypatch):

@@ -7,6 +7,7 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.dynamics.model_parameters import parameters_of, with_parameters
+from tests.marks import needs_core
 from tests.without_core import without_core
 
 SAMPLE, STEP = 0.02, 1e-3
@@ -131,7 +132,11 @@ PARAMETERS = {
 
 @pytest.mark.parametrize(
     ("kind", "winches"),
-    [("side by side", "jumps"), ("side by side", "ramp"), ("one by one", "none")],
+    [
+        pytest.param("side by side", "jumps", marks=needs_core),
+        pytest.param("side by side", "ramp", marks=needs_core),
+        ("one by one", "none"),
+    ],
 )
 def test_robots_with_parameters_have_the_bits_of_runs_of_their_models(kind, winches):
     model, samples = ball(), 4

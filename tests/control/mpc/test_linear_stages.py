@@ -8,10 +8,10 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.control.mpc import OutputLimit
-from tenscontrol.core.library import absence
 from tests.control.mpc.optimum import exact_optimum, point_of_inputs
+from tests.marks import needs_core
 
-pytestmark = pytest.mark.skipif(absence() != "", reason="there is no compiled core")
+pytestmark = needs_core
 
 
 def plant_of(structure, held):

@@ -14,6 +14,7 @@ from tenscontrol.dynamics.machine_code import compiler
 from tenscontrol.plant.reduced_dynamics import explicit_substeps, sampled_dynamics
 from tests.control.mpc.nmpc_oracle import IpoptNMPC, closed_loop_cost
 from tests.control.mpc.test_linear import kkt_residual
+from tests.marks import needs_core
 from tests.without_core import without_core
 
 SAMPLE = 0.02
@@ -269,6 +270,7 @@ def test_horizon_of_one_sample():
     assert np.allclose(*values, atol=0.02)
 
 
+@needs_core
 @pytest.mark.parametrize(("held", "stiffness"), [("force_density", 100.0), ("rest_length", 1e4)])
 def test_the_core_and_machine_code_give_the_same_commands(held, stiffness):
     """By explicit and by implicit steps; the second with limits of strings."""

@@ -17,11 +17,11 @@ from tenscontrol.control.mpc.problem import (
     Subproblem,
 )
 from tenscontrol.control.mpc.stages import StagesSubproblem
-from tenscontrol.core.library import absence
 from tests.control.mpc.optimum import exact_optimum, fill_violations, is_feasible
+from tests.marks import needs_core
 
 SAMPLE = 0.02
-pytestmark = pytest.mark.skipif(absence() != "", reason="there is no compiled core")
+pytestmark = needs_core
 
 
 def exact_plan(problem, bounds, row_bounds, plan, motion, rows, given, found):
