@@ -175,8 +175,9 @@ class MPCSettings:
         Node coordinates without offset under a load. Combinations of them; all, as well as
         can be, if not given.
     tolerance : float
-        Absolute and relative tolerance of the solver. Its unit is that of an input: the largest γ
-        at the operating point, or the largest stretch.
+        Absolute and relative tolerance of the solver. That of OSQP is where ADMM stops; the exact
+        solution is found from there. Its unit is that of an input: the largest γ at the operating
+        point, or the largest stretch.
     max_iterations : int
         Most iterations of the solver.
     time_limit : float, optional
@@ -185,9 +186,9 @@ class MPCSettings:
         counted.
     solver : {"auto", "stages", "osqp"} or subclass of QPSolver
         Solver of the quadratic programs. "stages" is an active set along the stages of the horizon,
-        exact to round-off, in the compiled core. OSQP (ADMM, to the tolerance) solves the sparse
-        program with its states, as a solver of your own does. "auto" takes "stages" where the core
-        is there, else OSQP; see the attribute ``solver`` of a controller.
+        exact to round-off, in the compiled core. OSQP (ADMM, then an active set) solves the sparse
+        program with its states, as a solver of your own does, and is slower. "auto" takes "stages"
+        where the core is there, else OSQP; see the attribute ``solver`` of a controller.
 
     Raises
     ------
