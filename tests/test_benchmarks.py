@@ -294,7 +294,7 @@ def test_stiffness(printed):
 def test_qp_solvers(printed):
     text = printed("qp_solvers", "--starts 1 --samples 6 --lengths 4")
     assert "horizon 4: 6 programs, 36 inputs" in text
-    errors = {"stages": 1e-9, "OSQP, sparse": 1e-2}
+    errors = {"stages": 1e-9, "OSQP, sparse": 1e-9}
     errors |= {"PIQP multistage, sparse": 1e-2} if find_spec("piqp") else {}
     errors |= {"DAQP, dense": 1e-9} if find_spec("daqp") else {}
     errors |= {"quadprog, dense": 1e-9} if find_spec("quadprog") else {}
