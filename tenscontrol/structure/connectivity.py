@@ -115,7 +115,8 @@ def checked_supports(fixed: Any, rollers: Any, shape: tuple[int, ...]) -> tuple[
 def refuse_repeats(bars: IntArray) -> None:
     """Raise if two bars join the same nodes."""
     low, high = bars.min(axis=1), bars.max(axis=1)
-    if len(np.unique(low * (1 + high.max(initial=0)) + high)) == len(bars):
+    pairs = np.sort(low * (1 + high.max(initial=0)) + high)
+    if (np.diff(pairs) > 0).all():
         return
     _, first, which = np.unique(np.sort(bars), axis=0, return_index=True, return_inverse=True)
     again = int(np.argmax(first[which.ravel()] != np.arange(len(bars))))
