@@ -408,7 +408,7 @@ def _found(
         every = at_level
     densities = every.nearest(np.full(count, goal), low, high)
     if densities is None:
-        raise ValueError(_infeasible(forces, strings, low, high, bool(w.any()), every))
+        raise ValueError(_infeasible(forces, strings, low, high, bool(w.any()), every, level))
     # What round-off leaves below zero is zero; the residual is checked afterwards.
     on_strings = densities[:count]
     on_strings[on_strings < _ROUND_OFF * np.abs(densities).max()] = 0.0
@@ -568,7 +568,7 @@ def prism_force_density(
 
 def _infeasible(
     forces: MemberForces, strings: IntArray, low: FloatArray, high: FloatArray, loaded: bool,
-    at_level: BalancedForces | None = None,
+    at_level: BalancedForces | None = None, level: float | None = None,
 ) -> str:  # fmt: skip
     """Say why no force densities were found."""
     states, count = forces.matrix.shape[1] - forces.rank, len(strings)
@@ -610,10 +610,11 @@ def _infeasible(
     unbounded = np.full(count, np.inf)
     wider = (at_level or every).largest_share(low, unbounded)
     if share < 1 and wider >= 1 - _ROUND_OFF:
-        level = f"; with it, all strings can have {share:.4g} times the least that is asked for"
+        asked = "" if level is None else f" for a force_density of {level:g} N/m"
+        most = f"; with it, all strings can have {share:.4g} times the least that is asked for"
         return (
-            "max_force_density is too low: without it, there are force densities that balance"
-            + (level if np.isfinite(share) and low.any() else "")
+            f"max_force_density is too low{asked}: without it, there are force densities that "
+            f"balance{most if np.isfinite(share) and low.any() else ''}"
         )
     slack = strings[~can] if can is not None else strings
     which = f" (strings {listed(slack)} cannot be taut)" if len(slack) else ""

@@ -158,9 +158,10 @@ def refuse_untouched_nodes(bars: IntArray, segments: IntArray, held: IntArray, c
     untouched = all_but(count, touched)
     if len(untouched):
         raise ValueError(
-            f"nothing touches nodes[:, {untouched[0]}]"
-            + (f" (nor {len(untouched) - 1} more)" if len(untouched) > 1 else "")
-            + "; remove it, join it by a bar or a string, or fix it"
+            f"nodes[:, {untouched[0]}]"
+            + (f" (and {len(untouched) - 1} more)" if len(untouched) > 1 else "")
+            + " is in none of bars, strings and fixed; remove it, join it by a bar or a string, or "
+            "fix it"
         )
 
 

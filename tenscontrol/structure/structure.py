@@ -204,7 +204,7 @@ class Structure(Viewable):
         bare = points[mass[points] == 0]
         if len(bare):
             raise ValueError(
-                f"node {bare[0]} is on no bar, so it is a point mass and needs "
+                f"node {bare[0]} is in none of bars, so it is a point mass and needs "
                 f"string_node_mass: one number, or one for each of the {len(points)} string nodes; "
                 f"or give point_mass, one number, or one for each of the {count} nodes"
             )
