@@ -276,6 +276,10 @@ class Scene:
 
     def _check_inputs(self) -> None:
         """Check what the actuators hold, and which strings and winches fail."""
+        from tenscontrol.actuation.driven_strings import BAR_INPUTS
+
+        if self.input is not None:
+            validation.choice("input", self.input, ("rest_length", "force_density", *BAR_INPUTS))
         if self.controller is None:
             self._check_open_loop()
         else:

@@ -86,6 +86,7 @@ def test_a_scene_is_linearized_about_its_input(regulated, model, prism):
         ({"integration": 1e-3}, TypeError, "integration is a float, expected Integration"),
         ({"prestress": -1.0}, ValueError, r"prestress\[0\] is -1"),
         ({"force_density": 1.0}, ValueError, "found both"),
+        ({"input": np.ones((2, 3))}, ValueError, "input is array"),
         ({"input": "force_density"}, ValueError, "but rest_length is given and held"),
         ({"seed": -1}, ValueError, "seed is -1"),
         ({"winches": 0.5}, TypeError, "winches is a float"),
