@@ -319,14 +319,16 @@ def _at_most(value: Any, limit: FloatArray, label: str) -> Rows:
 
 def _column(value: Any) -> Any:
     """Return what a function of a user says as a column, or raise."""
-    if isinstance(value, list | tuple):
-        value = ca.vertcat(*value)
-    if not isinstance(value, ca.SX):
-        raise validation.wrong_kind(
-            "what obstacles returns", value,
-            "expressions in CasADi, as ca.sumsqr(nodes[:, 5] - centre) - radius**2",
-        )  # fmt: skip
-    return ca.vec(value)
+    is_list = isinstance(value, list | tuple)
+    columns = [ca.SX(0, 1)]
+    for i, expression in enumerate(value if is_list else [value]):
+        if not isinstance(expression, ca.SX):
+            raise validation.wrong_kind(
+                f"what obstacles returns{f', its entry {i},' if is_list else ''}", expression,
+                "expressions in CasADi, as ca.sumsqr(nodes[:, 5] - centre) - radius**2",
+            )  # fmt: skip
+        columns.append(ca.vec(expression))
+    return ca.vertcat(*columns)
 
 
 def bar_clearances(structure: Structure, N: Any) -> Any:

@@ -455,6 +455,7 @@ def test_distances_of_bars_are_those_of_the_structure():
             "the motor of string 5 has no inertia beside others",
         ),
         ({"obstacles": lambda nodes: "far"}, "obstacles"),
+        ({"obstacles": lambda nodes: [nodes[1, 5], None]}, "obstacles.* entry 1,.* NoneType"),
         ({"minimize": lambda nodes, velocities, input, rate: nodes}, "minimize"),
         ({"max_tension": 90.0}, "start is an end.*max_tension"),
         ({"obstacles": lambda nodes: 1.05 - nodes[1, 5]}, "goal is an end.*obstacles"),
