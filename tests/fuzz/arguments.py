@@ -47,8 +47,9 @@ MEMORY = 4 * 2**30
 # Left out: starts processes.
 LEFT_OUT = {("sweep", "executor", "None")}
 
-# Numbers that ask for a long motion, or for one so fast that it takes many steps, as a million
-# segments and compiling do: it takes its time, and can be interrupted. That is no hang.
+# Numbers that ask for a long motion or many outputs, or for one so fast that it takes many steps,
+# as a million segments and compiling do: it takes its time, and can be interrupted. That is no
+# hang.
 LONG = (
     "1",
     "2",
@@ -188,6 +189,7 @@ def _is_meant(name, argument, spoiler):
     return (
         (argument == "duration" and spoiler in LONG)
         or (runs and argument in IN_MOTION and spoiler in FAST)
+        or (runs and argument == "outputs" and spoiler in LONG)
         or (argument == "segments" and spoiler in ("1e6", "times 1e6"))
         or (name == "shape_path" and argument == "step" and spoiler == "1e-6")
         or (argument == "machine_code" and "True" in spoiler)

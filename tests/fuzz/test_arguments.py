@@ -18,6 +18,10 @@ FOUND = (
     "design|min_force_density||1e-300", "LQR|max_change||longdouble",
     "learning.Rolling|direction||1e-15", "prestress|min_force_density||100",
     "Log.of_run|times||empty list",
+    "Structure|bars|(2, 0)|1",
+    "Structure, any class|strings||empty tuple",
+    "prestress, bounds|force_density||uint64",
+    "Scene|input||array 3-D",
 )  # fmt: skip
 
 
