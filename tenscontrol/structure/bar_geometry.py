@@ -136,7 +136,7 @@ def refuse_wrong_bar_lengths(
 def refuse_strings_without_length(name: str, structure: Structure, nodes: FloatArray) -> None:
     """Raise if the ends of a string are at the same place: its force has no direction."""
     length = np.linalg.norm(member_vectors(nodes, structure.segments), axis=0)
-    is_short = length <= 1e-12 * length.max(initial=0.0)
+    is_short = length <= max(1e-12 * length.max(initial=0.0), 1 / validation.LARGEST)
     if is_short.any():
         short = np.flatnonzero(is_short)
         start, end = structure.segments[short[0]]
