@@ -14,7 +14,7 @@ from tenscontrol.dynamics.coordinates import coordinates
 from tenscontrol.dynamics.model import Model
 from tenscontrol.plant.linear_plant import LinearPlant
 from tenscontrol.plant.reference import STRINGS_MOVE_NO_CENTRE
-from tenscontrol.shape.demands import Demand, centre_kept, checked_demands
+from tenscontrol.shape.demands import Demand, NodesAt, centre_kept, checked_demands
 from tenscontrol.shape.force_bounds import ForceLimits, checked_limits, refuse_ground
 from tenscontrol.shape.held_strings import HeldStrings, shape_drives
 from tenscontrol.shape.shape_search import MET, STIFF, Solved, solve_shape
@@ -228,8 +228,9 @@ def shape_target(
     Raises
     ------
     ShapeError
-        If no such equilibrium is found. Its text says by how much each demand is
-        missed; its ``nearest`` is the nearest equilibrium found. Also if the demands ask a free
+        If no such equilibrium is found near ``start``. Its text says by how much each demand is
+        missed, and which bar has another length than the places of its ends ask for; its
+        ``nearest`` is the nearest equilibrium found. Also if the demands ask a free
         structure only to move as one body, in the same shape, or to do so by more than its size.
     TypeError, ValueError
         If an argument is of the wrong kind or does not fit.
@@ -289,19 +290,21 @@ def shape_target(
     if solved is None:
         level = f", {limits.level:g} N/m in the reference strings" if limits.level else ""
         raise ShapeError(
-            "no equilibrium found with the bar lengths of the structure and γ of at least "
-            f"min_force_density{level}{_KEEPING if held else ''}. Start from another shape, or "
-            "lower min_force_density",
+            "no equilibrium found near start with the bar lengths of the structure and γ of at "
+            f"least min_force_density{level}{_KEEPING if held else ''}. Start from another shape, "
+            "or lower min_force_density",
             None,
         )
     target = _target(model, asked, limits, solved, held)
     if target.missed:
         misses = "; ".join(str(check) for check in target.missed)
         why = f" {STRINGS_MOVE_NO_CENTRE}." if len(asked) > len(wanted) else ""
+        apart = _bar_apart(structure, wanted, held)
+        other = "Give another place" if apart else "Try another start"
         raise ShapeError(
-            f"no equilibrium found that meets the demands. The nearest one found, .nearest, "
-            f"misses {len(target.missed)} of {len(target.demands)}: {misses}.{why} Try another "
-            "start, larger tolerances, wider bounds or more strings",
+            f"no equilibrium found near start that meets the demands{apart}. The nearest one "
+            f"found, .nearest, misses {len(target.missed)} of {len(target.demands)}: {misses}."
+            f"{why} {other}, larger tolerances, wider bounds or more strings",
             target,
         )
     gone, changed = _travel(model, begin, target.nodes)
@@ -330,6 +333,37 @@ def shape_target(
             target,
         )
     return target
+
+
+def _bar_apart(structure: Structure, demands: Sequence[Demand], held: HeldStrings | None) -> str:
+    """Say which bar is too long or too short for the places that supports and demands give it.
+
+    Empty if none is. Coordinates that are not given may be any.
+    """
+    d, n = structure.nodes.shape
+    place, off = np.full((d, n), np.nan), np.zeros((d, n))
+    for demand in demands:
+        if isinstance(demand, NodesAt):
+            rows = ["xyz".index(axis) for axis in demand.directions]
+            at = np.array(rows)[:, None], demand.nodes
+            place[at], off[at] = demand.positions, demand.tolerance
+    at = structure.fixed_rows % d, structure.fixed_rows // d
+    place[at], off[at] = structure.nodes[at], 0.0
+    driven = () if held is None else held.driven_bars
+    for i, (start, end) in enumerate(structure.bars.tolist()):
+        way, length = place[:, end] - place[:, start], float(structure.bar_length[i])
+        apart = float(np.linalg.norm(np.nan_to_num(way)))
+        room = float(np.linalg.norm(off[:, end] + off[:, start])) + MET * structure.size
+        is_far = apart > length + room
+        is_near = apart < length - room and not np.isnan(way).any()
+        if (is_far or is_near) and i not in driven:
+            least = "at least " if np.isnan(way).any() else ""
+            moved, other = (start, end) if end in structure.fixed else (end, start)
+            return (
+                f": node {moved} would be {least}{apart:.6g} m from node {other}; the bar between "
+                f"them has {length:.6g} m"
+            )
+    return ""
 
 
 def with_lengths_of(model: Model, nodes: FloatArray) -> Model:

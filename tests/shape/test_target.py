@@ -1,5 +1,6 @@
 """Shapes asked for: closed forms, exact equilibria, symmetry, the nearest where there is none."""
 
+from dataclasses import replace
 from functools import cache
 
 import casadi as ca
@@ -215,6 +216,40 @@ def test_a_height_beyond_the_bars_is_refused_and_the_nearest_reaches_their_lengt
     assert nearest.prestress.structure.string_length().min() > 0.008
     (check,) = nearest.missed
     assert check.missed == pytest.approx(1.5 - height(nearest.nodes), abs=1e-12)
+
+
+@pytest.mark.parametrize("rise", [-0.2, 0.2])
+@pytest.mark.parametrize("fixed", [BOTTOM, ()])
+def test_a_place_at_another_distance_than_the_bar_has_is_named(rise, fixed):
+    prism = replace(tc.prism(), fixed=fixed)
+    assert prism.bars[0].tolist() == [0, 4]
+    demands = [NodesAt([0], prism.nodes[:, [0]] + [[0.0], [0.0], [rise]])]
+    moved, other = 0, 4
+    if not fixed:  # the other end has a place by a demand
+        demands.append(NodesAt([4], prism.nodes[:, [4]]))
+        moved, other = 4, 0
+    apart = np.linalg.norm(demands[0].positions[:, 0] - prism.nodes[:, 4])
+    text = (
+        f"node {moved} would be {apart:.6g} m from node {other}; the bar between them has "
+        f"{prism.bar_length[0]:.6g} m"
+    )
+    with pytest.raises(ShapeError, match=text):
+        shape_target(tc.Model(prism), demands, force_density=LEVEL)
+    demands[0] = replace(demands[0], tolerance=0.3)
+    shape_target(tc.Model(prism), demands, force_density=LEVEL)
+
+
+def test_a_height_that_a_bar_does_not_reach_is_named_wherever_its_node_is():
+    prism = replace(tc.prism(), fixed=BOTTOM)
+    high = NodesAt([0], [[1.5]], directions="z")
+    with pytest.raises(ShapeError, match=r"node 0 would be at least 1\.5 m from node 4"):
+        shape_target(tc.Model(prism), high, force_density=LEVEL)
+
+
+def test_a_demand_that_supports_rule_out_blames_no_bar():
+    prism = replace(tc.prism(), fixed=BOTTOM)
+    with pytest.raises(ShapeError, match=r"near start that meets the demands\. The nearest"):
+        shape_target(tc.Model(prism), NodesAt([4], [[2.0]], "z"), force_density=LEVEL)
 
 
 def test_no_equilibrium_beside_the_nearest_is_nearer():
