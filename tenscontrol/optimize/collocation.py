@@ -26,6 +26,9 @@ STAGES = 2
 #: Label of the rows that are the equation of motion.
 EQUATION = "equation of motion"
 
+#: Label of the rows that limit power, which depends on the rate of the input.
+POWER = "max_power"
+
 # No time limit, so that iterations are the same in each run. Nearly optimal is not accepted.
 _IPOPT = {
     "print_level": 0,
@@ -66,6 +69,11 @@ class Rows:
     low: FloatArray
     high: FloatArray
     labels: tuple[str, ...]
+
+    def labelled(self, label: str) -> Rows:
+        """Return the rows of a label."""
+        chosen = [i for i, other in enumerate(self.labels) if other == label]
+        return Rows(self.value[chosen], self.low[chosen], self.high[chosen], (label,) * len(chosen))
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,9 +307,11 @@ class Collocation:
                 paid = w["paid"][i * m : (i + 1) * m]
                 rows.append(positive((paid - program.power(now)) / program.watt, "energy"))
                 cost += step * weights[i] * ca.sum1(paid)
-        if program.ends is None:  # else the end of an interval is the beginning of the next
-            last, speeds = (ca.mtimes(x, ca.DM(_lagrange(points, np.ones(1)))) for x in whole)
-            rows.append(program.limits(Instant(last, speeds, w["end"], rate)))
+        last, speeds = (ca.mtimes(x, ca.DM(_lagrange(points, np.ones(1)))) for x in whole)
+        at_end = program.limits(Instant(last, speeds, w["end"], rate))
+        if program.ends is not None:  # the next interval begins there, but at another rate
+            at_end = at_end.labelled(POWER)
+        rows.append(at_end)
         limited = np.flatnonzero(np.isfinite(program.rate_limit)).tolist()
         reach = step * ca.DM(program.rate_limit[limited])
         for sign in (-1, 1):

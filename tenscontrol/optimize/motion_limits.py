@@ -22,7 +22,7 @@ from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics import kernel
 from tenscontrol.dynamics.evaluator import Function, builds
 from tenscontrol.dynamics.model import Model
-from tenscontrol.optimize.collocation import Instant, Rows, positive, stacked
+from tenscontrol.optimize.collocation import POWER, Instant, Rows, positive, stacked
 from tenscontrol.shape.force_bounds import checked_bounds
 from tenscontrol.shape.held_strings import HeldStrings
 from tenscontrol.statics.prestress import Prestress
@@ -266,7 +266,7 @@ class MotionLimits:
     def _motor_rows(self, state: StringState) -> list[Rows]:
         """Return limits of power and, of cables under force control, speed."""
         return [
-            _at_most(state.power, self.power, "max_power"),
+            _at_most(state.power, self.power, POWER),
             _at_most(state.rate, self._length_rate, "rate"),
             _at_most(-state.rate, self._length_rate, "rate"),
         ]
