@@ -109,6 +109,9 @@ class MotionProgram:
         ``Instant -> Rows`` that hold all the time.
     cost_rate : callable
         ``Instant -> cost per second``, one expression.
+    tie_rate : callable
+        As ``cost_rate``: what is least beside the cost, and no part of it. It decides between
+        motions that cost the same.
     end : callable
         ``(places, velocities) -> Rows`` of the end.
     start : ndarray, shape (f,)
@@ -131,6 +134,7 @@ class MotionProgram:
     acceleration: ca.Function
     limits: Callable[[Instant], Rows]
     cost_rate: Callable[[Instant], Any]
+    tie_rate: Callable[[Instant], Any]
     end: Callable[[Any, Any], Rows]
     start: FloatArray
     input_range: FloatArray
@@ -274,19 +278,20 @@ class Collocation:
         self._size = intervals * self._width + 2 * f
         block = ca.SX.sym("block", self._width)
         real = {n: block[p.tolist()] * self._scales[n] for n, p in self._places.items()}
-        self._rows, cost = self._interval(real)
+        self._rows, cost, tie = self._interval(real)
+        self._cost = Function(Function("cost", [block], [ca.densify(cost)]).map(intervals))
         last = ca.SX.sym("last", 2 * f)
         self._end = program.end(program.size * last[:f], speed * last[f:])
         self._links = self._link_matrix()
         self._parts = (
-            _Derivatives(block, self._rows.value, cost / program.price, intervals),
+            _Derivatives(block, self._rows.value, (cost + tie) / program.price, intervals),
             _Derivatives(last, self._end.value, ca.SX(0), 1),
         )
 
     # ---- the program ----
 
-    def _interval(self, w: dict[str, Any]) -> tuple[Rows, Any]:
-        """Return the rows of an interval and its cost, from its unknowns in SI units."""
+    def _interval(self, w: dict[str, Any]) -> tuple[Rows, Any, Any]:
+        """Return the rows of an interval, its cost and tie, from its unknowns in SI units."""
         program, step, points = self.program, w["step"], gauss_points(self.stages)
         f, s, m = len(program.start), self.stages, w["begin"].numel()
         N, V = (ca.reshape(w[f"stage_{name}"], f, s) for name in ("places", "velocities"))
@@ -295,7 +300,7 @@ class Collocation:
         change = w["end"] - w["begin"]
         rate, speed = change / step, self._scales["velocities"]
         weights = np.polynomial.legendre.leggauss(s)[1] / 2
-        rows, cost = [], ca.SX(0)
+        rows, cost, tie = [], ca.SX(0), ca.SX(0)
         for i in range(s):
             now = Instant(N[:, i], V[:, i], w["begin"] + points[i + 1] * change, rate)
             force = program.acceleration(now.places, now.velocities, now.input)
@@ -303,6 +308,7 @@ class Collocation:
             rows.append(zero((gained[:, i] - step * force) / speed, EQUATION))
             rows.append(program.limits(now))
             cost += step * weights[i] * program.cost_rate(now)
+            tie += step * weights[i] * program.tie_rate(now)
             if program.power is not None:
                 paid = w["paid"][i * m : (i + 1) * m]
                 rows.append(positive((paid - program.power(now)) / program.watt, "energy"))
@@ -317,7 +323,7 @@ class Collocation:
         for sign in (-1, 1):
             rows.append(positive((reach + sign * ca.vec(change[limited])) / program.unit, "rate"))
         rows.append(program.limits(Instant(w["places"], w["velocities"], w["begin"], rate)))
-        return stacked(rows), cost
+        return stacked(rows), cost, tie
 
     def _link_matrix(self) -> Any:
         """Return the matrix L of what blocks have in common, L x = 0, sparse, by SciPy."""
@@ -450,7 +456,7 @@ class Collocation:
         return Solution(
             motion=self._unpacked(x),
             violations=self._violations(np.maximum(row_low - rows, rows - row_high)),
-            cost=float(answer["f"]) * self.program.price,
+            cost=float(ca.sum2(self._cost(self._blocks(x)))),
             status=_STATUSES.get(message, Status.UNSOLVED),
             message=message.replace("_", " ").lower(),
             iterations=watch.iterations,
@@ -491,9 +497,13 @@ class Collocation:
         ]
         return np.concatenate([x.ravel(order="F"), *ends])
 
+    def _blocks(self, x: FloatArray) -> FloatArray:
+        """Return the unknowns of each interval, a column each."""
+        return x[: self.intervals * self._width].reshape(self.intervals, self._width).T
+
     def _unpacked(self, x: FloatArray) -> DiscreteMotion:
         K, width, f = self.intervals, self._width, len(self.program.start)
-        blocks = x[: K * width].reshape(K, width).T
+        blocks = self._blocks(x)
         value = {n: blocks[p] * self._scales[n] for n, p in self._places.items()}
         last = x[K * width :].reshape(2, f)
         for name, end in zip(("places", "velocities"), last, strict=True):

@@ -65,6 +65,7 @@ class MotorStates:
             acceleration=Function("acceleration", [x, v, force], [ca.vertcat(moved, turned)]),
             limits=lambda now: program.limits(self._seen(now)),
             cost_rate=lambda now: program.cost_rate(self._seen(now)),
+            tie_rate=lambda now: program.tie_rate(self._seen(now)),
             power=None if power is None else lambda now: power(self._seen(now)),
             end=end,
             start=np.concatenate([program.start, first]),

@@ -59,7 +59,7 @@ from tenscontrol.warn import warn
 # What can be least, beside a cost of the user.
 COSTS = ("time", "energy", "effort")
 
-# Of the fastest motions, the one of least effort: its weight beside the duration.
+# Of motions of least time or work, the one of least effort: its weight beside the cost.
 _TIE = 1e-3
 
 # Durations of the guess that are tried one after the other, as parts of the first.
@@ -443,7 +443,8 @@ def optimal_motion(
     lengths and momenta exactly (IV.2.1). The optimum is a local one, near the guess: the path of
     :func:`shape_path` where there is one. Iterations are the same in each run.
 
-    Of several fastest motions it is that of least effort.
+    Of several motions of least time or work it is that of least effort: a thousandth of the effort
+    is least beside the cost, and is no part of ``cost``.
 
     Examples
     --------
@@ -649,7 +650,6 @@ class _Planner:
         )
         taut = np.ones(equation.switches)
         slope = equation.slope(ca.vertcat(places, velocities), limits.strings(u), taut)[half:]
-        watt = limits.level * self._size**2 / self._time
         ends = None
         if self._input == "rest_length":
             ends = np.array([self._end_input(rest) for rest in self._ends])
@@ -657,6 +657,7 @@ class _Planner:
             acceleration=Function("acceleration", [places, velocities, u], [slope]),
             limits=limits.rows,
             cost_rate=self._cost_rate,
+            tie_rate=self._tie_rate,
             end=self._end.rows,
             start=free_coordinates(structure, self._ends[0].structure.nodes),
             input_range=limits.input_range,
@@ -667,15 +668,19 @@ class _Planner:
             size=self._size,
             time=self._time,
             unit=self._size if ends is not None else limits.level,
-            watt=watt,
-            price=self._price(watt),
+            watt=self._watt(),
+            price=self._price(),
         )
 
-    def _price(self, watt: float) -> float:
+    def _watt(self) -> float:
+        """Return the size of a power, W."""
+        return float(self._limits.level * self._size**2 / self._time)
+
+    def _price(self) -> float:
         """Return the size of the cost."""
         if self._minimize == "effort":
             return self._time * float(np.sum(np.square(self._usual())))
-        sizes = {"time": self._time, "energy": watt * self._time}
+        sizes = {"time": self._time, "energy": self._watt() * self._time}
         return sizes.get(self._minimize, 1.0) if isinstance(self._minimize, str) else 1.0
 
     def _power(self, now: Instant) -> Any:
@@ -684,8 +689,7 @@ class _Planner:
     def _cost_rate(self, now: Instant) -> Any:
         """Return what an instant costs in a second."""
         if self._minimize == "time":
-            usual = self._usual()
-            return 1 + _TIE / len(usual) * self._effort(now, ca.DM(usual))
+            return ca.SX(1)
         if self._minimize == "effort":
             return self._effort(now, 1.0)
         if self._minimize == "energy":
@@ -700,6 +704,14 @@ class _Planner:
                 "what minimize returns", value, "one number in CasADi, as ca.sumsqr(velocities)"
             )
         return value
+
+    def _tie_rate(self, now: Instant) -> Any:
+        """Return a part of the effort: time and work leave many inputs open."""
+        if self._minimize not in ("time", "energy"):
+            return ca.SX(0)
+        usual = self._usual()
+        weight = _TIE * self._price() / self._time / len(usual)
+        return weight * self._effort(now, ca.DM(usual))
 
     def _effort(self, now: Instant, unit: Any) -> Any:
         values = now.rate
@@ -768,14 +780,11 @@ class _Planner:
             run = self._replayed(solution.motion)
             speed = np.linalg.norm(run.velocities[:, :, -1], axis=0).max()
             miss = self._end.distance(run.nodes[:, :, -1]), float(speed)
-        mesh_of = Mesh(intervals, solution.iterations, solution.status, self._cost(solution), *miss)
+        mesh_of = Mesh(intervals, solution.iterations, solution.status, solution.cost, *miss)
         self._meshes.append(mesh_of)
         if self._best is None or run is not None or self._best[1] is None:
             self._best = solution, run, mesh_of
         return solution, run
-
-    def _cost(self, solution: Solution) -> float:
-        return solution.motion.duration if self._minimize == "time" else solution.cost
 
     def _shortfall(self) -> str:
         """Return what the motion lacks, empty if nothing. The cost of one mesh is not judged."""
