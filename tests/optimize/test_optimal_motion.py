@@ -193,9 +193,8 @@ def test_least_work_of_a_ganged_winch_is_what_its_strings_store(ganged):
     *scene, plant = ganged
     motor = tc.Motor(drum_radius=0.01, torque=0.18)
     slow = tc.Winches(rate=[9.0, 9.0, 0.15], motor=motor)  # of the second string, by half
-    motion = tc.optimal_motion(
-        *scene, plant=plant, minimize="energy", duration=1.6, winches=slow, max_power=4.0
-    )
+    how = {"plant": plant, "duration": 1.6, "winches": slow, "max_power": 4.0}
+    motion = tc.optimal_motion(*scene, minimize="energy", **how)
     stored = []
     for rest in scene[1:]:
         length = rest.structure.string_length()
@@ -209,6 +208,10 @@ def test_least_work_of_a_ganged_winch_is_what_its_strings_store(ganged):
     power = -(tension[1] + HALF * tension[2]) * np.gradient(run.rest_length[1], run.time)
     assert power.max() < 4.0 * (1 + 1e-3)
     assert (tension[1] + HALF * tension[2]).max() < 18.0 * (1 + 1e-3)
+    # All motions that take nothing back give this work: the plan is the one of least effort.
+    effort = float(motion.rate[1] ** 2 @ np.diff(motion.time))
+    least = tc.optimal_motion(*scene, minimize="effort", **how)
+    np.testing.assert_allclose(effort, least.cost, rtol=1e-4)
 
 
 def test_torque_of_antagonists_on_one_drum_limits_both_ways():
