@@ -276,10 +276,12 @@ class Scene:
 
     def _check_inputs(self) -> None:
         """Check what the actuators hold, and which strings and winches fail."""
-        from tenscontrol.actuation.driven_strings import BAR_INPUTS
+        of_strings = ("rest_length", "force_density")
+        is_known = self.input is None or (type(self.input) is str and self.input in of_strings)
+        if not is_known:
+            from tenscontrol.actuation.driven_strings import BAR_INPUTS
 
-        if self.input is not None:
-            validation.choice("input", self.input, ("rest_length", "force_density", *BAR_INPUTS))
+            validation.choice("input", self.input, (*of_strings, *BAR_INPUTS))
         if self.controller is None:
             self._check_open_loop()
         else:
