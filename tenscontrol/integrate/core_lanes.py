@@ -265,15 +265,15 @@ class AdaptiveLanes(CoreLanes):
         else:
             of_strings = held[:, : self._equation.layout.strings]
             frequency, (force, slope, taut) = memory.begin(calls, runs, of_strings, *asked)
+        rules = STEP_RULES[self._is_shortened]
         mass = self._mass[runs] if len(self._mass) > 1 else self._mass
         with np.errstate(over="ignore", invalid="ignore"):  # such runs do not reach the end
             fastest = np.abs(states[:, half:]).max(axis=1, initial=0.0)
             speed = speed_scale(size, mass, fastest, force, frequency)
             scale = np.repeat(np.stack([np.full(len(speed), size), speed], axis=1), half, axis=1)
-            step, longest = steps_of(slope, scale, frequency, duration, self._is_shortened)
+            step, longest = steps_of(slope, scale, frequency, duration, rules)
             scale *= self._tolerance
         own = {"step": step, "longest": longest, "scale": scale, "slope": slope, "taut": taut}
-        rules = STEP_RULES[self._is_shortened]
         settings = settings_of(
             "dop853", duration, outputs, self._project, limit=self._limit, within=rules.within
         )  # fmt: skip

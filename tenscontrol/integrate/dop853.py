@@ -108,6 +108,11 @@ STEP_RULES = (
     StepRules(_SHORTER * _STABLE, 0.5, _SHORTER, 0.03, 1e-5, 0.0),
 )
 
+# Where steps are traced, the longest one times the largest frequency, over the eighth root of the
+# tolerance. Small changes move along all vibrations, and the fastest sets their error, though the
+# motion itself may not move along it.
+_TRACED = 14.0
+
 # What a path from the ends of a step errs of positions, and times the step of velocities, at most
 # along it: so many times what the embedded order 5 errs of positions, at the leading order, h⁶.
 _PATH_OF_POSITIONS, _PATH_OF_VELOCITIES = 1.61, 5.52
@@ -210,7 +215,7 @@ class DOP853(Integrator):
         scale = state_scale(self._equation, state, held, self._frequency)
         taut = self._switches.taut(state, held)
         slope = self._slope(state, held, taut)[0].copy()
-        steps = steps_of(slope, scale, self._frequency, duration, self._is_shortened)
+        steps = steps_of(slope, scale, self._frequency, duration, self._own)
         step, longest = map(float, steps)
         allowed = self.tolerance * scale
         states = np.empty((outputs, self._equation.states))
@@ -241,7 +246,7 @@ class DOP853(Integrator):
 
     def _rules(self) -> Spans:
         """Return by what the core finds steps, and what they may err."""
-        rules = STEP_RULES[self._is_shortened]
+        rules = self._own
         length, mass = length_and_mass(self._equation)
         return Spans(
             tolerance=self.tolerance, length=length, mass=mass, frequency=self._frequency,
@@ -343,7 +348,10 @@ class DOP853(Integrator):
 
     @property
     def _own(self) -> StepRules:
-        return STEP_RULES[self._is_shortened]
+        rules = STEP_RULES[self._is_shortened]
+        if not self.traces:
+            return rules
+        return rules._replace(stable=min(rules.stable, _TRACED * self.tolerance ** (1 / _ORDER)))
 
     def _landed(
         self, step: Step, K: FloatArray, error: float, span: _Given, now: _Motion
@@ -427,13 +435,12 @@ def cost_in_core(states: int) -> float:
 
 def steps_of(
     slope: FloatArray, scale: FloatArray, frequency: FloatOrArray, duration: float,
-    is_shortened: bool,
+    rules: StepRules,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """Return the first and the longest step, s, of one run or several, slopes (…, states).
 
     The first moves the state by a hundredth of its scale.
     """
-    rules = STEP_RULES[is_shortened]
     speed = np.max(np.abs(slope) / scale, axis=-1, initial=0.0)
     return (
         rules.first * np.minimum(0.01 / np.fmax(speed, 1e-300), duration),
