@@ -75,7 +75,7 @@ def test_loads_act(prism):
     ("change", "error", "message"),
     [
         ({"duration": 0.0}, ValueError, "duration is 0.0, expected a positive finite number"),
-        ({"input": "tension"}, ValueError, "input is 'tension', but force_density is given"),
+        ({"input": "tension"}, ValueError, "input is 'tension', expected one of 'rest_length'"),
         ({"force_density": None}, ValueError, "found neither"),
         ({"force_density": [1.0]}, ValueError, r"force_density has shape \(1,\), expected"),
         ({"nodes": np.ones((3, 6))}, ValueError, "in nodes, bar 0 has length 0 m"),

@@ -226,7 +226,7 @@ class TestMemory:
 
         decide = controller._decide
         controller._decide = lambda time, state: look(time) is None or decide(time, state)
-        tc.simulate(fuzz.SHARED, 0.02, controller=controller, estimator=estimator)
+        tc.simulate(fuzz.SHARED, 0.02, controller=controller, estimator=estimator, error="none")
         assert found == [controller, estimator]
         controller.reset(), elsewhere(estimator.reset)
 

@@ -148,14 +148,14 @@ def test_a_loop_that_magnifies_errors_says_until_when_it_is_right(weight, sample
 
 
 def test_a_filter_that_magnifies_errors_is_part_of_the_estimate():
-    # The loop comes to its goal, and under its commands the motion alone errs by 5e-4.
-    loop = random_loop(1010)
+    # The loop comes to its goal, and under its commands the motion alone errs by 2e-4.
+    loop = random_loop(36)
     exact = loop.simulate(method="dop853", tolerance=1e-11, error="none")
     with pytest.warns(AccuracyWarning, match="foretold for a time"):
         run = loop.simulate(tolerance=1e-4)
     assert not run.control.problems
     true = off(run, exact)
-    assert true.max() > 0.1
+    assert true.max() > 0.02
     assert (true <= np.maximum(3 * run.error, 1e-9)).all()
 
 
