@@ -130,10 +130,8 @@ class Watched(Integrator):
         """See :meth:`Integrator.advance`."""
         duration = validation.positive_number("duration", duration, "s")
         outputs = validation.whole_number("outputs", outputs, 1)
-        if self._is_over:  # a part of the motion again
-            method, _ = self._method(self._at_work)
-            method.limit = np.inf
-            return method.advance(state, held, duration, outputs, report)
+        if self._is_over:
+            return self._again(state, held, duration, outputs, report)
         span = _Given(held, duration, outputs, self._equation.layout, report)
         motion = _Motion(0.0, state, state)
         self._is_over = True  # if nothing else is said below
@@ -150,6 +148,30 @@ class Watched(Integrator):
         self._now += duration
         self._is_over = self._now >= self._end - _SAME * duration
         return motion.span()
+
+    def _again(
+        self, state: FloatArray, held: FloatArray, duration: float, outputs: int,
+        report: Report | None,
+    ) -> Span:  # fmt: skip
+        """Return a part of the motion again, by the method last at work.
+
+        Where that takes more than all of the motion did, it is by another that was tried.
+        """
+        budget = max(self._spent, _FREE)
+        for name in sorted(self._made, key=lambda name: name != self._at_work):
+            method, cost = self._made[name]
+            method.limit = evaluations_within(budget, cost)
+            try:
+                span = method.advance(state, held, duration, outputs, report)
+            except IntegrationPause as pause:
+                most = f"a part of the motion takes more than all of it did, by {name}"
+                failure = IntegrationError(most, pause.time, pause.span)
+            except IntegrationError as error:
+                failure = error
+            else:
+                self._at_work = name
+                return span
+        raise failure
 
     def advance_spans(self, state: FloatArray, given: SpanInputs) -> AdvancedSpans:
         """See :meth:`Integrator.advance_spans`."""

@@ -178,6 +178,25 @@ def test_spans_count_together(exact):
     assert np.abs(state - exact[:, -1]).max() < 1e-2
 
 
+@pytest.mark.usefixtures("no_grace")
+def test_a_part_again_takes_no_more_than_the_motion_did(exact, monkeypatch):
+    """Implicit steps of a part may be many where explicit ones are few."""
+    method = watched(looser)
+    method.advance(START, LENGTHS, DURATION, 10)
+    last, _ = method._made[method.changes[-1].method]
+    limits = []
+
+    def pause(*_):
+        limits.append(last.limit)
+        raise IntegrationPause(0.0, START, Span(np.empty((36, 0)), Work()))
+
+    monkeypatch.setattr(last, "advance", pause)
+    for _ in range(2):  # the second time the other method goes first
+        span = method.advance(START, LENGTHS, DURATION / 10, 1)
+        assert np.abs(span.states[:, 0] - exact[:, 0]).max() < 1e-2
+    assert limits == [method._spent / last.cost]
+
+
 def test_what_is_cheap_is_left_alone():
     method = watched()
     alone = by("dop853").advance(START, LENGTHS, DURATION, 10)
