@@ -12,6 +12,7 @@ import numpy as np
 
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, IntArray
+from tenscontrol.integrate import dop853_coefficients as order8
 from tenscontrol.interrupt import check
 from tenscontrol.optimize.bar_changes import BarChanges
 from tenscontrol.optimize.core_steps import CoreSteps, Tableau, core_steps
@@ -70,9 +71,7 @@ def tableau(method: str) -> Tableau:
         a[1, 0] = a[2, 1] = 0.5
         a[3, 2] = 1.0
         return Tableau(a, np.array([1, 2, 2, 1]) / 6, np.array([0, 0.5, 0.5, 1]))
-    from scipy.integrate import DOP853
-
-    return Tableau(*map(np.ascontiguousarray, (DOP853.A, DOP853.B, DOP853.C)))
+    return Tableau(*map(np.ascontiguousarray, (order8.A, order8.B, order8.C)))
 
 
 def columns_of(parameters: Sequence[Parameter]) -> list[slice]:
