@@ -1,4 +1,4 @@
-"""Types of arrays, arrays that do not change, and indices."""
+"""Array types with their tools."""
 
 from __future__ import annotations
 

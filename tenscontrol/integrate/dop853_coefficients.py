@@ -1,7 +1,8 @@
-"""Coefficients of the Dormand-Prince method of order 8 and of its interpolant of order 7.
+"""Coefficients of the Dormand-Prince method of order 8.
 
-Hairer, Nørsett and Wanner, *Solving Ordinary Differential Equations I*, second edition, II.5 and
-II.6, and their program dop853.f. The header of the core is printed from them.
+With those of its interpolant of order 7: Hairer, Nørsett and Wanner, *Solving Ordinary Differential
+Equations I*, second edition, II.5 and II.6, and their program dop853.f. The header of the core is
+printed from them.
 """
 
 from __future__ import annotations

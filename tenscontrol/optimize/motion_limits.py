@@ -1,4 +1,4 @@
-"""Limits of strings, motors, bars and obstacles that a planned motion keeps at every instant."""
+"""Limits that a planned motion keeps at every instant."""
 
 from __future__ import annotations
 

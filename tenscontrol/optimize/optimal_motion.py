@@ -1,4 +1,4 @@
-"""Optimal motion between two shapes, planned by collocation and replayed by the simulator."""
+"""Optimal motion between two shapes."""
 
 from __future__ import annotations
 

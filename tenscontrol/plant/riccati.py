@@ -1,4 +1,4 @@
-"""Algebraic Riccati equations of regulators and filters, solved in scaled units, with checks."""
+"""Algebraic Riccati equations, solved in scaled units."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Equilibrium shapes that meet demands; if there is none, the nearest one goes with the error."""
+"""Equilibrium shapes that meet demands."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Prestress: force densities in equilibrium, and the self-stress and mechanisms of a structure."""
+"""Prestress: force densities in equilibrium."""
 
 from __future__ import annotations
 

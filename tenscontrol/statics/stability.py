@@ -1,4 +1,4 @@
-"""Stability of a prestressed shape: geometric and material stiffness."""
+"""Stability of a prestressed shape."""
 
 from __future__ import annotations
 

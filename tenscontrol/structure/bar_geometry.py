@@ -1,4 +1,4 @@
-"""Lengths of bars and strings: checks, and shapes whose bars get their lengths back."""
+"""Lengths of members."""
 
 from __future__ import annotations
 

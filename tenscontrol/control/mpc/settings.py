@@ -1,4 +1,4 @@
-"""Settings, problem and base class of MPC and NMPC."""
+"""What all model predictive controllers share."""
 
 from __future__ import annotations
 
