@@ -214,7 +214,8 @@ INLINE void N(pull_forward)(const double *along, double weight, const Number *S,
   }
 }
 
-/* Strings of one segment each. */
+/* Strings of one segment each. Those that follow one another at a node share what is there, which stays
+   in registers: numbers that are stored and read again wait for each other. */
 INLINE void N(pulled_forward)(const Scene *s, const Layout *at, const double *x, const Changes *c,
                               int first, const Number *input, const Point *change, const int damped) {
   const int count = s->segments, slopes = damped ? 5 : 3, has_own = c->stiffness || c->damping;
@@ -223,15 +224,27 @@ INLINE void N(pulled_forward)(const Scene *s, const Layout *at, const double *x,
   const double *weight = x + at->weight, *by = x + at->string;
   const Number *p = change->p, *v = change->v;
   Number *f = change->f, S[D], rate = all(0);
-  for (int i = 0; i < count; ++i, along += D, by += slopes) {
-    const int from = start[i], to = end[i];
-    Number axial = by[BY_LENGTH] * N(stretch_forward)(along, turning, p + from, p + to, v + from,
-                                                      v + to, S, &rate);
-    if (damped) axial += by[BY_RATE] * rate;
-    if (input) axial += by[BY_REST] * input[i];
-    if (has_own) axial += N(own_tension)(s, by, c, i, first);
-    N(pull_forward)(along, weight[i], S, axial, f + from, f + to);
-    if (damped) turning += D;
+  for (int i = 0; i < count;) {
+    const int from = start[i];
+    Number place[D], moving[D], force[D];
+    for (int k = 0; k < D; ++k) {
+      place[k] = p[from + k];
+      moving[k] = damped ? v[from + k] : rate;
+      force[k] = f[from + k];
+    }
+    do {
+      const int to = end[i];
+      Number axial = by[BY_LENGTH] * N(stretch_forward)(along, turning, place, p + to, moving, v + to,
+                                                        S, &rate);
+      if (damped) axial += by[BY_RATE] * rate;
+      if (input) axial += by[BY_REST] * input[i];
+      if (has_own) axial += N(own_tension)(s, by, c, i, first);
+      N(pull_forward)(along, weight[i], S, axial, force, f + to);
+      along += D;
+      by += slopes;
+      if (damped) turning += D;
+    } while (++i < count && start[i] == from);
+    for (int k = 0; k < D; ++k) f[from + k] = force[k];
   }
 }
 
