@@ -7,6 +7,7 @@ its own keeps them. Signals come to the main thread; loops in other threads run 
 
 from __future__ import annotations
 
+import _signal  # type: ignore[import-not-found]  # those of signal make words of numbers first
 import _thread
 import os
 import signal
@@ -25,7 +26,7 @@ _PATIENCE = 0.5
 # Signals with the handlers that are taken over. On Windows nothing sends SIGTERM.
 _TAKEN: tuple[tuple[int, Any], ...] = (
     (signal.SIGINT, signal.default_int_handler),
-    *(((signal.SIGTERM, signal.SIG_DFL),) if os.name == "posix" else ()),
+    *(((signal.SIGTERM, _signal.SIG_DFL),) if os.name == "posix" else ()),
 )
 
 
@@ -102,8 +103,8 @@ class _Outermost:
         try:
             state.active = True
             for number, default in _TAKEN:
-                if signal.getsignal(number) is default:
-                    self._former[number] = signal.signal(number, state.handle)
+                if _signal.getsignal(number) is default:
+                    self._former[number] = _signal.signal(number, state.handle)
         except BaseException:  # a signal that came before its handler was set
             self.__exit__()
             raise
@@ -113,7 +114,7 @@ class _Outermost:
         state = _STATE
         state.active = False  # from here on nothing is raised, so that all handlers are restored
         for number, handler in self._former.items():
-            signal.signal(number, handler)
+            _signal.signal(number, handler)
         state.terminated = state.signal == signal.SIGTERM
 
 
