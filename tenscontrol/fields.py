@@ -59,11 +59,11 @@ def instance_of(name: str, value: object, kind: str, how: str) -> object:
     return validation.instance(name, value, getattr(import_module(module), of), how)
 
 
-def check_fields(record: Any) -> None:
+def check_fields(record: Any, but: frozenset[str] = frozenset()) -> None:
     """Check the fields of a frozen record in their order, and keep read-only arrays."""
     kind: Any = type(record)
     values = record.__dict__
-    for name, check, details, takes_none in _declared(kind):
+    for name, check, details, takes_none in _declared(kind, but):
         given = value = values[name]
         if given is None and takes_none:
             continue
@@ -83,9 +83,11 @@ def changed(record: _Record, **values: Any) -> _Record:
 
 
 @cache
-def _declared(kind: Any) -> tuple[tuple[str, Callable[..., object] | None, Any, bool], ...]:
-    """Return the fields of a class with their checks, and whether None passes those."""
-    named = [(declared.name, declared.metadata) for declared in fields(kind)]
+def _declared(
+    kind: Any, but: frozenset[str]
+) -> tuple[tuple[str, Callable[..., object] | None, Any, bool], ...]:
+    """Return the fields of a class but for some, with their checks, and whether None passes."""
+    named = [(one.name, one.metadata) for one in fields(kind) if one.name not in but]
     return tuple(
         (name, how.get("check"), how.get("details", ()), "check" not in how or "optional" in how)
         for name, how in named

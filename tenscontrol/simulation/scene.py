@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext, suppress
-from dataclasses import KW_ONLY, dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, fields, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
+from weakref import ref
 
 import numpy as np
 
@@ -69,6 +70,12 @@ _FEW_OUTPUTS = 256
 # What is given as arrays, or as functions of time, in open loop; the state first.
 _GIVEN = "rest_length", "force_density", "external_force", "support_motion", "bar_length"
 _ARRAYS = "nodes", "velocities", *_GIVEN
+
+
+class _Checked:
+    """The last scene of a model that was checked: the same in another integration need not be."""
+
+    scene: ref[Scene] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,6 +203,29 @@ class Scene:
     )
 
     def __post_init__(self) -> None:
+        if not self._takes_over_checks():
+            self._check()
+        if self.integration.limits.sections is not None:
+            self._check_strength(self.integration.limits.sections)
+
+    def _takes_over_checks(self) -> bool:
+        """Take over what was found of the last scene of the model, if that hangs on the same."""
+        given: object = self.model
+        last = self._last_checked.scene if isinstance(given, Model) else None
+        before = None if last is None else last()
+        if before is None or type(before) is not type(self):
+            return False
+        own, known = vars(self), vars(before)
+        for name in _FOUND_FROM:
+            if own[name] is not known[name]:
+                return False
+        check_fields(self, _FOUND_FROM)
+        beside = {name: own[name] for name in _BESIDE}
+        own.update(known)
+        own.update(beside)
+        return True
+
+    def _check(self) -> None:
         check_fields(self)
         refuse_all_fixed(self.model.structure)
         if self.sensors is not None and self.estimator is None:
@@ -203,8 +233,6 @@ class Scene:
         is_alone = self.winches is None and self.sample_time is None and self.estimator is None
         if self.controller is None and not is_alone:
             raise ValueError("estimator, winches and sample_time go with a controller")
-        if self.integration.limits.sections is not None:
-            self._check_strength(self.integration.limits.sections)
         if self.start is not None:
             self._take_over_start(self.start)
         if self.bar_length is not None or self.controller is not None:
@@ -212,6 +240,17 @@ class Scene:
         self._check_inputs()
         _ = self.loads, self.initial
         self._keep_arrays()
+        # What controllers, runs and functions of time do may change, though they are the same.
+        if self.controller is None and self.start is None:
+            values = vars(self)
+            if not any(callable(values[name]) for name in _GIVEN):
+                self._last_checked.scene = ref(self)
+
+    @property
+    def _last_checked(self) -> _Checked:
+        """Where the last scene of the model is noted."""
+        checked: _Checked = self.model.prepared.get("last scene that was checked", _Checked)
+        return checked
 
     def _check_strength(self, sections: Sections) -> None:
         """Refuse limits on members of another structure, or whose forces will not be found."""
@@ -784,6 +823,11 @@ class Scene:
         parts += [f"{self.duration:g} s"]
         parts += [f"{self.input} held" if self.law is None else self.law.label]
         return f"Scene({', '.join(parts)}, {self.structure.nodes.shape[1]} nodes)"
+
+
+# On what nothing depends that a scene keeps, and on what it does.
+_BESIDE = "integration", "name", "note"
+_FOUND_FROM = frozenset(entry.name for entry in fields(Scene)) - frozenset(_BESIDE)
 
 
 def trace(scene: Scene, run: TracedRun) -> ClosedLoop | None:

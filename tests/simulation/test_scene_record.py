@@ -114,3 +114,34 @@ def test_what_does_not_fit_is_refused_where_it_is_made(model, lengths, change, e
 def test_settings_that_do_not_fit_are_refused(settings, message):
     with pytest.raises(ValueError, match=message):
         tc.Integration(**settings)
+
+
+def test_another_integration_takes_over_what_was_found(model, lengths):
+    scene = tc.Scene(model, 0.1, rest_length=lengths)
+    how = tc.Integration(tolerance=1e-4)
+    other = replace(scene, integration=how)
+    assert other.initial is scene.initial
+    assert other.inputs is scene.inputs
+    assert other.integration is how
+    assert scene.integration is not how
+    anew = tc.Scene(model, 0.1, rest_length=lengths.copy(), integration=how)
+    assert anew.initial is not scene.initial
+    assert np.array_equal(other.simulate().nodes, anew.simulate().nodes)
+    with pytest.raises(TypeError, match="integration"):
+        replace(anew, integration=1e-4)
+
+
+def test_what_else_is_another_is_found_anew(model, lengths):
+    scene = tc.Scene(model, 0.1, rest_length=lengths)
+    assert replace(scene, duration=0.2).simulate().time[-1] == 0.2
+    assert np.array_equal(replace(scene, rest_length=2 * lengths).input_value, 2 * lengths)
+    with pytest.raises(ValueError, match="duration"):
+        replace(scene, duration=-1.0)
+
+
+def test_functions_of_time_are_looked_at_in_each_scene(model, lengths):
+    part = [1.0]
+    scene = tc.Scene(model, 0.1, rest_length=lambda time: part[0] * lengths)
+    part[0] = 0.5
+    other = replace(scene, integration=tc.Integration(tolerance=1e-4))
+    assert np.allclose(other.inputs.at(np.zeros(1))[:, 0], 0.5 * lengths)
