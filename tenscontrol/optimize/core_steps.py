@@ -73,12 +73,12 @@ class CoreSteps:
         parameters: Sequence[Parameter], columns: Sequence[slice], answers: bool,
         switches: Switches,
     ) -> None:  # fmt: skip
-        self._core, self._tables = scene, records.Scene.from_buffer_copy(scene.scene)
+        self._core, self._tables = scene, scene.scene
         self._model, self._steps = model, steps
         self._parameters, self._columns = parameters, columns
-        if any(
-            parameter.kind == "strings" and parameter.field == "damping" for parameter in parameters
-        ):
+        self._pulls = [self._pull(parameter) for parameter in parameters]
+        if any(name == "damping" for name, _ in self._pulls):
+            self._tables = records.Scene.from_buffer_copy(scene.scene)
             self._tables.damped = 1  # also where it is zero
         self._c = method.c
         #: Whether it puts bars on their lengths after steps, too.
@@ -86,17 +86,18 @@ class CoreSteps:
         self._lengths = scene.lengths_at if self.projects else None
         self._width = columns[-1].stop if columns else 0
         self._padded = -(-max(self._width, 1) // records.COLUMNS) * records.COLUMNS
-        self._pulls = [self._pull(parameter) for parameter in parameters]
         self._answers = answers
         #: Whether it passes what switches: after bars are on their lengths.
         self.passes = self.projects or not steps.projects
-        self._of_switches = (
-            np.asarray(switches.step, dtype=np.int32), switches.by_state, switches.by_input,
-            switches.rate, switches.jump,
-        )  # fmt: skip
-        self._switches = records.Switches(
-            len(switches.step), *map(records.address, self._of_switches)
-        )
+        self._switches: records.Switches | None = None
+        if self.passes and len(switches.step):
+            self._of_switches = (
+                np.asarray(switches.step, dtype=np.int32), switches.by_state, switches.by_input,
+                switches.rate, switches.jump,
+            )  # fmt: skip
+            self._switches = records.Switches(
+                len(switches.step), *map(records.address, self._of_switches)
+            )
         #: The input among the parameters, its columns, and how many values a string has.
         self._profile = next((by for by in parameters if by.kind == "input"), None)
         strings, own = len(model.structure.strings), slice(0, 0)
@@ -273,7 +274,7 @@ class CoreSteps:
     ) -> None:  # fmt: skip
         at, *others = (begin + first * stride for begin, stride in self._rows)
         length, lengths = self._length[first : first + count], self._lengths
-        switches = ctypes.byref(self._switches) if self.passes else None
+        switches = None if self._switches is None else ctypes.byref(self._switches)
         if part is not None:  # after which bars are left as they are
             length, lengths, switches = np.array([part]), None, None
             at = records.address(length)

@@ -65,7 +65,7 @@ class Parameter:
 
 def parameters_of(scene: Scene, to: object) -> tuple[Parameter, ...]:
     """Return what a run of a scene is to be differentiated by, after checking the names."""
-    if isinstance(to, str) or not isinstance(to, Sequence):
+    if not isinstance(to, (list, tuple)) and (isinstance(to, str) or not isinstance(to, Sequence)):
         raise validation.wrong_kind("to", to, "a list of names, as ['rest_length', 'stiffness']")
     known = known_parameters(scene)
     if not len(to):
@@ -91,7 +91,7 @@ def known_parameters(scene: Scene) -> dict[str, Parameter]:
     if scene.bars is not None and not scene.bars.is_commanded and not callable(scene.bar_length):
         parameters.append(_of_bars(scene))
     parameters += _of_motors(scene)
-    if isinstance(scene.law, LQR):
+    if scene.law is not None and isinstance(scene.law, LQR):
         parameters.append(Parameter("gain", "gain", scene.law.gain.shape))
     return {parameter.name: parameter for parameter in parameters}
 

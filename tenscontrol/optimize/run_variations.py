@@ -60,7 +60,8 @@ class RunVariations:
     ) -> None:  # fmt: skip
         self.parameters, self.times = parameters, times
         #: Which columns of a derivative are those of each parameter, and how many there are.
-        self.columns, self.width = columns_of(parameters), sum(by.size for by in parameters)
+        self.columns = columns_of(parameters)
+        self.width = self.columns[-1].stop if self.columns else 0
         self._scene, self._feedback = scene, feedback
         run = scene.plant_run(traces=True)
         assert isinstance(run, TracedRun)  # as it was asked for
@@ -244,7 +245,7 @@ class RunVariations:
         steps = stable(steps, derivatives)
         if i == len(self._ends):
             close = max(1e-9 * float(steps.length[-1]), 1e-12 * scene.duration)
-            self._ends.append(int(np.searchsorted(self.times, steps.end + close, side="right")))
+            self._ends.append(int(self.times.searchsorted(steps.end + close, side="right")))
         answers: Answers | None = None
         if self._feedback:
             answers = feedback_of(scene, steps, self.parameters, self.columns)

@@ -102,7 +102,7 @@ class TracedSteps:
 
     def step_at(self, times: FloatArray) -> IntArray:
         """Return in which step each of some times is; a time between two is the end of one."""
-        last = np.searchsorted(self.begin + 1e-9 * self.length, times) - 1
+        last = (self.begin + 1e-9 * self.length).searchsorted(times) - 1
         return np.asarray(np.minimum(np.maximum(last, 0), len(self.begin) - 1))
 
     @property
@@ -110,7 +110,7 @@ class TracedSteps:
         """Return which steps end at a switch, and what switches there, one entry a switch."""
         before, after = self.taut[:, :-1], self.taut[:, 1:]
         changes = before != after
-        if not changes.any():
+        if not np.count_nonzero(changes):
             nothing = np.zeros(0, dtype=int)
             return nothing, nothing
         steps = np.flatnonzero(changes.any(axis=0) & (self.span[1:] == self.span[:-1]))
@@ -134,7 +134,7 @@ def steps_of(run: PlantRun, load: FloatArray, start: FloatArray) -> TracedSteps:
     taut = [of_span.taut for of_span in ends if of_span.taut is not None]
     assert len(taut) == len(spans)  # it was traced
     counts = np.array([len(of_span.time) for of_span in ends])
-    which, first = np.repeat(np.arange(len(spans)), counts), counts.cumsum() - counts
+    which, first = np.arange(len(spans)).repeat(counts), counts.cumsum() - counts
     until = np.concatenate([of_span.time for of_span in ends])
     within = np.empty(len(until))
     within[1:] = until[:-1]
@@ -150,7 +150,8 @@ def steps_of(run: PlantRun, load: FloatArray, start: FloatArray) -> TracedSteps:
         constant = np.zeros((len(spans), load.size, rows.shape[2]))
         constant[..., 0] = load.ravel(order="F")
         rows = np.concatenate([rows[:, :strings], constant, rows[:, strings:]], axis=1)
-    inputs = rows.transpose(2, 1, 0).reshape(-1, len(spans))[:, which]
+    # One step after the other in memory, as they are gone through.
+    inputs = rows.transpose(0, 2, 1).reshape(len(spans), -1)[which].T
     if layout.degree:
         origins = np.array([span.origin for span in spans])
         inputs = np.vstack([inputs, (begins - origins)[which] + within])

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, reduce
-from itertools import accumulate, pairwise
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -76,8 +75,11 @@ def tableau(method: str) -> Tableau:
 
 def columns_of(parameters: Sequence[Parameter]) -> list[slice]:
     """Return which columns of a derivative are those of each parameter."""
-    ends = accumulate((parameter.size for parameter in parameters), initial=0)
-    return [slice(a, b) for a, b in pairwise(ends)]
+    columns, end = list[slice](), 0
+    for parameter in parameters:
+        begin, end = end, end + parameter.size
+        columns.append(slice(begin, end))
+    return columns
 
 
 class _Leg(NamedTuple):
@@ -226,7 +228,7 @@ class Variations:
         at, ends, last = self._first_switch, self._places[0], 0
         X, answer = self._begun(0, X, answer)
         is_before = self.times <= self.steps.begin[0]
-        if is_before.any():
+        if np.count_nonzero(is_before):
             sensitivities[is_before] = X
         for leg in self._legs(is_back=False):
             check()
@@ -509,7 +511,7 @@ class Variations:
 
     def start(self) -> FloatArray:
         """Return the derivative of the state at the start of the run, shape (states, P)."""
-        X = np.zeros((2 * self.derivatives.half, sum(by.size for by in self.parameters)))
+        X = np.zeros((2 * self.derivatives.half, self.columns[-1].stop if self.columns else 0))
         for columns, by in self._starts():
             X[:, columns] = by
         return X
@@ -628,7 +630,7 @@ class Variations:
     @cached_property
     def _first_switch(self) -> IntArray:
         """Where those at the end of each step begin, shape (K + 1,)."""
-        return np.searchsorted(self._passed, np.arange(len(self.steps.length) + 1))
+        return self._passed.searchsorted(np.arange(len(self.steps.length) + 1))
 
     def _restored(self, step: int, X: FloatArray) -> FloatArray:
         """Return the derivative of the state after bars were put on their lengths."""

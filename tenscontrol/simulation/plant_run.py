@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import ceil
 from typing import NamedTuple
-from weakref import WeakMethod
+from weakref import ref
 
 import casadi as ca
 import numpy as np
@@ -181,15 +181,15 @@ class PlantRun:
         if self._method is None and self.choice.setting == "tolerance":
             begin = self.spans[0].time[0] if self.spans else self.now
             # A cycle of references would keep the memory of runs that are over.
-            maker = WeakMethod(self._made)
+            this = ref(self)
 
             def make(name: str) -> Integrator:
-                integrator_of = maker()
-                assert integrator_of is not None  # the run is there while it is integrated
-                return integrator_of(value, name, keeps_steps)
+                run = this()
+                assert run is not None  # it is there while it is integrated
+                return run.made_by(name, value, keeps_steps)
 
             return Watched(self._equation, last, make, self.duration, float(begin))
-        return self._made(value, last, keeps_steps)
+        return self.made_by(last, value, keeps_steps)
 
     @property
     def final_choice(self) -> Choice:
@@ -213,8 +213,8 @@ class PlantRun:
         """The equation as the compiled core runs it, if it does."""
         return core_scene(self._equation)
 
-    def _made(self, value: float, name: str, keeps_steps: bool) -> Integrator:
-        """Return the integrator of a method, with a step or tolerance."""
+    def made_by(self, name: str, value: float, keeps_steps: bool) -> Integrator:
+        """Return the integrator of a method by name, with a step or tolerance."""
         method, equation, how = self._method or METHODS[name], self._equation, self.integration
         if method.differentiates and equation.form == "loops":
             equation = self._equation_of("mapped")
