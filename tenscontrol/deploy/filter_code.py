@@ -12,8 +12,8 @@ from tenscontrol.actuation.driven_strings import moves_alike
 from tenscontrol.deploy.code_interface import CodeInterface
 from tenscontrol.deploy.controllers import LawCode
 from tenscontrol.dynamics.evaluator import Function
-from tenscontrol.estimation.correction import LEAST_NOISE, MOST_REPEATS, SETTLED, Gate
-from tenscontrol.estimation.filter_design import FilterDesign
+from tenscontrol.estimation.correction import MOST_REPEATS, SETTLED, Gate
+from tenscontrol.estimation.filter_design import LEAST_NOISE, FilterDesign
 from tenscontrol.estimation.kalman_filter import MOST_WIDER, NOTHING_KNOWN, WIDER, KalmanFilter
 from tenscontrol.estimation.rolling_frame import RollingFrame, RollingPose
 from tenscontrol.plant.driven_lengths import MOST_LENGTH, known_at_rest, known_size

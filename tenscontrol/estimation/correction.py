@@ -8,16 +8,12 @@ import numpy as np
 
 from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics.evaluator import Evaluator
-from tenscontrol.estimation.filter_design import FilterDesign
+from tenscontrol.estimation.filter_design import LEAST_NOISE, FilterDesign
 from tenscontrol.estimation.sensors import Sensors
 
 # The correction is repeated about its own result until it moves by less than this part of the
 # standard deviation before it, but not more often than this.
 SETTLED, MOST_REPEATS = 1e-3, 6
-
-#: Readings are taken to be no better than this part of the variance that is predicted: where they
-#: are, round-off makes the covariance of the innovation singular.
-LEAST_NOISE = 1e-12
 
 
 @dataclass(frozen=True, eq=False)

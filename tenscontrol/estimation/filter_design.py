@@ -51,6 +51,11 @@ _FALLS = 0.01
 # Standard deviation of the load at the start, as a part of the pull of the strings.
 _LOAD_START = 0.3
 
+#: Readings are taken to be no better than this part of the variance that is predicted: where they
+#: are, round-off makes the covariance of the innovation singular, and leaves the Riccati equation
+#: without a solution.
+LEAST_NOISE = 1e-12
+
 
 def _probability(name: str, value: object) -> float:
     number = validation.positive_number(name, value, "no unit, below 1")
@@ -227,7 +232,9 @@ def filter_design(
     if not settings.load:
         count = lost.shape[1]
         split = np.roll(np.linalg.qr(lost, mode="complete")[0], -count, axis=1), extra.size - count
-    solution = filter_riccati(design.sampled.transition, drive, C, sensors.noise, split)
+    # What process noise adds over a sample is the least that a prediction errs by.
+    noise = np.maximum(sensors.noise, LEAST_NOISE**0.5 * np.linalg.norm(C @ drive, axis=1))
+    solution = filter_riccati(design.sampled.transition, drive, C, noise, split)
     return design, frozen(C), solution
 
 
