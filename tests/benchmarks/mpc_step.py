@@ -94,9 +94,9 @@ def on_tower(stages, horizon, push):
     work = mpc.statistics.iterations
     after = (np.arange(len(times)) % 30 < 10) & (np.arange(len(times)) > 0)
     hurried, calm = np.array(times)[after], np.array(times)[~after][1:]
-    print(f"  {took:7.2f} {memory:6.0f} {times[0]:11.1f} {np.median(hurried):18.1f} "
-          f"{np.quantile(hurried, 0.99):5.1f} {work[after].max():8d} {np.median(calm):18.1f} "
-          f"{np.quantile(calm, 0.99):5.1f}", flush=True)  # fmt: skip
+    print(f"  {took:7.2f} {memory:6.0f} {times[0]:11.1f} {np.median(hurried):18.2f} "
+          f"{np.quantile(hurried, 0.99):5.2f} {work[after].max():8d} {np.median(calm):18.2f} "
+          f"{np.quantile(calm, 0.99):5.2f}", flush=True)  # fmt: skip
 
 
 def peak():
