@@ -337,7 +337,8 @@ class Sticking:
 
         ``points`` are those that touch; ``bars`` those whose lengths are to be kept.
         """
-        from scipy.sparse import block_diag, csc_array, diags_array, eye_array, hstack
+        from scipy.linalg import block_diag
+        from scipy.sparse import csc_array, diags_array, eye_array, hstack
 
         d, rows = structure.dimension, structure.free_rows
         origin, is_held = nodes.copy(), np.isin(rows // d, list(places))
@@ -352,7 +353,9 @@ class Sticking:
             across.append(U[:, rank:])
             weight[np.flatnonzero(is_held)[own]] = points.grip[mine].sum()
         every = eye_array(len(rows), format="csc")
-        held, along = (every[:, is_held] @ block_diag(own, "csc") for own in (across, along))
+        held, along = (
+            every[:, is_held] @ csc_array(block_diag(*own)) for own in (across, along)
+        )
         motions = hstack([every[:, ~is_held], along], format="csc")
         loose = np.zeros((held.shape[1], 0))
         if settling:

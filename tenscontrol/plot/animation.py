@@ -78,7 +78,7 @@ def write_gif(path: Path, canvas: Any, pictures: Iterable[None], count: int, rat
         duration=[10 * int(hundredths) for hundredths in np.diff(ends)],
         loop=0,
     )
-    write_file(path, buffer.getbuffer())
+    write_file(path, buffer.getvalue())
 
 
 def write_mp4(path: Path, canvas: Any, pictures: Iterable[None], rate: float) -> None:

@@ -318,7 +318,7 @@ def save_figure(
         _fit_width(figure, width)
     with rc_context({"pdf.fonttype": 42, "ps.fonttype": 42}):  # TrueType: journals take no Type 3
         figure.savefig(buffer, dpi=_DPI, format=file.suffix[1:].lower())
-    write_file(file, buffer.getbuffer())
+    write_file(file, buffer.getvalue())
     plt.close(figure)
     return file
 

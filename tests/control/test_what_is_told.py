@@ -234,7 +234,7 @@ def test_a_loop_that_is_unstable_in_the_reference_is_warned_of():
         wild = tc.MPC(stiff, Q=1e3, R=1e-3, **settings)
     with (
         pytest.warns(ControlWarning, match="comes no nearer"),
-        pytest.warns(AccuracyWarning, match=r"from 2\.4.* s on"),
+        pytest.warns(AccuracyWarning, match=r"from 2\.\d+ s on"),
     ):
         tc.simulate(model(3000.0), 3.0, controller=wild)
     run = tc.simulate(model(3000.0), 3.0, controller=tc.MPC(stiff, **settings))

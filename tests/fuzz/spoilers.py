@@ -33,7 +33,7 @@ OTHERS = {
     "long text": "x" * 5000, "empty bytes": b"", "bytes": b"x", "bytearray": bytearray(b"x"),
     "1j": 1j, "complex without": 1 + 0j, "Fraction": fractions.Fraction(1, 2),
     "Decimal": decimal.Decimal("0.5"), "datetime": np.datetime64("2020-01-01"),
-    "NaT": np.timedelta64("NaT"), "path": Path("nowhere") / "x", "ellipsis": ...,
+    "NaT": np.timedelta64("NaT", "s"), "path": Path("nowhere") / "x", "ellipsis": ...,
     "NotImplemented": NotImplemented, "object": object(), "lambda": lambda *_, **__: None,
     "class": int, "our class": tc.Structure, "module": np, "error": ValueError("x"),
     "method": "x".join, "slice": slice(3), "property": property(),

@@ -157,7 +157,7 @@ REFUSED = {
     "a file above": (
         'function = "../laws.py:hold"', r":18: .*expected one in the folder of the scene, .*copy"),
     "a file anywhere": ('function = "/tmp/laws.py:hold"', r"expected one in the folder of the sc"),
-    "a nul": ('function = "a\\u0000.py:hold"', r"in \[controller\].*null byte"),
+    "a nul": ('function = "a\\u0000.py:hold"', r"in \[controller\].*null"),
     "no module": (
         'function = "no_such_module:f"', r":18: in \[controller\].*function: no_such_module is "
         "not loaded: No module named"),
