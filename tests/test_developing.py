@@ -473,7 +473,7 @@ def test_an_option_of_mpc_is_declared_once(tmp_path):
         plain, dear = scene(MPC).controller, scene(MPC + "effort = 100.0").controller
         assert (plain.law.settings.effort, dear.law.settings.effort) == (1.0, 100.0)
         again = tc.MPC(plain.plant, horizon=5, sample_time=0.02, effort=100.0)
-        pushed = plain.plant.to_nodes(np.full(9, 0.01)), np.zeros((3, 6))
+        pushed = plain.plant.to_nodes(np.full(9, 0.001)), np.zeros((3, 6))
         moves = [np.abs(each.command(0.0, *pushed).value - plain.plant.equilibrium_input).max()
                  for each in (plain, dear, again)]
         assert moves[0] > 1.01 * moves[1] == 1.01 * moves[2], moves

@@ -147,7 +147,7 @@ class FeedbackLinearization(Controller):
     >>> bool((command.value >= 0).all()), command.value.shape
     (True, (9,))
     >>> print(command)  # the mechanism of the prism
-    error dynamics not reached: off by up to 0.5 m/s^2
+    error dynamics not reached: off by up to 1 m/s^2
     """
 
     def __init__(

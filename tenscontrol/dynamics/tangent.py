@@ -46,9 +46,11 @@ class Complement:
 
     def __init__(self, vectors: FloatArray) -> None:
         U, sizes, _ = np.linalg.svd(vectors, full_matrices=False)
-        #: An orthonormal basis of the columns themselves, shape (m, k).
-        self.outside = U[:, sizes > _RANK_TOLERANCE * sizes.max(initial=0.0)]
-        m, k = self.outside.shape
+        U = U[:, sizes > _RANK_TOLERANCE * sizes.max(initial=0.0)]
+        #: An orthonormal basis of the columns themselves, shape (m, k), turned to the first ones.
+        #: U is one of many where singular values are equal, and another one by another library.
+        self.outside = U @ np.linalg.qr(U.T @ vectors)[0]
+        m, k = U.shape
         raw, scale = np.linalg.qr(self.outside, mode="raw")
         V = np.tril(raw.T[:, :k], -1)
         V[np.arange(k), np.arange(k)] = 1.0

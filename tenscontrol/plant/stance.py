@@ -353,9 +353,7 @@ class Sticking:
             across.append(U[:, rank:])
             weight[np.flatnonzero(is_held)[own]] = points.grip[mine].sum()
         every = eye_array(len(rows), format="csc")
-        held, along = (
-            every[:, is_held] @ csc_array(block_diag(*own)) for own in (across, along)
-        )
+        held, along = (every[:, is_held] @ csc_array(block_diag(*own)) for own in (across, along))
         motions = hstack([every[:, ~is_held], along], format="csc")
         loose = np.zeros((held.shape[1], 0))
         if settling:

@@ -186,7 +186,7 @@ class ControlRecord:
         >>> print(run.control.summary())  # doctest: +ELLIPSIS
         controller        MPC(... horizon 10, sample time 0.02 s, ...)
         samples           150 of 0.02 s: 150 ok
-        tracking error    0.00... m at the end, 0.00... m rms (0.2... % and 0.9... % of the size)
+        tracking error    0.003... m at the end, 0.01... m rms (0.3... % and 1.1... % of the size)
         prediction error  ...e-05 m rms, 0.000... m at most
         at a bound        0 % of the samples
         computing time    ... ms in the median, ... ms at most: ... % of a sample

@@ -1129,7 +1129,7 @@ def test_a_pipe_and_a_device_are_not_read(tmp_path):
 
 
 def test_a_name_that_no_file_has():
-    with pytest.raises(SceneError, match="cannot be read: .*embedded null"):
+    with pytest.raises(SceneError, match=r"cannot be read: .*embedded null"):
         tc.load_scene("a\0b.toml")
 
 
