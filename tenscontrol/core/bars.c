@@ -58,8 +58,9 @@ static void raise_to(const Motion *rates, int time, int count, const int32_t *no
   for (int k = 0; k < 3; ++k) mean[k] /= count;
   for (int i = 0; i < count; ++i)
     for (int k = 0; k < 3; ++k) {
+      double *most = largest + 3 * i + k;
       const double beside = fabs(rate[3 * i + k] - mean[k]);
-      if (!(beside <= largest[3 * i + k])) largest[3 * i + k] = beside;
+      if (!(beside <= *most) && *most == *most) *most = beside; /* what is none stays */
     }
 }
 

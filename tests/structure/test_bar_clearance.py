@@ -257,3 +257,14 @@ def test_bars_that_fly_about_are_not_told_apart():
     motion = BarMotion(tower, np.arange(count) / count, nodes, velocities)
     assert motion.unresolved == count - 1
     assert motion.crossings == ()
+
+
+@pytest.mark.parametrize("has_core", [True, False])
+def test_a_rate_that_is_no_number_bounds_nothing(monkeypatch, has_core):
+    if not has_core:
+        monkeypatch.setattr(bar_clearance, "library", lambda: None)
+    pair, time = two_bars(), np.linspace(0.0, 1.0, 9)
+    nodes, velocities = uniform(pair, (0.1, 0.0, -1.0), time)
+    velocities[0, 2, 3] = np.nan  # and numbers after it
+    motion = bar_clearance._Intervals.between(time, nodes, velocities, np.arange(8))
+    assert np.isnan(motion.strays(np.arange(4))).all()
