@@ -73,6 +73,7 @@ typedef struct {
   const int32_t *block_row, *block_place;    /* (block_rows): among the entries, the unknowns */
   /* Where lengths are driven: which of all bars they are. */
   const int32_t *free_bar, *swinging_bar, *block_bar; /* (free_bars), ... (block_bars) */
+  const int32_t *segment_row; /* (segments, 2): four times the numbers of their nodes */
 } Scene;
 
 /* The inputs of a span as polynomials in time: coefficients of power 0 of all values, of power 1, and

@@ -4,7 +4,16 @@
 #include <string.h>
 
 #include "blocks.h"
-#include "kernels.h"
+#include "members.h"
+#include "string_laws.h"
+
+/* Whether one run takes several members at once. */
+#if defined(HAS_WIDE_LANES) && !defined(LANES)
+#define TAKES_SEVERAL __builtin_cpu_supports("avx2")
+#endif
+
+/* Numbers in a line of the cache. */
+enum { LINE = 8 };
 
 /* Parts of the work memory. */
 typedef struct {
@@ -14,28 +23,31 @@ typedef struct {
   Number *length, *rate, *gamma;                     /* (segments) */
   Number *string_length, *string_rate, *string_gamma, *string_taut; /* (strings) */
   Number *factors, *unknowns;
+  double *rows; /* (nodes, 4), from where a line of the cache begins; of one run alone */
 } Work;
 
 SHARED size_t equation_work_size(const Scene *s) {
   return 8 * (size_t)s->entries + (size_t)(2 * s->dimension + 3) * s->segments +
-         4 * (size_t)s->strings + (size_t)s->factors + 2 * (size_t)s->unknowns + 1;
+         4 * (size_t)s->strings + (size_t)s->factors + 2 * (size_t)s->unknowns + 1 +
+         (WIDTH > 1 ? 0 : 4 * (size_t)(s->entries / s->dimension) + LINE);
 }
 
 static inline Work parts_of(const Scene *s, Number *work) {
-  Work w;
-  Number **arrays[] = {&w.p, &w.v, &w.f, &w.g, &w.a, &w.b, &w.ends, &w.end_rates};
-  for (size_t i = 0; i < sizeof arrays / sizeof *arrays; ++i, work += s->entries) *arrays[i] = work;
-  w.S = work;
-  w.changes = w.S + s->dimension * s->segments;
-  w.length = w.changes + s->dimension * s->segments;
-  w.rate = w.length + s->segments;
-  w.gamma = w.rate + s->segments;
-  w.string_length = w.gamma + s->segments;
-  w.string_rate = w.string_length + s->strings;
-  w.string_gamma = w.string_rate + s->strings;
-  w.string_taut = w.string_gamma + s->strings;
-  w.factors = w.string_taut + s->strings;
-  w.unknowns = w.factors + s->factors + s->unknowns + 1;
+  const int n = s->entries, d = s->dimension;
+  Number *const S = work + 8 * n, *const length = S + 2 * d * s->segments;
+  Number *const string_length = length + 3 * s->segments, *const factors = string_length + 4 * s->strings;
+  Number *const unknowns = factors + s->factors + s->unknowns + 1;
+  double *const rest = (double *)(unknowns + s->unknowns);
+  const Work w = {
+      .p = work, .v = work + n, .f = work + 2 * n, .g = work + 3 * n, .a = work + 4 * n,
+      .b = work + 5 * n, .ends = work + 6 * n, .end_rates = work + 7 * n,
+      .S = S, .changes = S + d * s->segments,
+      .length = length, .rate = length + s->segments, .gamma = length + 2 * s->segments,
+      .string_length = string_length, .string_rate = string_length + s->strings,
+      .string_gamma = string_length + 2 * s->strings, .string_taut = string_length + 3 * s->strings,
+      .factors = factors, .unknowns = unknowns,
+      .rows = rest + (LINE - (uintptr_t)rest / sizeof(double) % LINE) % LINE,
+  };
   return w;
 }
 
@@ -70,20 +82,6 @@ WIDE static void force_densities(const Scene *s, const Number *restrict length,
   for (int i = 0; i < count; ++i) gamma[i] *= taut[i];
 }
 
-/* The force density of one string, N/m. */
-static Number force_density(const Scene *s, int i, Number length, Number rate, Number rest) {
-  const Number k = numbers(s->stiffness)[i], c = numbers(s->damping)[i];
-  Number gamma;
-  if (s->law == LINEAR_STRINGS && !s->damped) linear_undamped_force_density(length, rest, k, &gamma);
-  else if (s->law == LINEAR_STRINGS)
-    linear_damped_force_density(length, rest, rate, k, c, &gamma);
-  else if (!s->damped)
-    elastic_undamped_force_density(length, rest, k, &gamma);
-  else
-    elastic_damped_force_density(length, rest, rate, k, c, &gamma);
-  return gamma;
-}
-
 WIDE static void string_gaps(const Scene *s, const Number *restrict length,
                              const Number *restrict rate, const Number *restrict u,
                              Number *restrict gap) {
@@ -95,14 +93,6 @@ WIDE static void string_gaps(const Scene *s, const Number *restrict length,
     for (int i = 0; i < count; ++i) linear_damped_gap(length[i], u[i], rate[i], k[i], c[i], gap + i);
   else
     for (int i = 0; i < count; ++i) elastic_damped_gap(length[i], u[i], rate[i], k[i], c[i], gap + i);
-}
-
-static Number string_gap(const Scene *s, int i, Number length, Number rate, Number rest) {
-  const Number k = numbers(s->stiffness)[i], c = numbers(s->damping)[i];
-  Number gap = length - rest;
-  if (s->damped && s->law == LINEAR_STRINGS) linear_damped_gap(length, rest, rate, k, c, &gap);
-  else if (s->damped) elastic_damped_gap(length, rest, rate, k, c, &gap);
-  return gap;
 }
 
 /* Which strings pull by what they are given, or by their gaps. */

@@ -41,23 +41,24 @@ WIDE static void N(length_rates)(const Scene *s, const Number *restrict changes,
   for (int i = 0; i < count; ++i) N(length_rate)(S + D * i, changes + D * i, length[i], rate + i);
 }
 
-/* Adds the pull of the strings to the forces on nodes string by string, all runs at once: for lanes,
+/* Adds the pull of the strings from one on to the forces on nodes, string by string: of runs in lanes,
    which need not keep what is between. By the same operations as that below. */
-static void N(pull_in_lanes)(const Scene *s, const Number *p, const Number *v, const Number *u,
-                             const Number *taut, Number *restrict f) {
+static void N(pull_one_by_one)(const Scene *s, int first, const Number *p, const Number *v,
+                               const Number *u, const Number *taut, Number *restrict f) {
   const int is_held = s->law == FORCE_DENSITY_HELD;
-  for (int i = 0; i < s->segments; ++i) {
+  for (int i = first; i < s->segments; ++i) {
     const int start = s->segment_start[i], end = s->segment_end[i];
     Number one[D], change[D], length, rate = all(0), gamma = u[i];
     N(difference)(p, start, end, one);
     if (!is_held) {
+      const Number k = numbers(s->stiffness)[i], c = numbers(s->damping)[i];
       N(pulling_length)(one, u[i], &length);
       if (s->damped) {
         N(difference)(v, start, end, change);
         N(length_rate)(one, change, length, &rate);
       }
-      gamma = force_density(s, i, length, rate, u[i]);
-      gamma *= taut ? taut[i] : truth(string_gap(s, i, length, rate, u[i]) > 0);
+      gamma = force_density(law_of(s), k, c, length, rate, u[i]);
+      gamma *= taut ? taut[i] : truth(string_gap(law_of(s), k, c, length, rate, u[i]) > 0);
     }
     for (int k = 0; k < D; ++k) {
       f[start + k] += one[k] * gamma;
@@ -67,15 +68,15 @@ static void N(pull_in_lanes)(const Scene *s, const Number *p, const Number *v, c
 }
 
 /* Adds the pull of the strings to the forces on nodes. */
-WIDE static void N(pull)(const Scene *s, const Number *p, const Number *v, const Number *u,
-                         const Number *taut, Number *restrict f, const Work *w) {
+static void N(pull)(const Scene *s, const Number *p, const Number *v, const Number *u,
+                    const Number *taut, Number *restrict f, const Work *w) {
   const int count = s->segments;
   const int32_t *restrict start = s->segment_start, *restrict end = s->segment_end;
   Number *restrict S = w->S, *restrict length = w->length, *restrict rate = w->rate;
   Number *restrict gamma = w->gamma;
   const int is_held = s->law == FORCE_DENSITY_HELD;
   if (WIDTH > 1 && !s->clustered) {
-    N(pull_in_lanes)(s, p, v, u, taut, f);
+    N(pull_one_by_one)(s, 0, p, v, u, taut, f);
     return;
   }
   N(differences)(s, p, S);
@@ -138,13 +139,21 @@ static void N(touch)(const Scene *s, int plane, const Number *p, const Number *v
 
 static void N(forces)(const Scene *s, const Number *p, const Number *v, const Input *input,
                       const Number *taut, Number *f, const Work *w) {
-  if (input->load)
-    memcpy(f, input->load, s->entries * sizeof *f);
-  else if (s->load)
-    memcpy(f, s->load, s->entries * sizeof *f);
-  else
-    memset(f, 0, s->entries * sizeof *f);
-  if (s->segments) N(pull)(s, p, v, input->strings, taut, f, w);
+  const Number *load = input->load ? input->load : numbers(s->load), *u = input->strings;
+#ifdef TAKES_SEVERAL
+  const int takes_several = !s->clustered && TAKES_SEVERAL;
+  if (takes_several) {
+    const int done = N(pull_by_avx2)(s, p, v, u, taut, load, f, w->rows);
+    N(pull_one_by_one)(s, done, p, v, u, taut, f);
+  }
+#else
+  const int takes_several = 0;
+#endif
+  if (!takes_several) {
+    if (load) memcpy(f, load, s->entries * sizeof *f);
+    else memset(f, 0, s->entries * sizeof *f);
+    if (s->segments) N(pull)(s, p, v, u, taut, f, w);
+  }
   for (int i = 0; i < s->grounds; ++i) {
     const int first = s->ground[i].first_switch;
     N(touch)(s, i, p, v, first < 0 || !taut ? 0 : taut + s->slacking + first, f);
@@ -171,11 +180,15 @@ static void N(coupled)(const Scene *s, const Number *p, const Number *v, const N
   for (int i = 0; i < s->block_rows; ++i) a[s->block_row[i]] = y[s->block_place[i]];
 }
 
-/* Accelerations of the ends of bars that share no nodes. */
-WIDE static void N(alone)(const Scene *s, const Number *restrict p, const Number *restrict v,
-                          const Number *restrict f, const Number *restrict extension,
-                          Number *restrict a) {
-  for (int i = 0; i < s->free_bars; ++i) {
+/* Accelerations of the ends of free bars that share no nodes. */
+static void N(free_bars)(const Scene *s, const Number *restrict p, const Number *restrict v,
+                         const Number *restrict f, const Number *restrict extension,
+                         Number *restrict a) {
+  int i = 0;
+#ifdef TAKES_SEVERAL
+  if (TAKES_SEVERAL) i = N(free_bars_by_avx2)(s, p, v, f, extension, a);
+#endif
+  for (; i < s->free_bars; ++i) {
     const int start = s->bar_start[i], end = s->bar_end[i];
     Number bar[D], rate[D];
     N(difference)(p, start, end, bar);
@@ -183,6 +196,12 @@ WIDE static void N(alone)(const Scene *s, const Number *restrict p, const Number
     N(free_bar)(bar, rate, extension ? extension[s->free_bar[i]] : all(0), f + start, f + end,
                 numbers(s->bar_constants) + FREE_BAR_2_CONSTANTS * i, a + start, a + end);
   }
+}
+
+/* The same of the tips of bars at hinges. */
+static void N(swinging_bars)(const Scene *s, const Number *restrict p, const Number *restrict v,
+                             const Number *restrict f, const Number *restrict extension,
+                             Number *restrict a) {
   for (int i = 0; i < s->swinging_bars; ++i) {
     Number bar[D], rate[D];
     N(difference)(p, s->hinge[i], s->tip[i], bar);
@@ -194,11 +213,11 @@ WIDE static void N(alone)(const Scene *s, const Number *restrict p, const Number
 
 /* Accelerations of all entries; those that supports hold are left as they are. `extension` is null
    where lengths of bars are constant. */
-WIDE static void N(accelerations)(const Scene *s, const Number *restrict p,
-                                  const Number *restrict v, const Number *restrict f,
-                                  const Number *restrict extension, Number *restrict a,
-                                  const Work *w) {
-  N(alone)(s, p, v, f, extension, a);
+static void N(accelerations)(const Scene *s, const Number *restrict p, const Number *restrict v,
+                             const Number *restrict f, const Number *restrict extension,
+                             Number *restrict a, const Work *w) {
+  N(free_bars)(s, p, v, f, extension, a);
+  N(swinging_bars)(s, p, v, f, extension, a);
   for (int i = 0; i < s->points; ++i)
     for (int k = 0; k < D; ++k)
       a[s->point[i] + k] = f[s->point[i] + k] * numbers(s->point_inverse_mass)[i];
@@ -233,13 +252,14 @@ static void N(pull_by)(const Scene *s, const Number *p, const Number *v, const N
                        const Number *one, const Number *other, Number *f, Number *g) {
   for (int i = 0; i < s->segments; ++i) {
     const int start = s->segment_start[i], end = s->segment_end[i];
+    const Number stiffness = numbers(s->stiffness)[i], damping = numbers(s->damping)[i];
     Number segment[D], change[D], length, rate, gamma;
     if (!any((one[i] != 0) | (other[i] != 0))) continue;
     N(difference)(p, start, end, segment);
     N(difference)(v, start, end, change);
     N(pulling_length)(segment, u[i], &length);
     N(length_rate)(segment, change, length, &rate);
-    gamma = force_density(s, i, length, rate, u[i]);
+    gamma = force_density(law_of(s), stiffness, damping, length, rate, u[i]);
     for (int k = 0; k < D; ++k) {
       const Number pull = gamma * segment[k];
       f[start + k] += one[i] * pull;
@@ -275,6 +295,7 @@ static void N(gaps_of)(const Scene *s, const Number *p, const Number *v, const N
                        const Some *some, Number *gap, Number *rate) {
   for (int j = 0; j < some->count && some->which[j] < s->slacking; ++j) {
     const int i = some->which[j], start = s->segment_start[i], end = s->segment_end[i];
+    const Number k = numbers(s->stiffness)[i], c = numbers(s->damping)[i];
     Number segment[D], change[D], length;
     N(difference)(p, start, end, segment);
     N(pulling_length)(segment, u[i], &length);
@@ -282,7 +303,7 @@ static void N(gaps_of)(const Scene *s, const Number *p, const Number *v, const N
       N(difference)(v, start, end, change);
       N(length_rate)(segment, change, length, rate + i);
     }
-    gap[i] = string_gap(s, i, length, rate ? rate[i] : all(0), u[i]);
+    gap[i] = string_gap(law_of(s), k, c, length, rate ? rate[i] : all(0), u[i]);
   }
 }
 

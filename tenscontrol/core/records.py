@@ -57,7 +57,7 @@ class Scene(ctypes.Structure):
             "ground_numbers", "any_start", "any_end", "bar_mass", "point_mass",
             "block_start", "block_end", "entry_start", "entry_end", "right_place", "block_mass",
             "factor_row", "factor_first", "factor_pair", "block_row", "block_place",
-            "free_bar", "swinging_bar", "block_bar",
+            "free_bar", "swinging_bar", "block_bar", "segment_row",
         )),
     )  # fmt: skip
 

@@ -140,6 +140,7 @@ class CoreScene:
         self._put("segment_start", structure.dimension * structure.segments[:, 0])
         self._put("segment_end", structure.dimension * structure.segments[:, 1])
         self._put("segment_string", structure.segment_string)
+        self._put("segment_row", 4 * structure.segments)
         if isinstance(law, (LinearStrings, ElasticStrings)):
             stiffness = law.axial_rigidity if isinstance(law, ElasticStrings) else law.stiffness
             self._put("stiffness", stiffness)
