@@ -7,9 +7,17 @@
 #include "members.h"
 #include "string_laws.h"
 
-/* Whether one run takes several members at once. */
+/* Whether several members are taken at once: of one run. */
 #if defined(HAS_WIDE_LANES) && !defined(LANES)
 #define TAKES_SEVERAL __builtin_cpu_supports("avx2")
+#else
+#define TAKES_SEVERAL 0
+#define pull_by_avx2_2(...) 0
+#define pull_by_avx2_3(...) 0
+#define gaps_by_avx2_2(...) 0
+#define gaps_by_avx2_3(...) 0
+#define free_bars_by_avx2_2(...) 0
+#define free_bars_by_avx2_3(...) 0
 #endif
 
 /* Numbers in a line of the cache. */

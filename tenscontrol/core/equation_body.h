@@ -140,16 +140,10 @@ static void N(touch)(const Scene *s, int plane, const Number *p, const Number *v
 static void N(forces)(const Scene *s, const Number *p, const Number *v, const Input *input,
                       const Number *taut, Number *f, const Work *w) {
   const Number *load = input->load ? input->load : numbers(s->load), *u = input->strings;
-#ifdef TAKES_SEVERAL
-  const int takes_several = !s->clustered && TAKES_SEVERAL;
-  if (takes_several) {
+  if (TAKES_SEVERAL && !s->clustered) {
     const int done = N(pull_by_avx2)(s, p, v, u, taut, load, f, w->rows);
     N(pull_one_by_one)(s, done, p, v, u, taut, f);
-  }
-#else
-  const int takes_several = 0;
-#endif
-  if (!takes_several) {
+  } else {
     if (load) memcpy(f, load, s->entries * sizeof *f);
     else memset(f, 0, s->entries * sizeof *f);
     if (s->segments) N(pull)(s, p, v, u, taut, f, w);
@@ -184,11 +178,8 @@ static void N(coupled)(const Scene *s, const Number *p, const Number *v, const N
 static void N(free_bars)(const Scene *s, const Number *restrict p, const Number *restrict v,
                          const Number *restrict f, const Number *restrict extension,
                          Number *restrict a) {
-  int i = 0;
-#ifdef TAKES_SEVERAL
-  if (TAKES_SEVERAL) i = N(free_bars_by_avx2)(s, p, v, f, extension, a);
-#endif
-  for (; i < s->free_bars; ++i) {
+  for (int i = TAKES_SEVERAL ? N(free_bars_by_avx2)(s, p, v, f, extension, a) : 0; i < s->free_bars;
+       ++i) {
     const int start = s->bar_start[i], end = s->bar_end[i];
     Number bar[D], rate[D];
     N(difference)(p, start, end, bar);
@@ -290,27 +281,35 @@ static void N(weighed)(const Scene *s, const Number *p, const Number *ends, cons
   for (int k = 0; k < 2; ++k) N(accelerations)(s, p, w->v, forces[k], 0, to[k], w);
 }
 
+/* The gap of one string, and its rate where rates are asked for. */
+static inline void N(gap_of_string)(const Scene *s, int i, const Number *p, const Number *v,
+                                    const Number *u, Number *gap, Number *rate) {
+  const int start = s->segment_start[i], end = s->segment_end[i];
+  const Number k = numbers(s->stiffness)[i], c = numbers(s->damping)[i];
+  Number segment[D], change[D], length;
+  N(difference)(p, start, end, segment);
+  N(pulling_length)(segment, u[i], &length);
+  if (rate) {
+    N(difference)(v, start, end, change);
+    N(length_rate)(segment, change, length, rate + i);
+  }
+  gap[i] = string_gap(law_of(s), k, c, length, rate ? rate[i] : all(0), u[i]);
+}
+
 /* Gaps of some strings. */
 static void N(gaps_of)(const Scene *s, const Number *p, const Number *v, const Number *u,
                        const Some *some, Number *gap, Number *rate) {
-  for (int j = 0; j < some->count && some->which[j] < s->slacking; ++j) {
-    const int i = some->which[j], start = s->segment_start[i], end = s->segment_end[i];
-    const Number k = numbers(s->stiffness)[i], c = numbers(s->damping)[i];
-    Number segment[D], change[D], length;
-    N(difference)(p, start, end, segment);
-    N(pulling_length)(segment, u[i], &length);
-    if (rate) {
-      N(difference)(v, start, end, change);
-      N(length_rate)(segment, change, length, rate + i);
-    }
-    gap[i] = string_gap(law_of(s), k, c, length, rate ? rate[i] : all(0), u[i]);
-  }
+  for (int j = 0; j < some->count && some->which[j] < s->slacking; ++j)
+    N(gap_of_string)(s, some->which[j], p, v, u, gap, rate);
 }
 
 static void N(gaps)(const Scene *s, const Number *p, const Number *v, const Number *u,
                     const Some *some, Number *gap, Number *rate, const Work *w) {
   if (s->slacking && some && !s->clustered) {
     N(gaps_of)(s, p, v, u, some, gap, rate);
+  } else if (s->slacking && TAKES_SEVERAL && !s->clustered) {
+    for (int i = N(gaps_by_avx2)(s, p, v, u, gap, rate); i < s->slacking; ++i)
+      N(gap_of_string)(s, i, p, v, u, gap, rate);
   } else if (s->slacking) {
     Number *length = w->length, *change = s->clustered ? w->rate : rate;
     N(differences)(s, p, w->S);

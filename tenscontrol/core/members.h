@@ -1,5 +1,5 @@
 /* Four members of one run at once, one in each lane, where the machine has AVX2: to the bits of one after
-   the other. Both calls return how many they have done, a multiple of four; the rest is left.
+   the other. Calls return how many they have done, a multiple of four; the rest is left.
 
    Vectors of nodes are read by four numbers: of positions with those that follow, of rates with those
    before. So in memory rates come right after positions. */
@@ -14,6 +14,11 @@
 typedef int PullMembers(const Scene *scene, const double *p, const double *v, const double *u,
                         const double *taut, const double *load, double *f, double *work);
 PullMembers pull_by_avx2_2, pull_by_avx2_3;
+
+/* Finds the gaps of such strings, and their rates where there is memory for them. */
+typedef int MeasureMembers(const Scene *scene, const double *p, const double *v, const double *u,
+                           double *gap, double *rate);
+MeasureMembers gaps_by_avx2_2, gaps_by_avx2_3;
 
 /* Finds accelerations of the ends of bars that share no nodes. */
 typedef int MoveMembers(const Scene *scene, const double *p, const double *v, const double *f,

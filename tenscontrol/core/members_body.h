@@ -80,6 +80,28 @@ int N(pull_by_avx2)(const Scene *s, const double *p, const double *v, const doub
   return done;
 }
 
+int N(gaps_by_avx2)(const Scene *s, const double *p, const double *v, const double *u, double *gap,
+                    double *rate) {
+  const StringLaw law = law_of(s);
+  int i = 0;
+  for (; i + WIDTH <= s->segments; i += WIDTH) {
+    const int32_t *start = s->segment_start + i, *end = s->segment_end + i;
+    const Number rest = row(u + i);
+    Number rows[WIDTH], segment[WIDTH], change[D], length, own = all(0);
+    apart(p, start, end, rows);
+    columns(rows, segment);
+    N(pulling_length)(segment, rest, &length);
+    if (rate) {
+      N(rates_apart)(v, start, end, change);
+      N(length_rate)(segment, change, length, &own);
+      *(Number *)(rate + i) = own;
+    }
+    *(Number *)(gap + i) =
+        string_gap(law, row(s->stiffness + i), row(s->damping + i), length, own, rest);
+  }
+  return i;
+}
+
 /* The vectors of nodes, number by number: those that were stored just before by others are had sooner. */
 static inline void N(gather)(const double *x, const int32_t *at, Number *column) {
   for (int k = 0; k < D; ++k)
