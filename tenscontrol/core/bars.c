@@ -3,6 +3,7 @@
 #include <string.h>
 
 #include "core.h"
+#include "largest.h"
 
 static double dot(const double *a, const double *b) {
   return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
@@ -47,30 +48,55 @@ static void put(const Motion *motion, int node, int time, double *to) {
   for (int k = 0; k < 3; ++k) to[k] = from[k * motion->axis];
 }
 
-/* Raises `largest` (count, 3) to the rates of nodes at a time beside the mean of them all. */
-static void raise_to(const Motion *rates, int time, int count, const int32_t *nodes, double *largest,
-                     double *rate) {
-  double mean[3] = {0, 0, 0};
-  for (int i = 0; i < count; ++i) {
-    put(rates, nodes[i], time, rate + 3 * i);
-    for (int k = 0; k < 3; ++k) mean[k] += rate[3 * i + k];
-  }
-  for (int k = 0; k < 3; ++k) mean[k] /= count;
-  for (int i = 0; i < count; ++i)
-    for (int k = 0; k < 3; ++k) {
-      double *most = largest + 3 * i + k;
-      const double beside = fabs(rate[3 * i + k] - mean[k]);
-      if (!(beside <= *most) && *most == *most) *most = beside; /* what is none stays */
+/* Times that are looked at together. */
+enum { TIMES = 1024 };
+
+/* One coordinate of a node at some times, as it lies in memory or copied. */
+static const double *along(const Motion *motion, int node, int axis, int first, int times,
+                           double *copy) {
+  const double *from =
+      motion->values + node * motion->node + axis * motion->axis + first * motion->time;
+  if (motion->time == 1) return from;
+  for (int t = 0; t < times; ++t) copy[t] = from[t * motion->time];
+  return copy;
+}
+
+WIDE static void add(const double *restrict numbers, int count, double *restrict sum) {
+  for (int t = 0; t < count; ++t) sum[t] += numbers[t];
+}
+
+WIDE static void divide(int count, double by, double *restrict numbers) {
+  for (int t = 0; t < count; ++t) numbers[t] /= by;
+}
+
+WIDE static void distances(const double *restrict numbers, const double *restrict others, int count,
+                           double *restrict apart) {
+  for (int t = 0; t < count; ++t) apart[t] = fabs(numbers[t] - others[t]);
+}
+
+/* Raises `largest` (count, 3) to the rates of nodes at some times beside the mean of them all. */
+static void raise_to(const Motion *rates, int first, int times, int count, const int32_t *nodes,
+                     double *largest) {
+  double copy[TIMES], mean[TIMES], beside[TIMES];
+  for (int k = 0; k < 3; ++k) {
+    memset(mean, 0, times * sizeof *mean);
+    for (int i = 0; i < count; ++i) add(along(rates, nodes[i], k, first, times, copy), times, mean);
+    divide(times, count, mean);
+    for (int i = 0; i < count; ++i) {
+      distances(along(rates, nodes[i], k, first, times, copy), mean, times, beside);
+      raise_to_largest(times, beside, largest + 3 * i + k);
     }
+  }
 }
 
 void tc_largest_speeds(const Rates *rates, int32_t intervals, double *speed, double *work) {
   const int count = rates->count;
-  double *largest = work, *rate = work + 3 * (size_t)count;
+  double *largest = work;
   memset(largest, 0, 3 * (size_t)count * sizeof *largest);
-  for (int t = 0; t < intervals; ++t)
-    raise_to(&rates->begin, t, count, rates->nodes, largest, rate);
-  raise_to(&rates->end, intervals - 1, count, rates->nodes, largest, rate);
+  for (int t = 0; t < intervals; t += TIMES)
+    raise_to(&rates->begin, t, intervals - t < TIMES ? intervals - t : TIMES, count, rates->nodes,
+             largest);
+  raise_to(&rates->end, intervals - 1, 1, count, rates->nodes, largest);
   for (int i = 0; i < count; ++i)
     speed[rates->nodes[i]] = sqrt(dot(largest + 3 * i, largest + 3 * i));
 }

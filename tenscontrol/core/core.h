@@ -118,7 +118,7 @@ typedef struct {
 } Rates;
 
 /* Finds the largest speeds of nodes beside the mean of them all, as intervals begin and at the end of
-   the last, m/s, each at the place of its node. Work memory is six numbers a node. */
+   the last, m/s, each at the place of its node. Work memory is three numbers a node. */
 EXPORTED void tc_largest_speeds(const Rates *rates, int32_t intervals, double *speed, double *work);
 
 /* Finds pairs of bars and intervals, at whose beginning they are at most as far apart as they may

@@ -4,6 +4,7 @@
 
 #include "core.h"
 #include "kernels.h"
+#include "largest.h"
 
 /* One coordinate of a node at all times. */
 static const double *along(const Motion *motion, int node, int axis) {
@@ -36,9 +37,23 @@ void tc_kinetic_energy(const Scene *s, int32_t times, const Motion *rates, doubl
   }
 }
 
-WIDE static void add_square(const double *restrict start, const double *restrict end, int times,
+WIDE static void squares_2(const double *restrict x0, const double *restrict x1,
+                           const double *restrict y0, const double *restrict y1, int times,
+                           double *restrict square) {
+  for (int t = 0; t < times; ++t)
+    square[t] = (x1[t] - x0[t]) * (x1[t] - x0[t]) + (y1[t] - y0[t]) * (y1[t] - y0[t]);
+}
+
+WIDE static void add_square(const double *restrict z0, const double *restrict z1, int times,
                             double *restrict square) {
-  for (int t = 0; t < times; ++t) square[t] += (end[t] - start[t]) * (end[t] - start[t]);
+  for (int t = 0; t < times; ++t) square[t] += (z1[t] - z0[t]) * (z1[t] - z0[t]);
+}
+
+/* Squares of the distance of two nodes. */
+static void squares(const Motion *nodes, int d, int start, int end, int times, double *square) {
+  squares_2(along(nodes, start, 0), along(nodes, end, 0), along(nodes, start, 1),
+            along(nodes, end, 1), times, square);
+  if (d == 3) add_square(along(nodes, start, 2), along(nodes, end, 2), times, square);
 }
 
 WIDE static void take_root(int times, double *restrict square) {
@@ -51,11 +66,9 @@ WIDE static void add_root(const double *restrict square, int times, double *rest
 
 void tc_distances(const Motion *nodes, int32_t dimension, int32_t times, int32_t count,
                   const int32_t *pairs, double *distance) {
-  memset(distance, 0, (size_t)count * times * sizeof *distance);
   for (int i = 0; i < count; ++i) {
     double *to = distance + (size_t)i * times;
-    for (int k = 0; k < dimension; ++k)
-      add_square(along(nodes, pairs[2 * i], k), along(nodes, pairs[2 * i + 1], k), times, to);
+    squares(nodes, dimension, pairs[2 * i], pairs[2 * i + 1], times, to);
     take_root(times, to);
   }
 }
@@ -94,11 +107,8 @@ void tc_potential_energy(const Scene *s, int32_t times, const Motion *nodes, con
   /* Segments of a string follow one another. */
   for (int i = 0; i < s->segments; ++i) {
     const int string = s->segment_string[i];
-    memset(square, 0, times * sizeof *square);
     if (i == 0 || s->segment_string[i - 1] != string) memset(length, 0, times * sizeof *length);
-    for (int k = 0; k < d; ++k)
-      add_square(along(nodes, s->segment_start[i] / d, k), along(nodes, s->segment_end[i] / d, k),
-                 times, square);
+    squares(nodes, d, s->segment_start[i] / d, s->segment_end[i] / d, times, square);
     add_root(square, times, length);
     if (i + 1 == s->segments || s->segment_string[i + 1] != string)
       add_string(s, string, length, inputs + string * row, !is_constant, times, energy);
@@ -107,8 +117,20 @@ void tc_potential_energy(const Scene *s, int32_t times, const Motion *nodes, con
     if (load[i] != 0) add_load(along(nodes, i / d, i % d), load[i], times, energy);
 }
 
-/* Of numbers that may be none; then it is none. */
-static double largest(double one, double other) { return one >= other || one != one ? one : other; }
+WIDE static void add_energy(const double *restrict kinetic, int times, double *restrict energy,
+                            double *restrict size) {
+  for (int t = 0; t < times; ++t) energy[t] += kinetic[t];
+  for (int t = 0; t < times; ++t) size[t] = fabs(energy[t]);
+}
+
+WIDE static void take_changes(int times, double *restrict energy) {
+  const double first = energy[0];
+  for (int t = 0; t < times; ++t) energy[t] = fabs(energy[t] - first);
+}
+
+WIDE static void take_stretches(double length, int times, double *restrict square) {
+  for (int t = 0; t < times; ++t) square[t] = fabs(sqrt(square[t]) - length) / length;
+}
 
 void tc_conservation(const Scene *s, int32_t times, const Motion *nodes, const Motion *rates,
                      const double *inputs, int32_t is_constant, const double *load,
@@ -118,19 +140,15 @@ void tc_conservation(const Scene *s, int32_t times, const Motion *nodes, const M
   memset(found, 0, sizeof *found);
   tc_kinetic_energy(s, times, rates, kinetic);
   tc_potential_energy(s, times, nodes, inputs, is_constant, load, energy, square);
-  for (int t = 0; t < times; ++t) {
-    energy[t] += kinetic[t];
-    found->kinetic = largest(found->kinetic, kinetic[t]);
-    found->energy = largest(found->energy, fabs(energy[t]));
-    found->change = largest(found->change, fabs(energy[t] - energy[0]));
-  }
+  if (!times) return;
+  add_energy(kinetic, times, energy, square);
+  take_changes(times, energy);
+  raise_to_largest(times, kinetic, &found->kinetic);
+  raise_to_largest(times, square, &found->energy);
+  raise_to_largest(times, energy, &found->change);
   for (int i = 0; i < s->bars; ++i) {
-    memset(square, 0, times * sizeof *square);
-    for (int k = 0; k < d; ++k)
-      add_square(along(nodes, s->any_start[i] / d, k), along(nodes, s->any_end[i] / d, k), times,
-                 square);
-    take_root(times, square);
-    for (int t = 0; t < times; ++t)
-      found->stretch = largest(found->stretch, fabs(square[t] - length[i]) / length[i]);
+    squares(nodes, d, s->any_start[i] / d, s->any_end[i] / d, times, square);
+    take_stretches(length[i], times, square);
+    raise_to_largest(times, square, &found->stretch);
   }
 }

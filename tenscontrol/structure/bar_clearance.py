@@ -254,7 +254,7 @@ class _Intervals:
             return self._strays(np.linalg.norm(np.maximum(-low, high), axis=0))
         speed, core = np.zeros(self.nodes[0].shape[1]), library()
         if core is not None:
-            rates, work = self._rates_of(nodes.astype(np.int32)), np.empty(6 * len(nodes))
+            rates, work = self._rates_of(nodes.astype(np.int32)), np.empty(3 * len(nodes))
             core.tc_largest_speeds(byref(rates), self.count, *pointers(speed, work))
         else:
             first, end = self.rates[0][:, nodes], self.rates[1][:, nodes, -1]
@@ -287,7 +287,7 @@ class _Intervals:
         motion, room = records.Motion.of(self.nodes[0]), 2 * len(ends) + 1000
         motions = byref(motion), byref(self._rates_of(nodes)), self.count
         times = np.ascontiguousarray(self.begin), np.ascontiguousarray(self.length)
-        speed, work = np.zeros(self.nodes[0].shape[1]), np.empty(6 * len(nodes))
+        speed, work = np.zeros(self.nodes[0].shape[1]), np.empty(3 * len(nodes))
         while True:
             near = np.empty((room, 2), dtype=np.int32)
             begin, length, *at = pointers(*times, ends, near, speed, work)
