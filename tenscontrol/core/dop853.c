@@ -618,12 +618,14 @@ int advance_by_dop853(Span *span, const Settings *settings, Progress *now, Kept 
   method.x1 = work;
   method.K = work + span->states;
   kept->column = (int)done + 1;
+  span->goes_on = 0;
   for (int tried = 0; tried < settings->budget && motion.time < settings->duration &&
                       motion.stuck == 0;
        ++tried) {
     if (evaluations_of(&motion) >= settings->limit) break;
     if (!try_step(&method)) continue;
-    if (motion.crossed == 0) end_steps(&method, 1);
+    span->goes_on = motion.crossed == 0;
+    if (span->goes_on) end_steps(&method, 1);
     else if (!pass_switches(&method, 1)) continue;
     keep_step(kept, now, motion.time, x, method.started);
   }

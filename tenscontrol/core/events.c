@@ -95,7 +95,12 @@ SHARED Number crossings(Span *span, const Tried *step) {
   if (!m) return count;
   for (int i = 0; i < n; ++i) square += step->x1[i] * step->x1[i];
   finite = square < INFINITY; /* a state that is not finite is not searched */
-  gap_at(span, step->x, step->time, 0, gap0, rate0);
+  if (span->goes_on) {
+    memcpy(gap0, gap1, m * sizeof *gap0);
+    memcpy(rate0, rate1, m * sizeof *rate0);
+  } else {
+    gap_at(span, step->x, step->time, 0, gap0, rate0);
+  }
   gap_at(span, step->x1, step->time + h, 0, gap1, rate1);
   scale = gap_scales(span, step->time);
   for (int i = 0; i < m; ++i) {

@@ -32,6 +32,7 @@ typedef struct {
   Number *restored; /* of bars that are put on their lengths */
   Number *coefficients, *rooms, *inside, *outside, *chosen, *leaving, *within, *marked;
   Number *gap0, *gap1; /* at both ends of the step that was searched last */
+  int goes_on;         /* whether the next step to be searched begins at its end */
   Some some;           /* those that were listed last */
   Number *carried; /* of switches in steps that are not cut */
 } Span;

@@ -26,6 +26,7 @@ SHARED Number *begin(Span *span, const Scene *s, const Drive *drive, const Lengt
   span->lengths = lengths;
   span->states = n;
   span->switches = m;
+  span->goes_on = 0;
   span->work = work;
   work += equation_work_size(s);
   span->values = work;
