@@ -26,9 +26,9 @@ from tenscontrol.integrate.integrator import (
 )
 from tenscontrol.interrupt import check
 
-# Steps in the first call, or so many numbers in their states if that is more, and seconds that a
-# call should take at most.
-_FIRST, _FIRST_NUMBERS, _LONGEST = 64, 20_000, 0.05
+# Steps in the first call, or so many numbers in their states if that is more, seconds that a call
+# should take at most, and steps at most: calls that end early, as memory is full, let them grow.
+_FIRST, _FIRST_NUMBERS, _LONGEST, _MOST_STEPS = 64, 20_000, 0.05, 10**9
 
 # Steps in a call over several spans, at most.
 _MOST_TRIES = 2048
@@ -110,7 +110,7 @@ def advance_in_core(
                 return span()
             if motion.is_paused:
                 raise IntegrationPause(progress.time, motion.state, span())
-            budget = int(min(max(budget * _LONGEST / (taken + 1e-9), 1), 8 * budget))
+            budget = int(min(max(budget * _LONGEST / (taken + 1e-9), 1), 8 * budget, _MOST_STEPS))
     except KeyboardInterrupt:
         raise IntegrationInterrupt(progress.time, span()) from None
 

@@ -25,15 +25,22 @@ from tenscontrol.simulation.integration import Integration
 from tenscontrol.simulation.plant_run import StoppedError
 from tenscontrol.tables import aligned
 
-# First parts of the logs that are fitted one after the other, and how little a cost must still fall
-# before the next is taken, and at the end. Where noise does not explain the first, the fit is in a
-# wrong minimum of fast motions: the second is how much shorter the part is that comes before it.
-_PARTS, _SHORTER_PART, _ROUGHLY, _WELL = (0.1, 0.25, 0.5, 1.0), 0.3, 3e-2, 1e-6
+# First parts of the logs that are fitted one after the other. Where noise does not explain one, the
+# fit is in a wrong minimum of fast motions: it goes back, and a shorter part comes before, of the
+# first that share, else halfway.
+_PARTS, _SHORTER_PART = (0.1, 0.25, 0.5, 1.0), 0.3
+
+# Least fall of the squares that is worth a rollout: of a part, as part of them; at the end, in
+# variances of the residuals, as 0.01 is a tenth of a standard error in whichever direction (D. M.
+# Bates and D. G. Watts, *A relative offset orthogonality convergence criterion for nonlinear least
+# squares*, 1981, doi:10.1080/00401706.1981.10486255). The third is that after a step that did not
+# lessen them: at a switch of the motion slopes jump, and what they foresee is never met.
+_ROUGHLY, _WELL, _AT_SWITCH, _TINY = 3e-2, 1e-2, 0.2, 1e-6
 
 # Steps in a part at most; damping of the first step, and by how much it changes after one that
-# lessened the cost by more than a share of what was foreseen. Part of a step that did not lessen
-# it, within which the next is.
-_MOST, _DAMPING, _LESS, _GOOD, _SHORTER = 12, 1e-3, 0.2, 0.75, (0.1, 0.5)
+# lessened the cost by more than the first share of what was foreseen. Part of a step that lessened
+# it by less than the second, within which the next is.
+_MOST, _DAMPING, _LESS, _GOOD, _POOR, _SHORTER = 12, 1e-3, 0.2, 0.75, 0.25, (0.1, 0.5)
 
 # Longest step of an unknown, in standard deviations of its prior: slopes do not hold far away.
 _LONGEST = 2.0
@@ -49,8 +56,14 @@ _BLIND, _TOLD, _LEFT = 0.1, 0.01, 0.5
 # Squares of the residuals a degree of freedom from which on noise does not explain them.
 _FAR = 2.0
 
+# Chance of their squares from which on it is said that noise does not explain them quite.
+_CHANCE = 1e-3
+
 # Residuals beyond count in proportion, with Huber's loss.
 _HUBER = 1.345
+
+# A part whose fit is farther from what was known, in standard deviations, is in a wrong minimum.
+_FARTHEST = 6.0
 
 # Of a normal distribution, 95 % lie within.
 _INTERVAL = 1.959964
@@ -156,7 +169,8 @@ class Fit:
     value : ndarray, shape (unknowns,)
         Factors of what was known before, of what is positive; else what is added, in its unit.
     interval : ndarray, shape (unknowns, 2)
-        Within which each is at 95 %; NaN where data does not tell.
+        Within which each is at 95 %; NaN where data does not tell, and of all if the fit did not
+        converge or :attr:`explained` is false, as none would hold.
     parameters : mapping of str to ndarray
         All parameters that were fitted, with those that were known.
     identifiability : Identifiability
@@ -164,6 +178,8 @@ class Fit:
     chi_squared : float
         Squares of the residuals over the degrees of freedom: 1 where only noise is left. By
         Huber's loss, what far readings make of the variances.
+    p_value : float
+        Chance of squares as large from the noise of the sensors alone; NaN with Huber's loss.
     rollouts : int
         Simulations of all logs.
     message : str
@@ -178,6 +194,7 @@ class Fit:
     parameters: Mapping[str, FloatArray]
     identifiability: Identifiability
     chi_squared: float
+    p_value: float
     rollouts: int
     message: str
     _rollouts: Rollouts
@@ -187,6 +204,11 @@ class Fit:
     def converged(self) -> bool:
         """Whether no step lessens the cost any more."""
         return self.message == "converged"
+
+    @property
+    def explained(self) -> bool:
+        """Whether noise explains the residuals: chi squared is at most 2."""
+        return self.chi_squared <= _FAR
 
     def validate(self, log: Log) -> Validation:
         """Return how the model does on a log, as a rule another than those of the fit.
@@ -225,17 +247,27 @@ class Fit:
         for label, value, (low, high), is_told in zip(
             self.labels, self.value, self.interval, self.identifiability.is_told, strict=True
         ):
-            between = f"{low:.5g} to {high:.5g}" if is_told else "not told by the data"
+            between = "not told by the data"
+            if is_told:
+                between = "none" if np.isnan(low) else f"{low:.5g} to {high:.5g}"
             rows.append([label, f"{value:.5g}", between])
         lines = [
             aligned(["unknown", "factor or shift", "95 %"], rows),
             f"chi squared {self.chi_squared:.3g} a degree of freedom, {self.rollouts} rollouts, "
             f"{self.message}",
         ]
-        if self.chi_squared > _FAR:
+        if not self.converged:
+            lines.append("steps still lessen the cost, so no interval holds: raise most_rollouts")
+        if not self.explained:
             lines.append(
-                f"residuals are {self.chi_squared**0.5:.2g} times the noise: the model lacks "
-                "something, sensors have more noise, or units differ; intervals mean little"
+                f"residuals are {self.chi_squared**0.5:.2g} times the noise, so no interval holds: "
+                "the model lacks something, sensors have more noise, units differ, or the fit is "
+                "in a wrong minimum; fit windows or a first part of the log"
+            )
+        elif self.p_value < _CHANCE:
+            lines.append(
+                f"noise alone leaves squares as large with probability {self.p_value:.1g}: the "
+                "model lacks a little, or sensors have more noise; intervals count it as noise"
             )
         for direction in self.identifiability.untold:
             lines.append(f"not told: {_described(self.labels, direction)}")
@@ -256,13 +288,13 @@ class Fit:
         record = {
             "parameters": {name: value.tolist() for name, value in self.parameters.items()},
             "unknowns": [
-                {"name": label, "value": value, "interval": interval if is_told else None}
-                for label, value, interval, is_told in zip(
-                    self.labels, self.value.tolist(), self.interval.tolist(),
-                    self.identifiability.is_told.tolist(), strict=True,
+                {"name": label, "value": value, "interval": None if np.isnan(low) else [low, high]}
+                for label, value, (low, high) in zip(
+                    self.labels, self.value.tolist(), self.interval.tolist(), strict=True
                 )
             ],
             "chi_squared": self.chi_squared,
+            "p_value": None if np.isnan(self.p_value) else self.p_value,
             "rollouts": self.rollouts,
             "message": self.message,
         }  # fmt: skip
@@ -456,11 +488,11 @@ class _Solver:
                 share = parts.pop(0)
                 if self._left(share) < 1:
                     continue
+                shorter = self._shorter(done, share)
                 readings = self._rollouts.readings(theta, share, slopes=True)
-                least = _WELL if share == 1.0 else _ROUGHLY
-                moved, readings, message = self._fit_part(theta, readings, share, least)
-                if not done and self._is_too_long(share, readings):
-                    parts = [_SHORTER_PART * share, share, *parts]
+                moved, readings, message = self._fit_part(theta, readings, share, shorter > 0)
+                if shorter and not self._is_explained(readings):
+                    parts = [shorter, share, *parts]
                     continue
                 theta, done = moved, share
                 report(share)
@@ -473,16 +505,24 @@ class _Solver:
         return theta, readings, message
 
     def _fit_part(
-        self, theta: FloatArray, readings: Readings, share: float, least: float
+        self, theta: FloatArray, readings: Readings, share: float, may_return: bool
     ) -> tuple[FloatArray, Readings, str]:
+        """Return the unknowns and residuals of a part, and why its fit ended.
+
+        Where a shorter part may come before, it ends soon if noise will not explain it.
+        """
         damping, cost, is_bent = _DAMPING, self._cost(readings, theta), False
-        linear = self._linear(readings, theta)
-        most = self._most if share == 1.0 else _MOST
-        for _ in range(most):
+        linear, is_whole, has_failed = self._linear(readings, theta), share == 1.0, False
+        for i in range(self._most):
+            if self._is_enough(i, theta, readings, share, may_return):
+                return theta, readings, "converged"
             if self._left(share) < 1:
                 return theta, readings, f"stopped after {self._rollouts.count} rollouts"
+            least = _ROUGHLY * cost
+            if is_whole:
+                least = (_AT_SWITCH if has_failed else _WELL) * cost / len(readings.residuals)
             step, fall = linear.step(damping)
-            if fall <= (least if damping <= _DAMPING else _WELL) * cost:  # not worth a rollout
+            if linear.offset <= least or fall <= _TINY * cost:
                 return theta, readings, "converged"
             straight = step
             if is_bent and self._left(share) > 1:
@@ -492,36 +532,47 @@ class _Solver:
             moved = theta + self._scale * step
             tried = self._tried(moved, share)
             new = np.inf if tried is None else self._cost(tried, moved)
-            is_bent = step is not straight or cost - new < _GOOD * fall
-            if tried is None or not new < cost:
-                if abs(new - cost) <= least * cost:
+            fell = cost - new
+            is_bent = step is not straight or fell < _GOOD * fall
+            damping = linear.next_damping(damping, fall, fell)
+            has_failed = tried is None or not new < cost
+            if tried is None or has_failed:
+                if not is_whole and abs(fell) <= least:
                     return theta, readings, "converged"
-                # Least of the parabola along the step: what is known is its slope and both ends.
-                shorter = fall / (new - cost + 2 * fall)
-                damping = linear.damping(damping, float(np.clip(shorter, *_SHORTER)))
                 continue
-            if cost - new > _GOOD * fall:
-                damping *= _LESS
-            fall = (cost - new) / max(cost, np.finfo(float).tiny)
             theta, readings, cost = moved, tried, new
             linear = self._linear(readings, theta)
-            if fall < least:
+            if not is_whole and fell < least:
                 break
         return theta, readings, "converged"
+
+    def _is_enough(
+        self, steps: int, theta: FloatArray, readings: Readings, share: float, may_return: bool
+    ) -> bool:
+        """Return whether a part has had its steps, or none will help where it can go back."""
+        if may_return and np.abs(theta / self._scale).max() > _FARTHEST:
+            return True
+        return steps >= _MOST and (share < 1 or (may_return and not self._is_explained(readings)))
 
     def _left(self, share: float) -> int:
         """Return how many rollouts are left for a part of the logs; one is kept for all of them."""
         return self._most - (share < 1.0) - self._rollouts.count
 
-    def _is_too_long(self, share: float, readings: Readings) -> bool:
-        """Return whether noise does not explain a fitted part, of which there is a shorter one."""
+    def _shorter(self, done: float, share: float) -> float:
+        """Return a part between two that has other times, or 0."""
+        shorter = float(np.sqrt(done * share)) if done else _SHORTER_PART * share
+        is_other = self._times(done) < self._times(shorter) < self._times(share)
+        return shorter if is_other and 2 * self._rollouts.count < self._most else 0.0
+
+    def _is_explained(self, readings: Readings) -> bool:
+        """Return whether noise explains the residuals of a fitted part."""
         r = readings.residuals
-        if _chi_squared(r, len(r), self._is_robust) <= _FAR:
-            return False
-        return self._times(_SHORTER_PART * share) < self._times(share)
+        return _chi_squared(r, len(r), self._is_robust) <= _FAR
 
     def _times(self, share: float) -> int:
         """Return how many times of the logs a part has, at least one of each."""
+        if share == 0:
+            return 0
         return sum(
             max(1, int((log.time <= share * log.time[-1]).sum())) for log in self._rollouts.logs
         )
@@ -560,6 +611,11 @@ class _Linear:
         self._left, self._singular, self._directions = np.linalg.svd(rows / self._size, False)
         self._right = self._left.T @ right
 
+    @property
+    def offset(self) -> float:
+        """By how much the squares would fall at their least, were they as linear as this."""
+        return float(self._right @ self._right)
+
     def step(self, damping: float) -> tuple[FloatArray, float]:
         """Return a step, of no unknown too long, and by how much the squares should fall."""
         step = -(self._parts(damping, self._right) @ self._directions) / self._size
@@ -567,11 +623,16 @@ class _Linear:
         moved = self._singular * (self._directions @ (self._size * step))
         return step, float(-(moved * (2 * self._right + moved)).sum())
 
-    def damping(self, damping: float, share: float) -> float:
-        """Return a damping by which a step is at most a share of what another makes it."""
-        longest = share * np.linalg.norm(self._parts(damping, self._right))
-        while np.linalg.norm(self._parts(damping, self._right)) > longest:
-            damping *= 2
+    def next_damping(self, damping: float, foreseen: float, fell: float) -> float:
+        """Return the damping of the next step, after one by which the squares fell so much."""
+        if fell > _GOOD * foreseen:
+            return damping * _LESS
+        if fell < _POOR * foreseen:
+            # Least of the parabola along the step: what is known is its slope and both ends.
+            share = float(np.clip(foreseen / (2 * foreseen - fell), *_SHORTER))
+            longest = share * np.linalg.norm(self._parts(damping, self._right))
+            while np.linalg.norm(self._parts(damping, self._right)) > longest:
+                damping *= 2
         return damping
 
     def bent(self, step: FloatArray, damping: float, ahead: FloatArray) -> FloatArray:
@@ -613,6 +674,8 @@ def identifiability_of(rollouts: Rollouts, slope: FloatArray | None = None) -> I
 def _result(
     rollouts: Rollouts, theta: FloatArray, readings: Readings, message: str, is_robust: bool
 ) -> Fit:
+    from scipy.special import chdtrc  # here, as its import takes long
+
     assert readings.slope is not None  # every try has one
     identifiability = identifiability_of(rollouts, readings.slope)
     # What is known before pulls at what is found, and so it is part of the interval too: else those
@@ -620,6 +683,7 @@ def _result(
     known = identifiability.singular**2
     freedom = max(len(readings.residuals) - float((known / (1 + known)).sum()), 1.0)
     chi_squared = _chi_squared(readings.residuals, freedom, is_robust)
+    p_value = np.nan if is_robust else float(chdtrc(freedom, (readings.residuals**2).sum()))
     spread = max(chi_squared, float(np.finfo(float).tiny))
     variance = identifiability.directions.T**2 @ (spread / (spread + known))
     reach = _INTERVAL * np.sqrt(variance) * rollouts.deviations
@@ -629,9 +693,9 @@ def _result(
         is_scaled[first : first + len(unknown.groups)] = unknown.is_scaled
         first += len(unknown.groups)
     interval = theta[:, None] + np.stack([-reach, reach], axis=1)
-    interval[~identifiability.is_told] = np.nan
+    interval[~identifiability.is_told | (message != "converged") | (chi_squared > _FAR)] = np.nan
     value = np.where(is_scaled, np.exp(np.where(is_scaled, theta, 0.0)), theta)
-    with np.errstate(over="ignore"):  # of a model that is far from the log: up to infinity
+    with np.errstate(over="ignore"):  # where little was known before: up to infinity
         interval = np.where(
             is_scaled[:, None], np.exp(np.where(is_scaled[:, None], interval, 0.0)), interval
         )
@@ -641,7 +705,7 @@ def _result(
     }
     return Fit(
         rollouts.model_for(theta), tuple(rollouts.logs), tuple(rollouts.labels), frozen(value),
-        frozen(interval), MappingProxyType(parameters), identifiability, chi_squared,
+        frozen(interval), MappingProxyType(parameters), identifiability, chi_squared, p_value,
         rollouts.count, message, rollouts, frozen(theta),
     )  # fmt: skip
 

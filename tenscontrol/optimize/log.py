@@ -22,6 +22,9 @@ from tenscontrol.simulation.trajectory import Trajectory
 # Numbers in a table at most: more is no log of a robot, and fills the memory.
 _MOST_NUMBERS, _MOST_BYTES = 50_000_000, 1_500_000_000
 
+# Readings beyond are none: their squares overflow.
+_LARGEST = 1e100
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Log:
@@ -91,9 +94,13 @@ class Log:
         shape = len(time), len(self.sensors.noise)
         meaning = f"a row for each time, with the {shape[1]} numbers of {self.sensors!r}"
         readings = validation.measured("readings", self.readings, shape, meaning)
-        if np.isinf(readings).any():
-            row, column = np.argwhere(np.isinf(readings))[0]
-            raise ValueError(f"readings[{row}, {column}] is infinite; NaN says that it was lost")
+        beyond = np.argwhere(np.abs(readings) > _LARGEST)
+        if len(beyond):
+            row, column = beyond[0]
+            raise ValueError(
+                f"readings[{row}, {column}] is {readings[row, column]:g}, expected at most "
+                f"{_LARGEST:g}; NaN says that it was lost"
+            )
         if np.isnan(readings).all():
             raise ValueError("readings are all NaN: nothing was read")
         if (self.rest_length is None) == (self.force_density is None):
@@ -121,22 +128,27 @@ class Log:
         """Number of readings that were lost."""
         return int(np.isnan(self.readings).sum())
 
+    @property
+    def first_read(self) -> float:
+        """Time of the first reading that was not lost, s."""
+        return float(self.time[~np.isnan(self.readings).all(axis=1)][0])
+
     def until(self, time: float) -> Log:
         """Return the log up to a time.
 
         Parameters
         ----------
         time : float
-            s; at least one reading must be before it.
+            s; at least one reading, that was not lost, must be before it.
 
         Returns
         -------
         Log
         """
         end = validation.positive_number("time", time, "s")
-        kept = self.time <= end * (1 + 1e-12)
-        if not kept.any():
-            raise ValueError(f"time is {end:g} s, but the first reading is at {self.time[0]:g} s")
+        kept, first = self.time <= end * (1 + 1e-12), self.first_read
+        if first > end * (1 + 1e-12):
+            raise ValueError(f"time is {end:g} s, but the first reading is at {first:g} s")
         return replace(self, time=self.time[kept], readings=self.readings[kept])
 
     def windows(self, length: float, run: Trajectory) -> tuple[Log, ...]:

@@ -141,7 +141,7 @@ class Rollouts:
     ) -> tuple[FloatArray, Any]:
         log, own = self.logs[i], self.own(theta)
         if share < 1:
-            log = log.until(max(share * float(log.time[-1]), float(log.time[0])))
+            log = log.until(max(share * float(log.time[-1]), log.first_read))
         names = [unknown.name for unknown in self.unknowns]
         delay = float(own[names.index("delay")][0]) if "delay" in names else 0.0
         times = np.clip(log.time - delay, 0.0, None)

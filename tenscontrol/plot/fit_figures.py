@@ -101,7 +101,8 @@ def residuals(found: Validation, *, ax: Axes | None = None) -> FitDrawing:
 def intervals(found: Fit, *, ax: Axes | None = None) -> FitDrawing:
     """Draw what a fit found of each unknown, with its interval of 95 %.
 
-    Unknowns that the data does not tell have a hollow mark and no interval.
+    Unknowns without an interval have a hollow mark: data does not tell them, or the fit did not
+    converge or is far from the log.
 
     Parameters
     ----------
@@ -142,7 +143,7 @@ def intervals(found: Fit, *, ax: Axes | None = None) -> FitDrawing:
     places = np.arange(count)
     for i, name in enumerate(dict.fromkeys(names)):
         own = np.array([other == name for other in names])
-        identified = own & found.identifiability.is_told
+        identified = own & ~np.isnan(found.interval[:, 0])
         colour = PALETTE[i % len(PALETTE)]
         ax.hlines(places[identified], *found.interval[identified].T, color=colour, linewidth=2.0)
         (lines[name],) = ax.plot(

@@ -2,8 +2,8 @@
 
 Run: ``python -m tests.benchmarks.identification [--rows prism ball ...] [--count 100]``; ``--first
 50 --count 50`` are the draws from the 50th on. Each row prints a line for each draw of parameters
-and noise, then how many of the intervals of 95 % hold the true value, of all fits and of those
-whose residuals are near the noise. The lead of a fit is by how much its cost is below the least
+and noise, then how many of the intervals of 95 % hold the true value; fits that did not converge or
+that noise does not explain have none. The lead of a fit is by how much its cost is below the least
 with the unknowns at their true values, in squares of deviations: 1 an unknown as a rule if it is
 right, and beyond what chance leaves one of 1000 where it is not. Below 0 the fit is in a wrong
 minimum. Rows:
@@ -250,21 +250,16 @@ class Judged:
 
     found: Fit
     held: int  # of told
-    told: int
+    told: int  # with an interval
     lead: float
     unknowns: int
-
-    @property
-    def is_far(self) -> bool:
-        """Whether noise does not explain the residuals, and intervals mean little."""
-        return self.found.chi_squared > 2.0
 
 
 def judged(case: Case, found: Fit) -> Judged:
     """Return what of a fit is true."""
     count = len(case.true)
-    told = found.identifiability.is_told[:count]
     low, high = found.interval[:count].T
+    told = ~np.isnan(low)
     held = (low <= case.true) & (case.true <= high)
     return Judged(found, int(held[told].sum()), int(told.sum()), lead_of(case, found), count)
 
@@ -305,29 +300,24 @@ def print_fits(title: str, case_of: Callable[[int], Case], seeds: range) -> None
         print(
             f"{title} {seed:8d} {found.rollouts:8d} {found.chi_squared:4.2f} "
             f"{own.lead / own.unknowns:17.2f} {seconds:5.1f}  {found.message}, "
-            f"{own.told - own.held} of {own.told} missed, {own.unknowns - own.told} not told"
+            f"{own.told - own.held} of {own.told} missed, {own.unknowns - own.told} without"
             + (f", validated {found.validate(case.other)}" if case.other is not None else ""),
             flush=True,
         )
     rollouts = [own.found.rollouts for own in every]
     stopped = sum(not own.found.converged for own in every)
-    near = [own for own in every if not own.is_far]
+    far = sum(not own.found.explained for own in every)
     print(
         f"{title}: {np.median(rollouts):g} rollouts as a rule, {max(rollouts)} at most; {stopped} "
-        f"stopped, {len(every) - len(near)} far from the log"
+        f"stopped, {far} far from the log"
     )
-    for name, some in ("of all", every), ("near the log", near):
-        print(f"{title}, {name}: {_counted(some)}")
-
-
-def _counted(some: list[Judged]) -> str:
-    held, told = (sum(getattr(own, name) for own in some) for name in ("held", "told"))
-    leads = [own.lead / own.unknowns for own in some]
-    beyond = sum(chi2.sf(own.lead, own.unknowns) < 1e-3 for own in some)
-    return (
-        f"{held} of {told} intervals of 95 % hold, {100 * held / max(told, 1):.1f} %; lead "
-        f"{np.median(leads) if some else 0:.2f} an unknown as a rule, beyond chance in {beyond} of "
-        f"{len(some)} fits, below 0 in {sum(lead < 0 for lead in leads)}"
+    held, told = (sum(getattr(own, name) for own in every) for name in ("held", "told"))
+    leads = [own.lead / own.unknowns for own in every]
+    beyond = sum(chi2.sf(own.lead, own.unknowns) < 1e-3 for own in every)
+    print(
+        f"{title}: {held} of {told} intervals of 95 % hold, {100 * held / max(told, 1):.1f} %; lead "
+        f"{np.median(leads):.2f} an unknown as a rule, beyond chance in {beyond} of "
+        f"{len(every)} fits, below 0 in {sum(lead < 0 for lead in leads)}"
     )
 
 
