@@ -315,8 +315,8 @@ def print_fits(title: str, case_of: Callable[[int], Case], seeds: range) -> None
     leads = [own.lead / own.unknowns for own in every]
     beyond = sum(chi2.sf(own.lead, own.unknowns) < 1e-3 for own in every)
     print(
-        f"{title}: {held} of {told} intervals of 95 % hold, {100 * held / max(told, 1):.1f} %; lead "
-        f"{np.median(leads):.2f} an unknown as a rule, beyond chance in {beyond} of "
+        f"{title}: {held} of {told} intervals of 95 % hold, {100 * held / max(told, 1):.1f} %; "
+        f"lead {np.median(leads):.2f} an unknown as a rule, beyond chance in {beyond} of "
         f"{len(every)} fits, below 0 in {sum(lead < 0 for lead in leads)}"
     )
 
