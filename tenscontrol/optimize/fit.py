@@ -426,7 +426,8 @@ def fit(
     Ctrl-C ends a fit with what was found so far. Intervals come from the slope at what was found,
     the residuals as they are, and what was known before (Gelman and others 2013, *Bayesian Data
     Analysis*, 4.1). Of them 95 % hold if true values are as far from the believed ones as was said.
-    For what data does not tell there is none: see :func:`identifiable`.
+    For what data does not tell there is none: see :func:`identifiable`. Nor is there any if the fit
+    did not converge, or noise does not explain the residuals: :meth:`Fit.table` says so.
 
     Examples
     --------
