@@ -146,7 +146,9 @@ class Rollouts:
         delay = float(own[names.index("delay")][0]) if "delay" in names else 0.0
         times = np.clip(log.time - delay, 0.0, None)
         kept, again = np.unique(times, return_inverse=True)
-        scene, basis = self._scene(i, model, theta, log, float(kept[-1])), self._bases[i]
+        # Some motion there must be, where all that was read is of the start.
+        duration = float(kept[-1]) or float(self.logs[i].time[-1])
+        scene, basis = self._scene(i, model, theta, log, duration), self._bases[i]
         parameters = [parameter_of(self.model, unknown) for unknown in self.unknowns]
         carried = [parameter for parameter in parameters if parameter is not None]
         if self.start is not None:
@@ -341,6 +343,8 @@ def checked_logs(model: Model, log: object) -> tuple[Log, ...]:
                 f"{name} has sensors of {entry.sensors.structure!r}, expected the model's "
                 f"{model.structure!r}"
             )
+        if entry.time[-1] == 0:
+            raise ValueError(f"{name} has readings at 0 s alone, expected some of a motion")
         refuse_accelerometers(entry.sensors)
         if entry.input != logs[0].input:
             raise ValueError(f"{name} holds {entry.input}, the first log {logs[0].input}")

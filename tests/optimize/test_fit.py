@@ -313,5 +313,10 @@ def test_a_log_whose_first_rows_were_lost_is_fitted():
     late = replace(log, readings=np.where(log.time[:, None] < 0.5, np.nan, log.readings))
     found = tc.fit(model_of(), late, ["stiffness"], groups={"stiffness": "all"})
     assert found.parameters["stiffness"][0] == pytest.approx(115.0, rel=0.05)
+    at_once = replace(log, time=log.time - log.time[0])
+    found = tc.fit(model_of(), at_once, ["stiffness"], groups={"stiffness": "all"}, step=5e-3)
+    assert found.rollouts > 3
+    with pytest.raises(ValueError, match="log has readings at 0 s alone"):
+        tc.fit(model_of(), replace(log, time=[0.0], readings=log.readings[:1]), ["stiffness"])
     with pytest.raises(ValueError, match=r"time is 0\.3 s, but the first reading is at 0\.5 s"):
         late.until(0.3)
