@@ -58,15 +58,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
         updated = min(np.median(times) for label, times in rows.items() if "updated" in label)
         anew = min(np.median(times) for label, times in rows.items() if "anew" in label)
         print(f"  fastest updated / fastest built anew: {updated / anew:.3f}")
-    print("\nstages against OSQP, both updated, push")
-    print("  horizon  inputs  stages / OSQP")
+    print("\nOSQP against stages, both updated, push")
+    print("  horizon  inputs  OSQP / stages")
     plant, reference, measured = scenes["push"]
     for length in given.lengths:
         medians = [
             np.median(run(controller(plant, reference, solver, length), measured, rebuilt=False))
             for solver in SOLVERS
         ]
-        print(f"  {length:7d}  {9 * length:6d}  {medians[0] / medians[1]:8.2f}")
+        print(f"  {length:7d}  {9 * length:6d}  {medians[1] / medians[0]:8.0f}")
     on_tower(given.tower, given.horizon, given.push)
 
 
