@@ -178,8 +178,8 @@ class Fit:
     chi_squared : float
         Squares of the residuals over the degrees of freedom: 1 where only noise is left. By
         Huber's loss, what far readings make of the variances.
-    p_value : float
-        Chance of squares as large from the noise of the sensors alone; NaN with Huber's loss.
+    p_value : float, or None
+        Chance of squares as large from the noise of the sensors alone; None with Huber's loss.
     rollouts : int
         Simulations of all logs.
     message : str
@@ -194,7 +194,7 @@ class Fit:
     parameters: Mapping[str, FloatArray]
     identifiability: Identifiability
     chi_squared: float
-    p_value: float
+    p_value: float | None
     rollouts: int
     message: str
     _rollouts: Rollouts
@@ -264,7 +264,7 @@ class Fit:
                 "the model lacks something, sensors have more noise, units differ, or the fit is "
                 "in a wrong minimum; fit windows or a first part of the log"
             )
-        elif self.p_value < _CHANCE:
+        elif self.p_value is not None and self.p_value < _CHANCE:
             lines.append(
                 f"noise alone leaves squares as large with probability {self.p_value:.1g}: the "
                 "model lacks a little, or sensors have more noise; intervals count it as noise"
@@ -294,7 +294,7 @@ class Fit:
                 )
             ],
             "chi_squared": self.chi_squared,
-            "p_value": None if np.isnan(self.p_value) else self.p_value,
+            "p_value": self.p_value,
             "rollouts": self.rollouts,
             "message": self.message,
         }  # fmt: skip
@@ -684,7 +684,7 @@ def _result(
     known = identifiability.singular**2
     freedom = max(len(readings.residuals) - float((known / (1 + known)).sum()), 1.0)
     chi_squared = _chi_squared(readings.residuals, freedom, is_robust)
-    p_value = np.nan if is_robust else float(chdtrc(freedom, (readings.residuals**2).sum()))
+    p_value = None if is_robust else float(chdtrc(freedom, (readings.residuals**2).sum()))
     spread = max(chi_squared, float(np.finfo(float).tiny))
     variance = identifiability.directions.T**2 @ (spread / (spread + known))
     reach = _INTERVAL * np.sqrt(variance) * rollouts.deviations
