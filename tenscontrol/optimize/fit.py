@@ -30,12 +30,13 @@ from tenscontrol.tables import aligned
 # first that share, else halfway.
 _PARTS, _SHORTER_PART = (0.1, 0.25, 0.5, 1.0), 0.3
 
-# Least fall of the squares that is worth a rollout: of a part, as part of them; at the end, in
-# variances of the residuals, as 0.01 is a tenth of a standard error in whichever direction (D. M.
-# Bates and D. G. Watts, *A relative offset orthogonality convergence criterion for nonlinear least
-# squares*, 1981, doi:10.1080/00401706.1981.10486255). The third is that after a step that did not
-# lessen them: at a switch of the motion slopes jump, and what they foresee is never met.
-_ROUGHLY, _WELL, _AT_SWITCH, _TINY = 3e-2, 1e-2, 0.2, 1e-6
+# Least fall of the squares that is worth a rollout: of a part, as part of them, where noise does
+# explain it and where not; at the end, in variances of the residuals, as 0.01 is a tenth of a
+# standard error in whichever direction (D. M. Bates and D. G. Watts, *A relative offset
+# orthogonality convergence criterion for nonlinear least squares*, 1981,
+# doi:10.1080/00401706.1981.10486255). The fourth is that after a step that did not lessen them: at
+# a switch of the motion slopes jump, and what they foresee is never met.
+_ROUGHLY, _CLOSER, _WELL, _AT_SWITCH, _TINY = 3e-2, 3e-3, 1e-2, 0.2, 1e-6
 
 # Steps in a part at most; damping of the first step, and by how much it changes after one that
 # lessened the cost by more than the first share of what was foreseen. Part of a step that lessened
@@ -519,9 +520,7 @@ class _Solver:
                 return theta, readings, "converged"
             if self._left(share) < 1:
                 return theta, readings, f"stopped after {self._rollouts.count} rollouts"
-            least = _ROUGHLY * cost
-            if is_whole:
-                least = (_AT_SWITCH if has_failed else _WELL) * cost / len(readings.residuals)
+            least = cost * self._least_share(readings, is_whole, has_failed)
             step, fall = linear.step(damping)
             if linear.offset <= least or fall <= _TINY * cost:
                 return theta, readings, "converged"
@@ -546,6 +545,12 @@ class _Solver:
             if not is_whole and fell < least:
                 break
         return theta, readings, "converged"
+
+    def _least_share(self, readings: Readings, is_whole: bool, has_failed: bool) -> float:
+        """Return which part of the cost must still fall for another rollout."""
+        if is_whole:
+            return (_AT_SWITCH if has_failed else _WELL) / len(readings.residuals)
+        return _ROUGHLY if self._is_explained(readings) else _CLOSER
 
     def _is_enough(
         self, steps: int, theta: FloatArray, readings: Readings, share: float, may_return: bool
