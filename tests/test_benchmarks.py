@@ -594,6 +594,16 @@ def test_batch(printed, monkeypatch, jax_compiles_quickly, scene):
         assert 0 < found[1] <= 1e-3
 
 
+def test_batch_of_some_programs(printed):
+    text = printed(
+        "batch", "--structures prism --scenes taut --runs 5 --duration 0.1 --repeats 1"
+        " --errors 1e-3 --only ends",
+    )  # fmt: skip
+    (found,) = cheapest(text, "tenscontrol, ends, no estimate")
+    assert 0 < found[1] <= 1e-3
+    assert not {"default", "NumPy", "JAX", "MuJoCo"} & set(text.replace(",", " ").split())
+
+
 @needs_compiler
 def test_batch_controlled(printed):
     text = printed("batch", "--scenes controlled --runs 2 --duration 0.04 --repeats 1")
