@@ -42,28 +42,36 @@ WIDE static void N(length_rates)(const Scene *s, const Number *restrict changes,
 }
 
 /* Adds the pull of the strings from one on to the forces on nodes, string by string: of runs in lanes,
-   which need not keep what is between. By the same operations as that below. */
+   which need not keep what is between. By the same operations as that below. The force on a node that
+   strings begin at one after another stays in registers: numbers that are stored and read again wait
+   for each other. */
 static void N(pull_one_by_one)(const Scene *s, int first, const Number *p, const Number *v,
                                const Number *u, const Number *taut, Number *restrict f) {
   const int is_held = s->law == FORCE_DENSITY_HELD;
-  for (int i = first; i < s->segments; ++i) {
-    const int start = s->segment_start[i], end = s->segment_end[i];
-    Number one[D], change[D], length, rate = all(0), gamma = u[i];
-    N(difference)(p, start, end, one);
-    if (!is_held) {
-      const Number k = numbers(s->stiffness)[i], c = numbers(s->damping)[i];
-      N(pulling_length)(one, u[i], &length);
-      if (s->damped) {
-        N(difference)(v, start, end, change);
-        N(length_rate)(one, change, length, &rate);
+  for (int i = first; i < s->segments;) {
+    const int start = s->segment_start[i];
+    Number force[D];
+    for (int k = 0; k < D; ++k) force[k] = f[start + k];
+    do {
+      const int end = s->segment_end[i];
+      Number one[D], change[D], length, rate = all(0), gamma = u[i];
+      N(difference)(p, start, end, one);
+      if (!is_held) {
+        const Number k = numbers(s->stiffness)[i], c = numbers(s->damping)[i];
+        N(pulling_length)(one, u[i], &length);
+        if (s->damped) {
+          N(difference)(v, start, end, change);
+          N(length_rate)(one, change, length, &rate);
+        }
+        gamma = force_density(law_of(s), k, c, length, rate, u[i]);
+        gamma *= taut ? taut[i] : truth(string_gap(law_of(s), k, c, length, rate, u[i]) > 0);
       }
-      gamma = force_density(law_of(s), k, c, length, rate, u[i]);
-      gamma *= taut ? taut[i] : truth(string_gap(law_of(s), k, c, length, rate, u[i]) > 0);
-    }
-    for (int k = 0; k < D; ++k) {
-      f[start + k] += one[k] * gamma;
-      f[end + k] -= one[k] * gamma;
-    }
+      for (int k = 0; k < D; ++k) {
+        force[k] += one[k] * gamma;
+        f[end + k] -= one[k] * gamma;
+      }
+    } while (++i < s->segments && s->segment_start[i] == start);
+    for (int k = 0; k < D; ++k) f[start + k] = force[k];
   }
 }
 
