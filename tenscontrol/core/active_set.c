@@ -14,6 +14,10 @@
 /* A row whose distance from the span of the others is below this part of its length, squared. */
 #define ACTIVE_SET_DEPENDENT 1e-12
 
+/* The same of rows that a solve begins with, of which it can do without any: rows behind one that is
+   nearly dependent are factorized with errors larger by one over this part. */
+#define ACTIVE_SET_APART 1e-6
+
 /* Below this part a pivot is computed anew, as a sum of squares. */
 #define ACTIVE_SET_CANCELLED 1e-4
 
@@ -284,15 +288,16 @@ void active_set_place(ActiveSet *set, double *numbers, int *integers,
     active_set_start(set, NULL);
 }
 
-/* Append all candidates in turn, but for those that depend on the rows before them. */
+/* Append all candidates in turn, but for those that nearly depend on the rows before them. */
 static void active_set_append_all(ActiveSet *set, const double *y)
 {
-    int left = 0; /* stay candidates */
+    int left = 0, last; /* stay candidates */
     while (left < set->candidates) {
         int next = set->count + left, i = set->active[next];
         active_set_append(set, next, y[i] < 0.0 ? -1 : 1, fabs(y[i]) > active_set_price(set, i));
-        if (set->singular) {
-            active_set_remove(set, set->count - 1);
+        last = set->count - 1;
+        if (!(set->pivot[last] > ACTIVE_SET_APART * active_set_diagonal(set, last))) {
+            active_set_remove(set, last);
             left++;
         } else {
             set->y[i] = y[i];
@@ -543,17 +548,17 @@ static int active_set_next(ActiveSet *set, const double *x, const double *low, c
     return worst;
 }
 
-/* Repeat the last step on the residuals of the answer, until they are round-off. */
-static void active_set_refine(ActiveSet *set, const double *q, const double *low,
-                              const double *high, double *x)
+/* Repeat the last step on the residuals of the answer, until they are round-off; returns the largest. */
+static double active_set_refine(ActiveSet *set, const double *q, const double *low,
+                                const double *high, double *x)
 {
-    double before = INFINITY;
+    double before = INFINITY, left;
     int round, k;
     active_set_point(set, q, x);
-    for (round = 0; round < ACTIVE_SET_REFINEMENTS; round++) {
-        double left = active_set_residuals(set, x, low, high);
-        if (!(left < 0.25 * before) || left == 0.0)
-            return;
+    for (round = 0; ; round++) {
+        left = active_set_residuals(set, x, low, high);
+        if (round == ACTIVE_SET_REFINEMENTS || !(left < 0.25 * before) || left == 0.0)
+            return left;
         before = left;
         active_set_direction(set);
         for (k = 0; k < set->count; k++)
@@ -638,20 +643,33 @@ static int active_set_iterate(ActiveSet *set, const double *q, const double *low
     }
 }
 
+/* Solve from the active set as it is; active rows must hold to so many tolerances. */
+static int active_set_attempt(ActiveSet *set, const double *q, const double *low,
+                              const double *high, double *x, double loose)
+{
+    double left;
+    int status = active_set_begin(set, q, low, high);
+    if (status == ACTIVE_SET_OK)
+        status = active_set_iterate(set, q, low, high, x);
+    if (status != ACTIVE_SET_OK)
+        return status;
+    left = active_set_refine(set, q, low, high, x);
+    if (!active_set_finite(x, set->columns))
+        return ACTIVE_SET_BAD_DATA;
+    if (!(left <= loose * set->tolerance) || active_set_inaccurate(set, low, high))
+        return ACTIVE_SET_INACCURATE;
+    return ACTIVE_SET_OK;
+}
+
 int active_set_solve(ActiveSet *set, const double *q, const double *low,
                                     const double *high, double *x)
 {
-    int status;
+    int status, begun = set->count > 0;
     set->iterations = 0;
-    status = active_set_begin(set, q, low, high);
-    if (status == ACTIVE_SET_OK)
-        status = active_set_iterate(set, q, low, high, x);
-    if (status == ACTIVE_SET_OK) {
-        active_set_refine(set, q, low, high, x);
-        if (!active_set_finite(x, set->columns))
-            status = ACTIVE_SET_BAD_DATA;
-        else if (active_set_inaccurate(set, low, high))
-            status = ACTIVE_SET_INACCURATE;
+    status = active_set_attempt(set, q, low, high, x, begun ? 1.0 : ACTIVE_SET_LOOSE);
+    if (begun && (status == ACTIVE_SET_INACCURATE || status == ACTIVE_SET_INFEASIBLE)) {
+        active_set_start(set, NULL); /* factors of many changes may have lost what tells */
+        status = active_set_attempt(set, q, low, high, x, ACTIVE_SET_LOOSE);
     }
     if (status != ACTIVE_SET_OK)
         active_set_start(set, NULL);
