@@ -41,12 +41,13 @@ def tower():
 
 
 @pytest.mark.filterwarnings("ignore:no string reaches")
+@pytest.mark.parametrize("seed", [0, 7, 9])
 @pytest.mark.parametrize("scene", [ball, class_2_tower, tower])
-def test_inputs_are_those_of_the_optimality_conditions(scene):
+def test_inputs_are_those_of_the_optimality_conditions(scene, seed):
     plant, given = scene()
     mpc = tc.MPC(plant, horizon=HORIZON, sample_time=0.02, **given)
     law, problem = mpc.law, mpc.law.design.problem
-    rng, r = np.random.default_rng(0), plant.degrees_of_freedom
+    rng, r = np.random.default_rng(seed), plant.degrees_of_freedom
     state = 0.01 * np.concatenate([rng.normal(size=r), 3 * rng.normal(size=r)])
     form, width, limited, violated = Sparse(problem), len(problem.low), 0, 0
     for k in range(SAMPLES):
