@@ -44,6 +44,7 @@ def test_every_benchmark_is_tested():
     tested = {name.removeprefix("test_") for name in globals() if name.startswith("test_")}
     assert there == tested - {
         "batch_controlled",
+        "batch_of_some_programs",
         "every_benchmark_is_tested",
     }
 
@@ -468,7 +469,7 @@ def test_derivatives(printed, jax_compiles_quickly):
 
 def test_identification(printed):
     text = printed("identification", "--rows mujoco --count 1")
-    assert "0 not told, validated Validation(residuals 1.0" in text
+    assert "0 without, validated Validation(residuals 1.0" in text
     assert "of 20 intervals of 95 % hold" in text
 
 

@@ -116,14 +116,6 @@ def _joined(parts: Sequence[FloatArray]) -> FloatArray:
     return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1)
 
 
-def _firsts(ascending: IntArray) -> IntArray:
-    """Return the places of numbers that differ from those before."""
-    is_first = np.ones(len(ascending), dtype=bool)
-    is_first[1:] = ascending[1:] != ascending[:-1]
-    first: IntArray = is_first.nonzero()[0]
-    return first
-
-
 def _common(one: IntArray, other: IntArray) -> IntArray:
     """Return the outputs that are among both, ascending."""
     among: IntArray = other[np.append(one, -1)[np.searchsorted(one, other)] == other]
@@ -256,7 +248,7 @@ class Motion:
         time = _joined(times)[self.path.columns]
         window = np.minimum((time / ends[-1] * _WINDOWS).astype(int), _WINDOWS - 1)
         largest = np.zeros((len(error), _WINDOWS + 1))
-        first = _firsts(window)
+        first = np.flatnonzero(np.diff(window, prepend=-1))
         largest[:, window[first] + 1] = np.maximum.reduceat(error, first, axis=1)
         least: FloatArray = np.maximum(error, largest[:, window])
         return least
@@ -414,23 +406,22 @@ class Motion:
         """Return the largest distance of a node between positions, as part of the size."""
         with np.errstate(over="ignore", invalid="ignore"):
             apart = one - other
-            squares = self._by_node(np.square(apart, out=apart))
-            apart = np.sqrt(squares.max(axis=-2))
+            squares = np.square(apart, out=apart)
+            first, d = self._first_of_nodes, self.structure.dimension
+            if len(self.rows) == d * len(first):  # in an eighth of the time of the other
+                shape = *squares.shape[:-2], len(first), d, squares.shape[-1]
+                of_nodes = squares.reshape(shape).sum(axis=-2)
+            else:
+                of_nodes = np.add.reduceat(squares, first, axis=-2)
+            apart = np.sqrt(of_nodes.max(axis=-2))
         return np.where(np.isfinite(apart), apart / self._size, np.inf)
-
-    def _by_node(self, squares: FloatArray) -> FloatArray:
-        """Return sums over the coordinates of each node."""
-        first, d = self._first_of_nodes, self.structure.dimension
-        if len(self.rows) == d * len(first):  # in an eighth of the time of the other
-            shape = *squares.shape[:-2], len(first), d, squares.shape[-1]
-            return np.asarray(squares.reshape(shape).sum(axis=-2))
-        return np.add.reduceat(squares, first, axis=-2)
 
     @cached_property
     def _first_of_nodes(self) -> IntArray:
         """Place of the first coordinate of each node among those that were kept."""
         node = self.structure.free_rows[self.rows] // self.structure.dimension
-        return _firsts(node)
+        first: IntArray = np.flatnonzero(np.diff(node, prepend=-1))
+        return first
 
     @property
     def _size(self) -> float:

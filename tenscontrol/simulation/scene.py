@@ -203,16 +203,18 @@ class Scene:
     )
 
     def __post_init__(self) -> None:
-        if not self._takes_over_checks():
-            self._check()
+        given: object = self.model
+        last = _Checked()
+        if isinstance(given, Model):
+            last = given.prepared.get("last scene", _Checked)
+        if not self._takes_over_checks(last):
+            self._check(last)
         if self.integration.limits.sections is not None:
             self._check_strength(self.integration.limits.sections)
 
-    def _takes_over_checks(self) -> bool:
+    def _takes_over_checks(self, last: _Checked) -> bool:
         """Take over what was found of the last scene of the model, if that hangs on the same."""
-        given: object = self.model
-        last = self._last_checked.scene if isinstance(given, Model) else None
-        before = None if last is None else last()
+        before = None if last.scene is None else last.scene()
         if before is None or type(before) is not type(self):
             return False
         own, known = vars(self), vars(before)
@@ -225,7 +227,7 @@ class Scene:
         own.update(beside)
         return True
 
-    def _check(self) -> None:
+    def _check(self, last: _Checked) -> None:
         check_fields(self)
         refuse_all_fixed(self.model.structure)
         if self.sensors is not None and self.estimator is None:
@@ -244,13 +246,7 @@ class Scene:
         if self.controller is None and self.start is None:
             values = vars(self)
             if not any(callable(values[name]) for name in _GIVEN):
-                self._last_checked.scene = ref(self)
-
-    @property
-    def _last_checked(self) -> _Checked:
-        """Where the last scene of the model is noted."""
-        checked: _Checked = self.model.prepared.get("last scene that was checked", _Checked)
-        return checked
+                last.scene = ref(self)
 
     def _check_strength(self, sections: Sections) -> None:
         """Refuse limits on members of another structure, or whose forces will not be found."""
