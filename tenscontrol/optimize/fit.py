@@ -535,7 +535,7 @@ class _Solver:
             fell = cost - new
             is_bent = step is not straight or fell < _GOOD * fall
             damping = linear.next_damping(damping, fall, fell)
-            has_failed = tried is None or not new < cost
+            has_failed = not new < cost
             if tried is None or has_failed:
                 if not is_whole and abs(fell) <= least:
                     return theta, readings, "converged"
