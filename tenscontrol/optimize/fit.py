@@ -265,7 +265,7 @@ class Fit:
                 "the model lacks something, sensors have more noise, units differ, or the fit is "
                 "in a wrong minimum; fit windows or a first part of the log"
             )
-        elif self.p_value is not None and self.p_value < _CHANCE:
+        elif self.converged and self.p_value is not None and self.p_value < _CHANCE:
             lines.append(
                 f"noise alone leaves squares as large with probability {self.p_value:.1g}: the "
                 "model lacks a little, or sensors have more noise; intervals count it as noise"
