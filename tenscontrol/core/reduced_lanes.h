@@ -98,14 +98,17 @@ static void values_at(Reduction *r, int stage, const Number *moved, const Number
 static void changes_at(Reduction *r, int stage, const Number *moved, const Number *rates) {
   const Scene *s = r->plant->scene;
   const double *x = r->points + (WIDTH * (size_t)stage + r->in_lanes) * r->size;
+  const Given given = {.change = r->string_changes};
   memcpy(r->now.p, moved, s->entries * sizeof *moved);
   memcpy(r->now.v, rates, s->entries * sizeof *rates);
   if (s->dimension == 2) {
     kept_forward_2(r->plant, x + r->bars, r->now.p, r->now.v);
-    forward_2(s, &r->at, x, r->changes, 0, r->string_changes, &r->now);
+    rates_of_bars_2(s, &r->now);
+    forward_2(s, &r->at, x, r->changes, 0, &given, &r->now);
   } else {
     kept_forward_3(r->plant, x + r->bars, r->now.p, r->now.v);
-    forward_3(s, &r->at, x, r->changes, 0, r->string_changes, &r->now);
+    rates_of_bars_3(s, &r->now);
+    forward_3(s, &r->at, x, r->changes, 0, &given, &r->now);
   }
 }
 

@@ -16,7 +16,7 @@ static inline Number N(product)(const Number *a, const Number *b) {
 static void N(pulled)(const Scene *s, const Layout *at, const Number *u, const Number *taut,
                       const Point *now, Number *x) {
   const int has_lengths = s->law != FORCE_DENSITY_HELD || s->clustered;
-  Number *weight = x + at->weight;
+  Number *weight = x + at->weight, *matrix = x + at->matrix;
   memset(now->string_length, 0, s->strings * sizeof(Number));
   memset(now->string_rate, 0, s->strings * sizeof(Number));
   for (int i = 0; i < s->segments; ++i) {
@@ -58,6 +58,12 @@ static void N(pulled)(const Scene *s, const Layout *at, const Number *u, const N
       now->f[start + k] += force;
       now->f[end + k] -= force;
     }
+    if (s->clustered) continue;
+    for (int j = 0; j < D; ++j)
+      for (int k = j; k < D; ++k, ++matrix) {
+        *matrix = x[at->string + at->of_string * i + BY_LENGTH] * along[j] * along[k];
+        if (j == k) *matrix += pull;
+      }
   }
 }
 
@@ -176,6 +182,16 @@ static void N(differentiated)(const Scene *s, const Layout *at, const Input *inp
 
 /* ---- forward: columns of changes are in lanes ---- */
 
+/* Changes of the vectors of free bars, or of their rates, of which these are the rows of both ends. */
+static void N(bar_differences)(const Scene *s, const int32_t *row, const Number *of, Number *to) {
+  for (int i = 0; i < s->free_bars; ++i, row += 2, to += D) N(difference)(of, row[0], row[1], to);
+}
+
+static void N(rates_of_bars)(const Scene *s, const Point *change) {
+  for (int i = 0; i < s->free_bars; ++i)
+    N(difference)(change->v, s->bar_start[i], s->bar_end[i], change->bar_rate + D * i);
+}
+
 /* Multiplies a vector of numbers with one of changes. */
 INLINE Number N(times)(const double *by, const Number *change) {
   Number sum = by[0] * change[0];
@@ -214,43 +230,86 @@ INLINE void N(pull_forward)(const double *along, double weight, const Number *S,
   }
 }
 
+/* The change of a pull by that of its vector, which a symmetric matrix makes: rows from the diagonal on. */
+INLINE void N(pull_of)(const double *matrix, const Number *S, Number *pull) {
+  for (int k = 0; k < D; ++k) pull[k] = matrix[k] * S[0];
+  for (int k = 1; k < D; ++k) pull[0] += matrix[k] * S[k];
+  matrix += D;
+  for (int j = 1; j < D; ++j) {
+    pull[j] += *matrix++ * S[j];
+    for (int k = j + 1; k < D; ++k, ++matrix) {
+      pull[j] += *matrix * S[k];
+      pull[k] += *matrix * S[j];
+    }
+  }
+}
+
 /* Strings of one segment each. Those that follow one another at a node share what is there, which stays
    in registers: numbers that are stored and read again wait for each other. */
-INLINE void N(pulled_forward)(const Scene *s, const Layout *at, const double *x, const Changes *c,
-                              int first, const Number *input, const Point *change, const int damped) {
-  const int count = s->segments, slopes = damped ? 5 : 3, has_own = c->stiffness || c->damping;
+INLINE void N(pulled_forward)(const Scene *s, const Layout *at, const double *x, const Point *change,
+                              const int damped) {
+  const int count = s->segments, slopes = damped ? 5 : 3;
   const int32_t *start = s->segment_start, *end = s->segment_end;
-  const double *along = x + at->along, *turning = damped ? x + at->turning : 0;
-  const double *weight = x + at->weight, *by = x + at->string;
+  const double *matrix = x + at->matrix;
+  const double *along = x + at->along, *turning = damped ? x + at->turning : 0, *by = x + at->string;
   const Number *p = change->p, *v = change->v;
-  Number *f = change->f, S[D], rate = all(0);
+  Number *f = change->f, S[D], pull[D];
   for (int i = 0; i < count;) {
     const int from = start[i];
     Number place[D], moving[D], force[D];
     for (int k = 0; k < D; ++k) {
       place[k] = p[from + k];
-      moving[k] = damped ? v[from + k] : rate;
+      moving[k] = damped ? v[from + k] : all(0);
       force[k] = f[from + k];
     }
     do {
       const int to = end[i];
-      Number axial = by[BY_LENGTH] * N(stretch_forward)(along, turning, place, p + to, moving, v + to,
-                                                        S, &rate);
-      if (damped) axial += by[BY_RATE] * rate;
-      if (input) axial += by[BY_REST] * input[i];
-      if (has_own) axial += N(own_tension)(s, by, c, i, first);
-      N(pull_forward)(along, weight[i], S, axial, force, f + to);
-      along += D;
-      by += slopes;
-      if (damped) turning += D;
+      for (int k = 0; k < D; ++k) S[k] = place[k] - p[to + k];
+      N(pull_of)(matrix, S, pull);
+      matrix += D * (D + 1) / 2;
+      if (damped) {
+        Number rate;
+        N(stretch_forward)(along, turning, p + to, place, v + to, moving, S, &rate);
+        for (int k = 0; k < D; ++k) pull[k] += along[k] * (by[BY_RATE] * rate);
+        along += D;
+        turning += D;
+        by += slopes;
+      }
+      for (int k = 0; k < D; ++k) {
+        force[k] -= pull[k];
+        f[to + k] += pull[k];
+      }
     } while (++i < count && start[i] == from);
     for (int k = 0; k < D; ++k) f[from + k] = force[k];
   }
 }
 
+/* The pull of a string of one segment by a change of its tension. */
+INLINE void N(tension_forward)(const Scene *s, const double *along, int i, Number tension, Number *f) {
+  Number *f0 = f + s->segment_start[i], *f1 = f + s->segment_end[i];
+  for (int k = 0; k < D; ++k) {
+    const Number pull = along[D * i + k] * tension;
+    f0[k] += pull;
+    f1[k] -= pull;
+  }
+}
+
+/* Pulls of strings of one segment each by what these are given, and by their own numbers. */
+static void N(given_forward)(const Scene *s, const Layout *at, const double *x, const Changes *c,
+                             int first, const Given *given, Number *f) {
+  const double *along = x + at->along, *by = x + at->string;
+  const int count = given->string ? given->count : s->strings;
+  for (int m = 0; m < count && given->change; ++m) {
+    const int i = given->string ? given->string[m] : m;
+    N(tension_forward)(s, along, i, by[at->of_string * i + BY_REST] * given->change[i], f);
+  }
+  for (int i = 0; i < s->strings && (c->stiffness || c->damping); ++i)
+    N(tension_forward)(s, along, i, N(own_tension)(s, by + at->of_string * i, c, i, first), f);
+}
+
 /* Strings that run over several segments. */
 static void N(clusters_forward)(const Scene *s, const Layout *at, const double *x, const Changes *c,
-                                int first, const Number *input, const Point *change) {
+                                int first, const Given *given, const Point *change) {
   const double *along = x + at->along, *turning = s->damped ? x + at->turning : 0;
   const Number *p = change->p, *v = change->v;
   Number S[D], rate = all(0);
@@ -267,7 +326,7 @@ static void N(clusters_forward)(const Scene *s, const Layout *at, const double *
     const double *by = x + at->string + at->of_string * i;
     Number tension = by[BY_LENGTH] * change->string_length[i];
     if (s->damped) tension += by[BY_RATE] * change->string_rate[i];
-    if (input) tension += by[BY_REST] * input[i];
+    if (given->change) tension += by[BY_REST] * given->change[i];
     change->tension[i] = tension + N(own_tension)(s, by, c, i, first);
   }
   for (int i = 0; i < s->segments; ++i) {
@@ -346,20 +405,20 @@ INLINE void N(turned_forward)(const double *bar, const Number *vector, const Num
 
 INLINE void N(accelerated_forward)(const Scene *s, const Layout *at, const double *x,
                                    const Point *change) {
-  const Number *p = change->p, *v = change->v, *f = change->f;
+  const Number *p = change->p, *f = change->f;
   const double *bar = x + at->free_bar, *constants = s->bar_constants;
   Number *a = change->a, vector[D], rate[D], force[D], turning[D];
   for (int i = 0; i < s->free_bars; ++i, bar += 4 * D + 1, constants += 4) {
     const int start = s->bar_start[i], end = s->bar_end[i];
     const double inverse = constants[0], thrice = constants[1];
     N(difference)(p, start, end, vector);
-    N(difference)(v, start, end, rate);
     N(difference)(f, start, end, force);
-    N(turned_forward)(bar, vector, rate, force, 2, turning);
+    N(turned_forward)(bar, vector, change->bar_rate + D * i, force, 2, turning);
     for (int k = 0; k < D; ++k) {
       const Number mean = inverse * (f[start + k] + f[end + k]), turn = thrice * turning[k];
       a[start + k] = mean - turn;
       a[end + k] = mean + turn;
+      change->bar_acceleration[D * i + k] = 2 * turn;
     }
   }
   for (int i = 0; i < s->swinging_bars; ++i) {
@@ -377,12 +436,17 @@ INLINE void N(accelerated_forward)(const Scene *s, const Layout *at, const doubl
 
 /* Changes of the accelerations of all entries by those of their places and rates. */
 static void N(forward)(const Scene *s, const Layout *at, const double *x, const Changes *c,
-                       int first, const Number *input, const Point *change) {
-  for (int i = 0; i < s->entries; ++i)
-    change->f[i] = c->load ? *numbers(c->load + (size_t)c->columns * i + first) : all(0);
-  if (s->clustered) N(clusters_forward)(s, at, x, c, first, input, change);
-  else if (s->damped) N(pulled_forward)(s, at, x, c, first, input, change, 1);
-  else if (s->segments) N(pulled_forward)(s, at, x, c, first, input, change, 0);
+                       int first, const Given *given, const Point *change) {
+  for (int i = 0; i < s->entries; i += D)
+    for (int k = 0; k < D; ++k)
+      change->f[i + k] = c->load ? *numbers(c->load + (size_t)c->columns * (i + k) + first) : all(0);
+  if (s->clustered) {
+    N(clusters_forward)(s, at, x, c, first, given, change);
+  } else if (s->segments) {
+    if (s->damped) N(pulled_forward)(s, at, x, change, 1);
+    else N(pulled_forward)(s, at, x, change, 0);
+    N(given_forward)(s, at, x, c, first, given, change->f);
+  }
   if (s->grounds) N(touched_forward)(s, at, x, c, first, change);
   if (c->bar_mass || c->point_mass) N(weighed_forward)(s, x + at->acceleration, c, first, change->f);
   N(accelerated_forward)(s, at, x, change);

@@ -32,7 +32,7 @@ static const double OWN = 1.0 / 3, OTHER = 1.0 / 6;
 /* Where the derivatives of members are among those of a point, and how many numbers these are. */
 typedef struct {
   int of_string, of_contact, of_bar, of_block_bar; /* numbers of each */
-  size_t along, turning, weight, string, contact, free_bar, swinging_bar, block_bar, factors,
+  size_t along, turning, weight, matrix, string, contact, free_bar, swinging_bar, block_bar, factors,
       acceleration, size;
 } Layout;
 
@@ -48,7 +48,9 @@ static Layout layout_of(const Scene *s) {
   at.along = 0;                        /* (segments, d): its direction */
   at.turning = at.along + m * d;       /* (segments, d): the rate of its length by its vector */
   at.weight = at.turning + (s->damped ? m * d : 0); /* (segments): pull by vector */
-  at.string = at.weight + m;
+  /* (segments, d (d + 1) / 2): of a string of one segment, all of the pull by its vector */
+  at.matrix = at.weight + m;
+  at.string = at.matrix + (s->clustered ? 0 : m * d * (d + 1) / 2);
   at.contact = at.string + at.of_string * (size_t)s->strings;
   at.free_bar = at.contact + at.of_contact * contacts;
   at.swinging_bar = at.free_bar + at.of_bar * (size_t)s->free_bars;
@@ -97,10 +99,18 @@ static Number string_slopes(const Scene *s, int i, Number length, Number rate, N
 /* What is at a point, or changes of it, in lanes. */
 typedef struct {
   Number *p, *v, *f, *a;                                  /* (entries) */
+  Number *bar_rate, *bar_acceleration;                    /* (free bars, d): of their vectors */
   Number *length;                                         /* (segments) */
   Number *string_length, *string_rate, *tension, *input;  /* (strings) */
   Number *unknowns;                                       /* of bars that share nodes */
 } Point;
+
+/* Changes of what strings are given, in lanes: null if none changes. */
+typedef struct {
+  const Number *change; /* (strings) */
+  const int *string;    /* (count): those for which it is other than 0; null for all */
+  int count;
+} Given;
 
 /* A cost by what is at a point. */
 typedef struct {
@@ -121,7 +131,8 @@ static inline void add_input_cost(const Changes *c, int string, const Shares *sh
 }
 
 static size_t point_size(const Scene *s) {
-  return 4 * (size_t)s->entries + s->segments + 4 * (size_t)s->strings + s->unknowns;
+  return 4 * (size_t)s->entries + s->segments + 4 * (size_t)s->strings + s->unknowns +
+         2 * s->dimension * (size_t)s->free_bars;
 }
 
 static Point point_in(const Scene *s, Number **memory) {
@@ -133,6 +144,8 @@ static Point point_in(const Scene *s, Number **memory) {
   for (int i = 0; i < 4; ++i, work += s->strings) *of_strings[i] = work;
   point.length = work;
   point.unknowns = work + s->segments;
+  point.bar_rate = point.unknowns + s->unknowns;
+  point.bar_acceleration = point.bar_rate + s->dimension * s->free_bars;
   *memory += point_size(s);
   return point;
 }
@@ -146,12 +159,23 @@ static Point point_in(const Scene *s, Number **memory) {
 #define ENTRY double
 #include "solve_body.h"
 
+/* Rows that are advanced together, so that each weight is read once for all of them. */
+enum { ROWS = 9 };
+
 #define D 2
 #include "variations_body.h"
 #undef D
 #define D 3
 #include "variations_body.h"
 #undef D
+
+/* Accelerations that count at each stage, and at the end of a step. */
+typedef struct {
+  int *first;     /* (stages + 2): where those of each begin */
+  size_t *at;     /* how many bytes behind the first they are */
+  double *once;   /* by what they count in a step of 1 s */
+  Number *weight; /* and in some steps */
+} Terms;
 
 /* What both calls share: the steps, and the derivatives of members at the stages of those in the lanes. */
 typedef struct {
@@ -162,21 +186,32 @@ typedef struct {
   const Switches *switches;
   Layout at;
   double *twice;  /* (stages + 1, stages): what accelerations count by in places, of the end, too */
+  Terms in_places, in_rates;
+  Number *drift; /* (stages + 1): what rates count by in places */
+  size_t apart;  /* accelerations of stages: those of free bars' vectors follow those of entries */
   double *points; /* (steps, stages, numbers of a point) */
   Point now;
   Number *inputs, *taut, *q, *v, *accelerations, *x;
   Number *rest; /* memory that is left */
 } Sweep;
 
+static size_t apart_of(const Scene *s) { return s->free + s->dimension * (size_t)s->free_bars; }
+
+/* Numbers of the terms of a method, and how they are weighed. */
+static size_t terms_size(size_t stages) {
+  return stages * (stages + 1) + 2 * (stages + 2 + 2 * stages * (stages + 1));
+}
+
 static size_t sweep_size(const Scene *s, const Drive *drive, const Tableau *method, const Layout *at) {
   const Runs alike = {0};
   const size_t stages = method->stages;
-  return shared_size(s, drive, &alike) + s->switches + (stages + 4) * s->free + point_size(s) +
-         at->size + stages * at->size;
+  return shared_size(s, drive, &alike) + s->switches + stages * apart_of(s) + 4 * s->free +
+         point_size(s) + at->size + stages * at->size + (stages + 1) * (2 * stages + 1);
 }
 
 static size_t forward_size(const Scene *s, const Tableau *method, int columns) {
-  return ((size_t)columns / WIDTH * 2 + method->stages + 2) * s->free + point_size(s);
+  return ((size_t)columns / WIDTH * 2 + 2) * s->free + method->stages * apart_of(s) + point_size(s) +
+         s->dimension * (size_t)s->free_bars;
 }
 
 /* Numbers of a row of a cost, whole registers of them. */
@@ -193,13 +228,30 @@ size_t LANES_NAME(variations_size)(const Scene *s, const Drive *drive, const Tab
   const size_t stages = method->stages, backward = backward_size(s, method) / WIDTH + 1;
   const size_t forward = forward_size(s, method, columns);
   return WIDTH * (2 + sweep_size(s, drive, method, &at) + (forward > backward ? forward : backward)) +
-         (stages + 1) * stages;
+         terms_size(stages);
 }
 
 static Number *taken(Number **memory, size_t count) {
   Number *block = *memory;
   *memory += count;
   return block;
+}
+
+/* Lays out the terms of so many stages, none yet. */
+static void begin_terms(Terms *terms, int stages, double *work) {
+  terms->once = work;
+  terms->first = (int *)(work + stages * (stages + 1));
+  terms->at = (size_t *)(work + stages * (stages + 1) + stages + 2);
+  memset(terms->first, 0, (stages + 2) * sizeof(int));
+}
+
+/* Adds a term to a stage, of which all before have theirs, unless it counts by nothing. */
+static void add_term(Terms *terms, int stage, size_t at, double once) {
+  int *end = terms->first + stage + 1;
+  if (*end < end[-1]) *end = end[-1];
+  if (once == 0) return;
+  terms->once[*end] = once;
+  terms->at[(*end)++] = at;
 }
 
 static void begin_sweep(Sweep *sweep, const Scene *s, const Drive *drive, const Tableau *method,
@@ -213,10 +265,13 @@ static void begin_sweep(Sweep *sweep, const Scene *s, const Drive *drive, const 
   sweep->steps = steps;
   sweep->switches = switches;
   sweep->at = layout_of(s);
+  sweep->apart = apart_of(s);
   sweep->twice = work;
-  for (int i = 0; i <= n; ++i)
+  begin_terms(&sweep->in_places, n, work + n * (n + 1));
+  begin_terms(&sweep->in_rates, n, (double *)(sweep->in_places.at + n * (n + 1)));
+  for (int i = 0; i <= n; ++i) {
+    const double *weights = i < n ? method->a + i * n : method->b;
     for (int j = 0; j < n; ++j) {
-      const double *weights = i < n ? method->a + i * n : method->b;
       double sum = 0, size = 0;
       for (int k = 0; k < n; ++k) {
         const double term = weights[k] * method->a[k * n + j];
@@ -224,13 +279,19 @@ static void begin_sweep(Sweep *sweep, const Scene *s, const Drive *drive, const 
         size += fabs(term);
       }
       sweep->twice[i * n + j] = fabs(sum) > 1e-14 * size ? sum : 0; /* or else it is round-off */
+      add_term(&sweep->in_places, i, sweep->apart * j * sizeof(Number), sweep->twice[i * n + j]);
+      add_term(&sweep->in_rates, i, sweep->apart * j * sizeof(Number), weights[j]);
     }
-  rest = share(&sweep->batch, s, drive, 0, &own, aligned(work + (n + 1) * n));
+  }
+  rest = share(&sweep->batch, s, drive, 0, &own, aligned(work + terms_size(n)));
   sweep->inputs = taken(&rest, (size_t)drive->count * (drive->degree + 1));
   sweep->batch.drive.coefficients = (const double *)sweep->inputs;
   sweep->batch.drive.begin = 0; /* times are those of the polynomials */
   sweep->taut = taken(&rest, s->switches);
-  sweep->accelerations = taken(&rest, n * half);
+  sweep->accelerations = taken(&rest, n * sweep->apart);
+  sweep->in_places.weight = taken(&rest, n * (n + 1));
+  sweep->in_rates.weight = taken(&rest, n * (n + 1));
+  sweep->drift = taken(&rest, n + 1);
   sweep->q = taken(&rest, 2 * half);
   sweep->v = taken(&rest, 2 * half);
   sweep->now = point_in(s, &rest);
@@ -255,53 +316,54 @@ static int switch_from(const Sweep *sweep, int step) {
   return first;
 }
 
-/* Adds so many accelerations to places and rates, each counted by a weight in both. */
-INLINE void add_accelerations(int count, const Number *const *a, const Number *in_place,
-                              const Number *in_rate, Number drift, const Number *q0,
-                              const Number *v0, size_t half, Number *q, Number *v) {
-  for (size_t k = 0; k < half; ++k) {
-    Number rate = v0[k], place = q0[k] + drift * rate;
-    for (int m = 0; m < count; ++m) {
-      const Number acceleration = a[m][k];
-      place += in_place[m] * acceleration;
-      rate += in_rate[m] * acceleration;
-    }
-    q[k] = place;
-    v[k] = rate;
+/* Adds accelerations, each counted by a weight, to some rows of what would be without them. */
+INLINE void add_accelerations(int rows, const Terms *terms, int stage, const Number *accelerations,
+                              const Number *start, const Number *rate, Number drift, Number *to) {
+  const size_t *at = terms->at + terms->first[stage], *end = terms->at + terms->first[stage + 1];
+  const Number *weight = terms->weight + terms->first[stage];
+  Number sum[ROWS];
+  for (int k = 0; k < rows; ++k) sum[k] = rate ? start[k] + drift * rate[k] : start[k];
+  for (; at < end; ++at, ++weight) {
+    const Number *a = (const Number *)((const char *)accelerations + *at), by = *weight;
+    for (int k = 0; k < rows; ++k) sum[k] += by * a[k];
   }
+  for (int k = 0; k < rows; ++k) to[k] = sum[k];
 }
 
-/* Places and rates a part c of h after others, by so many accelerations, (count, half), of which each
-   counts once in the rates and twice in the places. */
-static void advance_by(const Number *q0, const Number *v0, double c, Number h, const double *once,
-                       const double *twice, int count, const Number *accelerations, size_t half,
-                       Number *q, Number *v) {
-  enum { AT_ONCE = 5 };
-  const Number *a[AT_ONCE];
-  Number in_place[AT_ONCE], in_rate[AT_ONCE], drift = c * h;
-  int left = 0, j = 0;
-  for (int i = 0; i < count; ++i) left += once[i] != 0 || twice[i] != 0;
-  do {
-    const int passes = (left + AT_ONCE - 1) / AT_ONCE, some = passes ? (left + passes - 1) / passes : 0;
-    for (int m = 0; m < some; ++j)
-      if (once[j] != 0 || twice[j] != 0) {
-        in_place[m] = twice[j] * h * h;
-        in_rate[m] = once[j] * h;
-        a[m++] = accelerations + j * half;
-      }
-    switch (some) { /* so that weights stay in registers */
-    case 0: add_accelerations(0, a, in_place, in_rate, drift, q0, v0, half, q, v); break;
-    case 1: add_accelerations(1, a, in_place, in_rate, drift, q0, v0, half, q, v); break;
-    case 2: add_accelerations(2, a, in_place, in_rate, drift, q0, v0, half, q, v); break;
-    case 3: add_accelerations(3, a, in_place, in_rate, drift, q0, v0, half, q, v); break;
-    case 4: add_accelerations(4, a, in_place, in_rate, drift, q0, v0, half, q, v); break;
-    default: add_accelerations(5, a, in_place, in_rate, drift, q0, v0, half, q, v);
-    }
-    left -= some;
-    q0 = q;
-    v0 = v;
-    drift = all(0);
-  } while (left > 0);
+/* The same for all rows. */
+INLINE void advance_rows(const Terms *terms, int stage, size_t count, const Number *accelerations,
+                         const Number *start, const Number *rate, Number drift, Number *to) {
+  size_t k = 0;
+  for (; k + ROWS <= count; k += ROWS)
+    add_accelerations(ROWS, terms, stage, accelerations + k, start + k, rate ? rate + k : 0, drift,
+                      to + k);
+  for (; k < count; ++k)
+    add_accelerations(1, terms, stage, accelerations + k, start + k, rate ? rate + k : 0, drift, to + k);
+}
+
+/* Places at a stage, or at the end of a step, from those at its begin, the rates there and the
+   accelerations at stages, (stages, half). */
+static void advance_places(const Sweep *sweep, int stage, const Number *accelerations,
+                           const Number *place, const Number *rate, Number *to) {
+  advance_rows(&sweep->in_places, stage, sweep->scene->free, accelerations, place, rate,
+               sweep->drift[stage], to);
+}
+
+/* Rates of so many rows. */
+static void advance_rates(const Sweep *sweep, int stage, size_t count, const Number *accelerations,
+                          const Number *rate, Number *to) {
+  advance_rows(&sweep->in_rates, stage, count, accelerations, rate, 0, all(0), to);
+}
+
+/* Weighs accelerations for steps of these lengths, s. */
+static void weigh_stages(Sweep *sweep, Number h) {
+  const Tableau *method = sweep->method;
+  const int n = method->stages;
+  for (int i = 0; i <= n; ++i) sweep->drift[i] = i < n ? method->c[i] * h : h;
+  for (int m = 0; m < sweep->in_places.first[n + 1]; ++m)
+    sweep->in_places.weight[m] = sweep->in_places.once[m] * h * h;
+  for (int m = 0; m < sweep->in_rates.first[n + 1]; ++m)
+    sweep->in_rates.weight[m] = sweep->in_rates.once[m] * h;
 }
 
 /* Whole registers of numbers of the first lanes, each lane to a place of its own, so far apart. */
@@ -337,12 +399,13 @@ static void reach_stages(Sweep *sweep, int first, int count) {
     memcpy(now->p, lanes->place, lanes->entries * sizeof(Number));
     memset(now->v, 0, lanes->entries * sizeof(Number));
   }
+  weigh_stages(sweep, h);
   for (int i = 0; i < stages; ++i) {
-    Number *q = sweep->v, *v = q + half, *to = sweep->accelerations + i * half;
+    Number *q = sweep->v, *v = q + half, *to = sweep->accelerations + i * sweep->apart;
     const Input input = input_at(&sweep->batch.span, begin + method->c[i] * h);
     Point there = *now;
-    advance_by(sweep->q, sweep->q + half, method->c[i], h, method->a + i * stages,
-               sweep->twice + i * stages, i, sweep->accelerations, half, q, v);
+    advance_places(sweep, i, sweep->accelerations, sweep->q, sweep->q + half, q);
+    advance_rates(sweep, i, half, sweep->accelerations, sweep->q + half, v);
     if (lanes->free_row) {
       for (size_t m = 0; m < half; ++m) now->p[lanes->free_row[m]] = q[m];
       for (size_t m = 0; m < half; ++m) now->v[lanes->free_row[m]] = v[m];
@@ -370,28 +433,32 @@ static void unpack(const Number *block, int columns, int rows, int first, double
 
 /* Where the columns of a block are among the values of a profile, and how its inputs change beside. */
 typedef struct {
-  Number *input; /* (strings); null if none changes */
-  int lanes;     /* that are values of the profile, from the first on */
+  Number *change; /* (strings); null if none changes */
+  int lanes;      /* that are values of the profile, from the first on */
   int first, string[WIDTH], value[WIDTH];
   double beside[WIDTH];
+  int strings, own[WIDTH]; /* those of these lanes, each once */
 } Inputs;
 
-static Inputs inputs_forward(const Scene *s, const Changes *c, int first, Number *input) {
+static Inputs inputs_forward(const Scene *s, const Changes *c, int first, Number *change) {
   const Profile *profile = c->profile;
-  Inputs inputs = {.input = 0, .lanes = 0, .first = 0};
+  Inputs inputs = {.change = 0};
   for (int j = 0; j < WIDTH && profile; ++j) {
     const int column = first + j - profile->first;
     if (column < 0 || column >= s->strings * profile->values) continue;
     if (!inputs.lanes) inputs.first = j;
     inputs.string[inputs.lanes] = column / profile->values;
-    inputs.value[inputs.lanes++] = column % profile->values;
+    inputs.value[inputs.lanes] = column % profile->values;
+    if (!inputs.lanes || inputs.string[inputs.lanes] != inputs.string[inputs.lanes - 1])
+      inputs.own[inputs.strings++] = inputs.string[inputs.lanes];
+    ++inputs.lanes;
   }
   if (!inputs.lanes && !c->input) return inputs;
-  inputs.input = input;
+  inputs.change = change;
   for (int i = 0; i < s->strings; ++i)
-    input[i] = c->input ? *numbers(c->input + (size_t)c->columns * i + first) : all(0);
+    change[i] = c->input ? *numbers(c->input + (size_t)c->columns * i + first) : all(0);
   for (int m = 0; m < inputs.lanes; ++m)
-    inputs.beside[m] = lane(input + inputs.string[m], inputs.first + m);
+    inputs.beside[m] = lane(change + inputs.string[m], inputs.first + m);
   return inputs;
 }
 
@@ -404,7 +471,7 @@ static const double *share_at(const Profile *profile, size_t step, int stage) {
 /* Enters what values of a profile change of the inputs at a stage. */
 static void enter_values(const Inputs *inputs, const double *share) {
   for (int m = 0; m < inputs->lanes; ++m)
-    put(inputs->beside[m] + (share ? share[inputs->value[m]] : 1), inputs->input + inputs->string[m],
+    put(inputs->beside[m] + (share ? share[inputs->value[m]] : 1), inputs->change + inputs->string[m],
         inputs->first + m);
 }
 
@@ -425,17 +492,22 @@ static void pass_switches(const Sweep *sweep, int k, const Number *input, Number
   }
 }
 
+/* Whether forces hang on rates of nodes, beside those of free bars along their vectors. */
+static int needs_rates(const Scene *s) {
+  return s->damped || s->grounds || s->swinging_bars || s->block_bars;
+}
+
 /* A block of columns over a step. */
 static void step_block(const Sweep *sweep, const Lengths *lengths, int k, int in_lanes,
                        const Changes *changes, int first, Number *block, Number *memory) {
   const Scene *s = sweep->scene;
-  const Tableau *method = sweep->method;
-  const int stages = method->stages;
-  const size_t half = s->free;
-  const Number h = all(sweep->steps->length[k]);
+  const int stages = sweep->method->stages, is_plane = s->dimension == 2, has_rates = needs_rates(s);
+  const size_t half = s->free, of_bars = sweep->apart - half;
   const Point now = point_in(s, &memory);
-  Number *q = taken(&memory, half), *v = taken(&memory, half), *accelerations = memory;
+  Number *q = taken(&memory, half), *v = taken(&memory, half), *bar_rates = taken(&memory, of_bars);
+  Number *accelerations = memory;
   const Inputs inputs = inputs_forward(s, changes, first, now.input);
+  const Given given = {inputs.change, changes->input ? 0 : inputs.own, inputs.strings};
   Point there = now;
   if (s->free_row)
     memset(now.p, 0, 2 * s->entries * sizeof *now.p);
@@ -443,31 +515,37 @@ static void step_block(const Sweep *sweep, const Lengths *lengths, int k, int in
     there.p = q;
     there.v = v;
   }
+  if (!has_rates && is_plane) bar_differences_2(s, s->bar_row, block + half, bar_rates);
+  else if (!has_rates) bar_differences_3(s, s->bar_row, block + half, bar_rates);
   for (int i = 0; i < stages; ++i) {
     const double *x = point_of(sweep, in_lanes, i);
-    Number *to = accelerations + i * half;
+    Number *to = accelerations + i * sweep->apart;
     if (inputs.lanes && (i == 0 || changes->profile->rows > 1))
       enter_values(&inputs, share_at(changes->profile, k, i));
-    advance_by(block, block + half, method->c[i], h, method->a + i * stages,
-               sweep->twice + i * stages, i, accelerations, half, q, v);
+    advance_places(sweep, i, accelerations, block, block + half, q);
+    if (has_rates) advance_rates(sweep, i, half, accelerations, block + half, v);
+    else advance_rates(sweep, i, of_bars, accelerations + half, bar_rates, there.bar_rate);
     if (s->free_row) {
       for (size_t m = 0; m < half; ++m) now.p[s->free_row[m]] = q[m];
-      for (size_t m = 0; m < half; ++m) now.v[s->free_row[m]] = v[m];
+      for (size_t m = 0; m < half && has_rates; ++m) now.v[s->free_row[m]] = v[m];
     } else {
       there.a = to;
     }
-    if (s->dimension == 2) forward_2(s, &sweep->at, x, changes, first, inputs.input, &there);
-    else forward_3(s, &sweep->at, x, changes, first, inputs.input, &there);
+    there.bar_acceleration = to + half;
+    if (has_rates && is_plane) rates_of_bars_2(s, &there);
+    else if (has_rates) rates_of_bars_3(s, &there);
+    if (is_plane) forward_2(s, &sweep->at, x, changes, first, &given, &there);
+    else forward_3(s, &sweep->at, x, changes, first, &given, &there);
     if (s->free_row) from_all(s, now.a, to);
   }
-  advance_by(block, block + half, 1, h, method->b, sweep->twice + stages * stages, stages,
-             accelerations, half, block, block + half);
+  advance_places(sweep, stages, accelerations, block, block + half, block);
+  advance_rates(sweep, stages, half, accelerations, block + half, block + half);
   if (lengths) {
     const double *end = sweep->steps->states + (size_t)(k + 1) * 2 * half;
-    if (s->dimension == 2) restored_forward_2(s, lengths, end, block);
+    if (is_plane) restored_forward_2(s, lengths, end, block);
     else restored_forward_3(s, lengths, end, block);
   }
-  pass_switches(sweep, k, inputs.input, block); /* the last stage was at the end */
+  pass_switches(sweep, k, inputs.change, block); /* the last stage was at the end */
 }
 
 void LANES_NAME(tangents)(const Scene *s, const Drive *drive, const Lengths *lengths,
@@ -483,10 +561,12 @@ void LANES_NAME(tangents)(const Scene *s, const Drive *drive, const Lengths *len
   for (int k = 0; k < steps->count; k += WIDTH) {
     const int some = steps->count - k < WIDTH ? steps->count - k : WIDTH;
     reach_stages(&sweep, k, some);
-    for (int i = 0; i < some; ++i)
+    for (int i = 0; i < some; ++i) {
+      weigh_stages(&sweep, all(steps->length[k + i]));
       for (int first = 0; first < columns; first += WIDTH)
         step_block(&sweep, lengths, k + i, i, changes, first,
                    blocks + (size_t)n * (first / WIDTH), sweep.rest);
+    }
   }
   for (int first = 0; first < columns; first += WIDTH)
     unpack(blocks + (size_t)n * (first / WIDTH), columns, n, first, X);
