@@ -268,7 +268,7 @@ INLINE void N(pulled_forward)(const Scene *s, const Layout *at, const double *x,
       N(pull_of)(matrix, S, pull);
       matrix += D * (D + 1) / 2;
       if (damped) {
-        Number rate;
+        Number rate = all(0);
         N(stretch_forward)(along, turning, p + to, place, v + to, moving, S, &rate);
         for (int k = 0; k < D; ++k) pull[k] += along[k] * (by[BY_RATE] * rate);
         along += D;
@@ -490,22 +490,29 @@ static inline N(Restored) N(restored_swinging)(const Scene *s, const Lengths *le
 }
 
 /* Changes of the vector and rate of a bar become those after it is put on its length. */
-static inline void N(restore_changes)(N(Restored) bar, Number *db, Number *dr) {
-  const double inverse = 1 / bar.scale, part = 1 / bar.square;
-  const Number stretch = part * N(times)(bar.b, db);
-  const Number drift = part * (N(times)(bar.r, db) + N(times)(bar.b, dr)) - 2 * bar.along * stretch;
+static inline void N(restore_changes)(const N(Restored) *bar, Number *db, Number *dr) {
+  const double inverse = 1 / bar->scale, part = 1 / bar->square;
+  const Number stretch = part * N(times)(bar->b, db);
+  const Number drift = part * (N(times)(bar->r, db) + N(times)(bar->b, dr)) - 2 * bar->along * stretch;
   for (int k = 0; k < D; ++k) {
-    const double b = bar.b[k], across = bar.r[k] - bar.along * b;
-    dr[k] = inverse * (dr[k] - bar.along * db[k] - b * drift + across * stretch);
-    db[k] = bar.scale * (db[k] - b * stretch);
+    const double b = bar->b[k], across = bar->r[k] - bar->along * b;
+    dr[k] = inverse * (dr[k] - bar->along * db[k] - b * drift + across * stretch);
+    db[k] = bar->scale * (db[k] - b * stretch);
   }
+}
+
+/* All bars that are put on their lengths at the end of a step, those that are free first. */
+static void N(restored_all)(const Scene *s, const Lengths *lengths, const double *x, void *memory) {
+  N(Restored) *bar = memory;
+  for (int i = 0; i < s->free_bars; ++i) *bar++ = N(restored_free)(s, lengths, i, x);
+  for (int i = 0; i < s->swinging_bars; ++i) *bar++ = N(restored_swinging)(s, lengths, i, x);
 }
 
 /* Changes of a state, (states), become those after its bars, of which none share nodes, are put on
    their lengths. */
-static void N(restored_forward)(const Scene *s, const Lengths *lengths, const double *x, Number *X) {
-  for (int i = 0; i < s->free_bars; ++i) {
-    const N(Restored) bar = N(restored_free)(s, lengths, i, x);
+static void N(restored_forward)(const Scene *s, const void *restored, Number *X) {
+  const N(Restored) *bar = restored;
+  for (int i = 0; i < s->free_bars; ++i, ++bar) {
     Number *a = X + s->bar_row[2 * i], *b = X + s->bar_row[2 * i + 1], of[2][D], mean[2][D];
     for (int m = 0; m < 2; ++m)
       for (int k = 0; k < D; ++k) {
@@ -519,10 +526,8 @@ static void N(restored_forward)(const Scene *s, const Lengths *lengths, const do
         b[m * s->free + k] = mean[m][k] + of[m][k] / 2;
       }
   }
-  for (int i = 0; i < s->swinging_bars; ++i) {
-    const N(Restored) bar = N(restored_swinging)(s, lengths, i, x);
+  for (int i = 0; i < s->swinging_bars; ++i, ++bar)
     N(restore_changes)(bar, X + s->tip_row[i], X + s->tip_row[i] + s->free);
-  }
 }
 
 /* ---- backward: one cost ---- */

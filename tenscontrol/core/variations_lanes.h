@@ -12,6 +12,7 @@
 #include "lengths.c"
 #include "span.c"
 
+#include "columns.h"
 #include "lanes_tables.h"
 #include "slopes.h"
 
@@ -209,9 +210,14 @@ static size_t sweep_size(const Scene *s, const Drive *drive, const Tableau *meth
          point_size(s) + at->size + stages * at->size + (stages + 1) * (2 * stages + 1);
 }
 
+/* Of bars on their lengths: their vectors and rates, and three numbers. */
+static size_t restored_bars_size(const Scene *s) {
+  return (2 * s->dimension + 3) * (size_t)(s->free_bars + s->swinging_bars) / WIDTH + 1;
+}
+
 static size_t forward_size(const Scene *s, const Tableau *method, int columns) {
   return ((size_t)columns / WIDTH * 2 + 2) * s->free + method->stages * apart_of(s) + point_size(s) +
-         s->dimension * (size_t)s->free_bars;
+         s->dimension * (size_t)s->free_bars + restored_bars_size(s);
 }
 
 /* Numbers of a row of a cost, whole registers of them. */
@@ -368,12 +374,11 @@ static void weigh_stages(Sweep *sweep, Number h) {
 
 /* Whole registers of numbers of the first lanes, each lane to a place of its own, so far apart. */
 static void from_lanes(const Number *x, size_t size, int count, double *to, size_t apart) {
-  for (size_t part = 0; part < size; part += WIDTH)
-    for (int i = 0; i < count; ++i) { /* whole registers, so that shuffles make them */
-      Number row = all(0);
-      for (int k = 0; k < WIDTH; ++k) put(lane(x + part + k, i), &row, k);
-      *(Number *)(to + i * apart + part) = row;
-    }
+  for (size_t part = 0; part < size; part += WIDTH, x += WIDTH) {
+    Number rows[WIDTH];
+    columns(x, rows);
+    for (int i = 0; i < count; ++i) *(Number *)(to + i * apart + part) = rows[i];
+  }
 }
 
 /* Finds the derivatives of all members at the stages of some steps, at most as many as there are lanes. */
@@ -497,8 +502,8 @@ static int needs_rates(const Scene *s) {
   return s->damped || s->grounds || s->swinging_bars || s->block_bars;
 }
 
-/* A block of columns over a step. */
-static void step_block(const Sweep *sweep, const Lengths *lengths, int k, int in_lanes,
+/* A block of columns over a step, after which bars are put on their lengths unless these are null. */
+static void step_block(const Sweep *sweep, const void *restored, int k, int in_lanes,
                        const Changes *changes, int first, Number *block, Number *memory) {
   const Scene *s = sweep->scene;
   const int stages = sweep->method->stages, is_plane = s->dimension == 2, has_rates = needs_rates(s);
@@ -540,11 +545,8 @@ static void step_block(const Sweep *sweep, const Lengths *lengths, int k, int in
   }
   advance_places(sweep, stages, accelerations, block, block + half, block);
   advance_rates(sweep, stages, half, accelerations, block + half, block + half);
-  if (lengths) {
-    const double *end = sweep->steps->states + (size_t)(k + 1) * 2 * half;
-    if (is_plane) restored_forward_2(s, lengths, end, block);
-    else restored_forward_3(s, lengths, end, block);
-  }
+  if (restored && is_plane) restored_forward_2(s, restored, block);
+  else if (restored) restored_forward_3(s, restored, block);
   pass_switches(sweep, k, inputs.change, block); /* the last stage was at the end */
 }
 
@@ -554,17 +556,22 @@ void LANES_NAME(tangents)(const Scene *s, const Drive *drive, const Lengths *len
   const int columns = changes->columns, n = 2 * s->free;
   Sweep sweep;
   Number *blocks;
+  double *restored;
   begin_sweep(&sweep, s, drive, method, steps, switches, work);
   blocks = taken(&sweep.rest, (size_t)n * (columns / WIDTH));
+  restored = (double *)taken(&sweep.rest, restored_bars_size(s));
   for (int first = 0; first < columns; first += WIDTH)
     pack(X, columns, n, first, blocks + (size_t)n * (first / WIDTH));
   for (int k = 0; k < steps->count; k += WIDTH) {
     const int some = steps->count - k < WIDTH ? steps->count - k : WIDTH;
     reach_stages(&sweep, k, some);
     for (int i = 0; i < some; ++i) {
+      const double *end = steps->states + (size_t)(k + i + 1) * n;
       weigh_stages(&sweep, all(steps->length[k + i]));
+      if (lengths && s->dimension == 2) restored_all_2(s, lengths, end, restored);
+      else if (lengths) restored_all_3(s, lengths, end, restored);
       for (int first = 0; first < columns; first += WIDTH)
-        step_block(&sweep, lengths, k + i, i, changes, first,
+        step_block(&sweep, lengths ? restored : 0, k + i, i, changes, first,
                    blocks + (size_t)n * (first / WIDTH), sweep.rest);
     }
   }
