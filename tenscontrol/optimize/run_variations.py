@@ -219,9 +219,10 @@ class RunVariations:
             self._last = None  # or there were two at a time
         variations = self._variations(run, len(self._ends))
         switches, steps = variations.switches, variations.steps
-        self.switches += len(switches.step)
-        ends = (steps.begin + steps.length)[switches.step]
-        self._slow += zip(ends.tolist(), np.abs(switches.rate).tolist(), strict=True)
+        if len(switches.step):
+            self.switches += len(switches.step)
+            ends = (steps.begin + steps.length)[switches.step]
+            self._slow += zip(ends.tolist(), np.abs(switches.rate).tolist(), strict=True)
         self._speed = max(self._speed, float(np.abs(steps.states[len(steps.states) // 2 :]).max()))
         self._last = len(self._ends) - 1, variations
 

@@ -133,24 +133,23 @@ def steps_of(run: PlantRun, load: FloatArray, start: FloatArray) -> TracedSteps:
     ends = [span.ends for span in spans if span.ends is not None]
     taut = [of_span.taut for of_span in ends if of_span.taut is not None]
     assert len(taut) == len(spans)  # it was traced
-    counts = np.array([len(of_span.time) for of_span in ends])
-    which, first = np.arange(len(spans)).repeat(counts), counts.cumsum() - counts
+    # One step after the other in memory, as they are gone through.
     until = np.concatenate([of_span.time for of_span in ends])
-    within = np.empty(len(until))
+    states = np.concatenate([spans[0].begin[None], *(of_span.states.T for of_span in ends)]).T
+    pulled = np.concatenate([of_span.T for of_span in taut]).T
+    which, within = np.zeros(len(until), dtype=int), np.zeros(len(until))
     within[1:] = until[:-1]
-    within[first] = 0.0
-    begins = np.array([before.time[-1] for before in run.spans[:-1]])
-    states = np.concatenate(
-        [spans[0].begin[:, None], *(of_span.states for of_span in ends)], axis=1
-    )
     if len(spans) > 1:
+        counts = np.array([len(of_span.time) for of_span in ends])
+        which, first = np.arange(len(spans)).repeat(counts), counts.cumsum() - counts
+        within[first] = 0.0
         states[:, first] = np.array([span.begin for span in spans]).T
+    begins = np.array([before.time[-1] for before in run.spans[:-1]])
     rows = np.array([span.coefficients for span in spans])
     if not run.loads_given:
         constant = np.zeros((len(spans), load.size, rows.shape[2]))
         constant[..., 0] = load.ravel(order="F")
         rows = np.concatenate([rows[:, :strings], constant, rows[:, strings:]], axis=1)
-    # One step after the other in memory, as they are gone through.
     inputs = rows.transpose(0, 2, 1).reshape(len(spans), -1)[which].T
     if layout.degree:
         origins = np.array([span.origin for span in spans])
@@ -175,5 +174,5 @@ def steps_of(run: PlantRun, load: FloatArray, start: FloatArray) -> TracedSteps:
     projects = method == "dop853" if how.project is None else how.project
     return TracedSteps(
         begins[which] + within, until - within, which, states, inputs,
-        np.concatenate(taut, axis=1), projects, method, layout, pushes,
+        pulled, projects, method, layout, pushes,
     )  # fmt: skip
