@@ -30,6 +30,8 @@ from tenscontrol.structure.blocks import bar_rows
 from tenscontrol.structure.structure import Structure
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from scipy.sparse import csc_array, csr_array
     from scipy.sparse.linalg import SuperLU
 
@@ -57,7 +59,7 @@ _MANY, _LOWEST = 100, 20
 # Give of what keeps lengths, the least shift from zero, parts of the stiffness, and its growth.
 _GIVE, _NEAR_ZERO, _FARTHER = 1e-13, 1e-11, 8.0
 
-# What factors without pivoting may leave of a right side.
+# Part of a motion by which factors without pivoting may be off.
 _SOLVED = 1e-7
 
 # Change of length of a motion that keeps lengths, per length of the motion.
@@ -218,11 +220,14 @@ def _softest(
     def applied(force: FloatArray) -> FloatArray:
         return np.concatenate([picture @ orthogonal_part(out, force.ravel()), none])
 
+    def motion(solution: FloatArray) -> FloatArray:
+        return orthogonal_part(out, picture.T @ solution[:f])
+
     load = np.cos(np.arange(1.0, f + 1) ** 2)  # any
-    factors = _factors_of_saddle(saddle, applied(load))
+    factors = _factors_of_saddle(saddle, applied(load), motion)
 
     def inverse(force: FloatArray) -> FloatArray:
-        return orthogonal_part(out, picture.T @ factors.solve(applied(force))[:f])
+        return motion(factors.solve(applied(force)))
 
     start = inverse(load)
     operator = LinearOperator((f, f), matvec=inverse, dtype=float)
@@ -248,19 +253,24 @@ def _softest(
     return values[:_LOWEST], bool(values[0] > floor)
 
 
-def _factors_of_saddle(saddle: csc_array, right: FloatArray) -> SuperLU:
+def _factors_of_saddle(
+    saddle: csc_array, right: FloatArray, motion: Callable[[FloatArray], FloatArray]
+) -> SuperLU:
     """Return the factors of a symmetric matrix that is not definite.
 
-    Without pivoting those of a net have a quarter of the entries. They are taken where they solve
-    for a given right side. Where bars share nodes they may not, as pivots may be round-off.
+    Without pivoting those of a net have a quarter of the entries. They are taken where a step of
+    refinement leaves the motion of a solution, for a given right side, as it is: what is left of
+    the right side grows with the rigid-body motions, which are no part of it. Where bars share
+    nodes they may not be good enough, as pivots may be round-off.
     """
     from scipy.sparse.linalg import splu
 
     how = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
     with suppress(RuntimeError):  # a pivot that is zero
         factors = splu(saddle, permc_spec="MMD_AT_PLUS_A", **how)
-        off = saddle @ factors.solve(right) - right
-        if np.linalg.norm(off) < _SOLVED * np.linalg.norm(right):
+        solution = factors.solve(right)
+        correction = motion(factors.solve(right - saddle @ solution))
+        if np.linalg.norm(correction) < _SOLVED * np.linalg.norm(motion(solution)):
             return factors
     return splu(saddle)
 

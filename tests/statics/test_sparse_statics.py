@@ -194,6 +194,39 @@ def test_a_tall_tower_is_super_stable_and_its_lowest_stiffness_is_of_a_beam():
     assert lowest[0] / lowest[1] == pytest.approx(16.0, rel=0.15)
 
 
+@pytest.mark.parametrize(("pivot", "orders"), [(0.5, 1), (1e-17, 2)])
+def test_factors_are_judged_by_motions_without_rigid_ones(pivot, orders, monkeypatch):
+    """A chain whose ends are free moves far as a whole, and springs of it hardly change length."""
+    from scipy.sparse import block_diag, diags_array, linalg
+
+    factorize, names = linalg.splu, []
+
+    def counted(matrix, permc_spec="COLAMD", **how):
+        names.append(permc_spec)
+        return factorize(matrix, permc_spec=permc_spec, **how)
+
+    monkeypatch.setattr(linalg, "splu", counted)
+    n = 300
+    diagonal = np.full(n, 2.0)
+    diagonal[[0, -1]] = 1.0
+    springs = diags_array([diagonal + 1e-12, -np.ones(n - 1), -np.ones(n - 1)], offsets=[0, 1, -1])
+    pair = [[pivot, 1.0], [1.0, pivot]]
+    matrix = block_diag([springs, pair], format="csc")
+    load = np.cos(np.pi * np.arange(0.5, n) / n)
+    right = np.append(load + 0.005, [1.0, 2.0])
+
+    def motion(solution):
+        return np.append(np.diff(solution[:n]), solution[n:])
+
+    module = sys.modules["tenscontrol.statics.stability"]
+    factors = module._factors_of_saddle(matrix, right, motion)
+    solution = factors.solve(right)
+    assert np.linalg.norm(matrix @ solution - right) > module._SOLVED * np.linalg.norm(right)
+    assert len(names) == orders
+    expected = np.append(-np.cumsum(load)[:-1], np.linalg.solve(pair, [1.0, 2.0]))
+    np.testing.assert_allclose(motion(solution), expected, rtol=0, atol=1e-3)
+
+
 def test_all_eigenvalues_of_a_large_structure_are_refused_with_a_hint():
     tower = tc.prism_tower(1500)
     gamma, lam = np.ones(len(tower.strings)), np.ones(len(tower.bars))
