@@ -539,8 +539,11 @@ class BarMotion:
         moved = np.linalg.norm(np.maximum(high - middle, middle - low), axis=0)
         reach = (moved + motion.strays(nodes))[self._bars].max(axis=1)
         pairs = self._pairs_within(middle, reach, least, float(motion.begin[half]))
+        if least is not None:  # those that touch would be the nearest
+            pairs = self._separate(pairs)
         apart = self._apart_at(motion, pairs, np.full(len(pairs), half), least)
-        return np.asarray(pairs[apart - reach[pairs].sum(axis=1) <= _limit(least)])
+        pairs = pairs[apart - reach[pairs].sum(axis=1) <= _limit(least)]
+        return self._separate(pairs) if least is None and len(pairs) else pairs
 
     def _apart_at(
         self, motion: _Intervals, pairs: IntArray, k: IntArray, least: _Least | None
@@ -554,7 +557,7 @@ class BarMotion:
     def _pairs_within(
         self, nodes: FloatArray, reach: FloatArray, least: _Least | None, time: float
     ) -> IntArray:
-        """Return pairs whose bars may meet if each moves by its reach, (p, 2).
+        """Return pairs whose bars may meet if each moves by its reach, (p, 2), or touch at rest.
 
         Or may come nearer than the least distance known.
         """
@@ -590,7 +593,7 @@ class BarMotion:
         pairs = np.sort(np.concatenate(close), axis=1)
         i, j = pairs.T
         apart = np.linalg.norm(middles[i] - middles[j], axis=1) - radius[i] - radius[j]
-        return self._separate(_without_joined(bars, pairs[apart <= extra]))
+        return _without_joined(bars, pairs[apart <= extra])
 
     def _every(self) -> _Pairs:
         """Return all pairs that do not touch in the shape of the structure, made once for it."""
