@@ -302,7 +302,7 @@ static Number interpolant_error(Number part) {
 }
 
 /* Evaluations of the equation so far. A landing takes a new start; switches that are carried another
-   slope, whether they are or not. */
+   slope, whether they are or not, and a step that ends sooner for them one more. */
 static Number evaluations_of(const Adaptive *now) {
   return 1.0 + (double)STAGES * (now->tries + now->approaches) -
          (double)(STAGES - SHORT_STAGES) * now->short_tries + (now->landings + now->carries) +
@@ -461,14 +461,14 @@ static Truth is_worth_carrying(const Dop853 *m) {
   return (m->scale[0] > m->settings->loose * m->span->scene->size) & (often * longest > WORTH_CARRYING);
 }
 
-/* Adds to the ends of steps what their switches change. Returns which steps are thrown away: where
-   shorter ones take less than a landing on each switch. */
+/* Adds to the ends of steps what their switches change. Returns which steps are too long for it, and
+   leaves how much shorter they are to be: where shorter ones take less than a landing on each switch. */
 static Truth carry_switches(Dop853 *m, Truth meant) {
   const int n = m->span->states, switches = m->span->switches;
   Adaptive *now = m->now;
   const Tried step = tried_step(m);
   Number count, off, factor, rate;
-  Truth good, thrown;
+  Truth good, too_long;
   memcpy(m->end, m->x1, n * sizeof *m->end);
   memcpy(m->pulling, m->taut, switches * sizeof *m->taut);
   count = carry(m->span, meant, &step, m->end, m->pulling, m->defect);
@@ -478,10 +478,9 @@ static Truth carry_switches(Dop853 *m, Truth meant) {
   rate = 1 / (now->h * factor);
   rate = choice(now->carry_rate > 0, root(now->carry_rate * rate), rate);
   now->carry_rate = choice(meant, rate, now->carry_rate);
-  thrown = meant & (good == 0) & ((2 < now->crossed * factor) | is_worth_carrying(m));
+  too_long = meant & (good == 0) & ((2 < now->crossed * factor) | is_worth_carrying(m));
   now->carries += truth(meant);
-  now->step = choice(thrown, now->h * smaller(factor, all(SAFETY)), now->step);
-  now->rejections += truth(thrown);
+  now->factor = choice(too_long, smaller(factor, all(SAFETY)), now->factor);
   if (any(good)) {
     const Tried carried = {m->x, m->end, m->slope, m->defect, 0, now->time, now->h};
     for (int i = 0; i < switches; ++i) m->taut[i] = choice(good, m->pulling[i], m->taut[i]);
@@ -493,7 +492,32 @@ static Truth carry_switches(Dop853 *m, Truth meant) {
     now->switches += only(good, count);
     now->carried += only(good, count);
   }
-  return thrown;
+  return too_long;
+}
+
+/* Ends steps of order 5 sooner, by their factors: on the path from their ends, which errs no more than
+   they do. One more slope is all that this takes. */
+static void shorten(Dop853 *m, Truth meant) {
+  const int n = m->span->states;
+  Adaptive *now = m->now;
+  const Tried whole = tried_step(m);
+  const Number part = now->factor, until = now->time + part * now->h;
+  const Number less = now->error * part * part * part * part * part;
+  Number *slope1 = m->K + STAGES * n;
+  Tried shorter;
+  make_path(m->span, &whole);
+  on_path(m->span, now->h, part, m->y);
+  restore_bars(m->span, m->y, until);
+  slope_at(m->span, m->y, until, m->started, m->end);
+  for (int i = 0; i < n; ++i) m->x1[i] = choice(meant, m->y[i], m->x1[i]);
+  for (int i = 0; i < n; ++i) slope1[i] = choice(meant, m->end[i], slope1[i]);
+  now->h = choice(meant, part * now->h, now->h);
+  now->taken = choice(meant, now->h, now->taken);
+  now->error = choice(meant, less, now->error);
+  now->factor = choice(meant, factor_of(less, SHORT_ORDER), now->factor);
+  now->carries += truth(meant);
+  shorter = tried_step(m);
+  now->crossed = choice(meant, crossings(m->span, &shorter), now->crossed);
 }
 
 /* Ends steps where they are cut; returns the number of places that were tried. */
@@ -536,6 +560,28 @@ static void land_on_first(Dop853 *m, Truth meant) {
     now->switches += switch_over(m->span, is_cut, m->x1, now->time + now->taken, m->taut);
 }
 
+/* Ends steps that carry their switches, or shorter ones where these err too much. Returns which are
+   ended, and which are thrown away. */
+static Truth end_carried(Dop853 *m, Truth meant, Truth *thrown) {
+  Adaptive *now = m->now;
+  Truth ended, shorter;
+  *thrown = carry_switches(m, meant);
+  ended = meant & (now->is_carried != 0);
+  if (any(ended)) end_steps(m, ended);
+  shorter = *thrown & (now->short_left > 0);
+  if (any(shorter)) {
+    Truth good;
+    shorten(m, shorter);
+    *thrown = (*thrown & (shorter == 0)) | carry_switches(m, shorter & (now->crossed > 0));
+    good = shorter & ((now->is_carried != 0) | (now->crossed == 0));
+    if (any(good)) end_steps(m, good);
+    ended |= good;
+  }
+  now->step = choice(*thrown, now->h * now->factor, now->step);
+  now->rejections += truth(*thrown);
+  return ended;
+}
+
 /* Ends steps in which strings may switch, of which `crossings` was asked last; returns those that are
    not thrown away. */
 static Truth pass_switches(Dop853 *m, Truth meant) {
@@ -543,13 +589,9 @@ static Truth pass_switches(Dop853 *m, Truth meant) {
   const Number few = choice(m->now->short_left > 0, all(0), all(MANY_SWITCHES));
   const Truth carries = (m->now->crossed > few) | is_worth_carrying(m);
   const Truth many = may_carry ? meant & carries : meant & (meant == 0);
-  Truth thrown = many & (many == 0), carried = thrown, landing;
-  if (any(many)) {
-    thrown = carry_switches(m, many);
-    carried = m->now->is_carried != 0;
-    if (any(carried)) end_steps(m, carried);
-  }
-  landing = meant & (thrown == 0) & (carried == 0);
+  Truth thrown = many & (many == 0), ended = thrown, landing;
+  if (any(many)) ended = end_carried(m, many, &thrown);
+  landing = meant & (thrown == 0) & (ended == 0);
   if (any(landing)) {
     m->now->carry_rate *= choice(landing & (many == 0), all(FORGETTING), all(1));
     land_on_first(m, landing);

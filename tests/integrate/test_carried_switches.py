@@ -62,6 +62,15 @@ def test_the_error_follows_the_tolerance(case, exact):
     assert runs[0].work.evaluations < simulated(case, tolerance=1e-10).work.evaluations / 2
 
 
+def test_steps_too_long_for_their_switches_end_sooner(case, exact):
+    """They are not taken again, and err no more for it."""
+    for tolerance, most in ((1e-4, 3e-5), (1e-5, 3e-6)):
+        run = simulated(case, method="dop853", tolerance=tolerance, error="none")
+        assert run.work.carried > 30
+        assert run.work.rejections < 0.1 * run.work.steps
+        assert off(run, exact) < most
+
+
 def test_outputs_within_carried_steps_are_as_good_as_the_ends(case):
     settings = {"rest_length": case.input_value, "output_step": case.duration / 200}
     exact = tc.simulate(case.model, case.duration, tolerance=1e-11, error="none", **settings)
