@@ -192,6 +192,8 @@ SOLVER_WIDE static void active_set_append(ActiveSet *set, int candidate, int sid
         pivot = active_set_distance(set, k, l);
     set->singular = !(pivot > ACTIVE_SET_DEPENDENT * diagonal);
     set->pivot[k] = set->singular ? 0.0 : pivot;
+    if (!set->singular)
+        set->apart = fmin(set->apart, pivot / diagonal);
 }
 
 /* Add alpha w w' to the factors of the rows from k on; w, of the rows before `count`, is lost. */
@@ -309,6 +311,7 @@ void active_set_start(ActiveSet *set, const double *y)
 {
     int i, next = 0;
     set->count = set->candidates = set->singular = 0;
+    set->apart = 1.0;
     for (i = 0; i < set->rows; i++) {
         set->place[i] = -1;
         set->y[i] = 0.0;
@@ -548,22 +551,29 @@ static int active_set_next(ActiveSet *set, const double *x, const double *low, c
     return worst;
 }
 
+/* Step to where the active rows hold. */
+static void active_set_step(ActiveSet *set, double *x)
+{
+    int k;
+    active_set_direction(set);
+    for (k = 0; k < set->count; k++)
+        set->y[set->active[k]] += set->step[k];
+    active_set_combine(set, set->step, -1.0, x); /* less round-off than x = -q - M'y */
+}
+
 /* Repeat the last step on the residuals of the answer, until they are round-off; returns the largest. */
 static double active_set_refine(ActiveSet *set, const double *q, const double *low,
                                 const double *high, double *x)
 {
     double before = INFINITY, left;
-    int round, k;
+    int round;
     active_set_point(set, q, x);
     for (round = 0; ; round++) {
         left = active_set_residuals(set, x, low, high);
         if (round == ACTIVE_SET_REFINEMENTS || !(left < 0.25 * before) || left == 0.0)
             return left;
         before = left;
-        active_set_direction(set);
-        for (k = 0; k < set->count; k++)
-            set->y[set->active[k]] += set->step[k];
-        active_set_combine(set, set->step, -1.0, x); /* less round-off than x = -q - M'y */
+        active_set_step(set, x);
     }
 }
 
@@ -674,4 +684,10 @@ int active_set_solve(ActiveSet *set, const double *q, const double *low,
     if (status != ACTIVE_SET_OK)
         active_set_start(set, NULL);
     return status;
+}
+
+void active_set_correct(ActiveSet *set, const double *low, const double *high, double *step)
+{
+    active_set_residuals(set, step, low, high);
+    active_set_step(set, step);
 }

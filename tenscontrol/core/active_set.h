@@ -120,6 +120,8 @@ typedef struct {
     /* answer, besides x */
     double *y;      /* (rows) */
     int iterations; /* changes of the active set in the last solve */
+    double apart;   /* the least distance, squared, from the span of others at which a row was added, as
+                       a part of its length */
     /* the active set */
     int count, singular; /* whether the last active row depends on the others */
     int candidates;      /* how many are behind the active rows in the lists of rows */
@@ -141,5 +143,13 @@ SOLVER_API void active_set_start(ActiveSet *set, const double *y);
 /* Solve. Returns a status; x, of `columns` numbers, is the answer where that is 0. */
 SOLVER_API int active_set_solve(ActiveSet *set, const double *q, const double *low,
                                 const double *high, double *x);
+
+/*
+ * Correct the last answer by residuals that are known better than its rows say them: bounds less
+ * the values of the rows, and in `step` what the slope x + q + M'y is less than zero by. The step to
+ * add to x is written there; the multipliers are corrected.
+ */
+SOLVER_API void active_set_correct(ActiveSet *set, const double *low, const double *high,
+                                   double *step);
 
 #endif

@@ -1,6 +1,7 @@
 /* Programs along the stages of a horizon: see stages.h. */
 #include "stages.h"
 
+#include <float.h>
 #include <math.h>
 #include <string.h>
 
@@ -9,6 +10,9 @@
 
 /* Rows that are factorized together. */
 #define STAGES_BLOCK 32
+
+/* What the solution may be off by, in levels, before it is refined. */
+#define STAGES_OFF 1e-13
 
 /* The place of the derivatives of stage k. */
 static size_t stages_slot(const Stages *s, int k)
@@ -172,6 +176,15 @@ SOLVER_WIDE static int stages_finite(const double *values, size_t count)
     return !wrong;
 }
 
+static double stages_largest(const double *values, size_t count)
+{
+    double largest = 0.0;
+    size_t i;
+    for (i = 0; i < count; i++)
+        largest = fmax(largest, fabs(values[i]));
+    return largest;
+}
+
 /* Factorize rows of X = U'U in place, from what is right of the diagonal; whether X is definite. */
 SOLVER_WIDE static int stages_factorize_rows(int first, int a, int width, double *X)
 {
@@ -232,11 +245,18 @@ static size_t stages_thin_s(const Stages *s, int k)
     return 2 * (size_t)s->stages * s->states + (size_t)k * s->inputs;
 }
 
-/* W in the span of V, and the v of limited values. */
+/* W in the span of V, the v of limited values, and the growth. */
 static void stages_thin_prepare(Stages *s)
 {
     int n = s->states, p = s->limited, i, j, e;
-    double *A = s->motion_t, *PA = s->work;
+    double *A = s->motion_t, *PA = s->work, least = INFINITY, most = 0.0, shrink = 1.0;
+    for (i = 0; i < s->inputs; i++) {
+        least = fmin(least, s->unit[i]);
+        most = fmax(most, s->unit[i]);
+    }
+    for (i = 0; i < n; i++)
+        shrink = fmin(shrink, s->shrink[i]);
+    s->growth[0] = most / s->level * most / (least * shrink);
     stages_transpose(s->inputs, n, s->V, n, s->V_t, s->inputs);
     stages_product(s, n, n, n, s->P, n, A, n, PA, n, 0);
     stages_product(s, n, n, n, s->T, n, PA, n, s->W, n, 0);
@@ -244,6 +264,7 @@ static void stages_thin_prepare(Stages *s)
         for (j = 0; j < n; j++)
             s->W[i * n + j] *= s->shrink[i];
     stages_transpose(n, n, s->W, n, s->W_t, n);
+    s->reach[0] = stages_largest(s->W, (size_t)n * n);
     memset(s->limited_v, 0, (size_t)p * n * sizeof *s->limited_v);
     for (i = 0; i < p; i++)
         for (e = s->G_start[i]; e < s->G_start[i + 1]; e++)
@@ -251,14 +272,15 @@ static void stages_thin_prepare(Stages *s)
                        s->unit + s->G_which[e], s->limited_v + (size_t)i * n);
 }
 
-/* f = S'(B't + R h) as [w v s], and p -= W'f. */
-static void stages_thin_aim(Stages *s, int k, const double *t, const double *h, double *p)
+/* f = S'(B't + g) as [w v s], of slopes g by inputs, and p -= W'f. */
+static void stages_thin_aim(const Stages *s, int k, const double *t, const double *g, double *f,
+                            double *p)
 {
     int n = s->states, a = s->inputs, i, j;
-    double *w = s->first + (size_t)k * n, *v = s->first + stages_thin_v(s, k);
-    double *rest = s->first + stages_thin_s(s, k);
+    double *w = f + (size_t)k * n, *v = f + stages_thin_v(s, k);
+    double *rest = f + stages_thin_s(s, k);
     for (j = 0; j < a; j++)
-        rest[j] = h[j] / s->unit[j];
+        rest[j] = s->unit[j] * g[j];
     memset(v, 0, (size_t)n * sizeof *v);
     stages_add(a, n, 1.0, s->V, rest, v);
     for (i = 0; i < n; i++) {
@@ -349,6 +371,7 @@ static int stages_find_step(Stages *s, size_t step, size_t slot, int first)
     int n = s->states, a = s->inputs, w = a + n, m = s->ramp ? n - a : n, i, j;
     double *Y = s->work, *X = Y + (size_t)w * w, *before = s->before + step * n * n;
     double *S = s->S + step * a * a, *W = s->W + step * a * n, *W_t = s->W_t + step * a * n;
+    double most = 0.0, most_S = 0.0;
     stages_product(s, w, n, n, s->motion + slot * w * n, n, s->costs + step * n * n, n, Y, n, 0);
     stages_product(s, first ? a : w, n, w, Y, n, s->motion_t + slot * w * n, w, X, w, 1);
     for (i = 0; i < a; i++)
@@ -371,6 +394,13 @@ static int stages_find_step(Stages *s, size_t step, size_t slot, int first)
         S[(size_t)i * a + i] += unit;
     }
     stages_transpose(a, a, S, a, s->S_t + step * a * a, a);
+    for (i = 0; i < a; i++)
+        for (j = i; j < a; j++) {
+            most = fmax(most, fabs(X[(size_t)i * w + j]));
+            most_S = fmax(most_S, fabs(S[(size_t)j * a + i]));
+        }
+    s->reach[step] = stages_largest(W, (size_t)a * n);
+    s->growth[step] = most_S / s->level * most_S * most; /* |S| times the condition of U */
     if (first)
         return 1;
     stages_product(s, n, a, n, W_t, a, W, n, Y, n, 1);
@@ -413,66 +443,108 @@ static int stages_prepare(Stages *s, double tolerance)
     return 1;
 }
 
-/* What C adds to by_all, [u_k; z_k], for departures h of the input and those of z_k from r. */
-static void stages_cross(const Stages *s, int k, const double *r, const double *h, double *by_all)
+/* Add what limit `kind` of a stage has by [u_k; z_k] of the stage, or of the one before it. */
+static void stages_enter(const Stages *s, int stage, int kind, int k, double factor,
+                         double *by_all)
 {
-    int n = s->states, a = s->inputs, m = s->ramp ? n - a : n, i, j;
+    int a = s->inputs, p = s->limited, m = s->ramp ? s->states - a : s->states, j;
+    int values = stages_rows(s) - p; /* where limited values begin */
+    size_t at = s->alike ? 0 : (size_t)k;
+    if (kind >= a && kind < values && k >= stage - 1)
+        by_all[kind - a] += (k == stage ? factor : -factor) / s->level;
+    if (k != stage)
+        return;
+    if (kind < a)
+        by_all[kind] += factor / s->level;
+    if (kind < values)
+        return;
+    kind -= values;
+    factor /= s->scale[kind];
+    if (s->alike)
+        for (j = s->G_start[kind]; j < s->G_start[kind + 1]; j++)
+            by_all[s->G_which[j]] += factor * s->G[j];
+    else
+        for (j = 0; j < a; j++)
+            by_all[j] += factor * s->G[(at * a + j) * p + kind];
+    for (j = 0; j < m; j++)
+        by_all[a + j] += factor * s->E[(at * m + j) * p + kind];
+}
+
+/* Add what limit `kind` of stage k has by z_{k+1}. */
+static void stages_enter_ahead(const Stages *s, int k, int kind, double factor, double *ahead)
+{
+    int p = s->limited, m = s->ramp ? s->states - s->inputs : s->states, j;
+    size_t at = s->alike ? 0 : (size_t)k;
+    kind -= stages_rows(s) - p;
+    for (j = 0; s->ahead && kind >= 0 && j < m; j++)
+        ahead[j] += factor / s->scale[kind] * s->F[(at * m + j) * p + kind];
+}
+
+/* What C adds to by_all, [u_k; z_k], of departures of state and input from their targets. */
+static void stages_cross(const Stages *s, const double *z, const double *u, double *by_all)
+{
+    int a = s->inputs, m = s->ramp ? s->states - a : s->states, i, j;
     for (j = 0; j < m; j++) {
         const double *c = s->cross + (size_t)j * a;
-        double off = s->z[(size_t)k * m + j] - (r == NULL ? 0.0 : r[j]);
         for (i = 0; i < a; i++) {
-            by_all[i] += c[i] * off;
-            by_all[a + j] += c[i] * h[i];
+            by_all[i] += c[i] * z[j];
+            by_all[a + j] += c[i] * u[i];
         }
     }
 }
 
-/*
- * Put in the costs of the plan: r of (N, n - a or n), s of (N, a), r_0 or NULL, and what a load
- * adds to each state, (N, n - a or n) or NULL.
- */
-static void stages_aim(Stages *s, const double *r, const double *aim, const double *r_0,
-                       const double *drift)
+/* Add the limits of stage k with their multipliers to slopes by [u_k; z_k]; `ahead`: by z_{k+1}. */
+static void stages_add_limits(const Stages *s, int k, const double *y, double *by_all,
+                              double *ahead)
 {
-    int n = s->states, a = s->inputs, m = s->ramp ? n - a : n, w = a + n, j, k;
-    double *off = s->work, *p = off + n, *t = p + n, *by_all = t + n, *h = by_all + w;
-    memset(off, 0, (size_t)n * sizeof *off);
+    int rows = stages_rows(s), i;
+    const double *here = y + (size_t)k * rows, *next = here + rows;
+    for (i = 0; i < rows; i++) {
+        if (here[i] == 0.0)
+            continue;
+        stages_enter(s, k, i, k, here[i], by_all);
+        stages_enter_ahead(s, k, i, here[i], ahead);
+    }
+    for (i = s->inputs; s->changes && k + 1 < s->stages && i < 2 * s->inputs; i++)
+        if (next[i] != 0.0)
+            stages_enter(s, k + 1, i, k, next[i], by_all);
+}
+
+/*
+ * Find f of departures from the targets, z of (N + 1, n) and u of (N, a), from which the motion has
+ * these gaps (NULL: none), with multipliers of the limits (NULL: zeros). It is the slope by x.
+ */
+static void stages_aim(const Stages *s, const double *z, const double *u, const double *gap,
+                       const double *y, double *f)
+{
+    int n = s->states, a = s->inputs, w = a + n, moved = s->thin ? 0 : a, j, k;
+    double *p = s->work, *t = p + n, *by_all = t + n;
+    memset(p, 0, (size_t)n * sizeof *p);
     for (k = s->stages - 1; k >= 0; k--) {
-        int last = k == s->stages - 1;
-        const double *W = s->W + stages_step(s, k) * a * n;
-        double *f = s->first + (size_t)k * a, *gap = s->gap + (size_t)k * n;
-        for (j = 0; j < m; j++)
-            off[j] = s->z[(size_t)(k + 1) * m + j] - r[(size_t)k * m + j];
-        for (j = 0; j < a; j++)
-            h[j] = s->u[(size_t)(k + 1) * a + j] - aim[(size_t)k * a + j];
-        if (s->ramp)
-            for (j = 0; j < a; j++)
-                off[m + j] = last ? h[j] : 0.0;
+        const double *z_k = z + (size_t)k * n, *u_k = u + (size_t)k * a;
+        memset(by_all, 0, (size_t)w * sizeof *by_all);
         /* t = P_{k+1} d_k + p_{k+1} */
-        if (last)
-            memset(t, 0, (size_t)n * sizeof *t);
-        else
-            memcpy(t, p, (size_t)n * sizeof *t);
-        stages_add(n, n, 1.0, last ? s->P : s->Q, off, t);
-        if (drift != NULL)
-            for (j = 0; j < m; j++)
-                gap[j] += drift[(size_t)k * m + j];
-        stages_add(n, n, 1.0, s->costs + stages_step(s, k) * n * n, gap, t);
+        memcpy(t, p, (size_t)n * sizeof *t);
+        stages_add(n, n, 1.0, k == s->stages - 1 ? s->P : s->Q, z_k + n, t);
+        if (gap != NULL)
+            stages_add(n, n, 1.0, s->costs + stages_step(s, k) * n * n, gap + (size_t)k * n, t);
+        if (y != NULL)
+            stages_add_limits(s, k, y, by_all, t);
         /* f = S'(B't + R (u - s) + C'(z - r)),   p_k = A't + C (u - s) - W'f */
+        for (j = 0; s->thin && j < a; j++)
+            by_all[j] += u_k[j] / (s->unit[j] * s->unit[j]);
+        stages_add(moved, a, 1.0, s->R, u_k, by_all);
+        if (s->cross != NULL)
+            stages_cross(s, z_k, u_k, by_all);
+        stages_add(n, moved + n, 1.0, s->motion_t + stages_slot(s, k) * (moved + n) * n, t,
+                   by_all + a - moved);
+        memcpy(p, by_all + a, (size_t)n * sizeof *p);
         if (s->thin) {
-            memset(p, 0, (size_t)n * sizeof *p);
-            stages_add(n, n, 1.0, s->motion_t, t, p);
-            stages_thin_aim(s, k, t, h, p);
+            stages_thin_aim(s, k, t, by_all, f, p);
             continue;
         }
-        memset(by_all, 0, (size_t)w * sizeof *by_all);
-        stages_add(a, a, 1.0, s->R, h, by_all);
-        stages_add(n, w, 1.0, s->motion_t + stages_slot(s, k) * w * n, t, by_all);
-        if (s->cross != NULL)
-            stages_cross(s, k, k ? r + (size_t)(k - 1) * m : r_0, h, by_all);
-        stages_unfactor(s, k, 1, by_all, f);
-        memcpy(p, by_all + a, (size_t)n * sizeof *p);
-        stages_add(a, n, -1.0, W, f, p);
+        stages_unfactor(s, k, 1, by_all, f + (size_t)k * a);
+        stages_add(a, n, -1.0, s->W + stages_step(s, k) * a * n, f + (size_t)k * a, p);
     }
 }
 
@@ -543,42 +615,6 @@ static void stages_limits(const Stages *s, const double *z, const double *u, dou
     }
 }
 
-/* What limit `kind` of a stage adds by [u_k; z_k] of the stage, or of the one before it. */
-static void stages_enter(const Stages *s, int stage, int kind, int k, double *by_all)
-{
-    int a = s->inputs, p = s->limited, m = s->ramp ? s->states - a : s->states, j;
-    int values = stages_rows(s) - p; /* where limited values begin */
-    size_t at = s->alike ? 0 : (size_t)k;
-    if (kind >= a && kind < values && k >= stage - 1)
-        by_all[kind - a] += (k == stage ? 1.0 : -1.0) / s->level;
-    if (k != stage)
-        return;
-    if (kind < a)
-        by_all[kind] += 1.0 / s->level;
-    if (kind < values)
-        return;
-    kind -= values;
-    if (s->alike)
-        for (j = s->G_start[kind]; j < s->G_start[kind + 1]; j++)
-            by_all[s->G_which[j]] += s->G[j] / s->scale[kind];
-    else
-        for (j = 0; j < a; j++)
-            by_all[j] += s->G[(at * a + j) * p + kind] / s->scale[kind];
-    for (j = 0; j < m; j++)
-        by_all[a + j] += s->E[(at * m + j) * p + kind] / s->scale[kind];
-}
-
-/* What limit `kind` of stage k has by z_{k+1}. */
-static void stages_enter_ahead(const Stages *s, int k, int kind, double *ahead)
-{
-    int n = s->states, p = s->limited, m = s->ramp ? n - s->inputs : n, j;
-    size_t at = s->alike ? 0 : (size_t)k;
-    memset(ahead, 0, (size_t)n * sizeof *ahead);
-    kind -= stages_rows(s) - p;
-    for (j = 0; s->ahead && kind >= 0 && j < m; j++)
-        ahead[j] = s->F[(at * m + j) * p + kind] / s->scale[kind];
-}
-
 /*
  * Rows of the matrix of limits, ACTIVE_SET_BATCH at most: for each, a numbers for each stage up to
  * its own. In the sweep back they are rows of matrices, from their own stages on.
@@ -595,13 +631,16 @@ static void stages_batch(const Stages *s, int count, const int *which, double *c
         order[j] = r;
     }
     for (k = count ? which[order[0]] / rows : -1; k >= 0; k--) {
-        for (; live < count && which[order[live]] / rows == k; live++)
-            stages_enter_ahead(s, k, which[order[live]] % rows, ahead + (size_t)live * n);
+        for (; live < count && which[order[live]] / rows == k; live++) {
+            double *own = ahead + (size_t)live * n;
+            memset(own, 0, (size_t)n * sizeof *own);
+            stages_enter_ahead(s, k, which[order[live]] % rows, 1.0, own);
+        }
         /* x = S'(g + B'ahead),   ahead = e + A'ahead - W'x */
         stages_times(s, live, n, w, ahead, n, s->motion_t + stages_slot(s, k) * w * n, by_all);
         for (r = 0; r < live; r++) {
             int i = which[order[r]];
-            stages_enter(s, i / rows, i % rows, k, by_all + (size_t)r * w);
+            stages_enter(s, i / rows, i % rows, k, 1.0, by_all + (size_t)r * w);
         }
         stages_times(s, live, a, a, by_all, w, s->S + stages_step(s, k) * a * a, x); /* S'h */
         for (r = 0; r < live; r++)
@@ -751,7 +790,8 @@ static void stages_thin_batch(const Stages *s, int count, const int *which, doub
         StagesPart part[2];
         int parts = stages_thin_parts(s, which[r], part), stage = part->stage;
         int kind = which[r] % stages_rows(s) - stages_rows(s) + s->limited;
-        stages_enter_ahead(s, stage, which[r] % stages_rows(s), ahead);
+        memset(ahead, 0, (size_t)n * sizeof *ahead);
+        stages_enter_ahead(s, stage, which[r] % stages_rows(s), 1.0, ahead);
         for (k = stage; k >= 0; k--) {
             double *w = out[r] + (size_t)k * n;
             for (i = 0; i < n; i++) { /* w = shrink (v + T ahead) */
@@ -858,6 +898,10 @@ static void stages_place(Stages *s, double **memory)
     s->work = stages_take(memory, STAGES_WORK(s->thin, n, a));
     s->z = stages_take(memory, (N + 1) * m);
     s->u = stages_take(memory, (N + 1) * a);
+    s->growth = stages_take(memory, many);
+    s->reach = stages_take(memory, many);
+    s->off_z = stages_take(memory, (N + 1) * n);
+    s->off_u = stages_take(memory, N * a);
 }
 
 /* Take the memory that a program has where all stages are alike. */
@@ -942,6 +986,7 @@ void stages_program_place(StagesProgram *program, const StagesSizes *sizes, doub
     stages_place(s, &numbers);
     program->x = stages_take(&numbers, columns);
     program->none = stages_take(&numbers, columns);
+    program->step = stages_take(&numbers, columns);
     program->lower = stages_take(&numbers, rows);
     program->upper = stages_take(&numbers, rows);
     program->values = stages_take(&numbers, rows);
@@ -1079,7 +1124,23 @@ void stages_program_aim(StagesProgram *program, const double *r, const double *a
                         const double *r_0, const double *drift)
 {
     Stages *s = &program->stages;
-    stages_aim(s, r, aim, r_0, drift);
+    int n = s->states, a = s->inputs, m = s->ramp ? n - a : n, j, k;
+    memset(s->off_z, 0, (size_t)n * sizeof *s->off_z);
+    for (j = 0; j < m; j++)
+        s->off_z[j] = s->z[j] - (r_0 == NULL ? 0.0 : r_0[j]);
+    for (k = 0; k < s->stages; k++) {
+        double *u = s->off_u + (size_t)k * a, *z = s->off_z + (size_t)(k + 1) * n;
+        for (j = 0; j < a; j++)
+            u[j] = s->u[(size_t)(k + 1) * a + j] - aim[(size_t)k * a + j];
+        for (j = 0; j < m; j++)
+            z[j] = s->z[(size_t)(k + 1) * m + j] - r[(size_t)k * m + j];
+        if (s->ramp)
+            memcpy(z + m, u, (size_t)a * sizeof *u);
+        for (j = 0; drift != NULL && j < m; j++)
+            s->gap[(size_t)k * n + j] += drift[(size_t)k * m + j];
+    }
+    stages_aim(s, s->off_z, s->off_u, s->gap, NULL, s->first);
+    s->farthest = stages_largest(s->first, STAGES_COLUMNS(s->thin, s->stages, n, a));
     if (!s->alike)
         return;
     memset(program->dz, 0, (size_t)s->states * sizeof *program->dz);
@@ -1124,6 +1185,55 @@ static void stages_program_begin(StagesProgram *program, const double *state,
         program->dz[i] = acting[i - m] - s->u[i - m];
 }
 
+/*
+ * What round-off may have left of the conditions of the optimum, as an error of inputs in levels:
+ * inputs are differences of f and W z, and x one of rows with their multipliers.
+ */
+static double stages_program_off(const StagesProgram *program, const double *state)
+{
+    const Stages *s = &program->stages;
+    const ActiveSet *set = &program->set;
+    double growth = 0.0, reach = 0.0, largest = 0.0;
+    int m = s->ramp ? s->states - s->inputs : s->states, k;
+    for (k = 0; k < (s->alike ? 1 : s->stages); k++) {
+        growth = fmax(growth, s->growth[stages_step(s, k)]);
+        reach = fmax(reach, s->reach[stages_step(s, k)]);
+    }
+    for (k = 0; k < m; k++)
+        largest = fmax(largest, reach * fabs(state[k] - s->z[k]));
+    for (k = 0; k < set->count; k++)
+        largest = fmax(largest, sqrt(set->pivot[k]) * fabs(set->y[set->active[k]]));
+    return DBL_EPSILON * growth * fmax(largest, s->farthest) / sqrt(set->apart);
+}
+
+/*
+ * Take out of the solution what round-off has left of the conditions of the optimum. Factors of a
+ * problem whose weights differ by decades, or whose optimum without limits is far away, know few
+ * digits of it; slopes and limits along the motion itself know them all.
+ */
+static void stages_program_refine(StagesProgram *program, const double *state,
+                                  const double *acting, const double *previous)
+{
+    Stages *s = &program->stages;
+    int states = (s->stages + 1) * s->states, inputs = s->stages * s->inputs, i;
+    double *z = program->dz, *u = program->du, *step = program->step;
+    stages_program_begin(program, state, acting);
+    stages_simulate(s, program->x, s->first, s->gap, z, u);
+    stages_limits(s, z, u, program->values);
+    stages_program_bounds(program, previous, program->values, program->lower, program->upper);
+    for (i = 0; i < states; i++)
+        z[i] += s->off_z[i];
+    for (i = 0; i < inputs; i++)
+        u[i] += s->off_u[i];
+    stages_aim(s, z, u, NULL, program->set.y, step);
+    for (i = 0; i < program->set.columns; i++)
+        step[i] = -step[i];
+    active_set_correct(&program->set, program->lower, program->upper, step);
+    for (i = 0; i < program->set.columns; i++)
+        program->x[i] += step[i];
+    program->moved = 1;
+}
+
 /* Keep the solution, and find its first input, where all stages are alike. */
 static void stages_program_choose(StagesProgram *program)
 {
@@ -1155,6 +1265,8 @@ int stages_program_solve(StagesProgram *program, const double *state, const doub
                               program->x);
     if (status != ACTIVE_SET_OK)
         return status;
+    if (stages_program_off(program, state) > STAGES_OFF)
+        stages_program_refine(program, state, acting, previous);
     memcpy(program->y, program->set.y, (size_t)program->set.rows * sizeof(double));
     if (s->alike) {
         stages_program_begin(program, state, acting);

@@ -52,6 +52,9 @@ typedef struct {
     double *costs, *before;                /* by steps: (N, n, n), P behind a stage and before it */
     double *S, *S_t, *W, *W_t;             /* by steps: (N, a, a) twice; (N, a, n); (N, n, a) */
     double *first;                         /* (N, a): f */
+    double *growth, *reach; /* by steps: (N), of errors of x in inputs, in levels; largest of W */
+    double farthest;        /* largest of f */
+    double *off_z, *off_u;                 /* (N + 1, n), (N, a): the plan less its targets */
     double *work;                          /* STAGES_WORK(thin, n, a) */
     int ahead;                             /* whether F may be other than zero */
     /* for many inputs that move few states, with alike stages: in place of S, and W is (n, n) */
@@ -91,8 +94,8 @@ typedef struct {
 #define STAGES_NUMBERS(alike, thin, N, n, a, p, rows, most)                               \
     (ACTIVE_SET_NUMBERS(rows, STAGES_COLUMNS(thin, N, n, a), most, !(alike)) +            \
      ((alike) ? 1 : (size_t)(N)) * STAGES_MATRICES(thin, n, a, p) +                       \
-     3 * STAGES_COLUMNS(thin, N, n, a) + (size_t)(N) * ((p) + (n) + (a)) +                \
-     (size_t)((N) + 1) * (2 * (n) + (a)) + 4 * (size_t)(rows) + STAGES_WORK(thin, n, a) + \
+     4 * STAGES_COLUMNS(thin, N, n, a) + (size_t)(N) * ((p) + (n) + 2 * (a)) +            \
+     (size_t)((N) + 1) * (3 * (n) + (a) + 2) + 4 * (size_t)(rows) + STAGES_WORK(thin, n, a) + \
      ((alike) ? STAGES_ALIKE(thin, N, n, a, rows) : 0))
 #define STAGES_INTEGERS(alike, N, rows, most) \
     (ACTIVE_SET_INTEGERS(rows, most) + ((alike) ? (size_t)(rows) / (N) : 3 * (size_t)(N)))
@@ -123,7 +126,7 @@ typedef struct {
     ActiveSet set;
     StagesData data;
     double *lower, *upper, *values, *y; /* (rows) each; y: multipliers to start from */
-    double *x, *none;                   /* (STAGES_COLUMNS), none: zeros */
+    double *x, *none, *step;            /* (STAGES_COLUMNS), none: zeros */
     double *dz, *du;                    /* (N + 1, n) and (N, a): departures from the plan */
     int moved;                          /* whether the departures are no more those of x = 0 */
     /* where all stages are alike */
