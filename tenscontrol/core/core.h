@@ -184,7 +184,6 @@ typedef struct {
       carries, carried, short_tries;
   int32_t kept, every, since; /* ends of steps: how many, every which of them, since the last */
   int32_t short_left; /* by dop853: how many steps of order 5 are to follow */
-  double carry_rate;  /* 1/s: of the longest step whose switches could be carried last, if known */
   double last;        /* by dop853: the error of the step before, if it was of order 8 */
 } Progress;
 
@@ -200,7 +199,7 @@ typedef struct {
   double limit;        /* evaluations from which on no step is tried, of dop853 */
   double smooth;       /* a step of dop853 ends at a switch on its interpolant where that errs less than
                           this part of what it may err */
-  double loose;        /* the tolerance of dop853 above which few switches in a step are carried, too */
+  double loose;        /* the tolerance of dop853 above which steps go across switches */
   double path;         /* outputs are on the path from the ends of a step of dop853 where that errs less
                           than this part of what it may err */
   const double *scale; /* (states): what a step may err, of dop853 */

@@ -2,7 +2,8 @@
    lanes, each with its own time and step.
 
    Switches in a step are carried, with an error of order 4, where that takes less than a landing on each.
-   The next steps are then of order 5, in half the evaluations, until some have ended otherwise.
+   The next steps are then of order 5, in half the evaluations, until some have ended otherwise. Under a
+   loose tolerance steps of order 5 go across switches.
 
    E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, 2nd ed., II.5
    (coefficients, error estimates) and II.6 (interpolant). */
@@ -51,10 +52,13 @@ enum { CARRY_ORDER = 4 };
 /* So many steps of order 5 follow one whose switches are carried. */
 enum { SHORT_FOLLOWING = 2 };
 
-/* Under a loose tolerance few switches are carried, too, where the longest step that can has so many. How
-   long that is changes along a motion: after each landing it is taken to be longer by a little. Under a
-   smaller one what a string does that goes taut and slack within a step is to be seen. */
-static const double WORTH_CARRYING = 1.4, FORGETTING = 0.995;
+/* Under a loose tolerance a step of order 8 with switches in it is thrown away, and steps of order 5 go
+   across them: each stage finds what pulls and presses in its state, as rk4_plain does. Where forces are
+   continuous at their borders a step then errs by their kinks, which its error estimate tells. They add
+   up along a motion: the estimate counts so many times. The first of these steps is such a part of the
+   one that is thrown away, and so many follow one with a switch. */
+static const double ACROSS = 10, FIRST_ACROSS = 0.25;
+enum { ACROSS_FOLLOWING = 20 };
 
 /* How far a motion is, what it has counted, and the step that it tries: numbers alone, so that runs
    can go from lane to lane. */
@@ -63,11 +67,10 @@ typedef struct {
   Number stuck, stalls, done;  /* whether it can go on, switches in a row, outputs that are reached */
   Number tries, rejections, landings, approaches, switches, interpolants, carries, carried;
   Number short_tries, short_left; /* tries and approaches of order 5, and how many are to follow */
-  Number carry_rate; /* 1/s: of the longest step whose switches could be carried last, if known */
   Number last;       /* the error of the step before, if it was of order 8 */
   Number h, error, factor;     /* length and error of the step, and how much longer the next is */
   Number crossed, taken;       /* how many strings may switch in it; what of it is taken, s */
-  Number is_inside, is_carried; /* ends on its interpolant; its switches are carried */
+  Number is_inside, is_carried, is_across; /* ends on its interpolant; switches are carried, or crossed */
 } Adaptive;
 
 enum { ADAPTIVE_NUMBERS = sizeof(Adaptive) / sizeof(Number) };
@@ -153,7 +156,7 @@ SHORT(1) SHORT(2) SHORT(3) SHORT(4) SHORT(5)
 #define SHORT_STAGE(k)                                                                      \
   do {                                                                                      \
     short_sum_##k(x, h, K, y, n);                                                           \
-    slope_at(m->span, y, m->now->time + SHORT_TIME_##k * h, m->pulls, K + k * n);           \
+    slope_at(m->span, y, m->now->time + SHORT_TIME_##k * h, pulls, K + k * n);              \
   } while (0)
 
 WIDE static void short_sum_end(const Number *restrict x, Number h, const Number *restrict K,
@@ -161,10 +164,16 @@ WIDE static void short_sum_end(const Number *restrict x, Number h, const Number 
   for (int i = 0; i < n; ++i) y[i] = x[i] + h * SHORT_END;
 }
 
+/* Whether steps of order 5 go across switches. The force of a damped string jumps as it goes taut. */
+static int goes_across(const Dop853 *m) {
+  const Scene *s = m->span->scene;
+  return lane(m->scale, 0) > m->settings->loose * s->size && !s->damped && !m->settings->traces;
+}
+
 /* A step of order 5. */
 static void short_step_of(Dop853 *m, Number h, Number *x1) {
   const int n = m->span->states;
-  const Number *x = m->x;
+  const Number *x = m->x, *pulls = goes_across(m) ? 0 : m->pulls;
   Number *K = m->short_slopes, *y = m->y;
   memcpy(K, m->slope, n * sizeof *K);
   SHORT_STAGE(1); SHORT_STAGE(2); SHORT_STAGE(3); SHORT_STAGE(4); SHORT_STAGE(5);
@@ -322,8 +331,9 @@ static Truth try_step(Dop853 *m) {
   const double duration = m->settings->duration;
   Adaptive *now = m->now;
   const Number h = smaller(smaller(now->step, now->longest), duration - now->time);
+  const int is_loose = goes_across(m);
   const Truth is_short = now->short_left > 0;
-  Number *slope1 = m->K + STAGES * n;
+  Number *slope1 = m->K + STAGES * n, *short_slope1 = m->short_slopes + SHORT_STAGES * n;
   Truth good, bad;
   m->pulls = m->taut;
   memcpy(m->K, m->slope, n * sizeof *m->K);
@@ -331,6 +341,7 @@ static Truth try_step(Dop853 *m) {
   step_by_order(m, h, m->x1);
   now->h = now->taken = h;
   now->is_inside = now->is_carried = now->crossed = all(0);
+  now->is_across = truth(is_short) * (double)is_loose;
   now->tries += 1;
   if (any(is_short == 0)) {
     now->error = error_of(m->K, m->scale, h, n);
@@ -338,9 +349,8 @@ static Truth try_step(Dop853 *m) {
   }
   if (any(is_short)) {
     Number error;
-    slope_at(m->span, m->x1, now->time + h, m->taut, slope1);
-    memcpy(m->short_slopes + SHORT_STAGES * n, slope1, n * sizeof *slope1);
-    error = short_error_of(m->short_slopes, m->scale, h, n);
+    slope_at(m->span, m->x1, now->time + h, is_loose ? 0 : m->taut, short_slope1);
+    error = short_error_of(m->short_slopes, m->scale, h, n) * (is_loose ? ACROSS : 1);
     now->error = choice(is_short, error, now->error);
     now->factor = choice(is_short, factor_of(error, SHORT_ORDER), now->factor);
     now->short_tries += truth(is_short);
@@ -356,10 +366,36 @@ static Truth try_step(Dop853 *m) {
   }
   if (any(good)) {
     const Tried step = tried_step(m);
+    const Truth searched = good & (now->is_across == 0);
     if (any(good & (is_short == 0))) slope_at(m->span, m->x1, now->time + h, m->taut, slope1);
-    now->crossed = only(good, crossings(m->span, &step));
+    for (int i = 0; i < n; ++i) slope1[i] = choice(is_short, short_slope1[i], slope1[i]);
+    if (any(searched)) now->crossed = only(searched, crossings(m->span, &step));
+  }
+  if (is_loose && any(now->crossed > 0)) {
+    const Truth thrown = now->crossed > 0;
+    now->step = choice(thrown, FIRST_ACROSS * h, now->step);
+    now->short_left = choice(thrown, all(ACROSS_FOLLOWING), now->short_left);
+    now->rejections += truth(thrown);
+    now->crossed = all(0);
+    good &= thrown == 0;
   }
   return good;
+}
+
+/* Finds what pulls and presses at the ends of steps across switches, and counts what has changed. */
+static void look_back(Dop853 *m, Truth meant) {
+  Span *span = m->span;
+  Adaptive *now = m->now;
+  Number count = all(0);
+  gap_at(span, m->x1, now->time + now->h, 0, span->gap,
+         velocity_dependent(span->scene) ? span->rate : 0);
+  for (int i = 0; i < span->switches; ++i) {
+    const Number pulls = truth(span->gap[i] > 0);
+    count += truth(meant & (pulls != m->taut[i]));
+    m->taut[i] = choice(meant, pulls, m->taut[i]);
+  }
+  now->switches += count;
+  now->short_left = choice(count > 0, all(ACROSS_FOLLOWING + 1), now->short_left);
 }
 
 /* Writes the outputs up to a time, on the interpolant or on the path from the ends of the step. */
@@ -422,11 +458,12 @@ static void end_steps(Dop853 *m, Truth meant) {
   const double duration = m->settings->duration;
   Adaptive *now = m->now;
   const Truth crossed = meant & (now->crossed > 0), carried = meant & (now->is_carried != 0);
-  const Truth landed = crossed & (carried == 0);
+  const Truth landed = crossed & (carried == 0), across = meant & (now->is_across != 0);
   const Number after = choice(now->taken >= duration - now->time, all(duration),
                               now->time + now->taken);
   const Number *slope1 = m->K + STAGES * n;
   write_passed(m, meant, after);
+  if (any(across)) look_back(m, across);
   for (int i = 0; i < n; ++i) m->x[i] = choice(meant, m->x1[i], m->x[i]);
   now->step = choice(meant, now->h * choice(landed, smaller(now->factor, all(1)), now->factor),
                      now->step);
@@ -453,21 +490,13 @@ static void end_steps(Dop853 *m, Truth meant) {
   }
 }
 
-/* Where steps that carry their switches, as long as they may be, take less than landings on them. */
-static Truth is_worth_carrying(const Dop853 *m) {
-  const Adaptive *now = m->now;
-  const Number often = (now->switches + now->crossed) / (now->time + now->h);
-  const Number longest = smaller(1 / now->carry_rate, now->longest);
-  return (m->scale[0] > m->settings->loose * m->span->scene->size) & (often * longest > WORTH_CARRYING);
-}
-
 /* Adds to the ends of steps what their switches change. Returns which steps are too long for it, and
    leaves how much shorter they are to be: where shorter ones take less than a landing on each switch. */
 static Truth carry_switches(Dop853 *m, Truth meant) {
   const int n = m->span->states, switches = m->span->switches;
   Adaptive *now = m->now;
   const Tried step = tried_step(m);
-  Number count, off, factor, rate;
+  Number count, off, factor;
   Truth good, too_long;
   memcpy(m->end, m->x1, n * sizeof *m->end);
   memcpy(m->pulling, m->taut, switches * sizeof *m->taut);
@@ -475,10 +504,7 @@ static Truth carry_switches(Dop853 *m, Truth meant) {
   off = carry_error(m->defect, m->scale, now->h, n);
   factor = factor_of(off, CARRY_ORDER);
   good = meant & (off < 1);
-  rate = 1 / (now->h * factor);
-  rate = choice(now->carry_rate > 0, root(now->carry_rate * rate), rate);
-  now->carry_rate = choice(meant, rate, now->carry_rate);
-  too_long = meant & (good == 0) & ((2 < now->crossed * factor) | is_worth_carrying(m));
+  too_long = meant & (good == 0) & (2 < now->crossed * factor);
   now->carries += truth(meant);
   now->factor = choice(too_long, smaller(factor, all(SAFETY)), now->factor);
   if (any(good)) {
@@ -587,13 +613,11 @@ static Truth end_carried(Dop853 *m, Truth meant, Truth *thrown) {
 static Truth pass_switches(Dop853 *m, Truth meant) {
   const int may_carry = !velocity_dependent(m->span->scene) && !m->settings->traces;
   const Number few = choice(m->now->short_left > 0, all(0), all(MANY_SWITCHES));
-  const Truth carries = (m->now->crossed > few) | is_worth_carrying(m);
-  const Truth many = may_carry ? meant & carries : meant & (meant == 0);
+  const Truth many = meant & (m->now->crossed > (may_carry ? few : all(INFINITY)));
   Truth thrown = many & (many == 0), ended = thrown, landing;
   if (any(many)) ended = end_carried(m, many, &thrown);
   landing = meant & (thrown == 0) & (ended == 0);
   if (any(landing)) {
-    m->now->carry_rate *= choice(landing & (many == 0), all(FORGETTING), all(1));
     land_on_first(m, landing);
     end_steps(m, landing);
   }
@@ -605,7 +629,7 @@ static void take_up(const Progress *from, double longest, double done, int i, Ad
   const double numbers[] = {from->time, from->step, longest, from->stuck, from->stalls, done,
                             from->tries, from->rejections, from->landings, from->approaches,
                             from->switches, from->interpolants, from->carries, from->carried,
-                            from->short_tries, from->short_left, from->carry_rate, from->last};
+                            from->short_tries, from->short_left, from->last};
   Number *place = (Number *)to;
   for (int k = 0; k < ADAPTIVE_NUMBERS; ++k) put(0, place + k, i);
   for (size_t k = 0; k < sizeof numbers / sizeof *numbers; ++k) put(numbers[k], place + k, i);
@@ -626,7 +650,6 @@ static void put_down(const Adaptive *from, int i, Progress *to) {
   to->carried = (int64_t)lane(&from->carried, i);
   to->short_tries = (int64_t)lane(&from->short_tries, i);
   to->short_left = (int32_t)lane(&from->short_left, i);
-  to->carry_rate = lane(&from->carry_rate, i);
   to->last = lane(&from->last, i);
 }
 
@@ -666,8 +689,8 @@ int advance_by_dop853(Span *span, const Settings *settings, Progress *now, Kept 
        ++tried) {
     if (evaluations_of(&motion) >= settings->limit) break;
     if (!try_step(&method)) continue;
-    span->goes_on = motion.crossed == 0;
-    if (span->goes_on) end_steps(&method, 1);
+    span->goes_on = motion.crossed == 0 && motion.is_across == 0;
+    if (motion.crossed == 0) end_steps(&method, 1);
     else if (!pass_switches(&method, 1)) continue;
     keep_step(kept, now, motion.time, x, method.started);
   }

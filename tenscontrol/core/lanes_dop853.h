@@ -3,7 +3,8 @@
    Some groups of runs, one a lane, are at work together. All try a step. Where most runs of a group
    may switch in it, their steps are cut at once; others that may are gathered from all groups, so that
    few lanes are idle while steps are cut. The place of a run that is over goes to the next run, or to
-   the last of those at work. */
+   the last of those at work. Runs whose next step is of order 5 are in the first places, so that at most
+   one group takes steps of both orders. */
 
 enum { GROUPS_AT_WORK = 4, PLACES = GROUPS_AT_WORK * WIDTH, MOST_LANES = (3 * WIDTH + 3) / 4 };
 
@@ -14,7 +15,8 @@ typedef struct {
   double *states;
   Progress *progress;
   Dop853 method;
-  int size, moving, gathered; /* numbers of a group, those that steps change, and those of a step */
+  int size, moving, own; /* numbers of a group, those that steps change, and these with a run's own */
+  int gathered;          /* those of a step that is tried, too */
   Number *groups;             /* one more for those that are gathered */
   int next, count;            /* the next run to begin, and runs at work */
   int run[PLACES];            /* at each place */
@@ -23,6 +25,11 @@ typedef struct {
 
 static Number *group_at(const Pool *pool, int place) {
   return pool->groups + (size_t)(place / WIDTH) * pool->size;
+}
+
+static int is_short(const Pool *pool, int place) {
+  const Adaptive *now = (const Adaptive *)group_at(pool, place);
+  return lane(&now->short_left, place % WIDTH) > 0;
 }
 
 /* Parts of a group. */
@@ -35,8 +42,7 @@ static Dop853 method_at(const Pool *pool, Number *numbers) {
   method.taut = method.slope + n;
   method.pulls = method.taut;
   method.scale = method.taut + m;
-  method.x1 = numbers + pool->moving + n + table_size(&pool->batch.scene, &pool->batch.drive,
-                                                      pool->batch.runs, 1);
+  method.x1 = numbers + pool->own;
   method.K = method.x1 + n;
   return method;
 }
@@ -56,6 +62,20 @@ static void emit_to_rows(void *by, Truth due, Number done, const Number *x) {
       const size_t row = (size_t)pool->in_lanes[i] * pool->method.settings->outputs;
       take_row(x, i, pool->batch.span.states, pool->states, row + (size_t)lane(&done, i));
     }
+}
+
+/* Puts runs whose next step is of order 5 before the others. */
+static void sort_by_order(Pool *pool) {
+  int first = 0, last = pool->count - 1;
+  for (;;) {
+    while (first < last && is_short(pool, first)) ++first;
+    while (first < last && !is_short(pool, last)) --last;
+    if (first / WIDTH >= last / WIDTH) return;
+    swap_lanes(group_at(pool, first), first % WIDTH, group_at(pool, last), last % WIDTH, pool->own);
+    const int run = pool->run[first];
+    pool->run[first++] = pool->run[last];
+    pool->run[last--] = run;
+  }
 }
 
 /* Begins a run at a place. */
@@ -170,6 +190,7 @@ static void advance_runs_by_dop853(const Scene *scene, const Drive *drive, const
   pool.progress = progress;
   pool.size = (int)dop853_group_size(scene, drive, runs);
   pool.moving = ADAPTIVE_NUMBERS + 2 * n + scene->switches;
+  pool.own = pool.moving + n + (int)table_size(scene, drive, runs, 1);
   pool.gathered = pool.size - MORE_STAGES * n;
   pool.groups = aligned(work);
   rest = share(&pool.batch, scene, drive, lengths, runs,
@@ -186,5 +207,6 @@ static void advance_runs_by_dop853(const Scene *scene, const Drive *drive, const
     for (int i = 0; i < waiting; i += WIDTH)
       cut_steps(&pool, crossed + i, waiting - i < WIDTH ? waiting - i : WIDTH);
     change_runs(&pool);
+    sort_by_order(&pool);
   }
 }

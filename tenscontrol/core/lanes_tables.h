@@ -100,6 +100,14 @@ static inline void copy_lane(const Number *from, int i, Number *to, int j, int c
   for (int k = 0; k < count; ++k) put(lane(from + k, i), to + k, j);
 }
 
+static inline void swap_lanes(Number *one, int i, Number *other, int j, int count) {
+  for (int k = 0; k < count; ++k) {
+    const double kept = lane(one + k, i);
+    put(lane(other + k, j), one + k, i);
+    put(kept, other + k, j);
+  }
+}
+
 /* Memory of numbers in lanes, on their border. */
 static Number *aligned(double *work) {
   const size_t off = (uintptr_t)work / sizeof *work % WIDTH;

@@ -136,7 +136,7 @@ class Progress(ctypes.Structure):
         ("time", _NUMBER), ("step", _NUMBER), ("stuck", _COUNT), ("stalls", _COUNT),
         *((name, ctypes.c_int64) for name in COUNTED),
         *((name, _COUNT) for name in ("kept", "every", "since", "short_left")),
-        ("carry_rate", _NUMBER), ("last", _NUMBER),
+        ("last", _NUMBER),
     )  # fmt: skip
 
 

@@ -82,8 +82,8 @@ class StepRules(NamedTuple):
     """The longest step over 1/ω and over the span, and the first over the usual.
 
     And ``smooth``: steps end at a switch on their interpolant where that errs less than this part
-    of what they may err; ``loose``: the tolerance above which the core carries few switches in a
-    step, too; ``path``: as ``smooth``, of outputs on the path from the ends of a step.
+    of what they may err; ``loose``: the tolerance above which the core goes across switches;
+    ``path``: as ``smooth``, of outputs on the path from the ends of a step.
     """
 
     stable: float
@@ -101,11 +101,11 @@ class StepRules(NamedTuple):
 
 #: By whether steps are shortened. What ends on an interpolant errs by chance: where stability
 #: limits the steps, a tenth of the tolerance alone makes no tenth of it. Nor does it of outputs on
-#: a path, so there are none then; else they may err what steps aim at. Switches are carried as by
+#: a path, so there are none then; else they may err what steps aim at. Switches are passed as by
 #: the run of ten times the tolerance.
 STEP_RULES = (
-    StepRules(_STABLE, 1.0, 1.0, 0.3, 1e-4, 0.1),
-    StepRules(_SHORTER * _STABLE, 0.5, _SHORTER, 0.03, 1e-5, 0.0),
+    StepRules(_STABLE, 1.0, 1.0, 0.3, 3e-5, 0.1),
+    StepRules(_SHORTER * _STABLE, 0.5, _SHORTER, 0.03, 3e-6, 0.0),
 )
 
 # Where steps are traced, the longest one times the largest frequency, over the eighth root of the
@@ -133,7 +133,7 @@ class DOP853(Integrator):
 
     Where a string can go slack, every step ends at each switch. In the
     compiled core a step with many of them carries them, and the next is of
-    order 5.
+    order 5; under a loose tolerance steps of order 5 go across them.
 
     Parameters
     ----------

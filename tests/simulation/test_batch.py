@@ -203,7 +203,7 @@ def test_no_run_is_stuck_where_a_string_dips_between_the_ends_of_a_step():
     V = thrown(prism, 0.5, runs=500)[1]
     how = {"method": "dop853", "tolerance": 1e-2, "error": "none"}
     assert many(model, 1.0, how, {"velocities": V}, rest_length=lengths).completed.all()
-    # Few switches in a step are carried under such a tolerance, and their error is told.
+    # Steps go across switches under such a tolerance, and their error is told.
     loose, tight = (
         many(model, 1.0, {"tolerance": value}, {"velocities": V[:16]}, rest_length=lengths)
         for value in (1e-3, 1e-9)
@@ -212,20 +212,50 @@ def test_no_run_is_stuck_where_a_string_dips_between_the_ends_of_a_step():
     assert 1e-4 < np.median(off) < 2e-3
     assert (loose.error[:, -1] > 0.9 * off).all()
     assert np.median(loose.error[:, -1] / off) < 4
-    assert loose.scene_of(0).simulate().work.carried
+    work = loose.scene_of(0).simulate().work
+    assert work.carried == 0 < work.switches == loose.switches[0]
+    assert 2 * work.evaluations < tight.scene_of(0).simulate().work.evaluations
 
 
 @needs_core
-def test_lanes_carry_switches_as_single_runs_do():
+def test_lanes_go_across_contacts_as_single_runs_do():
+    prism = tc.prism()
+    height = float(prism.nodes[2].min()) - 0.02
+    ground = tc.Ground(2e3, damping=0.3, friction=0.5, slip_speed=0.05, height=height)
+    model = tc.Model(prism, strings=tc.LinearStrings(100.0), gravity=9.81, ground=ground)
+    held = {"rest_length": 0.98 * prism.string_length()}
+    V = thrown(prism, 0.2, runs=MORE)[1]
+    how = {"tolerance": 1e-3, "output_step": 0.05}
+    loose = many(model, 0.5, how, {"velocities": V}, **held)
+    tight = many(model, 0.5, how | {"tolerance": 1e-9}, {"velocities": V}, **held)
+    off = np.linalg.norm(loose.nodes - tight.nodes, axis=1).max(axis=1)[:, -1] / prism.size
+    assert 1e-6 < np.median(off) < 2e-3
+    assert (loose.error[:, -1] > 0.5 * off).all()
+    assert np.median(loose.error[:, -1] / off) < 4
+    runs = {i: tc.simulate(model, 0.5, velocities=V[i], **held, **how) for i in (0, 3, 9, 10)}
+    for i, run in runs.items():
+        assert run.work.switches == loose.switches[i] > 2
+        assert 2 * run.work.evaluations < tight.scene_of(i).simulate().work.evaluations
+    assert_same(loose, runs)
+
+
+@needs_core
+def test_lanes_pass_many_switches_as_single_runs_do():
     tower = tc.prism_tower(6)
     N, V = thrown(tower, 0.5, runs=MORE)
     model = tc.Model(tower, strings=tc.LinearStrings(100.0))
     held = {"rest_length": 0.999 * tower.string_length()}
-    for method in ({"step": 0.02, "method": "rk4"}, {"tolerance": 1e-2, "error": "none"}):
+    ways = (
+        ({"step": 0.02, "method": "rk4"}, True),
+        ({"tolerance": 1e-5, "error": "none"}, True),
+        ({"tolerance": 1e-2, "error": "none"}, False),
+    )
+    for method, is_carried in ways:
         how = {"output_step": 0.1} | method
         batch = many(model, 0.2, how, {"nodes": N, "velocities": V}, **held)
         runs = {i: tc.simulate(model, 0.2, N[i], V[i], **held, **how) for i in (0, 3, 9, 10)}
-        assert all(run.work.carried for run in runs.values())
+        assert {run.work.carried > 0 for run in runs.values()} == {is_carried}
+        assert all(run.work.switches for run in runs.values())
         assert_same(batch, runs)
 
 
